@@ -1,0 +1,1 @@
+//! Measurements: floors, peers, and what Tandem adds.

@@ -1,0 +1,59 @@
+//! Data flash (DFlash): memory that survives power loss, programmed in the background.
+
+/// Why a flash operation was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlashError {
+    /// An operation is under way; ask again when [`DataFlash::status`] says idle.
+    Busy,
+    /// The range is outside the flash or not aligned.
+    OutOfRange,
+    /// The board cannot read or write its medium.
+    Failed,
+}
+
+/// What the flash does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlashStatus {
+    /// Ready; the last operation, if any, is durable.
+    Idle,
+    /// An operation is under way.
+    Busy,
+    /// The last operation failed; its range has undefined content. The next operation may be started.
+    Failed,
+}
+
+/// Data flash as NOR flash is: erase sets a sector to ones, program writes aligned pages that were
+/// erased. Power loss during an operation leaves any mixture of old and new bytes in its range, and
+/// nothing else changes.
+///
+/// Programming takes time and must not stop the control core, so operations are started and then run in
+/// the background, one at a time.
+pub trait DataFlash {
+    /// Bytes of one page, the unit of programming.
+    const PAGE_BYTES: u32 = 8;
+    /// Bytes of one sector, the unit of erasing.
+    const SECTOR_BYTES: u32 = 4096;
+    /// Number of sectors; at least 2.
+    const SECTORS: u32 = 2;
+
+    /// Copies `into.len()` bytes from `offset`. Blocks for a bounded, short time.
+    ///
+    /// # Errors
+    /// [`FlashError::Busy`] while an operation runs, [`FlashError::OutOfRange`], [`FlashError::Failed`].
+    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError>;
+
+    /// Starts to erase one sector to 0xFF. Never blocks.
+    ///
+    /// # Errors
+    /// [`FlashError::Busy`], [`FlashError::OutOfRange`].
+    fn start_erase(&self, sector: u32) -> Result<(), FlashError>;
+
+    /// Starts to program whole pages (at most one sector, not across a sector's end). Never blocks.
+    ///
+    /// # Errors
+    /// [`FlashError::Busy`], [`FlashError::OutOfRange`] (also when not aligned to pages).
+    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError>;
+
+    /// What the flash does now. Never blocks.
+    fn status(&self) -> FlashStatus;
+}

@@ -1,0 +1,103 @@
+//! What a board gives to a core: the one boundary between portable code and a machine.
+//!
+//! A board is what a TC297 with its carrier gives: a monotonic clock, the LMU, doorbells to the other
+//! cores of the system, lines and a link to the other system, CAN, data flash, the supply with its
+//! watchdogs. Portable code is generic over one `B: Board` and knows nothing else of the machine.
+//!
+//! Contexts: a *task* runs in a core's main flow and may block where a method says so; a *handler* runs
+//! in interrupt context and never blocks. Every method is callable from both unless it says otherwise.
+//!
+//! `tandem-board-conformance` is the executable form of the contracts written here.
+#![no_std]
+#![forbid(unsafe_code)]
+
+mod can;
+mod flash;
+mod identity;
+mod lines;
+mod supply;
+mod time;
+
+pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
+pub use flash::{DataFlash, FlashError, FlashStatus};
+pub use identity::{CoreId, Generation, Identity, SystemId};
+pub use lines::{Edge, Line, Lines, Link, LinkFull};
+pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
+pub use time::{Duration, Instant};
+
+use core::sync::atomic::AtomicU32;
+
+/// What ended a [`Board::wait`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wake {
+    /// A doorbell, a waking edge or a received CAN frame: something may be pending. May be spurious.
+    Interrupt,
+    /// The deadline has passed.
+    Deadline,
+}
+
+/// One record of the board's trace: four words, given their meaning by the portable code that emits
+/// them. The board adds the time and the core.
+pub type TraceRecord = [u32; 4];
+
+/// Everything that one core sees of its machine.
+///
+/// All methods take `&self`: a board is shared between the tasks and handlers of one core, never
+/// between cores. Nothing here panics because of what another core or the other system does.
+pub trait Board {
+    /// The CAN controller of this core.
+    type Can: Can;
+    /// The lines to the other system.
+    type Lines: Lines;
+    /// The data link to the other system (HSSL / SPI).
+    type Link: Link;
+    /// The data flash of the system. Only core 0 programs it.
+    type Flash: DataFlash;
+    /// The supply (TLF35584): watchdogs, reset, reset cause.
+    type Supply: Supply;
+
+    /// Which core of which system this is, and which of its lives.
+    fn identity(&self) -> Identity;
+
+    /// The monotonic clock of this system. Never goes back; the two systems' clocks are not
+    /// synchronised and may have different origins.
+    fn now(&self) -> Instant;
+
+    /// The LMU: the memory that all cores of this system reach, as words. On the TC297 32 KiB at
+    /// 0xB000_0000. It is zero at power-on, and keeps its content over the reset of single cores.
+    /// Any core may write any word at any time.
+    fn lmu(&self) -> &[AtomicU32];
+
+    /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's own.
+    ///
+    /// Writes to the LMU before the call are visible to the receiver after its `wait` returns. Never
+    /// blocks; rings that come before the receiver looks are merged into one. Ringing a dead core does
+    /// nothing.
+    fn ring(&self, to: CoreId);
+
+    /// Sleeps until an interrupt is pending or `deadline` has come, and consumes what is pending.
+    ///
+    /// Task context; blocks. Race-free: an interrupt raised before the call ends it at once. Interrupts
+    /// are: this core's doorbell, an edge on [`Line::Start`], a change of
+    /// [`Lines::peer_powered`] (both on core 0 only), and a CAN frame if the receiver asked for it
+    /// ([`Can::wake_on_receive`]). The caller looks for what has come; `Wake::Interrupt` may be spurious.
+    fn wait(&self, deadline: Instant) -> Wake;
+
+    /// The CAN controller of this core.
+    fn can(&self) -> &Self::Can;
+
+    /// The lines to and from the other system.
+    fn lines(&self) -> &Self::Lines;
+
+    /// The data link to and from the other system.
+    fn link(&self) -> &Self::Link;
+
+    /// The data flash of this system.
+    fn flash(&self) -> &Self::Flash;
+
+    /// The supply of this system.
+    fn supply(&self) -> &Self::Supply;
+
+    /// Writes one record to the trace. Never blocks; a full trace loses the record and counts it.
+    fn trace(&self, record: TraceRecord);
+}

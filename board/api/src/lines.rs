@@ -1,0 +1,73 @@
+//! The wires between the two systems: ERU lines and the data link. T-CHIP-5
+
+/// A hard-wired line to the other system. Each exists once in either direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Line {
+    /// Start protocol: handshake on the rising edge, sync on the falling edge. Edges interrupt core 0.
+    Start,
+    /// First heartbeat line. Edges are counted and do not interrupt.
+    Heartbeat1,
+    /// Second heartbeat line, redundant to the first.
+    Heartbeat2,
+}
+
+impl Line {
+    /// All lines.
+    pub const ALL: [Self; 3] = [Self::Start, Self::Heartbeat1, Self::Heartbeat2];
+
+    /// 0, 1 or 2.
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+}
+
+/// The type of an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Edge {
+    /// Low to high.
+    Rising,
+    /// High to low.
+    Falling,
+}
+
+/// This system's ends of the lines.
+pub trait Lines {
+    /// Sends one edge. Never blocks. What this core wrote before is not thereby visible to the other
+    /// system: they share no memory.
+    fn send(&self, line: Line, edge: Edge);
+
+    /// How many edges of this type came on this line since this system was powered on. Wraps around;
+    /// survives the reset of a core, so take differences.
+    fn received(&self, line: Line, edge: Edge) -> u32;
+
+    /// The level line of the other system's supply: high while that supply is on and holds its system
+    /// out of reset. Falls when it loses power or its safety chip holds the system in reset. A low
+    /// level means that the other system cannot transmit; a high level says nothing about its software.
+    /// A cut of this line reads as high.
+    fn peer_powered(&self) -> bool;
+}
+
+/// The transmit buffer of the link is full; nothing was taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkFull;
+
+/// The bulk data link to the other system (HSSL; SPI has the same shape): datagrams, in order, not
+/// acknowledged. What arrives is an allegation: the receiver checks it.
+pub trait Link {
+    /// The largest datagram in words.
+    const MAX_WORDS: usize;
+
+    /// Sends one datagram of up to [`Link::MAX_WORDS`] words. Never blocks.
+    ///
+    /// # Errors
+    /// [`LinkFull`] if the buffer is full.
+    ///
+    /// # Panics
+    /// If the datagram is longer than [`Link::MAX_WORDS`].
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull>;
+
+    /// Fetches the next datagram into `words` and returns its length in words; `None` if there is none.
+    /// What does not fit in `words` is cut off.
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize>;
+}

@@ -1,0 +1,86 @@
+//! The supply of a system: a TLF35584 with its watchdogs, reset generator and reset cause. T-CHIP-6
+
+/// Why the system (or this core) started.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetCause {
+    /// Power came on.
+    PowerOn,
+    /// The software asked for it.
+    Software,
+    /// A watchdog was not serviced as it must be: late, early, or with a wrong answer.
+    Watchdog,
+    /// A core trapped, died, or was reset by the supply because another core reported it dead.
+    Trap,
+}
+
+impl ResetCause {
+    /// Every cause but power-on and a reset that the software asked for. T-RED-5
+    #[must_use]
+    pub const fn is_abnormal(self) -> bool {
+        matches!(self, Self::Watchdog | Self::Trap)
+    }
+}
+
+/// What a core asks of the reset generator. A request resets the whole system: all three cores.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ResetRequest {
+    /// An orderly restart; the next reset cause is [`ResetCause::Software`].
+    Software,
+    /// A core of this system does not answer; the next reset cause is [`ResetCause::Trap`].
+    CoreDead,
+    /// Hold the system in reset for good: it has failed and suspends (T-RED-5).
+    Suspend,
+}
+
+/// What the system shows of itself on its digital outputs, for a person or an oscilloscope.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RoleLamp {
+    /// Not yet in a role.
+    Starting,
+    /// Drives the vehicle.
+    Master,
+    /// Drives the vehicle alone, degraded.
+    DegradedMaster,
+    /// Computes silently.
+    Standby,
+    /// Has failed and stays silent.
+    Suspended,
+}
+
+/// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte permutation.
+///
+/// A core that merely loops over a store to the watchdog register cannot give it.
+#[must_use]
+pub const fn watchdog_answer(question: u8) -> u8 {
+    let q = question & 0xF;
+    // Multiplication by an odd number permutes the bytes; the constant keeps 0 from answering 0.
+    q.wrapping_mul(0x1D).rotate_left(3) ^ 0xA5
+}
+
+/// The supply as its system's core 0 sees it.
+pub trait Supply {
+    /// Why this life of the system began.
+    fn reset_cause(&self) -> ResetCause;
+
+    /// The current question of the functional watchdog, 0 ..= 15. A new one follows each service.
+    fn watchdog_question(&self) -> u8;
+
+    /// Services window and functional watchdog with the answer to the current question. Must come
+    /// within the open window: neither before [`Supply::WINDOW_OPENS_US`] nor after
+    /// [`Supply::WINDOW_CLOSES_US`] since the last service (the first one: since the start, and only the
+    /// end counts, with [`Supply::FIRST_SERVICE_US`]). Else the supply resets the system. Core 0 only.
+    fn service_watchdog(&self, answer: u8);
+
+    /// Earliest service after the previous one, in microseconds.
+    const WINDOW_OPENS_US: u32;
+    /// Latest service after the previous one, in microseconds.
+    const WINDOW_CLOSES_US: u32;
+    /// Latest first service after a start, in microseconds.
+    const FIRST_SERVICE_US: u32;
+
+    /// Asks for a reset. Returns; the reset comes soon, and the caller must not act any more.
+    fn request_reset(&self, request: ResetRequest);
+
+    /// Shows the role on the system's digital outputs.
+    fn show_role(&self, lamp: RoleLamp);
+}

@@ -1,0 +1,1 @@
+//! The board as processes on a laptop, over iceoryx2.

@@ -1,0 +1,1 @@
+//! The board in one process, on a clock that the caller advances.

@@ -1,0 +1,167 @@
+//! What the driving functions hand to each other: scene (core 1 to 2), trajectory (core 2 to 0),
+//! command (core 0 to the vehicle).
+//!
+//! Vehicle frame (ISO 8855): origin at the centre of gravity of the own vehicle, x forward, y left,
+//! angles counter-clockwise. SI units throughout.
+
+use heapless::Vec;
+use tandem_board::Instant;
+
+/// How many objects a scene holds; the nearest ones stay.
+pub const MAX_OBJECTS: usize = 24;
+/// Samples of a trajectory.
+pub const TRAJECTORY_SAMPLES: usize = 41;
+/// Time between two samples of a trajectory, in seconds: the horizon is 4 s.
+pub const TRAJECTORY_STEP_S: f32 = 0.1;
+
+/// Motion of the own vehicle.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Ego {
+    /// Speed over ground along the own x axis, m/s.
+    pub speed: f32,
+    /// rad/s, left positive.
+    pub yaw_rate: f32,
+    /// Longitudinal acceleration, m/s².
+    pub acceleration: f32,
+    /// Measured road wheel angle, rad, left positive.
+    pub steering_angle: f32,
+    /// Side slip angle at the centre of gravity, rad.
+    pub slip_angle: f32,
+}
+
+/// The lanes around the own vehicle. The own lane's centre line is
+/// `y(x) = c[0] + c[1] x + c[2] x² + c[3] x³` in the vehicle frame; its neighbours run parallel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lanes {
+    /// Polynomial of the own lane's centre line.
+    pub c: [f32; 4],
+    /// The polynomial holds for 0 ≤ x ≤ this, m.
+    pub view_range: f32,
+    /// Width of the own lane, m.
+    pub width: f32,
+    /// Width of the lane to the left, m, if there is one in the same direction.
+    pub left: Option<f32>,
+    /// Width of the lane to the right, m, if there is one in the same direction.
+    pub right: Option<f32>,
+    /// Distance to the end of the own lane, m; `f32::INFINITY` if no end is in sight.
+    pub own_end: f32,
+    /// The same for the lane to the left.
+    pub left_end: f32,
+    /// The same for the lane to the right.
+    pub right_end: f32,
+    /// Signed speed limit, m/s; `f32::INFINITY` if none.
+    pub speed_limit: f32,
+}
+
+/// Kind of an object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ObjectClass {
+    /// Not known (yet).
+    Unknown,
+    /// A passenger car.
+    Car,
+    /// A truck or a bus.
+    Truck,
+    /// A motorcycle or a bicycle.
+    Motorcycle,
+    /// A person on foot.
+    Pedestrian,
+    /// Something that does not move.
+    Static,
+}
+
+/// One confirmed track.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Object {
+    /// Stays the same as long as the object is tracked.
+    pub id: u32,
+    /// Kind of object.
+    pub class: ObjectClass,
+    /// Centre, m.
+    pub x: f32,
+    /// Centre, m.
+    pub y: f32,
+    /// Velocity over ground in the vehicle frame's axes, m/s.
+    pub vx: f32,
+    /// Velocity over ground in the vehicle frame's axes, m/s.
+    pub vy: f32,
+    /// Acceleration along x over ground, m/s².
+    pub ax: f32,
+    /// m
+    pub length: f32,
+    /// m
+    pub width: f32,
+    /// Lane relative to the own one by scene analysis: 0 own, 1 left, -1 right, further ones ±2.
+    pub lane: i8,
+    /// It is moving towards the own lane and will be in it soon.
+    pub cuts_in: bool,
+}
+
+/// What core 1 knows of the world at one time: the object list of T-CHIP-3.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// When the sensor data of this cycle were acquired, on this system's clock.
+    pub at: Instant,
+    /// Counts the cycles of core 1, wraps around.
+    pub cycle: u32,
+    /// Motion of the own vehicle at `at`.
+    pub ego: Ego,
+    /// Lanes; `None` while the camera sees none.
+    pub lanes: Option<Lanes>,
+    /// Speed that the driver has set, m/s; `None` if automated driving is not asked for.
+    pub set_speed: Option<f32>,
+    /// Confirmed tracks, nearest first.
+    pub objects: Vec<Object, MAX_OBJECTS>,
+}
+
+/// What decision has chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Maneuver {
+    /// Keep the lane and the distance.
+    Follow,
+    /// Change to the lane on the left.
+    ChangeLeft,
+    /// Change to the lane on the right.
+    ChangeRight,
+    /// Brake as hard as needed to avoid a collision or to stop before the lane ends.
+    Brake,
+}
+
+/// One sample of a trajectory, in the vehicle frame at [`Trajectory::at`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct TrajectoryPoint {
+    /// m
+    pub x: f32,
+    /// m
+    pub y: f32,
+    /// rad
+    pub heading: f32,
+    /// 1/m
+    pub curvature: f32,
+    /// m/s
+    pub speed: f32,
+    /// m/s²
+    pub acceleration: f32,
+}
+
+/// What core 2 wants the vehicle to do: samples every [`TRAJECTORY_STEP_S`] from `at` on.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Trajectory {
+    /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's `at`.
+    pub at: Instant,
+    /// The scene's cycle.
+    pub cycle: u32,
+    /// What it does.
+    pub maneuver: Maneuver,
+    /// The samples.
+    pub points: [TrajectoryPoint; TRAJECTORY_SAMPLES],
+}
+
+/// What core 0 asks of the actuators.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Command {
+    /// Road wheel angle, rad, left positive.
+    pub steering_angle: f32,
+    /// Longitudinal acceleration, m/s².
+    pub acceleration: f32,
+}

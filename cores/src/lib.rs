@@ -1,0 +1,7 @@
+//! What runs on the cores of one system: the driving functions and their wiring, generic over one board.
+//!
+//! `driving` is pure computation (sensor frames in, scene, trajectory, command out), told the time.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod driving;

@@ -1,0 +1,2 @@
+//! Start protocol, heartbeat, roles and faults of a dual system: sans-IO (no_std).
+#![no_std]

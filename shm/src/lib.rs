@@ -1,0 +1,2 @@
+//! The LMU: map, lock, sync mailbox, pool, channels (no_std).
+#![no_std]

@@ -1,0 +1,1 @@
+//! The world outside the bus: plant, sensors, traffic, scenarios.
