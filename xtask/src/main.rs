@@ -1,2 +1,141 @@
-//! Every developer task as cargo xtask ....
-fn main() {}
+//! Every developer task as `cargo xtask …`.
+#![forbid(unsafe_code)]
+#![allow(clippy::print_stdout, reason = "a command line prints")]
+
+mod tidy;
+mod trace;
+
+use anyhow::{Context, Result, bail};
+use clap::{Parser, Subcommand};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+
+/// Crates that run in firmware: no_std, and free of boards.
+const PORTABLE: [&str; 5] = [
+    "tandem-shm",
+    "tandem-bus",
+    "tandem-board",
+    "tandem-redundancy",
+    "tandem-cores",
+];
+/// Bare-metal targets that every portable crate builds for.
+const BARE_METAL: [&str; 2] = ["riscv32imac-unknown-none-elf", "thumbv7em-none-eabihf"];
+
+#[derive(Parser)]
+#[command(about = "Developer tasks of Tandem")]
+struct Arguments {
+    #[command(subcommand)]
+    task: Task,
+}
+
+#[derive(Subcommand)]
+enum Task {
+    /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
+    /// allowed
+    Tidy,
+    /// List the requirements and the tests that name them
+    Trace {
+        /// Exit with an error if one of these requirements is named by no test
+        #[arg(long, value_name = "ID", value_delimiter = ',')]
+        require: Vec<String>,
+    },
+    /// Build every portable crate for the bare-metal targets
+    BareMetal,
+    /// Model-check the primitives of shm with loom
+    Loom,
+    /// Run the tests of shm under Miri, on 64 and on 32 bit
+    Miri,
+}
+
+fn main() -> ExitCode {
+    match execute() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute() -> Result<()> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .parent()
+        .context("xtask has no parent")?;
+    match Arguments::parse().task {
+        Task::Tidy => tidy::run(root),
+        Task::Trace { require } => trace::run(root, &require),
+        Task::BareMetal => bare_metal(root),
+        Task::Loom => loom(root),
+        Task::Miri => miri(root),
+    }
+}
+
+/// A cargo command in the workspace's root.
+fn cargo(root: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
+    command.current_dir(root).args(arguments);
+    command
+}
+
+fn run(mut command: Command) -> Result<()> {
+    println!("$ {command:?}");
+    let status = command
+        .status()
+        .with_context(|| format!("cannot start {command:?}"))?;
+    if !status.success() {
+        bail!("{command:?} ended with {status}");
+    }
+    Ok(())
+}
+
+fn bare_metal(root: &Path) -> Result<()> {
+    for target in BARE_METAL {
+        for package in PORTABLE {
+            run(cargo(
+                root,
+                &["build", "--quiet", "--target", target, "-p", package],
+            ))?;
+            println!("{package} builds for {target}");
+        }
+    }
+    Ok(())
+}
+
+fn loom(root: &Path) -> Result<()> {
+    let mut command = cargo(
+        root,
+        &["test", "--release", "-p", "tandem-shm", "--test", "loom*"],
+    );
+    // A target folder of its own: the flag would rebuild everything in the common one.
+    command
+        .env("RUSTFLAGS", "--cfg loom")
+        .env("CARGO_TARGET_DIR", target_dir(root).join("loom"));
+    run(command)
+}
+
+fn miri(root: &Path) -> Result<()> {
+    for target in ["x86_64-unknown-linux-gnu", "i686-unknown-linux-gnu"] {
+        // `cargo` of this process belongs to the stable toolchain; the shim chooses nightly.
+        let mut command = Command::new("cargo");
+        command
+            .current_dir(root)
+            .env_remove("RUSTUP_TOOLCHAIN")
+            .env_remove("CARGO");
+        command.args([
+            "+nightly",
+            "miri",
+            "test",
+            "-p",
+            "tandem-shm",
+            "--target",
+            target,
+        ]);
+        command.env("CARGO_TARGET_DIR", target_dir(root).join("miri"));
+        run(command)?;
+    }
+    Ok(())
+}
+
+fn target_dir(root: &Path) -> PathBuf {
+    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from)
+}

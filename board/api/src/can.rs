@@ -20,8 +20,8 @@ pub struct CanFrame {
     data: [u8; 64],
 }
 
-/// The id is out of range, or the length is none that CAN (0..=8) or CAN FD (0..=8, 12, 16, 20, 24, 32,
-/// 48, 64) can carry.
+/// The id is out of range, or the length is none that CAN (0..=8) or CAN FD (0..=8, 12, 16, 20, 24,
+/// 32, 48, 64) can carry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidFrame;
 
@@ -45,7 +45,12 @@ impl CanFrame {
         }
         let mut bytes = [0; 64];
         bytes[..data.len()].copy_from_slice(data);
-        Ok(Self { id, fd, len: data.len() as u8, data: bytes })
+        Ok(Self {
+            id,
+            fd,
+            len: data.len() as u8,
+            data: bytes,
+        })
     }
 
     /// The identifier.
@@ -80,8 +85,8 @@ pub struct Received {
     pub at: Instant,
 }
 
-/// A CAN controller with a receive FIFO of its own. Frames come in bus order; a core does not receive
-/// what it sent itself.
+/// A CAN controller with a receive FIFO of its own. Frames come in bus order; a core does not
+/// receive what it sent itself.
 pub trait Can {
     /// Hands a frame to the transmit buffer. Never blocks. Frames of one core leave in order.
     ///

@@ -18,7 +18,8 @@ pub enum FlashStatus {
     Idle,
     /// An operation is under way.
     Busy,
-    /// The last operation failed; its range has undefined content. The next operation may be started.
+    /// The last operation failed; its range has undefined content. The next operation may be
+    /// started.
     Failed,
 }
 
@@ -26,8 +27,8 @@ pub enum FlashStatus {
 /// erased. Power loss during an operation leaves any mixture of old and new bytes in its range, and
 /// nothing else changes.
 ///
-/// Programming takes time and must not stop the control core, so operations are started and then run in
-/// the background, one at a time.
+/// Programming takes time and must not stop the control core, so operations are started and then
+/// run in the background, one at a time.
 pub trait DataFlash {
     /// Bytes of one page, the unit of programming.
     const PAGE_BYTES: u32 = 8;
@@ -39,7 +40,8 @@ pub trait DataFlash {
     /// Copies `into.len()` bytes from `offset`. Blocks for a bounded, short time.
     ///
     /// # Errors
-    /// [`FlashError::Busy`] while an operation runs, [`FlashError::OutOfRange`], [`FlashError::Failed`].
+    /// [`FlashError::Busy`] while an operation runs, [`FlashError::OutOfRange`],
+    /// [`FlashError::Failed`].
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError>;
 
     /// Starts to erase one sector to 0xFF. Never blocks.

@@ -69,7 +69,11 @@ impl CoreId {
     /// The core with this number; `None` if a system has no such core.
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {
-        if (number as usize) < Self::COUNT { Some(Self(number)) } else { None }
+        if (number as usize) < Self::COUNT {
+            Some(Self(number))
+        } else {
+            None
+        }
     }
 
     /// 0, 1 or 2.
@@ -85,7 +89,8 @@ impl fmt::Display for CoreId {
     }
 }
 
-/// Which life of a core this is: 1 after power-on, one more after each reset of the core; 0 is "no core".
+/// Which life of a core this is: 1 after power-on, one more after each reset of the core; 0 is "no
+/// core".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Generation(pub u32);
 

@@ -1,11 +1,13 @@
 //! What a board gives to a core: the one boundary between portable code and a machine.
 //!
-//! A board is what a TC297 with its carrier gives: a monotonic clock, the LMU, doorbells to the other
-//! cores of the system, lines and a link to the other system, CAN, data flash, the supply with its
-//! watchdogs. Portable code is generic over one `B: Board` and knows nothing else of the machine.
+//! A board is what a TC297 with its carrier gives: a monotonic clock, the LMU, doorbells to the
+//! other cores of the system, lines and a link to the other system, CAN, data flash, the supply
+//! with its watchdogs. Portable code is generic over one `B: Board` and knows nothing else of the
+//! machine.
 //!
-//! Contexts: a *task* runs in a core's main flow and may block where a method says so; a *handler* runs
-//! in interrupt context and never blocks. Every method is callable from both unless it says otherwise.
+//! Contexts: a *task* runs in a core's main flow and may block where a method says so; a *handler*
+//! runs in interrupt context and never blocks. Every method is callable from both unless it says
+//! otherwise.
 //!
 //! `tandem-board-conformance` is the executable form of the contracts written here.
 #![no_std]
@@ -30,7 +32,8 @@ use core::sync::atomic::AtomicU32;
 /// What ended a [`Board::wait`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wake {
-    /// A doorbell, a waking edge or a received CAN frame: something may be pending. May be spurious.
+    /// A doorbell, a waking edge or a received CAN frame: something may be pending. May be
+    /// spurious.
     Interrupt,
     /// The deadline has passed.
     Deadline,
@@ -68,19 +71,21 @@ pub trait Board {
     /// Any core may write any word at any time.
     fn lmu(&self) -> &[AtomicU32];
 
-    /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's own.
+    /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's
+    /// own.
     ///
-    /// Writes to the LMU before the call are visible to the receiver after its `wait` returns. Never
-    /// blocks; rings that come before the receiver looks are merged into one. Ringing a dead core does
-    /// nothing.
+    /// Writes to the LMU before the call are visible to the receiver after its `wait` returns.
+    /// Never blocks; rings that come before the receiver looks are merged into one. Ringing a dead
+    /// core does nothing.
     fn ring(&self, to: CoreId);
 
     /// Sleeps until an interrupt is pending or `deadline` has come, and consumes what is pending.
     ///
-    /// Task context; blocks. Race-free: an interrupt raised before the call ends it at once. Interrupts
-    /// are: this core's doorbell, an edge on [`Line::Start`], a change of
+    /// Task context; blocks. Race-free: an interrupt raised before the call ends it at once.
+    /// Interrupts are: this core's doorbell, an edge on [`Line::Start`], a change of
     /// [`Lines::peer_powered`] (both on core 0 only), and a CAN frame if the receiver asked for it
-    /// ([`Can::wake_on_receive`]). The caller looks for what has come; `Wake::Interrupt` may be spurious.
+    /// ([`Can::wake_on_receive`]). The caller looks for what has come; `Wake::Interrupt` may be
+    /// spurious.
     fn wait(&self, deadline: Instant) -> Wake;
 
     /// The CAN controller of this core.

@@ -3,7 +3,8 @@
 /// A hard-wired line to the other system. Each exists once in either direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Line {
-    /// Start protocol: handshake on the rising edge, sync on the falling edge. Edges interrupt core 0.
+    /// Start protocol: handshake on the rising edge, sync on the falling edge. Edges interrupt core
+    /// 0.
     Start,
     /// First heartbeat line. Edges are counted and do not interrupt.
     Heartbeat1,
@@ -33,18 +34,18 @@ pub enum Edge {
 
 /// This system's ends of the lines.
 pub trait Lines {
-    /// Sends one edge. Never blocks. What this core wrote before is not thereby visible to the other
-    /// system: they share no memory.
+    /// Sends one edge. Never blocks. What this core wrote before is not thereby visible to the
+    /// other system: they share no memory.
     fn send(&self, line: Line, edge: Edge);
 
-    /// How many edges of this type came on this line since this system was powered on. Wraps around;
-    /// survives the reset of a core, so take differences.
+    /// How many edges of this type came on this line since this system was powered on. Wraps
+    /// around; survives the reset of a core, so take differences.
     fn received(&self, line: Line, edge: Edge) -> u32;
 
-    /// The level line of the other system's supply: high while that supply is on and holds its system
-    /// out of reset. Falls when it loses power or its safety chip holds the system in reset. A low
-    /// level means that the other system cannot transmit; a high level says nothing about its software.
-    /// A cut of this line reads as high.
+    /// The level line of the other system's supply: high while that supply is on and holds its
+    /// system out of reset. Falls when it loses power or its safety chip holds the system in reset.
+    /// A low level means that the other system cannot transmit; a high level says nothing about its
+    /// software. A cut of this line reads as high.
     fn peer_powered(&self) -> bool;
 }
 
@@ -67,7 +68,7 @@ pub trait Link {
     /// If the datagram is longer than [`Link::MAX_WORDS`].
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull>;
 
-    /// Fetches the next datagram into `words` and returns its length in words; `None` if there is none.
-    /// What does not fit in `words` is cut off.
+    /// Fetches the next datagram into `words` and returns its length in words; `None` if there is
+    /// none. What does not fit in `words` is cut off.
     fn try_receive(&self, words: &mut [u32]) -> Option<usize>;
 }

@@ -47,7 +47,8 @@ pub enum RoleLamp {
     Suspended,
 }
 
-/// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte permutation.
+/// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte
+/// permutation.
 ///
 /// A core that merely loops over a store to the watchdog register cannot give it.
 #[must_use]
@@ -67,8 +68,9 @@ pub trait Supply {
 
     /// Services window and functional watchdog with the answer to the current question. Must come
     /// within the open window: neither before [`Supply::WINDOW_OPENS_US`] nor after
-    /// [`Supply::WINDOW_CLOSES_US`] since the last service (the first one: since the start, and only the
-    /// end counts, with [`Supply::FIRST_SERVICE_US`]). Else the supply resets the system. Core 0 only.
+    /// [`Supply::WINDOW_CLOSES_US`] since the last service (the first one: since the start, and
+    /// only the end counts, with [`Supply::FIRST_SERVICE_US`]). Else the supply resets the system.
+    /// Core 0 only.
     fn service_watchdog(&self, answer: u8);
 
     /// Earliest service after the previous one, in microseconds.

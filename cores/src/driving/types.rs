@@ -147,7 +147,8 @@ pub struct TrajectoryPoint {
 /// What core 2 wants the vehicle to do: samples every [`TRAJECTORY_STEP_S`] from `at` on.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
-    /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's `at`.
+    /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's
+    /// `at`.
     pub at: Instant,
     /// The scene's cycle.
     pub cycle: u32,

@@ -1,0 +1,416 @@
+//! Scene and trajectory as words of the LMU, and back.
+//!
+//! What comes out of shared memory is an allegation of another core: decoding checks every count,
+//! tag and number, and refuses the whole if one is impossible. Numbers cross as IEEE 754 bits.
+
+use crate::driving::types::{
+    Ego, Lanes, MAX_OBJECTS, Maneuver, Object, ObjectClass, Scene, TRAJECTORY_SAMPLES, Trajectory,
+    TrajectoryPoint,
+};
+use heapless::Vec;
+use tandem_board::Instant;
+
+/// A word has a value that its writer cannot have written: the content is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Corrupt;
+
+/// A type that crosses the LMU as a fixed number of words.
+pub trait Words: Sized {
+    /// How many words it takes.
+    const WORDS: usize;
+
+    /// Writes all words, in order, by `put`.
+    fn store(&self, put: &mut impl FnMut(u32));
+
+    /// Reads the words, in order, by `take`.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if a word has an impossible value.
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt>;
+}
+
+/// Largest magnitude that a physical quantity may have: far above all that occurs, and small enough
+/// that no product of three overflows.
+const LIMIT: f32 = 1e6;
+
+fn put_f32s(put: &mut impl FnMut(u32), values: &[f32]) {
+    for value in values {
+        put(value.to_bits());
+    }
+}
+
+fn finite(take: &mut impl FnMut() -> u32) -> Result<f32, Corrupt> {
+    let value = f32::from_bits(take());
+    if value.abs() <= LIMIT {
+        Ok(value)
+    } else {
+        Err(Corrupt)
+    }
+}
+
+/// A distance or speed that may be infinite ("none in sight").
+fn unbounded(take: &mut impl FnMut() -> u32) -> Result<f32, Corrupt> {
+    let value = f32::from_bits(take());
+    if value == f32::INFINITY || value.abs() <= LIMIT {
+        Ok(value)
+    } else {
+        Err(Corrupt)
+    }
+}
+
+fn flag(take: &mut impl FnMut() -> u32) -> Result<bool, Corrupt> {
+    match take() {
+        0 => Ok(false),
+        1 => Ok(true),
+        _ => Err(Corrupt),
+    }
+}
+
+fn put_option(put: &mut impl FnMut(u32), value: Option<f32>) {
+    put(u32::from(value.is_some()));
+    put(value.unwrap_or(0.0).to_bits());
+}
+
+fn option(take: &mut impl FnMut() -> u32) -> Result<Option<f32>, Corrupt> {
+    let some = flag(take)?;
+    let value = finite(take)?;
+    Ok(some.then_some(value))
+}
+
+fn put_instant(put: &mut impl FnMut(u32), at: Instant) {
+    at.to_words().into_iter().for_each(put);
+}
+
+fn instant(take: &mut impl FnMut() -> u32) -> Instant {
+    let low = take();
+    Instant::from_words([low, take()])
+}
+
+impl Words for Ego {
+    const WORDS: usize = 5;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        let Self {
+            speed,
+            yaw_rate,
+            acceleration,
+            steering_angle,
+            slip_angle,
+        } = *self;
+        put_f32s(
+            put,
+            &[speed, yaw_rate, acceleration, steering_angle, slip_angle],
+        );
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(Self {
+            speed: finite(take)?,
+            yaw_rate: finite(take)?,
+            acceleration: finite(take)?,
+            steering_angle: finite(take)?,
+            slip_angle: finite(take)?,
+        })
+    }
+}
+
+impl Words for Lanes {
+    const WORDS: usize = 14;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put_f32s(put, &self.c);
+        put_f32s(put, &[self.view_range, self.width]);
+        put_option(put, self.left);
+        put_option(put, self.right);
+        put_f32s(
+            put,
+            &[
+                self.own_end,
+                self.left_end,
+                self.right_end,
+                self.speed_limit,
+            ],
+        );
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(Self {
+            c: [finite(take)?, finite(take)?, finite(take)?, finite(take)?],
+            view_range: finite(take)?,
+            width: finite(take)?,
+            left: option(take)?,
+            right: option(take)?,
+            own_end: unbounded(take)?,
+            left_end: unbounded(take)?,
+            right_end: unbounded(take)?,
+            speed_limit: unbounded(take)?,
+        })
+    }
+}
+
+impl Words for Object {
+    const WORDS: usize = 10;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put(self.id);
+        put(self.class as u32 | (self.lane as u8 as u32) << 8 | u32::from(self.cuts_in) << 16);
+        let Self {
+            x,
+            y,
+            vx,
+            vy,
+            ax,
+            length,
+            width,
+            ..
+        } = *self;
+        put_f32s(put, &[x, y, vx, vy, ax, length, width]);
+        put(0);
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let id = take();
+        let tags = take();
+        let class = match tags & 0xFF {
+            0 => ObjectClass::Unknown,
+            1 => ObjectClass::Car,
+            2 => ObjectClass::Truck,
+            3 => ObjectClass::Motorcycle,
+            4 => ObjectClass::Pedestrian,
+            5 => ObjectClass::Static,
+            _ => return Err(Corrupt),
+        };
+        let cuts_in = match tags >> 16 {
+            0 => false,
+            1 => true,
+            _ => return Err(Corrupt),
+        };
+        let object = Self {
+            id,
+            class,
+            x: finite(take)?,
+            y: finite(take)?,
+            vx: finite(take)?,
+            vy: finite(take)?,
+            ax: finite(take)?,
+            length: finite(take)?,
+            width: finite(take)?,
+            lane: (tags >> 8) as u8 as i8,
+            cuts_in,
+        };
+        if take() == 0 {
+            Ok(object)
+        } else {
+            Err(Corrupt)
+        }
+    }
+}
+
+impl Words for Scene {
+    const WORDS: usize =
+        2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + MAX_OBJECTS * Object::WORDS;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put_instant(put, self.at);
+        put(self.cycle);
+        self.ego.store(put);
+        put(u32::from(self.lanes.is_some()));
+        match &self.lanes {
+            Some(lanes) => lanes.store(put),
+            None => (0..Lanes::WORDS).for_each(|_| put(0)),
+        }
+        put_option(put, self.set_speed);
+        put(self.objects.len() as u32);
+        self.objects.iter().for_each(|object| object.store(put));
+        (self.objects.len() * Object::WORDS..MAX_OBJECTS * Object::WORDS).for_each(|_| put(0));
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let at = instant(take);
+        let cycle = take();
+        let ego = Ego::load(take)?;
+        let seen = flag(take)?;
+        let lanes = Lanes::load(take)?;
+        let set_speed = option(take)?;
+        let count = take() as usize;
+        if count > MAX_OBJECTS {
+            return Err(Corrupt);
+        }
+        let mut objects = Vec::new();
+        for _ in 0..count {
+            objects.push(Object::load(take)?).map_err(|_| Corrupt)?;
+        }
+        Ok(Self {
+            at,
+            cycle,
+            ego,
+            lanes: seen.then_some(lanes),
+            set_speed,
+            objects,
+        })
+    }
+}
+
+impl Words for TrajectoryPoint {
+    const WORDS: usize = 6;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        let Self {
+            x,
+            y,
+            heading,
+            curvature,
+            speed,
+            acceleration,
+        } = *self;
+        put_f32s(put, &[x, y, heading, curvature, speed, acceleration]);
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(Self {
+            x: finite(take)?,
+            y: finite(take)?,
+            heading: finite(take)?,
+            curvature: finite(take)?,
+            speed: finite(take)?,
+            acceleration: finite(take)?,
+        })
+    }
+}
+
+impl Words for Trajectory {
+    const WORDS: usize = 2 + 1 + 1 + TRAJECTORY_SAMPLES * TrajectoryPoint::WORDS;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put_instant(put, self.at);
+        put(self.cycle);
+        put(self.maneuver as u32);
+        self.points.iter().for_each(|point| point.store(put));
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let at = instant(take);
+        let cycle = take();
+        let maneuver = match take() {
+            0 => Maneuver::Follow,
+            1 => Maneuver::ChangeLeft,
+            2 => Maneuver::ChangeRight,
+            3 => Maneuver::Brake,
+            _ => return Err(Corrupt),
+        };
+        let mut points = [TrajectoryPoint::default(); TRAJECTORY_SAMPLES];
+        for point in &mut points {
+            *point = TrajectoryPoint::load(take)?;
+        }
+        Ok(Self {
+            at,
+            cycle,
+            maneuver,
+            points,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn scene() -> Scene {
+        let object = Object {
+            id: 7,
+            class: ObjectClass::Truck,
+            x: 31.5,
+            y: -3.4,
+            vx: 22.0,
+            vy: 0.3,
+            ax: -1.0,
+            length: 12.0,
+            width: 2.5,
+            lane: -1,
+            cuts_in: true,
+        };
+        let lanes = Lanes {
+            c: [0.1, 0.01, 1e-4, 0.0],
+            view_range: 100.0,
+            width: 3.5,
+            left: Some(3.6),
+            right: None,
+            own_end: f32::INFINITY,
+            left_end: 120.0,
+            right_end: f32::INFINITY,
+            speed_limit: 33.3,
+        };
+        Scene {
+            at: Instant::from_ns(0x1_2345_6789),
+            cycle: 99,
+            ego: Ego {
+                speed: 25.0,
+                ..Ego::default()
+            },
+            lanes: Some(lanes),
+            set_speed: Some(30.0),
+            objects: Vec::from_slice(&[object; 3]).unwrap(),
+        }
+    }
+
+    fn to_words<T: Words>(value: &T) -> std::vec::Vec<u32> {
+        let mut words = std::vec::Vec::new();
+        value.store(&mut |word| words.push(word));
+        assert_eq!(words.len(), T::WORDS);
+        words
+    }
+
+    fn from_words<T: Words>(words: &[u32]) -> Result<T, Corrupt> {
+        let mut words = words.iter();
+        T::load(&mut || *words.next().unwrap())
+    }
+
+    #[test]
+    fn what_goes_in_comes_out() {
+        assert_eq!(from_words::<Scene>(&to_words(&scene())), Ok(scene()));
+        let blind = Scene {
+            lanes: None,
+            set_speed: None,
+            objects: Vec::new(),
+            ..scene()
+        };
+        assert_eq!(from_words::<Scene>(&to_words(&blind)), Ok(blind));
+        let trajectory = Trajectory {
+            at: Instant::from_ns(5),
+            cycle: 1,
+            maneuver: Maneuver::ChangeRight,
+            points: core::array::from_fn(|i| TrajectoryPoint {
+                x: i as f32,
+                ..Default::default()
+            }),
+        };
+        assert_eq!(
+            from_words::<Trajectory>(&to_words(&trajectory)),
+            Ok(trajectory)
+        );
+    }
+
+    /// T-SHM-4: bytes of another core are refused or decoded, whatever they are.
+    #[test]
+    fn scribbled_words_are_refused_or_decoded() {
+        let good = to_words(&scene());
+        for place in 0..good.len() {
+            for value in [
+                u32::MAX,
+                f32::NAN.to_bits(),
+                f32::NEG_INFINITY.to_bits(),
+                0x8000_0000,
+            ] {
+                let mut bad = good.clone();
+                bad[place] = value;
+                if let Ok(scene) = from_words::<Scene>(&bad) {
+                    assert!(scene.objects.iter().all(|object| object.x.is_finite()));
+                }
+            }
+        }
+        let count = good.len() - MAX_OBJECTS * Object::WORDS - 1;
+        let mut bad = good;
+        bad[count] = MAX_OBJECTS as u32 + 1;
+        assert_eq!(from_words::<Scene>(&bad), Err(Corrupt));
+    }
+}

@@ -1,0 +1,136 @@
+//! The house rules that a program can check.
+
+use crate::{PORTABLE, cargo};
+use anyhow::{Context, Result, bail};
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Who may depend on which of our crates, at run time. Crates that are not listed may depend on
+/// all.
+const MAY_DEPEND_ON: [(&str, &[&str]); 8] = [
+    ("tandem-shm", &[]),
+    ("tandem-bus", &[]),
+    ("tandem-board", &[]),
+    (
+        "tandem-redundancy",
+        &["tandem-shm", "tandem-bus", "tandem-board"],
+    ),
+    (
+        "tandem-cores",
+        &[
+            "tandem-shm",
+            "tandem-bus",
+            "tandem-board",
+            "tandem-redundancy",
+        ],
+    ),
+    ("tandem-vehicle", &["tandem-bus"]),
+    ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
+    ("tandem-board-sim", &["tandem-board", "tandem-shm"]),
+];
+/// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
+/// peer.
+const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];
+/// Folders whose code may be unsafe; everything else forbids it.
+const MAY_BE_UNSAFE: [&str; 3] = ["board/host", "benches", "tests"];
+/// No file of code is longer.
+const MAX_LINES: usize = 800;
+/// No line of code is wider.
+const MAX_COLUMNS: usize = 100;
+
+/// Checks everything, prints every finding, and fails if there is one.
+pub(crate) fn run(root: &Path) -> Result<()> {
+    let mut findings = dependencies(root)?;
+    for file in rust_files(root)? {
+        let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+        let place = file
+            .strip_prefix(root)
+            .unwrap_or(&file)
+            .display()
+            .to_string();
+        findings.extend(file_findings(&place, &text));
+    }
+    findings.iter().for_each(|finding| println!("{finding}"));
+    if !findings.is_empty() {
+        bail!("{} findings", findings.len());
+    }
+    println!("tidy");
+    Ok(())
+}
+
+fn dependencies(root: &Path) -> Result<Vec<String>> {
+    let output = cargo(root, &["metadata", "--format-version=1", "--no-deps"]).output()?;
+    let metadata: Value = serde_json::from_slice(&output.stdout).context("cargo metadata")?;
+    let mut findings = Vec::new();
+    for package in metadata["packages"].as_array().into_iter().flatten() {
+        let name = package["name"].as_str().unwrap_or_default();
+        let ours = MAY_DEPEND_ON.iter().find(|(owner, _)| *owner == name);
+        for dependency in package["dependencies"].as_array().into_iter().flatten() {
+            let on = dependency["name"].as_str().unwrap_or_default();
+            let at_run_time = dependency["kind"].is_null();
+            if on.starts_with("iceoryx2") && !MAY_USE_ICEORYX2.contains(&name) {
+                findings.push(format!("{name}: only the host board may name {on}"));
+            }
+            let allowed = ours.is_none_or(|(_, allowed)| allowed.contains(&on));
+            if at_run_time && on.starts_with("tandem") && !allowed {
+                findings.push(format!("{name}: must not depend on {on}"));
+            }
+        }
+    }
+    for name in PORTABLE {
+        if !MAY_DEPEND_ON.iter().any(|(owner, _)| *owner == name) {
+            findings.push(format!(
+                "{name}: portable, but its dependencies are not listed in tidy"
+            ));
+        }
+    }
+    Ok(findings)
+}
+
+fn file_findings(place: &str, text: &str) -> Vec<String> {
+    let mut findings = Vec::new();
+    if !text.starts_with("//!") {
+        findings.push(format!(
+            "{place}:1: a file opens with one `//!` line that says what it is"
+        ));
+    }
+    let lines = text.lines().count();
+    if lines > MAX_LINES {
+        findings.push(format!("{place}: {lines} lines; split it at {MAX_LINES}"));
+    }
+    for (number, line) in text.lines().enumerate() {
+        if line.chars().count() > MAX_COLUMNS && !line.contains("http") {
+            findings.push(format!(
+                "{place}:{}: wider than {MAX_COLUMNS} columns",
+                number + 1
+            ));
+        }
+    }
+    let is_crate_root = place.ends_with("src/lib.rs") || place.ends_with("src/main.rs");
+    let may_be_unsafe = MAY_BE_UNSAFE.iter().any(|folder| place.starts_with(folder));
+    if is_crate_root && !may_be_unsafe && !text.contains("#![forbid(unsafe_code)]") {
+        findings.push(format!(
+            "{place}: a crate outside {MAY_BE_UNSAFE:?} forbids unsafe code"
+        ));
+    }
+    findings
+}
+
+/// Every Rust file that git knows or would take.
+pub(crate) fn rust_files(root: &Path) -> Result<Vec<PathBuf>> {
+    let output = std::process::Command::new("git")
+        .current_dir(root)
+        .args([
+            "ls-files",
+            "--cached",
+            "--others",
+            "--exclude-standard",
+            "*.rs",
+        ])
+        .output()
+        .context("git ls-files")?;
+    let text = String::from_utf8(output.stdout).context("git ls-files")?;
+    let files = text.lines().map(|line| root.join(line));
+    Ok(files.filter(|file| file.exists()).collect())
+}
