@@ -10,4 +10,5 @@ extern crate std;
 
 pub mod driving;
 pub mod schedule;
+pub mod trace;
 pub mod words;
