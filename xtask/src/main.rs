@@ -30,6 +30,8 @@ struct Arguments {
 
 #[derive(Subcommand)]
 enum Task {
+    /// Run all tests of the workspace, with cargo-nextest if it is installed
+    Test,
     /// Check the house rules: who may depend on whom, file heads and sizes, unsafe only where
     /// allowed
     Tidy,
@@ -62,6 +64,7 @@ fn execute() -> Result<()> {
         .parent()
         .context("xtask has no parent")?;
     match Arguments::parse().task {
+        Task::Test => test(root),
         Task::Tidy => tidy::run(root),
         Task::Trace { require } => trace::run(root, &require),
         Task::BareMetal => bare_metal(root),
@@ -86,6 +89,18 @@ fn run(mut command: Command) -> Result<()> {
         bail!("{command:?} ended with {status}");
     }
     Ok(())
+}
+
+/// Builds the programs first: the whole-process tests start `tandem` as a user would.
+fn test(root: &Path) -> Result<()> {
+    run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
+    let nextest = cargo(root, &["nextest", "--version"]).output();
+    if nextest.is_ok_and(|output| output.status.success()) {
+        run(cargo(root, &["nextest", "run", "--workspace"]))?;
+        return run(cargo(root, &["test", "--workspace", "--doc"]));
+    }
+    println!("cargo-nextest is not installed; cargo test runs the same tests");
+    run(cargo(root, &["test", "--workspace"]))
 }
 
 fn bare_metal(root: &Path) -> Result<()> {
