@@ -1,2 +1,52 @@
 //! The LMU: map, lock, sync mailbox, pool, channels (no_std).
-#![no_std]
+//!
+//! The LMU is a slice of 32-bit atomic words that every core maps, each at an address of its own. All
+//! primitives are built on sub-slices of it by word-wise atomics, so this crate has no `unsafe` code,
+//! needs no atomic wider than 32 bit, and Miri and loom have something to prove. Only indices with
+//! stamps cross between cores, never addresses.
+//!
+//! | module | what it is | who writes |
+//! |---|---|---|
+//! | [`map`] | header, regions | boot core |
+//! | [`life`] | which life of each core is the current one | each core, supervisor |
+//! | [`lock`] | mutual exclusion, recovered from a dead owner | any core |
+//! | [`mailbox`] | signals to tasks of another core, none lost | one sender, one receiver |
+//! | [`pool`] | words to borrow and give back | any core |
+//! | [`newest`] | the newest value, never torn | one writer, any number of readers |
+//! | [`fifo`] | every value, in order, or full | one producer, one consumer |
+//! | [`broadcast`] | every value, in order, or so many lost | one sender, any number of receivers |
+//! | [`wait`] | spin, spin then sleep, sleep | nobody |
+//!
+//! # What every module holds to
+//!
+//! - **All zero is a valid initial state**: the LMU is zero at power-on, and [`map::Map::format`] zeroes it.
+//! - **Another core may die, freeze or scribble between any two instructions.** Whatever the words
+//!   hold, nothing here panics, indexes out of bounds or loops without bound.
+//! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is a
+//!   copy of words that it alone writes.
+//! - **Two lives of one core do not run at once**: a reset ends a life before the next one begins.
+//!   [`lock`] and [`pool`] additionally bear a *straggler*, an old life that was declared dead and
+//!   runs on.
+//! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
+//!   different lines.
+#![cfg_attr(not(test), no_std)]
+#![forbid(unsafe_code)]
+
+pub mod broadcast;
+pub mod fifo;
+pub mod life;
+pub mod mailbox;
+pub mod map;
+pub mod newest;
+mod region;
+mod ring;
+pub mod sync;
+mod view;
+pub mod wait;
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod step;
+
+pub use region::{FitError, LINE_WORDS, Shape};
+pub use view::{WordsMut, WordsRef};

@@ -1,0 +1,207 @@
+//! The life table: which life of each core is the current one, and whether it still runs.
+//!
+//! One word a core: `generation << 1 | dead`, 0 before the first life. A core announces its generation
+//! when it starts; a supervisor that has seen it die marks it dead. A life is alive while it is the
+//! announced one and not marked. Whoever finds words in the LMU that belong to a life which is not
+//! alive may take them over.
+
+use crate::region::{FitError, LINE_WORDS, fit};
+use crate::sync::{AtomicU32, Ordering};
+
+/// How many cores share an LMU.
+pub const CORES: usize = 3;
+
+/// The largest generation: they are carried in 30 bits. At one reset a second that is 34 years.
+pub const MAX_GENERATION: u32 = (1 << 30) - 1;
+
+const DEAD: u32 = 1;
+
+/// One life of one core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Life {
+    core: u8,
+    generation: u32,
+}
+
+impl Life {
+    /// Life number `generation` (1 ..= [`MAX_GENERATION`]) of core `core` (below [`CORES`]); `None` if
+    /// a number is out of its range.
+    #[must_use]
+    pub const fn new(core: usize, generation: u32) -> Option<Self> {
+        if core < CORES && generation >= 1 && generation <= MAX_GENERATION {
+            Some(Self {
+                core: core as u8,
+                generation,
+            })
+        } else {
+            None
+        }
+    }
+
+    /// The core, below [`CORES`].
+    #[must_use]
+    pub const fn core(self) -> usize {
+        self.core as usize
+    }
+
+    /// Which of the core's lives, from 1 on.
+    #[must_use]
+    pub const fn generation(self) -> u32 {
+        self.generation
+    }
+}
+
+/// A later life of the same core is announced already: this one was given up and must stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outdated {
+    /// The generation that is announced.
+    pub current: u32,
+}
+
+/// The life table in the LMU.
+#[derive(Clone, Copy, Debug)]
+pub struct Lives<'a> {
+    words: &'a [AtomicU32],
+}
+
+impl<'a> Lives<'a> {
+    /// Words that the table takes.
+    pub const WORDS: usize = LINE_WORDS;
+
+    /// The table in these words.
+    ///
+    /// # Errors
+    /// [`FitError`] if the words are too few or not at a line boundary.
+    pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
+        Ok(Self {
+            words: fit(words, Self::WORDS)?,
+        })
+    }
+
+    /// The table in words that a map has laid out.
+    pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
+        Self { words }
+    }
+
+    /// Announces a life at its start. Whatever an earlier life of this core owned is free to be taken
+    /// over from here on. Announcing the same life again changes nothing, unless it was marked dead.
+    ///
+    /// # Errors
+    /// [`Outdated`] if this life is not the latest, or was marked dead: it must not go on.
+    pub fn announce(&self, life: Life) -> Result<(), Outdated> {
+        let word = &self.words[life.core()];
+        let new = life.generation << 1;
+        let mut seen = word.load(Ordering::Relaxed);
+        // Only a supervisor's mark or a competing life can come between; neither comes often.
+        for _ in 0..4 {
+            if seen == new {
+                return Ok(());
+            }
+            if seen >> 1 >= life.generation {
+                break;
+            }
+            // Release pairs with the Acquire in `is_current`: what this life did before is seen.
+            match word.compare_exchange(seen, new, Ordering::Release, Ordering::Relaxed) {
+                Ok(_) => return Ok(()),
+                Err(now) => seen = now,
+            }
+        }
+        Err(Outdated { current: seen >> 1 })
+    }
+
+    /// Marks a life as dead: it was seen to end and will not run again. Returns whether it was the
+    /// announced life (else there is nothing to mark). For the supervisor of the cores.
+    pub fn mark_dead(&self, life: Life) -> bool {
+        let alive = life.generation << 1;
+        // Release pairs with the Acquire in `is_current`.
+        self.words[life.core()]
+            .compare_exchange(alive, alive | DEAD, Ordering::Release, Ordering::Relaxed)
+            .is_ok()
+    }
+
+    /// Whether this is the announced life of its core and not marked dead.
+    #[must_use]
+    pub fn is_alive(&self, life: Life) -> bool {
+        self.is_current(life.core(), life.generation, MAX_GENERATION)
+    }
+
+    /// The announced life of a core, if it is not marked dead.
+    ///
+    /// # Panics
+    /// If `core` is not below [`CORES`].
+    #[must_use]
+    pub fn current(&self, core: usize) -> Option<Life> {
+        // Acquire pairs with the Release in `announce`.
+        let word = self.words[core].load(Ordering::Acquire);
+        if word & DEAD == 0 {
+            Life::new(core, word >> 1)
+        } else {
+            None
+        }
+    }
+
+    /// Whether the living life of `core` has these generation bits; for words that have no room for
+    /// more of them. False for a core that does not exist.
+    pub(crate) fn is_current(&self, core: usize, generation: u32, mask: u32) -> bool {
+        if core >= CORES {
+            return false;
+        }
+        // Acquire pairs with the Release in `announce` and `mark_dead`.
+        let word = self.words[core].load(Ordering::Acquire);
+        word & DEAD == 0 && word != 0 && (word >> 1) & mask == generation & mask
+    }
+}
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::zeroed;
+
+    fn life(core: usize, generation: u32) -> Life {
+        Life::new(core, generation).unwrap()
+    }
+
+    #[test]
+    fn a_life_is_alive_from_its_announcement_to_its_end() {
+        let lives = Lives::attach(zeroed(Lives::WORDS)).unwrap();
+        assert!(!lives.is_alive(life(1, 1)), "nobody lives in zeroed memory");
+        assert_eq!(lives.current(1), None);
+        lives.announce(life(1, 1)).unwrap();
+        lives.announce(life(1, 1)).unwrap();
+        assert!(lives.is_alive(life(1, 1)));
+        assert!(!lives.is_alive(life(0, 1)));
+        assert!(lives.mark_dead(life(1, 1)));
+        assert!(!lives.is_alive(life(1, 1)));
+        assert_eq!(
+            lives.announce(life(1, 1)),
+            Err(Outdated { current: 1 }),
+            "the dead stay dead"
+        );
+        lives.announce(life(1, 2)).unwrap();
+        assert!(
+            !lives.mark_dead(life(1, 1)),
+            "a late mark does not hit the successor"
+        );
+        assert_eq!(lives.current(1), Some(life(1, 2)));
+        assert_eq!(lives.announce(life(1, 1)), Err(Outdated { current: 2 }));
+    }
+
+    #[test]
+    fn numbers_out_of_range_make_no_life() {
+        assert_eq!(Life::new(CORES, 1), None);
+        assert_eq!(Life::new(0, 0), None);
+        assert_eq!(Life::new(0, MAX_GENERATION + 1), None);
+    }
+
+    #[test]
+    fn a_scribbled_word_is_no_life() {
+        let words = zeroed(Lives::WORDS);
+        let lives = Lives::attach(words).unwrap();
+        for word in [0, 1, u32::MAX, 1 << 31] {
+            words[0].store(word, Ordering::Relaxed);
+            assert!(!lives.is_alive(life(0, 1)));
+            let _ = lives.current(0);
+        }
+    }
+}

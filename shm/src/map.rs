@@ -1,0 +1,315 @@
+//! The map of the LMU: a header that says what lies where, and the regions.
+//!
+//! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [life table](crate::life).
+//! Then the regions in the order of the [`Layout`], each from a line boundary on. The boot core (or the
+//! supply) formats once at power-on: it zeroes everything, writes the header, and publishes `ready`
+//! last; if it dies on the way, its successor formats again. The others attach, which checks that they
+//! were built with the same layout.
+
+use crate::life::Lives;
+use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
+use crate::sync::{AtomicU32, Ordering};
+
+const MAGIC_AT: usize = 0;
+const VERSION_AT: usize = 1;
+const LAYOUT_AT: usize = 2;
+const READY_AT: usize = 3;
+const LIVES_AT: usize = LINE_WORDS;
+const HEADER_WORDS: usize = LIVES_AT + Lives::WORDS;
+
+/// "TLMU"
+const MAGIC: u32 = 0x544C_4D55;
+/// Goes up whenever a primitive's words change their meaning.
+const VERSION: u32 = 1;
+/// No value that zeroed or erased memory has.
+const READY: u32 = 0x5EAD_1E55;
+
+/// One named region of a layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Region {
+    name: &'static str,
+    words: usize,
+}
+
+impl Region {
+    /// A region of `words` words; the map rounds up to whole cache lines.
+    #[must_use]
+    pub const fn new(name: &'static str, words: usize) -> Self {
+        Self { name, words }
+    }
+
+    /// The name.
+    #[must_use]
+    pub const fn name(&self) -> &'static str {
+        self.name
+    }
+
+    /// The words that were asked for.
+    #[must_use]
+    pub const fn words(&self) -> usize {
+        self.words
+    }
+}
+
+/// What lies in an LMU, in order. Made in a constant and the same in every image of a system.
+///
+/// ```
+/// use tandem_shm::map::{Layout, Region};
+/// use tandem_shm::{Shape, fifo, mailbox, newest};
+///
+/// const SCENE: Shape = Shape::new(4, 300);
+/// const LAYOUT: Layout = Layout::new(&[
+///     Region::new("mailbox 1 to 2", mailbox::WORDS),
+///     Region::new("scene", newest::words(SCENE)),
+/// ]);
+/// const _: () = assert!(LAYOUT.total_words() <= 8192, "fits the LMU of a TC297");
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub struct Layout {
+    regions: &'static [Region],
+}
+
+impl Layout {
+    /// The layout with these regions.
+    #[must_use]
+    pub const fn new(regions: &'static [Region]) -> Self {
+        Self { regions }
+    }
+
+    /// The regions.
+    #[must_use]
+    pub const fn regions(&self) -> &'static [Region] {
+        self.regions
+    }
+
+    /// Where region `index` begins, in words from the begin of the LMU; for `index` = number of
+    /// regions, where the last one ends.
+    ///
+    /// # Panics
+    /// If there are not so many regions.
+    #[must_use]
+    pub const fn offset(&self, index: usize) -> usize {
+        assert!(index <= self.regions.len());
+        let mut at = HEADER_WORDS;
+        let mut i = 0;
+        while i < index {
+            at += whole_lines(self.regions[i].words);
+            i += 1;
+        }
+        at
+    }
+
+    /// Words of the LMU that the layout takes, header included.
+    #[must_use]
+    pub const fn total_words(&self) -> usize {
+        self.offset(self.regions.len())
+    }
+
+    /// FNV-1a over names and sizes: images with different layouts must not meet in one LMU.
+    #[must_use]
+    pub const fn hash(&self) -> u32 {
+        let mut hash = 0x811C_9DC5;
+        let mut i = 0;
+        while i < self.regions.len() {
+            let name = self.regions[i].name.as_bytes();
+            let mut j = 0;
+            while j < name.len() {
+                hash = fnv(hash, name[j]);
+                j += 1;
+            }
+            // 0xFF ends the name: it is no byte of UTF-8.
+            hash = fnv(hash, 0xFF);
+            let size = (self.regions[i].words as u32).to_le_bytes();
+            let mut j = 0;
+            while j < size.len() {
+                hash = fnv(hash, size[j]);
+                j += 1;
+            }
+            i += 1;
+        }
+        hash
+    }
+}
+
+const fn fnv(hash: u32, byte: u8) -> u32 {
+    (hash ^ byte as u32).wrapping_mul(0x0100_0193)
+}
+
+/// Why a core cannot attach to an LMU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AttachError {
+    /// The LMU has fewer words than the layout.
+    TooSmall,
+    /// The LMU does not begin at a boundary of 64 bytes.
+    Misaligned,
+    /// Not formatted yet: try again later.
+    NotReady,
+    /// It says that it is ready, but it is no LMU of this project.
+    WrongMagic,
+    /// It was formatted by another version of this crate.
+    WrongVersion,
+    /// It was formatted by an image with another layout.
+    WrongLayout,
+}
+
+impl From<FitError> for AttachError {
+    fn from(error: FitError) -> Self {
+        match error {
+            FitError::TooSmall => Self::TooSmall,
+            FitError::Misaligned => Self::Misaligned,
+        }
+    }
+}
+
+/// An LMU that is formatted with a known layout.
+#[derive(Clone, Copy, Debug)]
+pub struct Map<'a> {
+    words: &'a [AtomicU32],
+    layout: Layout,
+}
+
+impl<'a> Map<'a> {
+    /// Formats an LMU: zeroes it and publishes the layout. For the boot core or the supply, at power-on,
+    /// before any other core uses it; a boot core that is reset alone must [attach](Map::attach) instead.
+    ///
+    /// # Errors
+    /// [`FitError`] if the LMU is too small for the layout or not at a line boundary.
+    pub fn format(words: &'a [AtomicU32], layout: Layout) -> Result<Self, FitError> {
+        let words = fit(words, layout.total_words())?;
+        words[READY_AT].store(0, Ordering::Relaxed);
+        for word in words {
+            word.store(0, Ordering::Relaxed);
+        }
+        words[MAGIC_AT].store(MAGIC, Ordering::Relaxed);
+        words[VERSION_AT].store(VERSION, Ordering::Relaxed);
+        words[LAYOUT_AT].store(layout.hash(), Ordering::Relaxed);
+        // Release pairs with the Acquire in `attach`: who sees ready sees all the rest.
+        words[READY_AT].store(READY, Ordering::Release);
+        Ok(Self { words, layout })
+    }
+
+    /// Attaches to an LMU that was formatted with the same layout. Never blocks.
+    ///
+    /// # Errors
+    /// [`AttachError`]; only [`AttachError::NotReady`] can pass by itself.
+    pub fn attach(words: &'a [AtomicU32], layout: Layout) -> Result<Self, AttachError> {
+        let words = fit(words, layout.total_words())?;
+        // Acquire pairs with the Release in `format`.
+        if words[READY_AT].load(Ordering::Acquire) != READY {
+            return Err(AttachError::NotReady);
+        }
+        if words[MAGIC_AT].load(Ordering::Relaxed) != MAGIC {
+            return Err(AttachError::WrongMagic);
+        }
+        if words[VERSION_AT].load(Ordering::Relaxed) != VERSION {
+            return Err(AttachError::WrongVersion);
+        }
+        if words[LAYOUT_AT].load(Ordering::Relaxed) != layout.hash() {
+            return Err(AttachError::WrongLayout);
+        }
+        Ok(Self { words, layout })
+    }
+
+    /// The words of region `index` of the layout, rounded up to whole cache lines.
+    ///
+    /// # Panics
+    /// If the layout has no such region.
+    #[must_use]
+    pub fn region(&self, index: usize) -> &'a [AtomicU32] {
+        &self.words[self.layout.offset(index)..self.layout.offset(index + 1)]
+    }
+
+    /// The life table of the cores.
+    #[must_use]
+    pub fn lives(&self) -> Lives<'a> {
+        Lives::new(&self.words[LIVES_AT..LIVES_AT + Lives::WORDS])
+    }
+}
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::{kill_at, zeroed};
+
+    const LAYOUT: Layout = Layout::new(&[Region::new("a", 3), Region::new("b", 17)]);
+    const OTHER: Layout = Layout::new(&[Region::new("a", 3), Region::new("b", 18)]);
+    const WORDS: usize = LAYOUT.total_words();
+
+    #[test]
+    fn regions_begin_at_lines_and_do_not_overlap() {
+        assert_eq!(LAYOUT.offset(0), 32);
+        assert_eq!(LAYOUT.offset(1), 48);
+        assert_eq!(WORDS, 80);
+        let map = Map::format(zeroed(WORDS), LAYOUT).unwrap();
+        assert_eq!(map.region(0).len(), 16);
+        assert_eq!(map.region(1).len(), 32);
+        assert_eq!(map.region(1).as_ptr().addr() % 64, 0);
+    }
+
+    #[test]
+    fn names_and_sizes_make_the_hash() {
+        assert_ne!(LAYOUT.hash(), OTHER.hash());
+        const SHORT: Layout = Layout::new(&[Region::new("ab", 3)]);
+        assert_ne!(LAYOUT.hash(), SHORT.hash());
+        assert_ne!(Layout::new(&[]).hash(), LAYOUT.hash());
+    }
+
+    #[test]
+    fn attach_says_what_is_wrong() {
+        let words = zeroed(WORDS);
+        let attach = |layout| Map::attach(words, layout).map(|_| ());
+        assert_eq!(attach(LAYOUT), Err(AttachError::NotReady));
+        Map::format(words, LAYOUT).unwrap();
+        assert_eq!(attach(LAYOUT), Ok(()));
+        assert_eq!(attach(OTHER), Err(AttachError::WrongLayout));
+        words[VERSION_AT].store(VERSION + 1, Ordering::Relaxed);
+        assert_eq!(attach(LAYOUT), Err(AttachError::WrongVersion));
+        words[MAGIC_AT].store(0, Ordering::Relaxed);
+        assert_eq!(attach(LAYOUT), Err(AttachError::WrongMagic));
+        assert_eq!(
+            Map::attach(&words[..WORDS - 1], LAYOUT).map(|_| ()),
+            Err(AttachError::TooSmall)
+        );
+        assert_eq!(
+            Map::attach(&zeroed(WORDS + 1)[1..], LAYOUT).map(|_| ()),
+            Err(AttachError::Misaligned)
+        );
+    }
+
+    #[test]
+    fn format_forgets_what_was_there() {
+        let words = zeroed(WORDS);
+        for word in words {
+            word.store(u32::MAX, Ordering::Relaxed);
+        }
+        let map = Map::format(words, LAYOUT).unwrap();
+        assert!(
+            map.region(1)
+                .iter()
+                .all(|word| word.load(Ordering::Relaxed) == 0)
+        );
+        assert_eq!(map.lives().current(0), None);
+    }
+
+    #[test]
+    fn killed_at_every_step_of_format_nobody_attaches_and_the_successor_formats() {
+        for at in 0.. {
+            let words = zeroed(WORDS);
+            for word in words {
+                word.store(u32::MAX, Ordering::Relaxed);
+            }
+            let done = kill_at(at, || Map::format(words, LAYOUT).is_ok());
+            if done.is_some() {
+                assert!(at > WORDS);
+                break;
+            }
+            assert_eq!(
+                Map::attach(words, LAYOUT).map(|_| ()),
+                Err(AttachError::NotReady)
+            );
+            Map::format(words, LAYOUT).unwrap();
+            assert!(Map::attach(words, LAYOUT).is_ok());
+        }
+    }
+}

@@ -1,0 +1,115 @@
+//! A ring of stamped slots with one writer: what newest-value and broadcast channels stand on.
+//!
+//! Value number k (from 0, wrapping) lies in slot k mod n. The slot's stamp is `k << 1` while the value
+//! is written and `k << 1 | 1` when it is complete; `head` counts the complete values. A reader checks
+//! the stamp, reads the words, and checks the stamp again: a sequence lock for each slot, after
+//! H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012), fig. 6.
+//! In zeroed memory no stamp is one of a complete value.
+//!
+//! Limit: a reader that is stopped between its two checks for exactly a multiple of 2^31 values would
+//! not notice. At one value a microsecond that is 36 minutes; a core that stands still for that long has
+//! been reset by its watchdog.
+
+use crate::region::{FitError, LINE_WORDS, Shape, fit};
+use crate::sync::{AtomicU32, Ordering, fence};
+
+/// The ring in the LMU.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ring<'a> {
+    head: &'a AtomicU32,
+    slots: &'a [AtomicU32],
+    shape: Shape,
+    /// Words from one slot to the next.
+    stride: usize,
+}
+
+impl<'a> Ring<'a> {
+    pub(crate) const fn words(shape: Shape, stride: usize) -> usize {
+        LINE_WORDS + shape.slots() * stride
+    }
+
+    pub(crate) fn attach(
+        words: &'a [AtomicU32],
+        shape: Shape,
+        stride: usize,
+    ) -> Result<Self, FitError> {
+        let words = fit(words, Self::words(shape, stride))?;
+        Ok(Self {
+            head: &words[0],
+            slots: &words[LINE_WORDS..],
+            shape,
+            stride,
+        })
+    }
+
+    pub(crate) const fn slots(&self) -> u32 {
+        self.shape.slots() as u32
+    }
+
+    /// How many values are complete, as the writer has published it.
+    pub(crate) fn head(&self) -> u32 {
+        // Acquire pairs with the Release in `complete`.
+        self.head.load(Ordering::Acquire)
+    }
+
+    /// The number of the value that a writer has to write next, after the end of an earlier writer. One
+    /// that ended between the two stores of `complete` has its last value published here: its number
+    /// may have been seen, and must not be given to another value.
+    pub(crate) fn resume(&self) -> u32 {
+        let mut next = self.head.load(Ordering::Relaxed);
+        if self.stamp(next).load(Ordering::Relaxed) == complete(next) {
+            next = next.wrapping_add(1);
+            // Release pairs with the Acquire in `head`.
+            self.head.store(next, Ordering::Release);
+        }
+        next
+    }
+
+    fn at(&self, k: u32) -> usize {
+        (k as usize & (self.shape.slots() - 1)) * self.stride
+    }
+
+    fn stamp(&self, k: u32) -> &'a AtomicU32 {
+        &self.slots[self.at(k)]
+    }
+
+    /// The words of value k.
+    pub(crate) fn payload(&self, k: u32) -> &'a [AtomicU32] {
+        let first = self.at(k) + 1;
+        &self.slots[first..first + self.shape.slot_words()]
+    }
+
+    /// Writer: value k begins to be written.
+    pub(crate) fn begin(&self, k: u32) {
+        self.stamp(k).store(k << 1, Ordering::Relaxed);
+        // Release pairs with the Acquire fence in `is_intact`: who sees a word that is stored after
+        // this sees the stamp, too.
+        fence(Ordering::Release);
+    }
+
+    /// Writer: value k is complete.
+    pub(crate) fn complete(&self, k: u32) {
+        // Release pairs with the Acquire in `is_complete`.
+        self.stamp(k).store(complete(k), Ordering::Release);
+        // Release pairs with the Acquire in `head`.
+        self.head.store(k.wrapping_add(1), Ordering::Release);
+    }
+
+    /// Reader, before it reads: whether value k lies complete in its slot.
+    pub(crate) fn is_complete(&self, k: u32) -> bool {
+        // Acquire pairs with the Release in `complete`.
+        self.stamp(k).load(Ordering::Acquire) == complete(k)
+    }
+
+    /// Reader, after it has read: whether all that it read was value k.
+    pub(crate) fn is_intact(&self, k: u32) -> bool {
+        // Acquire pairs with the Release fence in `begin`.
+        fence(Ordering::Acquire);
+        self.stamp(k).load(Ordering::Relaxed) == complete(k)
+    }
+}
+
+/// The stamp of value k when it is complete.
+const fn complete(k: u32) -> u32 {
+    k << 1 | 1
+}

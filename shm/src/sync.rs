@@ -1,0 +1,25 @@
+//! The one switch point between the machine's atomics, loom's model and the unit tests' step injector.
+
+pub use core::sync::atomic::Ordering;
+
+#[cfg(not(any(loom, test)))]
+pub use core::sync::atomic::{AtomicU32, fence};
+
+#[cfg(loom)]
+pub use loom::sync::atomic::{AtomicU32, fence};
+
+#[cfg(all(test, not(loom)))]
+pub use crate::step::AtomicU32;
+#[cfg(all(test, not(loom)))]
+pub use core::sync::atomic::fence;
+
+/// Tells the processor (or loom) that this is a spin loop, `rounds` times. Never blocks.
+pub fn spin(rounds: u32) {
+    for _ in 0..rounds {
+        #[cfg(not(loom))]
+        core::hint::spin_loop();
+    }
+    // One yield says all there is to say to loom.
+    #[cfg(loom)]
+    loom::thread::yield_now();
+}

@@ -1,0 +1,91 @@
+//! Views of a slot's words, for working in place.
+
+use crate::sync::{AtomicU32, Ordering};
+
+/// Words of a slot to read in place. What they hold may be an allegation of another core.
+#[derive(Clone, Copy, Debug)]
+pub struct WordsRef<'a>(&'a [AtomicU32]);
+
+/// Words of a slot to fill in place; not yet visible as a value to anyone else.
+#[derive(Debug)]
+pub struct WordsMut<'a>(&'a [AtomicU32]);
+
+#[allow(clippy::len_without_is_empty, reason = "a slot is never empty")]
+impl<'a> WordsRef<'a> {
+    pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
+        Self(words)
+    }
+
+    /// How many words; at least 1.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The word at `index`.
+    ///
+    /// # Panics
+    /// If `index` is not below [`WordsRef::len`].
+    #[must_use]
+    pub fn get(&self, index: usize) -> u32 {
+        self.0[index].load(Ordering::Relaxed)
+    }
+
+    /// Copies from the first word on, as many as both have, and returns how many.
+    pub fn copy_to(&self, into: &mut [u32]) -> usize {
+        for (to, from) in into.iter_mut().zip(self.0) {
+            *to = from.load(Ordering::Relaxed);
+        }
+        into.len().min(self.0.len())
+    }
+
+    /// All words in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = u32> + use<'a> {
+        self.0.iter().map(|word| word.load(Ordering::Relaxed))
+    }
+}
+
+#[allow(clippy::len_without_is_empty, reason = "a slot is never empty")]
+impl<'a> WordsMut<'a> {
+    pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
+        Self(words)
+    }
+
+    /// How many words; at least 1.
+    #[must_use]
+    pub const fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The word at `index`: what was set, or what an earlier value left there.
+    ///
+    /// # Panics
+    /// If `index` is not below [`WordsMut::len`].
+    #[must_use]
+    pub fn get(&self, index: usize) -> u32 {
+        self.0[index].load(Ordering::Relaxed)
+    }
+
+    /// Sets the word at `index`.
+    ///
+    /// # Panics
+    /// If `index` is not below [`WordsMut::len`].
+    pub fn set(&mut self, index: usize, value: u32) {
+        self.0[index].store(value, Ordering::Relaxed);
+    }
+
+    /// Copies `from` to the first words, as many as both have, and returns how many. The rest stays.
+    pub fn copy_from(&mut self, from: &[u32]) -> usize {
+        for (to, from) in self.0.iter().zip(from) {
+            to.store(*from, Ordering::Relaxed);
+        }
+        from.len().min(self.0.len())
+    }
+
+    /// Zeroes the words from `first` on.
+    pub(crate) fn zero_from(&mut self, first: usize) {
+        for word in &self.0[first..] {
+            word.store(0, Ordering::Relaxed);
+        }
+    }
+}
