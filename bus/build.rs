@@ -1,0 +1,453 @@
+//! Turns `dbc/tandem.dbc` into Rust: a struct per frame layout, an enum per value table, the frame list.
+//!
+//! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
+//! stands in `src/signal.rs`. A DBC that uses something that this generator does not know fails the build.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::{env, fs};
+
+use can_dbc::{
+    AttributeValue, ByteOrder, Dbc, Message, MessageId, MultiplexIndicator, NumericValue, Signal,
+    ValDescription, ValueType,
+};
+
+const DBC: &str = "dbc/tandem.dbc";
+
+/// Signals that the message layer fills and checks; they are no fields of the structs.
+const FRAMING: [&str; 4] = ["Crc", "Counter", "Spare", "System"];
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+fn main() -> Result<()> {
+    println!("cargo::rerun-if-changed={DBC}");
+    println!("cargo::rerun-if-changed=build.rs");
+    let text = fs::read_to_string(DBC)?;
+    let dbc = Dbc::try_from(text.as_str()).map_err(|e| format!("{DBC}: {e}"))?;
+
+    // Structs appear in the order in which their first message stands in the DBC.
+    let mut layouts: Vec<(String, Vec<&Message>)> = Vec::new();
+    for message in &dbc.messages {
+        check_protection(message)?;
+        let name = layout_name(message);
+        match layouts.iter_mut().find(|(n, _)| *n == name) {
+            Some((_, messages)) => {
+                check_same_layout(messages[0], message)?;
+                messages.push(message);
+            }
+            None => layouts.push((name, vec![message])),
+        }
+    }
+
+    let mut out = String::new();
+    write_enums(&dbc, &mut out)?;
+    for (name, messages) in &layouts {
+        write_layout(&dbc, name, messages, &mut out)?;
+    }
+    write_frames(&dbc, &mut out)?;
+    fs::write(Path::new(&env::var("OUT_DIR")?).join("dbc.rs"), out)?;
+    Ok(())
+}
+
+/// The struct that codes a message: `ControlA` of `SystemA` → `Control`, `CameraFrontHeader` of
+/// `CameraFront` → `SensorHeader`, any other by its own name.
+fn layout_name(message: &Message) -> String {
+    let sender = message.transmitter.as_deref().unwrap_or_default();
+    if let Some(rest) = message.name.strip_prefix(sender) {
+        return format!("Sensor{rest}");
+    }
+    match sender
+        .strip_prefix("System")
+        .and_then(|letter| message.name.strip_suffix(letter))
+    {
+        Some(base) => base.to_owned(),
+        None => message.name.clone(),
+    }
+}
+
+/// The end-to-end protection of `src/e2e.rs` has fixed places.
+fn check_protection(message: &Message) -> Result<()> {
+    for (name, start_bit, size) in [("Crc", 0, 16), ("Counter", 16, 8)] {
+        let found = message.signals.iter().find(|s| s.name == name);
+        if !found.is_some_and(|s| s.start_bit == start_bit && s.size == size) {
+            return Err(format!("{}: {name} must be {start_bit}|{size}", message.name).into());
+        }
+    }
+    Ok(())
+}
+
+fn check_same_layout(first: &Message, other: &Message) -> Result<()> {
+    let bare = |message: &Message| -> Vec<Signal> {
+        let without_receivers = |s: &Signal| Signal {
+            receivers: Vec::new(),
+            ..s.clone()
+        };
+        message.signals.iter().map(without_receivers).collect()
+    };
+    if first.size != other.size || bare(first) != bare(other) {
+        return Err(format!(
+            "{} and {} must have the same layout",
+            first.name, other.name
+        )
+        .into());
+    }
+    Ok(())
+}
+
+/// One enum per signal name with a value table; tables of the same name must be the same.
+fn write_enums(dbc: &Dbc, out: &mut String) -> Result<()> {
+    let mut tables: BTreeMap<&str, &[ValDescription]> = BTreeMap::new();
+    for message in &dbc.messages {
+        for signal in &message.signals {
+            let Some(table) = dbc.value_descriptions_for_signal(message.id, &signal.name) else {
+                continue;
+            };
+            let known = tables.entry(&signal.name).or_insert(table);
+            if *known != table {
+                return Err(format!("the value tables of {} differ", signal.name).into());
+            }
+        }
+    }
+    for (name, table) in tables {
+        writeln!(out, "/// Values of the signal `{name}`.")?;
+        writeln!(out, "#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]")?;
+        writeln!(out, "pub enum {name} {{")?;
+        for (i, value) in table.iter().enumerate() {
+            let default = if i == 0 { "#[default] " } else { "" };
+            writeln!(out, "    /// Coded as {}.", value.id)?;
+            writeln!(out, "    {default}{} = {},", value.description, value.id)?;
+        }
+        writeln!(out, "}}\n")?;
+        writeln!(out, "impl {name} {{")?;
+        writeln!(out, "    /// Every value, in the order of the DBC.")?;
+        writeln!(out, "    pub const ALL: [Self; {}] = [", table.len())?;
+        for value in table {
+            writeln!(out, "        Self::{},", value.description)?;
+        }
+        writeln!(out, "    ];\n")?;
+        writeln!(out, "    /// The value's name in the DBC.")?;
+        writeln!(
+            out,
+            "    #[must_use]\n    pub const fn name(self) -> &'static str {{"
+        )?;
+        writeln!(out, "        match self {{")?;
+        for ValDescription {
+            description: value, ..
+        } in table
+        {
+            writeln!(out, "            Self::{value} => \"{value}\",")?;
+        }
+        writeln!(out, "        }}\n    }}\n")?;
+        writeln!(out, "    fn from_raw(raw: i64) -> Option<Self> {{")?;
+        writeln!(
+            out,
+            "        Self::ALL.into_iter().find(|value| *value as i64 == raw)"
+        )?;
+        writeln!(out, "    }}\n}}\n")?;
+    }
+    Ok(())
+}
+
+fn write_layout(dbc: &Dbc, name: &str, messages: &[&Message], out: &mut String) -> Result<()> {
+    let message = messages[0];
+    let fields: Vec<Field<'_>> = message
+        .signals
+        .iter()
+        .filter(|signal| !FRAMING.contains(&signal.name.as_str()))
+        .map(|signal| Field::of(dbc, message, signal))
+        .collect::<Result<_>>()?;
+
+    let names: Vec<String> = messages.iter().map(|m| format!("`{}`", m.name)).collect();
+    if let Some(comment) = dbc.message_comment(message.id) {
+        writeln!(
+            out,
+            "/// {}.\n///",
+            comment.replace(" of system A", "").trim_end_matches('.')
+        )?;
+    }
+    writeln!(out, "/// Layout of {}.", names.join(", "))?;
+    writeln!(out, "#[derive(Clone, Copy, Debug, Default, PartialEq)]")?;
+    writeln!(out, "pub struct {name} {{")?;
+    for field in &fields {
+        writeln!(out, "    /// {}", field.doc)?;
+        writeln!(out, "    pub {}: {},", field.name, field.kind.rust())?;
+    }
+    writeln!(out, "}}\n")?;
+
+    writeln!(out, "impl {name} {{")?;
+    let ids: Vec<String> = messages
+        .iter()
+        .map(|m| standard_id(m))
+        .collect::<Result<_>>()?;
+    writeln!(
+        out,
+        "    /// Ids of the frames with this layout, in the order of the DBC."
+    )?;
+    writeln!(
+        out,
+        "    pub const IDS: [u16; {}] = [{}];",
+        ids.len(),
+        ids.join(", ")
+    )?;
+    if let [id] = ids.as_slice() {
+        writeln!(
+            out,
+            "    /// Id of the frame.\n    pub const ID: u16 = {id};"
+        )?;
+    }
+    writeln!(out, "    /// Length of the frame, bytes.")?;
+    writeln!(out, "    pub const LEN: usize = {};", message.size)?;
+    writeln!(out, "    /// Period of the frame, ms.")?;
+    writeln!(
+        out,
+        "    pub const CYCLE_MS: u32 = {};\n",
+        cycle_ms(dbc, message.id)?
+    )?;
+    for signal in message
+        .signals
+        .iter()
+        .filter(|s| !["Crc", "Counter", "Spare"].contains(&&*s.name))
+    {
+        writeln!(out, "    pub(crate) const {}", signal_const(signal)?)?;
+    }
+    write_codec(&fields, out)?;
+    writeln!(out, "}}\n")?;
+    Ok(())
+}
+
+fn write_codec(fields: &[Field<'_>], out: &mut String) -> Result<()> {
+    writeln!(
+        out,
+        "\n    /// Writes all signals but those of the end-to-end protection, which become zero."
+    )?;
+    writeln!(
+        out,
+        "    /// Values out of range saturate, fractions round to nearest, NaN becomes 0."
+    )?;
+    writeln!(
+        out,
+        "    pub fn encode(&self, data: &mut [u8; Self::LEN]) {{"
+    )?;
+    writeln!(out, "        *data = [0; Self::LEN];")?;
+    for Field {
+        name, kind, signal, ..
+    } in fields
+    {
+        let constant = shouted(&signal.name);
+        let put = match kind {
+            Kind::Physical => format!("put_physical(data, self.{name})"),
+            Kind::Table(_) => format!("put(data, self.{name} as i64)"),
+            Kind::Flag | Kind::Integer(_) => format!("put(data, i64::from(self.{name}))"),
+        };
+        writeln!(out, "        Self::{constant}.{put};")?;
+    }
+    writeln!(out, "    }}\n")?;
+
+    writeln!(
+        out,
+        "    /// Reads the signals. The end-to-end protection is not looked at."
+    )?;
+    writeln!(out, "    ///\n    /// # Errors")?;
+    writeln!(
+        out,
+        "    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value that is"
+    )?;
+    writeln!(
+        out,
+        "    /// out of the signal's range or not in its value table."
+    )?;
+    writeln!(
+        out,
+        "    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {{"
+    )?;
+    writeln!(out, "        if data.len() != Self::LEN {{")?;
+    writeln!(
+        out,
+        "            return Err(DecodeError::WrongLength);\n        }}"
+    )?;
+    writeln!(out, "        Ok(Self {{")?;
+    for Field {
+        name, kind, signal, ..
+    } in fields
+    {
+        let constant = shouted(&signal.name);
+        let value = match kind {
+            Kind::Physical => format!("Self::{constant}.get_physical(data)?"),
+            Kind::Flag => format!("Self::{constant}.get(data)? != 0"),
+            Kind::Integer(rust) => format!("Self::{constant}.get(data)? as {rust}"),
+            Kind::Table(rust) => format!(
+                "{rust}::from_raw(Self::{constant}.get(data)?).ok_or(Self::{constant}.invalid())?"
+            ),
+        };
+        writeln!(out, "            {name}: {value},")?;
+    }
+    writeln!(out, "        }})\n    }}")?;
+    Ok(())
+}
+
+fn write_frames(dbc: &Dbc, out: &mut String) -> Result<()> {
+    writeln!(
+        out,
+        "/// Every frame of the vehicle bus, in the order of the DBC, which is by id."
+    )?;
+    writeln!(
+        out,
+        "pub const FRAMES: [FrameInfo; {}] = [",
+        dbc.messages.len()
+    )?;
+    for message in &dbc.messages {
+        writeln!(
+            out,
+            "    FrameInfo {{ id: {}, name: \"{}\", len: {}, cycle_ms: {} }},",
+            standard_id(message)?,
+            message.name,
+            message.size,
+            cycle_ms(dbc, message.id)?,
+        )?;
+    }
+    writeln!(out, "];")?;
+    Ok(())
+}
+
+/// How a signal appears in Rust.
+enum Kind<'a> {
+    /// One bit.
+    Flag,
+    /// Unsigned with factor 1: the Rust type.
+    Integer(&'static str),
+    /// With a value table: the enum.
+    Table(&'a str),
+    /// Scaled: a physical value as `f32`.
+    Physical,
+}
+
+impl Kind<'_> {
+    fn rust(&self) -> &str {
+        match self {
+            Self::Flag => "bool",
+            Self::Integer(name) => name,
+            Self::Table(name) => name,
+            Self::Physical => "f32",
+        }
+    }
+}
+
+/// A signal as a field of its struct.
+struct Field<'a> {
+    name: String,
+    doc: String,
+    kind: Kind<'a>,
+    signal: &'a Signal,
+}
+
+impl<'a> Field<'a> {
+    fn of(dbc: &Dbc, message: &Message, signal: &'a Signal) -> Result<Self> {
+        let kind = if dbc
+            .value_descriptions_for_signal(message.id, &signal.name)
+            .is_some()
+        {
+            Kind::Table(&signal.name)
+        } else if signal.factor != 1.0 || signal.value_type == ValueType::Signed {
+            if signal.size > 24 {
+                return Err(format!("{}: an f32 has only 24 bits", signal.name).into());
+            }
+            Kind::Physical
+        } else {
+            match signal.size {
+                1 => Kind::Flag,
+                2..=8 => Kind::Integer("u8"),
+                9..=16 => Kind::Integer("u16"),
+                _ => Kind::Integer("u32"),
+            }
+        };
+        let comment = dbc.signal_comment(message.id, &signal.name);
+        let mut doc = comment.map_or(format!("Signal `{}`", signal.name), str::to_owned) + ".";
+        let Signal {
+            min,
+            max,
+            factor,
+            unit,
+            ..
+        } = signal;
+        match kind {
+            Kind::Flag | Kind::Table(_) => {}
+            Kind::Integer(_) => write!(doc, " {min} ..= {max} {unit}")?,
+            Kind::Physical => write!(doc, " {min} ..= {max} {unit} in steps of {factor}")?,
+        }
+        Ok(Self {
+            name: snake(&signal.name),
+            doc,
+            kind,
+            signal,
+        })
+    }
+}
+
+/// The constant that describes a signal to `src/signal.rs`.
+fn signal_const(signal: &Signal) -> Result<String> {
+    let Signal {
+        name,
+        start_bit,
+        size,
+        factor,
+        ..
+    } = signal;
+    if signal.byte_order != ByteOrder::LittleEndian
+        || signal.multiplexer_indicator != MultiplexIndicator::Plain
+        || signal.offset != 0.0
+        || *size > 32
+    {
+        return Err(format!("{name}: not a plain little endian signal up to 32 bits").into());
+    }
+    let raw = |physical: &NumericValue| (number(physical) / factor).round() as i64;
+    Ok(format!(
+        "{}: Signal = Signal {{ name: \"{name}\", start: {start_bit}, len: {size}, factor: {factor:?}, \
+         min: {}, max: {} }};",
+        shouted(name),
+        raw(&signal.min),
+        raw(&signal.max),
+    ))
+}
+
+fn standard_id(message: &Message) -> Result<String> {
+    match message.id {
+        MessageId::Standard(id) if id <= 0x7FF => Ok(format!("{id:#05X}")),
+        id => Err(format!("{}: {id:?} is not a standard id", message.name).into()),
+    }
+}
+
+fn cycle_ms(dbc: &Dbc, id: MessageId) -> Result<i64> {
+    match dbc.resolved_message_attribute(id, "GenMsgCycleTime") {
+        Some(AttributeValue::Uint(ms)) => Ok(i64::try_from(*ms)?),
+        Some(AttributeValue::Int(ms)) => Ok(*ms),
+        other => Err(format!("{id:?}: the cycle time is {other:?}").into()),
+    }
+}
+
+fn number(value: &NumericValue) -> f64 {
+    match *value {
+        NumericValue::Uint(v) => v as f64,
+        NumericValue::Int(v) => v as f64,
+        NumericValue::Double(v) => v,
+    }
+}
+
+/// `SteeringAngle` → `steering_angle`, `VX` → `vx`, `Line1Silent` → `line1_silent`.
+fn snake(camel: &str) -> String {
+    let mut out = String::new();
+    let mut previous = 'A';
+    for c in camel.chars() {
+        if c.is_uppercase() && !previous.is_uppercase() {
+            out.push('_');
+        }
+        out.extend(c.to_lowercase());
+        previous = c;
+    }
+    out
+}
+
+fn shouted(camel: &str) -> String {
+    snake(camel).to_uppercase()
+}

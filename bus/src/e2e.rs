@@ -1,0 +1,106 @@
+//! End-to-end protection after AUTOSAR profile 5: a CRC and a counter in every frame.
+//!
+//! Bytes 0 and 1 hold a CRC-16/CCITT-FALSE, low byte first, byte 2 a counter that goes up by one with
+//! every frame of an id and wraps around. The CRC covers the bytes from 2 on and then the data id,
+//! low byte first; the data id is the CAN id and is not sent, so that a frame under a wrong id is
+//! found as well. (AUTOSAR FO PRS E2EProtocol, "E2E Profile 5", offset 0.)
+
+use crc::{CRC_16_IBM_3740, Crc};
+
+/// Bytes that the protection takes at the beginning of a frame.
+pub const HEADER_LEN: usize = 3;
+
+/// How far the counter may jump: a frame after up to nine lost ones is still good.
+///
+/// Ten control frames are 100 ms. Who has heard nothing for that long has noticed by its time-outs;
+/// the counter has only to tell a plausible gap from a restarted or a wrong sender.
+pub const MAX_DELTA_COUNTER: u8 = 10;
+
+/// CRC-16/CCITT-FALSE goes by the name of IBM-3740 in the catalogue of CRCs.
+const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
+
+/// Writes counter and CRC into a frame whose other bytes are final. A frame without room for them
+/// is left as it is.
+pub fn protect(id: u16, counter: u8, data: &mut [u8]) {
+    if data.len() < HEADER_LEN {
+        return;
+    }
+    data[2] = counter;
+    let crc = checksum(id, data).to_le_bytes();
+    data[..2].copy_from_slice(&crc);
+}
+
+/// CRC over the bytes from 2 on and the data id.
+fn checksum(id: u16, data: &[u8]) -> u16 {
+    let mut digest = CRC.digest();
+    digest.update(&data[2..]);
+    digest.update(&id.to_le_bytes());
+    digest.finalize()
+}
+
+/// What a [`Checker`] says of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Check {
+    /// The CRC is right and it is the first frame: the counter cannot be judged yet.
+    Initial,
+    /// The CRC is right and the counter is the next one.
+    Ok,
+    /// The CRC is right; this many frames before it were lost (less than [`MAX_DELTA_COUNTER`]).
+    OkSomeLost(u8),
+    /// The CRC is right, but the counter is that of the last frame: not a new one.
+    Repeated,
+    /// The CRC is right, but the counter jumped too far: frames were lost, or the sender restarted.
+    /// The next frame is judged against this one.
+    WrongSequence,
+    /// The CRC is wrong, or the frame is too short to have one. It leaves no trace in the checker.
+    CrcError,
+}
+
+impl Check {
+    /// Whether the frame may be used: [`Check::Initial`], [`Check::Ok`] or [`Check::OkSomeLost`].
+    #[must_use]
+    pub const fn is_accepted(self) -> bool {
+        matches!(self, Self::Initial | Self::Ok | Self::OkSomeLost(_))
+    }
+}
+
+/// Checks the frames of one id.
+///
+/// | last counter | CRC | counter minus the last one | result | last counter then |
+/// |---|---|---|---|---|
+/// | any | wrong | | `CrcError` | unchanged |
+/// | none | right | | `Initial` | this |
+/// | some | right | 0 | `Repeated` | this |
+/// | some | right | 1 | `Ok` | this |
+/// | some | right | 2 ..= [`MAX_DELTA_COUNTER`] | `OkSomeLost` | this |
+/// | some | right | more | `WrongSequence` | this |
+#[derive(Clone, Copy, Debug)]
+pub struct Checker {
+    id: u16,
+    last: Option<u8>,
+}
+
+impl Checker {
+    /// A checker for the frames of this id that has seen none.
+    #[must_use]
+    pub const fn new(id: u16) -> Self {
+        Self { id, last: None }
+    }
+
+    /// Judges the next received frame.
+    pub fn check(&mut self, data: &[u8]) -> Check {
+        if data.len() < HEADER_LEN || checksum(self.id, data).to_le_bytes() != data[..2] {
+            return Check::CrcError;
+        }
+        let counter = data[2];
+        let Some(last) = self.last.replace(counter) else {
+            return Check::Initial;
+        };
+        match counter.wrapping_sub(last) {
+            0 => Check::Repeated,
+            1 => Check::Ok,
+            delta @ 2..=MAX_DELTA_COUNTER => Check::OkSomeLost(delta - 1),
+            _ => Check::WrongSequence,
+        }
+    }
+}

@@ -1,0 +1,86 @@
+//! The sensors on the bus: five radars and one camera. T-CHIP-4
+
+use crate::{SensorHeader, SensorObject};
+
+/// A sensor that sends object lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum SensorId {
+    /// Long range radar in front.
+    RadarFront,
+    /// Corner radar.
+    RadarFrontLeft,
+    /// Corner radar.
+    RadarFrontRight,
+    /// Corner radar.
+    RadarRearLeft,
+    /// Corner radar.
+    RadarRearRight,
+    /// Camera behind the windscreen.
+    CameraFront,
+}
+
+impl SensorId {
+    /// Every sensor, in the order of [`SensorId::index`] and of the DBC.
+    pub const ALL: [Self; 6] = [
+        Self::RadarFront,
+        Self::RadarFrontLeft,
+        Self::RadarFrontRight,
+        Self::RadarRearLeft,
+        Self::RadarRearRight,
+        Self::CameraFront,
+    ];
+
+    /// 0 ..= 5
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Id of the frame that begins an object list.
+    #[must_use]
+    pub const fn header_id(self) -> u16 {
+        SensorHeader::IDS[self.index()]
+    }
+
+    /// Id of the frames that carry the objects.
+    #[must_use]
+    pub const fn object_id(self) -> u16 {
+        SensorObject::IDS[self.index()]
+    }
+
+    /// Name of the sensor's node in the DBC.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::RadarFront => "RadarFront",
+            Self::RadarFrontLeft => "RadarFrontLeft",
+            Self::RadarFrontRight => "RadarFrontRight",
+            Self::RadarRearLeft => "RadarRearLeft",
+            Self::RadarRearRight => "RadarRearRight",
+            Self::CameraFront => "CameraFront",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::FRAMES;
+
+    /// T-CHIP-4: the ids of the six sensors are those of the DBC.
+    #[test]
+    fn ids_are_those_of_the_dbc() {
+        let name_of = |id| FRAMES.iter().find(|frame| frame.id == id).unwrap().name;
+        for sensor in SensorId::ALL {
+            assert_eq!(
+                name_of(sensor.header_id()).strip_suffix("Header"),
+                Some(sensor.name())
+            );
+            assert_eq!(
+                name_of(sensor.object_id()).strip_suffix("Object"),
+                Some(sensor.name())
+            );
+            assert_eq!(SensorId::ALL[sensor.index()], sensor);
+        }
+    }
+}
