@@ -1,1 +1,53 @@
 //! The board as processes on a laptop, over iceoryx2.
+//!
+//! ```text
+//! launcher ── supply A ── core A0 · A1 · A2        each box is a process
+//!          ── supply B ── core B0 · B1 · B2
+//!          ── vehicle
+//! ```
+//!
+//! A system's LMU is a segment of iceoryx2 storage that its cores map read-write; a doorbell is an
+//! iceoryx2 event; the wires between the systems, the bus and the supplies' registers are the
+//! [`Backplane`], one more segment. Everything lives in a `/dev/shm` of the run's own
+//! ([`isolation`]), so that nothing is left behind whatever is killed.
+
+// iceoryx2 links against a logger; this one says nothing.
+extern crate iceoryx2_bb_loggers as _;
+
+mod args;
+mod backplane;
+mod bell;
+mod board;
+mod can;
+pub mod clock;
+mod flash;
+pub mod isolation;
+mod launch;
+mod lines;
+mod name;
+pub mod processes;
+pub mod realtime;
+mod registers;
+mod segment;
+mod spawn;
+pub mod supply;
+mod watchdog;
+mod wire;
+mod world;
+
+pub use args::{
+    Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
+};
+pub use backplane::{Backplane, BackplaneError, Cut};
+pub use bell::BellError;
+pub use board::{AttachError, HostBoard, LMU_WORDS};
+pub use can::HostCan;
+pub use flash::{FlashFileError, HostFlash};
+pub use isolation::{Isolation, IsolationError};
+pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};
+pub use lines::{HostLines, HostLink};
+pub use name::{InvalidRunName, RunName};
+pub use registers::HostSupply;
+pub use segment::SegmentError;
+pub use watchdog::WatchdogFault;
+pub use world::{Traced, WorldError, WorldPort};

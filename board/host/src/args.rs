@@ -1,0 +1,354 @@
+//! The command lines of a run's processes: hidden arguments of the same program.
+
+use std::ffi::OsString;
+use std::path::PathBuf;
+
+use tandem_board::{CoreId, Generation, Identity, SystemId};
+
+use crate::backplane::core_index;
+use crate::name::RunName;
+use crate::realtime::{self, Claim, Grant};
+
+/// Which CPUs the six cores are pinned to.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Pinning {
+    /// Core i of both systems together (A0 is 0, B2 is 5) on CPU i modulo their number.
+    #[default]
+    Auto,
+    /// The kernel chooses.
+    Off,
+    /// Core i on the CPU with this index among those that the process may use, modulo the length of
+    /// the list.
+    Cpus(Vec<usize>),
+}
+
+/// How the processes of a run are scheduled.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Schedule {
+    /// Whether real-time priority and locked memory are claimed (they may be refused).
+    pub realtime: bool,
+    /// The CPUs.
+    pub pinning: Pinning,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self { realtime: true, pinning: Pinning::Auto }
+    }
+}
+
+/// Priorities under SCHED_FIFO. The supply must come through whatever the cores do; the vehicle is
+/// physics and waits for nobody; core 0 controls, the others compute.
+const SUPPLY_PRIORITY: u8 = 80;
+const VEHICLE_PRIORITY: u8 = 70;
+const CONTROL_PRIORITY: u8 = 60;
+const COMPUTE_PRIORITY: u8 = 40;
+
+/// What all processes of a run are told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Common {
+    /// The run.
+    pub run: RunName,
+    /// How they are scheduled.
+    pub schedule: Schedule,
+    /// What the program itself wants to pass on, after `--`.
+    pub extra: Vec<OsString>,
+}
+
+/// What a supply is told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SupplyArgs {
+    /// The run.
+    pub common: Common,
+    /// Its system.
+    pub system: SystemId,
+    /// The file that is the system's data flash.
+    pub flash: PathBuf,
+}
+
+/// What a core is told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CoreArgs {
+    /// The run.
+    pub common: Common,
+    /// Which core, in which life.
+    pub identity: Identity,
+    /// The file that is the system's data flash.
+    pub flash: PathBuf,
+}
+
+/// What the vehicle is told.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct VehicleArgs {
+    /// The run.
+    pub common: Common,
+}
+
+/// The arguments of any process of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ProcessArgs {
+    /// A supply.
+    Supply(SupplyArgs),
+    /// A core.
+    Core(CoreArgs),
+    /// The vehicle.
+    Vehicle(VehicleArgs),
+}
+
+/// The command line is not one that this program has made.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("hidden argument {0}: missing or not understood (it is made by this program itself)")]
+pub struct InvalidArgs(&'static str);
+
+const SUPPLY: &str = "__supply";
+const CORE: &str = "__core";
+const VEHICLE: &str = "__vehicle";
+
+impl SupplyArgs {
+    /// The arguments of one of this supply's cores.
+    #[must_use]
+    pub fn core(&self, core: CoreId, generation: Generation) -> CoreArgs {
+        CoreArgs {
+            common: self.common.clone(),
+            identity: Identity { system: self.system, core, generation },
+            flash: self.flash.clone(),
+        }
+    }
+
+    /// Claims real time for this process.
+    #[must_use]
+    pub fn claim(&self) -> Grant {
+        self.common.claim(SUPPLY_PRIORITY, None)
+    }
+}
+
+impl CoreArgs {
+    /// Claims the core's CPU and real time for this process.
+    #[must_use]
+    pub fn claim(&self) -> Grant {
+        let of = self.identity;
+        let index = core_index(of.system, of.core);
+        let cpu = match &self.common.schedule.pinning {
+            Pinning::Auto => Some(index),
+            Pinning::Off => None,
+            Pinning::Cpus(cpus) => index.checked_rem(cpus.len()).map(|at| cpus[at]),
+        };
+        let control = of.core == CoreId::CONTROL;
+        self.common.claim(if control { CONTROL_PRIORITY } else { COMPUTE_PRIORITY }, cpu)
+    }
+}
+
+impl VehicleArgs {
+    /// Claims real time for this process.
+    #[must_use]
+    pub fn claim(&self) -> Grant {
+        self.common.claim(VEHICLE_PRIORITY, None)
+    }
+}
+
+impl Common {
+    fn claim(&self, priority: u8, cpu: Option<usize>) -> Grant {
+        let realtime = self.schedule.realtime;
+        let priority = realtime.then_some(priority);
+        realtime::claim(Claim { priority, cpu, lock_memory: realtime })
+    }
+
+    fn write(&self, argv: &mut Vec<OsString>) {
+        let pinning = match &self.schedule.pinning {
+            Pinning::Auto => "auto".to_owned(),
+            Pinning::Off => "off".to_owned(),
+            Pinning::Cpus(cpus) => {
+                cpus.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
+            }
+        };
+        let realtime = if self.schedule.realtime { "on" } else { "off" };
+        push(argv, "--run", self.run.as_str());
+        push(argv, "--realtime", realtime);
+        push(argv, "--pin", pinning);
+    }
+}
+
+impl ProcessArgs {
+    /// The run.
+    #[must_use]
+    pub const fn common(&self) -> &Common {
+        match self {
+            Self::Supply(args) => &args.common,
+            Self::Core(args) => &args.common,
+            Self::Vehicle(args) => &args.common,
+        }
+    }
+
+    /// The arguments after the program's name.
+    #[must_use]
+    pub fn to_argv(&self) -> Vec<OsString> {
+        let mut argv = vec![];
+        match self {
+            Self::Supply(args) => {
+                argv.push(SUPPLY.into());
+                args.common.write(&mut argv);
+                push(&mut argv, "--system", args.system.to_string());
+                push(&mut argv, "--flash", &args.flash);
+            }
+            Self::Core(args) => {
+                argv.push(CORE.into());
+                args.common.write(&mut argv);
+                push(&mut argv, "--system", args.identity.system.to_string());
+                push(&mut argv, "--core", args.identity.core.to_string());
+                push(&mut argv, "--generation", args.identity.generation.0.to_string());
+                push(&mut argv, "--flash", &args.flash);
+            }
+            Self::Vehicle(args) => {
+                argv.push(VEHICLE.into());
+                args.common.write(&mut argv);
+            }
+        }
+        argv.push("--".into());
+        argv.extend(self.common().extra.iter().cloned());
+        argv
+    }
+
+    /// Reads the arguments after the program's name; `None` if they are none of a run's process.
+    ///
+    /// # Errors
+    /// [`InvalidArgs`] if they begin as such and go on differently.
+    pub fn parse(
+        argv: impl IntoIterator<Item = OsString>,
+    ) -> Option<Result<Self, InvalidArgs>> {
+        let mut argv = argv.into_iter();
+        let kind = argv.next()?.into_string().ok()?;
+        if ![SUPPLY, CORE, VEHICLE].contains(&kind.as_str()) {
+            return None;
+        }
+        Some(Self::parse_kind(&kind, argv))
+    }
+
+    fn parse_kind(
+        kind: &str,
+        argv: impl Iterator<Item = OsString>,
+    ) -> Result<Self, InvalidArgs> {
+        let options = Options::collect(argv)?;
+        let common = Common {
+            run: options.parse("--run")?,
+            schedule: Schedule {
+                realtime: options.text("--realtime")? == "on",
+                pinning: options.pinning()?,
+            },
+            extra: options.extra.clone(),
+        };
+        Ok(match kind {
+            SUPPLY => Self::Supply(SupplyArgs {
+                common,
+                system: options.system()?,
+                flash: options.value("--flash")?.into(),
+            }),
+            CORE => {
+                let core = CoreId::new(options.parse("--core")?).ok_or(InvalidArgs("--core"))?;
+                let generation = Generation(options.parse("--generation")?);
+                Self::Core(CoreArgs {
+                    common,
+                    identity: Identity { system: options.system()?, core, generation },
+                    flash: options.value("--flash")?.into(),
+                })
+            }
+            _ => Self::Vehicle(VehicleArgs { common }),
+        })
+    }
+}
+
+fn push(argv: &mut Vec<OsString>, name: &str, value: impl Into<OsString>) {
+    argv.push(name.into());
+    argv.push(value.into());
+}
+
+struct Options {
+    pairs: Vec<(OsString, OsString)>,
+    extra: Vec<OsString>,
+}
+
+impl Options {
+    fn collect(mut argv: impl Iterator<Item = OsString>) -> Result<Self, InvalidArgs> {
+        let mut pairs = vec![];
+        while let Some(name) = argv.next().filter(|name| name != "--") {
+            pairs.push((name, argv.next().ok_or(InvalidArgs("value"))?));
+        }
+        Ok(Self { pairs, extra: argv.collect() })
+    }
+
+    fn value(&self, name: &'static str) -> Result<&OsString, InvalidArgs> {
+        let found = self.pairs.iter().find(|(known, _)| known == name);
+        found.map(|(_, value)| value).ok_or(InvalidArgs(name))
+    }
+
+    fn text(&self, name: &'static str) -> Result<&str, InvalidArgs> {
+        self.value(name)?.to_str().ok_or(InvalidArgs(name))
+    }
+
+    fn parse<T: std::str::FromStr>(&self, name: &'static str) -> Result<T, InvalidArgs> {
+        self.text(name)?.parse().map_err(|_| InvalidArgs(name))
+    }
+
+    fn system(&self) -> Result<SystemId, InvalidArgs> {
+        match self.text("--system")? {
+            "A" => Ok(SystemId::A),
+            "B" => Ok(SystemId::B),
+            _ => Err(InvalidArgs("--system")),
+        }
+    }
+
+    fn pinning(&self) -> Result<Pinning, InvalidArgs> {
+        match self.text("--pin")? {
+            "auto" => Ok(Pinning::Auto),
+            "off" => Ok(Pinning::Off),
+            list => list
+                .split(',')
+                .map(|cpu| cpu.parse().map_err(|_| InvalidArgs("--pin")))
+                .collect::<Result<_, _>>()
+                .map(Pinning::Cpus),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn common(pinning: Pinning) -> Common {
+        Common {
+            run: "tandem-1-a".parse().unwrap(),
+            schedule: Schedule { realtime: false, pinning },
+            extra: vec!["--scenario".into(), "cut in".into(), "--".into()],
+        }
+    }
+
+    #[test]
+    fn arguments_come_back_as_they_were() {
+        let supply = SupplyArgs {
+            common: common(Pinning::Cpus(vec![1, 0])),
+            system: SystemId::B,
+            flash: "/tmp/a b/--flash".into(),
+        };
+        let core = supply.core(CoreId::PLANNING, Generation(7));
+        let vehicle = VehicleArgs { common: common(Pinning::Off) };
+        for args in
+            [ProcessArgs::Supply(supply), ProcessArgs::Core(core), ProcessArgs::Vehicle(vehicle)]
+        {
+            assert_eq!(ProcessArgs::parse(args.to_argv()), Some(Ok(args)));
+        }
+    }
+
+    #[test]
+    fn other_commands_are_not_ours() {
+        assert_eq!(ProcessArgs::parse(vec![]), None);
+        assert_eq!(ProcessArgs::parse(vec!["run".into(), "--run".into()]), None);
+    }
+
+    #[test]
+    fn what_was_tampered_with_is_refused() {
+        let args = ProcessArgs::Vehicle(VehicleArgs { common: common(Pinning::Auto) });
+        let mut argv = args.to_argv();
+        argv[2] = "../../etc".into();
+        assert_eq!(ProcessArgs::parse(argv), Some(Err(InvalidArgs("--run"))));
+        assert_eq!(ProcessArgs::parse(vec![CORE.into()]), Some(Err(InvalidArgs("--run"))));
+    }
+}

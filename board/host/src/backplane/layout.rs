@@ -1,0 +1,192 @@
+//! Where everything lies in the backplane, in words.
+
+use tandem_board::{CoreId, Edge, Line, SystemId};
+use tandem_shm::{Shape, broadcast, fifo};
+
+use crate::wire;
+
+/// Words of a cache line: what different writers write lies on different lines.
+const LINE: usize = 16;
+/// Both systems' cores.
+const CORES: usize = 2 * CoreId::COUNT;
+
+/// Registers of the run.
+#[derive(Clone, Copy)]
+pub(super) enum Run {
+    Magic,
+    LauncherPid,
+    VehiclePid,
+    Assembled,
+    Ignition,
+    Stop,
+    Cuts,
+}
+
+/// Registers of a system, by writer: supply (and launcher), then core 0.
+#[derive(Clone, Copy)]
+pub(super) enum System {
+    SupplyPid,
+    PowerOns,
+    LevelLow,
+    ResetCause,
+    ResetRequest = LINE as isize,
+    Lamp,
+}
+
+/// Registers of a core, by writer: supply, then the core.
+#[derive(Clone, Copy)]
+pub(super) enum Core {
+    Pid,
+    Generation,
+    BellGeneration = LINE as isize,
+    WakeOnReceive,
+    TraceLost,
+}
+
+const RUN_AT: usize = 0;
+const SYSTEMS_AT: usize = RUN_AT + LINE;
+const SYSTEM_WORDS: usize = 2 * LINE;
+const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
+const CORE_WORDS: usize = 2 * LINE;
+/// Three lines, two edges: by the sender; then the receiver's baseline.
+const EDGES_AT: usize = CORES_AT + CORES * CORE_WORDS;
+const EDGE_WORDS: usize = LINE;
+const RINGS_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
+
+pub(super) const fn run(register: Run) -> usize {
+    RUN_AT + register as usize
+}
+
+pub(super) const fn system(system: SystemId, register: System) -> usize {
+    SYSTEMS_AT + system.index() * SYSTEM_WORDS + register as usize
+}
+
+pub(super) const fn core(system: SystemId, core: CoreId, register: Core) -> usize {
+    CORES_AT + core_index(system, core) * CORE_WORDS + register as usize
+}
+
+pub(super) const fn edge(from: SystemId, line: Line, edge: Edge) -> usize {
+    EDGES_AT + from.index() * EDGE_WORDS + 2 * line.index() + edge as usize
+}
+
+pub(super) const fn edge_baseline(by: SystemId, line: Line, edge_type: Edge) -> usize {
+    2 * EDGE_WORDS + edge(by, line, edge_type)
+}
+
+/// 0 ..= 5 over both systems.
+pub(crate) const fn core_index(system: SystemId, core: CoreId) -> usize {
+    system.index() * CoreId::COUNT + core.index()
+}
+
+/// A ring in the backplane.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place {
+    /// First word.
+    pub(crate) at: usize,
+    /// Number of words.
+    pub(crate) words: usize,
+    /// Its slots.
+    pub(crate) shape: Shape,
+}
+
+/// Where the rings lie.
+#[derive(Debug)]
+pub(crate) struct Rings {
+    /// From each core to the bus.
+    pub(crate) transmit: [Place; CORES],
+    /// From the bus to all cores.
+    pub(crate) receive: Place,
+    /// Out of each system.
+    pub(crate) link: [Place; 2],
+    /// Watchdog services of each system.
+    pub(crate) service: [Place; 2],
+    /// Trace of each core.
+    pub(crate) trace: [Place; CORES],
+}
+
+/// Frames that wait for the bus, which fetches them every millisecond.
+const TRANSMIT: Shape = Shape::new(64, wire::FRAME_WORDS);
+/// Frames that a core may be behind: at the load of the vehicle bus some hundred milliseconds.
+const RECEIVE: Shape = Shape::new(1024, wire::FRAME_WORDS);
+/// Datagrams under way.
+const LINK: Shape = Shape::new(16, wire::LINK_WORDS);
+/// Services that the supply may be behind.
+const SERVICE: Shape = Shape::new(16, wire::SERVICE_WORDS);
+/// Records that the vehicle, which fetches them every millisecond, may be behind.
+const TRACE: Shape = Shape::new(2048, wire::TRACE_WORDS);
+
+/// Where the rings lie.
+pub(crate) const RINGS: Rings = RINGS_AND_END.0;
+/// Words of the backplane.
+pub(super) const WORDS: usize = RINGS_AND_END.1;
+
+const RINGS_AND_END: (Rings, usize) = {
+    const fn end(place: Place) -> usize {
+        (place.at + place.words).next_multiple_of(LINE)
+    }
+    const fn fifo_at(at: usize, shape: Shape) -> Place {
+        Place { at, words: fifo::words(shape), shape }
+    }
+    const fn broadcast_at(at: usize, shape: Shape) -> Place {
+        Place { at, words: broadcast::words(shape), shape }
+    }
+    let receive = broadcast_at(RINGS_AT, RECEIVE);
+    let mut at = end(receive);
+    let nothing = Place { at, words: 0, shape: LINK };
+    let mut transmit = [nothing; CORES];
+    let mut trace = [nothing; CORES];
+    let mut n = 0;
+    while n < CORES {
+        transmit[n] = fifo_at(at, TRANSMIT);
+        trace[n] = fifo_at(end(transmit[n]), TRACE);
+        at = end(trace[n]);
+        n += 1;
+    }
+    let mut link = [nothing; 2];
+    let mut service = [nothing; 2];
+    let mut n = 0;
+    while n < 2 {
+        link[n] = fifo_at(at, LINK);
+        service[n] = fifo_at(end(link[n]), SERVICE);
+        at = end(service[n]);
+        n += 1;
+    }
+    (Rings { transmit, receive, link, service, trace }, at)
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_overlaps() {
+        let mut places: Vec<(usize, usize)> = vec![(RINGS.receive.at, RINGS.receive.words)];
+        for group in [&RINGS.transmit[..], &RINGS.trace, &RINGS.link, &RINGS.service] {
+            places.extend(group.iter().map(|place| (place.at, place.words)));
+        }
+        for s in SystemId::ALL {
+            for register in [System::SupplyPid, System::ResetCause, System::Lamp] {
+                places.push((system(s, register), 1));
+            }
+            for c in CoreId::ALL {
+                for register in [Core::Pid, Core::Generation, Core::TraceLost] {
+                    places.push((core(s, c, register), 1));
+                }
+            }
+            for line in Line::ALL {
+                for e in [Edge::Rising, Edge::Falling] {
+                    places.push((edge(s, line, e), 1));
+                    places.push((edge_baseline(s, line, e), 1));
+                }
+            }
+        }
+        places.push((run(Run::Magic), 1));
+        places.push((run(Run::Cuts), 1));
+        places.sort_unstable();
+        for pair in places.windows(2) {
+            assert!(pair[0].0 + pair[0].1 <= pair[1].0, "{pair:?}");
+        }
+        let (at, words) = places[places.len() - 1];
+        assert!(at + words <= WORDS);
+    }
+}

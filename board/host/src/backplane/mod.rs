@@ -1,0 +1,349 @@
+//! The backplane of a run: the wires between the systems, the bus, the supplies' registers, the trace.
+//!
+//! It is what the cores of both systems, their supplies and the vehicle have in common, and so it is
+//! everything that is *not* the LMU: portable code sees it only through the board's traits.
+
+mod layout;
+
+use core::fmt;
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
+
+use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId};
+
+use crate::name::RunName;
+use crate::segment::{Segment, SegmentError};
+pub(crate) use layout::{Place, RINGS, core_index};
+use layout::{Core, Run, System, WORDS};
+
+/// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
+const MAGIC: u32 = 0x5444_4D01;
+const NAME: &str = "backplane";
+
+/// A connection that can be cut to see what happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Cut {
+    /// A line out of this system: its edges do not arrive.
+    Line(SystemId, Line),
+    /// The level line out of this system: it reads as high.
+    Level(SystemId),
+    /// The data link out of this system: its datagrams do not arrive.
+    Link(SystemId),
+    /// The CAN connection of this system: it neither sends nor receives.
+    Can(SystemId),
+}
+
+impl Cut {
+    const fn bit(self) -> u32 {
+        let (system, n) = match self {
+            Self::Line(system, line) => (system, line.index()),
+            Self::Level(system) => (system, 3),
+            Self::Link(system) => (system, 4),
+            Self::Can(system) => (system, 5),
+        };
+        1 << (8 * system.index() + n)
+    }
+}
+
+/// The processes of a run have different builds of this program.
+#[derive(Debug, thiserror::Error)]
+pub enum BackplaneError {
+    /// The shared memory itself.
+    #[error(transparent)]
+    Segment(#[from] SegmentError),
+    /// What lies there was laid out by another build.
+    #[error("run {0} was started by another version of this program")]
+    OtherVersion(RunName),
+}
+
+/// The mapped backplane. Lives as long as the process.
+#[derive(Clone, Copy)]
+pub struct Backplane {
+    words: &'static [AtomicU32],
+}
+
+impl fmt::Debug for Backplane {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Backplane")
+    }
+}
+
+impl Backplane {
+    /// Creates the backplane of a run: both supplies connected to the battery, ignition off.
+    pub(crate) fn create(run: &RunName) -> Result<Self, BackplaneError> {
+        let segment = Box::leak(Box::new(Segment::<WORDS>::create(run, NAME)?));
+        let backplane = Self { words: segment.words() };
+        for system in SystemId::ALL {
+            backplane.set_level(system, true);
+        }
+        backplane.run(Run::Magic).store(MAGIC, Release);
+        Ok(backplane)
+    }
+
+    /// Maps the backplane of a run.
+    pub(crate) fn open(run: &RunName) -> Result<Self, BackplaneError> {
+        let segment = Box::leak(Box::new(Segment::<WORDS>::open(run, NAME)?));
+        let backplane = Self { words: segment.words() };
+        if backplane.run(Run::Magic).load(Acquire) != MAGIC {
+            return Err(BackplaneError::OtherVersion(run.clone()));
+        }
+        Ok(backplane)
+    }
+
+    fn run(self, register: Run) -> &'static AtomicU32 {
+        &self.words[layout::run(register)]
+    }
+
+    fn system(self, system: SystemId, register: System) -> &'static AtomicU32 {
+        &self.words[layout::system(system, register)]
+    }
+
+    fn core(self, system: SystemId, core: CoreId, register: Core) -> &'static AtomicU32 {
+        &self.words[layout::core(system, core, register)]
+    }
+
+    /// The words of a ring.
+    pub(crate) fn ring(self, place: Place) -> &'static [AtomicU32] {
+        &self.words[place.at..place.at + place.words]
+    }
+}
+
+/// The run as a whole.
+impl Backplane {
+    /// Tells the processes of the run who they are; they wait for it. Launcher only.
+    pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
+        for system in SystemId::ALL {
+            self.system(system, System::SupplyPid).store(supplies[system.index()], Relaxed);
+        }
+        self.run(Run::VehiclePid).store(vehicle, Relaxed);
+        // Pairs with the load in `is_assembled`.
+        self.run(Run::Assembled).store(1, Release);
+    }
+
+    pub(crate) fn is_assembled(self) -> bool {
+        self.run(Run::Assembled).load(Acquire) != 0
+    }
+
+    pub(crate) fn set_launcher(self, pid: u32) {
+        self.run(Run::LauncherPid).store(pid, Release);
+    }
+
+    /// The process that started the run; 0 if not known.
+    #[must_use]
+    pub fn launcher_pid(self) -> u32 {
+        self.run(Run::LauncherPid).load(Acquire)
+    }
+
+    /// The vehicle's process; 0 before it started.
+    #[must_use]
+    pub fn vehicle_pid(self) -> u32 {
+        self.run(Run::VehiclePid).load(Acquire)
+    }
+
+    /// The process of a system's supply; 0 before it started.
+    #[must_use]
+    pub fn supply_pid(self, system: SystemId) -> u32 {
+        self.system(system, System::SupplyPid).load(Acquire)
+    }
+
+    pub(crate) fn set_ignition(self, on: bool) {
+        self.run(Run::Ignition).store(u32::from(on), SeqCst);
+    }
+
+    /// Whether the vehicle's ignition is on.
+    #[must_use]
+    pub fn ignition(self) -> bool {
+        self.run(Run::Ignition).load(SeqCst) != 0
+    }
+
+    /// Asks the vehicle to end the run.
+    pub(crate) fn request_stop(self) {
+        self.run(Run::Stop).store(1, SeqCst);
+    }
+
+    pub(crate) fn stop_requested(self) -> bool {
+        self.run(Run::Stop).load(SeqCst) != 0
+    }
+
+    /// Cuts or mends a connection; it holds from now on.
+    pub fn set_cut(self, cut: Cut, is_cut: bool) {
+        if is_cut {
+            self.run(Run::Cuts).fetch_or(cut.bit(), SeqCst);
+        } else {
+            self.run(Run::Cuts).fetch_and(!cut.bit(), SeqCst);
+        }
+    }
+
+    /// Whether a connection is cut.
+    #[must_use]
+    pub fn is_cut(self, cut: Cut) -> bool {
+        self.run(Run::Cuts).load(SeqCst) & cut.bit() != 0
+    }
+}
+
+/// Supplies.
+impl Backplane {
+    /// Counts a power-on of the system and returns its number, from 1.
+    pub(crate) fn power_on(self, system: SystemId) -> u32 {
+        self.system(system, System::PowerOns).fetch_add(1, SeqCst) + 1
+    }
+
+    /// How often the system was powered on.
+    pub(crate) fn power_ons(self, system: SystemId) -> u32 {
+        self.system(system, System::PowerOns).load(SeqCst)
+    }
+
+    pub(crate) fn set_level(self, system: SystemId, high: bool) {
+        self.system(system, System::LevelLow).store(u32::from(!high), SeqCst);
+    }
+
+    /// The level line of the system's supply; low (`false`) in reset and without power.
+    #[must_use]
+    pub fn level(self, system: SystemId) -> bool {
+        self.system(system, System::LevelLow).load(SeqCst) == 0
+    }
+
+    pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
+        let code = match cause {
+            ResetCause::PowerOn => 0,
+            ResetCause::Software => 1,
+            ResetCause::Watchdog => 2,
+            ResetCause::Trap => 3,
+        };
+        self.system(system, System::ResetCause).store(code, SeqCst);
+    }
+
+    /// Why the system's current life began.
+    #[must_use]
+    pub fn reset_cause(self, system: SystemId) -> ResetCause {
+        match self.system(system, System::ResetCause).load(SeqCst) {
+            0 => ResetCause::PowerOn,
+            1 => ResetCause::Software,
+            2 => ResetCause::Watchdog,
+            // Anything else would be a scribbled register: the cautious reading.
+            _ => ResetCause::Trap,
+        }
+    }
+
+    pub(crate) fn request_reset(self, system: SystemId, request: ResetRequest) {
+        let code = match request {
+            ResetRequest::Software => 1,
+            ResetRequest::CoreDead => 2,
+            ResetRequest::Suspend => 3,
+        };
+        self.system(system, System::ResetRequest).store(code, SeqCst);
+    }
+
+    /// Takes a pending request. Supply only.
+    pub(crate) fn take_reset_request(self, system: SystemId) -> Option<ResetRequest> {
+        match self.system(system, System::ResetRequest).swap(0, SeqCst) {
+            0 => None,
+            1 => Some(ResetRequest::Software),
+            2 => Some(ResetRequest::CoreDead),
+            _ => Some(ResetRequest::Suspend),
+        }
+    }
+
+    pub(crate) fn show_role(self, system: SystemId, lamp: RoleLamp) {
+        let code = match lamp {
+            RoleLamp::Starting => 0,
+            RoleLamp::Master => 1,
+            RoleLamp::DegradedMaster => 2,
+            RoleLamp::Standby => 3,
+            RoleLamp::Suspended => 4,
+        };
+        self.system(system, System::Lamp).store(code, SeqCst);
+    }
+
+    /// What the system shows of its role. A system without power shows [`RoleLamp::Starting`].
+    #[must_use]
+    pub fn role(self, system: SystemId) -> RoleLamp {
+        match self.system(system, System::Lamp).load(SeqCst) {
+            1 => RoleLamp::Master,
+            2 => RoleLamp::DegradedMaster,
+            3 => RoleLamp::Standby,
+            4 => RoleLamp::Suspended,
+            _ => RoleLamp::Starting,
+        }
+    }
+}
+
+/// Cores.
+impl Backplane {
+    pub(crate) fn set_core_pid(self, system: SystemId, core: CoreId, pid: u32) {
+        self.core(system, core, Core::Pid).store(pid, SeqCst);
+    }
+
+    /// The process of a core; 0 while it has none.
+    #[must_use]
+    pub fn core_pid(self, system: SystemId, core: CoreId) -> u32 {
+        self.core(system, core, Core::Pid).load(SeqCst)
+    }
+
+    pub(crate) fn set_generation(self, system: SystemId, core: CoreId, life: Generation) {
+        self.core(system, core, Core::Generation).store(life.0, SeqCst);
+    }
+
+    /// The life of the core that the supply started last; 0 before the first.
+    #[must_use]
+    pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
+        Generation(self.core(system, core, Core::Generation).load(SeqCst))
+    }
+
+    pub(crate) fn set_bell_generation(self, system: SystemId, core: CoreId, life: Generation) {
+        self.core(system, core, Core::BellGeneration).store(life.0, SeqCst);
+    }
+
+    /// The life of the core whose doorbell hangs.
+    pub(crate) fn bell_generation(self, system: SystemId, core: CoreId) -> Generation {
+        Generation(self.core(system, core, Core::BellGeneration).load(SeqCst))
+    }
+
+    pub(crate) fn set_wakes_on_receive(self, system: SystemId, core: CoreId, on: bool) {
+        self.core(system, core, Core::WakeOnReceive).store(u32::from(on), SeqCst);
+    }
+
+    pub(crate) fn wakes_on_receive(self, system: SystemId, core: CoreId) -> bool {
+        self.core(system, core, Core::WakeOnReceive).load(SeqCst) != 0
+    }
+
+    /// Counts one lost trace record of the core.
+    pub(crate) fn count_lost_trace(self, system: SystemId, core: CoreId) {
+        self.core(system, core, Core::TraceLost).fetch_add(1, Relaxed);
+    }
+
+    /// How many trace records of the core were lost because nobody fetched them; wraps around.
+    pub(crate) fn lost_trace(self, system: SystemId, core: CoreId) -> u32 {
+        self.core(system, core, Core::TraceLost).load(Relaxed)
+    }
+}
+
+/// Lines.
+impl Backplane {
+    pub(crate) fn send_edge(self, from: SystemId, line: Line, edge: Edge) {
+        if !self.is_cut(Cut::Line(from, line)) {
+            self.words[layout::edge(from, line, edge)].fetch_add(1, SeqCst);
+        }
+    }
+
+    /// Edges sent by `from` since the run began; wraps around.
+    pub(crate) fn edges(self, from: SystemId, line: Line, edge: Edge) -> u32 {
+        self.words[layout::edge(from, line, edge)].load(SeqCst)
+    }
+
+    /// Edges that `by` received since it was powered on.
+    pub(crate) fn received_edges(self, by: SystemId, line: Line, edge: Edge) -> u32 {
+        let before = self.words[layout::edge_baseline(by, line, edge)].load(SeqCst);
+        self.edges(by.peer(), line, edge).wrapping_sub(before)
+    }
+
+    /// Starts to count the edges to `by` from zero: its power-on.
+    pub(crate) fn clear_received_edges(self, by: SystemId) {
+        for line in Line::ALL {
+            for edge in [Edge::Rising, Edge::Falling] {
+                let now = self.edges(by.peer(), line, edge);
+                self.words[layout::edge_baseline(by, line, edge)].store(now, SeqCst);
+            }
+        }
+    }
+}

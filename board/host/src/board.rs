@@ -1,0 +1,197 @@
+//! The board of one core that is a process.
+
+use core::sync::atomic::Ordering::SeqCst;
+use core::sync::atomic::{AtomicBool, AtomicU32, fence};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tandem_board::{Board, CoreId, Identity, Instant, SystemId, TraceRecord, Wake};
+use tandem_shm::{FitError, fifo};
+
+use crate::args::CoreArgs;
+use crate::backplane::{Backplane, BackplaneError, RINGS, core_index};
+use crate::bell::{Bell, BellError, Ringers};
+use crate::can::HostCan;
+use crate::clock;
+use crate::flash::{FlashFileError, HostFlash};
+use crate::lines::{HostLines, HostLink};
+use crate::name::RunName;
+use crate::registers::HostSupply;
+use crate::segment::{Segment, SegmentError};
+use crate::wire;
+
+/// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
+pub const LMU_WORDS: usize = 8192;
+
+/// Why a core cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum AttachError {
+    /// The backplane cannot be mapped.
+    #[error(transparent)]
+    Backplane(#[from] BackplaneError),
+    /// The LMU cannot be mapped.
+    #[error("LMU: {0}")]
+    Lmu(#[from] SegmentError),
+    /// The doorbell cannot be made.
+    #[error(transparent)]
+    Bell(#[from] BellError),
+    /// The data flash cannot be used.
+    #[error(transparent)]
+    Flash(#[from] FlashFileError),
+    /// The backplane is not what this build expects.
+    #[error("the rings of the backplane do not fit: {0:?}")]
+    Fit(FitError),
+}
+
+impl From<FitError> for AttachError {
+    fn from(error: FitError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+/// Everything that one core, which is this process, sees of its machine.
+#[derive(Debug)]
+pub struct HostBoard {
+    of: Identity,
+    backplane: Backplane,
+    lmu: &'static [AtomicU32],
+    bell: Bell,
+    /// The first wait looks around without sleeping: whatever was written before the bell hung was
+    /// not rung.
+    looked_around: AtomicBool,
+    ringers: Arc<Ringers>,
+    can: HostCan,
+    lines: HostLines,
+    link: HostLink,
+    flash: HostFlash,
+    supply: HostSupply,
+    trace: Mutex<fifo::Producer<'static>>,
+}
+
+impl HostBoard {
+    /// Attaches this process as the core that `args` says, in the life that `args` says.
+    ///
+    /// From then on the core's doorbell can be rung. A process attaches once: the memory stays mapped
+    /// until it ends.
+    ///
+    /// # Errors
+    /// [`AttachError`] if the run is over, or something of it cannot be mapped or opened.
+    pub fn attach(args: &CoreArgs) -> Result<Self, AttachError> {
+        let of = args.identity;
+        let backplane = Backplane::open(&args.common.run)?;
+        let lmu = open_lmu(&args.common.run, of.system, backplane.power_ons(of.system))?;
+        let ringers = Arc::new(Ringers::new(&args.common.run));
+        let trace = RINGS.trace[core_index(of.system, of.core)];
+        let board = Self {
+            of,
+            backplane,
+            lmu,
+            bell: Bell::hang(&args.common.run, of)?,
+            looked_around: AtomicBool::new(false),
+            ringers: Arc::clone(&ringers),
+            can: HostCan::attach(backplane, of)?,
+            lines: HostLines::new(backplane, of, ringers),
+            link: HostLink::attach(backplane, of)?,
+            flash: HostFlash::open(&args.flash)?,
+            supply: HostSupply::attach(backplane, of)?,
+            trace: Mutex::new(fifo::Producer::attach(backplane.ring(trace), trace.shape)?),
+        };
+        backplane.set_bell_generation(of.system, of.core, of.generation);
+        // Pairs with the fence in `Ringers::ring`: a ringer that did not find this bell has written
+        // before what this core finds when it looks around.
+        fence(SeqCst);
+        Ok(board)
+    }
+
+    /// The run's backplane, for what is no part of a board.
+    #[must_use]
+    pub const fn backplane(&self) -> Backplane {
+        self.backplane
+    }
+}
+
+impl Board for HostBoard {
+    type Can = HostCan;
+    type Lines = HostLines;
+    type Link = HostLink;
+    type Flash = HostFlash;
+    type Supply = HostSupply;
+
+    fn identity(&self) -> Identity {
+        self.of
+    }
+
+    fn now(&self) -> Instant {
+        clock::now()
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        self.lmu
+    }
+
+    fn ring(&self, to: CoreId) {
+        self.ringers.ring(self.backplane, self.of.system, to);
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        if !self.looked_around.swap(true, SeqCst) {
+            return Wake::Interrupt;
+        }
+        if self.bell.wait(deadline) { Wake::Interrupt } else { Wake::Deadline }
+    }
+
+    fn can(&self) -> &HostCan {
+        &self.can
+    }
+
+    fn lines(&self) -> &HostLines {
+        &self.lines
+    }
+
+    fn link(&self) -> &HostLink {
+        &self.link
+    }
+
+    fn flash(&self) -> &HostFlash {
+        &self.flash
+    }
+
+    fn supply(&self) -> &HostSupply {
+        &self.supply
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        let record = wire::encode_trace(clock::now(), record);
+        let mut trace = self.trace.lock().unwrap_or_else(PoisonError::into_inner);
+        if trace.send(&record).is_err() {
+            self.backplane.count_lost_trace(self.of.system, self.of.core);
+        }
+    }
+}
+
+/// The name of the LMU: a new one for each power-on, so that a supply which was killed half-way leaves
+/// nothing that the next one could trip over.
+fn lmu_name(system: SystemId, power_on: u32) -> String {
+    format!("lmu-{system}-{power_on}")
+}
+
+/// Creates the LMU of a system, zero as after power-on. Supply only.
+pub(crate) fn create_lmu(
+    run: &RunName,
+    system: SystemId,
+    power_on: u32,
+) -> Result<&'static [AtomicU32], SegmentError> {
+    if let Some(before) = power_on.checked_sub(1) {
+        Segment::<LMU_WORDS>::remove(run, &lmu_name(system, before))?;
+    }
+    let segment = Segment::<LMU_WORDS>::create(run, &lmu_name(system, power_on))?;
+    Ok(Box::leak(Box::new(segment)).words())
+}
+
+fn open_lmu(
+    run: &RunName,
+    system: SystemId,
+    power_on: u32,
+) -> Result<&'static [AtomicU32], SegmentError> {
+    let segment = Segment::<LMU_WORDS>::open(run, &lmu_name(system, power_on))?;
+    Ok(Box::leak(Box::new(segment)).words())
+}

@@ -1,0 +1,81 @@
+//! The CAN controller of a core: a transmit ring to the bus, a cursor in the ring from the bus.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
+
+use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
+use tandem_shm::{FitError, broadcast, fifo};
+
+use crate::backplane::{Backplane, RINGS, core_index};
+use crate::clock;
+use crate::wire::{FRAME_WORDS, Origin, Wired};
+
+/// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
+/// once a millisecond; without it nothing is received and the transmit buffer fills up.
+#[derive(Debug)]
+pub struct HostCan {
+    backplane: Backplane,
+    of: Identity,
+    transmit: Mutex<fifo::Producer<'static>>,
+    receive: Mutex<broadcast::Receiver<'static>>,
+    overruns: AtomicU32,
+}
+
+impl HostCan {
+    pub(crate) fn attach(backplane: Backplane, of: Identity) -> Result<Self, FitError> {
+        let transmit = RINGS.transmit[core_index(of.system, of.core)];
+        backplane.set_wakes_on_receive(of.system, of.core, false);
+        Ok(Self {
+            backplane,
+            of,
+            transmit: Mutex::new(fifo::Producer::attach(backplane.ring(transmit), transmit.shape)?),
+            receive: Mutex::new(broadcast::Receiver::attach(
+                backplane.ring(RINGS.receive),
+                RINGS.receive.shape,
+            )?),
+            overruns: AtomicU32::new(0),
+        })
+    }
+
+    fn is_for_this_core(&self, wired: &Wired) -> bool {
+        wired.reaches[self.of.system.index()]
+            && wired.origin != Origin::Core(self.of.system, self.of.core)
+    }
+}
+
+impl Can for HostCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let wired = Wired {
+            received: Received { frame: *frame, at: clock::now() },
+            origin: Origin::Core(self.of.system, self.of.core),
+            reaches: [false; 2],
+        };
+        let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
+        transmit.send(&wired.encode()).map_err(|fifo::Full| TransmitFull)
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        let mut receive = self.receive.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut words = [0; FRAME_WORDS];
+        loop {
+            match receive.receive_into(&mut words) {
+                Ok(None) => return None,
+                Ok(Some(_)) => match Wired::decode(&words) {
+                    Some(wired) if self.is_for_this_core(&wired) => return Some(wired.received),
+                    _ => {}
+                },
+                Err(lost) => {
+                    self.overruns.fetch_add(lost.count, Relaxed);
+                }
+            }
+        }
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        self.backplane.set_wakes_on_receive(self.of.system, self.of.core, on);
+    }
+
+    fn overruns(&self) -> u32 {
+        self.overruns.load(Relaxed)
+    }
+}

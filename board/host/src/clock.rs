@@ -1,0 +1,91 @@
+//! The clock of the host board: CLOCK_MONOTONIC, the same for all processes of the machine.
+
+use rustix::io::Errno;
+use rustix::thread::{ClockId, clock_nanosleep_absolute};
+use rustix::time::{Timespec, clock_gettime};
+use tandem_board::{Duration, Instant};
+
+/// The time now, in nanoseconds of CLOCK_MONOTONIC.
+#[must_use]
+pub fn now() -> Instant {
+    let time = clock_gettime(rustix::time::ClockId::Monotonic);
+    Instant::from_ns(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
+}
+
+/// Sleeps until `deadline`, on absolute time: what came late once does not shift what follows.
+pub fn sleep_until(deadline: Instant) {
+    let at = timespec(deadline.as_ns());
+    while clock_nanosleep_absolute(ClockId::Monotonic, &at) == Err(Errno::INTR) {}
+}
+
+/// A span or a point in nanoseconds as the kernel takes it; longer ones than it can take are cut.
+pub(crate) fn timespec(ns: u64) -> Timespec {
+    const LIMIT_S: u64 = i32::MAX as u64;
+    let seconds = (ns / 1_000_000_000).min(LIMIT_S);
+    Timespec { tv_sec: seconds as i64, tv_nsec: (ns % 1_000_000_000) as i64 }
+}
+
+/// Wakes its owner at equal distances.
+#[derive(Debug)]
+pub struct Ticker {
+    period: Duration,
+    next: Instant,
+}
+
+/// One wake-up of a [`Ticker`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Tick {
+    /// When the tick was due. Consecutive ticks are exactly one period apart.
+    pub due: Instant,
+    /// How much later than that the owner woke.
+    pub late: Duration,
+}
+
+impl Ticker {
+    /// A ticker whose first tick is due one period from now.
+    #[must_use]
+    pub fn new(period: Duration) -> Self {
+        Self { period, next: now() + period }
+    }
+
+    /// Sleeps until the next tick is due. Ticks that were overslept follow at once, each by itself,
+    /// so that the owner may catch up.
+    pub fn wait(&mut self) -> Tick {
+        let due = self.next;
+        self.next += self.period;
+        sleep_until(due);
+        Tick { due, late: now().since(due) }
+    }
+
+    /// Forgets ticks that are overdue; the next one is due one period from now. Returns how many
+    /// were forgotten.
+    pub fn skip_overdue(&mut self) -> u64 {
+        let behind = now().since(self.next).as_ns() / self.period.as_ns().max(1);
+        if behind > 0 {
+            self.next = now() + self.period;
+        }
+        behind
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_one_period_apart_and_never_early() {
+        let mut ticker = Ticker::new(Duration::from_us(500));
+        let first = ticker.wait();
+        for n in 1..20 {
+            let tick = ticker.wait();
+            assert_eq!(tick.due, first.due + Duration::from_us(500 * n));
+            assert!(now() >= tick.due);
+        }
+    }
+
+    #[test]
+    fn a_far_deadline_is_cut_not_wrapped() {
+        assert_eq!(timespec(u64::MAX).tv_sec, i64::from(i32::MAX));
+        assert_eq!(timespec(1_500_000_000), Timespec { tv_sec: 1, tv_nsec: 500_000_000 });
+    }
+}

@@ -1,0 +1,268 @@
+//! Data flash as a file: NOR semantics, programmed in the background, durable when idle again.
+
+use std::fs::{self, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
+use std::thread;
+
+use tandem_board::{DataFlash, FlashError, FlashStatus};
+
+const PAGE: u64 = HostFlash::PAGE_BYTES as u64;
+const SECTOR: u64 = HostFlash::SECTOR_BYTES as u64;
+const SIZE: u64 = SECTOR * HostFlash::SECTORS as u64;
+const ERASED: u8 = 0xFF;
+
+const IDLE: u8 = 0;
+const BUSY: u8 = 1;
+const FAILED: u8 = 2;
+
+/// Why the file cannot be the data flash.
+#[derive(Debug, thiserror::Error)]
+pub enum FlashFileError {
+    /// It cannot be created, read or written.
+    #[error("data flash {path}: {source}")]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// It is another kind of file.
+    #[error("data flash {path} has {found} bytes, but a data flash has {SIZE}; name another file")]
+    Size {
+        /// The file.
+        path: PathBuf,
+        /// Its size in bytes.
+        found: u64,
+    },
+}
+
+/// The data flash of a system in a file.
+///
+/// A background thread does what was started and calls `fdatasync`, so that "idle" means durable. The
+/// death of the process at any time leaves in the range of the operation what NOR flash leaves there:
+/// any mixture of old and new.
+#[derive(Debug)]
+pub struct HostFlash {
+    file: Arc<File>,
+    status: Arc<AtomicU8>,
+    worker: SyncSender<Operation>,
+}
+
+#[derive(Debug)]
+enum Operation {
+    Erase { at: u64 },
+    Program { at: u64, data: Vec<u8> },
+}
+
+impl HostFlash {
+    /// Creates the file, erased, if there is none; checks it otherwise.
+    ///
+    /// # Errors
+    /// [`FlashFileError`] if it cannot be created or has a wrong size.
+    pub fn prepare(path: &Path) -> Result<(), FlashFileError> {
+        let failed = |source| FlashFileError::Io { path: path.to_owned(), source };
+        match fs::metadata(path) {
+            Ok(found) if found.len() == SIZE => Ok(()),
+            Ok(found) => Err(FlashFileError::Size { path: path.to_owned(), found: found.len() }),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => create(path).map_err(failed),
+            Err(error) => Err(failed(error)),
+        }
+    }
+
+    /// Opens the data flash and starts its background thread.
+    ///
+    /// # Errors
+    /// [`FlashFileError`] if the file cannot be opened or created, or has a wrong size.
+    pub fn open(path: &Path) -> Result<Self, FlashFileError> {
+        Self::prepare(path)?;
+        let failed = |source| FlashFileError::Io { path: path.to_owned(), source };
+        let file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
+        let file = Arc::new(file);
+        let status = Arc::new(AtomicU8::new(IDLE));
+        // One operation at a time is the contract, so one place is enough.
+        let (worker, operations) = sync_channel::<Operation>(1);
+        let (its_file, its_status) = (Arc::clone(&file), Arc::clone(&status));
+        thread::Builder::new()
+            .name("data flash".to_owned())
+            .spawn(move || {
+                for operation in operations {
+                    let done = carry_out(&its_file, &operation);
+                    let after = if done.is_ok() { IDLE } else { FAILED };
+                    // Pairs with the loads in `status` and `begin`.
+                    its_status.store(after, Ordering::Release);
+                }
+            })
+            .map_err(failed)?;
+        Ok(Self { file, status, worker })
+    }
+
+    fn begin(&self, operation: Operation) -> Result<(), FlashError> {
+        let before = self.status.swap(BUSY, Ordering::AcqRel);
+        if before == BUSY {
+            return Err(FlashError::Busy);
+        }
+        match self.worker.try_send(operation) {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(_)) => Err(FlashError::Busy),
+            // The thread is gone: nothing will ever be written.
+            Err(TrySendError::Disconnected(_)) => {
+                self.status.store(FAILED, Ordering::Release);
+                Err(FlashError::Failed)
+            }
+        }
+    }
+}
+
+impl DataFlash for HostFlash {
+    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
+        if self.status.load(Ordering::Acquire) == BUSY {
+            return Err(FlashError::Busy);
+        }
+        check(u64::from(offset), into.len())?;
+        self.file.read_exact_at(into, u64::from(offset)).map_err(|_| FlashError::Failed)
+    }
+
+    fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
+        if sector >= Self::SECTORS {
+            return Err(FlashError::OutOfRange);
+        }
+        self.begin(Operation::Erase { at: u64::from(sector) * SECTOR })
+    }
+
+    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
+        let at = u64::from(offset);
+        check(at, data.len())?;
+        let length = data.len() as u64;
+        let in_one_sector = length > 0 && at / SECTOR == (at + length - 1) / SECTOR;
+        if !in_one_sector || !at.is_multiple_of(PAGE) || !length.is_multiple_of(PAGE) {
+            return Err(FlashError::OutOfRange);
+        }
+        self.begin(Operation::Program { at, data: data.to_vec() })
+    }
+
+    fn status(&self) -> FlashStatus {
+        match self.status.load(Ordering::Acquire) {
+            IDLE => FlashStatus::Idle,
+            BUSY => FlashStatus::Busy,
+            _ => FlashStatus::Failed,
+        }
+    }
+}
+
+fn check(at: u64, length: usize) -> Result<(), FlashError> {
+    if at + length as u64 > SIZE { Err(FlashError::OutOfRange) } else { Ok(()) }
+}
+
+fn carry_out(file: &File, operation: &Operation) -> io::Result<()> {
+    match operation {
+        Operation::Erase { at } => file.write_all_at(&[ERASED; SECTOR as usize], *at)?,
+        Operation::Program { at, data } => {
+            let mut now = vec![0; data.len()];
+            file.read_exact_at(&mut now, *at)?;
+            // NOR flash: programming only clears bits.
+            for (old, new) in now.iter_mut().zip(data) {
+                *old &= new;
+            }
+            file.write_all_at(&now, *at)?;
+        }
+    }
+    file.sync_data()
+}
+
+/// Creates the file whole or not at all, whenever the power goes.
+fn create(path: &Path) -> io::Result<()> {
+    let folder = match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder,
+        _ => Path::new("."),
+    };
+    fs::create_dir_all(folder)?;
+    let mut draft = path.as_os_str().to_owned();
+    draft.push(format!(".{}", std::process::id()));
+    let draft = PathBuf::from(draft);
+    let written = fs::write(&draft, [ERASED; SIZE as usize])
+        .and_then(|()| File::open(&draft)?.sync_all())
+        .and_then(|()| fs::rename(&draft, path))
+        .and_then(|()| File::open(folder)?.sync_all());
+    if written.is_err() {
+        let _ = fs::remove_file(&draft);
+    }
+    written
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wait(flash: &HostFlash) -> FlashStatus {
+        while flash.status() == FlashStatus::Busy {
+            thread::yield_now();
+        }
+        flash.status()
+    }
+
+    #[test]
+    fn a_missing_file_is_created_erased_and_keeps_what_is_programmed() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("deep/dflash-A.bin");
+        let flash = HostFlash::open(&path).unwrap();
+        let mut bytes = [0; 16];
+        flash.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes, [0xFF; 16]);
+        flash.start_program(8, &[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+        assert_eq!(wait(&flash), FlashStatus::Idle);
+        drop(flash);
+
+        let flash = HostFlash::open(&path).unwrap();
+        flash.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes[..8], [0xFF; 8]);
+        assert_eq!(bytes[8..], [1, 2, 3, 4, 5, 6, 7, 8]);
+        flash.start_erase(0).unwrap();
+        assert_eq!(wait(&flash), FlashStatus::Idle);
+        flash.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes, [0xFF; 16]);
+        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 1, "no draft stays");
+    }
+
+    #[test]
+    fn programming_only_clears_bits() {
+        let folder = tempfile::tempdir().unwrap();
+        let flash = HostFlash::open(&folder.path().join("f")).unwrap();
+        flash.start_program(0, &[0xF0; 8]).unwrap();
+        wait(&flash);
+        flash.start_program(0, &[0x3C; 8]).unwrap();
+        wait(&flash);
+        let mut bytes = [0; 8];
+        flash.read(0, &mut bytes).unwrap();
+        assert_eq!(bytes, [0x30; 8]);
+    }
+
+    #[test]
+    fn ranges_are_checked() {
+        let folder = tempfile::tempdir().unwrap();
+        let flash = HostFlash::open(&folder.path().join("f")).unwrap();
+        let refused = Err(FlashError::OutOfRange);
+        assert_eq!(flash.start_erase(HostFlash::SECTORS), refused);
+        assert_eq!(flash.start_program(4, &[0; 8]), refused, "not aligned");
+        assert_eq!(flash.start_program(0, &[0; 7]), refused, "not a page");
+        assert_eq!(flash.start_program(0, &[]), refused, "nothing");
+        assert_eq!(flash.start_program(HostFlash::SECTOR_BYTES - 8, &[0; 16]), refused, "across");
+        assert_eq!(flash.start_program(SIZE as u32, &[0; 8]), refused, "outside");
+        assert_eq!(flash.start_program(u32::MAX - 7, &[0; 8]), refused, "far outside");
+        assert_eq!(flash.read(SIZE as u32 - 1, &mut [0; 2]), refused);
+    }
+
+    #[test]
+    fn a_file_of_another_size_is_refused_and_untouched() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notes.txt");
+        fs::write(&path, "mine").unwrap();
+        let error = HostFlash::open(&path).unwrap_err();
+        assert!(error.to_string().contains("has 4 bytes"), "{error}");
+        assert_eq!(fs::read(&path).unwrap(), b"mine");
+    }
+}

@@ -1,0 +1,230 @@
+//! Where the files of a run live, so that nothing is left behind whatever happens.
+//!
+//! If permitted, the run gets a mount namespace with a `/dev/shm` of its own: when its last process has
+//! died, by whatever means, the kernel removes all of it. If not (as in most containers), the files lie
+//! in the machine's `/dev/shm` under the run's name, beside a lock file that all processes of the run
+//! hold open. The run wipes them at its end, and every start sweeps what runs left whose processes are
+//! all dead, which is when their lock is free.
+
+use core::fmt;
+use std::collections::BTreeSet;
+use std::ffi::OsStr;
+use std::fs;
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::ffi::OsStrExt;
+
+use rustix::fs::{
+    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, fstat, flock, openat, statat, unlinkat,
+};
+use rustix::io::{Errno, FdFlags, fcntl_setfd};
+use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
+use rustix::process::{getegid, geteuid};
+use rustix::thread::UnshareFlags;
+
+use crate::name::{RUN_PREFIX, RunName};
+
+const SHM: &str = "/dev/shm";
+const TMP: &str = "/tmp";
+const LOCK_SUFFIX: &str = ".lock";
+/// Beginnings of file names that a run (or iceoryx2 in it) could leave behind.
+const TRACES: [&str; 3] = [RUN_PREFIX, "iox2_", "iceoryx2"];
+
+/// Why a run cannot have shared memory.
+#[derive(Debug, thiserror::Error)]
+#[error("{place}: {source}; shared memory is needed, so /dev/shm must be mounted and writable")]
+pub struct IsolationError {
+    place: String,
+    source: io::Error,
+}
+
+/// The place of a run's files. Held by the launcher.
+#[derive(Debug)]
+pub struct Isolation {
+    run: RunName,
+    place: Place,
+    /// The machine's `/dev/shm` and `/tmp`, as they are outside.
+    outside: [OwnedFd; 2],
+    before: BTreeSet<String>,
+}
+
+#[derive(Debug)]
+enum Place {
+    /// A `/dev/shm` of the run's own.
+    Private,
+    /// The machine's.
+    Shared {
+        /// Held open by every process of the run; dropping it here does not free the lock as long as
+        /// one lives.
+        _lock: OwnedFd,
+        refused: String,
+    },
+}
+
+/// Gives the calling process, and all that it starts, a place for the files of a new run: one of its
+/// own if that is permitted.
+///
+/// To be called first thing, before the process has threads.
+///
+/// # Errors
+/// [`IsolationError`] if there is no usable `/dev/shm`.
+pub fn enter() -> Result<Isolation, IsolationError> {
+    enter_with(unshare)
+}
+
+/// As [`enter`], but in the machine's `/dev/shm` even if a place of its own is permitted.
+///
+/// # Errors
+/// [`IsolationError`] if there is no usable `/dev/shm`.
+pub fn enter_shared() -> Result<Isolation, IsolationError> {
+    enter_with(|| Err("not asked for".to_owned()))
+}
+
+fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, IsolationError> {
+    let run = RunName::unique();
+    let outside = [open_folder(SHM)?, open_folder(TMP)?];
+    sweep(&outside[0]);
+    let before = traces(&outside);
+    let place = match unshare() {
+        Ok(()) => Place::Private,
+        Err(refused) => Place::Shared { _lock: lock(&outside[0], &run)?, refused },
+    };
+    Ok(Isolation { run, place, outside, before })
+}
+
+impl Isolation {
+    /// The run that lives here.
+    #[must_use]
+    pub const fn run(&self) -> &RunName {
+        &self.run
+    }
+
+    /// Whether the kernel removes everything by itself.
+    #[must_use]
+    pub const fn is_private(&self) -> bool {
+        matches!(self.place, Place::Private)
+    }
+
+    /// Removes the files of the run. Its processes must have ended.
+    pub fn wipe(&self) {
+        match self.place {
+            Place::Private => {
+                // They go with the namespace; this only gives the memory back at once.
+                if let Ok(folder) = open_folder(SHM) {
+                    remove(&folder, self.run.as_str());
+                }
+            }
+            Place::Shared { .. } => remove(&self.outside[0], self.run.as_str()),
+        }
+    }
+
+    /// Names in the machine's `/dev/shm` and `/tmp` that look like ours and were not there before.
+    #[must_use]
+    pub fn leftovers(&self) -> Vec<String> {
+        traces(&self.outside).difference(&self.before).cloned().collect()
+    }
+}
+
+impl fmt::Display for Isolation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.place {
+            Place::Private => f.write_str("own /dev/shm (a mount namespace)"),
+            Place::Shared { refused, .. } => {
+                write!(f, "shared /dev/shm under {} (no namespace: {refused})", self.run)
+            }
+        }
+    }
+}
+
+/// A mount namespace whose `/dev/shm` is fresh; or what was refused.
+fn unshare() -> Result<(), String> {
+    // Known only before; and mapped to themselves, so that files keep their owner.
+    let (uid, gid) = (geteuid().as_raw(), getegid().as_raw());
+    let namespace = UnshareFlags::NEWNS;
+    if unshare_flags(namespace).is_err() {
+        unshare_flags(namespace | UnshareFlags::NEWUSER).map_err(|errno| errno.to_string())?;
+        let map = |file: &str, text: String| {
+            fs::write(file, text).map_err(|error| format!("{file}: {error}"))
+        };
+        map("/proc/self/setgroups", "deny".to_owned())?;
+        map("/proc/self/uid_map", format!("{uid} {uid} 1"))?;
+        map("/proc/self/gid_map", format!("{gid} {gid} 1"))?;
+    }
+    let failed = |errno: Errno| format!("mount: {errno}");
+    let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
+    mount_change("/", private).map_err(failed)?;
+    let options = c"mode=1777,size=256m";
+    mount("tmpfs", SHM, "tmpfs", MountFlags::NOSUID | MountFlags::NODEV, options).map_err(failed)
+}
+
+fn unshare_flags(flags: UnshareFlags) -> rustix::io::Result<()> {
+    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared between
+    // threads (CLONE_FILES), which is not asked for here.
+    unsafe { rustix::thread::unshare_unsafe(flags) }
+}
+
+fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
+    openat(CWD, path, OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty())
+        .map_err(|errno| IsolationError { place: path.to_owned(), source: errno.into() })
+}
+
+/// Creates the run's lock file and takes the lock for this process and all its children.
+fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
+    let name = format!("{run}{LOCK_SUFFIX}");
+    let failed =
+        |errno: Errno| IsolationError { place: format!("{SHM}/{name}"), source: errno.into() };
+    loop {
+        let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
+        let file = openat(shm, name.as_str(), flags, Mode::RUSR | Mode::WUSR).map_err(failed)?;
+        flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(failed)?;
+        // A sweep may have locked and removed it in between.
+        let mine = fstat(&file).map_err(failed)?;
+        let there = statat(shm, name.as_str(), AtFlags::SYMLINK_NOFOLLOW);
+        if there.is_ok_and(|there| there.st_ino == mine.st_ino) {
+            // The children inherit it, and with it the lock.
+            fcntl_setfd(&file, FdFlags::empty()).map_err(failed)?;
+            return Ok(file);
+        }
+    }
+}
+
+/// Removes what runs have left whose processes are all dead.
+fn sweep(shm: &OwnedFd) {
+    for name in names(shm) {
+        let Some(run) = name.strip_suffix(LOCK_SUFFIX) else { continue };
+        let Ok(run) = run.parse::<RunName>() else { continue };
+        let Ok(file) = openat(shm, &*name, OFlags::RDWR | OFlags::CLOEXEC, Mode::empty()) else {
+            continue;
+        };
+        if flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
+            remove(shm, run.as_str());
+        }
+    }
+}
+
+/// Removes all files of a run, its lock file last: as long as that is there, a sweep finds the rest.
+fn remove(folder: &OwnedFd, run: &str) {
+    let lock = format!("{run}{LOCK_SUFFIX}");
+    let own = |name: &str| name.starts_with(&format!("{run}_"));
+    for name in names(folder).filter(|name| own(name)) {
+        let _ = unlinkat(folder, &*name, AtFlags::empty());
+    }
+    let _ = unlinkat(folder, lock.as_str(), AtFlags::empty());
+}
+
+fn traces(folders: &[OwnedFd; 2]) -> BTreeSet<String> {
+    let mut found = BTreeSet::new();
+    for (folder, path) in folders.iter().zip([SHM, TMP]) {
+        let ours = |name: &String| TRACES.iter().any(|start| name.starts_with(start));
+        found.extend(names(folder).filter(ours).map(|name| format!("{path}/{name}")));
+    }
+    found
+}
+
+fn names(folder: &OwnedFd) -> impl Iterator<Item = String> {
+    let entries = Dir::read_from(folder).into_iter().flatten().flatten();
+    entries.map(|entry| {
+        let name = OsStr::from_bytes(entry.file_name().to_bytes());
+        name.to_string_lossy().into_owned()
+    })
+}

@@ -1,0 +1,266 @@
+//! Starting a run and ending it without a trace.
+//!
+//! The launcher is needed for neither driving nor failover: after the start it only waits. If it is
+//! killed, the run goes on until the vehicle ends, and the rest ends with that.
+
+use std::ffi::OsString;
+use std::io;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, WaitOptions, set_child_subreaper, wait};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use tandem_board::SystemId;
+
+use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
+use crate::backplane::{Backplane, BackplaneError};
+use crate::isolation::{self, Isolation, IsolationError};
+use crate::processes::{self, Process};
+use crate::spawn;
+
+/// How long a vehicle that was asked to end may take, for instance to write its report.
+const STOP_GRACE: Duration = Duration::from_secs(30);
+/// How long supplies may take to power down.
+const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
+/// How long killed processes may take to disappear.
+const KILL_GRACE: Duration = Duration::from_secs(5);
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
+
+/// Why a run did not start.
+#[derive(Debug, thiserror::Error)]
+pub enum LaunchError {
+    /// There is no place for its files.
+    #[error(transparent)]
+    Isolation(#[from] IsolationError),
+    /// The backplane cannot be created.
+    #[error(transparent)]
+    Backplane(#[from] BackplaneError),
+    /// A process cannot be started.
+    #[error("cannot start the {what}: {source}")]
+    Spawn {
+        /// Which.
+        what: String,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// Signals cannot be received.
+    #[error("cannot listen to signals: {0}")]
+    Signals(io::Error),
+}
+
+/// What is to run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Plan {
+    /// How the processes are scheduled.
+    pub schedule: Schedule,
+    /// The files that are the data flashes of A and B; created if missing.
+    pub flash: [PathBuf; 2],
+    /// What the program passes on to all of its processes.
+    pub extra: Vec<OsString>,
+}
+
+/// How the vehicle ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ended {
+    /// Its exit status; `None` if it could not be learned.
+    pub vehicle: Option<ExitStatus>,
+    /// Whether a person ended the run early (Ctrl-C, SIGTERM, a closed terminal).
+    pub interrupted: bool,
+}
+
+/// What a run has left behind; empty if all is well.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Leftovers {
+    /// Processes that could not be killed.
+    pub processes: Vec<Process>,
+    /// Files in `/dev/shm` and `/tmp`.
+    pub files: Vec<String>,
+}
+
+impl Leftovers {
+    /// How many.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.processes.len() + self.files.len()
+    }
+}
+
+/// A run, on the side of the process that starts it. Dropping it ends the run.
+#[derive(Debug)]
+pub struct Launcher {
+    isolation: Isolation,
+    backplane: Backplane,
+    /// Supply A, supply B, vehicle.
+    children: Vec<Child>,
+    /// A signal that asks to end came and was not yet looked at.
+    signalled: Arc<AtomicBool>,
+    is_over: bool,
+}
+
+impl Launcher {
+    /// Prepares a run: its place, its backplane, and Ctrl-C.
+    ///
+    /// To be called before the process has threads (see [`isolation::enter`]).
+    ///
+    /// # Errors
+    /// [`LaunchError`] if shared memory or signals cannot be had.
+    pub fn prepare() -> Result<Self, LaunchError> {
+        Self::prepare_in(isolation::enter()?)
+    }
+
+    /// Prepares a run in this place.
+    ///
+    /// # Errors
+    /// [`LaunchError`] if shared memory or signals cannot be had.
+    pub fn prepare_in(isolation: Isolation) -> Result<Self, LaunchError> {
+        let backplane = Backplane::create(isolation.run())?;
+        backplane.set_launcher(std::process::id());
+        // Cores whose supply was killed become children of this process, which waits for them.
+        let _ = set_child_subreaper(Pid::from_raw(1));
+        let signalled = Arc::new(AtomicBool::new(false));
+        for signal in [SIGINT, SIGTERM, SIGHUP] {
+            signal_hook::flag::register(signal, Arc::clone(&signalled))
+                .map_err(LaunchError::Signals)?;
+        }
+        Ok(Self { isolation, backplane, children: vec![], signalled, is_over: false })
+    }
+
+    /// The place of the run's files; its display is the line that says what was granted.
+    #[must_use]
+    pub const fn isolation(&self) -> &Isolation {
+        &self.isolation
+    }
+
+    /// The backplane of the run.
+    #[must_use]
+    pub const fn backplane(&self) -> Backplane {
+        self.backplane
+    }
+
+    /// Starts both supplies and the vehicle. `command` makes the command that starts this program
+    /// with these arguments; it may set standard streams and environment.
+    ///
+    /// # Errors
+    /// [`LaunchError::Spawn`]; what was started is killed when the launcher is dropped.
+    pub fn start(
+        &mut self,
+        plan: &Plan,
+        command: &dyn Fn(&ProcessArgs) -> Command,
+    ) -> Result<(), LaunchError> {
+        let common = Common {
+            run: self.isolation.run().clone(),
+            schedule: plan.schedule.clone(),
+            extra: plan.extra.clone(),
+        };
+        for system in SystemId::ALL {
+            let flash = plan.flash[system.index()].clone();
+            let args = SupplyArgs { common: common.clone(), system, flash };
+            self.spawn(&format!("supply of system {system}"), ProcessArgs::Supply(args), command)?;
+        }
+        self.spawn("vehicle", ProcessArgs::Vehicle(VehicleArgs { common }), command)?;
+        let pids: Vec<u32> = self.children.iter().map(Child::id).collect();
+        self.backplane.assemble([pids[0], pids[1]], pids[2]);
+        Ok(())
+    }
+
+    fn spawn(
+        &mut self,
+        what: &str,
+        args: ProcessArgs,
+        command: &dyn Fn(&ProcessArgs) -> Command,
+    ) -> Result<(), LaunchError> {
+        let child = spawn::spawn_free(&mut command(&args))
+            .map_err(|source| LaunchError::Spawn { what: what.to_owned(), source })?;
+        self.children.push(child);
+        Ok(())
+    }
+
+    /// Waits until the vehicle has ended. The first Ctrl-C asks it to end, the second kills it.
+    pub fn wait(&mut self) -> Ended {
+        let mut asked: Option<Instant> = None;
+        loop {
+            let Some(vehicle) = self.children.get_mut(2) else {
+                return Ended { vehicle: None, interrupted: false };
+            };
+            match vehicle.try_wait() {
+                Ok(None) => {}
+                ended => {
+                    let vehicle = ended.ok().flatten();
+                    return Ended { vehicle, interrupted: asked.is_some() };
+                }
+            }
+            let signalled = self.signalled.swap(false, Ordering::Relaxed);
+            let patience_is_over = asked.is_some_and(|since| since.elapsed() > STOP_GRACE);
+            if patience_is_over || (signalled && asked.is_some()) {
+                // It may just have ended by itself.
+                let _ = vehicle.kill();
+            } else if signalled {
+                self.backplane.request_stop();
+                asked = Some(Instant::now());
+            }
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+
+    /// Ends the run: powers the systems down, kills what does not go, waits for all, wipes the files,
+    /// and looks what is left all the same.
+    pub fn finish(mut self) -> Leftovers {
+        self.end()
+    }
+
+    fn end(&mut self) -> Leftovers {
+        self.is_over = true;
+        self.backplane.request_stop();
+        self.backplane.set_ignition(false);
+        let all_gone = self.wait_for_children(POWER_DOWN_GRACE);
+        let mut processes = processes::of_run(self.isolation.run());
+        if !all_gone || !processes.is_empty() {
+            let deadline = Instant::now() + KILL_GRACE;
+            // Supplies first would be enough; repeated, because a supply may just be starting a core.
+            while !processes.is_empty() && Instant::now() < deadline {
+                for process in &processes {
+                    if let Some(pid) = i32::try_from(process.pid).ok().and_then(Pid::from_raw) {
+                        spawn::kill(pid);
+                    }
+                }
+                self.wait_for_children(LOOK_AGAIN);
+                reap_orphans();
+                processes = processes::of_run(self.isolation.run());
+            }
+        }
+        reap_orphans();
+        self.isolation.wipe();
+        Leftovers { processes, files: self.isolation.leftovers() }
+    }
+
+    /// Whether all processes that this one started have ended within the time.
+    fn wait_for_children(&mut self, grace: Duration) -> bool {
+        let deadline = Instant::now() + grace;
+        loop {
+            let alive = |child: &mut Child| matches!(child.try_wait(), Ok(None));
+            if !self.children.iter_mut().any(alive) {
+                return true;
+            }
+            if Instant::now() >= deadline {
+                return false;
+            }
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+}
+
+impl Drop for Launcher {
+    fn drop(&mut self) {
+        if !self.is_over {
+            self.end();
+        }
+    }
+}
+
+/// Cores whose supply was killed were handed to this process.
+fn reap_orphans() {
+    while let Ok(Some(_)) = wait(WaitOptions::NOHANG) {}
+}

@@ -1,0 +1,103 @@
+//! The wires to the other system: lines and data link.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull};
+use tandem_shm::{FitError, fifo};
+
+use crate::backplane::{Backplane, Cut, RINGS};
+use crate::bell::Ringers;
+use crate::wire::{LINK_MAX_WORDS, LINK_WORDS};
+
+/// A system's ends of the lines.
+#[derive(Debug)]
+pub struct HostLines {
+    backplane: Backplane,
+    of: Identity,
+    ringers: Arc<Ringers>,
+}
+
+impl HostLines {
+    pub(crate) fn new(backplane: Backplane, of: Identity, ringers: Arc<Ringers>) -> Self {
+        Self { backplane, of, ringers }
+    }
+}
+
+impl Lines for HostLines {
+    fn send(&self, line: Line, edge: Edge) {
+        self.backplane.send_edge(self.of.system, line, edge);
+        if line == Line::Start && !self.backplane.is_cut(Cut::Line(self.of.system, line)) {
+            self.ringers.ring(self.backplane, self.of.system.peer(), CoreId::CONTROL);
+        }
+    }
+
+    fn received(&self, line: Line, edge: Edge) -> u32 {
+        self.backplane.received_edges(self.of.system, line, edge)
+    }
+
+    fn peer_powered(&self) -> bool {
+        let peer = self.of.system.peer();
+        self.backplane.level(peer) || self.backplane.is_cut(Cut::Level(peer))
+    }
+}
+
+/// A system's end of the data link. It is wired to core 0: on the other cores nothing can be sent and
+/// nothing arrives.
+#[derive(Debug)]
+pub struct HostLink {
+    backplane: Backplane,
+    of: Identity,
+    ends: Option<Ends>,
+}
+
+#[derive(Debug)]
+struct Ends {
+    send: Mutex<fifo::Producer<'static>>,
+    receive: Mutex<fifo::Consumer<'static>>,
+}
+
+impl HostLink {
+    pub(crate) fn attach(backplane: Backplane, of: Identity) -> Result<Self, FitError> {
+        let ends = if of.core == CoreId::CONTROL {
+            let (out, back) = (of.system.index(), of.system.peer().index());
+            let (out, back) = (RINGS.link[out], RINGS.link[back]);
+            Some(Ends {
+                send: Mutex::new(fifo::Producer::attach(backplane.ring(out), out.shape)?),
+                receive: Mutex::new(fifo::Consumer::attach(backplane.ring(back), back.shape)?),
+            })
+        } else {
+            None
+        };
+        Ok(Self { backplane, of, ends })
+    }
+}
+
+impl Link for HostLink {
+    const MAX_WORDS: usize = LINK_MAX_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        assert!(words.len() <= Self::MAX_WORDS, "datagram of {} words", words.len());
+        let Some(ends) = &self.ends else { return Err(LinkFull) };
+        if self.backplane.is_cut(Cut::Link(self.of.system)) {
+            return Ok(());
+        }
+        let mut slot = [0; LINK_WORDS];
+        slot[0] = words.len() as u32;
+        slot[1..=words.len()].copy_from_slice(words);
+        let mut send = ends.send.lock().unwrap_or_else(PoisonError::into_inner);
+        send.send(&slot).map_err(|fifo::Full| LinkFull)
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        let mut receive =
+            self.ends.as_ref()?.receive.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut slot = [0; LINK_WORDS];
+        if !receive.receive_into(&mut slot) {
+            return None;
+        }
+        // The length is an allegation.
+        let length = (slot[0] as usize).min(LINK_MAX_WORDS).min(words.len());
+        words[..length].copy_from_slice(&slot[1..=length]);
+        Some(length)
+    }
+}

@@ -1,0 +1,137 @@
+//! The processes of the runs on this machine, found in `/proc`.
+
+use core::fmt;
+use std::ffi::OsString;
+use std::fs;
+use std::os::unix::ffi::OsStringExt;
+
+use tandem_board::{CoreId, Generation, SystemId};
+
+use crate::args::ProcessArgs;
+use crate::name::RunName;
+
+/// What a process of a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The supply of a system.
+    Supply,
+    /// A core, in one of its lives.
+    Core(CoreId, Generation),
+    /// The vehicle.
+    Vehicle,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Supply => "supply",
+            Self::Core(..) => "core",
+            Self::Vehicle => "vehicle",
+        })
+    }
+}
+
+/// One process of a run.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Process {
+    /// The process id.
+    pub pid: u32,
+    /// Its run.
+    pub run: RunName,
+    /// What it is.
+    pub kind: Kind,
+    /// Its system; `None` for the vehicle.
+    pub system: Option<SystemId>,
+    /// The role that its system shows (`master`, `degraded`, `standby`, `suspended`, `starting`);
+    /// `None` if it shows none, and for the vehicle.
+    pub role: Option<String>,
+    /// The CPU that it ran on last.
+    pub cpu: Option<u32>,
+}
+
+/// All processes of all runs, ordered by run, system (the vehicle last), supply before cores.
+///
+/// What is seen is what the caller may see of `/proc`. Processes that have ended but were not waited
+/// for are left out.
+#[must_use]
+pub fn list() -> Vec<Process> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    let mut found: Vec<Process> = pids.filter_map(look_at).collect();
+    for at in 0..found.len() {
+        found[at].role = found[at].system.and_then(|system| role(&found, &found[at].run, system));
+    }
+    found.sort_by_key(|process| {
+        let core = match process.kind {
+            Kind::Core(core, _) => 1 + core.index(),
+            Kind::Supply | Kind::Vehicle => 0,
+        };
+        (process.run.clone(), process.system.map_or(2, SystemId::index), core, process.pid)
+    });
+    found
+}
+
+/// The processes of one run.
+#[must_use]
+pub fn of_run(run: &RunName) -> Vec<Process> {
+    list().into_iter().filter(|process| process.run == *run).collect()
+}
+
+fn look_at(pid: u32) -> Option<Process> {
+    let argv = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
+    let argv = argv.strip_suffix(b"\0").unwrap_or(&argv).split(|byte| *byte == 0);
+    let argv = argv.skip(1).map(|arg| OsString::from_vec(arg.to_vec()));
+    let args = ProcessArgs::parse(argv)?.ok()?;
+    let (state, cpu) = state_and_cpu(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)?;
+    if state == "Z" || state == "X" {
+        return None;
+    }
+    let (kind, system) = match &args {
+        ProcessArgs::Supply(args) => (Kind::Supply, Some(args.system)),
+        ProcessArgs::Core(args) => {
+            let of = args.identity;
+            (Kind::Core(of.core, of.generation), Some(of.system))
+        }
+        ProcessArgs::Vehicle(_) => (Kind::Vehicle, None),
+    };
+    Some(Process { pid, run: args.common().run.clone(), kind, system, role: None, cpu })
+}
+
+/// From the line of `/proc/PID/stat` (proc(5)): field 3 and field 39. Field 2, the name, may contain
+/// anything, so fields are counted from its closing bracket.
+fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
+    let state = fields.next()?.to_owned();
+    let cpu = fields.nth(35).and_then(|cpu| cpu.parse().ok());
+    Some((state, cpu))
+}
+
+/// Core 0 shows its system's role in its name, as in `A0 master`.
+fn role(processes: &[Process], run: &RunName, system: SystemId) -> Option<String> {
+    let control = processes.iter().find(|process| {
+        let is_control = matches!(process.kind, Kind::Core(CoreId::CONTROL, _));
+        is_control && process.run == *run && process.system == Some(system)
+    })?;
+    let name = fs::read_to_string(format!("/proc/{}/comm", control.pid)).ok()?;
+    let role = name.trim_end().strip_prefix(&format!("{system}0 "))?;
+    Some(role.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_name_of_a_process_cannot_confuse() {
+        let tail = (4..=52).map(|n| n.to_string()).collect::<Vec<_>>().join(" ");
+        let line = format!("17 (a) Z) 3 (x) S {tail}\n");
+        assert_eq!(state_and_cpu(&line), Some(("S".to_owned(), Some(39))));
+    }
+
+    #[test]
+    fn a_cut_line_is_no_process() {
+        assert_eq!(state_and_cpu("17 (x"), None);
+        assert_eq!(state_and_cpu("17 (x)"), None);
+        assert_eq!(state_and_cpu("17 (x) R 1 2"), Some(("R".to_owned(), None)));
+    }
+}

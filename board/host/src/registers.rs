@@ -1,0 +1,79 @@
+//! The supply as core 0 sees it: registers in the backplane.
+
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use std::sync::{Mutex, PoisonError};
+
+use tandem_board::{Identity, ResetCause, ResetRequest, RoleLamp, Supply};
+use tandem_shm::{FitError, fifo};
+
+use crate::backplane::{Backplane, RINGS};
+use crate::clock;
+use crate::watchdog;
+
+/// The registers of a system's supply. Only core 0 services the watchdog.
+#[derive(Debug)]
+pub struct HostSupply {
+    backplane: Backplane,
+    of: Identity,
+    services: Mutex<fifo::Producer<'static>>,
+    /// Services in this life.
+    count: AtomicU32,
+}
+
+impl HostSupply {
+    pub(crate) fn attach(backplane: Backplane, of: Identity) -> Result<Self, FitError> {
+        let ring = RINGS.service[of.system.index()];
+        Ok(Self {
+            backplane,
+            of,
+            services: Mutex::new(fifo::Producer::attach(backplane.ring(ring), ring.shape)?),
+            count: AtomicU32::new(0),
+        })
+    }
+}
+
+impl Supply for HostSupply {
+    const WINDOW_OPENS_US: u32 = watchdog::WINDOW_OPENS_US;
+    const WINDOW_CLOSES_US: u32 = watchdog::WINDOW_CLOSES_US;
+    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+
+    fn reset_cause(&self) -> ResetCause {
+        self.backplane.reset_cause(self.of.system)
+    }
+
+    fn watchdog_question(&self) -> u8 {
+        watchdog::question(self.count.load(Relaxed))
+    }
+
+    fn service_watchdog(&self, answer: u8) {
+        let [low, high] = clock::now().to_words();
+        let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
+        // Full: the supply itself is behind, and the next service will do.
+        if services.send(&[low, high, u32::from(answer)]).is_ok() {
+            self.count.fetch_add(1, Relaxed);
+        }
+    }
+
+    fn request_reset(&self, request: ResetRequest) {
+        self.backplane.request_reset(self.of.system, request);
+    }
+
+    fn show_role(&self, lamp: RoleLamp) {
+        self.backplane.show_role(self.of.system, lamp);
+        let name = process_name(self.of, lamp);
+        // Only for the eye of a person in `ps` and `top`: failure is no loss.
+        let _ = std::fs::write("/proc/self/comm", name);
+    }
+}
+
+/// What `ps` shows of a core, at most 15 bytes: `A0 master`.
+fn process_name(of: Identity, lamp: RoleLamp) -> String {
+    let role = match lamp {
+        RoleLamp::Starting => "starting",
+        RoleLamp::Master => "master",
+        RoleLamp::DegradedMaster => "degraded",
+        RoleLamp::Standby => "standby",
+        RoleLamp::Suspended => "suspended",
+    };
+    format!("{}{} {role}", of.system, of.core)
+}

@@ -1,0 +1,190 @@
+//! Named memory that several processes map read-write: iceoryx2 storage of words.
+
+use core::fmt;
+use core::sync::atomic::AtomicU32;
+use core::time::Duration;
+
+use iceoryx2_bb_container::semantic_string::SemanticString;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+use iceoryx2_bb_posix::access_mode::AccessMode;
+use iceoryx2_bb_system_types::file_name::FileName;
+use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Configuration, Storage};
+use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
+use iceoryx2_cal::dynamic_storage::{DynamicStorageCreateError, DynamicStorageOpenError};
+use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
+use iceoryx2_cal::named_concept::{NamedConceptMgmt, NamedConceptRemoveError};
+
+use crate::name::RunName;
+
+/// `N` words on pages of their own. Zero is its initial content, as the kernel hands it out.
+#[repr(C, align(4096))]
+pub(crate) struct Words<const N: usize>([AtomicU32; N]);
+
+impl<const N: usize> Words<N> {
+    pub(crate) fn as_slice(&self) -> &[AtomicU32] {
+        &self.0
+    }
+}
+
+impl<const N: usize> fmt::Debug for Words<N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Words<{N}>")
+    }
+}
+
+// SAFETY: an array of 32-bit atomics with a C layout: self-contained, the same in every process, and
+// valid for any bit pattern.
+unsafe impl<const N: usize> ZeroCopySend for Words<N> {}
+
+/// Why a segment could not be created, opened or removed.
+#[derive(Debug, thiserror::Error)]
+pub enum SegmentError {
+    /// Nobody has created it (any more).
+    #[error("shared memory “{name}” of run {run} does not exist")]
+    DoesNotExist {
+        /// The run.
+        run: RunName,
+        /// The segment.
+        name: String,
+    },
+    /// The operating system refused.
+    #[error("shared memory “{name}” of run {run}: {reason}")]
+    Refused {
+        /// The run.
+        run: RunName,
+        /// The segment.
+        name: String,
+        /// What was refused.
+        reason: String,
+    },
+}
+
+/// A mapped segment of `N` words. Dropping it unmaps it; the memory stays until it is removed by
+/// name, or with the run.
+pub(crate) struct Segment<const N: usize> {
+    storage: Storage<Words<N>>,
+}
+
+impl<const N: usize> Segment<N> {
+    /// Creates the segment, all words zero.
+    pub(crate) fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+        quiet();
+        let built = <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
+            .config(&config(run))
+            .has_ownership(false)
+            // Fresh shared memory is zero, and zero is a valid content.
+            .initializer(|_, _| true)
+            .create();
+        match built {
+            Ok(storage) => Ok(Self { storage }),
+            Err(error) => Err(refused(run, name, create_reason(error))),
+        }
+    }
+
+    /// Maps a segment that was created before. Does not wait.
+    pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
+        quiet();
+        let built = <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
+            .config(&config(run))
+            .has_ownership(false)
+            .timeout(Duration::ZERO)
+            .open(AccessMode::ReadWrite);
+        match built {
+            Ok(storage) => Ok(Self { storage }),
+            Err(DynamicStorageOpenError::DoesNotExist) => {
+                Err(SegmentError::DoesNotExist { run: run.clone(), name: name.to_owned() })
+            }
+            Err(error) => Err(refused(run, name, error.to_string())),
+        }
+    }
+
+    /// Removes the name; processes that have the segment mapped keep it. Nothing happens if there is
+    /// none.
+    pub(crate) fn remove(run: &RunName, name: &str) -> Result<(), SegmentError> {
+        quiet();
+        // SAFETY: the contract asks that nobody uses the segment, because its content would go
+        // away; POSIX shared memory keeps its content for those who have it mapped.
+        let removed = unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name)?, &config(run)) };
+        removed.map(|_| ()).map_err(|error| refused(run, name, remove_reason(error)))
+    }
+
+    pub(crate) fn words(&self) -> &[AtomicU32] {
+        self.storage.get().as_slice()
+    }
+}
+
+impl<const N: usize> fmt::Debug for Segment<N> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Segment<{N}>")
+    }
+}
+
+/// iceoryx2 reports expected outcomes (such as "does not exist") to its log; ours are in the errors.
+pub(crate) fn quiet() {
+    iceoryx2_log::set_log_level(iceoryx2_log::LogLevel::Fatal);
+}
+
+fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
+    Configuration::default().prefix(&prefix(run))
+}
+
+/// What the file names of a run begin with.
+pub(crate) fn prefix(run: &RunName) -> FileName {
+    // A run name is short and plain, so this cannot fail; the fallback only keeps it total.
+    FileName::new(format!("{run}_").as_bytes())
+        .unwrap_or_else(|_| Storage::<Words<1>>::default_prefix())
+}
+
+fn file(run: &RunName, name: &str) -> Result<FileName, SegmentError> {
+    FileName::new(name.as_bytes())
+        .map_err(|_| refused(run, name, "is not a name that a file can have".to_owned()))
+}
+
+fn refused(run: &RunName, name: &str, reason: String) -> SegmentError {
+    SegmentError::Refused { run: run.clone(), name: name.to_owned(), reason }
+}
+
+fn create_reason(error: DynamicStorageCreateError) -> String {
+    match error {
+        DynamicStorageCreateError::AlreadyExists => "exists already".to_owned(),
+        DynamicStorageCreateError::InsufficientPermissions => {
+            "no permission to create it in /dev/shm".to_owned()
+        }
+        other => format!("could not be created in /dev/shm ({other:?}); is it full?"),
+    }
+}
+
+fn remove_reason(error: NamedConceptRemoveError) -> String {
+    format!("could not be removed ({error:?})")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::sync::atomic::Ordering::Relaxed;
+
+    #[test]
+    fn what_one_mapping_writes_the_other_reads() {
+        let run = RunName::unique();
+        let a = Segment::<1024>::create(&run, "t").unwrap();
+        let b = Segment::<1024>::open(&run, "t").unwrap();
+        assert!(a.words().iter().all(|word| word.load(Relaxed) == 0));
+        a.words()[1023].store(7, Relaxed);
+        assert_eq!(b.words()[1023].load(Relaxed), 7);
+        assert_eq!(b.words().as_ptr() as usize % 4096, 0);
+        Segment::<1024>::remove(&run, "t").unwrap();
+        assert!(matches!(
+            Segment::<1024>::open(&run, "t"),
+            Err(SegmentError::DoesNotExist { .. })
+        ));
+    }
+
+    #[test]
+    fn a_name_is_created_once() {
+        let run = RunName::unique();
+        let _first = Segment::<16>::create(&run, "once").unwrap();
+        let error = Segment::<16>::create(&run, "once").unwrap_err();
+        assert!(error.to_string().contains("exists already"), "{error}");
+        Segment::<16>::remove(&run, "once").unwrap();
+    }
+}

@@ -1,0 +1,72 @@
+//! Starting, watching and killing processes.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command};
+
+use rustix::process::{
+    Pid, PidfdFlags, Signal, getpid, getppid, kill_process, pidfd_open,
+    set_parent_process_death_signal,
+};
+
+/// Starts a process that dies with the calling one: it is killed as soon as that dies, however.
+///
+/// The kernel watches the calling *thread*: that must live as long as the process.
+pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
+    let parent = getpid();
+    let tie = move || {
+        set_parent_process_death_signal(Some(Signal::KILL))?;
+        if getppid() == Some(parent) {
+            Ok(())
+        } else {
+            // It died between the fork and here; nobody would ever be told.
+            Err(io::Error::other("the parent died"))
+        }
+    };
+    // SAFETY: between fork and exec only system calls are made: no allocation, no lock.
+    unsafe { command.pre_exec(tie) };
+    detach(command).spawn()
+}
+
+/// Starts a process that outlives the calling one.
+pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
+    detach(command).spawn()
+}
+
+/// A Ctrl-C in the terminal reaches the launcher, which ends the run in order; not every process.
+fn detach(command: &mut Command) -> &mut Command {
+    command.process_group(0)
+}
+
+/// A process of the run that is not a child of this one, or one that is.
+#[derive(Debug)]
+pub(crate) struct Watched {
+    fd: OwnedFd,
+}
+
+impl Watched {
+    /// `None` if it has ended already (and, if it was a child, was waited for).
+    pub(crate) fn new(pid: u32) -> Option<Self> {
+        let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
+        let fd = pidfd_open(pid, PidfdFlags::empty()).ok()?;
+        Some(Self { fd })
+    }
+
+    /// Becomes readable when the process has ended.
+    pub(crate) const fn fd(&self) -> &OwnedFd {
+        &self.fd
+    }
+
+    /// Whether the process has ended. Never blocks.
+    pub(crate) fn has_ended(&self) -> bool {
+        let mut fds = [rustix::event::PollFd::new(&self.fd, rustix::event::PollFlags::IN)];
+        let now = rustix::time::Timespec { tv_sec: 0, tv_nsec: 0 };
+        rustix::event::poll(&mut fds, Some(&now)).is_ok_and(|ready| ready > 0)
+    }
+}
+
+/// Kills a process by its id.
+pub(crate) fn kill(pid: Pid) {
+    let _ = kill_process(pid, Signal::KILL);
+}

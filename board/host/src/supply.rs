@@ -1,0 +1,323 @@
+//! The supply of a system: power, watchdogs, reset generator, reset cause. T-CHIP-6
+//!
+//! One process for each system. It powers its three cores, which die with it; it watches over core 0
+//! and resets the system when that dies, is not served, or asks for it; and it watches the other supply
+//! to tell its own system at once when that loses power. It depends on the vehicle (which is the
+//! battery: without it all is dark), not on the launcher.
+//!
+//! | state | level | goes on when |
+//! |---|---|---|
+//! | dark | high | ignition → on; vehicle or launcher gone → end |
+//! | on | high | core 0 died, watchdog fault, reset request → off |
+//! | off | low | all cores are dead and the pause is over → on |
+//! | suspended | low | – |
+//!
+//! From every state: ignition off or vehicle gone → cores are killed, end.
+
+use std::os::fd::OwnedFd;
+use std::process::{Child, Command};
+
+use rustix::event::{PollFd, PollFlags, poll};
+use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp};
+use tandem_shm::{FitError, fifo};
+
+use crate::args::{CoreArgs, SupplyArgs};
+use crate::backplane::{Backplane, BackplaneError, RINGS};
+use crate::bell::Ringers;
+use crate::board::create_lmu;
+use crate::clock;
+use crate::flash::{FlashFileError, HostFlash};
+use crate::segment::SegmentError;
+use crate::spawn::{self, Watched};
+use crate::watchdog::{Watchdog, WatchdogFault};
+use crate::wire::SERVICE_WORDS;
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
+
+/// How often the supply looks at its registers.
+const PERIOD: Duration = Duration::from_ms(1);
+/// Shortest time that a reset holds the system down. It also gives the bus time to drop what the dead
+/// cores had not sent.
+const SHORTEST_PAUSE: Duration = Duration::from_ms(20);
+/// Longest pause. It doubles with each reset up to here, so that a program which dies at its start
+/// does not use up the machine.
+const LONGEST_PAUSE: Duration = Duration::from_ms(1_000);
+/// A life that lasted this long ends the doubling.
+const STABLE: Duration = Duration::from_ms(3_000);
+
+/// Why a supply cannot work.
+#[derive(Debug, thiserror::Error)]
+pub enum SupplyError {
+    /// The backplane cannot be mapped.
+    #[error(transparent)]
+    Backplane(#[from] BackplaneError),
+    /// The LMU cannot be created.
+    #[error("LMU: {0}")]
+    Lmu(#[from] SegmentError),
+    /// The data flash cannot be used.
+    #[error(transparent)]
+    Flash(#[from] FlashFileError),
+    /// The backplane is not what this build expects.
+    #[error("the rings of the backplane do not fit: {0:?}")]
+    Fit(FitError),
+}
+
+impl From<FitError> for SupplyError {
+    fn from(error: FitError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+/// Is the supply of a system until the ignition is off. `command` makes the command that starts a core.
+///
+/// To be called on the main thread: cores die with the thread that started them.
+///
+/// # Errors
+/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that cannot
+/// be started is no error: it is a core that is dead.
+pub fn run(
+    args: &SupplyArgs,
+    command: &dyn Fn(&CoreArgs) -> Command,
+) -> Result<(), SupplyError> {
+    let backplane = Backplane::open(&args.common.run)?;
+    HostFlash::prepare(&args.flash)?;
+    let power_on = backplane.power_on(args.system);
+    let lmu = create_lmu(&args.common.run, args.system, power_on)?;
+    let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else { return Ok(()) };
+    let services = RINGS.service[args.system.index()];
+    let link = RINGS.link[args.system.peer().index()];
+    let mut supply = Supply {
+        args,
+        command,
+        backplane,
+        lmu,
+        ringers: Ringers::new(&args.common.run),
+        services: fifo::Consumer::attach(backplane.ring(services), services.shape)?,
+        link,
+        cores: [None, None, None],
+        state: State::Off { cause: ResetCause::PowerOn, until: clock::now() },
+        pause: SHORTEST_PAUSE,
+        peer,
+    };
+    backplane.clear_received_edges(args.system);
+    supply.work(&vehicle);
+    Ok(())
+}
+
+/// Waits until all processes of the run are known and the ignition is on; `None` if that will never be.
+fn wait_for_ignition(
+    args: &SupplyArgs,
+    backplane: Backplane,
+) -> Option<(Watched, Option<Watched>)> {
+    let launcher = Watched::new(backplane.launcher_pid())?;
+    while !backplane.is_assembled() {
+        if launcher.has_ended() && !backplane.is_assembled() {
+            return None;
+        }
+        clock::sleep_until(clock::now() + PERIOD);
+    }
+    let vehicle = Watched::new(backplane.vehicle_pid())?;
+    while !backplane.ignition() {
+        if vehicle.has_ended() || backplane.stop_requested() {
+            return None;
+        }
+        clock::sleep_until(clock::now() + PERIOD);
+    }
+    let peer = Watched::new(backplane.supply_pid(args.system.peer()));
+    if peer.is_none() {
+        backplane.set_level(args.system.peer(), false);
+    }
+    Some((vehicle, peer))
+}
+
+struct Supply<'a> {
+    args: &'a SupplyArgs,
+    command: &'a dyn Fn(&CoreArgs) -> Command,
+    backplane: Backplane,
+    lmu: &'static [AtomicU32],
+    ringers: Ringers,
+    services: fifo::Consumer<'static>,
+    link: crate::backplane::Place,
+    cores: [Option<PoweredCore>; CoreId::COUNT],
+    state: State,
+    /// How long the next reset holds the system down.
+    pause: Duration,
+    peer: Option<Watched>,
+}
+
+struct PoweredCore {
+    child: Child,
+    watched: Option<Watched>,
+}
+
+enum State {
+    On { since: Instant, watchdog: Watchdog },
+    Off { cause: ResetCause, until: Instant },
+    Suspended,
+}
+
+impl Supply<'_> {
+    fn work(&mut self, vehicle: &Watched) {
+        let mut next = clock::now() + PERIOD;
+        loop {
+            self.sleep(vehicle.fd(), next);
+            let now = clock::now();
+            if now >= next {
+                // Ticks that were missed carry nothing.
+                next = now + PERIOD;
+            }
+            if !self.backplane.ignition() || vehicle.has_ended() {
+                self.kill_cores();
+                self.reap_all();
+                return;
+            }
+            self.look_at_peer();
+            self.look_at_cores(now);
+            self.look_at_registers(now);
+            self.release_if_due(now);
+        }
+    }
+
+    /// Sleeps until a process ends or the next tick is due.
+    fn sleep(&self, vehicle: &OwnedFd, next: Instant) {
+        let cores = self.cores.iter().flatten().filter_map(|core| core.watched.as_ref());
+        let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
+        let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
+        let left = clock::timespec(next.since(clock::now()).as_ns());
+        // Interrupted or not: the registers are looked at anyway.
+        let _ = poll(&mut fds, Some(&left));
+    }
+
+    fn look_at_peer(&mut self) {
+        if self.peer.as_ref().is_some_and(Watched::has_ended) {
+            self.peer = None;
+            self.set_level(self.args.system.peer(), false);
+        }
+    }
+
+    fn look_at_cores(&mut self, now: Instant) {
+        let on = matches!(self.state, State::On { .. });
+        for core in CoreId::ALL {
+            let place = &mut self.cores[core.index()];
+            let Some(powered) = place else { continue };
+            if !matches!(powered.child.try_wait(), Ok(None)) {
+                *place = None;
+                self.backplane.set_core_pid(self.args.system, core, 0);
+                // Cores 1 and 2 are core 0's to supervise: it notices and asks for a reset.
+                if core == CoreId::CONTROL && on {
+                    self.reset(now, ResetCause::Trap);
+                }
+            }
+        }
+    }
+
+    fn look_at_registers(&mut self, now: Instant) {
+        let request = self.backplane.take_reset_request(self.args.system);
+        let State::On { .. } = self.state else { return };
+        if self.watchdog(now).is_err() {
+            self.reset(now, ResetCause::Watchdog);
+        }
+        match request {
+            None => {}
+            Some(ResetRequest::Software) => self.reset(now, ResetCause::Software),
+            Some(ResetRequest::CoreDead) => self.reset(now, ResetCause::Trap),
+            Some(ResetRequest::Suspend) => {
+                self.reset(now, ResetCause::Software);
+                self.state = State::Suspended;
+                self.backplane.show_role(self.args.system, RoleLamp::Suspended);
+            }
+        }
+    }
+
+    fn watchdog(&mut self, now: Instant) -> Result<(), WatchdogFault> {
+        let State::On { watchdog, .. } = &mut self.state else { return Ok(()) };
+        let mut words = [0; SERVICE_WORDS];
+        while self.services.receive_into(&mut words) {
+            let at = Instant::from_words([words[0], words[1]]);
+            // An answer is a byte; what is more is wrong.
+            let answer = u8::try_from(words[2]).map_err(|_| WatchdogFault::WrongAnswer)?;
+            watchdog.on_service(now, at, answer)?;
+        }
+        watchdog.check(now)
+    }
+
+    /// Takes the system down at once; it comes back after a pause.
+    fn reset(&mut self, now: Instant, cause: ResetCause) {
+        let State::On { since, .. } = self.state else { return };
+        self.set_level(self.args.system, false);
+        self.kill_cores();
+        self.backplane.show_role(self.args.system, RoleLamp::Starting);
+        if now.since(since) >= STABLE {
+            self.pause = SHORTEST_PAUSE;
+        }
+        self.state = State::Off { cause, until: now + self.pause };
+        self.pause = LONGEST_PAUSE.min(self.pause.times(2));
+    }
+
+    fn release_if_due(&mut self, now: Instant) {
+        let State::Off { cause, until } = self.state else { return };
+        if now < until || self.cores.iter().any(Option::is_some) {
+            return;
+        }
+        self.clear_memory();
+        self.backplane.set_reset_cause(self.args.system, cause);
+        // Requests of the life that is over.
+        self.backplane.take_reset_request(self.args.system);
+        self.state = State::On { since: now, watchdog: Watchdog::new(now, 0) };
+        self.set_level(self.args.system, true);
+        for core in CoreId::ALL {
+            self.start(core);
+        }
+    }
+
+    /// All cores are dead: what they had in common begins anew, as after power-on.
+    fn clear_memory(&mut self) {
+        for word in self.lmu {
+            word.store(0, Relaxed);
+        }
+        let mut words = [0; SERVICE_WORDS];
+        while self.services.receive_into(&mut words) {}
+        // What was under way to them on the link. The ring was checked when the supply started.
+        if let Ok(mut link) = fifo::Consumer::attach(self.backplane.ring(self.link), self.link.shape)
+        {
+            while let Some(datagram) = link.receive() {
+                datagram.release();
+            }
+        }
+    }
+
+    fn start(&mut self, core: CoreId) {
+        let system = self.args.system;
+        let generation = Generation(self.backplane.generation(system, core).0 + 1);
+        self.backplane.set_generation(system, core, generation);
+        let mut command = (self.command)(&self.args.core(core, generation));
+        // A core that cannot be started is one that died at its start: for core 0 that is a reset, as
+        // the watchdog is not served.
+        if let Ok(child) = spawn::spawn_bound(&mut command) {
+            self.backplane.set_core_pid(system, core, child.id());
+            let watched = Watched::new(child.id());
+            self.cores[core.index()] = Some(PoweredCore { child, watched });
+        }
+    }
+
+    fn kill_cores(&mut self) {
+        for core in self.cores.iter_mut().flatten() {
+            // It may have ended by itself.
+            let _ = core.child.kill();
+        }
+    }
+
+    fn reap_all(&mut self) {
+        for core in CoreId::ALL {
+            if let Some(mut powered) = self.cores[core.index()].take() {
+                let _ = powered.child.wait();
+                self.backplane.set_core_pid(self.args.system, core, 0);
+            }
+        }
+    }
+
+    /// Changes a level line, which interrupts core 0 of the system on the other end.
+    fn set_level(&self, of: tandem_board::SystemId, high: bool) {
+        self.backplane.set_level(of, high);
+        self.ringers.ring(self.backplane, of.peer(), CoreId::CONTROL);
+    }
+}

@@ -1,0 +1,216 @@
+//! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
+
+use tandem_board::{CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId, TraceRecord};
+use tandem_shm::{FitError, broadcast, fifo};
+
+use crate::args::VehicleArgs;
+use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index};
+use crate::bell::Ringers;
+use crate::clock;
+use crate::spawn::Watched;
+use crate::wire::{FRAME_WORDS, Origin, TRACE_WORDS, Wired, decode_trace};
+
+/// Why the vehicle cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum WorldError {
+    /// The backplane cannot be mapped.
+    #[error(transparent)]
+    Backplane(#[from] BackplaneError),
+    /// The backplane is not what this build expects.
+    #[error("the rings of the backplane do not fit: {0:?}")]
+    Fit(FitError),
+    /// The launcher died before the run was complete.
+    #[error("the launcher of the run died while it started")]
+    Abandoned,
+}
+
+impl From<FitError> for WorldError {
+    fn from(error: FitError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+/// One record of a core's trace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Traced {
+    /// When it was emitted.
+    pub at: Instant,
+    /// By which system.
+    pub system: SystemId,
+    /// By which core.
+    pub core: CoreId,
+    /// What was emitted.
+    pub record: TraceRecord,
+}
+
+/// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders the
+/// frames of all nodes.
+///
+/// Once a millisecond the vehicle calls [`WorldPort::transmitted`], which moves what the cores sent,
+/// and [`WorldPort::broadcast`] for what its own nodes send.
+#[derive(Debug)]
+pub struct WorldPort {
+    backplane: Backplane,
+    ringers: Ringers,
+    from_cores: Vec<Node>,
+    bus: broadcast::Sender<'static>,
+    /// Frames were put on the bus that some core has not been told of.
+    news: bool,
+}
+
+#[derive(Debug)]
+struct Node {
+    system: SystemId,
+    core: CoreId,
+    frames: fifo::Consumer<'static>,
+    trace: fifo::Consumer<'static>,
+    lost: u32,
+}
+
+impl WorldPort {
+    /// Attaches as the vehicle of the run, when all of its processes are there.
+    ///
+    /// # Errors
+    /// [`WorldError`] if the run is over or never became complete.
+    pub fn attach(args: &VehicleArgs) -> Result<Self, WorldError> {
+        let backplane = Backplane::open(&args.common.run)?;
+        wait_until_assembled(backplane)?;
+        let mut from_cores = vec![];
+        for system in SystemId::ALL {
+            for core in CoreId::ALL {
+                let index = core_index(system, core);
+                let (frames, trace) = (RINGS.transmit[index], RINGS.trace[index]);
+                from_cores.push(Node {
+                    system,
+                    core,
+                    frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
+                    trace: fifo::Consumer::attach(backplane.ring(trace), trace.shape)?,
+                    lost: backplane.lost_trace(system, core),
+                });
+            }
+        }
+        let bus = RINGS.receive;
+        Ok(Self {
+            backplane,
+            ringers: Ringers::new(&args.common.run),
+            from_cores,
+            bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
+            news: false,
+        })
+    }
+
+    /// The clock that all processes share.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        clock::now()
+    }
+
+    /// Turns the ignition on (both supplies power their systems) or off (the run ends).
+    pub fn set_ignition(&self, on: bool) {
+        self.backplane.set_ignition(on);
+    }
+
+    /// Whether the run is to end early (a person pressed Ctrl-C).
+    #[must_use]
+    pub fn stop_requested(&self) -> bool {
+        self.backplane.stop_requested()
+    }
+
+    /// Takes what the cores have sent since the last call, shows each frame to `seen`, with the time of
+    /// its sending, and puts it on the bus. A system without power, or cut off the bus, sends
+    /// nothing: what its cores had left to send is dropped.
+    pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+        let now = clock::now();
+        let reaches = self.reaches();
+        let mut words = [0; FRAME_WORDS];
+        for node in &mut self.from_cores {
+            let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
+            while node.frames.receive_into(&mut words) {
+                let Some(sent) = Wired::decode(&words).filter(|_| !silent) else { continue };
+                seen(node.system, node.core, sent.received);
+                // Who sent it is known from the ring, whatever the words say.
+                let origin = Origin::Core(node.system, node.core);
+                let received = Received { frame: sent.received.frame, at: now };
+                self.bus.send(&Wired { received, origin, reaches }.encode());
+                self.news = true;
+            }
+        }
+        self.ring_receivers();
+    }
+
+    /// Sends a frame of one of the vehicle's own nodes. The cores hear of it with the next
+    /// [`WorldPort::transmitted`] or [`WorldPort::ring_receivers`].
+    pub fn broadcast(&mut self, frame: &CanFrame) {
+        let received = Received { frame: *frame, at: clock::now() };
+        let wired = Wired { received, origin: Origin::Vehicle, reaches: self.reaches() };
+        self.bus.send(&wired.encode());
+        self.news = true;
+    }
+
+    /// Rings the cores that want to be woken by frames, if there are any new ones.
+    pub fn ring_receivers(&mut self) {
+        if !core::mem::take(&mut self.news) {
+            return;
+        }
+        for node in &self.from_cores {
+            if self.backplane.wakes_on_receive(node.system, node.core) {
+                self.ringers.ring(self.backplane, node.system, node.core);
+            }
+        }
+    }
+
+    /// Takes the trace records that the cores have emitted since the last call, in the order of each
+    /// core, and returns how many were lost.
+    pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
+        let mut lost = 0;
+        let mut words = [0; TRACE_WORDS];
+        for node in &mut self.from_cores {
+            while node.trace.receive_into(&mut words) {
+                let (at, record) = decode_trace(words);
+                into(Traced { at, system: node.system, core: node.core, record });
+            }
+            let total = self.backplane.lost_trace(node.system, node.core);
+            lost += total.wrapping_sub(core::mem::replace(&mut node.lost, total));
+        }
+        lost
+    }
+
+    /// What the system shows of its role.
+    #[must_use]
+    pub fn role(&self, system: SystemId) -> RoleLamp {
+        self.backplane.role(system)
+    }
+
+    /// Whether the system has power and is out of reset.
+    #[must_use]
+    pub fn is_powered(&self, system: SystemId) -> bool {
+        self.backplane.level(system)
+    }
+
+    /// Cuts or mends a connection.
+    pub fn set_cut(&self, cut: Cut, is_cut: bool) {
+        self.backplane.set_cut(cut, is_cut);
+    }
+
+    /// The backplane, for everything else that an observer may see.
+    #[must_use]
+    pub const fn backplane(&self) -> Backplane {
+        self.backplane
+    }
+
+    fn reaches(&self) -> [bool; 2] {
+        SystemId::ALL.map(|system| !self.backplane.is_cut(Cut::Can(system)))
+    }
+}
+
+fn wait_until_assembled(backplane: Backplane) -> Result<(), WorldError> {
+    let launcher = Watched::new(backplane.launcher_pid());
+    while !backplane.is_assembled() {
+        let ended = launcher.as_ref().is_none_or(Watched::has_ended);
+        if ended && !backplane.is_assembled() {
+            return Err(WorldError::Abandoned);
+        }
+        clock::sleep_until(clock::now() + Duration::from_ms(1));
+    }
+    Ok(())
+}

@@ -1,0 +1,347 @@
+//! What the board connects: LMU, doorbells, lines, link, CAN, flash, trace.
+
+use core::sync::atomic::Ordering::{Relaxed, SeqCst};
+use std::time::{Duration as Span, Instant as Clock};
+
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, DataFlash, Edge, FlashStatus, Instant, Line, Lines, Link,
+    RoleLamp, Supply, SystemId, Wake,
+};
+use tandem_board_host::{Cut, HostBoard};
+
+use crate::stage::{Case, Script, await_interrupt, idle, live};
+
+use SystemId::{A, B};
+
+const PERCEPTION: CoreId = CoreId::PERCEPTION;
+const PLANNING: CoreId = CoreId::PLANNING;
+const CONTROL: CoreId = CoreId::CONTROL;
+
+pub const CASES: &[Case] = &[
+    Case { name: "lmu_is_shared_by_three_processes", core: increment, vehicle: incremented },
+    Case { name: "no_doorbell_is_lost", core: ping_pong, vehicle: both_done },
+    Case { name: "a_bell_rung_by_two_is_never_deaf", core: rung_by_two, vehicle: both_done },
+    Case { name: "wait_ends_at_its_deadline", core: deadlines, vehicle: both_done },
+    Case { name: "edges_and_datagrams_cross_over", core: wires, vehicle: crossed },
+    Case { name: "can_frames_reach_all_but_the_sender", core: listen, vehicle: hear },
+    Case { name: "flash_keeps_its_content_over_a_reset", core: program, vehicle: programmed },
+    Case { name: "a_full_trace_counts_what_it_loses", core: chatter, vehicle: overheard },
+];
+
+const DONE: u32 = 100;
+
+fn done(board: &HostBoard, detail: u32) {
+    board.trace([DONE, detail, 0, 0]);
+    live(board);
+}
+
+fn both_done(script: &mut Script) {
+    for system in SystemId::ALL {
+        script.await_trace(system, CONTROL, DONE);
+    }
+}
+
+const ROUNDS: u32 = 200_000;
+
+/// T-CHIP-1: the LMU is one memory for the three cores of a system, and another for the other system.
+fn increment(board: &HostBoard) {
+    let lmu = board.lmu();
+    assert_eq!(lmu.len(), 8192);
+    for _ in 0..ROUNDS {
+        lmu[17].fetch_add(1, Relaxed);
+    }
+    lmu[8191].fetch_add(1, SeqCst);
+    if board.identity().core == CONTROL {
+        while lmu[8191].load(SeqCst) < 3 {
+            std::thread::yield_now();
+        }
+        done(board, lmu[17].load(SeqCst));
+    }
+    idle(board);
+}
+
+fn incremented(script: &mut Script) {
+    for system in SystemId::ALL {
+        assert_eq!(script.await_trace(system, CONTROL, DONE)[1], 3 * ROUNDS);
+    }
+}
+
+/// T-SYNC-3: thousands of rings, each awaited asleep.
+fn ping_pong(board: &HostBoard) {
+    const TURNS: u32 = 3_000;
+    let (ball, me) = (&board.lmu()[0], board.identity().core);
+    let (parity, other) = match me {
+        CONTROL => (0, PERCEPTION),
+        PERCEPTION => (1, CONTROL),
+        _ => return idle(board),
+    };
+    for turn in (parity..TURNS).step_by(2) {
+        while ball.load(SeqCst) != turn {
+            await_interrupt(board);
+        }
+        ball.store(turn + 1, SeqCst);
+        board.ring(other);
+    }
+    if me == CONTROL {
+        while ball.load(SeqCst) != TURNS {
+            await_interrupt(board);
+        }
+        done(board, 0);
+    }
+    idle(board);
+}
+
+/// T-SYNC-3: two cores ring a third at any moment; what either wrote before is seen.
+fn rung_by_two(board: &HostBoard) {
+    const TURNS: u32 = 3_000;
+    let lmu = board.lmu();
+    let (asked, answered) = match board.identity().core {
+        CONTROL => (&lmu[0], &lmu[64]),
+        PERCEPTION => (&lmu[16], &lmu[80]),
+        _ => loop {
+            await_interrupt(board);
+            for n in [0, 16] {
+                lmu[64 + n].store(lmu[n].load(SeqCst), SeqCst);
+            }
+            if lmu[0].load(SeqCst) == TURNS && lmu[16].load(SeqCst) == TURNS {
+                return idle(board);
+            }
+        },
+    };
+    for turn in 1..=TURNS {
+        asked.store(turn, SeqCst);
+        board.ring(PLANNING);
+        let patience = Clock::now() + Span::from_secs(15);
+        while answered.load(SeqCst) != turn {
+            assert!(Clock::now() < patience, "ring {turn} was lost");
+            std::thread::yield_now();
+        }
+    }
+    if board.identity().core == CONTROL {
+        done(board, 0);
+    }
+    idle(board);
+}
+
+fn deadlines(board: &HostBoard) {
+    // The first wait looks around.
+    board.wait(board.now());
+    for us in [0, 1, 50, 300, 1_000, 20_000] {
+        let deadline = board.now() + tandem_board::Duration::from_us(us);
+        while board.wait(deadline) == Wake::Interrupt {}
+        assert!(board.now() >= deadline, "woke early");
+    }
+    // A past deadline is no obstacle to a pending interrupt, and an own ring is one.
+    board.ring(board.identity().core);
+    assert_eq!(board.wait(Instant::ORIGIN), Wake::Interrupt);
+    assert_eq!(board.wait(Instant::ORIGIN), Wake::Deadline);
+    done(board, 0);
+}
+
+fn wires(board: &HostBoard) {
+    if board.identity().core != CONTROL {
+        return idle(board);
+    }
+    let lines = board.lines();
+    assert!(lines.peer_powered());
+    for _ in 0..5 {
+        lines.send(Line::Heartbeat1, Edge::Rising);
+        lines.send(Line::Heartbeat2, Edge::Falling);
+    }
+    // Edges on the start line interrupt the other core 0.
+    lines.send(Line::Start, Edge::Rising);
+    while lines.received(Line::Start, Edge::Rising) == 0 {
+        await_interrupt(board);
+    }
+    assert_eq!(lines.received(Line::Heartbeat1, Edge::Rising), 5);
+    assert_eq!(lines.received(Line::Heartbeat1, Edge::Falling), 0);
+    assert_eq!(lines.received(Line::Heartbeat2, Edge::Falling), 5);
+
+    let longest: Vec<u32> = (0..64).collect();
+    board.link().try_send(&longest).expect("room");
+    board.link().try_send(&[]).expect("room");
+    let mut words = [0; 64];
+    let first = loop {
+        if let Some(length) = board.link().try_receive(&mut words) {
+            break length;
+        }
+        std::thread::yield_now();
+    };
+    assert_eq!((first, &words[..]), (64, &longest[..]));
+    while board.link().try_receive(&mut words) != Some(0) {
+        std::thread::yield_now();
+    }
+    // A line that is cut says nothing.
+    board.trace([1, 0, 0, 0]);
+    let before = lines.received(Line::Heartbeat1, Edge::Rising);
+    while board.can().try_receive().is_none() {
+        std::thread::yield_now();
+    }
+    if board.identity().system == A {
+        lines.send(Line::Heartbeat1, Edge::Rising);
+        board.link().try_send(&[1]).expect("a cut link takes and loses");
+        lines.send(Line::Heartbeat2, Edge::Rising);
+    } else {
+        while lines.received(Line::Heartbeat2, Edge::Rising) == 0 {
+            std::thread::yield_now();
+        }
+        assert_eq!(lines.received(Line::Heartbeat1, Edge::Rising), before);
+        assert_eq!(board.link().try_receive(&mut words), None);
+    }
+    done(board, 0);
+}
+
+fn crossed(script: &mut Script) {
+    for system in SystemId::ALL {
+        script.await_trace(system, CONTROL, 1);
+    }
+    script.world.set_cut(Cut::Line(A, Line::Heartbeat1), true);
+    script.world.set_cut(Cut::Link(A), true);
+    script.world.broadcast(&frame(0x700));
+    both_done(script);
+}
+
+fn frame(id: u16) -> CanFrame {
+    CanFrame::new(CanId::Standard(id), true, &[id as u8; 48]).expect("a valid frame")
+}
+
+/// All cores send frames of their own and write down what they hear.
+fn listen(board: &HostBoard) {
+    let me = board.identity();
+    let number = (me.system.index() * 3 + me.core.index()) as u16;
+    board.can().wake_on_receive(true);
+    board.trace([1, 0, 0, 0]);
+    // The vehicle says when all are there.
+    await_frame(board, 0x700);
+    for n in 0..10 {
+        board.can().try_send(&frame(number * 0x10 + n)).expect("room");
+    }
+    let mut heard: Vec<u32> = vec![];
+    while heard.len() < 50 {
+        match board.can().try_receive() {
+            Some(received) => {
+                let CanId::Standard(id) = received.frame.id() else { panic!("extended") };
+                assert_ne!(id / 0x10, number, "own frame");
+                assert_eq!(received.frame.data(), [id as u8; 48]);
+                assert!(received.at <= board.now());
+                heard.push(id.into());
+            }
+            None => await_interrupt(board),
+        }
+    }
+    assert_eq!(board.can().overruns(), 0);
+    // Bus order is one: what is heard is the same but for the own frames.
+    for id in &heard {
+        board.trace([2, *id, 0, 0]);
+    }
+    done(board, 0);
+}
+
+fn await_frame(board: &HostBoard, id: u16) {
+    loop {
+        match board.can().try_receive() {
+            Some(received) if received.frame.id() == CanId::Standard(id) => return,
+            Some(_) => {}
+            None => await_interrupt(board),
+        }
+    }
+}
+
+fn hear(script: &mut Script) {
+    let mut ready = 0;
+    script.until("all are there", |script| {
+        script.world.drain_trace(&mut |traced| ready += u32::from(traced.record[0] == 1));
+        ready == 6
+    });
+    script.world.broadcast(&frame(0x700));
+    let (mut bus, mut heard, mut finished) = (vec![], vec![vec![]; 6], 0);
+    let patience = Clock::now() + Span::from_secs(15);
+    while finished < 6 {
+        assert!(Clock::now() < patience, "{finished} of 6 heard all");
+        script.world.transmitted(&mut |system, core, received| {
+            let CanId::Standard(id) = received.frame.id() else { panic!("extended") };
+            assert_eq!(usize::from(id / 0x10), system.index() * 3 + core.index());
+            bus.push(u32::from(id));
+        });
+        script.world.drain_trace(&mut |traced| {
+            let core = traced.system.index() * 3 + traced.core.index();
+            match traced.record {
+                [2, id, ..] => heard[core].push(id),
+                [DONE, ..] => finished += 1,
+                _ => {}
+            }
+        });
+        std::thread::sleep(Span::from_millis(1));
+    }
+    for (core, heard) in heard.iter().enumerate() {
+        let foreign: Vec<u32> = bus.iter().copied().filter(|id| id / 0x10 != core as u32).collect();
+        assert_eq!(*heard, foreign, "core {core}");
+    }
+    unplugged(script);
+}
+
+/// A system that is cut off the bus neither sends nor hears.
+fn unplugged(script: &mut Script) {
+    script.world.set_cut(Cut::Can(B), true);
+    script.world.broadcast(&frame(0x701));
+    script.world.set_cut(Cut::Can(B), false);
+    script.rest(5);
+}
+
+fn wait_for_flash(board: &HostBoard) {
+    while board.flash().status() == FlashStatus::Busy {
+        std::thread::yield_now();
+    }
+    assert_eq!(board.flash().status(), FlashStatus::Idle);
+}
+
+fn program(board: &HostBoard) {
+    if board.identity().core != CONTROL {
+        return idle(board);
+    }
+    let mut bytes = [0; 8];
+    board.flash().read(4096, &mut bytes).expect("read");
+    if bytes == [0xFF; 8] {
+        board.flash().start_erase(1).expect("erase");
+        wait_for_flash(board);
+        board.flash().start_program(4096, &[7; 8]).expect("program");
+        wait_for_flash(board);
+        std::process::exit(1);
+    }
+    done(board, bytes[0].into());
+}
+
+fn programmed(script: &mut Script) {
+    for system in SystemId::ALL {
+        assert_eq!(script.await_trace(system, CONTROL, DONE)[1], 7);
+        assert!(script.generation(system, CONTROL).0 >= 2);
+    }
+}
+
+const CHATTER: u32 = 10_000;
+
+fn chatter(board: &HostBoard) {
+    if board.identity().core == CONTROL {
+        for n in 0..CHATTER {
+            board.trace([1, n, 0, 0]);
+        }
+        board.supply().show_role(RoleLamp::Standby);
+    }
+    live(board);
+}
+
+fn overheard(script: &mut Script) {
+    // Nobody drains while they talk.
+    script.until("they have talked", |script| {
+        SystemId::ALL.iter().all(|system| script.world.role(*system) == RoleLamp::Standby)
+    });
+    let (mut next, mut count) = ([0; 2], 0);
+    let lost = script.world.drain_trace(&mut |traced| {
+        let expected = &mut next[traced.system.index()];
+        assert_eq!(traced.record, [1, *expected, 0, 0], "in order, none missing in between");
+        *expected += 1;
+        count += 1;
+    });
+    assert!(lost > 0);
+    assert_eq!(count + lost, 2 * CHATTER);
+}

@@ -1,0 +1,372 @@
+//! What happens when cores, supplies and their watchdogs fail: level lines, resets, causes, lives.
+
+use core::sync::atomic::Ordering::SeqCst;
+use std::time::{Duration as Span, Instant as Clock};
+
+use rustix::process::Signal;
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
+    SystemId, watchdog_answer,
+};
+use tandem_board_host::{HostBoard, clock, processes};
+
+use crate::stage::{Case, Script, idle, live, serve, signal};
+
+use SystemId::{A, B};
+
+const CONTROL: CoreId = CoreId::CONTROL;
+const PERCEPTION: CoreId = CoreId::PERCEPTION;
+
+pub const CASES: &[Case] = &[
+    Case { name: "death_of_a_supply_is_a_power_loss", core: report_power, vehicle: kill_supply },
+    Case { name: "death_of_core_0_resets_the_system", core: report_start, vehicle: kill_core_0 },
+    Case { name: "death_of_core_1_is_for_core_0_to_notice", core: supervise, vehicle: kill_core_1 },
+    Case { name: "a_frozen_core_0_is_reset_by_the_watchdog", core: report_start, vehicle: freeze },
+    Case { name: "a_core_that_never_serves_is_reset", core: never_serve, vehicle: reset_by_dog },
+    Case { name: "a_wrong_answer_is_a_fault", core: answer_wrong, vehicle: reset_by_dog },
+    Case { name: "an_early_service_is_a_fault", core: serve_early, vehicle: reset_by_dog },
+    Case { name: "a_requested_reset_is_orderly", core: ask_for_reset, vehicle: reset_by_software },
+    Case { name: "a_suspended_system_stays_down", core: suspend, vehicle: stays_down },
+    Case { name: "resets_in_a_row_are_paced", core: die, vehicle: paced },
+    Case { name: "bells_ring_the_life_that_is", core: answer_rings, vehicle: reset_and_ring },
+    Case { name: "a_system_without_power_sends_nothing", core: send_always, vehicle: silence },
+    Case { name: "an_early_death_is_survived", core: live, vehicle: kill_at_the_start },
+    Case { name: "the_processes_can_be_listed", core: show_role, vehicle: list },
+];
+
+const STARTED: u32 = 1;
+const POWER: u32 = 2;
+const CODE_OF: [ResetCause; 4] =
+    [ResetCause::PowerOn, ResetCause::Software, ResetCause::Watchdog, ResetCause::Trap];
+
+fn report_start(board: &HostBoard) {
+    let cause = board.supply().reset_cause();
+    let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
+    let found = board.lmu()[100].swap(0xBAD, SeqCst);
+    board.trace([STARTED, board.identity().generation.0, code, found]);
+    live(board);
+}
+
+/// Waits for the report of the given life, and returns its reset cause and what it found in the LMU.
+fn await_start(script: &mut Script, system: SystemId, life: u32) -> (ResetCause, u32) {
+    loop {
+        let [_, generation, cause, found] = script.await_trace(system, CONTROL, STARTED);
+        if generation == life {
+            return (CODE_OF[cause as usize], found);
+        }
+    }
+}
+
+fn report_power(board: &HostBoard) {
+    if board.identity().core != CONTROL {
+        return idle(board);
+    }
+    board.trace([STARTED, board.identity().generation.0, 0, 0]);
+    let far = tandem_board::Duration::from_ms(10);
+    loop {
+        let before = board.lines().peer_powered();
+        board.wait(board.now() + far);
+        let question = board.supply().watchdog_question();
+        board.supply().service_watchdog(watchdog_answer(question));
+        if before && !board.lines().peer_powered() {
+            board.trace([POWER, 0, 0, 0]);
+            return serve(board);
+        }
+        std::thread::sleep(Span::from_millis(2));
+    }
+}
+
+/// T-CHIP-5, T-CHIP-6: with its supply a system loses all cores, and the other is told.
+fn kill_supply(script: &mut Script) {
+    await_start(script, A, 1);
+    await_start(script, B, 1);
+    let cores = CoreId::ALL.map(|core| script.pid(A, core));
+    signal(script.world.backplane().supply_pid(A), Signal::KILL);
+    script.until("level falls", |script| !script.world.is_powered(A));
+    script.await_trace(B, CONTROL, POWER);
+    let run = script.run.clone();
+    script.until("the cores are dead", |_| {
+        processes::of_run(&run).iter().all(|process| !cores.contains(&process.pid))
+    });
+    assert!(script.world.is_powered(B));
+    script.rest(100);
+    assert_eq!(script.generation(B, CONTROL).0, 1, "B drives on");
+}
+
+/// T-CHIP-6: the death of core 0 is a trap; the system starts again with memory as at power-on.
+fn kill_core_0(script: &mut Script) {
+    assert_eq!(await_start(script, A, 1), (ResetCause::PowerOn, 0));
+    await_start(script, B, 1);
+    let first = CoreId::ALL.map(|core| script.pid(A, core));
+    for life in 2..4 {
+        signal(script.pid(A, CONTROL), Signal::KILL);
+        script.until("level falls", |script| !script.world.is_powered(A));
+        script.await_life(A, life);
+        assert!(script.world.is_powered(A));
+        assert_eq!(await_start(script, A, life), (ResetCause::Trap, 0));
+    }
+    assert!(CoreId::ALL.iter().all(|core| !first.contains(&script.pid(A, *core))), "all are new");
+    assert_eq!(script.generation(B, CONTROL).0, 1);
+}
+
+fn supervise(board: &HostBoard) {
+    report_supervision(board);
+    match board.identity().core {
+        CONTROL => loop {
+            let question = board.supply().watchdog_question();
+            board.supply().service_watchdog(watchdog_answer(question));
+            // The vehicle says that it has killed core 1.
+            if board.can().try_receive().is_some() {
+                board.supply().request_reset(ResetRequest::CoreDead);
+            }
+            std::thread::sleep(Span::from_millis(5));
+        },
+        _ => idle(board),
+    }
+}
+
+fn report_supervision(board: &HostBoard) {
+    if board.identity().core == CONTROL {
+        let cause = board.supply().reset_cause();
+        let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
+        board.trace([STARTED, board.identity().generation.0, code, 0]);
+    }
+}
+
+fn kill_core_1(script: &mut Script) {
+    await_start(script, A, 1);
+    signal(script.pid(A, PERCEPTION), Signal::KILL);
+    script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
+    script.rest(60);
+    assert_eq!(script.generation(A, CONTROL).0, 1, "nobody else resets");
+    assert!(script.world.is_powered(A));
+    script.world.broadcast(&CanFrame::new(CanId::Standard(1), false, &[]).expect("valid"));
+    assert_eq!(await_start(script, A, 2).0, ResetCause::Trap);
+    script.await_life(A, 2);
+}
+
+/// T-CHIP-6: a hang, whoever hangs: nothing but the missing service tells.
+fn freeze(script: &mut Script) {
+    await_start(script, B, 1);
+    signal(script.pid(B, CONTROL), Signal::STOP);
+    assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
+}
+
+fn report_once(board: &HostBoard) {
+    if board.identity().core == CONTROL {
+        let cause = board.supply().reset_cause();
+        let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
+        board.trace([STARTED, board.identity().generation.0, code, 0]);
+    }
+    if board.identity().generation.0 > 1 {
+        live(board);
+    }
+}
+
+fn never_serve(board: &HostBoard) {
+    report_once(board);
+    idle(board);
+}
+
+fn answer_wrong(board: &HostBoard) {
+    report_once(board);
+    if board.identity().core == CONTROL {
+        for n in 0_u8.. {
+            let answer = watchdog_answer(board.supply().watchdog_question());
+            board.supply().service_watchdog(answer ^ u8::from(n == 5));
+            std::thread::sleep(Span::from_millis(5));
+        }
+    }
+    idle(board);
+}
+
+fn serve_early(board: &HostBoard) {
+    report_once(board);
+    if board.identity().core == CONTROL {
+        loop {
+            let answer = watchdog_answer(board.supply().watchdog_question());
+            board.supply().service_watchdog(answer);
+        }
+    }
+    idle(board);
+}
+
+fn reset_by_dog(script: &mut Script) {
+    assert_eq!(await_start(script, A, 1).0, ResetCause::PowerOn);
+    assert_eq!(await_start(script, A, 2).0, ResetCause::Watchdog);
+}
+
+fn ask_for_reset(board: &HostBoard) {
+    report_once(board);
+    if board.identity().core == CONTROL {
+        board.supply().request_reset(ResetRequest::Software);
+    }
+    live(board);
+}
+
+fn reset_by_software(script: &mut Script) {
+    assert_eq!(await_start(script, A, 2).0, ResetCause::Software);
+}
+
+fn suspend(board: &HostBoard) {
+    if board.identity().core == CONTROL && board.identity().system == A {
+        board.supply().request_reset(ResetRequest::Suspend);
+    }
+    live(board);
+}
+
+/// T-RED-5: a system that has failed is held in reset for good.
+fn stays_down(script: &mut Script) {
+    script.until("it is down", |script| {
+        !script.world.is_powered(A) && CoreId::ALL.iter().all(|core| script.pid(A, *core) == 0)
+    });
+    script.rest(200);
+    assert_eq!(script.generation(A, CONTROL).0, 1);
+    assert!(!script.world.is_powered(A));
+    assert_eq!(script.world.role(A), RoleLamp::Suspended);
+    assert!(script.world.is_powered(B));
+}
+
+fn die(board: &HostBoard) {
+    if board.identity().core != CONTROL {
+        idle(board);
+    }
+}
+
+fn paced(script: &mut Script) {
+    script.until("it starts", |script| script.generation(A, CONTROL).0 == 1);
+    let start = Clock::now();
+    script.rest(1_500);
+    let lives = script.generation(A, CONTROL).0;
+    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s; whatever the machine does, no more
+    // than that in the time that has really passed.
+    let (mut allowed, mut pause, mut time) = (1, 20, 0);
+    while time < start.elapsed().as_millis() + 100 {
+        time += pause;
+        pause = 1_000.min(pause * 2);
+        allowed += 1;
+    }
+    assert!(lives >= 2 && lives <= allowed, "{lives} lives, {allowed} allowed");
+}
+
+const ANSWER: u32 = 7;
+
+/// Core 1 answers rings with a count in the LMU; core 0 rings and serves.
+fn answer_rings(board: &HostBoard) {
+    let (asked, answered) = (&board.lmu()[0], &board.lmu()[16]);
+    match board.identity().core {
+        CONTROL => {
+            for n in 1..=50 {
+                asked.store(n, SeqCst);
+                board.ring(PERCEPTION);
+                let patience = Clock::now() + Span::from_secs(15);
+                while answered.load(SeqCst) != n {
+                    assert!(Clock::now() < patience, "ring {n} was lost");
+                    std::thread::yield_now();
+                }
+            }
+            board.trace([ANSWER, board.identity().generation.0, 0, 0]);
+            // Rings to a dead core do nothing, in any number.
+            for _ in 0..10_000 {
+                board.ring(CoreId::PLANNING);
+            }
+            serve(board);
+        }
+        PERCEPTION => loop {
+            board.wait(clock::now() + tandem_board::Duration::from_ms(10_000));
+            answered.store(asked.load(SeqCst), SeqCst);
+        },
+        // Dead, but its bell hangs.
+        _ => {}
+    }
+}
+
+fn reset_and_ring(script: &mut Script) {
+    for life in 1..5 {
+        while script.await_trace(A, CONTROL, ANSWER)[1] != life {}
+        signal(script.pid(A, CONTROL), Signal::KILL);
+    }
+}
+
+fn send_always(board: &HostBoard) {
+    if board.identity().core != CONTROL {
+        return idle(board);
+    }
+    let id = 0x10 + board.identity().system.index() as u16;
+    let frame = CanFrame::new(CanId::Standard(id), false, &[1]).expect("valid");
+    for n in 0_u32.. {
+        // Full while the bus sleeps.
+        let _ = board.can().try_send(&frame);
+        if n.is_multiple_of(10) {
+            let question = board.supply().watchdog_question();
+            board.supply().service_watchdog(watchdog_answer(question));
+        }
+        std::thread::sleep(Span::from_millis(1));
+    }
+}
+
+/// T-RED-9: what a dead system had in its buffers does not reach the bus.
+fn silence(script: &mut Script) {
+    let mut sent = [0; 2];
+    script.until("both send", |script| {
+        script.world.transmitted(&mut |system, _, _| sent[system.index()] += 1);
+        sent.iter().all(|count| *count > 20)
+    });
+    // The bus stands still while frames collect.
+    std::thread::sleep(Span::from_millis(20));
+    signal(script.world.backplane().supply_pid(A), Signal::KILL);
+    let patience = Clock::now() + Span::from_secs(10);
+    while script.world.is_powered(A) {
+        assert!(Clock::now() < patience, "level never falls");
+    }
+    script.world.transmitted(&mut |system, _, _| assert_eq!(system, B));
+}
+
+fn kill_at_the_start(script: &mut Script) {
+    for life in 1..12_u32 {
+        script.until("core 0 starts", |script| {
+            script.pid(A, CONTROL) != 0 && script.generation(A, CONTROL).0 == life
+        });
+        std::thread::sleep(Span::from_micros(u64::from(life) * 170));
+        let pid = script.pid(A, CONTROL);
+        if pid != 0 {
+            signal(pid, Signal::KILL);
+        }
+        script.until("it is gone", |script| script.generation(A, CONTROL).0 > life);
+    }
+    script.rest(300);
+}
+
+fn show_role(board: &HostBoard) {
+    if board.identity().core == CONTROL {
+        board.supply().show_role(match board.identity().system {
+            A => RoleLamp::Master,
+            B => RoleLamp::Standby,
+        });
+    }
+    live(board);
+}
+
+fn list(script: &mut Script) {
+    script.await_life(A, 1);
+    script.await_life(B, 1);
+    script.until("both show roles", |script| {
+        script.world.role(A) == RoleLamp::Master && script.world.role(B) == RoleLamp::Standby
+    });
+    let run = script.run.clone();
+    let listed = |processes: Vec<processes::Process>| -> Vec<String> {
+        let line = |p: &processes::Process| {
+            let system = p.system.map_or("-".to_owned(), |system| system.to_string());
+            format!("{} {system} {}", p.kind, p.role.as_deref().unwrap_or("-"))
+        };
+        processes.iter().map(line).collect()
+    };
+    let expected = [
+        "supply A master", "core A master", "core A master", "core A master",
+        "supply B standby", "core B standby", "core B standby", "core B standby", "vehicle - -",
+    ];
+    script.until("the names are set", |_| listed(processes::of_run(&run)) == expected);
+    let all = processes::of_run(&run);
+    assert!(all.iter().all(|process| process.cpu.is_some()));
+    assert!(all.iter().any(|process| process.pid == std::process::id()));
+}

@@ -1,0 +1,30 @@
+//! The host board as real processes: what it connects, what it survives, what it leaves behind.
+//!
+//! Each case is a run of its own. The harness starts this program again as the launcher of the run; that
+//! starts it again as supplies and vehicle, and the supplies as cores. The vehicle is the script of the
+//! case: it sees and kills everybody, and a panic in it fails the case.
+
+mod cases;
+mod deaths;
+mod residue;
+mod stage;
+
+use std::process::ExitCode;
+
+use libtest_mimic::{Arguments, Trial};
+use tandem_board_host::ProcessArgs;
+
+fn main() -> ExitCode {
+    let argv: Vec<_> = std::env::args_os().skip(1).collect();
+    if let Some(args) = ProcessArgs::parse(argv.iter().cloned()) {
+        return stage::play(args.expect("arguments made by this program"));
+    }
+    if argv.first().is_some_and(|first| first == stage::LAUNCH) {
+        return stage::launch(&argv[1..]);
+    }
+    let mut trials: Vec<Trial> = stage::all_cases()
+        .map(|case| Trial::test(case.name, move || stage::run_case(case).map_err(Into::into)))
+        .collect();
+    trials.extend(residue::trials());
+    libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
+}

@@ -1,0 +1,233 @@
+//! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
+
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::{Child, Command, ExitCode, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use tandem_board::{Board, CoreId, Generation, SystemId};
+use tandem_board_host::{
+    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock, isolation,
+    processes, supply,
+};
+
+/// First argument of this program as a launcher; then the case, the folder, the place.
+pub const LAUNCH: &str = "launch";
+/// How long anything may take before it counts as hung.
+pub const PATIENCE: Duration = Duration::from_secs(40);
+
+/// One case: what every core does, and the script.
+#[derive(Clone, Copy)]
+pub struct Case {
+    pub name: &'static str,
+    pub core: fn(&HostBoard),
+    pub vehicle: fn(&mut Script),
+}
+
+/// The vehicle's side of a case.
+pub struct Script {
+    pub world: WorldPort,
+    pub run: RunName,
+}
+
+pub fn all_cases() -> impl Iterator<Item = Case> {
+    crate::cases::CASES.iter().chain(crate::deaths::CASES).chain(crate::residue::CASES).copied()
+}
+
+fn case(name: &str) -> Case {
+    all_cases().find(|case| case.name == name).expect("a known case")
+}
+
+/// Runs a case in processes of its own and reports what they said if it failed.
+pub fn run_case(case: Case) -> Result<(), String> {
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    let mut launcher = start_launcher(case.name, folder.path(), "own");
+    let deadline = Instant::now() + PATIENCE + Duration::from_secs(10);
+    while launcher.try_wait().map_err(|error| error.to_string())?.is_none() {
+        if Instant::now() > deadline {
+            let _ = launcher.kill();
+            let output = launcher.wait_with_output().map_err(|error| error.to_string())?;
+            return Err(format!("hangs\n{}", String::from_utf8_lossy(&output.stderr)));
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+    let output = launcher.wait_with_output().map_err(|error| error.to_string())?;
+    if output.status.success() {
+        return Ok(());
+    }
+    Err(format!("{}\n{}", output.status, String::from_utf8_lossy(&output.stderr)))
+}
+
+/// Starts this program as the launcher of a run, of a case that lasts or of any other.
+pub fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
+    Command::new(std::env::current_exe().expect("own path"))
+        .args([LAUNCH, case])
+        .arg(folder)
+        .arg(place)
+        .env("TANDEM_TEST_LASTS", "1")
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("launcher")
+}
+
+/// Is the launcher of a case.
+pub fn launch(argv: &[OsString]) -> ExitCode {
+    let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
+    let place = if place == "own" { isolation::enter() } else { isolation::enter_shared() };
+    let mut launcher = Launcher::prepare_in(place.expect("place")).expect("launcher");
+    let plan = Plan {
+        schedule: Schedule { realtime: false, ..Schedule::default() },
+        flash: [folder.join("dflash-A"), folder.join("dflash-B")],
+        extra: vec![name.clone()],
+    };
+    launcher.start(&plan, &again).expect("start");
+    let ended = launcher.wait();
+    let leftovers = launcher.finish();
+    if leftovers.count() > 0 {
+        eprintln!("left behind: {leftovers:?}");
+        return ExitCode::from(3);
+    }
+    match ended.vehicle {
+        Some(status) if status.success() => ExitCode::SUCCESS,
+        status => {
+            eprintln!("the vehicle ended with {status:?}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn again(args: &ProcessArgs) -> Command {
+    let mut command = Command::new(std::env::current_exe().expect("own path"));
+    command.args(args.to_argv());
+    command
+}
+
+/// Is a process of a run.
+pub fn play(args: ProcessArgs) -> ExitCode {
+    let name = args.common().extra[0].to_str().expect("name").to_owned();
+    let case = case(&name);
+    match args {
+        ProcessArgs::Supply(args) => {
+            let ended = supply::run(&args, &|core| again(&ProcessArgs::Core(core.clone())));
+            if let Err(error) = ended {
+                eprintln!("supply {}: {error}", args.system);
+                return ExitCode::FAILURE;
+            }
+        }
+        ProcessArgs::Core(args) => match HostBoard::attach(&args) {
+            Ok(board) => (case.core)(&board),
+            Err(error) => {
+                eprintln!("core: {error}");
+                return ExitCode::FAILURE;
+            }
+        },
+        ProcessArgs::Vehicle(args) => {
+            // Whatever hangs, hangs for so long and no longer.
+            thread::spawn(|| {
+                thread::sleep(PATIENCE);
+                eprintln!("the vehicle hangs");
+                std::process::exit(9);
+            });
+            match WorldPort::attach(&args) {
+                Ok(world) => {
+                    let mut script = Script { world, run: args.common.run.clone() };
+                    script.world.set_ignition(true);
+                    (case.vehicle)(&mut script);
+                    script.world.set_ignition(false);
+                }
+                Err(error) => {
+                    eprintln!("vehicle: {error}");
+                    return ExitCode::FAILURE;
+                }
+            }
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+impl Script {
+    /// Lets the bus run until `is_true`.
+    pub fn until(&mut self, what: &str, mut is_true: impl FnMut(&mut Self) -> bool) {
+        let deadline = Instant::now() + PATIENCE / 2;
+        while !is_true(self) {
+            assert!(Instant::now() < deadline, "never: {what}; {:?}", processes::of_run(&self.run));
+            self.world.transmitted(&mut |_, _, _| {});
+            thread::sleep(Duration::from_micros(200));
+        }
+    }
+
+    /// Lets the bus run for a time.
+    pub fn rest(&mut self, ms: u64) {
+        let end = clock::now() + tandem_board::Duration::from_ms(ms);
+        self.until("time passes", |_| clock::now() >= end);
+    }
+
+    /// Waits until a record `[code, ..]` is in the trace of the core in this or a later life.
+    pub fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
+        let mut found = None;
+        self.until(&format!("{system}{core} says {code}"), |script| {
+            script.world.drain_trace(&mut |traced| {
+                let is_it = traced.system == system && traced.core == core;
+                if is_it && traced.record[0] == code && found.is_none() {
+                    found = Some(traced.record);
+                }
+            });
+            found.is_some()
+        });
+        found.expect("just found")
+    }
+
+    pub fn pid(&self, system: SystemId, core: CoreId) -> u32 {
+        self.world.backplane().core_pid(system, core)
+    }
+
+    pub fn generation(&self, system: SystemId, core: CoreId) -> Generation {
+        self.world.backplane().generation(system, core)
+    }
+
+    /// Waits until all cores of a system are started for the `life`th time.
+    pub fn await_life(&mut self, system: SystemId, life: u32) {
+        self.until(&format!("life {life} of {system}"), |script| {
+            CoreId::ALL.iter().all(|core| {
+                script.generation(system, *core) == Generation(life)
+                    && script.pid(system, *core) != 0
+            })
+        });
+    }
+}
+
+pub fn signal(pid: u32, signal: rustix::process::Signal) {
+    let pid = rustix::process::Pid::from_raw(pid as i32).expect("a process");
+    rustix::process::kill_process(pid, signal).expect("the process is there");
+}
+
+/// Waits for an interrupt, which must come.
+pub fn await_interrupt(board: &HostBoard) {
+    let deadline = board.now() + tandem_board::Duration::from_ms(15_000);
+    assert_eq!(board.wait(deadline), tandem_board::Wake::Interrupt, "an interrupt was lost");
+}
+
+/// Sleeps until killed.
+pub fn idle(board: &HostBoard) {
+    loop {
+        board.wait(tandem_board::Instant::NEVER);
+    }
+}
+
+/// Serves the watchdog as it wants to be served, until killed.
+pub fn serve(board: &HostBoard) {
+    use tandem_board::Supply;
+    loop {
+        let question = board.supply().watchdog_question();
+        board.supply().service_watchdog(tandem_board::watchdog_answer(question));
+        clock::sleep_until(board.now() + tandem_board::Duration::from_ms(10));
+    }
+}
+
+/// Core 0 serves the watchdog, the others sleep.
+pub fn live(board: &HostBoard) {
+    if board.identity().core == CoreId::CONTROL { serve(board) } else { idle(board) }
+}
