@@ -33,7 +33,10 @@ pub struct Schedule {
 
 impl Default for Schedule {
     fn default() -> Self {
-        Self { realtime: true, pinning: Pinning::Auto }
+        Self {
+            realtime: true,
+            pinning: Pinning::Auto,
+        }
     }
 }
 
@@ -110,7 +113,11 @@ impl SupplyArgs {
     pub fn core(&self, core: CoreId, generation: Generation) -> CoreArgs {
         CoreArgs {
             common: self.common.clone(),
-            identity: Identity { system: self.system, core, generation },
+            identity: Identity {
+                system: self.system,
+                core,
+                generation,
+            },
             flash: self.flash.clone(),
         }
     }
@@ -134,7 +141,14 @@ impl CoreArgs {
             Pinning::Cpus(cpus) => index.checked_rem(cpus.len()).map(|at| cpus[at]),
         };
         let control = of.core == CoreId::CONTROL;
-        self.common.claim(if control { CONTROL_PRIORITY } else { COMPUTE_PRIORITY }, cpu)
+        self.common.claim(
+            if control {
+                CONTROL_PRIORITY
+            } else {
+                COMPUTE_PRIORITY
+            },
+            cpu,
+        )
     }
 }
 
@@ -150,16 +164,22 @@ impl Common {
     fn claim(&self, priority: u8, cpu: Option<usize>) -> Grant {
         let realtime = self.schedule.realtime;
         let priority = realtime.then_some(priority);
-        realtime::claim(Claim { priority, cpu, lock_memory: realtime })
+        realtime::claim(Claim {
+            priority,
+            cpu,
+            lock_memory: realtime,
+        })
     }
 
     fn write(&self, argv: &mut Vec<OsString>) {
         let pinning = match &self.schedule.pinning {
             Pinning::Auto => "auto".to_owned(),
             Pinning::Off => "off".to_owned(),
-            Pinning::Cpus(cpus) => {
-                cpus.iter().map(ToString::to_string).collect::<Vec<_>>().join(",")
-            }
+            Pinning::Cpus(cpus) => cpus
+                .iter()
+                .map(ToString::to_string)
+                .collect::<Vec<_>>()
+                .join(","),
         };
         let realtime = if self.schedule.realtime { "on" } else { "off" };
         push(argv, "--run", self.run.as_str());
@@ -195,7 +215,11 @@ impl ProcessArgs {
                 args.common.write(&mut argv);
                 push(&mut argv, "--system", args.identity.system.to_string());
                 push(&mut argv, "--core", args.identity.core.to_string());
-                push(&mut argv, "--generation", args.identity.generation.0.to_string());
+                push(
+                    &mut argv,
+                    "--generation",
+                    args.identity.generation.0.to_string(),
+                );
                 push(&mut argv, "--flash", &args.flash);
             }
             Self::Vehicle(args) => {
@@ -212,9 +236,7 @@ impl ProcessArgs {
     ///
     /// # Errors
     /// [`InvalidArgs`] if they begin as such and go on differently.
-    pub fn parse(
-        argv: impl IntoIterator<Item = OsString>,
-    ) -> Option<Result<Self, InvalidArgs>> {
+    pub fn parse(argv: impl IntoIterator<Item = OsString>) -> Option<Result<Self, InvalidArgs>> {
         let mut argv = argv.into_iter();
         let kind = argv.next()?.into_string().ok()?;
         if ![SUPPLY, CORE, VEHICLE].contains(&kind.as_str()) {
@@ -223,10 +245,7 @@ impl ProcessArgs {
         Some(Self::parse_kind(&kind, argv))
     }
 
-    fn parse_kind(
-        kind: &str,
-        argv: impl Iterator<Item = OsString>,
-    ) -> Result<Self, InvalidArgs> {
+    fn parse_kind(kind: &str, argv: impl Iterator<Item = OsString>) -> Result<Self, InvalidArgs> {
         let options = Options::collect(argv)?;
         let common = Common {
             run: options.parse("--run")?,
@@ -247,7 +266,11 @@ impl ProcessArgs {
                 let generation = Generation(options.parse("--generation")?);
                 Self::Core(CoreArgs {
                     common,
-                    identity: Identity { system: options.system()?, core, generation },
+                    identity: Identity {
+                        system: options.system()?,
+                        core,
+                        generation,
+                    },
                     flash: options.value("--flash")?.into(),
                 })
             }
@@ -272,7 +295,10 @@ impl Options {
         while let Some(name) = argv.next().filter(|name| name != "--") {
             pairs.push((name, argv.next().ok_or(InvalidArgs("value"))?));
         }
-        Ok(Self { pairs, extra: argv.collect() })
+        Ok(Self {
+            pairs,
+            extra: argv.collect(),
+        })
     }
 
     fn value(&self, name: &'static str) -> Result<&OsString, InvalidArgs> {
@@ -316,7 +342,10 @@ mod tests {
     fn common(pinning: Pinning) -> Common {
         Common {
             run: "tandem-1-a".parse().unwrap(),
-            schedule: Schedule { realtime: false, pinning },
+            schedule: Schedule {
+                realtime: false,
+                pinning,
+            },
             extra: vec!["--scenario".into(), "cut in".into(), "--".into()],
         }
     }
@@ -329,10 +358,14 @@ mod tests {
             flash: "/tmp/a b/--flash".into(),
         };
         let core = supply.core(CoreId::PLANNING, Generation(7));
-        let vehicle = VehicleArgs { common: common(Pinning::Off) };
-        for args in
-            [ProcessArgs::Supply(supply), ProcessArgs::Core(core), ProcessArgs::Vehicle(vehicle)]
-        {
+        let vehicle = VehicleArgs {
+            common: common(Pinning::Off),
+        };
+        for args in [
+            ProcessArgs::Supply(supply),
+            ProcessArgs::Core(core),
+            ProcessArgs::Vehicle(vehicle),
+        ] {
             assert_eq!(ProcessArgs::parse(args.to_argv()), Some(Ok(args)));
         }
     }
@@ -345,10 +378,15 @@ mod tests {
 
     #[test]
     fn what_was_tampered_with_is_refused() {
-        let args = ProcessArgs::Vehicle(VehicleArgs { common: common(Pinning::Auto) });
+        let args = ProcessArgs::Vehicle(VehicleArgs {
+            common: common(Pinning::Auto),
+        });
         let mut argv = args.to_argv();
         argv[2] = "../../etc".into();
         assert_eq!(ProcessArgs::parse(argv), Some(Err(InvalidArgs("--run"))));
-        assert_eq!(ProcessArgs::parse(vec![CORE.into()]), Some(Err(InvalidArgs("--run"))));
+        assert_eq!(
+            ProcessArgs::parse(vec![CORE.into()]),
+            Some(Err(InvalidArgs("--run")))
+        );
     }
 }

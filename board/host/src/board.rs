@@ -136,7 +136,11 @@ impl Board for HostBoard {
         if !self.looked_around.swap(true, SeqCst) {
             return Wake::Interrupt;
         }
-        if self.bell.wait(deadline) { Wake::Interrupt } else { Wake::Deadline }
+        if self.bell.wait(deadline) {
+            Wake::Interrupt
+        } else {
+            Wake::Deadline
+        }
     }
 
     fn can(&self) -> &HostCan {
@@ -163,7 +167,8 @@ impl Board for HostBoard {
         let record = wire::encode_trace(clock::now(), record);
         let mut trace = self.trace.lock().unwrap_or_else(PoisonError::into_inner);
         if trace.send(&record).is_err() {
-            self.backplane.count_lost_trace(self.of.system, self.of.core);
+            self.backplane
+                .count_lost_trace(self.of.system, self.of.core);
         }
     }
 }

@@ -28,7 +28,10 @@ impl HostCan {
         Ok(Self {
             backplane,
             of,
-            transmit: Mutex::new(fifo::Producer::attach(backplane.ring(transmit), transmit.shape)?),
+            transmit: Mutex::new(fifo::Producer::attach(
+                backplane.ring(transmit),
+                transmit.shape,
+            )?),
             receive: Mutex::new(broadcast::Receiver::attach(
                 backplane.ring(RINGS.receive),
                 RINGS.receive.shape,
@@ -46,12 +49,17 @@ impl HostCan {
 impl Can for HostCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         let wired = Wired {
-            received: Received { frame: *frame, at: clock::now() },
+            received: Received {
+                frame: *frame,
+                at: clock::now(),
+            },
             origin: Origin::Core(self.of.system, self.of.core),
             reaches: [false; 2],
         };
         let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
-        transmit.send(&wired.encode()).map_err(|fifo::Full| TransmitFull)
+        transmit
+            .send(&wired.encode())
+            .map_err(|fifo::Full| TransmitFull)
     }
 
     fn try_receive(&self) -> Option<Received> {
@@ -72,7 +80,8 @@ impl Can for HostCan {
     }
 
     fn wake_on_receive(&self, on: bool) {
-        self.backplane.set_wakes_on_receive(self.of.system, self.of.core, on);
+        self.backplane
+            .set_wakes_on_receive(self.of.system, self.of.core, on);
     }
 
     fn overruns(&self) -> u32 {

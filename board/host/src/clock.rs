@@ -22,7 +22,10 @@ pub fn sleep_until(deadline: Instant) {
 pub(crate) fn timespec(ns: u64) -> Timespec {
     const LIMIT_S: u64 = i32::MAX as u64;
     let seconds = (ns / 1_000_000_000).min(LIMIT_S);
-    Timespec { tv_sec: seconds as i64, tv_nsec: (ns % 1_000_000_000) as i64 }
+    Timespec {
+        tv_sec: seconds as i64,
+        tv_nsec: (ns % 1_000_000_000) as i64,
+    }
 }
 
 /// Wakes its owner at equal distances.
@@ -45,7 +48,10 @@ impl Ticker {
     /// A ticker whose first tick is due one period from now.
     #[must_use]
     pub fn new(period: Duration) -> Self {
-        Self { period, next: now() + period }
+        Self {
+            period,
+            next: now() + period,
+        }
     }
 
     /// Sleeps until the next tick is due. Ticks that were overslept follow at once, each by itself,
@@ -54,7 +60,10 @@ impl Ticker {
         let due = self.next;
         self.next += self.period;
         sleep_until(due);
-        Tick { due, late: now().since(due) }
+        Tick {
+            due,
+            late: now().since(due),
+        }
     }
 
     /// Forgets ticks that are overdue; the next one is due one period from now. Returns how many
@@ -86,6 +95,12 @@ mod tests {
     #[test]
     fn a_far_deadline_is_cut_not_wrapped() {
         assert_eq!(timespec(u64::MAX).tv_sec, i64::from(i32::MAX));
-        assert_eq!(timespec(1_500_000_000), Timespec { tv_sec: 1, tv_nsec: 500_000_000 });
+        assert_eq!(
+            timespec(1_500_000_000),
+            Timespec {
+                tv_sec: 1,
+                tv_nsec: 500_000_000
+            }
+        );
     }
 }

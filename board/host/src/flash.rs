@@ -65,10 +65,16 @@ impl HostFlash {
     /// # Errors
     /// [`FlashFileError`] if it cannot be created or has a wrong size.
     pub fn prepare(path: &Path) -> Result<(), FlashFileError> {
-        let failed = |source| FlashFileError::Io { path: path.to_owned(), source };
+        let failed = |source| FlashFileError::Io {
+            path: path.to_owned(),
+            source,
+        };
         match fs::metadata(path) {
             Ok(found) if found.len() == SIZE => Ok(()),
-            Ok(found) => Err(FlashFileError::Size { path: path.to_owned(), found: found.len() }),
+            Ok(found) => Err(FlashFileError::Size {
+                path: path.to_owned(),
+                found: found.len(),
+            }),
             Err(error) if error.kind() == io::ErrorKind::NotFound => create(path).map_err(failed),
             Err(error) => Err(failed(error)),
         }
@@ -80,8 +86,15 @@ impl HostFlash {
     /// [`FlashFileError`] if the file cannot be opened or created, or has a wrong size.
     pub fn open(path: &Path) -> Result<Self, FlashFileError> {
         Self::prepare(path)?;
-        let failed = |source| FlashFileError::Io { path: path.to_owned(), source };
-        let file = OpenOptions::new().read(true).write(true).open(path).map_err(failed)?;
+        let failed = |source| FlashFileError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(path)
+            .map_err(failed)?;
         let file = Arc::new(file);
         let status = Arc::new(AtomicU8::new(IDLE));
         // One operation at a time is the contract, so one place is enough.
@@ -98,7 +111,11 @@ impl HostFlash {
                 }
             })
             .map_err(failed)?;
-        Ok(Self { file, status, worker })
+        Ok(Self {
+            file,
+            status,
+            worker,
+        })
     }
 
     fn begin(&self, operation: Operation) -> Result<(), FlashError> {
@@ -124,14 +141,18 @@ impl DataFlash for HostFlash {
             return Err(FlashError::Busy);
         }
         check(u64::from(offset), into.len())?;
-        self.file.read_exact_at(into, u64::from(offset)).map_err(|_| FlashError::Failed)
+        self.file
+            .read_exact_at(into, u64::from(offset))
+            .map_err(|_| FlashError::Failed)
     }
 
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
         if sector >= Self::SECTORS {
             return Err(FlashError::OutOfRange);
         }
-        self.begin(Operation::Erase { at: u64::from(sector) * SECTOR })
+        self.begin(Operation::Erase {
+            at: u64::from(sector) * SECTOR,
+        })
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
@@ -142,7 +163,10 @@ impl DataFlash for HostFlash {
         if !in_one_sector || !at.is_multiple_of(PAGE) || !length.is_multiple_of(PAGE) {
             return Err(FlashError::OutOfRange);
         }
-        self.begin(Operation::Program { at, data: data.to_vec() })
+        self.begin(Operation::Program {
+            at,
+            data: data.to_vec(),
+        })
     }
 
     fn status(&self) -> FlashStatus {
@@ -155,7 +179,11 @@ impl DataFlash for HostFlash {
 }
 
 fn check(at: u64, length: usize) -> Result<(), FlashError> {
-    if at + length as u64 > SIZE { Err(FlashError::OutOfRange) } else { Ok(()) }
+    if at + length as u64 > SIZE {
+        Err(FlashError::OutOfRange)
+    } else {
+        Ok(())
+    }
 }
 
 fn carry_out(file: &File, operation: &Operation) -> io::Result<()> {
@@ -225,7 +253,11 @@ mod tests {
         assert_eq!(wait(&flash), FlashStatus::Idle);
         flash.read(0, &mut bytes).unwrap();
         assert_eq!(bytes, [0xFF; 16]);
-        assert_eq!(fs::read_dir(path.parent().unwrap()).unwrap().count(), 1, "no draft stays");
+        assert_eq!(
+            fs::read_dir(path.parent().unwrap()).unwrap().count(),
+            1,
+            "no draft stays"
+        );
     }
 
     #[test]
@@ -250,9 +282,21 @@ mod tests {
         assert_eq!(flash.start_program(4, &[0; 8]), refused, "not aligned");
         assert_eq!(flash.start_program(0, &[0; 7]), refused, "not a page");
         assert_eq!(flash.start_program(0, &[]), refused, "nothing");
-        assert_eq!(flash.start_program(HostFlash::SECTOR_BYTES - 8, &[0; 16]), refused, "across");
-        assert_eq!(flash.start_program(SIZE as u32, &[0; 8]), refused, "outside");
-        assert_eq!(flash.start_program(u32::MAX - 7, &[0; 8]), refused, "far outside");
+        assert_eq!(
+            flash.start_program(HostFlash::SECTOR_BYTES - 8, &[0; 16]),
+            refused,
+            "across"
+        );
+        assert_eq!(
+            flash.start_program(SIZE as u32, &[0; 8]),
+            refused,
+            "outside"
+        );
+        assert_eq!(
+            flash.start_program(u32::MAX - 7, &[0; 8]),
+            refused,
+            "far outside"
+        );
         assert_eq!(flash.read(SIZE as u32 - 1, &mut [0; 2]), refused);
     }
 

@@ -15,7 +15,7 @@ use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 
 use rustix::fs::{
-    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, fstat, flock, openat, statat, unlinkat,
+    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, flock, fstat, openat, statat, unlinkat,
 };
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
@@ -87,9 +87,17 @@ fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, Isolatio
     let before = traces(&outside);
     let place = match unshare() {
         Ok(()) => Place::Private,
-        Err(refused) => Place::Shared { _lock: lock(&outside[0], &run)?, refused },
+        Err(refused) => Place::Shared {
+            _lock: lock(&outside[0], &run)?,
+            refused,
+        },
     };
-    Ok(Isolation { run, place, outside, before })
+    Ok(Isolation {
+        run,
+        place,
+        outside,
+        before,
+    })
 }
 
 impl Isolation {
@@ -121,7 +129,10 @@ impl Isolation {
     /// Names in the machine's `/dev/shm` and `/tmp` that look like ours and were not there before.
     #[must_use]
     pub fn leftovers(&self) -> Vec<String> {
-        traces(&self.outside).difference(&self.before).cloned().collect()
+        traces(&self.outside)
+            .difference(&self.before)
+            .cloned()
+            .collect()
     }
 }
 
@@ -130,7 +141,11 @@ impl fmt::Display for Isolation {
         match &self.place {
             Place::Private => f.write_str("own /dev/shm (a mount namespace)"),
             Place::Shared { refused, .. } => {
-                write!(f, "shared /dev/shm under {} (no namespace: {refused})", self.run)
+                write!(
+                    f,
+                    "shared /dev/shm under {} (no namespace: {refused})",
+                    self.run
+                )
             }
         }
     }
@@ -154,7 +169,14 @@ fn unshare() -> Result<(), String> {
     let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
     mount_change("/", private).map_err(failed)?;
     let options = c"mode=1777,size=256m";
-    mount("tmpfs", SHM, "tmpfs", MountFlags::NOSUID | MountFlags::NODEV, options).map_err(failed)
+    mount(
+        "tmpfs",
+        SHM,
+        "tmpfs",
+        MountFlags::NOSUID | MountFlags::NODEV,
+        options,
+    )
+    .map_err(failed)
 }
 
 fn unshare_flags(flags: UnshareFlags) -> rustix::io::Result<()> {
@@ -164,15 +186,25 @@ fn unshare_flags(flags: UnshareFlags) -> rustix::io::Result<()> {
 }
 
 fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
-    openat(CWD, path, OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC, Mode::empty())
-        .map_err(|errno| IsolationError { place: path.to_owned(), source: errno.into() })
+    openat(
+        CWD,
+        path,
+        OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC,
+        Mode::empty(),
+    )
+    .map_err(|errno| IsolationError {
+        place: path.to_owned(),
+        source: errno.into(),
+    })
 }
 
 /// Creates the run's lock file and takes the lock for this process and all its children.
 fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
     let name = format!("{run}{LOCK_SUFFIX}");
-    let failed =
-        |errno: Errno| IsolationError { place: format!("{SHM}/{name}"), source: errno.into() };
+    let failed = |errno: Errno| IsolationError {
+        place: format!("{SHM}/{name}"),
+        source: errno.into(),
+    };
     loop {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
         let file = openat(shm, name.as_str(), flags, Mode::RUSR | Mode::WUSR).map_err(failed)?;
@@ -191,8 +223,12 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
 /// Removes what runs have left whose processes are all dead.
 fn sweep(shm: &OwnedFd) {
     for name in names(shm) {
-        let Some(run) = name.strip_suffix(LOCK_SUFFIX) else { continue };
-        let Ok(run) = run.parse::<RunName>() else { continue };
+        let Some(run) = name.strip_suffix(LOCK_SUFFIX) else {
+            continue;
+        };
+        let Ok(run) = run.parse::<RunName>() else {
+            continue;
+        };
         let Ok(file) = openat(shm, &*name, OFlags::RDWR | OFlags::CLOEXEC, Mode::empty()) else {
             continue;
         };
@@ -216,7 +252,11 @@ fn traces(folders: &[OwnedFd; 2]) -> BTreeSet<String> {
     let mut found = BTreeSet::new();
     for (folder, path) in folders.iter().zip([SHM, TMP]) {
         let ours = |name: &String| TRACES.iter().any(|start| name.starts_with(start));
-        found.extend(names(folder).filter(ours).map(|name| format!("{path}/{name}")));
+        found.extend(
+            names(folder)
+                .filter(ours)
+                .map(|name| format!("{path}/{name}")),
+        );
     }
     found
 }

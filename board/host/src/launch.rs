@@ -125,7 +125,13 @@ impl Launcher {
             signal_hook::flag::register(signal, Arc::clone(&signalled))
                 .map_err(LaunchError::Signals)?;
         }
-        Ok(Self { isolation, backplane, children: vec![], signalled, is_over: false })
+        Ok(Self {
+            isolation,
+            backplane,
+            children: vec![],
+            signalled,
+            is_over: false,
+        })
     }
 
     /// The place of the run's files; its display is the line that says what was granted.
@@ -157,10 +163,22 @@ impl Launcher {
         };
         for system in SystemId::ALL {
             let flash = plan.flash[system.index()].clone();
-            let args = SupplyArgs { common: common.clone(), system, flash };
-            self.spawn(&format!("supply of system {system}"), ProcessArgs::Supply(args), command)?;
+            let args = SupplyArgs {
+                common: common.clone(),
+                system,
+                flash,
+            };
+            self.spawn(
+                &format!("supply of system {system}"),
+                ProcessArgs::Supply(args),
+                command,
+            )?;
         }
-        self.spawn("vehicle", ProcessArgs::Vehicle(VehicleArgs { common }), command)?;
+        self.spawn(
+            "vehicle",
+            ProcessArgs::Vehicle(VehicleArgs { common }),
+            command,
+        )?;
         let pids: Vec<u32> = self.children.iter().map(Child::id).collect();
         self.backplane.assemble([pids[0], pids[1]], pids[2]);
         Ok(())
@@ -172,8 +190,11 @@ impl Launcher {
         args: ProcessArgs,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Result<(), LaunchError> {
-        let child = spawn::spawn_free(&mut command(&args))
-            .map_err(|source| LaunchError::Spawn { what: what.to_owned(), source })?;
+        let child =
+            spawn::spawn_free(&mut command(&args)).map_err(|source| LaunchError::Spawn {
+                what: what.to_owned(),
+                source,
+            })?;
         self.children.push(child);
         Ok(())
     }
@@ -183,13 +204,19 @@ impl Launcher {
         let mut asked: Option<Instant> = None;
         loop {
             let Some(vehicle) = self.children.get_mut(2) else {
-                return Ended { vehicle: None, interrupted: false };
+                return Ended {
+                    vehicle: None,
+                    interrupted: false,
+                };
             };
             match vehicle.try_wait() {
                 Ok(None) => {}
                 ended => {
                     let vehicle = ended.ok().flatten();
-                    return Ended { vehicle, interrupted: asked.is_some() };
+                    return Ended {
+                        vehicle,
+                        interrupted: asked.is_some(),
+                    };
                 }
             }
             let signalled = self.signalled.swap(false, Ordering::Relaxed);
@@ -233,7 +260,10 @@ impl Launcher {
         }
         reap_orphans();
         self.isolation.wipe();
-        Leftovers { processes, files: self.isolation.leftovers() }
+        Leftovers {
+            processes,
+            files: self.isolation.leftovers(),
+        }
     }
 
     /// Whether all processes that this one started have ended within the time.

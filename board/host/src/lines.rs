@@ -19,7 +19,11 @@ pub struct HostLines {
 
 impl HostLines {
     pub(crate) fn new(backplane: Backplane, of: Identity, ringers: Arc<Ringers>) -> Self {
-        Self { backplane, of, ringers }
+        Self {
+            backplane,
+            of,
+            ringers,
+        }
     }
 }
 
@@ -27,7 +31,8 @@ impl Lines for HostLines {
     fn send(&self, line: Line, edge: Edge) {
         self.backplane.send_edge(self.of.system, line, edge);
         if line == Line::Start && !self.backplane.is_cut(Cut::Line(self.of.system, line)) {
-            self.ringers.ring(self.backplane, self.of.system.peer(), CoreId::CONTROL);
+            self.ringers
+                .ring(self.backplane, self.of.system.peer(), CoreId::CONTROL);
         }
     }
 
@@ -68,7 +73,11 @@ impl HostLink {
         } else {
             None
         };
-        Ok(Self { backplane, of, ends })
+        Ok(Self {
+            backplane,
+            of,
+            ends,
+        })
     }
 }
 
@@ -76,8 +85,14 @@ impl Link for HostLink {
     const MAX_WORDS: usize = LINK_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
-        assert!(words.len() <= Self::MAX_WORDS, "datagram of {} words", words.len());
-        let Some(ends) = &self.ends else { return Err(LinkFull) };
+        assert!(
+            words.len() <= Self::MAX_WORDS,
+            "datagram of {} words",
+            words.len()
+        );
+        let Some(ends) = &self.ends else {
+            return Err(LinkFull);
+        };
         if self.backplane.is_cut(Cut::Link(self.of.system)) {
             return Ok(());
         }
@@ -89,8 +104,12 @@ impl Link for HostLink {
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
-        let mut receive =
-            self.ends.as_ref()?.receive.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut receive = self
+            .ends
+            .as_ref()?
+            .receive
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let mut slot = [0; LINK_WORDS];
         if !receive.receive_into(&mut slot) {
             return None;

@@ -66,7 +66,14 @@ mod tests {
 
     #[test]
     fn names_with_a_path_or_without_prefix_are_refused() {
-        for text in ["", "tandem-", "run-1", "tandem-../x", "tandem-a b", "tandem-a/b"] {
+        for text in [
+            "",
+            "tandem-",
+            "run-1",
+            "tandem-../x",
+            "tandem-a b",
+            "tandem-a/b",
+        ] {
             assert!(text.parse::<RunName>().is_err(), "{text}");
         }
     }

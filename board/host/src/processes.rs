@@ -59,14 +59,21 @@ pub fn list() -> Vec<Process> {
     let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
     let mut found: Vec<Process> = pids.filter_map(look_at).collect();
     for at in 0..found.len() {
-        found[at].role = found[at].system.and_then(|system| role(&found, &found[at].run, system));
+        found[at].role = found[at]
+            .system
+            .and_then(|system| role(&found, &found[at].run, system));
     }
     found.sort_by_key(|process| {
         let core = match process.kind {
             Kind::Core(core, _) => 1 + core.index(),
             Kind::Supply | Kind::Vehicle => 0,
         };
-        (process.run.clone(), process.system.map_or(2, SystemId::index), core, process.pid)
+        (
+            process.run.clone(),
+            process.system.map_or(2, SystemId::index),
+            core,
+            process.pid,
+        )
     });
     found
 }
@@ -74,12 +81,18 @@ pub fn list() -> Vec<Process> {
 /// The processes of one run.
 #[must_use]
 pub fn of_run(run: &RunName) -> Vec<Process> {
-    list().into_iter().filter(|process| process.run == *run).collect()
+    list()
+        .into_iter()
+        .filter(|process| process.run == *run)
+        .collect()
 }
 
 fn look_at(pid: u32) -> Option<Process> {
     let argv = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
-    let argv = argv.strip_suffix(b"\0").unwrap_or(&argv).split(|byte| *byte == 0);
+    let argv = argv
+        .strip_suffix(b"\0")
+        .unwrap_or(&argv)
+        .split(|byte| *byte == 0);
     let argv = argv.skip(1).map(|arg| OsString::from_vec(arg.to_vec()));
     let args = ProcessArgs::parse(argv)?.ok()?;
     let (state, cpu) = state_and_cpu(&fs::read_to_string(format!("/proc/{pid}/stat")).ok()?)?;
@@ -94,7 +107,14 @@ fn look_at(pid: u32) -> Option<Process> {
         }
         ProcessArgs::Vehicle(_) => (Kind::Vehicle, None),
     };
-    Some(Process { pid, run: args.common().run.clone(), kind, system, role: None, cpu })
+    Some(Process {
+        pid,
+        run: args.common().run.clone(),
+        kind,
+        system,
+        role: None,
+        cpu,
+    })
 }
 
 /// From the line of `/proc/PID/stat` (proc(5)): field 3 and field 39. Field 2, the name, may contain
@@ -123,7 +143,10 @@ mod tests {
 
     #[test]
     fn the_name_of_a_process_cannot_confuse() {
-        let tail = (4..=52).map(|n| n.to_string()).collect::<Vec<_>>().join(" ");
+        let tail = (4..=52)
+            .map(|n| n.to_string())
+            .collect::<Vec<_>>()
+            .join(" ");
         let line = format!("17 (a) Z) 3 (x) S {tail}\n");
         assert_eq!(state_and_cpu(&line), Some(("S".to_owned(), Some(39))));
     }

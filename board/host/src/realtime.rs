@@ -48,7 +48,11 @@ impl fmt::Display for Grant {
             Some(cpu) => write!(f, ", pinned to CPU {cpu}")?,
             None => f.write_str(", not pinned")?,
         }
-        f.write_str(if self.memory_locked { ", memory locked" } else { ", memory not locked" })
+        f.write_str(if self.memory_locked {
+            ", memory locked"
+        } else {
+            ", memory not locked"
+        })
     }
 }
 
@@ -70,7 +74,11 @@ pub fn claim(claim: Claim) -> Grant {
     };
     touch_stack();
     let fifo = claim.priority.filter(|priority| set_fifo(*priority));
-    Grant { fifo, cpu, memory_locked }
+    Grant {
+        fifo,
+        cpu,
+        memory_locked,
+    }
 }
 
 /// How many CPUs this process may use; at least 1.
@@ -88,13 +96,15 @@ fn pin(index: usize) -> Option<usize> {
 /// With a limit on locked memory, locking all future memory would make allocations fail later on.
 fn may_lock() -> bool {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
-    let privileged = capabilities(None)
-        .is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK));
+    let privileged =
+        capabilities(None).is_ok_and(|sets| sets.effective.contains(CapabilitySet::IPC_LOCK));
     unlimited || privileged
 }
 
 fn set_fifo(priority: u8) -> bool {
-    let param = libc::sched_param { sched_priority: libc::c_int::from(priority) };
+    let param = libc::sched_param {
+        sched_priority: libc::c_int::from(priority),
+    };
     // What this thread starts (the data flash, cores) has its own claim or none.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: `param` is a valid `sched_param` for the time of the call; 0 is the calling thread.
@@ -113,22 +123,52 @@ mod tests {
 
     #[test]
     fn the_line_says_what_was_granted() {
-        let none = Grant { fifo: None, cpu: None, memory_locked: false };
-        assert_eq!(none.to_string(), "no real-time priority, not pinned, memory not locked");
-        let all = Grant { fifo: Some(60), cpu: Some(1), memory_locked: true };
-        assert_eq!(all.to_string(), "SCHED_FIFO 60, pinned to CPU 1, memory locked");
+        let none = Grant {
+            fifo: None,
+            cpu: None,
+            memory_locked: false,
+        };
+        assert_eq!(
+            none.to_string(),
+            "no real-time priority, not pinned, memory not locked"
+        );
+        let all = Grant {
+            fifo: Some(60),
+            cpu: Some(1),
+            memory_locked: true,
+        };
+        assert_eq!(
+            all.to_string(),
+            "SCHED_FIFO 60, pinned to CPU 1, memory locked"
+        );
     }
 
     #[test]
     fn a_claim_for_nothing_is_granted_nothing() {
-        let claimed = claim(Claim { priority: None, cpu: None, lock_memory: false });
-        assert_eq!(claimed, Grant { fifo: None, cpu: None, memory_locked: false });
+        let claimed = claim(Claim {
+            priority: None,
+            cpu: None,
+            lock_memory: false,
+        });
+        assert_eq!(
+            claimed,
+            Grant {
+                fifo: None,
+                cpu: None,
+                memory_locked: false
+            }
+        );
     }
 
     #[test]
     fn any_index_names_a_cpu() {
         let handle = std::thread::spawn(|| {
-            claim(Claim { priority: None, cpu: Some(1_000_003), lock_memory: false }).cpu
+            claim(Claim {
+                priority: None,
+                cpu: Some(1_000_003),
+                lock_memory: false,
+            })
+            .cpu
         });
         assert!(handle.join().unwrap().is_some());
     }

@@ -69,12 +69,13 @@ impl<const N: usize> Segment<N> {
     /// Creates the segment, all words zero.
     pub(crate) fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
-        let built = <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
-            .config(&config(run))
-            .has_ownership(false)
-            // Fresh shared memory is zero, and zero is a valid content.
-            .initializer(|_, _| true)
-            .create();
+        let built =
+            <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
+                .config(&config(run))
+                .has_ownership(false)
+                // Fresh shared memory is zero, and zero is a valid content.
+                .initializer(|_, _| true)
+                .create();
         match built {
             Ok(storage) => Ok(Self { storage }),
             Err(error) => Err(refused(run, name, create_reason(error))),
@@ -84,16 +85,18 @@ impl<const N: usize> Segment<N> {
     /// Maps a segment that was created before. Does not wait.
     pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
-        let built = <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
-            .config(&config(run))
-            .has_ownership(false)
-            .timeout(Duration::ZERO)
-            .open(AccessMode::ReadWrite);
+        let built =
+            <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
+                .config(&config(run))
+                .has_ownership(false)
+                .timeout(Duration::ZERO)
+                .open(AccessMode::ReadWrite);
         match built {
             Ok(storage) => Ok(Self { storage }),
-            Err(DynamicStorageOpenError::DoesNotExist) => {
-                Err(SegmentError::DoesNotExist { run: run.clone(), name: name.to_owned() })
-            }
+            Err(DynamicStorageOpenError::DoesNotExist) => Err(SegmentError::DoesNotExist {
+                run: run.clone(),
+                name: name.to_owned(),
+            }),
             Err(error) => Err(refused(run, name, error.to_string())),
         }
     }
@@ -105,7 +108,9 @@ impl<const N: usize> Segment<N> {
         // SAFETY: the contract asks that nobody uses the segment, because its content would go
         // away; POSIX shared memory keeps its content for those who have it mapped.
         let removed = unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name)?, &config(run)) };
-        removed.map(|_| ()).map_err(|error| refused(run, name, remove_reason(error)))
+        removed
+            .map(|_| ())
+            .map_err(|error| refused(run, name, remove_reason(error)))
     }
 
     pub(crate) fn words(&self) -> &[AtomicU32] {
@@ -141,7 +146,11 @@ fn file(run: &RunName, name: &str) -> Result<FileName, SegmentError> {
 }
 
 fn refused(run: &RunName, name: &str, reason: String) -> SegmentError {
-    SegmentError::Refused { run: run.clone(), name: name.to_owned(), reason }
+    SegmentError::Refused {
+        run: run.clone(),
+        name: name.to_owned(),
+        reason,
+    }
 }
 
 fn create_reason(error: DynamicStorageCreateError) -> String {

@@ -74,15 +74,14 @@ impl From<FitError> for SupplyError {
 /// # Errors
 /// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that cannot
 /// be started is no error: it is a core that is dead.
-pub fn run(
-    args: &SupplyArgs,
-    command: &dyn Fn(&CoreArgs) -> Command,
-) -> Result<(), SupplyError> {
+pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
     let lmu = create_lmu(&args.common.run, args.system, power_on)?;
-    let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else { return Ok(()) };
+    let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else {
+        return Ok(());
+    };
     let services = RINGS.service[args.system.index()];
     let link = RINGS.link[args.system.peer().index()];
     let mut supply = Supply {
@@ -94,7 +93,10 @@ pub fn run(
         services: fifo::Consumer::attach(backplane.ring(services), services.shape)?,
         link,
         cores: [None, None, None],
-        state: State::Off { cause: ResetCause::PowerOn, until: clock::now() },
+        state: State::Off {
+            cause: ResetCause::PowerOn,
+            until: clock::now(),
+        },
         pause: SHORTEST_PAUSE,
         peer,
     };
@@ -179,7 +181,11 @@ impl Supply<'_> {
 
     /// Sleeps until a process ends or the next tick is due.
     fn sleep(&self, vehicle: &OwnedFd, next: Instant) {
-        let cores = self.cores.iter().flatten().filter_map(|core| core.watched.as_ref());
+        let cores = self
+            .cores
+            .iter()
+            .flatten()
+            .filter_map(|core| core.watched.as_ref());
         let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
         let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
         let left = clock::timespec(next.since(clock::now()).as_ns());
@@ -223,13 +229,16 @@ impl Supply<'_> {
             Some(ResetRequest::Suspend) => {
                 self.reset(now, ResetCause::Software);
                 self.state = State::Suspended;
-                self.backplane.show_role(self.args.system, RoleLamp::Suspended);
+                self.backplane
+                    .show_role(self.args.system, RoleLamp::Suspended);
             }
         }
     }
 
     fn watchdog(&mut self, now: Instant) -> Result<(), WatchdogFault> {
-        let State::On { watchdog, .. } = &mut self.state else { return Ok(()) };
+        let State::On { watchdog, .. } = &mut self.state else {
+            return Ok(());
+        };
         let mut words = [0; SERVICE_WORDS];
         while self.services.receive_into(&mut words) {
             let at = Instant::from_words([words[0], words[1]]);
@@ -242,19 +251,27 @@ impl Supply<'_> {
 
     /// Takes the system down at once; it comes back after a pause.
     fn reset(&mut self, now: Instant, cause: ResetCause) {
-        let State::On { since, .. } = self.state else { return };
+        let State::On { since, .. } = self.state else {
+            return;
+        };
         self.set_level(self.args.system, false);
         self.kill_cores();
-        self.backplane.show_role(self.args.system, RoleLamp::Starting);
+        self.backplane
+            .show_role(self.args.system, RoleLamp::Starting);
         if now.since(since) >= STABLE {
             self.pause = SHORTEST_PAUSE;
         }
-        self.state = State::Off { cause, until: now + self.pause };
+        self.state = State::Off {
+            cause,
+            until: now + self.pause,
+        };
         self.pause = LONGEST_PAUSE.min(self.pause.times(2));
     }
 
     fn release_if_due(&mut self, now: Instant) {
-        let State::Off { cause, until } = self.state else { return };
+        let State::Off { cause, until } = self.state else {
+            return;
+        };
         if now < until || self.cores.iter().any(Option::is_some) {
             return;
         }
@@ -262,7 +279,10 @@ impl Supply<'_> {
         self.backplane.set_reset_cause(self.args.system, cause);
         // Requests of the life that is over.
         self.backplane.take_reset_request(self.args.system);
-        self.state = State::On { since: now, watchdog: Watchdog::new(now, 0) };
+        self.state = State::On {
+            since: now,
+            watchdog: Watchdog::new(now, 0),
+        };
         self.set_level(self.args.system, true);
         for core in CoreId::ALL {
             self.start(core);
@@ -277,7 +297,8 @@ impl Supply<'_> {
         let mut words = [0; SERVICE_WORDS];
         while self.services.receive_into(&mut words) {}
         // What was under way to them on the link. The ring was checked when the supply started.
-        if let Ok(mut link) = fifo::Consumer::attach(self.backplane.ring(self.link), self.link.shape)
+        if let Ok(mut link) =
+            fifo::Consumer::attach(self.backplane.ring(self.link), self.link.shape)
         {
             while let Some(datagram) = link.receive() {
                 datagram.release();
@@ -318,6 +339,7 @@ impl Supply<'_> {
     /// Changes a level line, which interrupts core 0 of the system on the other end.
     fn set_level(&self, of: tandem_board::SystemId, high: bool) {
         self.backplane.set_level(of, high);
-        self.ringers.ring(self.backplane, of.peer(), CoreId::CONTROL);
+        self.ringers
+            .ring(self.backplane, of.peer(), CoreId::CONTROL);
     }
 }

@@ -39,7 +39,11 @@ pub(crate) struct Watchdog {
 impl Watchdog {
     /// Starts to watch; `services` is the number of services that came in former lives.
     pub(crate) const fn new(now: Instant, services: u32) -> Self {
-        Self { started: now, last: None, services }
+        Self {
+            started: now,
+            last: None,
+            services,
+        }
     }
 
     /// A service came, at `at` by the core's word, and was seen at `now`.
@@ -70,7 +74,11 @@ impl Watchdog {
 
     /// Nothing more has come until `now`.
     pub(crate) fn check(&self, now: Instant) -> Result<(), WatchdogFault> {
-        if now > self.closes() { Err(WatchdogFault::Late) } else { Ok(()) }
+        if now > self.closes() {
+            Err(WatchdogFault::Late)
+        } else {
+            Ok(())
+        }
     }
 
     fn closes(&self) -> Instant {
@@ -111,7 +119,10 @@ mod tests {
     fn first_service_may_be_late_and_not_too_late() {
         let mut dog = Watchdog::new(START, 0);
         assert_eq!(dog.check(at(u64::from(FIRST_SERVICE_US))), Ok(()));
-        assert_eq!(dog.check(at(u64::from(FIRST_SERVICE_US) + 1)), Err(WatchdogFault::Late));
+        assert_eq!(
+            dog.check(at(u64::from(FIRST_SERVICE_US) + 1)),
+            Err(WatchdogFault::Late)
+        );
         assert_eq!(serve(&mut dog, u64::from(FIRST_SERVICE_US)), Ok(()));
     }
 
@@ -121,8 +132,14 @@ mod tests {
         let mut dog = Watchdog::new(START, 0);
         assert_eq!(serve(&mut dog, 0), Ok(()));
         assert_eq!(dog.check(at(u64::from(WINDOW_CLOSES_US))), Ok(()));
-        assert_eq!(dog.check(at(u64::from(WINDOW_CLOSES_US) + 1)), Err(WatchdogFault::Late));
-        assert_eq!(serve(&mut dog, u64::from(WINDOW_CLOSES_US) + 1), Err(WatchdogFault::Late));
+        assert_eq!(
+            dog.check(at(u64::from(WINDOW_CLOSES_US) + 1)),
+            Err(WatchdogFault::Late)
+        );
+        assert_eq!(
+            serve(&mut dog, u64::from(WINDOW_CLOSES_US) + 1),
+            Err(WatchdogFault::Late)
+        );
     }
 
     /// T-CHIP-6: a service before the window opens is a fault; the first one has no window.
@@ -130,7 +147,10 @@ mod tests {
     fn early_is_a_fault() {
         let mut dog = Watchdog::new(START, 0);
         assert_eq!(serve(&mut dog, 1), Ok(()));
-        assert_eq!(serve(&mut dog, u64::from(WINDOW_OPENS_US)), Err(WatchdogFault::Early));
+        assert_eq!(
+            serve(&mut dog, u64::from(WINDOW_OPENS_US)),
+            Err(WatchdogFault::Early)
+        );
         assert_eq!(serve(&mut dog, u64::from(WINDOW_OPENS_US) + 1), Ok(()));
     }
 
@@ -161,6 +181,9 @@ mod tests {
         let mut dog = Watchdog::new(START, 0);
         let answer = watchdog_answer(question(0));
         assert_eq!(dog.on_service(at(10), at(900_000), answer), Ok(()));
-        assert_eq!(dog.check(at(10 + u64::from(WINDOW_CLOSES_US) + 1)), Err(WatchdogFault::Late));
+        assert_eq!(
+            dog.check(at(10 + u64::from(WINDOW_CLOSES_US) + 1)),
+            Err(WatchdogFault::Late)
+        );
     }
 }

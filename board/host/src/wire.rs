@@ -91,7 +91,11 @@ impl Wired {
         };
         let reaches = flags >> REACHES_AT;
         let reaches = [reaches & 1 != 0, reaches & 2 != 0];
-        Some(Self { received: Received { frame, at }, origin, reaches })
+        Some(Self {
+            received: Received { frame, at },
+            origin,
+            reaches,
+        })
     }
 }
 
@@ -125,7 +129,11 @@ mod tests {
 
     #[test]
     fn every_frame_comes_back_as_it_was() {
-        for id in [CanId::Standard(0), CanId::Standard(0x7FF), CanId::Extended(0x1FFF_FFFF)] {
+        for id in [
+            CanId::Standard(0),
+            CanId::Standard(0x7FF),
+            CanId::Extended(0x1FFF_FFFF),
+        ] {
             for (fd, length) in [(false, 0), (false, 8), (true, 5), (true, 12), (true, 64)] {
                 let frame = wired(id, fd, length);
                 assert_eq!(Wired::decode(&frame.encode()), Some(frame));
@@ -138,7 +146,10 @@ mod tests {
         for system in SystemId::ALL {
             for core in CoreId::ALL {
                 let origin = Origin::Core(system, core);
-                let frame = Wired { origin, ..wired(CanId::Standard(1), false, 1) };
+                let frame = Wired {
+                    origin,
+                    ..wired(CanId::Standard(1), false, 1)
+                };
                 assert_eq!(Wired::decode(&frame.encode()).unwrap().origin, origin);
             }
         }

@@ -1,6 +1,8 @@
 //! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
 
-use tandem_board::{CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId, TraceRecord};
+use tandem_board::{
+    CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId, TraceRecord,
+};
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
@@ -126,12 +128,24 @@ impl WorldPort {
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             while node.frames.receive_into(&mut words) {
-                let Some(sent) = Wired::decode(&words).filter(|_| !silent) else { continue };
+                let Some(sent) = Wired::decode(&words).filter(|_| !silent) else {
+                    continue;
+                };
                 seen(node.system, node.core, sent.received);
                 // Who sent it is known from the ring, whatever the words say.
                 let origin = Origin::Core(node.system, node.core);
-                let received = Received { frame: sent.received.frame, at: now };
-                self.bus.send(&Wired { received, origin, reaches }.encode());
+                let received = Received {
+                    frame: sent.received.frame,
+                    at: now,
+                };
+                self.bus.send(
+                    &Wired {
+                        received,
+                        origin,
+                        reaches,
+                    }
+                    .encode(),
+                );
                 self.news = true;
             }
         }
@@ -141,8 +155,15 @@ impl WorldPort {
     /// Sends a frame of one of the vehicle's own nodes. The cores hear of it with the next
     /// [`WorldPort::transmitted`] or [`WorldPort::ring_receivers`].
     pub fn broadcast(&mut self, frame: &CanFrame) {
-        let received = Received { frame: *frame, at: clock::now() };
-        let wired = Wired { received, origin: Origin::Vehicle, reaches: self.reaches() };
+        let received = Received {
+            frame: *frame,
+            at: clock::now(),
+        };
+        let wired = Wired {
+            received,
+            origin: Origin::Vehicle,
+            reaches: self.reaches(),
+        };
         self.bus.send(&wired.encode());
         self.news = true;
     }
@@ -167,7 +188,12 @@ impl WorldPort {
         for node in &mut self.from_cores {
             while node.trace.receive_into(&mut words) {
                 let (at, record) = decode_trace(words);
-                into(Traced { at, system: node.system, core: node.core, record });
+                into(Traced {
+                    at,
+                    system: node.system,
+                    core: node.core,
+                    record,
+                });
             }
             let total = self.backplane.lost_trace(node.system, node.core);
             lost += total.wrapping_sub(core::mem::replace(&mut node.lost, total));

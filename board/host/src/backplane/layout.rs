@@ -125,14 +125,26 @@ const RINGS_AND_END: (Rings, usize) = {
         (place.at + place.words).next_multiple_of(LINE)
     }
     const fn fifo_at(at: usize, shape: Shape) -> Place {
-        Place { at, words: fifo::words(shape), shape }
+        Place {
+            at,
+            words: fifo::words(shape),
+            shape,
+        }
     }
     const fn broadcast_at(at: usize, shape: Shape) -> Place {
-        Place { at, words: broadcast::words(shape), shape }
+        Place {
+            at,
+            words: broadcast::words(shape),
+            shape,
+        }
     }
     let receive = broadcast_at(RINGS_AT, RECEIVE);
     let mut at = end(receive);
-    let nothing = Place { at, words: 0, shape: LINK };
+    let nothing = Place {
+        at,
+        words: 0,
+        shape: LINK,
+    };
     let mut transmit = [nothing; CORES];
     let mut trace = [nothing; CORES];
     let mut n = 0;
@@ -151,7 +163,16 @@ const RINGS_AND_END: (Rings, usize) = {
         at = end(service[n]);
         n += 1;
     }
-    (Rings { transmit, receive, link, service, trace }, at)
+    (
+        Rings {
+            transmit,
+            receive,
+            link,
+            service,
+            trace,
+        },
+        at,
+    )
 };
 
 #[cfg(test)]
@@ -161,7 +182,12 @@ mod tests {
     #[test]
     fn nothing_overlaps() {
         let mut places: Vec<(usize, usize)> = vec![(RINGS.receive.at, RINGS.receive.words)];
-        for group in [&RINGS.transmit[..], &RINGS.trace, &RINGS.link, &RINGS.service] {
+        for group in [
+            &RINGS.transmit[..],
+            &RINGS.trace,
+            &RINGS.link,
+            &RINGS.service,
+        ] {
             places.extend(group.iter().map(|place| (place.at, place.words)));
         }
         for s in SystemId::ALL {

@@ -13,8 +13,8 @@ use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, Rol
 
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
-pub(crate) use layout::{Place, RINGS, core_index};
 use layout::{Core, Run, System, WORDS};
+pub(crate) use layout::{Place, RINGS, core_index};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
 const MAGIC: u32 = 0x5444_4D01;
@@ -72,7 +72,9 @@ impl Backplane {
     /// Creates the backplane of a run: both supplies connected to the battery, ignition off.
     pub(crate) fn create(run: &RunName) -> Result<Self, BackplaneError> {
         let segment = Box::leak(Box::new(Segment::<WORDS>::create(run, NAME)?));
-        let backplane = Self { words: segment.words() };
+        let backplane = Self {
+            words: segment.words(),
+        };
         for system in SystemId::ALL {
             backplane.set_level(system, true);
         }
@@ -83,7 +85,9 @@ impl Backplane {
     /// Maps the backplane of a run.
     pub(crate) fn open(run: &RunName) -> Result<Self, BackplaneError> {
         let segment = Box::leak(Box::new(Segment::<WORDS>::open(run, NAME)?));
-        let backplane = Self { words: segment.words() };
+        let backplane = Self {
+            words: segment.words(),
+        };
         if backplane.run(Run::Magic).load(Acquire) != MAGIC {
             return Err(BackplaneError::OtherVersion(run.clone()));
         }
@@ -113,7 +117,8 @@ impl Backplane {
     /// Tells the processes of the run who they are; they wait for it. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
-            self.system(system, System::SupplyPid).store(supplies[system.index()], Relaxed);
+            self.system(system, System::SupplyPid)
+                .store(supplies[system.index()], Relaxed);
         }
         self.run(Run::VehiclePid).store(vehicle, Relaxed);
         // Pairs with the load in `is_assembled`.
@@ -194,7 +199,8 @@ impl Backplane {
     }
 
     pub(crate) fn set_level(self, system: SystemId, high: bool) {
-        self.system(system, System::LevelLow).store(u32::from(!high), SeqCst);
+        self.system(system, System::LevelLow)
+            .store(u32::from(!high), SeqCst);
     }
 
     /// The level line of the system's supply; low (`false`) in reset and without power.
@@ -231,7 +237,8 @@ impl Backplane {
             ResetRequest::CoreDead => 2,
             ResetRequest::Suspend => 3,
         };
-        self.system(system, System::ResetRequest).store(code, SeqCst);
+        self.system(system, System::ResetRequest)
+            .store(code, SeqCst);
     }
 
     /// Takes a pending request. Supply only.
@@ -281,7 +288,8 @@ impl Backplane {
     }
 
     pub(crate) fn set_generation(self, system: SystemId, core: CoreId, life: Generation) {
-        self.core(system, core, Core::Generation).store(life.0, SeqCst);
+        self.core(system, core, Core::Generation)
+            .store(life.0, SeqCst);
     }
 
     /// The life of the core that the supply started last; 0 before the first.
@@ -291,7 +299,8 @@ impl Backplane {
     }
 
     pub(crate) fn set_bell_generation(self, system: SystemId, core: CoreId, life: Generation) {
-        self.core(system, core, Core::BellGeneration).store(life.0, SeqCst);
+        self.core(system, core, Core::BellGeneration)
+            .store(life.0, SeqCst);
     }
 
     /// The life of the core whose doorbell hangs.
@@ -300,7 +309,8 @@ impl Backplane {
     }
 
     pub(crate) fn set_wakes_on_receive(self, system: SystemId, core: CoreId, on: bool) {
-        self.core(system, core, Core::WakeOnReceive).store(u32::from(on), SeqCst);
+        self.core(system, core, Core::WakeOnReceive)
+            .store(u32::from(on), SeqCst);
     }
 
     pub(crate) fn wakes_on_receive(self, system: SystemId, core: CoreId) -> bool {
@@ -309,7 +319,8 @@ impl Backplane {
 
     /// Counts one lost trace record of the core.
     pub(crate) fn count_lost_trace(self, system: SystemId, core: CoreId) {
-        self.core(system, core, Core::TraceLost).fetch_add(1, Relaxed);
+        self.core(system, core, Core::TraceLost)
+            .fetch_add(1, Relaxed);
     }
 
     /// How many trace records of the core were lost because nobody fetched them; wraps around.

@@ -20,8 +20,8 @@ use iceoryx2_cal::event::trigger::State;
 use iceoryx2_cal::event::{
     Event, EventId, Listener, ListenerBuilder, ListenerWaitError, Notifier, NotifierBuilder,
 };
-use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 use iceoryx2_cal::named_concept::NamedConceptMgmt;
+use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 use tandem_board::{CoreId, Generation, Identity, Instant, SystemId};
 
 use crate::backplane::Backplane;
@@ -55,9 +55,15 @@ impl Bell {
     /// Hangs the bell of this life and removes that of the life before.
     pub(crate) fn hang(run: &RunName, of: Identity) -> Result<Self, BellError> {
         segment::quiet();
-        let error = |reason: String| BellError { core: format!("{}{}", of.system, of.core), reason };
+        let error = |reason: String| BellError {
+            core: format!("{}{}", of.system, of.core),
+            reason,
+        };
         if let Some(before) = of.generation.0.checked_sub(1) {
-            let before = Identity { generation: Generation(before), ..of };
+            let before = Identity {
+                generation: Generation(before),
+                ..of
+            };
             // SAFETY: that life is over, and those who still ring it have it mapped, which a removed
             // name does not disturb.
             let _ = unsafe { BellEvent::remove_cfg(&file(before), &config(run)) };
@@ -111,7 +117,10 @@ struct Opened {
 
 impl Ringers {
     pub(crate) fn new(run: &RunName) -> Self {
-        Self { run: run.clone(), open: Default::default() }
+        Self {
+            run: run.clone(),
+            open: Default::default(),
+        }
     }
 
     /// Rings the core, in whichever life it is. Does nothing if it has none. Never waits for it.
@@ -123,10 +132,18 @@ impl Ringers {
         if generation == Generation(0) {
             return;
         }
-        let mut open =
-            self.open[system.index()][core.index()].lock().unwrap_or_else(PoisonError::into_inner);
-        if open.as_ref().is_none_or(|opened| opened.generation != generation) {
-            let of = Identity { system, core, generation };
+        let mut open = self.open[system.index()][core.index()]
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
+        if open
+            .as_ref()
+            .is_none_or(|opened| opened.generation != generation)
+        {
+            let of = Identity {
+                system,
+                core,
+                generation,
+            };
             *open = self.open(of);
         }
         if let Some(opened) = open.as_ref() {
@@ -145,7 +162,11 @@ impl Ringers {
             .open()
             .ok()?;
         let futex = FutexHandle::open(&file(of), &segment::prefix(&self.run)).ok()?;
-        Some(Opened { generation: of.generation, notifier, futex })
+        Some(Opened {
+            generation: of.generation,
+            notifier,
+            futex,
+        })
     }
 }
 

@@ -56,10 +56,7 @@ pub(crate) struct FutexWaiter {
 
 impl FutexHandle {
     /// Opens the futex of the event of this name.
-    pub(crate) fn open(
-        name: &FileName,
-        prefix: &FileName,
-    ) -> Result<Self, NotifierOpenError> {
+    pub(crate) fn open(name: &FileName, prefix: &FileName) -> Result<Self, NotifierOpenError> {
         let opened = <FutexStorage as DynamicStorage<FutexWords>>::Builder::new(name)
             .config(&storage_config(prefix))
             .has_ownership(false)

@@ -17,15 +17,47 @@ const PERCEPTION: CoreId = CoreId::PERCEPTION;
 const PLANNING: CoreId = CoreId::PLANNING;
 const CONTROL: CoreId = CoreId::CONTROL;
 
-pub const CASES: &[Case] = &[
-    Case { name: "lmu_is_shared_by_three_processes", core: increment, vehicle: incremented },
-    Case { name: "no_doorbell_is_lost", core: ping_pong, vehicle: both_done },
-    Case { name: "a_bell_rung_by_two_is_never_deaf", core: rung_by_two, vehicle: both_done },
-    Case { name: "wait_ends_at_its_deadline", core: deadlines, vehicle: both_done },
-    Case { name: "edges_and_datagrams_cross_over", core: wires, vehicle: crossed },
-    Case { name: "can_frames_reach_all_but_the_sender", core: listen, vehicle: hear },
-    Case { name: "flash_keeps_its_content_over_a_reset", core: program, vehicle: programmed },
-    Case { name: "a_full_trace_counts_what_it_loses", core: chatter, vehicle: overheard },
+pub(crate) const CASES: &[Case] = &[
+    Case {
+        name: "lmu_is_shared_by_three_processes",
+        core: increment,
+        vehicle: incremented,
+    },
+    Case {
+        name: "no_doorbell_is_lost",
+        core: ping_pong,
+        vehicle: both_done,
+    },
+    Case {
+        name: "a_bell_rung_by_two_is_never_deaf",
+        core: rung_by_two,
+        vehicle: both_done,
+    },
+    Case {
+        name: "wait_ends_at_its_deadline",
+        core: deadlines,
+        vehicle: both_done,
+    },
+    Case {
+        name: "edges_and_datagrams_cross_over",
+        core: wires,
+        vehicle: crossed,
+    },
+    Case {
+        name: "can_frames_reach_all_but_the_sender",
+        core: listen,
+        vehicle: hear,
+    },
+    Case {
+        name: "flash_keeps_its_content_over_a_reset",
+        core: program,
+        vehicle: programmed,
+    },
+    Case {
+        name: "a_full_trace_counts_what_it_loses",
+        core: chatter,
+        vehicle: overheard,
+    },
 ];
 
 const DONE: u32 = 100;
@@ -179,7 +211,10 @@ fn wires(board: &HostBoard) {
     }
     if board.identity().system == A {
         lines.send(Line::Heartbeat1, Edge::Rising);
-        board.link().try_send(&[1]).expect("a cut link takes and loses");
+        board
+            .link()
+            .try_send(&[1])
+            .expect("a cut link takes and loses");
         lines.send(Line::Heartbeat2, Edge::Rising);
     } else {
         while lines.received(Line::Heartbeat2, Edge::Rising) == 0 {
@@ -214,13 +249,18 @@ fn listen(board: &HostBoard) {
     // The vehicle says when all are there.
     await_frame(board, 0x700);
     for n in 0..10 {
-        board.can().try_send(&frame(number * 0x10 + n)).expect("room");
+        board
+            .can()
+            .try_send(&frame(number * 0x10 + n))
+            .expect("room");
     }
     let mut heard: Vec<u32> = vec![];
     while heard.len() < 50 {
         match board.can().try_receive() {
             Some(received) => {
-                let CanId::Standard(id) = received.frame.id() else { panic!("extended") };
+                let CanId::Standard(id) = received.frame.id() else {
+                    panic!("extended")
+                };
                 assert_ne!(id / 0x10, number, "own frame");
                 assert_eq!(received.frame.data(), [id as u8; 48]);
                 assert!(received.at <= board.now());
@@ -250,7 +290,9 @@ fn await_frame(board: &HostBoard, id: u16) {
 fn hear(script: &mut Script) {
     let mut ready = 0;
     script.until("all are there", |script| {
-        script.world.drain_trace(&mut |traced| ready += u32::from(traced.record[0] == 1));
+        script
+            .world
+            .drain_trace(&mut |traced| ready += u32::from(traced.record[0] == 1));
         ready == 6
     });
     script.world.broadcast(&frame(0x700));
@@ -259,7 +301,9 @@ fn hear(script: &mut Script) {
     while finished < 6 {
         assert!(Clock::now() < patience, "{finished} of 6 heard all");
         script.world.transmitted(&mut |system, core, received| {
-            let CanId::Standard(id) = received.frame.id() else { panic!("extended") };
+            let CanId::Standard(id) = received.frame.id() else {
+                panic!("extended")
+            };
             assert_eq!(usize::from(id / 0x10), system.index() * 3 + core.index());
             bus.push(u32::from(id));
         });
@@ -274,7 +318,11 @@ fn hear(script: &mut Script) {
         std::thread::sleep(Span::from_millis(1));
     }
     for (core, heard) in heard.iter().enumerate() {
-        let foreign: Vec<u32> = bus.iter().copied().filter(|id| id / 0x10 != core as u32).collect();
+        let foreign: Vec<u32> = bus
+            .iter()
+            .copied()
+            .filter(|id| id / 0x10 != core as u32)
+            .collect();
         assert_eq!(*heard, foreign, "core {core}");
     }
     unplugged(script);
@@ -333,12 +381,18 @@ fn chatter(board: &HostBoard) {
 fn overheard(script: &mut Script) {
     // Nobody drains while they talk.
     script.until("they have talked", |script| {
-        SystemId::ALL.iter().all(|system| script.world.role(*system) == RoleLamp::Standby)
+        SystemId::ALL
+            .iter()
+            .all(|system| script.world.role(*system) == RoleLamp::Standby)
     });
     let (mut next, mut count) = ([0; 2], 0);
     let lost = script.world.drain_trace(&mut |traced| {
         let expected = &mut next[traced.system.index()];
-        assert_eq!(traced.record, [1, *expected, 0, 0], "in order, none missing in between");
+        assert_eq!(
+            traced.record,
+            [1, *expected, 0, 0],
+            "in order, none missing in between"
+        );
         *expected += 1;
         count += 1;
     });

@@ -10,40 +10,110 @@ use tandem_board::{
 };
 use tandem_board_host::{HostBoard, clock, processes};
 
-use crate::stage::{Case, Script, idle, live, serve, signal};
+use crate::stage::{Case, Script, await_interrupt, idle, live, serve, signal};
 
 use SystemId::{A, B};
 
 const CONTROL: CoreId = CoreId::CONTROL;
 const PERCEPTION: CoreId = CoreId::PERCEPTION;
 
-pub const CASES: &[Case] = &[
-    Case { name: "death_of_a_supply_is_a_power_loss", core: report_power, vehicle: kill_supply },
-    Case { name: "death_of_core_0_resets_the_system", core: report_start, vehicle: kill_core_0 },
-    Case { name: "death_of_core_1_is_for_core_0_to_notice", core: supervise, vehicle: kill_core_1 },
-    Case { name: "a_frozen_core_0_is_reset_by_the_watchdog", core: report_start, vehicle: freeze },
-    Case { name: "a_core_that_never_serves_is_reset", core: never_serve, vehicle: reset_by_dog },
-    Case { name: "a_wrong_answer_is_a_fault", core: answer_wrong, vehicle: reset_by_dog },
-    Case { name: "an_early_service_is_a_fault", core: serve_early, vehicle: reset_by_dog },
-    Case { name: "a_requested_reset_is_orderly", core: ask_for_reset, vehicle: reset_by_software },
-    Case { name: "a_suspended_system_stays_down", core: suspend, vehicle: stays_down },
-    Case { name: "resets_in_a_row_are_paced", core: die, vehicle: paced },
-    Case { name: "bells_ring_the_life_that_is", core: answer_rings, vehicle: reset_and_ring },
-    Case { name: "a_system_without_power_sends_nothing", core: send_always, vehicle: silence },
-    Case { name: "an_early_death_is_survived", core: live, vehicle: kill_at_the_start },
-    Case { name: "the_processes_can_be_listed", core: show_role, vehicle: list },
+pub(crate) const CASES: &[Case] = &[
+    Case {
+        name: "death_of_a_supply_is_a_power_loss",
+        core: report_power,
+        vehicle: kill_supply,
+    },
+    Case {
+        name: "death_of_core_0_resets_the_system",
+        core: report_start,
+        vehicle: kill_core_0,
+    },
+    Case {
+        name: "death_of_core_1_is_for_core_0_to_notice",
+        core: supervise,
+        vehicle: kill_core_1,
+    },
+    Case {
+        name: "a_frozen_core_0_is_reset_by_the_watchdog",
+        core: report_start,
+        vehicle: freeze,
+    },
+    Case {
+        name: "a_core_that_never_serves_is_reset",
+        core: never_serve,
+        vehicle: reset_by_dog,
+    },
+    Case {
+        name: "a_wrong_answer_is_a_fault",
+        core: answer_wrong,
+        vehicle: reset_by_dog,
+    },
+    Case {
+        name: "an_early_service_is_a_fault",
+        core: serve_early,
+        vehicle: reset_by_dog,
+    },
+    Case {
+        name: "a_requested_reset_is_orderly",
+        core: ask_for_reset,
+        vehicle: reset_by_software,
+    },
+    Case {
+        name: "a_suspended_system_stays_down",
+        core: suspend,
+        vehicle: stays_down,
+    },
+    Case {
+        name: "resets_in_a_row_are_paced",
+        core: die,
+        vehicle: paced,
+    },
+    Case {
+        name: "bells_ring_the_life_that_is",
+        core: answer_rings,
+        vehicle: reset_and_ring,
+    },
+    Case {
+        name: "a_system_without_power_sends_nothing",
+        core: send_always,
+        vehicle: silence,
+    },
+    Case {
+        name: "an_early_death_is_survived",
+        core: live,
+        vehicle: kill_at_the_start,
+    },
+    Case {
+        name: "the_processes_can_be_listed",
+        core: show_role,
+        vehicle: list,
+    },
 ];
 
 const STARTED: u32 = 1;
 const POWER: u32 = 2;
-const CODE_OF: [ResetCause; 4] =
-    [ResetCause::PowerOn, ResetCause::Software, ResetCause::Watchdog, ResetCause::Trap];
+const CODE_OF: [ResetCause; 4] = [
+    ResetCause::PowerOn,
+    ResetCause::Software,
+    ResetCause::Watchdog,
+    ResetCause::Trap,
+];
+
+/// Core 0 says in which life it is, why, and what it found in a word of the LMU that it then spoils.
+fn report(board: &HostBoard) {
+    if board.identity().core == CONTROL {
+        let cause = board.supply().reset_cause();
+        let code = CODE_OF
+            .iter()
+            .position(|known| *known == cause)
+            .expect("listed") as u32;
+        let found = board.lmu()[100].swap(0xBAD, SeqCst);
+        board.trace([STARTED, board.identity().generation.0, code, found]);
+    }
+}
 
 fn report_start(board: &HostBoard) {
-    let cause = board.supply().reset_cause();
-    let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
-    let found = board.lmu()[100].swap(0xBAD, SeqCst);
-    board.trace([STARTED, board.identity().generation.0, code, found]);
+    report(board);
     live(board);
 }
 
@@ -61,32 +131,34 @@ fn report_power(board: &HostBoard) {
     if board.identity().core != CONTROL {
         return idle(board);
     }
+    // The first wait looks around; the second would show a ring that was not for the level.
+    board.wait(board.now());
     board.trace([STARTED, board.identity().generation.0, 0, 0]);
-    let far = tandem_board::Duration::from_ms(10);
-    loop {
-        let before = board.lines().peer_powered();
-        board.wait(board.now() + far);
+    while board.lines().peer_powered() {
         let question = board.supply().watchdog_question();
         board.supply().service_watchdog(watchdog_answer(question));
-        if before && !board.lines().peer_powered() {
-            board.trace([POWER, 0, 0, 0]);
-            return serve(board);
-        }
         std::thread::sleep(Span::from_millis(2));
     }
+    // The level line has rung as well.
+    await_interrupt(board);
+    board.trace([POWER, 0, 0, 0]);
+    serve(board);
 }
 
 /// T-CHIP-5, T-CHIP-6: with its supply a system loses all cores, and the other is told.
 fn kill_supply(script: &mut Script) {
     await_start(script, A, 1);
     await_start(script, B, 1);
+    script.await_life(A, 1);
     let cores = CoreId::ALL.map(|core| script.pid(A, core));
     signal(script.world.backplane().supply_pid(A), Signal::KILL);
     script.until("level falls", |script| !script.world.is_powered(A));
     script.await_trace(B, CONTROL, POWER);
     let run = script.run.clone();
     script.until("the cores are dead", |_| {
-        processes::of_run(&run).iter().all(|process| !cores.contains(&process.pid))
+        processes::of_run(&run)
+            .iter()
+            .all(|process| !cores.contains(&process.pid))
     });
     assert!(script.world.is_powered(B));
     script.rest(100);
@@ -97,6 +169,7 @@ fn kill_supply(script: &mut Script) {
 fn kill_core_0(script: &mut Script) {
     assert_eq!(await_start(script, A, 1), (ResetCause::PowerOn, 0));
     await_start(script, B, 1);
+    script.await_life(A, 1);
     let first = CoreId::ALL.map(|core| script.pid(A, core));
     for life in 2..4 {
         signal(script.pid(A, CONTROL), Signal::KILL);
@@ -105,12 +178,17 @@ fn kill_core_0(script: &mut Script) {
         assert!(script.world.is_powered(A));
         assert_eq!(await_start(script, A, life), (ResetCause::Trap, 0));
     }
-    assert!(CoreId::ALL.iter().all(|core| !first.contains(&script.pid(A, *core))), "all are new");
+    assert!(
+        CoreId::ALL
+            .iter()
+            .all(|core| !first.contains(&script.pid(A, *core))),
+        "all are new"
+    );
     assert_eq!(script.generation(B, CONTROL).0, 1);
 }
 
 fn supervise(board: &HostBoard) {
-    report_supervision(board);
+    report(board);
     match board.identity().core {
         CONTROL => loop {
             let question = board.supply().watchdog_question();
@@ -125,22 +203,17 @@ fn supervise(board: &HostBoard) {
     }
 }
 
-fn report_supervision(board: &HostBoard) {
-    if board.identity().core == CONTROL {
-        let cause = board.supply().reset_cause();
-        let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
-        board.trace([STARTED, board.identity().generation.0, code, 0]);
-    }
-}
-
 fn kill_core_1(script: &mut Script) {
     await_start(script, A, 1);
+    script.await_life(A, 1);
     signal(script.pid(A, PERCEPTION), Signal::KILL);
     script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
     script.rest(60);
     assert_eq!(script.generation(A, CONTROL).0, 1, "nobody else resets");
     assert!(script.world.is_powered(A));
-    script.world.broadcast(&CanFrame::new(CanId::Standard(1), false, &[]).expect("valid"));
+    script
+        .world
+        .broadcast(&CanFrame::new(CanId::Standard(1), false, &[]).expect("valid"));
     assert_eq!(await_start(script, A, 2).0, ResetCause::Trap);
     script.await_life(A, 2);
 }
@@ -153,11 +226,7 @@ fn freeze(script: &mut Script) {
 }
 
 fn report_once(board: &HostBoard) {
-    if board.identity().core == CONTROL {
-        let cause = board.supply().reset_cause();
-        let code = CODE_OF.iter().position(|known| *known == cause).expect("listed") as u32;
-        board.trace([STARTED, board.identity().generation.0, code, 0]);
-    }
+    report(board);
     if board.identity().generation.0 > 1 {
         live(board);
     }
@@ -246,7 +315,10 @@ fn paced(script: &mut Script) {
         pause = 1_000.min(pause * 2);
         allowed += 1;
     }
-    assert!(lives >= 2 && lives <= allowed, "{lives} lives, {allowed} allowed");
+    assert!(
+        lives >= 2 && lives <= allowed,
+        "{lives} lives, {allowed} allowed"
+    );
 }
 
 const ANSWER: u32 = 7;
@@ -309,7 +381,9 @@ fn send_always(board: &HostBoard) {
 fn silence(script: &mut Script) {
     let mut sent = [0; 2];
     script.until("both send", |script| {
-        script.world.transmitted(&mut |system, _, _| sent[system.index()] += 1);
+        script
+            .world
+            .transmitted(&mut |system, _, _| sent[system.index()] += 1);
         sent.iter().all(|count| *count > 20)
     });
     // The bus stands still while frames collect.
@@ -319,7 +393,9 @@ fn silence(script: &mut Script) {
     while script.world.is_powered(A) {
         assert!(Clock::now() < patience, "level never falls");
     }
-    script.world.transmitted(&mut |system, _, _| assert_eq!(system, B));
+    script
+        .world
+        .transmitted(&mut |system, _, _| assert_eq!(system, B));
 }
 
 fn kill_at_the_start(script: &mut Script) {
@@ -332,7 +408,9 @@ fn kill_at_the_start(script: &mut Script) {
         if pid != 0 {
             signal(pid, Signal::KILL);
         }
-        script.until("it is gone", |script| script.generation(A, CONTROL).0 > life);
+        script.until("it is gone", |script| {
+            script.generation(A, CONTROL).0 > life
+        });
     }
     script.rest(300);
 }
@@ -362,10 +440,19 @@ fn list(script: &mut Script) {
         processes.iter().map(line).collect()
     };
     let expected = [
-        "supply A master", "core A master", "core A master", "core A master",
-        "supply B standby", "core B standby", "core B standby", "core B standby", "vehicle - -",
+        "supply A master",
+        "core A master",
+        "core A master",
+        "core A master",
+        "supply B standby",
+        "core B standby",
+        "core B standby",
+        "core B standby",
+        "vehicle - -",
     ];
-    script.until("the names are set", |_| listed(processes::of_run(&run)) == expected);
+    script.until("the names are set", |_| {
+        listed(processes::of_run(&run)) == expected
+    });
     let all = processes::of_run(&run);
     assert!(all.iter().all(|process| process.cpu.is_some()));
     assert!(all.iter().any(|process| process.pid == std::process::id()));

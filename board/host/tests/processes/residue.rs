@@ -13,34 +13,47 @@ use tandem_board_host::{RunName, processes};
 
 use crate::stage::{self, Case, PATIENCE, Script, live, signal, start_launcher};
 
-pub const CASES: &[Case] = &[
-    Case { name: "a_short_run_ends_by_itself", core: live, vehicle: short },
-    Case { name: "a_run_that_lasts", core: live, vehicle: lasting },
-];
+pub(crate) const CASES: &[Case] = &[Case {
+    name: "a_short_run_ends_by_itself",
+    core: live,
+    vehicle: short,
+}];
 
 fn short(script: &mut Script) {
     script.await_life(SystemId::A, 1);
     script.await_life(SystemId::B, 1);
 }
 
-/// Lasts until it is asked to end. In the list of cases it is asked at once by its own script.
-fn lasting(script: &mut Script) {
-    let own_case = std::env::var_os("TANDEM_TEST_LASTS").is_none();
-    if own_case {
-        return short(script);
-    }
+/// Lasts until somebody ends it. Not a case of its own: the trials below need a run to kill.
+pub(crate) const LASTING: Case = Case {
+    name: "lasting",
+    core: live,
+    vehicle: last,
+};
+
+fn last(script: &mut Script) {
     script.until("somebody stops it", |script| script.world.stop_requested());
 }
 
-pub fn trials() -> Vec<Trial> {
+pub(crate) fn trials() -> Vec<Trial> {
     vec![
         Trial::test("ctrl_c_ends_all_in_order", || interrupt("own")),
-        Trial::test("ctrl_c_ends_all_in_order_in_a_shared_place", || interrupt("shared")),
+        Trial::test("ctrl_c_ends_all_in_order_in_a_shared_place", || {
+            interrupt("shared")
+        }),
         Trial::test("killing_all_leaves_nothing", || kill_all("own")),
-        Trial::test("killing_all_leaves_nothing_in_a_shared_place", || kill_all("shared")),
-        Trial::test("without_its_launcher_a_run_goes_on_and_ends", || orphan("own")),
-        Trial::test("killed_at_any_moment_of_the_start_it_ends", || kill_while_starting("own")),
-        Trial::test("killed_at_the_start_in_a_shared_place", || kill_while_starting("shared")),
+        Trial::test("killing_all_leaves_nothing_in_a_shared_place", || {
+            kill_all("shared")
+        }),
+        Trial::test("without_its_launcher_a_run_goes_on_and_ends", || {
+            orphan("own")
+        }),
+        Trial::test("killed_at_any_moment_of_the_start_it_ends", || {
+            kill_while_starting("own")
+        }),
+        Trial::test("killed_at_the_start_in_a_shared_place", || {
+            kill_while_starting("shared")
+        }),
         Trial::test("two_runs_do_not_meet", two_runs),
     ]
 }
@@ -52,7 +65,9 @@ fn outside() -> BTreeSet<String> {
         .iter()
         .flat_map(|folder| std::fs::read_dir(folder).into_iter().flatten().flatten())
         .map(|entry| entry.path().to_string_lossy().into_owned())
-        .filter(|path| path.contains("tandem-") || path.contains("iox2") || path.contains("iceoryx"))
+        .filter(|path| {
+            path.contains("tandem-") || path.contains("iox2") || path.contains("iceoryx")
+        })
         .collect()
 }
 
@@ -75,19 +90,24 @@ fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String>
 
 /// Starts a run that lasts, and waits until `count` of its processes are there.
 fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
-    let launcher = start_launcher("a_run_that_lasts", folder, place);
+    let launcher = start_launcher(LASTING.name, folder, place);
     let prefix = format!("tandem-{}-", launcher.id());
     let run = until("the run starts", || {
         let all = processes::list();
-        let ours: Vec<_> = all.iter().filter(|p| p.run.as_str().starts_with(&prefix)).collect();
+        let ours: Vec<_> = all
+            .iter()
+            .filter(|p| p.run.as_str().starts_with(&prefix))
+            .collect();
         (ours.len() >= count).then(|| ours[0].run.clone())
     })?;
     Ok(Started { launcher, run })
 }
 
 fn gone(run: &RunName) -> Result<(), String> {
-    until("all processes are gone", || processes::of_run(run).is_empty().then_some(()))
-        .map_err(|error| format!("{error}: {:?}", processes::of_run(run)))
+    until("all processes are gone", || {
+        processes::of_run(run).is_empty().then_some(())
+    })
+    .map_err(|error| format!("{error}: {:?}", processes::of_run(run)))
 }
 
 fn interrupt(place: &str) -> Outcome {
@@ -95,7 +115,9 @@ fn interrupt(place: &str) -> Outcome {
     let before = outside();
     let mut started = start(folder.path(), place, 9)?;
     signal(started.launcher.id(), Signal::INT);
-    let status = until("the launcher ends", || started.launcher.try_wait().ok().flatten())?;
+    let status = until("the launcher ends", || {
+        started.launcher.try_wait().ok().flatten()
+    })?;
     if !status.success() {
         return Err(format!("{status}").into());
     }
@@ -106,16 +128,25 @@ fn interrupt(place: &str) -> Outcome {
 fn assert_clean(before: &BTreeSet<String>) -> Outcome {
     let mine = |path: &&String| !before.contains(*path) && is_stale(path);
     let left: Vec<String> = outside().iter().filter(mine).cloned().collect();
-    if left.is_empty() { Ok(()) } else { Err(format!("left behind: {left:?}").into()) }
+    if left.is_empty() {
+        Ok(())
+    } else {
+        Err(format!("left behind: {left:?}").into())
+    }
 }
 
 /// Files of runs that other tests have under way are no residue.
 fn is_stale(path: &str) -> bool {
     let name = path.rsplit('/').next().unwrap_or(path);
     let alive = processes::list();
-    let launcher = name.strip_prefix("tandem-").and_then(|rest| rest.split('-').next());
+    let launcher = name
+        .strip_prefix("tandem-")
+        .and_then(|rest| rest.split('-').next());
     let launcher_lives = launcher.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists());
-    !launcher_lives && !alive.iter().any(|process| name.starts_with(process.run.as_str()))
+    !launcher_lives
+        && !alive
+            .iter()
+            .any(|process| name.starts_with(process.run.as_str()))
 }
 
 fn kill_all(place: &str) -> Outcome {
@@ -133,7 +164,9 @@ fn kill_all(place: &str) -> Outcome {
     // The next run starts by itself, and sweeps what a shared place kept.
     let mut next = start(folder.path(), place, 9)?;
     signal(next.launcher.id(), Signal::INT);
-    let status = until("the launcher ends", || next.launcher.try_wait().ok().flatten())?;
+    let status = until("the launcher ends", || {
+        next.launcher.try_wait().ok().flatten()
+    })?;
     assert!(status.success(), "{status}");
     assert_clean(&before)
 }
@@ -147,7 +180,10 @@ fn orphan(place: &str) -> Outcome {
     thread::sleep(Duration::from_millis(300));
     let alive = processes::of_run(&started.run);
     assert_eq!(alive.len(), 9, "{alive:?}");
-    let vehicle = alive.iter().find(|process| process.system.is_none()).expect("a vehicle");
+    let vehicle = alive
+        .iter()
+        .find(|process| process.system.is_none())
+        .expect("a vehicle");
     signal(vehicle.pid, Signal::KILL);
     gone(&started.run)?;
     assert_clean(&before)
@@ -157,12 +193,13 @@ fn kill_while_starting(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
     let before = outside();
     for round in 0..20_u64 {
-        let mut launcher = start_launcher("a_run_that_lasts", folder.path(), place);
+        let mut launcher = start_launcher(LASTING.name, folder.path(), place);
         let prefix = format!("tandem-{}-", launcher.id());
         thread::sleep(Duration::from_micros(round * 1_300));
         let ours = || -> Vec<processes::Process> {
             let all = processes::list().into_iter();
-            all.filter(|process| process.run.as_str().starts_with(&prefix)).collect()
+            all.filter(|process| process.run.as_str().starts_with(&prefix))
+                .collect()
         };
         if round % 2 == 0 {
             signal(launcher.id(), Signal::KILL);
@@ -190,7 +227,9 @@ fn kill_while_starting(place: &str) -> Outcome {
     // A start after all that works, and sweeps.
     let mut next = start(folder.path(), place, 9)?;
     signal(next.launcher.id(), Signal::INT);
-    until("the launcher ends", || next.launcher.try_wait().ok().flatten())?;
+    until("the launcher ends", || {
+        next.launcher.try_wait().ok().flatten()
+    })?;
     assert_clean(&before)
 }
 
@@ -199,7 +238,11 @@ fn two_runs() -> Outcome {
     let lasting = start(folder.path(), "shared", 9)?;
     let case = stage::all_cases().find(|case| case.name == "a_short_run_ends_by_itself");
     stage::run_case(case.expect("a known case"))?;
-    assert_eq!(processes::of_run(&lasting.run).len(), 9, "the first is untouched");
+    assert_eq!(
+        processes::of_run(&lasting.run).len(),
+        9,
+        "the first is untouched"
+    );
     let mut launcher = lasting.launcher;
     signal(launcher.id(), Signal::INT);
     until("the launcher ends", || launcher.try_wait().ok().flatten())?;

@@ -8,64 +8,85 @@ use std::time::{Duration, Instant};
 
 use tandem_board::{Board, CoreId, Generation, SystemId};
 use tandem_board_host::{
-    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock, isolation,
+    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, Traced, WorldPort, clock, isolation,
     processes, supply,
 };
 
 /// First argument of this program as a launcher; then the case, the folder, the place.
-pub const LAUNCH: &str = "launch";
+pub(crate) const LAUNCH: &str = "launch";
 /// How long anything may take before it counts as hung.
-pub const PATIENCE: Duration = Duration::from_secs(40);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 
 /// One case: what every core does, and the script.
 #[derive(Clone, Copy)]
-pub struct Case {
-    pub name: &'static str,
-    pub core: fn(&HostBoard),
-    pub vehicle: fn(&mut Script),
+pub(crate) struct Case {
+    pub(crate) name: &'static str,
+    pub(crate) core: fn(&HostBoard),
+    pub(crate) vehicle: fn(&mut Script),
 }
 
 /// The vehicle's side of a case.
-pub struct Script {
-    pub world: WorldPort,
-    pub run: RunName,
+pub(crate) struct Script {
+    pub(crate) world: WorldPort,
+    pub(crate) run: RunName,
+    /// Trace records that nobody has waited for yet.
+    traced: Vec<Traced>,
 }
 
-pub fn all_cases() -> impl Iterator<Item = Case> {
-    crate::cases::CASES.iter().chain(crate::deaths::CASES).chain(crate::residue::CASES).copied()
+pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
+    crate::cases::CASES
+        .iter()
+        .chain(crate::deaths::CASES)
+        .chain(crate::residue::CASES)
+        .copied()
 }
 
 fn case(name: &str) -> Case {
-    all_cases().find(|case| case.name == name).expect("a known case")
+    let mut all = all_cases().chain([crate::residue::LASTING]);
+    all.find(|case| case.name == name).expect("a known case")
 }
 
 /// Runs a case in processes of its own and reports what they said if it failed.
-pub fn run_case(case: Case) -> Result<(), String> {
+pub(crate) fn run_case(case: Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     let mut launcher = start_launcher(case.name, folder.path(), "own");
     let deadline = Instant::now() + PATIENCE + Duration::from_secs(10);
-    while launcher.try_wait().map_err(|error| error.to_string())?.is_none() {
+    while launcher
+        .try_wait()
+        .map_err(|error| error.to_string())?
+        .is_none()
+    {
         if Instant::now() > deadline {
             let _ = launcher.kill();
-            let output = launcher.wait_with_output().map_err(|error| error.to_string())?;
-            return Err(format!("hangs\n{}", String::from_utf8_lossy(&output.stderr)));
+            let output = launcher
+                .wait_with_output()
+                .map_err(|error| error.to_string())?;
+            return Err(format!(
+                "hangs\n{}",
+                String::from_utf8_lossy(&output.stderr)
+            ));
         }
         thread::sleep(Duration::from_millis(2));
     }
-    let output = launcher.wait_with_output().map_err(|error| error.to_string())?;
+    let output = launcher
+        .wait_with_output()
+        .map_err(|error| error.to_string())?;
     if output.status.success() {
         return Ok(());
     }
-    Err(format!("{}\n{}", output.status, String::from_utf8_lossy(&output.stderr)))
+    Err(format!(
+        "{}\n{}",
+        output.status,
+        String::from_utf8_lossy(&output.stderr)
+    ))
 }
 
-/// Starts this program as the launcher of a run, of a case that lasts or of any other.
-pub fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
+/// Starts this program as the launcher of a run.
+pub(crate) fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
     Command::new(std::env::current_exe().expect("own path"))
         .args([LAUNCH, case])
         .arg(folder)
         .arg(place)
-        .env("TANDEM_TEST_LASTS", "1")
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -74,12 +95,19 @@ pub fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
 }
 
 /// Is the launcher of a case.
-pub fn launch(argv: &[OsString]) -> ExitCode {
+pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
     let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
-    let place = if place == "own" { isolation::enter() } else { isolation::enter_shared() };
+    let place = if place == "own" {
+        isolation::enter()
+    } else {
+        isolation::enter_shared()
+    };
     let mut launcher = Launcher::prepare_in(place.expect("place")).expect("launcher");
     let plan = Plan {
-        schedule: Schedule { realtime: false, ..Schedule::default() },
+        schedule: Schedule {
+            realtime: false,
+            ..Schedule::default()
+        },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
         extra: vec![name.clone()],
     };
@@ -106,7 +134,7 @@ fn again(args: &ProcessArgs) -> Command {
 }
 
 /// Is a process of a run.
-pub fn play(args: ProcessArgs) -> ExitCode {
+pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     let name = args.common().extra[0].to_str().expect("name").to_owned();
     let case = case(&name);
     match args {
@@ -133,7 +161,11 @@ pub fn play(args: ProcessArgs) -> ExitCode {
             });
             match WorldPort::attach(&args) {
                 Ok(world) => {
-                    let mut script = Script { world, run: args.common.run.clone() };
+                    let mut script = Script {
+                        world,
+                        run: args.common.run.clone(),
+                        traced: vec![],
+                    };
                     script.world.set_ignition(true);
                     (case.vehicle)(&mut script);
                     script.world.set_ignition(false);
@@ -150,46 +182,48 @@ pub fn play(args: ProcessArgs) -> ExitCode {
 
 impl Script {
     /// Lets the bus run until `is_true`.
-    pub fn until(&mut self, what: &str, mut is_true: impl FnMut(&mut Self) -> bool) {
+    pub(crate) fn until(&mut self, what: &str, mut is_true: impl FnMut(&mut Self) -> bool) {
         let deadline = Instant::now() + PATIENCE / 2;
         while !is_true(self) {
-            assert!(Instant::now() < deadline, "never: {what}; {:?}", processes::of_run(&self.run));
+            assert!(
+                Instant::now() < deadline,
+                "never: {what}; {:?}",
+                processes::of_run(&self.run)
+            );
             self.world.transmitted(&mut |_, _, _| {});
             thread::sleep(Duration::from_micros(200));
         }
     }
 
     /// Lets the bus run for a time.
-    pub fn rest(&mut self, ms: u64) {
+    pub(crate) fn rest(&mut self, ms: u64) {
         let end = clock::now() + tandem_board::Duration::from_ms(ms);
         self.until("time passes", |_| clock::now() >= end);
     }
 
-    /// Waits until a record `[code, ..]` is in the trace of the core in this or a later life.
-    pub fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
-        let mut found = None;
+    /// Waits for the next record `[code, ..]` in the trace of the core, and takes it.
+    pub(crate) fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
+        let is_it = |t: &Traced| t.system == system && t.core == core && t.record[0] == code;
         self.until(&format!("{system}{core} says {code}"), |script| {
-            script.world.drain_trace(&mut |traced| {
-                let is_it = traced.system == system && traced.core == core;
-                if is_it && traced.record[0] == code && found.is_none() {
-                    found = Some(traced.record);
-                }
-            });
-            found.is_some()
+            script
+                .world
+                .drain_trace(&mut |traced| script.traced.push(traced));
+            script.traced.iter().any(is_it)
         });
-        found.expect("just found")
+        let at = self.traced.iter().position(is_it).expect("just found");
+        self.traced.remove(at).record
     }
 
-    pub fn pid(&self, system: SystemId, core: CoreId) -> u32 {
+    pub(crate) fn pid(&self, system: SystemId, core: CoreId) -> u32 {
         self.world.backplane().core_pid(system, core)
     }
 
-    pub fn generation(&self, system: SystemId, core: CoreId) -> Generation {
+    pub(crate) fn generation(&self, system: SystemId, core: CoreId) -> Generation {
         self.world.backplane().generation(system, core)
     }
 
     /// Waits until all cores of a system are started for the `life`th time.
-    pub fn await_life(&mut self, system: SystemId, life: u32) {
+    pub(crate) fn await_life(&mut self, system: SystemId, life: u32) {
         self.until(&format!("life {life} of {system}"), |script| {
             CoreId::ALL.iter().all(|core| {
                 script.generation(system, *core) == Generation(life)
@@ -199,35 +233,45 @@ impl Script {
     }
 }
 
-pub fn signal(pid: u32, signal: rustix::process::Signal) {
+pub(crate) fn signal(pid: u32, signal: rustix::process::Signal) {
     let pid = rustix::process::Pid::from_raw(pid as i32).expect("a process");
     rustix::process::kill_process(pid, signal).expect("the process is there");
 }
 
 /// Waits for an interrupt, which must come.
-pub fn await_interrupt(board: &HostBoard) {
+pub(crate) fn await_interrupt(board: &HostBoard) {
     let deadline = board.now() + tandem_board::Duration::from_ms(15_000);
-    assert_eq!(board.wait(deadline), tandem_board::Wake::Interrupt, "an interrupt was lost");
+    assert_eq!(
+        board.wait(deadline),
+        tandem_board::Wake::Interrupt,
+        "an interrupt was lost"
+    );
 }
 
 /// Sleeps until killed.
-pub fn idle(board: &HostBoard) {
+pub(crate) fn idle(board: &HostBoard) {
     loop {
         board.wait(tandem_board::Instant::NEVER);
     }
 }
 
 /// Serves the watchdog as it wants to be served, until killed.
-pub fn serve(board: &HostBoard) {
+pub(crate) fn serve(board: &HostBoard) {
     use tandem_board::Supply;
     loop {
         let question = board.supply().watchdog_question();
-        board.supply().service_watchdog(tandem_board::watchdog_answer(question));
+        board
+            .supply()
+            .service_watchdog(tandem_board::watchdog_answer(question));
         clock::sleep_until(board.now() + tandem_board::Duration::from_ms(10));
     }
 }
 
 /// Core 0 serves the watchdog, the others sleep.
-pub fn live(board: &HostBoard) {
-    if board.identity().core == CoreId::CONTROL { serve(board) } else { idle(board) }
+pub(crate) fn live(board: &HostBoard) {
+    if board.identity().core == CoreId::CONTROL {
+        serve(board)
+    } else {
+        idle(board)
+    }
 }
