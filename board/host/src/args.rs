@@ -40,6 +40,23 @@ impl Default for Schedule {
     }
 }
 
+impl Schedule {
+    /// What a core of a run with this schedule would be granted, tried on a thread of its own. For the
+    /// line that a start prints.
+    ///
+    /// Starts a thread, so it comes after [`isolation::enter`](crate::isolation::enter).
+    #[must_use]
+    pub fn probe(&self) -> Grant {
+        let priority = self.realtime.then_some(CONTROL_PRIORITY);
+        let cpu = (self.pinning != Pinning::Off).then_some(0);
+        realtime::probe(Claim {
+            priority,
+            cpu,
+            lock_memory: self.realtime,
+        })
+    }
+}
+
 /// Priorities under SCHED_FIFO. The supply must come through whatever the cores do; the vehicle is
 /// physics and waits for nobody; core 0 controls, the others compute.
 const SUPPLY_PRIORITY: u8 = 80;

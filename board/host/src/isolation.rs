@@ -15,7 +15,8 @@ use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 
 use rustix::fs::{
-    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, flock, fstat, openat, statat, unlinkat,
+    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, flock, fstat, fstatvfs, openat, statat,
+    unlinkat,
 };
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
@@ -26,6 +27,8 @@ use crate::name::{RUN_PREFIX, RunName};
 
 const SHM: &str = "/dev/shm";
 const TMP: &str = "/tmp";
+/// Bytes that a run needs there, and some.
+const SPACE: u64 = 8 << 20;
 const LOCK_SUFFIX: &str = ".lock";
 /// Beginnings of file names that a run (or iceoryx2 in it) could leave behind.
 const TRACES: [&str; 3] = [RUN_PREFIX, "iox2_", "iceoryx2"];
@@ -87,10 +90,14 @@ fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, Isolatio
     let before = traces(&outside);
     let place = match unshare() {
         Ok(()) => Place::Private,
-        Err(refused) => Place::Shared {
-            _lock: lock(&outside[0], &run)?,
-            refused,
-        },
+        Err(refused) => {
+            check_space(&outside[0])?;
+            let lock = lock(&outside[0], &run)?;
+            Place::Shared {
+                _lock: lock,
+                refused,
+            }
+        }
     };
     Ok(Isolation {
         run,
@@ -196,6 +203,20 @@ fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
         place: path.to_owned(),
         source: errno.into(),
     })
+}
+
+/// Writing to shared memory that the file system has no room for would kill the writer.
+fn check_space(shm: &OwnedFd) -> Result<(), IsolationError> {
+    let failed = |source| IsolationError {
+        place: SHM.to_owned(),
+        source,
+    };
+    let found = fstatvfs(shm).map_err(|errno| failed(errno.into()))?;
+    if found.f_bavail * found.f_frsize < SPACE {
+        let full = format!("less than {} MiB free", SPACE >> 20);
+        return Err(failed(io::Error::new(io::ErrorKind::StorageFull, full)));
+    }
+    Ok(())
 }
 
 /// Creates the run's lock file and takes the lock for this process and all its children.

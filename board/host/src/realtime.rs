@@ -81,6 +81,27 @@ pub fn claim(claim: Claim) -> Grant {
     }
 }
 
+/// What [`claim`] would grant, without touching the calling thread or the memory of its process.
+#[must_use]
+pub fn probe(wanted: Claim) -> Grant {
+    let tried = std::thread::spawn(move || {
+        claim(Claim {
+            lock_memory: false,
+            ..wanted
+        })
+    })
+    .join();
+    let nothing = Grant {
+        fifo: None,
+        cpu: None,
+        memory_locked: false,
+    };
+    Grant {
+        memory_locked: wanted.lock_memory && may_lock(),
+        ..tried.unwrap_or(nothing)
+    }
+}
+
 /// How many CPUs this process may use; at least 1.
 #[must_use]
 pub fn cpus() -> usize {
@@ -158,6 +179,19 @@ mod tests {
                 memory_locked: false
             }
         );
+    }
+
+    #[test]
+    fn a_probe_leaves_the_caller_alone() {
+        let cpus_before = cpus();
+        let _ = probe(Claim {
+            priority: Some(1),
+            cpu: Some(0),
+            lock_memory: true,
+        });
+        assert_eq!(cpus(), cpus_before);
+        // SAFETY: reads the policy of the calling thread.
+        assert_eq!(unsafe { libc::sched_getscheduler(0) }, libc::SCHED_OTHER);
     }
 
     #[test]

@@ -16,13 +16,16 @@
 
 use std::os::fd::OwnedFd;
 use std::process::{Child, Command};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
-use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp};
+use tandem_board::{
+    CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp, SystemId,
+};
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
-use crate::backplane::{Backplane, BackplaneError, RINGS};
+use crate::backplane::{Backplane, BackplaneError, Place, RINGS};
 use crate::bell::Ringers;
 use crate::board::create_lmu;
 use crate::clock;
@@ -31,10 +34,12 @@ use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
 use crate::watchdog::{Watchdog, WatchdogFault};
 use crate::wire::SERVICE_WORDS;
-use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 /// How often the supply looks at its registers.
 const PERIOD: Duration = Duration::from_ms(1);
+/// A supply that did not look for longer than this was itself held up (stopped, or the machine was) and
+/// starts its watch anew.
+const OVERSLEPT: Duration = Duration::from_ms(10);
 /// Shortest time that a reset holds the system down. It also gives the bus time to drop what the dead
 /// cores had not sent.
 const SHORTEST_PAUSE: Duration = Duration::from_ms(20);
@@ -69,12 +74,14 @@ impl From<FitError> for SupplyError {
 
 /// Is the supply of a system until the ignition is off. `command` makes the command that starts a core.
 ///
-/// To be called on the main thread: cores die with the thread that started them.
+/// To be called on the main thread: cores die with the thread that started them. It claims real time as
+/// `args` says.
 ///
 /// # Errors
 /// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that cannot
 /// be started is no error: it is a core that is dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
+    let _ = args.claim();
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
@@ -138,7 +145,7 @@ struct Supply<'a> {
     lmu: &'static [AtomicU32],
     ringers: Ringers,
     services: fifo::Consumer<'static>,
-    link: crate::backplane::Place,
+    link: Place,
     cores: [Option<PoweredCore>; CoreId::COUNT],
     state: State,
     /// How long the next reset holds the system down.
@@ -163,6 +170,9 @@ impl Supply<'_> {
         loop {
             self.sleep(vehicle.fd(), next);
             let now = clock::now();
+            if now.since(next) > OVERSLEPT {
+                self.start_watch_anew(now);
+            }
             if now >= next {
                 // Ticks that were missed carry nothing.
                 next = now + PERIOD;
@@ -233,6 +243,18 @@ impl Supply<'_> {
                     .show_role(self.args.system, RoleLamp::Suspended);
             }
         }
+    }
+
+    fn start_watch_anew(&mut self, now: Instant) {
+        let State::On { watchdog, .. } = &mut self.state else {
+            return;
+        };
+        let mut unjudged = 0;
+        while let Some(service) = self.services.receive() {
+            service.release();
+            unjudged += 1;
+        }
+        watchdog.forgive(now, unjudged);
     }
 
     fn watchdog(&mut self, now: Instant) -> Result<(), WatchdogFault> {
@@ -337,7 +359,7 @@ impl Supply<'_> {
     }
 
     /// Changes a level line, which interrupts core 0 of the system on the other end.
-    fn set_level(&self, of: tandem_board::SystemId, high: bool) {
+    fn set_level(&self, of: SystemId, high: bool) {
         self.backplane.set_level(of, high);
         self.ringers
             .ring(self.backplane, of.peer(), CoreId::CONTROL);

@@ -81,6 +81,14 @@ impl Watchdog {
         }
     }
 
+    /// Waits as for a first service from `now` on: the supply itself did not look for so long that it
+    /// cannot blame anyone, nor judge the services that came meanwhile.
+    pub(crate) const fn forgive(&mut self, now: Instant, unjudged: u32) {
+        self.started = now;
+        self.last = None;
+        self.services = self.services.wrapping_add(unjudged);
+    }
+
     fn closes(&self) -> Instant {
         match self.last {
             Some(last) => last + Duration::from_us(WINDOW_CLOSES_US.into()),
@@ -174,6 +182,18 @@ mod tests {
             seen[usize::from(question(services))] = true;
         }
         assert_eq!(seen, [true; 16]);
+    }
+
+    #[test]
+    fn a_supply_that_overslept_blames_nobody() {
+        let mut dog = Watchdog::new(START, 0);
+        assert_eq!(serve(&mut dog, 1), Ok(()));
+        dog.forgive(at(1_000_000), 3);
+        assert_eq!(dog.check(at(1_000_000)), Ok(()));
+        assert_eq!(dog.services, 4);
+        // Neither late nor early.
+        assert_eq!(serve(&mut dog, 1_000_001), Ok(()));
+        assert_eq!(serve(&mut dog, 1_000_002), Err(WatchdogFault::Early));
     }
 
     #[test]

@@ -56,6 +56,8 @@ pub struct WorldPort {
     ringers: Ringers,
     from_cores: Vec<Node>,
     bus: broadcast::Sender<'static>,
+    /// Empty between calls; kept for its memory.
+    sent: Vec<(SystemId, CoreId, Received)>,
     /// Frames were put on the bus that some core has not been told of.
     news: bool,
 }
@@ -97,6 +99,7 @@ impl WorldPort {
             ringers: Ringers::new(&args.common.run),
             from_cores,
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
+            sent: vec![],
             news: false,
         })
     }
@@ -128,26 +131,30 @@ impl WorldPort {
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             while node.frames.receive_into(&mut words) {
-                let Some(sent) = Wired::decode(&words).filter(|_| !silent) else {
-                    continue;
-                };
-                seen(node.system, node.core, sent.received);
-                // Who sent it is known from the ring, whatever the words say.
-                let origin = Origin::Core(node.system, node.core);
-                let received = Received {
-                    frame: sent.received.frame,
-                    at: now,
-                };
-                self.bus.send(
-                    &Wired {
-                        received,
-                        origin,
-                        reaches,
-                    }
-                    .encode(),
-                );
-                self.news = true;
+                if let Some(sent) = Wired::decode(&words).filter(|_| !silent) {
+                    // Who sent it is known from the ring, whatever the words say.
+                    self.sent.push((node.system, node.core, sent.received));
+                }
             }
+        }
+        // Stable: the frames of one core stay in their order even at equal times.
+        self.sent.sort_by_key(|(_, _, sent)| sent.at);
+        for (system, core, sent) in self.sent.drain(..) {
+            seen(system, core, sent);
+            let origin = Origin::Core(system, core);
+            let received = Received {
+                frame: sent.frame,
+                at: now,
+            };
+            self.bus.send(
+                &Wired {
+                    received,
+                    origin,
+                    reaches,
+                }
+                .encode(),
+            );
+            self.news = true;
         }
         self.ring_receivers();
     }

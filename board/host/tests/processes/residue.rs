@@ -90,17 +90,24 @@ fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String>
 
 /// Starts a run that lasts, and waits until `count` of its processes are there.
 fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
-    let launcher = start_launcher(LASTING.name, folder, place);
+    let mut launcher = start_launcher(LASTING.name, folder, place);
     let prefix = format!("tandem-{}-", launcher.id());
-    let run = until("the run starts", || {
+    let found = until("the run starts", || {
         let all = processes::list();
         let ours: Vec<_> = all
             .iter()
             .filter(|p| p.run.as_str().starts_with(&prefix))
             .collect();
         (ours.len() >= count).then(|| ours[0].run.clone())
-    })?;
-    Ok(Started { launcher, run })
+    });
+    match found {
+        Ok(run) => Ok(Started { launcher, run }),
+        Err(error) => {
+            signal(launcher.id(), Signal::INT);
+            let _ = launcher.wait();
+            Err(error)
+        }
+    }
 }
 
 fn gone(run: &RunName) -> Result<(), String> {
