@@ -1,0 +1,147 @@
+//! The checks at power-on and after a reset, in the order of T-RED-7.
+
+use crate::start::StartKind;
+use crate::{Config, FailureMode, Loaded, SystemState};
+use tandem_board::{ResetCause, SystemId};
+
+/// What the checks lead to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Boot {
+    /// This system has failed.
+    Suspend,
+    /// Begin the start protocol.
+    Start {
+        kind: StartKind,
+        /// Whether this system claims to be the one that leads.
+        claims_master: bool,
+    },
+}
+
+/// Counts the start in the state and decides how to begin. T-RED-5, T-RED-7
+pub(crate) fn check(
+    config: &Config,
+    system: SystemId,
+    cause: ResetCause,
+    loaded: Loaded,
+) -> (SystemState, Boot) {
+    let mut state = match loaded {
+        Loaded::State(state) => state,
+        Loaded::Blank | Loaded::Lost => SystemState::factory(system),
+    };
+    state.total_resets = state.total_resets.saturating_add(1);
+
+    // 1. Abnormal reset?
+    if cause.is_abnormal() {
+        state.abn_resets = state.abn_resets.saturating_add(1);
+        state.abn_in_a_row = state.abn_in_a_row.saturating_add(1);
+        if state.abn_in_a_row > config.abnormal_limit && !state.sys_failure {
+            state.sys_failure = true;
+            state.failure_mode = FailureMode::AbnormalResets;
+        }
+    }
+    // 2. Own failure flag?
+    if state.sys_failure {
+        return (state, Boot::Suspend);
+    }
+    // 3. The other's failure flag? Then there is nobody to wait for. Neither is there after a reset: the
+    // other has taken over and runs. In both cases a running master must be looked for first.
+    let power_on = cause == ResetCause::PowerOn;
+    let kind = if power_on && !state.cpsys_failure {
+        StartKind::Handshake
+    } else {
+        StartKind::Listen
+    };
+    // 4. Sync; after a reset as the standby of the other.
+    (
+        state,
+        Boot::Start {
+            kind,
+            claims_master: state.is_master && power_on,
+        },
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ResetCause::{PowerOn, Software, Trap, Watchdog};
+
+    const CONFIG: Config = Config::rt();
+
+    fn boot(cause: ResetCause, state: SystemState) -> (SystemState, Boot) {
+        check(&CONFIG, SystemId::A, cause, Loaded::State(state))
+    }
+
+    /// T-RED-7: abnormal reset, own failure flag, other's failure flag, sync: in this order.
+    #[test]
+    fn order_of_checks() {
+        let clean = SystemState::factory(SystemId::A);
+        let start = |kind, claims_master| Boot::Start {
+            kind,
+            claims_master,
+        };
+        let peer_failed = SystemState {
+            cpsys_failure: true,
+            ..clean
+        };
+        let failed = SystemState {
+            sys_failure: true,
+            ..peer_failed
+        };
+        for (cause, state, expected) in [
+            (PowerOn, clean, start(StartKind::Handshake, true)),
+            (PowerOn, peer_failed, start(StartKind::Listen, true)),
+            (PowerOn, failed, Boot::Suspend),
+            (Watchdog, clean, start(StartKind::Listen, false)),
+            (Trap, peer_failed, start(StartKind::Listen, false)),
+            (Software, clean, start(StartKind::Listen, false)),
+            (Watchdog, failed, Boot::Suspend),
+        ] {
+            assert_eq!(boot(cause, state).1, expected, "{cause:?} {state:?}");
+        }
+        let slave = SystemState {
+            is_master: false,
+            ..clean
+        };
+        assert_eq!(boot(PowerOn, slave).1, start(StartKind::Handshake, false));
+    }
+
+    /// T-RED-5: every start is counted, abnormal ones twice; beyond the limit in a row it suspends.
+    #[test]
+    fn abnormal_resets_are_counted_and_limited() {
+        let mut state = SystemState::factory(SystemId::A);
+        for n in 1..=u32::from(CONFIG.abnormal_limit) {
+            let (after, verdict) = boot(Watchdog, state);
+            assert_eq!((after.abn_resets, after.total_resets), (n, n));
+            assert_ne!(verdict, Boot::Suspend);
+            state = after;
+        }
+        let (after, verdict) = boot(PowerOn, state);
+        assert_eq!((after.abn_resets, after.total_resets), (3, 4));
+        assert_ne!(
+            verdict,
+            Boot::Suspend,
+            "a power cycle alone neither counts nor clears the row"
+        );
+        let (after, verdict) = boot(Trap, after);
+        assert_eq!(verdict, Boot::Suspend);
+        assert!(after.sys_failure);
+        assert_eq!(after.failure_mode, FailureMode::AbnormalResets);
+    }
+
+    /// T-RED-1: a system whose flash is blank or lost begins with the factory state.
+    #[test]
+    fn without_a_state_it_begins_with_the_factory_state() {
+        for loaded in [Loaded::Blank, Loaded::Lost] {
+            let (state, _) = check(&CONFIG, SystemId::B, PowerOn, loaded);
+            let factory = SystemState::factory(SystemId::B);
+            assert_eq!(
+                state,
+                SystemState {
+                    total_resets: 1,
+                    ..factory
+                }
+            );
+        }
+    }
+}

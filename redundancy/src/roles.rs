@@ -1,0 +1,221 @@
+//! Phases of a system, evidence, and the transition table between them.
+
+use tandem_board::RoleLamp;
+
+/// The role as it stands in control and status frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Role {
+    /// Not yet in a role.
+    Starting = 0,
+    /// Drives the vehicle.
+    Master = 1,
+    /// Computes silently.
+    Standby = 2,
+    /// Has failed and stays silent.
+    Suspended = 3,
+}
+
+impl Role {
+    /// All roles, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::Starting, Self::Master, Self::Standby, Self::Suspended];
+
+    /// The number in the frames.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The inverse of [`Role::code`].
+    #[must_use]
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+}
+
+/// The driving function that a system runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Mode {
+    /// None.
+    None = 0,
+    /// Automated driving with both systems healthy.
+    L3 = 1,
+    /// Lane and distance keeping by the system that is left.
+    DegradedL2 = 2,
+    /// Bringing the vehicle to a stop: the system that is left has a fault of its own.
+    SafeStop = 3,
+}
+
+impl Mode {
+    /// All modes, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::None, Self::L3, Self::DegradedL2, Self::SafeStop];
+
+    /// The number in the frames.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The inverse of [`Mode::code`].
+    #[must_use]
+    pub fn from_code(code: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(code)).copied()
+    }
+}
+
+/// The state of the machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Phase {
+    /// Start protocol, or listening for a running master. Output closed, no heartbeats.
+    Starting = 0,
+    /// The other system drives. Output closed, heartbeats.
+    Standby = 1,
+    /// Dual operation: drives, the other is standby. Output open, heartbeats.
+    Master = 2,
+    /// Drives alone. Output open, heartbeats.
+    DegradedMaster = 3,
+    /// Was master, was held up longer than its lease, and listens whether the other drives by now.
+    /// Output closed, no heartbeats.
+    Thawed = 4,
+    /// Has asked for a reset that may cure it. Output closed, no heartbeats.
+    Resetting = 5,
+    /// Has failed. Output closed, no heartbeats.
+    Suspended = 6,
+}
+
+impl Phase {
+    /// All phases.
+    pub const ALL: [Self; 7] = [
+        Self::Starting,
+        Self::Standby,
+        Self::Master,
+        Self::DegradedMaster,
+        Self::Thawed,
+        Self::Resetting,
+        Self::Suspended,
+    ];
+
+    /// Whether the output is open.
+    #[must_use]
+    pub const fn is_driving(self) -> bool {
+        matches!(self, Self::Master | Self::DegradedMaster)
+    }
+
+    /// Whether the system sends heartbeats: it is in a role, or ready for one.
+    #[must_use]
+    pub const fn sends_heartbeats(self) -> bool {
+        matches!(self, Self::Standby | Self::Master | Self::DegradedMaster)
+    }
+
+    /// The role that the frames show.
+    #[must_use]
+    pub const fn role(self) -> Role {
+        match self {
+            Self::Starting | Self::Thawed | Self::Resetting => Role::Starting,
+            Self::Standby => Role::Standby,
+            Self::Master | Self::DegradedMaster => Role::Master,
+            Self::Suspended => Role::Suspended,
+        }
+    }
+
+    /// What the digital outputs show.
+    #[must_use]
+    pub const fn lamp(self) -> RoleLamp {
+        match self {
+            Self::Starting | Self::Thawed | Self::Resetting => RoleLamp::Starting,
+            Self::Standby => RoleLamp::Standby,
+            Self::Master => RoleLamp::Master,
+            Self::DegradedMaster => RoleLamp::DegradedMaster,
+            Self::Suspended => RoleLamp::Suspended,
+        }
+    }
+}
+
+/// What the inputs add up to. The order is that of the table in the docs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Evidence {
+    /// A sync edge came: the other system leads.
+    SyncHeard = 0,
+    /// Heartbeats or control frames of the other came while starting: it is running.
+    PeerRuns = 1,
+    /// Handshakes went both ways, and this system leads.
+    HandshakeDone = 2,
+    /// Nobody answered within the time limit.
+    NobodyThere = 3,
+    /// The other system's power level is low: it cannot transmit.
+    PeerOff = 4,
+    /// Both heartbeat lines are silent, and so are the master's control frames (third witness).
+    PeerSilent = 5,
+    /// Both heartbeat lines are silent, and nothing is known from control frames.
+    BeatsSilent = 6,
+    /// Heartbeats come and the CAN bus is alive, but control frames do not come.
+    MasterMute = 7,
+    /// A control frame of the other in a higher term came: it drives.
+    HigherTerm = 8,
+    /// Heartbeats of a failed system came back for long enough.
+    BeatsBack = 9,
+    /// The recovered system is also heard on CAN, and the configuration permits to go on as two.
+    PeerStable = 10,
+    /// This master was held up for so long that the other may have taken over.
+    Stalled = 11,
+    /// Listening after a stall is over: the other did not take over.
+    ListenOver = 12,
+    /// An own fault that a reset may cure, while the other system is there.
+    FaultReset = 13,
+    /// An own fault while this system drives alone: go on, and stop the vehicle.
+    FaultStop = 14,
+    /// An own fault that stays.
+    FaultSuspend = 15,
+}
+
+impl Evidence {
+    /// All kinds of evidence.
+    pub const ALL: [Self; 16] = [
+        Self::SyncHeard,
+        Self::PeerRuns,
+        Self::HandshakeDone,
+        Self::NobodyThere,
+        Self::PeerOff,
+        Self::PeerSilent,
+        Self::BeatsSilent,
+        Self::MasterMute,
+        Self::HigherTerm,
+        Self::BeatsBack,
+        Self::PeerStable,
+        Self::Stalled,
+        Self::ListenOver,
+        Self::FaultReset,
+        Self::FaultStop,
+        Self::FaultSuspend,
+    ];
+}
+
+/// The transition table: the phase that follows on this evidence; `None` where it changes nothing.
+#[must_use]
+pub const fn next(phase: Phase, evidence: Evidence) -> Option<Phase> {
+    use Evidence as E;
+    use Phase as P;
+    match (phase, evidence) {
+        // What has failed or waits for its reset does nothing more; only the worse fault counts.
+        (P::Suspended, _) => None,
+        (_, E::FaultSuspend) => Some(P::Suspended),
+        (P::Resetting, _) => None,
+        (_, E::FaultReset) => Some(P::Resetting),
+
+        (P::Starting, E::SyncHeard | E::PeerRuns) => Some(P::Standby),
+        (P::Starting, E::HandshakeDone) => Some(P::Master),
+        (P::Starting, E::NobodyThere | E::PeerOff) => Some(P::DegradedMaster),
+
+        (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute) => Some(P::DegradedMaster),
+
+        (P::Master, E::PeerOff | E::BeatsSilent) => Some(P::DegradedMaster),
+        (P::DegradedMaster, E::PeerStable) => Some(P::Master),
+        (P::Master | P::DegradedMaster | P::Thawed, E::HigherTerm) => Some(P::Standby),
+        (P::Master | P::DegradedMaster, E::Stalled) => Some(P::Thawed),
+        (P::Thawed, E::ListenOver | E::PeerOff) => Some(P::DegradedMaster),
+        _ => None,
+    }
+}

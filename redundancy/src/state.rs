@@ -1,0 +1,248 @@
+//! The state that survives power loss, and its 32 bytes in data flash. T-RED-1
+
+use crate::Term;
+use crc::{CRC_32_ISO_HDLC, Crc};
+use tandem_board::SystemId;
+
+pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+/// "TSS1": Tandem system state, layout 1.
+const MAGIC: u32 = u32::from_le_bytes(*b"TSS1");
+
+/// Which fault a system found in itself. The number is what stands in flash and in the status frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum FailureMode {
+    /// No fault.
+    #[default]
+    None = 0,
+    /// Too many abnormal resets in a row. T-RED-5
+    AbnormalResets = 1,
+    /// Nothing is heard on a CAN bus that is alive. T-RED-6
+    CanOpenCircuit = 2,
+    /// The output driver's diagnosis register reports a fault. T-RED-6
+    IoModule = 3,
+    /// Core 1 does not answer.
+    PerceptionCore = 4,
+    /// Core 2 does not answer.
+    PlanningCore = 5,
+    /// Control cycles are late again and again.
+    Deadline = 6,
+    /// No mastership term is left.
+    TermsExhausted = 7,
+    /// A number that this software does not know.
+    Unknown = 255,
+}
+
+impl FailureMode {
+    /// All of them, for tables.
+    pub const ALL: [Self; 9] = [
+        Self::None,
+        Self::AbnormalResets,
+        Self::CanOpenCircuit,
+        Self::IoModule,
+        Self::PerceptionCore,
+        Self::PlanningCore,
+        Self::Deadline,
+        Self::TermsExhausted,
+        Self::Unknown,
+    ];
+
+    /// The number in flash and in the status frame.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        self as u8
+    }
+
+    /// The inverse of [`FailureMode::code`]; unknown numbers are [`FailureMode::Unknown`].
+    #[must_use]
+    pub fn from_code(code: u8) -> Self {
+        Self::ALL
+            .into_iter()
+            .find(|mode| mode.code() == code)
+            .unwrap_or(Self::Unknown)
+    }
+
+    /// Whether a reset may cure it, so that the system comes back as standby instead of suspending.
+    #[must_use]
+    pub const fn reset_may_cure(self) -> bool {
+        matches!(
+            self,
+            Self::PerceptionCore | Self::PlanningCore | Self::Deadline
+        )
+    }
+}
+
+/// What a system knows about itself and the other beyond its own life. T-RED-1
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SystemState {
+    /// It was master last, or was initialised as master.
+    pub is_master: bool,
+    /// This system has failed and stays suspended.
+    pub sys_failure: bool,
+    /// What failed in this system.
+    pub failure_mode: FailureMode,
+    /// The other system is taken for failed.
+    pub cpsys_failure: bool,
+    /// Abnormal resets so far; saturates.
+    pub abn_resets: u32,
+    /// Starts so far, of whatever cause; saturates.
+    pub total_resets: u32,
+    /// Abnormal resets since the last time that this system ran well for long enough; saturates.
+    pub abn_in_a_row: u8,
+    /// The highest mastership term seen or used.
+    pub term: Term,
+}
+
+/// Why bytes from the flash are no state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DecodeError {
+    /// All ones: erased flash.
+    Blank,
+    /// Anything else that is not a whole record of this layout.
+    Invalid,
+}
+
+impl SystemState {
+    /// Length of a record in flash: four pages of 8 bytes.
+    pub const BYTES: usize = 32;
+
+    /// The state that a new system is initialised with: A is master, B is standby, the rest is zero.
+    #[must_use]
+    pub const fn factory(system: SystemId) -> Self {
+        Self {
+            is_master: matches!(system, SystemId::A),
+            sys_failure: false,
+            failure_mode: FailureMode::None,
+            cpsys_failure: false,
+            abn_resets: 0,
+            total_resets: 0,
+            abn_in_a_row: 0,
+            term: Term::NONE,
+        }
+    }
+
+    /// The record for the flash: magic, sequence, flags, counters, term, CRC-32; little endian.
+    #[must_use]
+    pub fn encode(&self, sequence: u32) -> [u8; Self::BYTES] {
+        let mut bytes = [0; Self::BYTES];
+        bytes[0..4].copy_from_slice(&MAGIC.to_le_bytes());
+        bytes[4..8].copy_from_slice(&sequence.to_le_bytes());
+        bytes[8] = u8::from(self.is_master)
+            | u8::from(self.sys_failure) << 1
+            | u8::from(self.cpsys_failure) << 2;
+        bytes[9] = self.failure_mode.code();
+        bytes[10] = self.abn_in_a_row;
+        bytes[12..16].copy_from_slice(&self.abn_resets.to_le_bytes());
+        bytes[16..20].copy_from_slice(&self.total_resets.to_le_bytes());
+        bytes[20..24].copy_from_slice(&self.term.bits().to_le_bytes());
+        let crc = CRC.checksum(&bytes[..28]);
+        bytes[28..].copy_from_slice(&crc.to_le_bytes());
+        bytes
+    }
+
+    /// The state and its sequence number, from a record.
+    ///
+    /// # Errors
+    /// [`DecodeError::Blank`] for erased flash, [`DecodeError::Invalid`] for everything else that is not
+    /// a record that [`SystemState::encode`] can have written.
+    pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), DecodeError> {
+        if bytes.iter().all(|&byte| byte == 0xFF) {
+            return Err(DecodeError::Blank);
+        }
+        let word = |at: usize| {
+            u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
+        };
+        let reserved_zero = bytes[8] & !0b111 == 0 && bytes[11] == 0 && word(24) == 0;
+        if word(0) != MAGIC || word(28) != CRC.checksum(&bytes[..28]) || !reserved_zero {
+            return Err(DecodeError::Invalid);
+        }
+        let state = Self {
+            is_master: bytes[8] & 1 != 0,
+            sys_failure: bytes[8] & 2 != 0,
+            cpsys_failure: bytes[8] & 4 != 0,
+            failure_mode: FailureMode::from_code(bytes[9]),
+            abn_in_a_row: bytes[10],
+            abn_resets: word(12),
+            total_resets: word(16),
+            term: Term::from_bits(word(20)),
+        };
+        Ok((state, word(4)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    prop_compose! {
+        fn any_state()(
+            flags in 0u8..8, mode in 0usize..FailureMode::ALL.len(), abn: u32, total: u32,
+            row: u8, term: u32,
+        ) -> SystemState {
+            SystemState {
+                is_master: flags & 1 != 0,
+                sys_failure: flags & 2 != 0,
+                cpsys_failure: flags & 4 != 0,
+                failure_mode: FailureMode::ALL[mode],
+                abn_resets: abn,
+                total_resets: total,
+                abn_in_a_row: row,
+                term: Term::from_bits(term),
+            }
+        }
+    }
+
+    proptest! {
+        /// T-RED-1: what is written is what is read.
+        #[test]
+        fn a_record_round_trips(state in any_state(), sequence: u32) {
+            prop_assert_eq!(SystemState::decode(&state.encode(sequence)), Ok((state, sequence)));
+        }
+
+        /// T-RED-1: a record with up to three wrong bits is refused, never misread.
+        #[test]
+        fn flipped_bits_are_refused(
+            state in any_state(), sequence: u32, bits in prop::collection::btree_set(0usize..256, 1..=3),
+        ) {
+            let mut bytes = state.encode(sequence);
+            for bit in bits {
+                bytes[bit / 8] ^= 1 << (bit % 8);
+            }
+            prop_assert_eq!(SystemState::decode(&bytes), Err(DecodeError::Invalid));
+        }
+    }
+
+    /// T-RED-1: one system is initialised as master, the other as slave, the rest as zero.
+    #[test]
+    fn factory_state() {
+        let a = SystemState::factory(SystemId::A);
+        let b = SystemState::factory(SystemId::B);
+        assert!(a.is_master && !b.is_master);
+        assert_eq!(
+            SystemState {
+                is_master: false,
+                ..a
+            },
+            b
+        );
+        assert_eq!(
+            (b.abn_resets, b.total_resets, b.failure_mode),
+            (0, 0, FailureMode::None)
+        );
+    }
+
+    #[test]
+    fn erased_flash_is_blank() {
+        assert_eq!(SystemState::decode(&[0xFF; 32]), Err(DecodeError::Blank));
+        assert_eq!(SystemState::decode(&[0; 32]), Err(DecodeError::Invalid));
+    }
+
+    #[test]
+    fn failure_modes_have_their_own_codes() {
+        for mode in FailureMode::ALL {
+            assert_eq!(FailureMode::from_code(mode.code()), mode);
+        }
+        assert_eq!(FailureMode::from_code(99), FailureMode::Unknown);
+    }
+}

@@ -1,0 +1,274 @@
+//! The state in data flash: two sectors, a log of records in each, the newest valid one wins. T-RED-1
+//!
+//! Records are appended to the active sector until it is full; then the other sector is erased and
+//! becomes the active one. The newest record is never in the range of an operation, so a loss of power
+//! at any moment leaves it readable, and what is read afterwards is the old state or the new one.
+
+use crate::{DecodeError, SystemState};
+use tandem_board::{DataFlash, FlashError, FlashStatus};
+
+const SLOT: u32 = SystemState::BYTES as u32;
+/// Failed operations in a row after which the medium is taken for broken.
+const MAX_FAILURES: u8 = 4;
+
+/// Where in the flash the store lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Geometry {
+    /// Bytes of a sector; a multiple of [`SystemState::BYTES`].
+    pub sector_bytes: u32,
+    /// The first of its two sectors.
+    pub first_sector: u32,
+}
+
+impl Geometry {
+    /// The first two sectors of a flash.
+    #[must_use]
+    pub const fn of<F: DataFlash>() -> Self {
+        Self {
+            sector_bytes: F::SECTOR_BYTES,
+            first_sector: 0,
+        }
+    }
+
+    const fn slots(&self) -> u32 {
+        self.sector_bytes / SLOT
+    }
+
+    const fn offset(&self, sector: u32, slot: u32) -> u32 {
+        (self.first_sector + sector) * self.sector_bytes + slot * SLOT
+    }
+}
+
+/// What was found in the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loaded {
+    /// The newest state.
+    State(SystemState),
+    /// The flash was never written.
+    Blank,
+    /// There is something, but no valid record.
+    Lost,
+}
+
+/// The next operation on the flash.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlashOp {
+    /// Erase this sector.
+    Erase {
+        /// Number of the sector in the flash.
+        sector: u32,
+    },
+    /// Program these bytes.
+    Program {
+        /// Offset in the flash.
+        offset: u32,
+        /// One record.
+        data: [u8; SystemState::BYTES],
+    },
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Running {
+    Nothing,
+    Erase,
+    Program(SystemState),
+}
+
+/// Writes states to the flash, one operation at a time, without ever waiting.
+///
+/// Sans-IO: [`StateStore::poll`] says what to start; [`StateStore::drive`] does it on a [`DataFlash`].
+#[derive(Clone, Debug)]
+pub struct StateStore {
+    geometry: Geometry,
+    /// The sector that is written, 0 or 1.
+    sector: u32,
+    /// The next slot in it that may be blank; equal to the number of slots if it is full.
+    slot: u32,
+    sequence: u32,
+    durable: Option<SystemState>,
+    wanted: Option<SystemState>,
+    running: Running,
+    failures: u8,
+}
+
+/// What a scan found in one sector.
+#[derive(Clone, Copy, Default)]
+struct Sector {
+    /// The first slot after the last one that is not blank.
+    free: u32,
+    newest: Option<(SystemState, u32)>,
+}
+
+impl StateStore {
+    /// Reads both sectors. `read` copies bytes from an offset of the flash; what cannot be read counts as
+    /// not valid. Takes as long as the reading of two sectors; for the start of a system.
+    pub fn load(
+        geometry: Geometry,
+        mut read: impl FnMut(u32, &mut [u8]) -> Result<(), FlashError>,
+    ) -> (Self, Loaded) {
+        let sectors = [0, 1].map(|sector| scan(geometry, sector, &mut read));
+        let newest = sectors
+            .iter()
+            .zip(0..)
+            .filter_map(|(found, sector)| found.newest.map(|newest| (newest, sector)))
+            .max_by_key(|((_, sequence), _)| *sequence);
+        let (loaded, sector, sequence) = match newest {
+            Some(((state, sequence), sector)) => (Loaded::State(state), sector, sequence),
+            None if sectors.iter().all(|found| found.free == 0) => (Loaded::Blank, 0, 0),
+            // Sector 1 counts as active and full, so that the first write erases sector 0.
+            None => (Loaded::Lost, 1, 0),
+        };
+        let lost = loaded == Loaded::Lost;
+        let slot = if lost {
+            geometry.slots()
+        } else {
+            sectors[sector as usize].free
+        };
+        let durable = match loaded {
+            Loaded::State(state) => Some(state),
+            Loaded::Blank | Loaded::Lost => None,
+        };
+        let store = Self {
+            geometry,
+            sector,
+            slot,
+            sequence,
+            durable,
+            wanted: None,
+            running: Running::Nothing,
+            failures: 0,
+        };
+        (store, loaded)
+    }
+
+    /// Asks for `state` to be written. A newer request replaces one that has not begun.
+    pub fn request(&mut self, state: SystemState) {
+        self.wanted = Some(state);
+    }
+
+    /// The operation to start now, given what the flash does. Start it before the next call, or say
+    /// [`StateStore::refused`].
+    #[must_use = "an operation that is returned counts as started"]
+    pub fn poll(&mut self, status: FlashStatus) -> Option<FlashOp> {
+        if status == FlashStatus::Busy {
+            return None;
+        }
+        self.finish(status == FlashStatus::Failed);
+        if self.is_broken() {
+            return None;
+        }
+        let state = self.wanted?;
+        if self.durable == Some(state) {
+            self.wanted = None;
+            return None;
+        }
+        if self.slot >= self.geometry.slots() {
+            self.sector ^= 1;
+            self.slot = 0;
+            self.running = Running::Erase;
+            return Some(FlashOp::Erase {
+                sector: self.geometry.first_sector + self.sector,
+            });
+        }
+        self.wanted = None;
+        self.running = Running::Program(state);
+        let sequence = self.sequence.wrapping_add(1);
+        let offset = self.geometry.offset(self.sector, self.slot);
+        Some(FlashOp::Program {
+            offset,
+            data: state.encode(sequence),
+        })
+    }
+
+    /// The operation of the last [`StateStore::poll`] was not started; it comes again.
+    pub fn refused(&mut self) {
+        match core::mem::replace(&mut self.running, Running::Nothing) {
+            Running::Nothing => {}
+            Running::Erase => self.step_back(),
+            Running::Program(state) => self.wanted = self.wanted.or(Some(state)),
+        }
+    }
+
+    /// One step on a flash: takes its status and starts what is to be done. Never blocks.
+    pub fn drive(&mut self, flash: &impl DataFlash) {
+        let started = match self.poll(flash.status()) {
+            None => return,
+            Some(FlashOp::Erase { sector }) => flash.start_erase(sector),
+            Some(FlashOp::Program { offset, data }) => flash.start_program(offset, &data),
+        };
+        if started.is_err() {
+            self.refused();
+        }
+    }
+
+    /// Whether all that was requested is durable, or never will be.
+    #[must_use]
+    pub fn is_settled(&self) -> bool {
+        self.is_broken() || (self.wanted.is_none() && self.running == Running::Nothing)
+    }
+
+    /// Whether the flash failed so often in a row that no more is tried. The system can go on; its
+    /// state will be old after the next start.
+    #[must_use]
+    pub fn is_broken(&self) -> bool {
+        self.failures >= MAX_FAILURES
+    }
+
+    /// The newest state that is known to be in flash.
+    #[must_use]
+    pub fn durable(&self) -> Option<&SystemState> {
+        self.durable.as_ref()
+    }
+
+    /// Takes note that the running operation has ended.
+    fn finish(&mut self, failed: bool) {
+        match core::mem::replace(&mut self.running, Running::Nothing) {
+            Running::Nothing => return,
+            Running::Erase if failed => self.step_back(),
+            Running::Erase => {}
+            Running::Program(state) => {
+                // The slot is used up either way, and so is the sequence number: a failed program may
+                // have written a whole record.
+                self.slot += 1;
+                self.sequence = self.sequence.wrapping_add(1);
+                if failed {
+                    self.wanted = self.wanted.or(Some(state));
+                } else {
+                    self.durable = Some(state);
+                }
+            }
+        }
+        self.failures = if failed { self.failures + 1 } else { 0 };
+    }
+
+    /// Back to the full sector, because the other one is not erased.
+    fn step_back(&mut self) {
+        self.sector ^= 1;
+        self.slot = self.geometry.slots();
+    }
+}
+
+fn scan(
+    geometry: Geometry,
+    sector: u32,
+    read: &mut impl FnMut(u32, &mut [u8]) -> Result<(), FlashError>,
+) -> Sector {
+    let mut found = Sector::default();
+    for slot in 0..geometry.slots() {
+        let mut bytes = [0; SystemState::BYTES];
+        let decoded = match read(geometry.offset(sector, slot), &mut bytes) {
+            Ok(()) => SystemState::decode(&bytes),
+            Err(_) => Err(DecodeError::Invalid),
+        };
+        if decoded == Err(DecodeError::Blank) {
+            continue;
+        }
+        found.free = slot + 1;
+        if let Ok((state, sequence)) = decoded
+            && found.newest.is_none_or(|(_, newest)| sequence > newest)
+        {
+            found.newest = Some((state, sequence));
+        }
+    }
+    found
+}
