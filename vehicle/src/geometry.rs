@@ -1,0 +1,234 @@
+//! Plane geometry: vectors, poses, oriented rectangles. Metres and radians, x east, y north.
+
+use std::f64::consts::{PI, TAU};
+use std::ops::{Add, Mul, Neg, Sub};
+
+/// A point or a direction in the plane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Vec2 {
+    /// m
+    pub x: f64,
+    /// m
+    pub y: f64,
+}
+
+impl Vec2 {
+    /// The vector (x, y).
+    #[must_use]
+    pub const fn new(x: f64, y: f64) -> Self {
+        Self { x, y }
+    }
+
+    /// The unit vector with this angle to the x axis.
+    #[must_use]
+    pub fn from_angle(angle: f64) -> Self {
+        let (sin, cos) = angle.sin_cos();
+        Self { x: cos, y: sin }
+    }
+
+    /// Scalar product.
+    #[must_use]
+    pub fn dot(self, other: Self) -> f64 {
+        self.x * other.x + self.y * other.y
+    }
+
+    /// The z component of the cross product: positive if `other` lies to the left of `self`.
+    #[must_use]
+    pub fn cross(self, other: Self) -> f64 {
+        self.x * other.y - self.y * other.x
+    }
+
+    /// Length.
+    #[must_use]
+    pub fn norm(self) -> f64 {
+        self.x.hypot(self.y)
+    }
+
+    /// Angle to the x axis, -π ..= π.
+    #[must_use]
+    pub fn angle(self) -> f64 {
+        self.y.atan2(self.x)
+    }
+
+    /// Turned left by 90 degrees.
+    #[must_use]
+    pub const fn left(self) -> Self {
+        Self { x: -self.y, y: self.x }
+    }
+
+    /// The point at `t` of the way to `other`.
+    #[must_use]
+    pub fn lerp(self, other: Self, t: f64) -> Self {
+        self + (other - self) * t
+    }
+}
+
+impl Add for Vec2 {
+    type Output = Self;
+    fn add(self, other: Self) -> Self {
+        Self { x: self.x + other.x, y: self.y + other.y }
+    }
+}
+
+impl Sub for Vec2 {
+    type Output = Self;
+    fn sub(self, other: Self) -> Self {
+        Self { x: self.x - other.x, y: self.y - other.y }
+    }
+}
+
+impl Mul<f64> for Vec2 {
+    type Output = Self;
+    fn mul(self, factor: f64) -> Self {
+        Self { x: self.x * factor, y: self.y * factor }
+    }
+}
+
+impl Neg for Vec2 {
+    type Output = Self;
+    fn neg(self) -> Self {
+        Self { x: -self.x, y: -self.y }
+    }
+}
+
+/// The same angle in -π ..= π.
+#[must_use]
+pub fn wrap_angle(angle: f64) -> f64 {
+    if (-PI..=PI).contains(&angle) { angle } else { (angle + PI).rem_euclid(TAU) - PI }
+}
+
+/// The angle at `t` of the way from `a` to `b`, the short way round.
+#[must_use]
+pub fn lerp_angle(a: f64, b: f64, t: f64) -> f64 {
+    wrap_angle(a + wrap_angle(b - a) * t)
+}
+
+/// Place and heading.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// Centre, m.
+    pub position: Vec2,
+    /// Heading, rad, counter-clockwise from the x axis.
+    pub yaw: f64,
+}
+
+impl Pose {
+    /// The point `local` of this pose's frame (x forward, y left) in the world.
+    #[must_use]
+    pub fn to_world(self, local: Vec2) -> Vec2 {
+        self.position + self.rotate(local)
+    }
+
+    /// The world's point in this pose's frame.
+    #[must_use]
+    pub fn to_local(self, world: Vec2) -> Vec2 {
+        self.unrotate(world - self.position)
+    }
+
+    /// The direction `local` of this pose's frame in the world.
+    #[must_use]
+    pub fn rotate(self, local: Vec2) -> Vec2 {
+        let forward = Vec2::from_angle(self.yaw);
+        forward * local.x + forward.left() * local.y
+    }
+
+    /// The world's direction in this pose's frame.
+    #[must_use]
+    pub fn unrotate(self, world: Vec2) -> Vec2 {
+        let forward = Vec2::from_angle(self.yaw);
+        Vec2::new(forward.dot(world), forward.cross(world))
+    }
+}
+
+/// An oriented rectangle: what a vehicle covers of the road.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Footprint {
+    /// Centre and heading.
+    pub pose: Pose,
+    /// Along the heading, m.
+    pub length: f64,
+    /// Across the heading, m.
+    pub width: f64,
+}
+
+impl Footprint {
+    /// The four corners: front left, front right, rear right, rear left.
+    #[must_use]
+    pub fn corners(&self) -> [Vec2; 4] {
+        let forward = Vec2::from_angle(self.pose.yaw) * (self.length / 2.0);
+        let left = Vec2::from_angle(self.pose.yaw).left() * (self.width / 2.0);
+        let centre = self.pose.position;
+        [
+            centre + forward + left,
+            centre + forward - left,
+            centre - forward - left,
+            centre - forward + left,
+        ]
+    }
+
+    /// Whether the two rectangles overlap; touching is not overlapping.
+    ///
+    /// Separating axis theorem: two convex shapes are apart exactly if their projections on one of
+    /// the edge normals are (Gottschalk, Lin, Manocha, "OBBTree", SIGGRAPH 1996).
+    #[must_use]
+    pub fn overlaps(&self, other: &Self) -> bool {
+        let apart = other.pose.position - self.pose.position;
+        let reach = self.length.hypot(self.width) + other.length.hypot(other.width);
+        if apart.dot(apart) * 4.0 > reach * reach {
+            return false;
+        }
+        let a = Vec2::from_angle(self.pose.yaw);
+        let b = Vec2::from_angle(other.pose.yaw);
+        [a, a.left(), b, b.left()].iter().all(|axis| {
+            let reach = |shape: &Self, forward: Vec2| {
+                forward.dot(*axis).abs() * shape.length + forward.cross(*axis).abs() * shape.width
+            };
+            apart.dot(*axis).abs() * 2.0 < reach(self, a) + reach(other, b)
+        })
+    }
+
+    /// The same place, larger by `length` and `width` in all.
+    #[must_use]
+    pub fn grown(self, length: f64, width: f64) -> Self {
+        Self { length: self.length + length, width: self.width + width, ..self }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rectangle(x: f64, y: f64, yaw: f64) -> Footprint {
+        Footprint { pose: Pose { position: Vec2::new(x, y), yaw }, length: 4.0, width: 2.0 }
+    }
+
+    #[test]
+    fn rectangles_overlap_exactly_when_no_axis_separates_them() {
+        let a = rectangle(0.0, 0.0, 0.0);
+        assert!(a.overlaps(&a));
+        assert!(a.overlaps(&rectangle(3.99, 1.99, 0.0)));
+        assert!(!a.overlaps(&rectangle(4.01, 0.0, 0.0)));
+        assert!(!a.overlaps(&rectangle(0.0, 2.01, 0.0)));
+        // Turned by 90 degrees it reaches 1 m along x and 2 m along y.
+        assert!(a.overlaps(&rectangle(2.99, 0.0, PI / 2.0)));
+        assert!(!a.overlaps(&rectangle(3.01, 0.0, PI / 2.0)));
+        // Corner to corner at 45 degrees: the bounding boxes overlap, the rectangles do not.
+        let reach = (2.0 + 1.0) / 2.0_f64.sqrt();
+        assert!(!a.overlaps(&rectangle(2.0 + reach / 2.0, 1.0 + reach / 2.0 + 0.9, PI / 4.0)));
+    }
+
+    #[test]
+    fn a_pose_maps_there_and_back() {
+        let pose = Pose { position: Vec2::new(3.0, -2.0), yaw: 2.5 };
+        let point = Vec2::new(7.0, 11.0);
+        assert!((pose.to_world(pose.to_local(point)) - point).norm() < 1e-12);
+        assert!((pose.to_world(Vec2::new(1.0, 0.0)) - pose.position - Vec2::from_angle(2.5)).norm() < 1e-12);
+    }
+
+    #[test]
+    fn angles_wrap_the_short_way() {
+        assert!((wrap_angle(3.0 * PI) - PI).abs() < 1e-9 || (wrap_angle(3.0 * PI) + PI).abs() < 1e-9);
+        assert!((lerp_angle(3.0, -3.0, 0.5).abs() - PI).abs() < 1e-9);
+        assert_eq!(wrap_angle(0.5), 0.5);
+    }
+}
