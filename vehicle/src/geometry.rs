@@ -53,7 +53,10 @@ impl Vec2 {
     /// Turned left by 90 degrees.
     #[must_use]
     pub const fn left(self) -> Self {
-        Self { x: -self.y, y: self.x }
+        Self {
+            x: -self.y,
+            y: self.x,
+        }
     }
 
     /// The point at `t` of the way to `other`.
@@ -66,35 +69,51 @@ impl Vec2 {
 impl Add for Vec2 {
     type Output = Self;
     fn add(self, other: Self) -> Self {
-        Self { x: self.x + other.x, y: self.y + other.y }
+        Self {
+            x: self.x + other.x,
+            y: self.y + other.y,
+        }
     }
 }
 
 impl Sub for Vec2 {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
-        Self { x: self.x - other.x, y: self.y - other.y }
+        Self {
+            x: self.x - other.x,
+            y: self.y - other.y,
+        }
     }
 }
 
 impl Mul<f64> for Vec2 {
     type Output = Self;
     fn mul(self, factor: f64) -> Self {
-        Self { x: self.x * factor, y: self.y * factor }
+        Self {
+            x: self.x * factor,
+            y: self.y * factor,
+        }
     }
 }
 
 impl Neg for Vec2 {
     type Output = Self;
     fn neg(self) -> Self {
-        Self { x: -self.x, y: -self.y }
+        Self {
+            x: -self.x,
+            y: -self.y,
+        }
     }
 }
 
 /// The same angle in -π ..= π.
 #[must_use]
 pub fn wrap_angle(angle: f64) -> f64 {
-    if (-PI..=PI).contains(&angle) { angle } else { (angle + PI).rem_euclid(TAU) - PI }
+    if (-PI..=PI).contains(&angle) {
+        angle
+    } else {
+        (angle + PI).rem_euclid(TAU) - PI
+    }
 }
 
 /// The angle at `t` of the way from `a` to `b`, the short way round.
@@ -190,7 +209,11 @@ impl Footprint {
     /// The same place, larger by `length` and `width` in all.
     #[must_use]
     pub fn grown(self, length: f64, width: f64) -> Self {
-        Self { length: self.length + length, width: self.width + width, ..self }
+        Self {
+            length: self.length + length,
+            width: self.width + width,
+            ..self
+        }
     }
 }
 
@@ -199,7 +222,14 @@ mod tests {
     use super::*;
 
     fn rectangle(x: f64, y: f64, yaw: f64) -> Footprint {
-        Footprint { pose: Pose { position: Vec2::new(x, y), yaw }, length: 4.0, width: 2.0 }
+        Footprint {
+            pose: Pose {
+                position: Vec2::new(x, y),
+                yaw,
+            },
+            length: 4.0,
+            width: 2.0,
+        }
     }
 
     #[test]
@@ -214,20 +244,32 @@ mod tests {
         assert!(!a.overlaps(&rectangle(3.01, 0.0, PI / 2.0)));
         // Corner to corner at 45 degrees: the bounding boxes overlap, the rectangles do not.
         let reach = (2.0 + 1.0) / 2.0_f64.sqrt();
-        assert!(!a.overlaps(&rectangle(2.0 + reach / 2.0, 1.0 + reach / 2.0 + 0.9, PI / 4.0)));
+        assert!(!a.overlaps(&rectangle(
+            2.0 + reach / 2.0,
+            1.0 + reach / 2.0 + 0.9,
+            PI / 4.0
+        )));
     }
 
     #[test]
     fn a_pose_maps_there_and_back() {
-        let pose = Pose { position: Vec2::new(3.0, -2.0), yaw: 2.5 };
+        let pose = Pose {
+            position: Vec2::new(3.0, -2.0),
+            yaw: 2.5,
+        };
         let point = Vec2::new(7.0, 11.0);
         assert!((pose.to_world(pose.to_local(point)) - point).norm() < 1e-12);
-        assert!((pose.to_world(Vec2::new(1.0, 0.0)) - pose.position - Vec2::from_angle(2.5)).norm() < 1e-12);
+        assert!(
+            (pose.to_world(Vec2::new(1.0, 0.0)) - pose.position - Vec2::from_angle(2.5)).norm()
+                < 1e-12
+        );
     }
 
     #[test]
     fn angles_wrap_the_short_way() {
-        assert!((wrap_angle(3.0 * PI) - PI).abs() < 1e-9 || (wrap_angle(3.0 * PI) + PI).abs() < 1e-9);
+        assert!(
+            (wrap_angle(3.0 * PI) - PI).abs() < 1e-9 || (wrap_angle(3.0 * PI) + PI).abs() < 1e-9
+        );
         assert!((lerp_angle(3.0, -3.0, 0.5).abs() - PI).abs() < 1e-9);
         assert_eq!(wrap_angle(0.5), 0.5);
     }

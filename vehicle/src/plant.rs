@@ -99,14 +99,24 @@ impl Input {
         let at_stop = |angle: f64| angle >= p.steering_max;
         let (rate, angle) = (self.steering_rate, state.steering_angle);
         let blocked = (at_stop(angle) && rate >= 0.0) || (at_stop(-angle) && rate <= 0.0);
-        let steering_rate =
-            if blocked { 0.0 } else { rate.clamp(-p.steering_rate_max, p.steering_rate_max) };
+        let steering_rate = if blocked {
+            0.0
+        } else {
+            rate.clamp(-p.steering_rate_max, p.steering_rate_max)
+        };
 
         let (a, v) = (self.acceleration, state.speed);
         let blocked = (v <= p.speed_min && a <= 0.0) || (v >= p.speed_max && a >= 0.0);
         let engine = p.acceleration_max * (p.switching_speed / v.max(p.switching_speed));
-        let acceleration = if blocked { 0.0 } else { a.clamp(-p.acceleration_max, engine) };
-        Self { steering_rate, acceleration }
+        let acceleration = if blocked {
+            0.0
+        } else {
+            a.clamp(-p.acceleration_max, engine)
+        };
+        Self {
+            steering_rate,
+            acceleration,
+        }
     }
 }
 
@@ -182,6 +192,15 @@ impl State {
         }
     }
 
+    /// Sets yaw rate and slip angle to what rolling without slip means: below [`KINEMATIC_BELOW`] they
+    /// follow from the other states, and what tyre slip has left of them must not stay for ever.
+    pub fn settle_slowly_rolling(&mut self, p: &Parameters) {
+        let wheelbase = p.front_axle + p.rear_axle;
+        let tan = self.steering_angle.tan();
+        self.slip_angle = (tan * p.rear_axle / wheelbase).atan();
+        self.yaw_rate = self.speed * self.slip_angle.cos() * tan / wheelbase;
+    }
+
     /// The state `dt` seconds later under a constant input: classic Runge-Kutta of fourth order.
     ///
     /// At 1 ms it is stable down to [`KINEMATIC_BELOW`], where the tyres' time constant is 0.46 ms.
@@ -246,12 +265,18 @@ mod tests {
                 (state, cases) = (expected, cases + 1);
                 continue;
             }
-            let input = Input { steering_rate: v[1], acceleration: v[2] };
+            let input = Input {
+                steering_rate: v[1],
+                acceleration: v[2],
+            };
             for _ in 0..50 {
                 state = state.stepped(input, 1e-3, &BMW_320I);
             }
             if case == "crawl" {
-                assert!((state.slip_angle - expected.slip_angle).abs() < 1e-4, "{row}");
+                assert!(
+                    (state.slip_angle - expected.slip_angle).abs() < 1e-4,
+                    "{row}"
+                );
                 state.slip_angle = expected.slip_angle;
             }
             let (pose, motion) = distance(&state, &expected);
@@ -262,10 +287,23 @@ mod tests {
 
     #[test]
     fn steering_stops_at_its_end() {
-        let mut state = State { speed: 1.0, ..State::default() };
+        let mut state = State {
+            speed: 1.0,
+            ..State::default()
+        };
         for _ in 0..5_000 {
-            state = state.stepped(Input { steering_rate: 1.0, acceleration: 0.0 }, 1e-3, &BMW_320I);
+            state = state.stepped(
+                Input {
+                    steering_rate: 1.0,
+                    acceleration: 0.0,
+                },
+                1e-3,
+                &BMW_320I,
+            );
         }
-        assert!((state.steering_angle - BMW_320I.steering_max).abs() < 1e-3, "{state:?}");
+        assert!(
+            (state.steering_angle - BMW_320I.steering_max).abs() < 1e-3,
+            "{state:?}"
+        );
     }
 }

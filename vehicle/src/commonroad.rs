@@ -1,0 +1,498 @@
+//! Reads CommonRoad XML, versions 2018b and 2020a, into plain data.
+//!
+//! Format: <https://commonroad.in.tum.de>. An interval stands for its midpoint, an area for its centre.
+//! Not read: goal states, intersections, traffic lights, occupancy sets, phantom and environment
+//! obstacles (they are no traffic).
+
+use roxmltree::{Document, Node};
+
+use crate::geometry::{Vec2, wrap_angle};
+use crate::scenario::ScenarioError;
+
+/// A piece of lane between two bounds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lanelet {
+    /// Its id in the file.
+    pub id: i64,
+    /// Left bound in driving direction, at least two points.
+    pub left: Vec<Vec2>,
+    /// Right bound in driving direction, at least two points.
+    pub right: Vec<Vec2>,
+    /// Ids of the lanelets that lead into this one.
+    pub predecessors: Vec<i64>,
+    /// Ids of the lanelets that it leads to.
+    pub successors: Vec<i64>,
+    /// The neighbour to the left if it has the same driving direction.
+    pub left_neighbour: Option<i64>,
+    /// The neighbour to the right if it has the same driving direction.
+    pub right_neighbour: Option<i64>,
+    /// m/s
+    pub speed_limit: Option<f64>,
+}
+
+/// Kind of an obstacle; the numbers are those of the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Class {
+    /// None of the below.
+    Unknown = 0,
+    /// Passenger car.
+    Car = 1,
+    /// Truck or bus.
+    Truck = 2,
+    /// Motorcycle or bicycle.
+    Motorcycle = 3,
+    /// Person on foot.
+    Pedestrian = 4,
+    /// Something that never moves.
+    Static = 5,
+}
+
+/// Where something was at one time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TimedState {
+    /// Seconds since the ego's start.
+    pub t: f64,
+    /// Centre, m.
+    pub position: Vec2,
+    /// rad
+    pub yaw: f64,
+    /// m/s along `yaw`; `None` where the file gives none.
+    pub speed: Option<f64>,
+}
+
+/// Another road user, or a thing on the road.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Obstacle {
+    /// Its id in the file.
+    pub id: i64,
+    /// Kind.
+    pub class: Class,
+    /// It never moves.
+    pub is_static: bool,
+    /// m, along its heading.
+    pub length: f64,
+    /// m, across its heading.
+    pub width: f64,
+    /// At least one, with ascending times.
+    pub states: Vec<TimedState>,
+}
+
+/// What a file says.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Map {
+    /// `benchmarkID`
+    pub name: String,
+    /// At least one.
+    pub lanelets: Vec<Lanelet>,
+    /// All but the ego.
+    pub obstacles: Vec<Obstacle>,
+    /// Where the ego starts, from the first planning problem, at t = 0.
+    pub ego: TimedState,
+}
+
+/// Size of an obstacle and the place of its centre in the obstacle's own frame.
+struct Shape {
+    length: f64,
+    width: f64,
+    centre: Vec2,
+}
+
+/// Reads the text of a CommonRoad file; `file` is named in errors.
+///
+/// # Errors
+/// Names the file, the line, the element, and what to do.
+pub fn parse(text: &str, file: &str) -> Result<Map, ScenarioError> {
+    let document = Document::parse(text).map_err(|error| ScenarioError::Xml {
+        file: file.to_owned(),
+        line: error.pos().row,
+        problem: error.to_string(),
+    })?;
+    Reader {
+        document: &document,
+        file,
+    }
+    .map()
+}
+
+/// A document with the name that its errors carry.
+struct Reader<'a, 'input> {
+    document: &'a Document<'input>,
+    file: &'a str,
+}
+
+type Element<'a, 'input> = Node<'a, 'input>;
+
+impl<'a, 'input> Reader<'a, 'input> {
+    fn map(&self) -> Result<Map, ScenarioError> {
+        let root = self.document.root_element();
+        if root.tag_name().name() != "commonRoad" {
+            return Err(self.error(
+                root,
+                "is no CommonRoad file",
+                "give a file whose root is <commonRoad>",
+            ));
+        }
+        let version = self.attribute(root, "commonRoadVersion")?;
+        if !["2018b", "2020a"].contains(&version) {
+            let problem = format!("has commonRoadVersion {version:?}");
+            let advice = "convert the file to version 2018b or 2020a";
+            return Err(self.error(root, &problem, advice));
+        }
+        let step_s = self.parsed(root, self.attribute(root, "timeStepSize")?)?;
+        if step_s <= 0.0 {
+            return Err(self.error(
+                root,
+                "has a timeStepSize that is not positive",
+                "give seconds > 0",
+            ));
+        }
+        let limits = self.speed_signs(root)?;
+        let lanelets: Vec<_> = elements(root, "lanelet")
+            .map(|node| self.lanelet(node, &limits))
+            .collect::<Result<_, _>>()?;
+        if lanelets.is_empty() {
+            return Err(self.error(
+                root,
+                "has no <lanelet>",
+                "add the lanes that the ego drives on",
+            ));
+        }
+        let problem = self.child(root, "planningProblem")?;
+        let ego = self.state(self.child(problem, "initialState")?, step_s, None)?;
+        let mut obstacles = Vec::new();
+        for node in root.children().filter(Node::is_element) {
+            let is_static = match node.tag_name().name() {
+                "staticObstacle" => true,
+                "dynamicObstacle" => false,
+                "obstacle" => match self.text(self.child(node, "role")?) {
+                    "static" => true,
+                    "dynamic" => false,
+                    role => {
+                        let problem = format!("has the role {role:?}");
+                        return Err(self.error(node, &problem, "give static or dynamic"));
+                    }
+                },
+                _ => continue,
+            };
+            obstacles.push(self.obstacle(node, is_static, step_s)?);
+        }
+        for state in obstacles
+            .iter_mut()
+            .flat_map(|obstacle| &mut obstacle.states)
+        {
+            state.t -= ego.t;
+        }
+        let name = root
+            .attribute("benchmarkID")
+            .unwrap_or(self.file)
+            .to_owned();
+        Ok(Map {
+            name,
+            lanelets,
+            obstacles,
+            ego: TimedState { t: 0.0, ..ego },
+        })
+    }
+
+    /// Ids and values (m/s) of the speed limit signs: version 2020a keeps them apart from lanelets.
+    fn speed_signs(&self, root: Element<'_, '_>) -> Result<Vec<(i64, f64)>, ScenarioError> {
+        let mut limits = Vec::new();
+        for sign in elements(root, "trafficSign") {
+            let id = self.id(sign)?;
+            for element in elements(sign, "trafficSignElement") {
+                let kind = self.text(self.child(element, "trafficSignID")?);
+                // Maximum speed in Germany and the fictitious Zamunda, and in the USA.
+                if ["274", "R2-1"].contains(&kind) {
+                    limits.push((id, self.number(self.child(element, "additionalValue")?)?));
+                }
+            }
+        }
+        Ok(limits)
+    }
+
+    fn lanelet(
+        &self,
+        node: Element<'_, '_>,
+        limits: &[(i64, f64)],
+    ) -> Result<Lanelet, ScenarioError> {
+        let bound = |name| -> Result<Vec<Vec2>, ScenarioError> {
+            let bound = self.child(node, name)?;
+            let points = elements(bound, "point").map(|p| self.point(p));
+            let mut points = points.collect::<Result<Vec<_>, _>>()?;
+            points.dedup_by(|a, b| (*a - *b).norm() < 1e-3);
+            if points.len() < 2 {
+                return Err(self.error(bound, "has fewer than two points", "give the whole bound"));
+            }
+            Ok(points)
+        };
+        let references = |name| -> Result<Vec<i64>, ScenarioError> {
+            elements(node, name)
+                .map(|n| self.parsed_id(n, self.attribute(n, "ref")?))
+                .collect()
+        };
+        let neighbour = |name| -> Result<Option<i64>, ScenarioError> {
+            let mut same =
+                elements(node, name).filter(|n| n.attribute("drivingDir") == Some("same"));
+            same.next()
+                .map(|n| self.parsed_id(n, self.attribute(n, "ref")?))
+                .transpose()
+        };
+        let signs = references("trafficSignRef")?;
+        let signed = limits
+            .iter()
+            .find(|(id, _)| signs.contains(id))
+            .map(|(_, value)| *value);
+        let own = elements(node, "speedLimit")
+            .next()
+            .map(|n| self.number(n))
+            .transpose()?;
+        Ok(Lanelet {
+            id: self.id(node)?,
+            left: bound("leftBound")?,
+            right: bound("rightBound")?,
+            predecessors: references("predecessor")?,
+            successors: references("successor")?,
+            left_neighbour: neighbour("adjacentLeft")?,
+            right_neighbour: neighbour("adjacentRight")?,
+            speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
+        })
+    }
+
+    fn obstacle(
+        &self,
+        node: Element<'_, '_>,
+        is_static: bool,
+        step_s: f64,
+    ) -> Result<Obstacle, ScenarioError> {
+        let shape = self.shape(self.child(node, "shape")?)?;
+        let mut states = vec![self.state(self.child(node, "initialState")?, step_s, Some(0.0))?];
+        if let Some(trajectory) = elements(node, "trajectory").next() {
+            for state in elements(trajectory, "state") {
+                let next = self.state(state, step_s, None)?;
+                if states.last().is_some_and(|last| next.t <= last.t) {
+                    let advice = "list the states with ascending times, after the initial state's";
+                    return Err(self.error(state, "is not later than the state before it", advice));
+                }
+                states.push(next);
+            }
+        }
+        for state in &mut states {
+            let forward = Vec2::from_angle(state.yaw);
+            state.position =
+                state.position + forward * shape.centre.x + forward.left() * shape.centre.y;
+        }
+        let class = match self.text(self.child(node, "type")?) {
+            "car" | "taxi" | "parkedVehicle" => Class::Car,
+            "truck" | "bus" | "train" | "priorityVehicle" => Class::Truck,
+            "motorcycle" | "bicycle" => Class::Motorcycle,
+            "pedestrian" => Class::Pedestrian,
+            "constructionZone" | "roadBoundary" | "building" | "pillar" | "median_strip" => {
+                Class::Static
+            }
+            _ => Class::Unknown,
+        };
+        let (length, width) = (shape.length, shape.width);
+        Ok(Obstacle {
+            id: self.id(node)?,
+            class,
+            is_static,
+            length,
+            width,
+            states,
+        })
+    }
+
+    /// The box around all shapes, in the obstacle's frame.
+    fn shape(&self, node: Element<'_, '_>) -> Result<Shape, ScenarioError> {
+        let mut corners = Vec::new();
+        for shape in node.children().filter(Node::is_element) {
+            let centre = elements(shape, "center")
+                .next()
+                .map(|n| self.point(n))
+                .transpose()?;
+            let centre = centre.unwrap_or_default();
+            let mut add_box = |length: f64, width: f64, yaw: f64| {
+                let along = Vec2::from_angle(yaw) * (length / 2.0);
+                let across = Vec2::from_angle(yaw).left() * (width / 2.0);
+                corners.extend([along + across, along - across].map(|v| centre + v));
+                corners.extend([along + across, along - across].map(|v| centre - v));
+            };
+            match shape.tag_name().name() {
+                "rectangle" => add_box(
+                    self.number(self.child(shape, "length")?)?,
+                    self.number(self.child(shape, "width")?)?,
+                    elements(shape, "orientation")
+                        .next()
+                        .map_or(Ok(0.0), |n| self.number(n))?,
+                ),
+                "circle" => {
+                    let diameter = 2.0 * self.number(self.child(shape, "radius")?)?;
+                    add_box(diameter, diameter, 0.0);
+                }
+                "polygon" => {
+                    for point in elements(shape, "point") {
+                        corners.push(self.point(point)?);
+                    }
+                }
+                name => {
+                    let problem = format!("holds the unknown shape <{name}>");
+                    return Err(self.error(node, &problem, "use rectangle, circle or polygon"));
+                }
+            }
+        }
+        let (low, high) = bounds(&corners);
+        let (length, width) = (high.x - low.x, high.y - low.y);
+        if !(length > 0.0 && width > 0.0) {
+            return Err(self.error(node, "has no extent", "give a shape with a positive size"));
+        }
+        Ok(Shape {
+            length,
+            width,
+            centre: low.lerp(high, 0.5),
+        })
+    }
+
+    /// A state; `default_yaw` is for things that may lack an orientation.
+    fn state(
+        &self,
+        node: Element<'_, '_>,
+        step_s: f64,
+        default_yaw: Option<f64>,
+    ) -> Result<TimedState, ScenarioError> {
+        let yaw = match (elements(node, "orientation").next(), default_yaw) {
+            (None, Some(yaw)) => yaw,
+            _ => wrap_angle(self.value(self.child(node, "orientation")?)?),
+        };
+        let time = elements(node, "time")
+            .next()
+            .map_or(Ok(0.0), |n| self.value(n))?;
+        Ok(TimedState {
+            t: time * step_s,
+            position: self.place(self.child(node, "position")?)?,
+            yaw,
+            speed: elements(node, "velocity")
+                .next()
+                .map(|n| self.value(n))
+                .transpose()?,
+        })
+    }
+
+    /// A point, or the centre of an area.
+    fn place(&self, node: Element<'_, '_>) -> Result<Vec2, ScenarioError> {
+        let Some(place) = node.children().find(Node::is_element) else {
+            return Err(self.error(node, "is empty", "give a <point>, <rectangle> or <circle>"));
+        };
+        match place.tag_name().name() {
+            "point" => self.point(place),
+            "rectangle" | "circle" => elements(place, "center")
+                .next()
+                .map_or(Ok(Vec2::default()), |n| self.point(n)),
+            "polygon" => {
+                let points = elements(place, "point").map(|n| self.point(n));
+                let (low, high) = bounds(&points.collect::<Result<Vec<_>, _>>()?);
+                Ok(low.lerp(high, 0.5))
+            }
+            name => {
+                let problem = format!("is given as <{name}>");
+                Err(self.error(node, &problem, "give a <point>, <rectangle> or <circle>"))
+            }
+        }
+    }
+
+    fn point(&self, node: Element<'_, '_>) -> Result<Vec2, ScenarioError> {
+        let x = self.number(self.child(node, "x")?)?;
+        let y = self.number(self.child(node, "y")?)?;
+        Ok(Vec2::new(x, y))
+    }
+
+    /// `<exact>`, or the middle of `<intervalStart>` and `<intervalEnd>`.
+    fn value(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+        if let Some(exact) = elements(node, "exact").next() {
+            return self.number(exact);
+        }
+        let start = self.number(self.child(node, "intervalStart")?)?;
+        let end = self.number(self.child(node, "intervalEnd")?)?;
+        Ok((start + end) / 2.0)
+    }
+
+    fn child<'n, 'i>(
+        &self,
+        node: Element<'n, 'i>,
+        name: &str,
+    ) -> Result<Element<'n, 'i>, ScenarioError> {
+        elements(node, name).next().ok_or_else(|| {
+            let advice = format!("add <{name}> to it");
+            self.error(node, &format!("lacks <{name}>"), &advice)
+        })
+    }
+
+    fn attribute<'n>(&self, node: Element<'n, '_>, name: &str) -> Result<&'n str, ScenarioError> {
+        node.attribute(name).ok_or_else(|| {
+            let advice = format!("add {name}=\"…\" to it");
+            self.error(node, &format!("lacks the attribute {name:?}"), &advice)
+        })
+    }
+
+    fn id(&self, node: Element<'_, '_>) -> Result<i64, ScenarioError> {
+        self.parsed_id(node, self.attribute(node, "id")?)
+    }
+
+    fn parsed_id(&self, node: Element<'_, '_>, text: &str) -> Result<i64, ScenarioError> {
+        text.trim().parse().map_err(|_| {
+            self.error(
+                node,
+                &format!("refers to {text:?}"),
+                "give a whole number as id",
+            )
+        })
+    }
+
+    fn number(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+        self.parsed(node, self.text(node))
+    }
+
+    fn parsed(&self, node: Element<'_, '_>, text: &str) -> Result<f64, ScenarioError> {
+        match text.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(self.error(node, &format!("holds {text:?}"), "give a finite number")),
+        }
+    }
+
+    fn text<'n>(&self, node: Element<'n, '_>) -> &'n str {
+        node.text().map_or("", str::trim)
+    }
+
+    fn error(&self, node: Element<'_, '_>, problem: &str, advice: &str) -> ScenarioError {
+        let id = node
+            .attribute("id")
+            .map_or(String::new(), |id| format!(" id=\"{id}\""));
+        ScenarioError::Element {
+            file: self.file.to_owned(),
+            line: self.document.text_pos_at(node.range().start).row,
+            element: format!("<{}{id}>", node.tag_name().name()),
+            problem: problem.to_owned(),
+            advice: advice.to_owned(),
+        }
+    }
+}
+
+fn elements<'a, 'i: 'a>(
+    node: Element<'a, 'i>,
+    name: &str,
+) -> impl Iterator<Item = Element<'a, 'i>> {
+    node.children()
+        .filter(move |child| child.has_tag_name(name))
+}
+
+/// The corners of the box around the points; an empty box for none.
+fn bounds(points: &[Vec2]) -> (Vec2, Vec2) {
+    let Some(&first) = points.first() else {
+        return Default::default();
+    };
+    points.iter().fold((first, first), |(low, high), p| {
+        (
+            Vec2::new(low.x.min(p.x), low.y.min(p.y)),
+            Vec2::new(high.x.max(p.x), high.y.max(p.y)),
+        )
+    })
+}

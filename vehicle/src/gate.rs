@@ -1,0 +1,314 @@
+//! The vehicle's own decision which control frames act: valid, from a master, of the highest term.
+//!
+//! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
+//! its sender believes. Every control frame and what became of it goes into a log, so that "two
+//! masters" and "no master" are facts.
+//!
+//! | frame | verdict | acts |
+//! |---|---|---|
+//! | protection, length or values wrong, or the term's lowest bit is not the system | `Invalid` | no |
+//! | role other than master | `NotMaster` | no |
+//! | term lower than the highest seen | `Fenced` | no |
+//! | else | `Accepted` | yes; its term is now the highest |
+
+use tandem_bus::e2e::{Check, Checker};
+use tandem_bus::{Control, Message, Role};
+
+/// Two systems have both been master if the vehicle accepted X, then Y, then X again within this
+/// time, ns. A takeover and a second one back take a restart in between, which is far longer.
+const TWO_MASTERS_WITHIN_NS: u64 = 200_000_000;
+/// After this silence a sender may start with any counter, ns: it was down, and frames that were lost
+/// meanwhile are not news.
+const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
+/// The log keeps so many entries between two calls of [`Gate::drain_log`]: three hours of frames.
+const LOG_CAPACITY: usize = 1 << 20;
+
+/// What became of a control frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// It acts.
+    Accepted,
+    /// Its term is lower than one seen before.
+    Fenced,
+    /// Its sender does not claim to be master.
+    NotMaster,
+    /// It is damaged, repeated, out of sequence, or contradicts itself.
+    Invalid,
+}
+
+/// One entry of the acceptance log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Acceptance {
+    /// When the frame arrived, ns, on the caller's clock.
+    pub at_ns: u64,
+    /// 0 = A, 1 = B, by the frame's id.
+    pub system: u8,
+    /// The frame's term; 0 if it is invalid.
+    pub term: u32,
+    /// What became of it.
+    pub verdict: Verdict,
+}
+
+/// Counts of control frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCounts {
+    /// Frames that acted.
+    pub accepted: u64,
+    /// Frames of a lower term.
+    pub fenced: u64,
+    /// Frames of a sender that is not master.
+    pub not_master: u64,
+    /// Frames that were damaged, repeated or out of sequence.
+    pub invalid: u64,
+}
+
+/// Judges control frames.
+#[derive(Debug)]
+pub struct Gate {
+    checkers: [Checker; 2],
+    last_ns: [Option<u64>; 2],
+    highest_term: u32,
+    accepted: Option<Acceptance>,
+    counts: FrameCounts,
+    gap_max_ns: u64,
+    /// When the system that is accepted now took over from the other one.
+    switched_ns: Option<u64>,
+    switches: u32,
+    two_masters_ns: u64,
+    log: Vec<Acceptance>,
+}
+
+impl Gate {
+    /// A gate that has seen no frame.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            checkers: Control::IDS.map(Checker::new),
+            last_ns: [None; 2],
+            highest_term: 0,
+            accepted: None,
+            counts: FrameCounts::default(),
+            gap_max_ns: 0,
+            switched_ns: None,
+            switches: 0,
+            two_masters_ns: 0,
+            log: Vec::new(),
+        }
+    }
+
+    /// Judges a frame; the command if it acts. Frames that are no control frames are ignored.
+    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Control> {
+        let system = Control::IDS
+            .iter()
+            .position(|known| u32::from(*known) == id)?;
+        let (verdict, control) = self.judge(now_ns, system, data);
+        let term = control.map_or(0, |control| control.term);
+        let entry = Acceptance {
+            at_ns: now_ns,
+            system: system as u8,
+            term,
+            verdict,
+        };
+        if self.log.len() < LOG_CAPACITY {
+            self.log.push(entry);
+        }
+        match verdict {
+            Verdict::Accepted => self.accept(entry),
+            Verdict::Fenced => self.counts.fenced += 1,
+            Verdict::NotMaster => self.counts.not_master += 1,
+            Verdict::Invalid => self.counts.invalid += 1,
+        }
+        control.filter(|_| verdict == Verdict::Accepted)
+    }
+
+    fn judge(&mut self, now_ns: u64, system: usize, data: &[u8]) -> (Verdict, Option<Control>) {
+        let mut check = self.checkers[system].check(data);
+        if check == Check::CrcError {
+            return (Verdict::Invalid, None);
+        }
+        let silence = self.last_ns[system].map(|last| now_ns.saturating_sub(last));
+        self.last_ns[system] = Some(now_ns);
+        if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
+            check = Check::Initial;
+        }
+        let message = Message::decode(u32::from(Control::IDS[system]), data);
+        let Ok(Message::Control { control, .. }) = message else {
+            return (Verdict::Invalid, None);
+        };
+        if !check.is_accepted() || control.term & 1 != system as u32 {
+            return (Verdict::Invalid, None);
+        }
+        if control.role != Role::Master {
+            return (Verdict::NotMaster, Some(control));
+        }
+        if control.term < self.highest_term {
+            return (Verdict::Fenced, Some(control));
+        }
+        (Verdict::Accepted, Some(control))
+    }
+
+    fn accept(&mut self, entry: Acceptance) {
+        self.counts.accepted += 1;
+        self.highest_term = entry.term;
+        if let Some(last) = self.accepted {
+            self.gap_max_ns = self.gap_max_ns.max(entry.at_ns.saturating_sub(last.at_ns));
+            if last.system != entry.system {
+                let since = self.switched_ns.map(|at| entry.at_ns.saturating_sub(at));
+                if let Some(since) = since.filter(|since| *since < TWO_MASTERS_WITHIN_NS) {
+                    self.two_masters_ns += since;
+                }
+                self.switched_ns = Some(entry.at_ns);
+                self.switches += 1;
+            }
+        }
+        self.accepted = Some(entry);
+    }
+
+    /// The last frame that acted.
+    #[must_use]
+    pub fn accepted(&self) -> Option<Acceptance> {
+        self.accepted
+    }
+
+    /// What became of the control frames so far.
+    #[must_use]
+    pub fn counts(&self) -> FrameCounts {
+        self.counts
+    }
+
+    /// Longest time between two frames that acted, or since the last one, ns.
+    #[must_use]
+    pub fn gap_max_ns(&self, now_ns: u64) -> u64 {
+        let open = self
+            .accepted
+            .map_or(0, |last| now_ns.saturating_sub(last.at_ns));
+        self.gap_max_ns.max(open)
+    }
+
+    /// How often the acting system changed.
+    #[must_use]
+    pub fn switches(&self) -> u32 {
+        self.switches
+    }
+
+    /// Time in which frames of both systems acted in turn, ns.
+    #[must_use]
+    pub fn two_masters_ns(&self) -> u64 {
+        self.two_masters_ns
+    }
+
+    /// Takes the log's entries since the last call, oldest first.
+    pub fn drain_log(&mut self) -> std::vec::Drain<'_, Acceptance> {
+        self.log.drain(..)
+    }
+}
+
+impl Default for Gate {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_bus::Transmitter;
+
+    const MS: u64 = 1_000_000;
+
+    struct Sender(Transmitter);
+
+    impl Sender {
+        fn frame(&mut self, system: u8, term: u32, role: Role) -> (u32, Vec<u8>) {
+            let control = Control {
+                role,
+                term,
+                ..Control::default()
+            };
+            let frame = self.0.encode(&Message::Control { system, control });
+            (u32::from(frame.id), frame.data().to_vec())
+        }
+    }
+
+    /// Sends master frames of (time in ms, system, term) and returns the verdicts.
+    fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Verdict> {
+        let mut sender = Sender(Transmitter::new());
+        for (at, system, term) in frames {
+            let (id, data) = sender.frame(*system, *term, Role::Master);
+            gate.on_frame(at * MS, id, &data);
+        }
+        gate.drain_log().map(|entry| entry.verdict).collect()
+    }
+
+    /// T-CHIP-7: after a takeover no frame of the former master acts, not one.
+    #[test]
+    fn a_higher_term_fences_the_former_master() {
+        use Verdict::{Accepted, Fenced};
+        let mut gate = Gate::new();
+        let frames = [
+            (0, 0, 2),
+            (10, 0, 2),
+            (25, 1, 3),
+            (26, 0, 2),
+            (35, 1, 3),
+            (36, 0, 2),
+        ];
+        let expected = [Accepted, Accepted, Accepted, Fenced, Accepted, Fenced];
+        assert_eq!(verdicts(&mut gate, &frames), expected);
+        assert_eq!((gate.switches(), gate.two_masters_ns()), (1, 0));
+        assert_eq!(gate.gap_max_ns(36 * MS), 15 * MS);
+        assert_eq!(
+            gate.counts(),
+            FrameCounts {
+                accepted: 4,
+                fenced: 2,
+                ..Default::default()
+            }
+        );
+    }
+
+    #[test]
+    fn two_systems_that_raise_their_terms_in_turn_are_two_masters() {
+        let mut gate = Gate::new();
+        verdicts(&mut gate, &[(0, 0, 2), (10, 1, 3), (20, 0, 4), (30, 1, 5)]);
+        assert_eq!(gate.two_masters_ns(), 20 * MS);
+    }
+
+    #[test]
+    fn only_whole_frames_of_a_master_act() {
+        let mut gate = Gate::new();
+        let mut sender = Sender(Transmitter::new());
+        let (id, good) = sender.frame(0, 2, Role::Master);
+        for byte in 0..good.len() {
+            let mut bad = good.clone();
+            bad[byte] ^= 0x10;
+            assert_eq!(gate.on_frame(0, id, &bad), None);
+            assert_eq!(gate.on_frame(0, id, &good[..byte]), None);
+        }
+        assert!(gate.on_frame(0, id, &good).is_some());
+        assert_eq!(gate.on_frame(1, id, &good), None, "a repeated frame");
+        assert_eq!(gate.on_frame(1, id + 1, &good), None, "another system's id");
+        let (id, standby) = sender.frame(0, 2, Role::Standby);
+        assert_eq!(gate.on_frame(2, id, &standby), None);
+        let (id, wrong_parity) = sender.frame(0, 3, Role::Master);
+        assert_eq!(gate.on_frame(3, id, &wrong_parity), None);
+        assert_eq!(gate.counts().accepted, 1);
+        assert_eq!(gate.counts().not_master, 1);
+    }
+
+    #[test]
+    fn a_system_that_restarts_acts_with_its_first_frame() {
+        let mut gate = Gate::new();
+        let mut frames = vec![];
+        for n in 0..30 {
+            frames.push((n * 10, 0, 2));
+        }
+        verdicts(&mut gate, &frames);
+        assert_eq!(verdicts(&mut gate, &[(2_000, 0, 4)]), [Verdict::Accepted]);
+        assert_eq!(
+            verdicts(&mut gate, &[(2_010, 0, 4)]),
+            [Verdict::Invalid],
+            "no silence before"
+        );
+    }
+}

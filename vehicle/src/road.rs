@@ -1,0 +1,315 @@
+//! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
+//!
+//! Lanelets are chained into lanes: each goes on with the successor that bends least. Centre lines are
+//! smoothed, because maps have corners where roads have curves (US-101 has points every few metres
+//! with noise, A9 one every hundred with corners of 0.02 rad).
+//!
+//! **Beyond the map.** Where a lane ends because the map ends, it goes on straight without end, parallel
+//! to its neighbours. Where it ends while a neighbour goes on, that is a lane drop: a real end.
+
+use crate::commonroad::Lanelet;
+use crate::geometry::{Vec2, wrap_angle};
+use crate::road::chain::Chain;
+
+mod chain;
+mod smooth;
+
+/// Distance between two samples of a centre line, m.
+const STEP: f64 = 2.0;
+/// Straight piece that is put before and after the mapped lane and is smoothed with it, m.
+const RUN_OUT: f64 = 120.0;
+
+/// Which lane of a road.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct LaneId(pub usize);
+
+/// Place in the coordinates of a lane.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Frenet {
+    /// Arc length along the centre line, m.
+    pub s: f64,
+    /// Distance to the centre line, m, left positive.
+    pub d: f64,
+}
+
+/// A lane at one arc length.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// Point of the centre line.
+    pub centre: Vec2,
+    /// Direction of the centre line, rad.
+    pub heading: f64,
+    /// 1/m, left positive.
+    pub curvature: f64,
+    /// m
+    pub width: f64,
+    /// Neighbour to the left in the same direction.
+    pub left: Option<LaneId>,
+    /// Neighbour to the right in the same direction.
+    pub right: Option<LaneId>,
+    /// m/s; infinite if there is none.
+    pub speed_limit: f64,
+}
+
+/// A lane: a smooth centre line and what stands beside it.
+#[derive(Clone, Debug)]
+pub struct Lane {
+    /// Ids of its lanelets in the file, in driving direction.
+    pub lanelets: Vec<i64>,
+    /// Where it begins, if it does so while others were there before.
+    pub begin: Option<f64>,
+    /// Where it ends, if others go on.
+    pub end: Option<f64>,
+    /// Every [`STEP`] metres; beyond them it goes on straight.
+    sections: Vec<Section>,
+}
+
+impl Lane {
+    /// The lane at arc length `s`; extrapolated straight outside of the map.
+    #[must_use]
+    pub fn at(&self, s: f64) -> Section {
+        let last = self.sections.len() - 1;
+        let place = (s / STEP).clamp(0.0, last as f64);
+        let index = (place as usize).min(last.saturating_sub(1));
+        let (a, b) = (&self.sections[index], &self.sections[(index + 1).min(last)]);
+        let t = place - index as f64;
+        let heading = a.heading + wrap_angle(b.heading - a.heading) * t;
+        let beyond = s - place * STEP;
+        Section {
+            centre: a.centre.lerp(b.centre, t) + Vec2::from_angle(heading) * beyond,
+            heading: wrap_angle(heading),
+            curvature: if beyond == 0.0 {
+                a.curvature + (b.curvature - a.curvature) * t
+            } else {
+                0.0
+            },
+            width: a.width + (b.width - a.width) * t,
+            ..if t < 0.5 { *a } else { *b }
+        }
+    }
+
+    /// Whether the lane exists at arc length `s`.
+    #[must_use]
+    pub fn exists_at(&self, s: f64) -> bool {
+        self.begin.is_none_or(|begin| s >= begin) && self.end.is_none_or(|end| s <= end)
+    }
+
+    /// The foot of the perpendicular from `point`; found by walking from `near` downhill, so `near`
+    /// should be within some ten metres on curved roads.
+    #[must_use]
+    pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
+        let last = self.sections.len() - 1;
+        let distance = |index: usize| {
+            let apart = point - self.sections[index].centre;
+            apart.dot(apart)
+        };
+        let mut index = ((near / STEP).round().clamp(0.0, last as f64)) as usize;
+        while index < last && distance(index + 1) < distance(index) {
+            index += 1;
+        }
+        while index > 0 && distance(index - 1) < distance(index) {
+            index -= 1;
+        }
+        self.refine(point, index)
+    }
+
+    /// The foot of the perpendicular from `point`, searched over the whole lane.
+    #[must_use]
+    pub fn project(&self, point: Vec2) -> Frenet {
+        let distance = |section: &Section| {
+            let apart = point - section.centre;
+            apart.dot(apart)
+        };
+        let nearest = self
+            .sections
+            .iter()
+            .enumerate()
+            .step_by(4)
+            .min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))
+            .map_or(0, |(index, _)| index);
+        self.project_near(point, nearest as f64 * STEP)
+    }
+
+    /// Newton steps from the nearest sample.
+    fn refine(&self, point: Vec2, index: usize) -> Frenet {
+        let mut s = index as f64 * STEP;
+        let mut section = self.at(s);
+        for _ in 0..3 {
+            s += Vec2::from_angle(section.heading).dot(point - section.centre);
+            section = self.at(s);
+        }
+        Frenet {
+            s,
+            d: Vec2::from_angle(section.heading).cross(point - section.centre),
+        }
+    }
+
+    /// The point with these coordinates.
+    #[must_use]
+    pub fn point(&self, place: Frenet) -> Vec2 {
+        let section = self.at(place.s);
+        section.centre + Vec2::from_angle(section.heading).left() * place.d
+    }
+}
+
+/// All lanes; at least one.
+#[derive(Clone, Debug)]
+pub struct Road {
+    lanes: Vec<Lane>,
+}
+
+impl Road {
+    /// Chains lanelets to lanes. References to lanelets that are not there are ignored: excerpts of
+    /// maps have them at their rims.
+    ///
+    /// # Panics
+    /// If `lanelets` is empty or a bound has fewer than two points; the parser refuses both.
+    #[must_use]
+    pub fn new(lanelets: &[Lanelet]) -> Self {
+        let chains = chain::chains(lanelets);
+        let headings = chain::run_out_headings(lanelets, &chains);
+        let mut lanes: Vec<Lane> = chains
+            .iter()
+            .zip(&headings)
+            .map(|(chain, heading)| lane(lanelets, &chains, chain, *heading))
+            .collect();
+        join_beyond_the_map(&mut lanes);
+        Self { lanes }
+    }
+
+    /// All lanes, in the order of their ids.
+    #[must_use]
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// The lane with this id.
+    ///
+    /// # Panics
+    /// If the id is another road's.
+    #[must_use]
+    pub fn lane(&self, id: LaneId) -> &Lane {
+        &self.lanes[id.0]
+    }
+
+    /// The lane whose centre line is nearest among those that exist there and run roughly along
+    /// `yaw`; if none does, the nearest of all.
+    #[must_use]
+    pub fn locate(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
+        let mut best = (LaneId(0), Frenet::default());
+        let mut best_cost = f64::INFINITY;
+        for (index, lane) in self.lanes.iter().enumerate() {
+            let place = lane.project(point);
+            let wrong_way = wrap_angle(lane.at(place.s).heading - yaw).abs() > 1.0;
+            let penalty = if wrong_way || !lane.exists_at(place.s) {
+                1e6
+            } else {
+                0.0
+            };
+            let cost = (point - lane.at(place.s).centre).norm() + penalty;
+            if cost < best_cost - 1e-6 {
+                (best, best_cost) = ((LaneId(index), place), cost);
+            }
+        }
+        best
+    }
+
+    /// Metres to the lane's end from arc length `s`; infinite if it goes on.
+    #[must_use]
+    pub fn distance_to_end(&self, lane: LaneId, s: f64) -> f64 {
+        self.lane(lane)
+            .end
+            .map_or(f64::INFINITY, |end| (end - s).max(0.0))
+    }
+}
+
+/// Builds one lane with a run-out before and after it.
+fn lane(lanelets: &[Lanelet], chains: &[Chain], chain: &Chain, run_out: f64) -> Lane {
+    let raw = chain::centre_line(lanelets, chain);
+    let mut points = Vec::with_capacity(raw.points.len() + 2);
+    let first = raw.points[0];
+    points.push(first - Vec2::from_angle(raw.first_heading()) * RUN_OUT);
+    points.extend_from_slice(&raw.points);
+    let heading = if chain.drops {
+        raw.last_heading()
+    } else {
+        run_out
+    };
+    points.push(raw.points[raw.points.len() - 1] + Vec2::from_angle(heading) * RUN_OUT);
+    let smooth = smooth::smoothed(&smooth::resampled(&points, STEP), STEP);
+    let centres = smooth::resampled(&smooth, STEP);
+
+    let headings = smooth::headings(&centres);
+    let mapped = raw.stations[raw.stations.len() - 1];
+    let sections: Vec<Section> = (0..centres.len())
+        .map(|index| {
+            let before = headings[index.saturating_sub(1)];
+            let after = headings[(index + 1).min(headings.len() - 1)];
+            // Smoothing shortens curves a little; the mapped attributes need no more precision.
+            let station = (index as f64 * STEP - RUN_OUT).clamp(0.0, mapped);
+            let piece = raw.piece_at(station);
+            let lanelet = &lanelets[piece];
+            let lane_of =
+                |id: Option<i64>| id.and_then(|id| chain::lane_with(lanelets, chains, id));
+            Section {
+                centre: centres[index],
+                heading: headings[index],
+                curvature: wrap_angle(after - before) / (2.0 * STEP),
+                width: raw.width_at(station),
+                left: lane_of(lanelet.left_neighbour).map(LaneId),
+                right: lane_of(lanelet.right_neighbour).map(LaneId),
+                speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
+            }
+        })
+        .collect();
+    let start = nearest_station(&centres, first);
+    let end = nearest_station(&centres, raw.points[raw.points.len() - 1]);
+    Lane {
+        lanelets: chain
+            .pieces
+            .iter()
+            .map(|piece| lanelets[*piece].id)
+            .collect(),
+        begin: chain.opens.then_some(start),
+        end: chain.drops.then_some(end),
+        sections,
+    }
+}
+
+fn nearest_station(centres: &[Vec2], point: Vec2) -> f64 {
+    let nearest = centres
+        .iter()
+        .enumerate()
+        .min_by(|(_, a), (_, b)| (**a - point).norm().total_cmp(&(**b - point).norm()));
+    nearest.map_or(0.0, |(index, _)| index as f64 * STEP)
+}
+
+/// Beyond the map neighbours are found by distance: files often name none at the rim.
+fn join_beyond_the_map(lanes: &mut [Lane]) {
+    let last: Vec<(Section, bool)> = lanes
+        .iter()
+        .map(|l| (l.sections[l.sections.len() - 1], l.end.is_none()))
+        .collect();
+    for (index, lane) in lanes.iter_mut().enumerate() {
+        let (own, goes_on) = last[index];
+        if !goes_on {
+            continue;
+        }
+        let beside = |side: f64| {
+            last.iter().position(|(other, goes_on)| {
+                let offset = Vec2::from_angle(own.heading).cross(other.centre - own.centre) * side;
+                let pitch = (own.width + other.width) / 2.0;
+                let along = Vec2::from_angle(own.heading).dot(other.centre - own.centre);
+                *goes_on
+                    && wrap_angle(other.heading - own.heading).abs() < 0.05
+                    && (offset - pitch).abs() < 0.4 * pitch
+                    && along.abs() < 60.0
+            })
+        };
+        let (left, right) = (beside(1.0).map(LaneId), beside(-1.0).map(LaneId));
+        let beyond = lane.sections.len() - (RUN_OUT / STEP) as usize;
+        for section in &mut lane.sections[beyond..] {
+            (section.left, section.right) = (left, right);
+        }
+    }
+}

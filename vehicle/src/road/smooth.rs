@@ -1,0 +1,123 @@
+//! Polylines: sampling at equal distances and smoothing without shrinking curves.
+
+use crate::geometry::Vec2;
+
+/// Standard deviation of the smoothing kernel, m. A corner of 0.02 rad becomes a curve with less than
+/// 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
+const SIGMA: f64 = 15.0;
+
+/// Points every `step` metres along the line, both ends included (the last distance may be longer by
+/// up to half a step).
+pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
+    let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
+    let count = ((length / step).round() as usize).max(2);
+    let exact = length / count as f64;
+    let mut samples = Vec::with_capacity(count + 1);
+    let (mut index, mut before) = (0, 0.0);
+    for sample in 0..=count {
+        let wanted = sample as f64 * exact;
+        let mut piece = (points[index + 1] - points[index]).norm();
+        while before + piece < wanted && index + 2 < points.len() {
+            before += piece;
+            index += 1;
+            piece = (points[index + 1] - points[index]).norm();
+        }
+        let t = if piece > 0.0 {
+            ((wanted - before) / piece).min(1.0)
+        } else {
+            0.0
+        };
+        samples.push(points[index].lerp(points[index + 1], t));
+    }
+    samples
+}
+
+/// Smooths twice and adds back what the second pass took ("twicing", Tukey 1977): a kernel of fourth
+/// order, which leaves parabolas where they are.
+pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
+    let once = gaussian(points, step);
+    let twice = gaussian(&once, step);
+    once.iter()
+        .zip(&twice)
+        .map(|(a, b)| *a * 2.0 - *b)
+        .collect()
+}
+
+/// Moving average with a Gaussian kernel; the ends are continued straight.
+fn gaussian(points: &[Vec2], step: f64) -> Vec<Vec2> {
+    let reach = (4.0 * SIGMA / step) as isize;
+    let weights: Vec<f64> = (-reach..=reach)
+        .map(|k| (-0.5 * (k as f64 * step / SIGMA).powi(2)).exp())
+        .collect();
+    let sum: f64 = weights.iter().sum();
+    let last = points.len() as isize - 1;
+    let point = |index: isize| {
+        if index < 0 {
+            points[0] + (points[0] - points[1]) * -index as f64
+        } else if index > last {
+            let (end, before) = (points[last as usize], points[last as usize - 1]);
+            end + (end - before) * (index - last) as f64
+        } else {
+            points[index as usize]
+        }
+    };
+    (0..=last)
+        .map(|centre| {
+            let average = weights
+                .iter()
+                .enumerate()
+                .fold(Vec2::default(), |sum, (k, weight)| {
+                    sum + point(centre + k as isize - reach) * *weight
+                });
+            average * (1.0 / sum)
+        })
+        .collect()
+}
+
+/// Direction at each point, from its neighbours.
+pub(super) fn headings(points: &[Vec2]) -> Vec<f64> {
+    let last = points.len() - 1;
+    (0..points.len())
+        .map(|i| (points[(i + 1).min(last)] - points[i.saturating_sub(1)]).angle())
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_circle_keeps_its_radius_and_a_corner_becomes_a_curve() {
+        let circle: Vec<Vec2> = (0..120)
+            .map(|i| Vec2::from_angle(f64::from(i) * 2.0 / 60.0) * 60.0)
+            .collect();
+        for point in &smoothed(&circle, 2.0)[40..80] {
+            assert!((point.norm() - 60.0).abs() < 0.06, "{}", point.norm());
+        }
+        let corner = [
+            Vec2::new(-200.0, 0.0),
+            Vec2::default(),
+            Vec2::from_angle(0.02) * 200.0,
+        ];
+        let smooth = smoothed(&resampled(&corner, 2.0), 2.0);
+        let bend = headings(&smooth)
+            .windows(2)
+            .map(|w| (w[1] - w[0]) / 2.0)
+            .fold(0.0, f64::max);
+        assert!(bend * 30.0 * 30.0 < 0.7, "{bend}");
+    }
+
+    #[test]
+    fn samples_are_equally_far_apart() {
+        let line = [
+            Vec2::default(),
+            Vec2::new(3.0, 0.0),
+            Vec2::new(3.0, 7.1),
+            Vec2::new(13.0, 7.1),
+        ];
+        let samples = resampled(&line, 0.1);
+        assert_eq!(samples[0], line[0]);
+        assert!((samples[samples.len() - 1] - line[3]).norm() < 1e-9);
+        assert!(samples.windows(2).all(|w| (w[1] - w[0]).norm() < 0.101));
+    }
+}

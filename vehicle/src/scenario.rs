@@ -1,0 +1,238 @@
+//! What a run starts from: road, recorded vehicles, the ego's start. Embedded by name, or a file.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::commonroad::{self, Map, Obstacle};
+use crate::geometry::Pose;
+use crate::road::Road;
+
+/// The scenarios that the program brings along: name, one line about it, CommonRoad XML.
+const EMBEDDED: [(&str, &str, &str); 6] = [
+    (
+        "free-lane",
+        "light traffic on three lanes with gentle curves",
+        include_str!("../scenarios/free-lane.xml"),
+    ),
+    (
+        "slow-leader",
+        "a truck ahead at 22 m/s, the left lane is free in between",
+        include_str!("../scenarios/slow-leader.xml"),
+    ),
+    (
+        "cut-in",
+        "a slower car cuts in closely, and another one later",
+        include_str!("../scenarios/cut-in.xml"),
+    ),
+    (
+        "lane-drop",
+        "the own lane ends, the lane beside it has traffic with gaps",
+        include_str!("../scenarios/lane-drop.xml"),
+    ),
+    (
+        "hard-braking",
+        "the leader brakes with 7 m/s² to walking pace, then goes on",
+        include_str!("../scenarios/hard-braking.xml"),
+    ),
+    (
+        "stop-and-go",
+        "a jam: the traffic stops twice and starts again",
+        include_str!("../scenarios/stop-and-go.xml"),
+    ),
+];
+
+/// Why there is no such scenario.
+#[derive(Debug, Error)]
+#[non_exhaustive]
+pub enum ScenarioError {
+    /// It is neither an embedded scenario nor a file.
+    #[error(
+        "there is no scenario or file {name:?}{}; the scenarios are {}",
+        .nearest.map_or(String::new(), |n| format!(", did you mean {n:?}?")),
+        Scenario::names().collect::<Vec<_>>().join(", ")
+    )]
+    Unknown {
+        /// What was asked for.
+        name: String,
+        /// An embedded scenario with a similar name.
+        nearest: Option<&'static str>,
+    },
+    /// The file cannot be read.
+    #[error("cannot read the scenario file {file}: {source}")]
+    Read {
+        /// Path of the file.
+        file: String,
+        /// What the operating system says.
+        source: std::io::Error,
+    },
+    /// The file is no well-formed XML.
+    #[error("{file}:{line}: no well-formed XML: {problem}")]
+    Xml {
+        /// Path of the file.
+        file: String,
+        /// Counted from 1.
+        line: u32,
+        /// What the XML parser says.
+        problem: String,
+    },
+    /// The file does not hold what CommonRoad files have to.
+    #[error("{file}:{line}: {element} {problem}; {advice}")]
+    Element {
+        /// Path of the file.
+        file: String,
+        /// Counted from 1.
+        line: u32,
+        /// Which element, with its id.
+        element: String,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        advice: String,
+    },
+}
+
+/// A scenario, ready to run. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Scenario {
+    pub(crate) name: String,
+    pub(crate) road: Arc<Road>,
+    pub(crate) obstacles: Arc<[Obstacle]>,
+    pub(crate) start: Pose,
+    pub(crate) start_speed: f64,
+    pub(crate) set_speed: f64,
+}
+
+impl Scenario {
+    /// Names of the embedded scenarios.
+    pub fn names() -> impl ExactSizeIterator<Item = &'static str> {
+        EMBEDDED.iter().map(|(name, ..)| *name)
+    }
+
+    /// Names of the embedded scenarios, each with one line about it.
+    pub fn descriptions() -> impl ExactSizeIterator<Item = (&'static str, &'static str)> {
+        EMBEDDED
+            .iter()
+            .map(|(name, description, _)| (*name, *description))
+    }
+
+    /// The embedded scenario with this name, or the one in the CommonRoad file with this path.
+    ///
+    /// # Errors
+    /// There is neither, or the file cannot be read or understood.
+    pub fn load(name_or_path: &str) -> Result<Self, ScenarioError> {
+        if let Some((name, _, text)) = EMBEDDED.iter().find(|(name, ..)| *name == name_or_path) {
+            let map = commonroad::parse(text, &format!("embedded scenario {name}"))?;
+            return Ok(Self::new(&Map {
+                name: (*name).to_owned(),
+                ..map
+            }));
+        }
+        let path = Path::new(name_or_path);
+        if !path.exists() && path.components().count() == 1 && path.extension().is_none() {
+            let name = name_or_path.to_owned();
+            return Err(ScenarioError::Unknown {
+                nearest: nearest_name(&name),
+                name,
+            });
+        }
+        Self::read(path)
+    }
+
+    /// The scenario in the CommonRoad file with this path.
+    ///
+    /// # Errors
+    /// The file cannot be read or understood.
+    pub fn read(path: &Path) -> Result<Self, ScenarioError> {
+        let file = path.display().to_string();
+        match std::fs::read_to_string(path) {
+            Ok(text) => Self::parse(&text, &file),
+            Err(source) => Err(ScenarioError::Read { file, source }),
+        }
+    }
+
+    /// The scenario in the text of a CommonRoad file; `file` is named in errors.
+    ///
+    /// # Errors
+    /// The text cannot be understood.
+    pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
+        Ok(Self::new(&commonroad::parse(text, file)?))
+    }
+
+    fn new(map: &Map) -> Self {
+        let road = Road::new(&map.lanelets);
+        let start = Pose {
+            position: map.ego.position,
+            yaw: map.ego.yaw,
+        };
+        let start_speed = map.ego.speed.unwrap_or(0.0).max(0.0);
+        let (lane, place) = road.locate(start.position, start.yaw);
+        let limit = road.lane(lane).at(place.s).speed_limit;
+        let set_speed = if limit.is_finite() {
+            limit
+        } else {
+            fastest(&map.obstacles).max(start_speed)
+        };
+        Self {
+            name: map.name.clone(),
+            road: Arc::new(road),
+            obstacles: map.obstacles.clone().into(),
+            start,
+            start_speed,
+            set_speed,
+        }
+    }
+
+    /// Its name: that of the embedded scenario, or the file's benchmark id.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The lanes.
+    #[must_use]
+    pub fn road(&self) -> &Road {
+        &self.road
+    }
+
+    /// The speed that the driver asks for, m/s: the speed limit where the ego starts; without one,
+    /// the highest speed in the file.
+    #[must_use]
+    pub fn set_speed(&self) -> f64 {
+        self.set_speed
+    }
+
+    /// How many other vehicles and things there are.
+    #[must_use]
+    pub fn obstacle_count(&self) -> usize {
+        self.obstacles.len()
+    }
+}
+
+fn fastest(obstacles: &[Obstacle]) -> f64 {
+    let states = obstacles.iter().flat_map(|obstacle| &obstacle.states);
+    states.filter_map(|state| state.speed).fold(0.0, f64::max)
+}
+
+/// The embedded name that shares the most pairs of letters, if that is at least half of them.
+fn nearest_name(wanted: &str) -> Option<&'static str> {
+    let pairs = |name: &str| -> Vec<[u8; 2]> {
+        let name = name.to_lowercase();
+        name.as_bytes()
+            .windows(2)
+            .map(|pair| [pair[0], pair[1]])
+            .collect()
+    };
+    let wanted = pairs(wanted);
+    let score = |name: &str| {
+        let own = pairs(name);
+        let shared = own.iter().filter(|pair| wanted.contains(pair)).count();
+        2 * shared * 100 / (own.len() + wanted.len()).max(1)
+    };
+    Scenario::names()
+        .map(|n| (score(n), n))
+        .filter(|(s, _)| *s >= 50)
+        .max()
+        .map(|(_, n)| n)
+}

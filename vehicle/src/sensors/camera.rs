@@ -1,0 +1,144 @@
+//! The camera's lanes: a cubic polynomial through the own lane's centre line, neighbours, ends.
+
+use tandem_bus::CameraLanes;
+
+use super::{EgoTruth, Noise};
+use crate::road::{LaneId, Road};
+
+/// The polynomial reaches so far ahead, m: with a cubic over more, curves of motorway junctions leave
+/// residuals of decimetres.
+const VIEW_RANGE: f64 = 80.0;
+/// An end of a lane is in sight from so far, m: signs and markings announce it.
+const END_IN_SIGHT: f64 = 300.0;
+/// Distance between the points that are fitted, m.
+const STEP: f64 = 4.0;
+/// Standard deviations of the coefficients' errors; at 60 m they make 8 cm each.
+const NOISE: [f64; 4] = [0.02, 0.001_2, 2e-5, 3e-7];
+/// Standard deviations of width (m) and of the distance to an end (share of it).
+const WIDTH_NOISE: f64 = 0.05;
+const END_NOISE: f64 = 0.01;
+/// Farther from its lane's centre the ego is off the road, and the camera sees no own lane, m.
+const OFF_ROAD: f64 = 4.0;
+
+pub(super) struct LaneCamera {
+    noise: Noise,
+}
+
+impl LaneCamera {
+    pub(super) fn new(seed: u64) -> Self {
+        Self {
+            noise: Noise::new(seed, 16),
+        }
+    }
+
+    pub(super) fn measure(&mut self, ego: &EgoTruth, road: &Road) -> CameraLanes {
+        let lane = road.lane(ego.lane);
+        let here = lane.at(ego.place.s);
+        let wrong_way = crate::geometry::wrap_angle(here.heading - ego.pose.yaw).abs() > 0.8;
+        if ego.place.d.abs() > OFF_ROAD || wrong_way {
+            return CameraLanes::default();
+        }
+        let fitted = fit(ego, road);
+        let mut c = [0.0; 4];
+        for (index, c) in c.iter_mut().enumerate() {
+            *c = (fitted[index] + self.noise.normal(NOISE[index])) as f32;
+        }
+        let (left, right) = (here.left, here.right);
+        CameraLanes {
+            valid: true,
+            left_exists: left.is_some(),
+            right_exists: right.is_some(),
+            c0: c[0],
+            c1: c[1],
+            c2: c[2],
+            c3: c[3],
+            view_range: VIEW_RANGE as u8,
+            width: self.width(here.width),
+            left_width: self.neighbour_width(road, ego, left),
+            right_width: self.neighbour_width(road, ego, right),
+            own_end: self.end(road.distance_to_end(ego.lane, ego.place.s)),
+            left_end: self.neighbour_end(road, ego, left),
+            right_end: self.neighbour_end(road, ego, right),
+            speed_limit: if here.speed_limit.is_finite() {
+                here.speed_limit as f32
+            } else {
+                CameraLanes::NO_SPEED_LIMIT
+            },
+        }
+    }
+
+    fn width(&mut self, width: f64) -> f32 {
+        (width + self.noise.normal(WIDTH_NOISE)).max(0.0) as f32
+    }
+
+    fn neighbour_width(&mut self, road: &Road, ego: &EgoTruth, lane: Option<LaneId>) -> f32 {
+        lane.map_or(0.0, |lane| {
+            let lane = road.lane(lane);
+            self.width(lane.at(lane.project(ego.pose.position).s).width)
+        })
+    }
+
+    fn end(&mut self, distance: f64) -> f32 {
+        if distance > END_IN_SIGHT {
+            return CameraLanes::NO_END;
+        }
+        (distance * (1.0 + self.noise.normal(END_NOISE))).max(0.0) as f32
+    }
+
+    fn neighbour_end(&mut self, road: &Road, ego: &EgoTruth, lane: Option<LaneId>) -> f32 {
+        lane.map_or(CameraLanes::NO_END, |lane| {
+            let s = road.lane(lane).project(ego.pose.position).s;
+            self.end(road.distance_to_end(lane, s))
+        })
+    }
+}
+
+/// Least squares fit of y(x) to the centre line for 0 ≤ x ≤ [`VIEW_RANGE`] in the vehicle frame.
+fn fit(ego: &EgoTruth, road: &Road) -> [f64; 4] {
+    let lane = road.lane(ego.lane);
+    // Normal equations in x / VIEW_RANGE, which keeps them well conditioned.
+    let mut matrix = [[0.0; 5]; 4];
+    let count = (VIEW_RANGE / STEP) as usize;
+    for sample in 0..=count {
+        let section = lane.at(ego.place.s + sample as f64 * STEP);
+        let point = ego.pose.to_local(section.centre);
+        let x = point.x / VIEW_RANGE;
+        // What is near matters more to the control, and a camera sees it better.
+        let weight = 1.0 / (1.0 + 2.0 * x.max(0.0));
+        let powers = [1.0, x, x * x, x * x * x];
+        for (row, left) in matrix.iter_mut().zip(powers) {
+            for (cell, right) in row.iter_mut().zip(powers) {
+                *cell += weight * left * right;
+            }
+            row[4] += weight * left * point.y;
+        }
+    }
+    let scaled = solve(matrix);
+    [0, 1, 2, 3].map(|power| scaled[power] / VIEW_RANGE.powi(power as i32))
+}
+
+/// Solves four linear equations, the right-hand side in the last column, by elimination with pivots.
+fn solve(mut matrix: [[f64; 5]; 4]) -> [f64; 4] {
+    for column in 0..4 {
+        let largest = |row: &usize| matrix[*row][column].abs();
+        let pivot = (column..4)
+            .max_by(|a, b| largest(a).total_cmp(&largest(b)))
+            .unwrap_or(column);
+        matrix.swap(column, pivot);
+        let head = matrix[column];
+        for row in matrix.iter_mut().skip(column + 1) {
+            let factor = row[column] / head[column];
+            for (cell, above) in row.iter_mut().zip(head) {
+                *cell -= factor * above;
+            }
+        }
+    }
+    let mut solution = [0.0; 4];
+    for row in (0..4).rev() {
+        let known: f64 = (row + 1..4)
+            .map(|column| matrix[row][column] * solution[column])
+            .sum();
+        solution[row] = (matrix[row][4] - known) / matrix[row][row];
+    }
+    solution
+}

@@ -1,0 +1,301 @@
+//! Radars and the camera's objects: field of view, occlusion, missed detections, noise.
+
+use tandem_bus::{SensorId, SensorObject};
+
+use super::{EgoTruth, Noise, bus_class};
+use crate::geometry::{Pose, Vec2, wrap_angle};
+use crate::traffic::Vehicle;
+
+/// A list holds no more objects; the nearest ones stay.
+const LIST_LEN: usize = 20;
+/// An object counts as hidden if nearer ones cover more than this share of its angular extent.
+const HIDDEN_SHARE: f64 = 0.75;
+/// Detection probability up to 80 percent of the range; from there it falls to half at the end.
+const DETECTION: f64 = 0.985;
+
+/// Part of a field of view: up to `range` m within `half_angle` rad to either side.
+struct Lobe {
+    range: f64,
+    half_angle: f64,
+}
+
+/// Standard deviations of a sensor's errors.
+struct Accuracy {
+    /// Distance, m, and its growth with distance.
+    range: f64,
+    range_growth: f64,
+    /// rad
+    angle: f64,
+    /// Speed along the line of sight and across it, m/s.
+    radial_speed: f64,
+    tangential_speed: f64,
+    /// m
+    size: f64,
+}
+
+struct Model {
+    /// In the vehicle frame.
+    mount: Pose,
+    lobes: &'static [Lobe],
+    accuracy: Accuracy,
+    /// It tells what an object is.
+    classifies: bool,
+}
+
+const DEGREE: f64 = std::f64::consts::PI / 180.0;
+
+/// Long range radar: a narrow far lobe and a wide near one.
+const FRONT_RADAR: &[Lobe] = &[
+    Lobe {
+        range: 250.0,
+        half_angle: 9.0 * DEGREE,
+    },
+    Lobe {
+        range: 80.0,
+        half_angle: 45.0 * DEGREE,
+    },
+];
+const CORNER_RADAR: &[Lobe] = &[Lobe {
+    range: 90.0,
+    half_angle: 75.0 * DEGREE,
+}];
+const CAMERA: &[Lobe] = &[
+    Lobe {
+        range: 120.0,
+        half_angle: 26.0 * DEGREE,
+    },
+    Lobe {
+        range: 60.0,
+        half_angle: 50.0 * DEGREE,
+    },
+];
+
+const FRONT_RADAR_ACCURACY: Accuracy = Accuracy {
+    range: 0.15,
+    range_growth: 0.000_5,
+    angle: 0.2 * DEGREE,
+    radial_speed: 0.1,
+    tangential_speed: 0.6,
+    size: 0.3,
+};
+const CORNER_RADAR_ACCURACY: Accuracy = Accuracy {
+    range: 0.2,
+    range_growth: 0.001,
+    angle: 0.6 * DEGREE,
+    radial_speed: 0.15,
+    tangential_speed: 0.7,
+    size: 0.35,
+};
+/// A camera sees directions well and distances badly.
+const CAMERA_ACCURACY: Accuracy = Accuracy {
+    range: 0.2,
+    range_growth: 0.02,
+    angle: 0.1 * DEGREE,
+    radial_speed: 0.8,
+    tangential_speed: 0.4,
+    size: 0.15,
+};
+
+fn model(sensor: SensorId) -> Model {
+    let corner = |x: f64, y: f64, degrees: f64| Model {
+        mount: Pose {
+            position: Vec2::new(x, y),
+            yaw: degrees * DEGREE,
+        },
+        lobes: CORNER_RADAR,
+        accuracy: CORNER_RADAR_ACCURACY,
+        classifies: false,
+    };
+    match sensor {
+        SensorId::RadarFront => Model {
+            mount: Pose {
+                position: Vec2::new(2.2, 0.0),
+                yaw: 0.0,
+            },
+            lobes: FRONT_RADAR,
+            accuracy: FRONT_RADAR_ACCURACY,
+            classifies: false,
+        },
+        SensorId::RadarFrontLeft => corner(2.0, 0.7, 45.0),
+        SensorId::RadarFrontRight => corner(2.0, -0.7, -45.0),
+        SensorId::RadarRearLeft => corner(-2.0, 0.7, 135.0),
+        SensorId::RadarRearRight => corner(-2.0, -0.7, -135.0),
+        SensorId::CameraFront => Model {
+            mount: Pose {
+                position: Vec2::new(0.6, 0.0),
+                yaw: 0.0,
+            },
+            lobes: CAMERA,
+            accuracy: CAMERA_ACCURACY,
+            classifies: true,
+        },
+    }
+}
+
+/// A vehicle as one sensor sees it.
+struct Sight {
+    index: usize,
+    /// Distance of the nearest corner, m.
+    near: f64,
+    /// Directions of its right and its left edge, rad.
+    edges: (f64, f64),
+}
+
+/// One sensor that makes object lists.
+pub(super) struct Detector {
+    model: Model,
+    noise: Noise,
+    sights: Vec<Sight>,
+    /// Directions that nearer objects cover, apart from each other.
+    covered: Vec<(f64, f64)>,
+    list: Vec<SensorObject>,
+}
+
+impl Detector {
+    pub(super) fn new(sensor: SensorId, seed: u64) -> Self {
+        Self {
+            model: model(sensor),
+            noise: Noise::new(seed, sensor.index() as u64),
+            sights: Vec::new(),
+            covered: Vec::new(),
+            list: Vec::with_capacity(LIST_LEN),
+        }
+    }
+
+    /// The object list at this moment, nearest first.
+    pub(super) fn measure(&mut self, ego: &EgoTruth, vehicles: &[Vehicle]) -> &[SensorObject] {
+        self.list.clear();
+        let origin = Pose {
+            position: ego.pose.to_world(self.model.mount.position),
+            yaw: ego.pose.yaw + self.model.mount.yaw,
+        };
+        self.look(origin, vehicles);
+        for sight in 0..self.sights.len() {
+            let (index, edges) = (self.sights[sight].index, self.sights[sight].edges);
+            let hidden = self.covered_share(edges) > HIDDEN_SHARE;
+            self.cover(edges);
+            if hidden || self.list.len() == LIST_LEN {
+                continue;
+            }
+            if let Some(object) = self.detect(origin, ego, &vehicles[index]) {
+                let index = self.list.len() as u8;
+                self.list.push(SensorObject { index, ..object });
+            }
+        }
+        &self.list
+    }
+
+    /// Collects what is around, nearest first, without regard to the field of view: what is outside
+    /// of it may still stand in the way.
+    fn look(&mut self, origin: Pose, vehicles: &[Vehicle]) {
+        let reach = self
+            .model
+            .lobes
+            .iter()
+            .map(|lobe| lobe.range)
+            .fold(0.0, f64::max);
+        self.sights.clear();
+        self.covered.clear();
+        for (index, vehicle) in vehicles.iter().enumerate().filter(|(_, v)| v.is_present()) {
+            let footprint = &vehicle.participant.footprint;
+            let centre = origin.to_local(footprint.pose.position);
+            if centre.norm() > reach + footprint.length {
+                continue;
+            }
+            let middle = centre.angle();
+            let mut sight = Sight {
+                index,
+                near: f64::INFINITY,
+                edges: (0.0, 0.0),
+            };
+            for corner in footprint.corners() {
+                let corner = origin.to_local(corner);
+                let offset = wrap_angle(corner.angle() - middle);
+                sight.near = sight.near.min(corner.norm());
+                sight.edges = (sight.edges.0.min(offset), sight.edges.1.max(offset));
+            }
+            sight.edges = (middle + sight.edges.0, middle + sight.edges.1);
+            self.sights.push(sight);
+        }
+        self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
+    }
+
+    /// Which share of the directions is covered.
+    fn covered_share(&self, (low, high): (f64, f64)) -> f64 {
+        let covered: f64 = self
+            .covered
+            .iter()
+            .map(|(from, to)| (to.min(high) - from.max(low)).max(0.0))
+            .sum();
+        covered / (high - low).max(1e-6)
+    }
+
+    /// Adds directions; overlapping intervals are merged.
+    fn cover(&mut self, (mut low, mut high): (f64, f64)) {
+        self.covered.retain(|(from, to)| {
+            let overlaps = *from <= high && low <= *to;
+            if overlaps {
+                (low, high) = (low.min(*from), high.max(*to));
+            }
+            !overlaps
+        });
+        self.covered.push((low, high));
+    }
+
+    /// The detection of one visible vehicle, if it is in the field of view and not missed.
+    fn detect(&mut self, origin: Pose, ego: &EgoTruth, vehicle: &Vehicle) -> Option<SensorObject> {
+        let Model {
+            mount,
+            lobes,
+            accuracy,
+            classifies,
+        } = &self.model;
+        let footprint = &vehicle.participant.footprint;
+        let local = origin.to_local(footprint.pose.position);
+        let (distance, angle) = (local.norm(), local.angle());
+        let inside = |lobe: &&Lobe| distance < lobe.range && angle.abs() < lobe.half_angle;
+        let range = lobes
+            .iter()
+            .filter(inside)
+            .map(|lobe| lobe.range)
+            .fold(0.0, f64::max);
+        if range == 0.0 {
+            return None;
+        }
+        let fading = ((distance / range - 0.8) / 0.2).max(0.0);
+        if !self.noise.chance(DETECTION * (1.0 - 0.5 * fading)) {
+            return None;
+        }
+        let range_deviation = accuracy.range + accuracy.range_growth * distance;
+        let measured = distance + self.noise.normal(range_deviation);
+        let direction = angle + self.noise.normal(accuracy.angle);
+        let position = mount.to_world(Vec2::from_angle(direction) * measured);
+
+        let over_ground = Vec2::from_angle(footprint.pose.yaw) * vehicle.participant.speed;
+        let relative = ego.pose.unrotate(over_ground - ego.velocity());
+        let sight = Vec2::from_angle(angle + mount.yaw);
+        let velocity = relative
+            + sight * self.noise.normal(accuracy.radial_speed)
+            + sight.left() * self.noise.normal(accuracy.tangential_speed);
+
+        let (cos, sin) = (sight.x.abs(), sight.y.abs());
+        let across = accuracy.angle * distance;
+        let class = if *classifies {
+            bus_class(vehicle.class)
+        } else {
+            Default::default()
+        };
+        Some(SensorObject {
+            index: 0,
+            class,
+            x: position.x as f32,
+            y: position.y as f32,
+            vx: velocity.x as f32,
+            vy: velocity.y as f32,
+            length: (footprint.length + self.noise.normal(accuracy.size)).max(0.1) as f32,
+            width: (footprint.width + self.noise.normal(accuracy.size)).max(0.1) as f32,
+            xdeviation: (range_deviation * cos).hypot(across * sin) as f32,
+            ydeviation: (range_deviation * sin).hypot(across * cos) as f32,
+        })
+    }
+}

@@ -1,0 +1,455 @@
+//! The other road users: they replay their recording, and then drive on.
+//!
+//! A recording does not react: it was made around another ego, and it is short. So each vehicle
+//! changes from replay to driving by itself, for good, when
+//!
+//! - its recording ends;
+//! - it would have to brake with more than [`REPLAY_BRAKES`] for the ego, or for a vehicle that drives
+//!   by itself already, ahead of it; or it is about to come too close;
+//! - it would hit one of these from the side within [`LOOK_AHEAD_S`] by changing lanes: it stays in
+//!   the lane that it is in, as a driver who looks first.
+//!
+//! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
+//! heading and time gap that it has at that moment. It knows the ego and all others, slows down for
+//! curves, and stops at the end of a lane.
+
+mod idm;
+mod recording;
+
+use std::sync::Arc;
+
+pub use idm::Driver;
+
+use crate::commonroad::{Class, Obstacle};
+use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
+use crate::road::{Frenet, LaneId, Road};
+
+/// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
+const REPLAY_BRAKES: f64 = 1.5;
+/// How far a replayed lane change is checked in advance, s.
+const LOOK_AHEAD_S: f64 = 1.0;
+/// Comfortable lateral acceleration in curves, m/s².
+const CURVE_ACCELERATION: f64 = 2.5;
+/// Natural frequency of the return to the lane's centre, rad/s; critically damped.
+const LATERAL_RATE: f64 = 0.8;
+/// Largest jerk of a vehicle that drives by itself: pressing the pedal, and braking, m/s³.
+const JERK: (f64, f64) = (4.0, 40.0);
+/// Time in which a driver returns to the own habitual time gap, s.
+const GAP_RELAXATION_S: f64 = 10.0;
+/// No vehicle wants to go slower than this on its own, m/s: a recording may show it in a jam only.
+const DESIRED_SPEED_MIN: f64 = 8.0;
+/// Farther ahead nobody looks, m.
+const SIGHT: f64 = 200.0;
+
+/// What another vehicle, or the ego, is to those who drive by themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Participant {
+    /// What it covers.
+    pub footprint: Footprint,
+    /// m/s along its heading.
+    pub speed: f64,
+}
+
+impl Participant {
+    fn velocity(&self) -> Vec2 {
+        Vec2::from_angle(self.footprint.pose.yaw) * self.speed
+    }
+
+    /// Where it will be, going straight on.
+    fn predicted(&self, dt: f64) -> Footprint {
+        let Footprint { pose, .. } = self.footprint;
+        let position = pose.position + self.velocity() * dt;
+        Footprint {
+            pose: Pose { position, ..pose },
+            ..self.footprint
+        }
+    }
+}
+
+/// How a vehicle moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Mode {
+    /// Not in the picture: its recording has not begun, or it would begin inside another vehicle.
+    Absent,
+    /// By its recording.
+    Replay,
+    /// By itself.
+    Driving,
+    /// Not at all any more: a thing, or a person at the end of the recording.
+    Standing,
+}
+
+/// One other road user.
+#[derive(Clone, Debug)]
+pub struct Vehicle {
+    /// Its id in the scenario.
+    pub id: i64,
+    /// Kind.
+    pub class: Class,
+    /// Where, how large, how fast.
+    pub participant: Participant,
+    /// m/s² along its heading.
+    pub acceleration: f64,
+    /// How it moves.
+    pub mode: Mode,
+    /// The lane that it is in.
+    pub lane: LaneId,
+    /// Its place in that lane.
+    pub place: Frenet,
+    /// Change of `place.d`, m/s.
+    lateral_speed: f64,
+    driver: Driver,
+    /// Time gap that it began with when it left its recording, s, and when that was.
+    begun: (f64, f64),
+}
+
+impl Vehicle {
+    /// Whether it is in the picture.
+    #[must_use]
+    pub fn is_present(&self) -> bool {
+        self.mode != Mode::Absent
+    }
+}
+
+/// All other road users.
+#[derive(Debug)]
+pub struct Traffic {
+    road: Arc<Road>,
+    recordings: Arc<[Obstacle]>,
+    vehicles: Vec<Vehicle>,
+}
+
+/// What is ahead of a vehicle in its lane.
+#[derive(Clone, Copy)]
+struct Leader {
+    /// Bumper to bumper, m.
+    gap: f64,
+    speed: f64,
+}
+
+const FREE_ROAD: Leader = Leader {
+    gap: f64::INFINITY,
+    speed: 0.0,
+};
+
+impl Traffic {
+    /// The traffic at time 0.
+    #[must_use]
+    pub fn new(road: Arc<Road>, recordings: Arc<[Obstacle]>, ego: &Participant) -> Self {
+        let vehicles = recordings
+            .iter()
+            .map(|recording| vehicle(&road, recording))
+            .collect();
+        let mut traffic = Self {
+            road,
+            recordings,
+            vehicles,
+        };
+        traffic.step(0.0, 0.0, ego);
+        traffic
+    }
+
+    /// All of them, also those not present, in the order of the scenario.
+    #[must_use]
+    pub fn vehicles(&self) -> &[Vehicle] {
+        &self.vehicles
+    }
+
+    /// Moves everybody to time `t`, which is `dt` after the last call (s).
+    pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
+        for index in 0..self.vehicles.len() {
+            self.leave_recording_if_needed(index, t, ego);
+        }
+        // Decide on what everybody sees now, then move: the order of the vehicles does not matter.
+        for index in 0..self.vehicles.len() {
+            if self.vehicles[index].mode == Mode::Driving {
+                let wanted = self.wanted_acceleration(index, t, ego);
+                let vehicle = &mut self.vehicles[index];
+                let change = wanted - vehicle.acceleration;
+                vehicle.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
+            }
+        }
+        for (vehicle, recording) in self.vehicles.iter_mut().zip(self.recordings.iter()) {
+            match vehicle.mode {
+                Mode::Absent | Mode::Standing => {}
+                Mode::Replay => replay(vehicle, recording, &self.road, t),
+                Mode::Driving => drive(vehicle, &self.road, dt),
+            }
+        }
+    }
+
+    fn leave_recording_if_needed(&mut self, index: usize, t: f64, ego: &Participant) {
+        let states = &self.recordings[index].states;
+        let (begin, end) = recording::span(states);
+        match self.vehicles[index].mode {
+            Mode::Absent if t >= begin && t <= end.max(begin + 0.1) => {
+                replay(
+                    &mut self.vehicles[index],
+                    &self.recordings[index],
+                    &self.road,
+                    t,
+                );
+                let room = |other: &Participant| {
+                    let own = self.vehicles[index].participant;
+                    !own.footprint
+                        .grown(2.0 * own.speed.max(2.0), 0.5)
+                        .overlaps(&other.footprint)
+                };
+                if t <= 0.0 || self.deviating(index, ego).all(|other| room(&other)) {
+                    self.vehicles[index].mode = if self.recordings[index].is_static {
+                        Mode::Standing
+                    } else {
+                        Mode::Replay
+                    };
+                }
+            }
+            Mode::Replay if t > end => match self.vehicles[index].class {
+                Class::Pedestrian | Class::Static => self.stand(index),
+                _ => self.drive_on(index, t, ego),
+            },
+            Mode::Replay if self.endangers(index, t, ego) => self.drive_on(index, t, ego),
+            _ => {}
+        }
+    }
+
+    fn stand(&mut self, index: usize) {
+        let vehicle = &mut self.vehicles[index];
+        vehicle.mode = Mode::Standing;
+        (vehicle.participant.speed, vehicle.acceleration) = (0.0, 0.0);
+    }
+
+    /// The ego and all who drive by themselves: those whom a recording does not know.
+    fn deviating(&self, index: usize, ego: &Participant) -> impl Iterator<Item = Participant> {
+        let others = self.vehicles.iter().enumerate();
+        let others = others.filter(move |(i, v)| *i != index && v.mode == Mode::Driving);
+        others.map(|(_, v)| v.participant).chain([*ego])
+    }
+
+    /// Whether a replayed vehicle would need others to get out of its way.
+    fn endangers(&self, index: usize, t: f64, ego: &Participant) -> bool {
+        let vehicle = &self.vehicles[index];
+        let speed = vehicle.participant.speed;
+        let mut leader = FREE_ROAD;
+        for other in self.deviating(index, ego) {
+            if let Some(ahead) = self.ahead(vehicle, &other) {
+                leader = if ahead.gap < leader.gap {
+                    ahead
+                } else {
+                    leader
+                };
+            }
+        }
+        let closing = speed - leader.speed;
+        let room = (leader.gap - 2.0).max(0.1);
+        if closing > 0.0 && closing * closing / (2.0 * room) > REPLAY_BRAKES {
+            return true;
+        }
+        if closing > -0.5 && leader.gap < 0.3 * speed {
+            return true;
+        }
+        self.would_hit_from_the_side(index, t, ego)
+    }
+
+    fn would_hit_from_the_side(&self, index: usize, t: f64, ego: &Participant) -> bool {
+        let vehicle = &self.vehicles[index];
+        let states = &self.recordings[index].states;
+        [0.25, 0.5, 0.75, 1.0]
+            .iter()
+            .map(|share| share * LOOK_AHEAD_S)
+            .any(|dt| {
+                let pose = recording::motion(states, t + dt).pose;
+                let own = Footprint {
+                    pose,
+                    ..vehicle.participant.footprint
+                }
+                .grown(1.0, 0.2);
+                self.deviating(index, ego).any(|other| {
+                    let place = self
+                        .road
+                        .lane(vehicle.lane)
+                        .project_near(other.footprint.pose.position, vehicle.place.s);
+                    let in_own_lane =
+                        place.d.abs() < (vehicle.participant.footprint.width + 1.0) / 2.0;
+                    !in_own_lane && own.overlaps(&other.predicted(dt))
+                })
+            })
+    }
+
+    /// From now on the vehicle drives by itself.
+    fn drive_on(&mut self, index: usize, t: f64, ego: &Participant) {
+        let leader = self.leader(index, ego);
+        let vehicle = &mut self.vehicles[index];
+        let (yaw, speed) = (
+            vehicle.participant.footprint.pose.yaw,
+            vehicle.participant.speed,
+        );
+        let heading = self.road.lane(vehicle.lane).at(vehicle.place.s).heading;
+        vehicle.lateral_speed = speed * wrap_angle(yaw - heading).sin();
+        vehicle.mode = Mode::Driving;
+        let gap = (leader.gap - vehicle.driver.standstill_gap) / speed.max(1.0);
+        vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
+    }
+
+    fn wanted_acceleration(&self, index: usize, t: f64, ego: &Participant) -> f64 {
+        let vehicle = &self.vehicles[index];
+        let speed = vehicle.participant.speed;
+        let lane = self.road.lane(vehicle.lane);
+        let bend = [0.0, 1.0, 2.0, 3.0]
+            .map(|seconds| lane.at(vehicle.place.s + seconds * speed).curvature.abs())
+            .into_iter()
+            .fold(1e-6, f64::max);
+        let relaxed = ((t - vehicle.begun.1) / GAP_RELAXATION_S).min(1.0);
+        let habitual = vehicle.driver.time_gap;
+        let driver = Driver {
+            time_gap: vehicle.begun.0 + (habitual - vehicle.begun.0) * relaxed,
+            desired_speed: vehicle
+                .driver
+                .desired_speed
+                .min((CURVE_ACCELERATION / bend).sqrt()),
+            ..vehicle.driver
+        };
+        let leader = self.leader(index, ego);
+        driver.follow(speed, leader.gap, leader.speed)
+    }
+
+    fn leader(&self, index: usize, ego: &Participant) -> Leader {
+        let vehicle = &self.vehicles[index];
+        let others = self.vehicles.iter().enumerate();
+        let others = others.filter(|(i, v)| *i != index && v.is_present());
+        let mut leader = FREE_ROAD;
+        for other in others.map(|(_, v)| &v.participant).chain([ego]) {
+            if let Some(ahead) = self.ahead(vehicle, other) {
+                leader = if ahead.gap < leader.gap {
+                    ahead
+                } else {
+                    leader
+                };
+            }
+        }
+        let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
+        let end = end - vehicle.participant.footprint.length / 2.0;
+        if end < leader.gap {
+            Leader {
+                gap: end,
+                speed: 0.0,
+            }
+        } else {
+            leader
+        }
+    }
+
+    /// What `other` is to `vehicle`, if it is or will soon be ahead in its lane.
+    fn ahead(&self, vehicle: &Vehicle, other: &Participant) -> Option<Leader> {
+        let own = &vehicle.participant.footprint;
+        let apart = own
+            .pose
+            .unrotate(other.footprint.pose.position - own.pose.position);
+        if apart.x < 0.0 || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x {
+            return None;
+        }
+        let lane = self.road.lane(vehicle.lane);
+        let near = vehicle.place.s + apart.x;
+        let place = lane.project_near(other.footprint.pose.position, near);
+        let heading = lane.at(place.s).heading;
+        let drift = other.speed * wrap_angle(other.footprint.pose.yaw - heading).sin();
+        let reach = (own.width + other.footprint.width) / 2.0 + 0.2;
+        // It counts if it is in the way now or in a second; the way leads to the lane's centre.
+        let (low, high) = (
+            vehicle.place.d.min(0.0) - reach,
+            vehicle.place.d.max(0.0) + reach,
+        );
+        let in_the_way = |d: f64| low < d && d < high;
+        if place.s <= vehicle.place.s || !(in_the_way(place.d) || in_the_way(place.d + drift)) {
+            return None;
+        }
+        let gap = place.s - vehicle.place.s - (own.length + other.footprint.length) / 2.0;
+        let speed = other.speed * wrap_angle(other.footprint.pose.yaw - heading).cos();
+        Some(Leader {
+            gap,
+            speed: speed.max(0.0),
+        })
+    }
+}
+
+fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
+    let motion = recording::motion(&recording.states, f64::NEG_INFINITY);
+    let (lane, place) = road.locate(motion.pose.position, motion.pose.yaw);
+    let fastest = recording
+        .states
+        .iter()
+        .filter_map(|state| state.speed)
+        .fold(0.0, f64::max);
+    let driver = if recording.length > 8.0 {
+        Driver::TRUCK
+    } else {
+        Driver::CAR
+    };
+    Vehicle {
+        id: recording.id,
+        class: recording.class,
+        participant: Participant {
+            footprint: Footprint {
+                pose: motion.pose,
+                length: recording.length,
+                width: recording.width,
+            },
+            speed: if recording.is_static {
+                0.0
+            } else {
+                motion.speed
+            },
+        },
+        acceleration: 0.0,
+        mode: Mode::Absent,
+        lane,
+        place,
+        lateral_speed: 0.0,
+        driver: Driver {
+            desired_speed: fastest.max(DESIRED_SPEED_MIN),
+            ..driver
+        },
+        begun: (driver.time_gap, 0.0),
+    }
+}
+
+/// Puts a vehicle where its recording has it at time `t`.
+fn replay(vehicle: &mut Vehicle, recording: &Obstacle, road: &Road, t: f64) {
+    let motion = recording::motion(&recording.states, t);
+    vehicle.participant.footprint.pose = motion.pose;
+    vehicle.participant.speed = motion.speed;
+    vehicle.acceleration = motion.acceleration;
+    let section = road.lane(vehicle.lane).at(vehicle.place.s);
+    vehicle.place = road
+        .lane(vehicle.lane)
+        .project_near(motion.pose.position, vehicle.place.s);
+    if vehicle.place.d.abs() > section.width / 2.0 {
+        (vehicle.lane, vehicle.place) = road.locate(motion.pose.position, motion.pose.yaw);
+    }
+}
+
+/// Moves a vehicle that drives by itself.
+fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
+    let lane = road.lane(vehicle.lane);
+    let section = lane.at(vehicle.place.s);
+    let before = vehicle.participant.speed;
+    let speed = (before + vehicle.acceleration * dt).max(0.0);
+    if speed == 0.0 {
+        vehicle.acceleration = vehicle.acceleration.max(0.0);
+    }
+    let pull =
+        -LATERAL_RATE * LATERAL_RATE * vehicle.place.d - 2.0 * LATERAL_RATE * vehicle.lateral_speed;
+    let mean = (before + speed) / 2.0;
+    vehicle.lateral_speed = (vehicle.lateral_speed + pull * dt).clamp(-0.2 * mean, 0.2 * mean);
+    let along = (mean * mean - vehicle.lateral_speed * vehicle.lateral_speed)
+        .max(0.0)
+        .sqrt();
+    vehicle.place.s += along * dt / (1.0 - section.curvature * vehicle.place.d).max(0.5);
+    vehicle.place.d += vehicle.lateral_speed * dt;
+    let yaw = lane.at(vehicle.place.s).heading + vehicle.lateral_speed.atan2(along.max(0.1));
+    let position = lane.point(vehicle.place);
+    vehicle.participant.footprint.pose = Pose {
+        position,
+        yaw: wrap_angle(yaw),
+    };
+    vehicle.participant.speed = speed;
+}

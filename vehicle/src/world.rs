@@ -1,0 +1,467 @@
+//! The world: the ego, the others, the sensors, on one time line.
+
+use std::sync::Arc;
+
+use tandem_bus::{DriverRequest, Message, SensorHeader, SensorId, Transmitter};
+
+use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
+use crate::commonroad::Class;
+use crate::gate::{Acceptance, Gate};
+use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
+use crate::metrics::{Meter, Metrics, Sample};
+use crate::plant::{self, BMW_320I};
+use crate::road::{LaneId, Road};
+use crate::scenario::Scenario;
+use crate::sensors::{EgoTruth, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, Sensors};
+use crate::traffic::{Mode, Participant, Traffic};
+
+/// One tick of the world, ns.
+const TICK_NS: u64 = 1_000_000;
+/// The same in seconds.
+const TICK_S: f64 = 1e-3;
+/// Traffic moves, and collisions are looked for, every so many ticks: 15 cm at 30 m/s.
+const TRAFFIC_TICKS: u64 = 5;
+/// Cycle of the ego's motion and of the driver's request, in ticks.
+const MOTION_TICKS: u64 = 10;
+const DRIVER_TICKS: u64 = 100;
+/// If the caller comes later than this, the world has stood still meanwhile, ns: a frozen world
+/// process must not look like a vehicle without control.
+const STALL_NS: u64 = 200_000_000;
+/// So far over the line between two lanes the ego must be to count as being in the other one, m.
+const LANE_HYSTERESIS: f64 = 0.1;
+
+/// How a world runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Config {
+    /// All noise follows from it.
+    pub seed: u64,
+}
+
+/// Another vehicle in a [`Snapshot`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VehicleSnapshot {
+    /// Its id in the scenario.
+    pub id: i64,
+    /// Kind.
+    pub class: Class,
+    /// Centre and heading.
+    pub pose: Pose,
+    /// m/s
+    pub speed: f64,
+    /// m/s²
+    pub acceleration: f64,
+    /// m
+    pub length: f64,
+    /// m
+    pub width: f64,
+    /// The lane that it is in.
+    pub lane: LaneId,
+    /// By its recording, by itself, or not at all.
+    pub mode: Mode,
+}
+
+/// The world at one moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Snapshot {
+    /// Scenario time, s: 0 until the first control frame is accepted.
+    pub time_s: f64,
+    /// A control frame has been accepted.
+    pub running: bool,
+    /// The ego's centre of gravity, which is taken for its centre, and its heading.
+    pub pose: Pose,
+    /// m/s
+    pub speed: f64,
+    /// rad/s
+    pub yaw_rate: f64,
+    /// Longitudinal acceleration, m/s².
+    pub acceleration: f64,
+    /// Lateral acceleration, m/s², left positive.
+    pub lateral_acceleration: f64,
+    /// Road wheel angle, rad, left positive.
+    pub steering_angle: f64,
+    /// What the controller, or without one the vehicle itself, asks of the actuators.
+    pub request: Request,
+    /// No control frame was accepted for 100 ms: steering held, brake gently on.
+    pub fallback: bool,
+    /// The ego's lane.
+    pub lane: LaneId,
+    /// Arc length in that lane, m.
+    pub station: f64,
+    /// Offset from the lane's centre, m, left positive.
+    pub lateral_offset: f64,
+    /// Bumper distance to the leader in the own lane, m; infinite without one.
+    pub gap: f64,
+    /// Speed of that leader, m/s; 0 without one.
+    pub leader_speed: f64,
+    /// Time to collision with it, s; infinite if the ego is not closing in.
+    pub ttc: f64,
+    /// The ego overlaps another vehicle now.
+    pub collides: bool,
+    /// The last control frame that acted.
+    pub accepted: Option<Acceptance>,
+    /// The others that are present.
+    pub vehicles: Vec<VehicleSnapshot>,
+}
+
+/// The world outside of the controller. Deterministic: the same scenario, seed, frames and times give
+/// the same run to the bit.
+pub struct World {
+    road: Arc<Road>,
+    set_speed: f64,
+    state: plant::State,
+    actuators: Actuators,
+    request: Request,
+    ego: EgoTruth,
+    traffic: Traffic,
+    sensors: Sensors,
+    gate: Gate,
+    meter: Meter,
+    transmitter: Transmitter,
+    snapshot: Snapshot,
+    /// Time of the next tick; `None` before the first call.
+    next_ns: Option<u64>,
+    /// Ticks since the first call, and of the running world.
+    ticks: u64,
+    world_ticks: u64,
+    stalled_ns: u64,
+}
+
+impl World {
+    /// The world of this scenario at its start.
+    #[must_use]
+    pub fn new(scenario: &Scenario, config: Config) -> Self {
+        let state = plant::State {
+            x: scenario.start.position.x,
+            y: scenario.start.position.y,
+            yaw: scenario.start.yaw,
+            speed: scenario.start_speed,
+            ..plant::State::default()
+        };
+        let road = Arc::clone(&scenario.road);
+        let (lane, place) = road.locate(scenario.start.position, scenario.start.yaw);
+        let ego = EgoTruth {
+            pose: scenario.start,
+            speed: state.speed,
+            lane,
+            place,
+            ..EgoTruth::default()
+        };
+        let traffic = Traffic::new(
+            Arc::clone(&road),
+            Arc::clone(&scenario.obstacles),
+            &participant(&ego),
+        );
+        let mut world = Self {
+            meter: Meter::new(traffic.vehicles().len()),
+            snapshot: empty_snapshot(&ego),
+            sensors: Sensors::new(config.seed),
+            gate: Gate::new(),
+            transmitter: Transmitter::new(),
+            set_speed: scenario.set_speed,
+            request: Request::default(),
+            actuators: Actuators::settled(Request::default()),
+            next_ns: None,
+            ticks: 0,
+            world_ticks: 0,
+            stalled_ns: 0,
+            road,
+            state,
+            ego,
+            traffic,
+        };
+        world.observe(true);
+        world
+    }
+
+    /// A frame that a controller has sent, at `now_ns` on the caller's clock. Only control frames
+    /// matter; the first one that is accepted sets the world going.
+    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) {
+        if let Some(control) = self.gate.on_frame(now_ns, id, data) {
+            self.request = Request {
+                steering_angle: f64::from(control.steering_angle),
+                acceleration: f64::from(control.acceleration),
+            };
+            self.snapshot.running = true;
+            self.snapshot.accepted = self.gate.accepted();
+        }
+    }
+
+    /// Lets the world run up to `now_ns`, in ticks of one millisecond, and hands out the frames that
+    /// are due: id and data. To be called every millisecond; a late call catches up. After more than
+    /// 200 ms without a call the world has stood still instead, see [`World::stalled_ns`].
+    pub fn step(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
+        let mut next = *self.next_ns.get_or_insert(now_ns);
+        if now_ns.saturating_sub(next) > STALL_NS {
+            self.stalled_ns += now_ns - next;
+            next = now_ns;
+        }
+        while next <= now_ns {
+            self.tick(next, emit);
+            next += TICK_NS;
+        }
+        self.next_ns = Some(next);
+    }
+
+    fn tick(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
+        if self.snapshot.running {
+            self.advance(now_ns);
+        }
+        self.transmit(now_ns, emit);
+        self.ticks += 1;
+    }
+
+    /// One millisecond of the running world.
+    fn advance(&mut self, now_ns: u64) {
+        let silence = self
+            .gate
+            .accepted()
+            .map_or(0, |last| now_ns.saturating_sub(last.at_ns));
+        self.snapshot.fallback = silence > FALLBACK_AFTER_NS;
+        if self.snapshot.fallback {
+            self.request.acceleration = -FALLBACK_DECELERATION;
+        }
+        let input = self.actuators.step(self.request, &self.state, &BMW_320I);
+        let before = self.state;
+        self.state = before.stepped(input, TICK_S, &BMW_320I);
+        if self.state.speed < 0.0 {
+            // The brake has stopped it; there is nothing that would move it backwards.
+            self.state.speed = 0.0;
+        }
+        if self.state.speed < plant::KINEMATIC_BELOW {
+            self.state.settle_slowly_rolling(&BMW_320I);
+        }
+        let speed = self.state.speed;
+        let slip_rate = (self.state.slip_angle - before.slip_angle) / TICK_S;
+        self.ego.long_acceleration = (speed - before.speed) / TICK_S;
+        self.ego.lat_acceleration = speed * (self.state.yaw_rate + slip_rate);
+        self.follow_plant();
+
+        self.world_ticks += 1;
+        let traffic_moves = self.world_ticks.is_multiple_of(TRAFFIC_TICKS);
+        if traffic_moves {
+            let time = self.world_ticks as f64 * TICK_S;
+            let dt = TRAFFIC_TICKS as f64 * TICK_S;
+            self.traffic.step(time, dt, &participant(&self.ego));
+        }
+        self.observe(traffic_moves);
+        self.meter.step(&Sample {
+            time_s: self.snapshot.time_s,
+            speed,
+            long_acceleration: self.ego.long_acceleration,
+            lat_acceleration: self.ego.lat_acceleration,
+            lane: self.ego.lane,
+            offset: self.ego.place.d,
+            gap: self.snapshot.gap,
+            ttc: self.snapshot.ttc,
+        });
+    }
+
+    /// Takes over the plant's state and finds the lane.
+    fn follow_plant(&mut self) {
+        let state = &self.state;
+        let pose = Pose {
+            position: Vec2::new(state.x, state.y),
+            yaw: wrap_angle(state.yaw),
+        };
+        let ego = &mut self.ego;
+        (ego.pose, ego.speed, ego.yaw_rate) = (pose, state.speed, state.yaw_rate);
+        (ego.slip_angle, ego.steering_angle) = (state.slip_angle, state.steering_angle);
+        let lane = self.road.lane(ego.lane);
+        ego.place = lane.project_near(pose.position, ego.place.s);
+        let width = lane.at(ego.place.s).width;
+        let outside = ego.place.d.abs() > width / 2.0 + LANE_HYSTERESIS;
+        if outside || !lane.exists_at(ego.place.s) {
+            (ego.lane, ego.place) = self.road.locate(pose.position, pose.yaw);
+        }
+    }
+
+    /// Brings the snapshot up to date.
+    fn observe(&mut self, traffic_moved: bool) {
+        let footprint = participant(&self.ego).footprint;
+        self.snapshot.time_s = self.world_ticks as f64 * TICK_S;
+        if traffic_moved {
+            let vehicles = self.traffic.vehicles();
+            let time = self.snapshot.time_s;
+            self.snapshot.collides = self.meter.collide(time, &footprint, vehicles);
+            self.snapshot.vehicles.clear();
+            let present = vehicles.iter().filter(|vehicle| vehicle.is_present());
+            self.snapshot
+                .vehicles
+                .extend(present.map(|vehicle| VehicleSnapshot {
+                    id: vehicle.id,
+                    class: vehicle.class,
+                    pose: vehicle.participant.footprint.pose,
+                    speed: vehicle.participant.speed,
+                    acceleration: vehicle.acceleration,
+                    length: vehicle.participant.footprint.length,
+                    width: vehicle.participant.footprint.width,
+                    lane: vehicle.lane,
+                    mode: vehicle.mode,
+                }));
+            let leader = leader(&self.road, &self.ego, &self.snapshot.vehicles);
+            (self.snapshot.gap, self.snapshot.leader_speed) = leader;
+        }
+        let (ego, snapshot) = (&self.ego, &mut self.snapshot);
+        let closing = ego.speed - snapshot.leader_speed;
+        let closes_in = snapshot.gap.is_finite() && closing > 0.1;
+        snapshot.ttc = if closes_in {
+            snapshot.gap.max(0.0) / closing
+        } else {
+            f64::INFINITY
+        };
+        (snapshot.pose, snapshot.speed, snapshot.yaw_rate) = (ego.pose, ego.speed, ego.yaw_rate);
+        snapshot.acceleration = ego.long_acceleration;
+        snapshot.lateral_acceleration = ego.lat_acceleration;
+        snapshot.steering_angle = ego.steering_angle;
+        snapshot.request = self.request;
+        (snapshot.lane, snapshot.station) = (ego.lane, ego.place.s);
+        snapshot.lateral_offset = ego.place.d;
+    }
+
+    /// Hands out the frames that are due in this tick.
+    fn transmit(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
+        let Self {
+            transmitter,
+            sensors,
+            ego,
+            ticks,
+            ..
+        } = self;
+        let mut send = |message: &Message| {
+            let frame = transmitter.encode(message);
+            emit(frame.id, frame.data());
+        };
+        if ticks.is_multiple_of(MOTION_TICKS) {
+            send(&Message::EgoMotion(
+                sensors.motion(ego, self.snapshot.running),
+            ));
+        }
+        if *ticks % DRIVER_TICKS == 3 {
+            let set_speed = self.set_speed as f32;
+            send(&Message::DriverRequest(DriverRequest {
+                engage: true,
+                set_speed,
+            }));
+        }
+        let phase = *ticks % SENSOR_PERIOD_MS;
+        for sensor in SensorId::ALL
+            .iter()
+            .filter(|s| SENSOR_PHASE_MS[s.index()] == phase)
+        {
+            let objects = sensors.objects(*sensor, ego, self.traffic.vehicles());
+            let measured_at = (now_ns / 1_000) as u32;
+            let header = SensorHeader {
+                object_count: objects.len() as u8,
+                measured_at,
+            };
+            send(&Message::SensorHeader(*sensor, header));
+            for object in objects {
+                send(&Message::SensorObject(*sensor, *object));
+            }
+        }
+        if phase == LANES_PHASE_MS {
+            send(&Message::CameraLanes(sensors.lanes(ego, &self.road)));
+        }
+    }
+
+    /// The world now.
+    #[must_use]
+    pub fn snapshot(&self) -> &Snapshot {
+        &self.snapshot
+    }
+
+    /// The figures of the run so far.
+    #[must_use]
+    pub fn metrics(&self) -> Metrics {
+        self.meter.metrics()
+    }
+
+    /// What became of the control frames.
+    #[must_use]
+    pub fn gate(&self) -> &Gate {
+        &self.gate
+    }
+
+    /// The same, to take the acceptance log's entries.
+    pub fn gate_mut(&mut self) -> &mut Gate {
+        &mut self.gate
+    }
+
+    /// The lanes.
+    #[must_use]
+    pub fn road(&self) -> &Road {
+        &self.road
+    }
+
+    /// The speed that the driver asks for, m/s.
+    #[must_use]
+    pub fn set_speed(&self) -> f64 {
+        self.set_speed
+    }
+
+    /// How long the world stood still because nobody called [`World::step`], ns.
+    #[must_use]
+    pub fn stalled_ns(&self) -> u64 {
+        self.stalled_ns
+    }
+}
+
+/// The ego as others see it.
+fn participant(ego: &EgoTruth) -> Participant {
+    let footprint = Footprint {
+        pose: ego.pose,
+        length: BMW_320I.length,
+        width: BMW_320I.width,
+    };
+    Participant {
+        footprint,
+        speed: ego.speed,
+    }
+}
+
+/// Bumper distance and speed of the nearest vehicle that is ahead in the ego's lane: with its centre
+/// in the lane, or in the way of the ego's body.
+fn leader(road: &Road, ego: &EgoTruth, vehicles: &[VehicleSnapshot]) -> (f64, f64) {
+    let lane = road.lane(ego.lane);
+    let mut nearest = (f64::INFINITY, 0.0);
+    for vehicle in vehicles {
+        let apart = ego.pose.to_local(vehicle.pose.position);
+        if apart.x <= 0.0 || apart.x > 300.0 || apart.y.abs() > 20.0 + 0.3 * apart.x {
+            continue;
+        }
+        let place = lane.project_near(vehicle.pose.position, ego.place.s + apart.x);
+        let section = lane.at(place.s);
+        let in_lane = place.d.abs() < section.width / 2.0;
+        let in_the_way = (place.d - ego.place.d).abs() < (vehicle.width + BMW_320I.width) / 2.0;
+        let gap = place.s - ego.place.s - (vehicle.length + BMW_320I.length) / 2.0;
+        if (in_lane || in_the_way) && place.s > ego.place.s && gap < nearest.0 {
+            let along = wrap_angle(vehicle.pose.yaw - section.heading).cos();
+            nearest = (gap, vehicle.speed * along);
+        }
+    }
+    nearest
+}
+
+fn empty_snapshot(ego: &EgoTruth) -> Snapshot {
+    Snapshot {
+        time_s: 0.0,
+        running: false,
+        pose: ego.pose,
+        speed: ego.speed,
+        yaw_rate: 0.0,
+        acceleration: 0.0,
+        lateral_acceleration: 0.0,
+        steering_angle: 0.0,
+        request: Request::default(),
+        fallback: false,
+        lane: ego.lane,
+        station: ego.place.s,
+        lateral_offset: ego.place.d,
+        gap: f64::INFINITY,
+        leader_speed: 0.0,
+        ttc: f64::INFINITY,
+        collides: false,
+        accepted: None,
+        vehicles: Vec::new(),
+    }
+}

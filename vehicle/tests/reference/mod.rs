@@ -1,0 +1,127 @@
+//! A reference driver with perfect knowledge: proves that a scenario can be driven at all.
+
+use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_vehicle::geometry::Vec2;
+use tandem_vehicle::traffic::Driver;
+use tandem_vehicle::{LaneId, Snapshot, World};
+
+/// m, between the axles.
+const WHEELBASE: f64 = 2.579;
+
+/// Follows the leader by the Intelligent Driver Model and the lane by pure pursuit (Coulter 1992).
+pub(crate) struct ReferenceDriver {
+    transmitter: Transmitter,
+    lane: Option<LaneId>,
+}
+
+impl ReferenceDriver {
+    pub(crate) fn new() -> Self {
+        Self {
+            transmitter: Transmitter::new(),
+            lane: None,
+        }
+    }
+
+    /// The control frame for what the world looks like now.
+    pub(crate) fn control(&mut self, world: &World) -> tandem_bus::Encoded {
+        let now = world.snapshot();
+        let target = self.choose_lane(world);
+        let control = Control {
+            role: Role::Master,
+            mode: Mode::L3,
+            term: 2,
+            steering_angle: steering(world, now, target) as f32,
+            acceleration: acceleration(world, now, target) as f32,
+            ..Control::default()
+        };
+        self.transmitter
+            .encode(&Message::Control { system: 0, control })
+    }
+
+    /// Leaves a lane that ends as soon as there is a gap beside it.
+    fn choose_lane(&mut self, world: &World) -> LaneId {
+        let now = world.snapshot();
+        let target = *self.lane.get_or_insert(now.lane);
+        let road = world.road();
+        let station = |lane| road.lane(lane).project(now.pose.position).s;
+        if road.distance_to_end(target, station(target)) > 600.0 {
+            return target;
+        }
+        let section = road.lane(target).at(station(target));
+        let beside = [section.left, section.right].into_iter().flatten();
+        let goes_on = |lane: &LaneId| road.distance_to_end(*lane, station(*lane)) > 1_000.0;
+        let free = |lane: &LaneId| {
+            let (ahead, behind) = gaps(world, now, *lane);
+            let closes_in =
+                |gap: f64, closing: f64| gap < 6.0 + 2.0 * closing.max(0.0) + 0.3 * now.speed;
+            !closes_in(ahead.0, now.speed - ahead.1) && !closes_in(behind.0, behind.1 - now.speed)
+        };
+        if let Some(lane) = beside.filter(goes_on).find(free) {
+            self.lane = Some(lane);
+        }
+        self.lane.unwrap_or(target)
+    }
+}
+
+/// Bumper distance and speed of the nearest vehicles ahead and behind in a lane.
+fn gaps(world: &World, now: &Snapshot, lane: LaneId) -> ((f64, f64), (f64, f64)) {
+    let line = world.road().lane(lane);
+    let own = line.project(now.pose.position);
+    let (mut ahead, mut behind) = ((f64::INFINITY, 0.0), (f64::INFINITY, 0.0));
+    for other in &now.vehicles {
+        if (other.pose.position - now.pose.position).norm() > 250.0 {
+            continue;
+        }
+        let place = line.project(other.pose.position);
+        let drift = other.speed * (other.pose.yaw - line.at(place.s).heading).sin();
+        let reach = 1.2 + other.width / 2.0;
+        let in_the_way = place.d.abs() < reach || (place.d + 0.8 * drift).abs() < reach;
+        if !in_the_way {
+            continue;
+        }
+        let gap = (place.s - own.s).abs() - (other.length + 4.508) / 2.0;
+        let side = if place.s > own.s {
+            &mut ahead
+        } else {
+            &mut behind
+        };
+        if gap < side.0 {
+            *side = (gap, other.speed);
+        }
+    }
+    (ahead, behind)
+}
+
+fn acceleration(world: &World, now: &Snapshot, target: LaneId) -> f64 {
+    let driver = Driver {
+        desired_speed: world.set_speed(),
+        time_gap: 1.3,
+        ..Driver::CAR
+    };
+    let mut wanted = f64::INFINITY;
+    for lane in [target, now.lane] {
+        let (ahead, _) = gaps(world, now, lane);
+        wanted = wanted.min(driver.follow(now.speed, ahead.0, ahead.1));
+    }
+    let line = world.road().lane(now.lane);
+    let end = world
+        .road()
+        .distance_to_end(now.lane, line.project(now.pose.position).s)
+        - 10.0;
+    if target == now.lane && end.is_finite() {
+        wanted = wanted.min(driver.follow(now.speed, end.max(0.1), 0.0));
+    }
+    wanted
+}
+
+fn steering(world: &World, now: &Snapshot, target: LaneId) -> f64 {
+    let line = world.road().lane(target);
+    let place = line.project(now.pose.position);
+    let ahead = 8.0 + 1.0 * now.speed;
+    // Approach a lane to the side gradually.
+    let aim = line.at(place.s + ahead);
+    let side = place.d.clamp(-1.75, 1.75) - place.d;
+    let aim = aim.centre - Vec2::from_angle(aim.heading).left() * side;
+    let aim = now.pose.to_local(aim);
+    (2.0 * WHEELBASE * aim.y / aim.dot(aim)).atan()
+}
