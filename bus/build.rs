@@ -434,16 +434,17 @@ fn number(value: &NumericValue) -> f64 {
     }
 }
 
-/// `SteeringAngle` → `steering_angle`, `VX` → `vx`, `Line1Silent` → `line1_silent`.
+/// `SteeringAngle` → `steering_angle`, `VX` → `vx`, `XDeviation` → `x_deviation`.
 fn snake(camel: &str) -> String {
+    let letters: Vec<char> = camel.chars().collect();
     let mut out = String::new();
-    let mut previous = 'A';
-    for c in camel.chars() {
-        if c.is_uppercase() && !previous.is_uppercase() {
+    for (i, c) in letters.iter().enumerate() {
+        let ends_word = i > 0 && !letters[i - 1].is_uppercase();
+        let ends_capitals = i > 0 && letters.get(i + 1).is_some_and(|next| next.is_lowercase());
+        if c.is_uppercase() && (ends_word || ends_capitals) {
             out.push('_');
         }
         out.extend(c.to_lowercase());
-        previous = c;
     }
     out
 }

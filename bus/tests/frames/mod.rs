@@ -1,0 +1,249 @@
+//! What the tests share: any message as a proptest strategy, and its values by their DBC names.
+
+use proptest::prelude::*;
+use tandem_bus::{
+    CameraLanes, Class, Control, DriverRequest, EgoMotion, Message, Mode, Role, SensorHeader,
+    SensorId, SensorObject, Status,
+};
+
+/// Any value, mostly within `limit` so that the scaling is tested and not the saturation only.
+fn within(limit: f32) -> impl Strategy<Value = f32> + Clone {
+    prop_oneof![8 => -limit..=limit, 1 => any::<f32>(), 1 => Just(f32::NAN), 1 => Just(f32::INFINITY)]
+}
+
+fn control() -> impl Strategy<Value = Control> {
+    let enums = (
+        prop::sample::select(&Role::ALL[..]),
+        prop::sample::select(&Mode::ALL[..]),
+    );
+    (
+        enums,
+        any::<u32>(),
+        within(0.7),
+        within(33.0),
+        within(7000.0),
+    )
+        .prop_map(
+            |((role, mode), term, steering_angle, acceleration, command_age)| Control {
+                role,
+                mode,
+                term,
+                steering_angle,
+                acceleration,
+                command_age,
+            },
+        )
+}
+
+fn status() -> impl Strategy<Value = Status> {
+    let enums = (
+        prop::sample::select(&Role::ALL[..]),
+        prop::sample::select(&Mode::ALL[..]),
+    );
+    (
+        enums,
+        any::<[bool; 4]>(),
+        any::<u32>(),
+        any::<[u16; 2]>(),
+        any::<[u8; 3]>(),
+    )
+        .prop_map(|((role, mode), flags, term, resets, bytes)| Status {
+            role,
+            mode,
+            sys_failure: flags[0],
+            cpsys_failure: flags[1],
+            line1_silent: flags[2],
+            line2_silent: flags[3],
+            failure_mode: bytes[0],
+            term,
+            abn_resets: resets[0],
+            total_resets: resets[1],
+            tracks: bytes[1],
+            deadline_misses: bytes[2],
+        })
+}
+
+fn ego_motion() -> impl Strategy<Value = EgoMotion> {
+    let accelerations = (within(70.0), within(70.0));
+    (
+        any::<bool>(),
+        within(330.0),
+        within(3.3),
+        accelerations,
+        within(0.7),
+        within(0.7),
+    )
+        .prop_map(
+            |(world_running, speed, yaw_rate, acceleration, steering_angle, slip_angle)| {
+                EgoMotion {
+                    world_running,
+                    speed,
+                    yaw_rate,
+                    long_acceleration: acceleration.0,
+                    lat_acceleration: acceleration.1,
+                    steering_angle,
+                    slip_angle,
+                }
+            },
+        )
+}
+
+fn sensor_object() -> impl Strategy<Value = SensorObject> {
+    let place = prop::array::uniform4(within(330.0));
+    let size = (within(26.0), within(13.0), within(6.0), within(6.0));
+    (
+        any::<u8>(),
+        prop::sample::select(&Class::ALL[..]),
+        place,
+        size,
+    )
+        .prop_map(
+            |(index, class, [x, y, vx, vy], (length, width, x_deviation, y_deviation))| {
+                SensorObject {
+                    index,
+                    class,
+                    x,
+                    y,
+                    vx,
+                    vy,
+                    length,
+                    width,
+                    x_deviation,
+                    y_deviation,
+                }
+            },
+        )
+}
+
+fn camera_lanes() -> impl Strategy<Value = CameraLanes> {
+    let c = (within(33.0), within(1.7), within(0.04), within(0.0004));
+    let widths = prop::array::uniform3(within(6.0));
+    let ends = prop::array::uniform3(within(7000.0));
+    (
+        any::<[bool; 3]>(),
+        c,
+        any::<u8>(),
+        widths,
+        ends,
+        within(700.0),
+    )
+        .prop_map(
+            |(flags, (c0, c1, c2, c3), view_range, widths, ends, speed_limit)| CameraLanes {
+                valid: flags[0],
+                left_exists: flags[1],
+                right_exists: flags[2],
+                c0,
+                c1,
+                c2,
+                c3,
+                view_range,
+                width: widths[0],
+                left_width: widths[1],
+                right_width: widths[2],
+                own_end: ends[0],
+                left_end: ends[1],
+                right_end: ends[2],
+                speed_limit,
+            },
+        )
+}
+
+/// Any message, also with values that no frame can hold.
+pub(crate) fn message() -> impl Strategy<Value = Message> {
+    let sensor = prop::sample::select(&SensorId::ALL[..]);
+    let header = any::<(u8, u32)>().prop_map(|(object_count, measured_at)| SensorHeader {
+        object_count,
+        measured_at,
+    });
+    let request = (any::<bool>(), within(700.0))
+        .prop_map(|(engage, set_speed)| DriverRequest { engage, set_speed });
+    prop_oneof![
+        (0..2_u8, control()).prop_map(|(system, control)| Message::Control { system, control }),
+        (0..2_u8, status()).prop_map(|(system, status)| Message::Status { system, status }),
+        ego_motion().prop_map(Message::EgoMotion),
+        request.prop_map(Message::DriverRequest),
+        (sensor.clone(), header).prop_map(|(sensor, h)| Message::SensorHeader(sensor, h)),
+        (sensor, sensor_object()).prop_map(|(sensor, o)| Message::SensorObject(sensor, o)),
+        camera_lanes().prop_map(Message::CameraLanes),
+    ]
+}
+
+/// The values of a message by the names of the DBC, physical, enums and flags as numbers.
+pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
+    match message {
+        Message::Control { system, control } => vec![
+            ("Role", f64::from(control.role as u8)),
+            ("Mode", f64::from(control.mode as u8)),
+            ("System", f64::from(*system)),
+            ("Term", f64::from(control.term)),
+            ("SteeringAngle", f64::from(control.steering_angle)),
+            ("Acceleration", f64::from(control.acceleration)),
+            ("CommandAge", f64::from(control.command_age)),
+            ("Spare", 0.0),
+        ],
+        Message::Status { status, .. } => vec![
+            ("Role", f64::from(status.role as u8)),
+            ("Mode", f64::from(status.mode as u8)),
+            ("SysFailure", f64::from(u8::from(status.sys_failure))),
+            ("CpsysFailure", f64::from(u8::from(status.cpsys_failure))),
+            ("Line1Silent", f64::from(u8::from(status.line1_silent))),
+            ("Line2Silent", f64::from(u8::from(status.line2_silent))),
+            ("FailureMode", f64::from(status.failure_mode)),
+            ("Term", f64::from(status.term)),
+            ("AbnResets", f64::from(status.abn_resets)),
+            ("TotalResets", f64::from(status.total_resets)),
+            ("Tracks", f64::from(status.tracks)),
+            ("DeadlineMisses", f64::from(status.deadline_misses)),
+        ],
+        Message::EgoMotion(motion) => vec![
+            ("WorldRunning", f64::from(u8::from(motion.world_running))),
+            ("Speed", f64::from(motion.speed)),
+            ("YawRate", f64::from(motion.yaw_rate)),
+            ("LongAcceleration", f64::from(motion.long_acceleration)),
+            ("LatAcceleration", f64::from(motion.lat_acceleration)),
+            ("SteeringAngle", f64::from(motion.steering_angle)),
+            ("SlipAngle", f64::from(motion.slip_angle)),
+        ],
+        Message::DriverRequest(request) => vec![
+            ("Engage", f64::from(u8::from(request.engage))),
+            ("SetSpeed", f64::from(request.set_speed)),
+        ],
+        Message::SensorHeader(_, header) => vec![
+            ("ObjectCount", f64::from(header.object_count)),
+            ("MeasuredAt", f64::from(header.measured_at)),
+        ],
+        Message::SensorObject(_, object) => vec![
+            ("Index", f64::from(object.index)),
+            ("Class", f64::from(object.class as u8)),
+            ("X", f64::from(object.x)),
+            ("Y", f64::from(object.y)),
+            ("VX", f64::from(object.vx)),
+            ("VY", f64::from(object.vy)),
+            ("Length", f64::from(object.length)),
+            ("Width", f64::from(object.width)),
+            ("XDeviation", f64::from(object.x_deviation)),
+            ("YDeviation", f64::from(object.y_deviation)),
+        ],
+        Message::CameraLanes(lanes) => camera_values(lanes),
+    }
+}
+
+fn camera_values(lanes: &CameraLanes) -> Vec<(&'static str, f64)> {
+    vec![
+        ("Valid", f64::from(u8::from(lanes.valid))),
+        ("LeftExists", f64::from(u8::from(lanes.left_exists))),
+        ("RightExists", f64::from(u8::from(lanes.right_exists))),
+        ("C0", f64::from(lanes.c0)),
+        ("C1", f64::from(lanes.c1)),
+        ("C2", f64::from(lanes.c2)),
+        ("C3", f64::from(lanes.c3)),
+        ("ViewRange", f64::from(lanes.view_range)),
+        ("Width", f64::from(lanes.width)),
+        ("LeftWidth", f64::from(lanes.left_width)),
+        ("RightWidth", f64::from(lanes.right_width)),
+        ("OwnEnd", f64::from(lanes.own_end)),
+        ("LeftEnd", f64::from(lanes.left_end)),
+        ("RightEnd", f64::from(lanes.right_end)),
+        ("SpeedLimit", f64::from(lanes.speed_limit)),
+    ]
+}
