@@ -294,8 +294,8 @@ impl Detector {
             vy: velocity.y as f32,
             length: (footprint.length + self.noise.normal(accuracy.size)).max(0.1) as f32,
             width: (footprint.width + self.noise.normal(accuracy.size)).max(0.1) as f32,
-            xdeviation: (range_deviation * cos).hypot(across * sin) as f32,
-            ydeviation: (range_deviation * sin).hypot(across * cos) as f32,
+            x_deviation: (range_deviation * cos).hypot(across * sin) as f32,
+            y_deviation: (range_deviation * sin).hypot(across * cos) as f32,
         })
     }
 }
