@@ -1,1 +1,25 @@
-//! One suite that every board passes.
+//! One suite that every board passes: the contracts of `tandem-board`, executable.
+//!
+//! A [`Case`] has one role for each core that takes part, and a role is a plain function over a
+//! [`Board`](tandem_board::Board): a rig can run it on a thread, in a process started for it, or on a
+//! hart. The roles of a case meet through LMU words and lines, with time limits on the board's clock.
+//!
+//! What a rig gives to each case: both systems freshly powered on (LMU zero, no edges counted,
+//! generation 1), all boards of the case made before or while its roles start, nobody else on the bus,
+//! and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are absent.
+//!
+//! ```text
+//! for each case in cases::<B>():        run_all(&mut rig, report)
+//!     rig: power on, on each place of case.parts: run_role(case, part, &board) → Result<(), Failure>
+//! ```
+#![no_std]
+#![forbid(unsafe_code)]
+
+mod case;
+mod cases;
+mod meet;
+mod rig;
+
+pub use case::{Case, Failure, Part, Place, Role, Setting, run_role};
+pub use cases::cases;
+pub use rig::{Outcome, Rig, Summary, run_all};

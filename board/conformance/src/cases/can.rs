@@ -1,0 +1,323 @@
+//! The CAN controller and the bus.
+
+use crate::case::{Failure, Place, check, equal, fail};
+use crate::meet::{PATIENCE, SETTLE, meet, meet_all, sleep, sleep_until, woken_until, word};
+use core::sync::atomic::Ordering;
+use tandem_board::{Board, Can, CanFrame, CanId, CoreId, Duration, Received, Wake};
+
+const HERE: &[CoreId] = &[CoreId::CONTROL, CoreId::PERCEPTION];
+const PAUSE: Duration = Duration::from_ms(1);
+
+/// A frame that carries a number; its id, kind and length vary with it.
+#[track_caller]
+fn numbered(sender: u8, number: u32) -> Result<CanFrame, Failure> {
+    let id = match number % 3 {
+        0 => CanId::Standard(0x100 + (number % 0x400) as u16),
+        _ => CanId::Extended(0x1800_0000 + number % 0x10_0000),
+    };
+    let mut data = [sender; 16];
+    data[..4].copy_from_slice(&number.to_le_bytes());
+    let fd = number.is_multiple_of(2);
+    let len = if fd { 16 } else { 8 };
+    match CanFrame::new(id, fd, &data[..len]) {
+        Ok(frame) => Ok(frame),
+        Err(_) => {
+            check(false, "the suite makes valid frames")?;
+            Err(Failure {
+                what: "",
+                numbers: None,
+                at: core::panic::Location::caller(),
+            })
+        }
+    }
+}
+
+/// Sender and number of a numbered frame.
+fn number_of(frame: &CanFrame) -> Option<(u8, u32)> {
+    let number = frame.data().first_chunk()?;
+    Some((*frame.data().get(4)?, u32::from_le_bytes(*number)))
+}
+
+/// Sends as soon as the transmit buffer has room.
+#[track_caller]
+fn send<B: Board>(board: &B, frame: &CanFrame) -> Result<(), Failure> {
+    sleep_until(board, "the transmit buffer empties", || {
+        board.can().try_send(frame).is_ok()
+    })
+}
+
+/// The next frame, when it comes.
+#[track_caller]
+fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
+    let mut received = None;
+    sleep_until(board, "a frame that was sent comes", || {
+        received = board.can().try_receive();
+        received.is_some()
+    })?;
+    match received {
+        Some(received) => Ok(received),
+        None => Err(Failure {
+            what: "",
+            numbers: None,
+            at: core::panic::Location::caller(),
+        }),
+    }
+}
+
+const ORDERED: u32 = 200;
+
+pub(super) fn order_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet_all(board, HERE, 1)?;
+    for number in 0..ORDERED {
+        send(board, &numbered(0xA0, number)?)?;
+        if number % 8 == 7 {
+            sleep(board, PAUSE)?;
+        }
+    }
+    meet_all(board, HERE, 2)
+}
+
+/// Every other core, in both systems, hears the frames in order, each with its time.
+pub(super) fn order_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let begin = board.now();
+    meet_all(board, HERE, 1)?;
+    let mut last_at = begin;
+    for number in 0..ORDERED {
+        let Received { frame, at } = receive(board)?;
+        let expected = numbered(0xA0, number)?;
+        let seen = number_of(&frame).map_or(u32::MAX, |(_, number)| number);
+        equal(
+            seen,
+            number,
+            "frames of one core come in order, and all of them",
+        )?;
+        check(frame == expected, "a frame comes as it was sent")?;
+        check(at >= last_at, "the times of frames do not go back")?;
+        check(
+            at <= board.now(),
+            "a frame has its time on the receiver's clock",
+        )?;
+        last_at = at;
+    }
+    meet_all(board, HERE, 2)?;
+    check(board.can().try_receive().is_none(), "no frame comes twice")
+}
+
+const CHATTER: u32 = 60;
+
+/// Core 0 of both systems sends at the same time.
+pub(super) fn chatter<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    meet_all(board, HERE, 1)?;
+    for number in 0..CHATTER {
+        send(board, &numbered(place.system.index() as u8, number)?)?;
+        sleep(board, Duration::from_us(300))?;
+    }
+    // The end of both, so that nobody else sends while the listeners compare.
+    meet_all(board, HERE, 2)?;
+    meet_all(board, HERE, 3)
+}
+
+/// Core 1 of both systems hears both senders, and in the same order: they compare what they heard.
+pub(super) fn listener<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    meet_all(board, HERE, 1)?;
+    let mut next = [0_u32; 2];
+    let mut heard = 0x811C_9DC5_u32;
+    for _ in 0..2 * CHATTER {
+        let Received { frame, .. } = receive(board)?;
+        let Some((sender @ 0..=1, number)) = number_of(&frame) else {
+            return fail("only what was sent comes");
+        };
+        equal(
+            number,
+            next[usize::from(sender)],
+            "frames of each sender come in order",
+        )?;
+        next[usize::from(sender)] += 1;
+        // FNV-1a over the order of senders.
+        heard = (heard ^ u32::from(sender)).wrapping_mul(0x0100_0193);
+    }
+    meet_all(board, HERE, 2)?;
+    send(board, &numbered(0x40 + place.system.index() as u8, heard)?)?;
+    let Received { frame, .. } = receive(board)?;
+    let theirs = number_of(&frame).map_or(0, |(_, heard)| heard);
+    equal(theirs, heard, "all receivers see one order on the bus")?;
+    meet_all(board, HERE, 3)
+}
+
+pub(super) fn lonely_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for number in 0..5 {
+        send(board, &numbered(0xA0, number)?)?;
+    }
+    meet(board, HERE, 2)?;
+    sleep(board, PAUSE)?;
+    check(
+        board.can().try_receive().is_none(),
+        "a core does not receive what it sent",
+    )
+}
+
+/// Proves to the sender that its frames have been on the bus.
+pub(super) fn witness<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for _ in 0..5 {
+        receive(board)?;
+    }
+    meet(board, HERE, 2)
+}
+
+/// Every length that CAN and CAN FD have.
+const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
+
+/// The frames of the payload cases: each length, FD and classic, with ids at the ends of their ranges.
+fn payloads() -> impl Iterator<Item = CanFrame> {
+    const IDS: [CanId; 4] = [
+        CanId::Standard(0),
+        CanId::Standard(0x7FF),
+        CanId::Extended(0),
+        CanId::Extended(0x1FFF_FFFF),
+    ];
+    let data: [u8; 64] = core::array::from_fn(|index| (index as u8).wrapping_mul(37) ^ 0x80);
+    LENGTHS
+        .into_iter()
+        .enumerate()
+        .flat_map(move |(index, len)| {
+            [true, false]
+                .into_iter()
+                .filter_map(move |fd| CanFrame::new(IDS[index % 4], fd, &data[64 - len..]).ok())
+        })
+}
+
+pub(super) fn payload_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for frame in payloads() {
+        send(board, &frame)?;
+        sleep(board, PAUSE)?;
+    }
+    Ok(())
+}
+
+pub(super) fn payload_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for expected in payloads() {
+        let Received { frame, .. } = receive(board)?;
+        equal(
+            frame.data().len() as u64,
+            expected.data().len() as u64,
+            "lengths stay",
+        )?;
+        check(frame.data() == expected.data(), "data stay")?;
+        check(frame.id() == expected.id(), "ids stay, and their kind")?;
+        check(
+            frame.is_fd() == expected.is_fd(),
+            "CAN FD stays CAN FD, and CAN stays CAN",
+        )?;
+    }
+    Ok(())
+}
+
+const WAKES: u32 = 10;
+
+/// Sends when the receiver sleeps.
+pub(super) fn paced_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    for number in 1..=WAKES {
+        let ready = || word(board, 0).load(Ordering::Acquire) >= number;
+        sleep_until(board, "the receiver goes to sleep", ready)?;
+        if number % 2 == 0 {
+            sleep(board, Duration::from_ms(3))?;
+        }
+        send(board, &numbered(0xA0, number)?)?;
+    }
+    Ok(())
+}
+
+pub(super) fn woken_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    board.can().wake_on_receive(true);
+    for number in 1..=WAKES {
+        word(board, 0).store(number, Ordering::Release);
+        let mut received = None;
+        woken_until(board, "a frame wakes a receiver that asked for it", || {
+            received = board.can().try_receive();
+            received.is_some()
+        })?;
+        let seen = received.and_then(|Received { frame, .. }| number_of(&frame));
+        check(seen == Some((0xA0, number)), "the frame that woke is there")?;
+    }
+    Ok(())
+}
+
+/// Sends until the other core has seen enough.
+pub(super) fn steady_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    let mut number = 0;
+    let limit = board.now() + PATIENCE;
+    while word(board, 0).load(Ordering::Acquire) == 0 {
+        check(board.now() < limit, "the other core comes to its end")?;
+        send(board, &numbered(0xA0, number)?)?;
+        number += 1;
+        sleep(board, PAUSE)?;
+    }
+    Ok(())
+}
+
+/// Interrupts may be spurious, but not in every one of many waits.
+pub(super) fn deaf_sleeper<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    let mut quiet = 0_u32;
+    for _ in 0..20 {
+        quiet += u32::from(board.wait(board.now() + Duration::from_ms(4)) == Wake::Deadline);
+        while board.can().try_receive().is_some() {}
+    }
+    word(board, 0).store(1, Ordering::Release);
+    check(
+        quiet > 0,
+        "frames do not wake a core that did not ask for it",
+    )
+}
+
+/// More than any receive FIFO holds.
+const FLOOD: u32 = 6_000;
+
+pub(super) fn flood<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for number in 0..FLOOD {
+        send(board, &numbered(0xA0, number)?)?;
+    }
+    // Release pairs with Acquire in `late_receiver`.
+    word(board, 0).store(1, Ordering::Release);
+    meet(board, HERE, 2)
+}
+
+/// Fetches nothing until all has been sent; what it then gets and what was lost make the whole.
+pub(super) fn late_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let before = board.can().overruns();
+    meet(board, HERE, 1)?;
+    sleep_until(board, "the flood ends", || {
+        word(board, 0).load(Ordering::Acquire) == 1
+    })?;
+    sleep(board, SETTLE)?;
+    let mut received = 0;
+    let mut last = None;
+    let lost = || board.can().overruns().wrapping_sub(before);
+    let limit = board.now() + PATIENCE;
+    while received + lost() < FLOOD && board.now() < limit {
+        let Some(Received { frame, .. }) = board.can().try_receive() else {
+            board.wait(board.now() + PAUSE);
+            continue;
+        };
+        let number = number_of(&frame).map(|(_, number)| number);
+        check(number > last, "what is not lost comes in order, and once")?;
+        last = number;
+        received += 1;
+    }
+    equal(
+        received + lost(),
+        FLOOD,
+        "every frame is received or counted as lost",
+    )?;
+    check(
+        board.can().try_receive().is_none(),
+        "what was counted as lost does not come",
+    )?;
+    meet(board, HERE, 2)
+}

@@ -1,0 +1,72 @@
+//! The clock, and `wait` as far as it is about time.
+
+use crate::case::{Failure, Place, check};
+use crate::meet::{SETTLE, meet, spin_until, word};
+use core::sync::atomic::Ordering;
+use tandem_board::{Board, CoreId, Duration, Instant, Wake};
+
+pub(super) fn monotonic<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let mut last = board.now();
+    let first = last;
+    for _ in 0..500 {
+        let now = board.now();
+        check(now >= last, "the clock never goes back")?;
+        last = now;
+    }
+    board.wait(last + SETTLE);
+    check(board.now() > first, "the clock goes on")
+}
+
+pub(super) fn deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    for span_us in [0, 1, 100, 1_000, 5_000, 20_000] {
+        for _ in 0..3 {
+            let end = board.now() + Duration::from_us(span_us);
+            let mut interrupts = 0;
+            while board.wait(end) == Wake::Interrupt {
+                interrupts += 1;
+                check(interrupts < 1_000, "a core that nobody interrupts sleeps")?;
+            }
+            check(board.now() >= end, "wait does not end before its deadline")?;
+        }
+    }
+    Ok(())
+}
+
+pub(super) fn past_deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    for end in [Instant::ORIGIN, board.now()] {
+        let mut interrupts = 0;
+        while board.wait(end) == Wake::Interrupt {
+            interrupts += 1;
+            check(
+                interrupts < 1_000,
+                "a wait for the past ends with the deadline",
+            )?;
+        }
+    }
+    Ok(())
+}
+
+/// Two cores hand a time to and fro; each sees it as past.
+pub(super) fn shared<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
+    let own_turn = place.core.index() as u32;
+    for turn in 0..20 {
+        if turn % 2 == own_turn {
+            for (index, half) in board.now().to_words().into_iter().enumerate() {
+                word(board, 1 + index).store(half, Ordering::Relaxed);
+            }
+            // Release pairs with Acquire below: the time is there when the turn has passed.
+            word(board, 0).store(turn + 1, Ordering::Release);
+        } else {
+            let turn_passed = || word(board, 0).load(Ordering::Acquire) > turn;
+            spin_until(board, "the other core passes its time on", turn_passed)?;
+            let then = [1, 2].map(|index| word(board, index).load(Ordering::Relaxed));
+            let now = board.now();
+            check(
+                now >= Instant::from_words(then),
+                "the cores of a system share one clock",
+            )?;
+        }
+    }
+    Ok(())
+}

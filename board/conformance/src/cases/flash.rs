@@ -1,0 +1,181 @@
+//! The data flash.
+
+use crate::case::{Failure, Place, check, equal};
+use crate::meet::sleep_until;
+use tandem_board::{Board, DataFlash, FlashError, FlashStatus};
+
+/// Room for the largest page that the suite programs.
+const PAGE: usize = 64;
+
+fn page<F: DataFlash>() -> usize {
+    (F::PAGE_BYTES as usize).min(PAGE)
+}
+
+#[track_caller]
+fn idle<B: Board>(board: &B) -> Result<(), Failure> {
+    let mut failed = false;
+    sleep_until(board, "a flash operation ends", || {
+        failed = board.flash().status() == FlashStatus::Failed;
+        failed || board.flash().status() == FlashStatus::Idle
+    })?;
+    check(!failed, "a flash operation succeeds")
+}
+
+#[track_caller]
+fn erase<B: Board>(board: &B, sector: u32) -> Result<(), Failure> {
+    check(
+        board.flash().start_erase(sector).is_ok(),
+        "an idle flash takes an erase",
+    )?;
+    idle(board)
+}
+
+/// Every byte of `sector` except those of `pages` is 0xFF.
+#[track_caller]
+fn erased_but<B: Board>(board: &B, sector: u32, pages: &[u32]) -> Result<(), Failure> {
+    let page_bytes = B::Flash::PAGE_BYTES;
+    for number in (0..B::Flash::SECTOR_BYTES / page_bytes).filter(|n| !pages.contains(n)) {
+        let mut bytes = [0; PAGE];
+        let bytes = &mut bytes[..page::<B::Flash>()];
+        let offset = sector * B::Flash::SECTOR_BYTES + number * page_bytes;
+        check(
+            board.flash().read(offset, bytes).is_ok(),
+            "an idle flash can be read",
+        )?;
+        for byte in bytes {
+            equal(
+                *byte,
+                0xFF_u8,
+                "a byte that was erased and not programmed is 0xFF",
+            )?;
+        }
+    }
+    Ok(())
+}
+
+fn data(number: u32) -> [u8; PAGE] {
+    let first = number as u8;
+    core::array::from_fn(|index| {
+        first
+            .wrapping_mul(31)
+            .wrapping_add((index as u8).wrapping_mul(5))
+    })
+}
+
+#[track_caller]
+fn holds<B: Board>(board: &B, offset: u32, expected: &[u8]) -> Result<(), Failure> {
+    let mut bytes = [0; PAGE];
+    let bytes = &mut bytes[..expected.len()];
+    check(
+        board.flash().read(offset, bytes).is_ok(),
+        "an idle flash can be read",
+    )?;
+    for (seen, expected) in bytes.iter().zip(expected) {
+        equal(*seen, *expected, "what was programmed is read")?;
+    }
+    Ok(())
+}
+
+pub(super) fn erase_program<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
+    let last = sector_bytes / page_bytes - 1;
+    check(B::Flash::SECTORS >= 2, "the flash has two sectors at least")?;
+    check(page_bytes as usize <= PAGE, "the suite can program a page")?;
+    for sector in 0..B::Flash::SECTORS {
+        erase(board, sector)?;
+        erased_but(board, sector, &[])?;
+    }
+    let pages = [0, 5, last];
+    for number in pages {
+        let offset = sector_bytes + number * page_bytes;
+        let started = board
+            .flash()
+            .start_program(offset, &data(number)[..page_bytes as usize]);
+        check(started.is_ok(), "an idle flash takes a page")?;
+        idle(board)?;
+    }
+    for number in pages {
+        let expected = &data(number)[..page_bytes as usize];
+        holds(board, sector_bytes + number * page_bytes, expected)?;
+    }
+    erased_but(board, 1, &pages)?;
+    erased_but(board, 0, &[])?;
+    erase(board, 1)?;
+    erased_but(board, 1, &[])
+}
+
+/// What is not a whole page inside the flash is refused, and changes nothing.
+pub(super) fn ranges<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
+    let size = sector_bytes * B::Flash::SECTORS;
+    erase(board, 0)?;
+    let zeros = [0; 2 * PAGE];
+    let whole = page::<B::Flash>();
+    let refused = Err(FlashError::OutOfRange);
+    let flash = board.flash();
+    let half = page_bytes / 2;
+    let misaligned = flash.start_program(half, &zeros[..whole]);
+    check(
+        misaligned == refused,
+        "an offset that is not aligned is refused",
+    )?;
+    let part = flash.start_program(0, &zeros[..whole / 2]);
+    check(part == refused, "a part of a page is refused")?;
+    let across = flash.start_program(sector_bytes - page_bytes, &zeros[..2 * whole]);
+    check(
+        across == refused,
+        "programming across a sector's end is refused",
+    )?;
+    let outside = flash.start_program(size, &zeros[..whole]);
+    check(
+        outside == refused,
+        "programming outside the flash is refused",
+    )?;
+    let wraps = flash.start_program(u32::MAX - (page_bytes - 1), &zeros[..whole]);
+    check(
+        wraps == refused,
+        "an offset whose end wraps around is refused",
+    )?;
+    check(
+        flash.start_erase(B::Flash::SECTORS) == refused,
+        "an erase outside is refused",
+    )?;
+    check(
+        flash.read(size, &mut [0]) == refused,
+        "a read outside is refused",
+    )?;
+    check(
+        flash.read(size - 1, &mut [0; 2]) == refused,
+        "a read past the end is refused",
+    )?;
+    idle(board)?;
+    erased_but(board, 0, &[])
+}
+
+/// Starts a page while the one before may still be under way: both are programmed in the end.
+pub(super) fn one_at_a_time<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let page_bytes = B::Flash::PAGE_BYTES;
+    erase(board, 0)?;
+    for number in 0..16 {
+        let bytes = data(number);
+        let bytes = &bytes[..page_bytes as usize];
+        let mut started = Err(FlashError::Busy);
+        sleep_until(board, "the flash becomes ready", || {
+            started = board.flash().start_program(number * page_bytes, bytes);
+            started != Err(FlashError::Busy)
+        })?;
+        check(
+            started.is_ok(),
+            "a flash that cannot start now says that it is busy",
+        )?;
+    }
+    idle(board)?;
+    for number in 0..16 {
+        holds(
+            board,
+            number * page_bytes,
+            &data(number)[..page_bytes as usize],
+        )?;
+    }
+    Ok(())
+}

@@ -1,0 +1,107 @@
+//! The lines between the systems.
+
+use crate::case::{Failure, Place, equal};
+use crate::meet::{SETTLE, meet_peer, sleep, sleep_until, woken_until};
+use tandem_board::{Board, Duration, Edge, Line, Lines, SystemId};
+
+/// How many rising edges a system sends on a line; it ends low or high.
+fn rising(system: SystemId, line: Line) -> u32 {
+    3 + 2 * line.index() as u32 + 7 * system.index() as u32
+}
+
+/// As many falling edges, or one less: a line is high or low.
+fn falling(system: SystemId, line: Line) -> u32 {
+    rising(system, line) - u32::from(line != Line::Heartbeat1)
+}
+
+/// Both systems send a number of edges of their own on each line; both count all of the other's.
+pub(super) fn counter<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    let lines = board.lines();
+    for line in Line::ALL {
+        for edge in 0..rising(place.system, line) + falling(place.system, line) {
+            lines.send(
+                line,
+                if edge % 2 == 0 {
+                    Edge::Rising
+                } else {
+                    Edge::Falling
+                },
+            );
+        }
+    }
+    let peer = place.system.peer();
+    sleep_until(board, "every edge on every line is counted", || {
+        Line::ALL.iter().all(|line| {
+            let seen = lines.received(*line, Edge::Rising) + lines.received(*line, Edge::Falling);
+            seen >= rising(peer, *line) + falling(peer, *line)
+        })
+    })?;
+    sleep(board, SETTLE)?;
+    for line in Line::ALL {
+        let [up, down] = [Edge::Rising, Edge::Falling].map(|edge| lines.received(line, edge));
+        equal(
+            up,
+            rising(peer, line),
+            "rising edges are counted, by line and direction",
+        )?;
+        equal(
+            down,
+            falling(peer, line),
+            "falling edges are counted, by line and direction",
+        )?;
+    }
+    Ok(())
+}
+
+const STARTS: u32 = 6;
+
+/// Sends an edge on the start line whenever the other system says that it sleeps.
+pub(super) fn starter<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    for round in 0..STARTS {
+        meet_peer(board, round + 1)?;
+        sleep(board, Duration::from_ms(5))?;
+        board.lines().send(
+            Line::Start,
+            if round % 2 == 0 {
+                Edge::Rising
+            } else {
+                Edge::Falling
+            },
+        );
+    }
+    Ok(())
+}
+
+pub(super) fn started<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let lines = board.lines();
+    for round in 0..STARTS {
+        meet_peer(board, round + 1)?;
+        woken_until(board, "an edge on the start line interrupts core 0", || {
+            let rising = lines.received(Line::Start, Edge::Rising);
+            rising + lines.received(Line::Start, Edge::Falling) > round
+        })?;
+    }
+    equal(
+        lines.received(Line::Start, Edge::Rising),
+        STARTS / 2,
+        "rising edges are counted",
+    )?;
+    equal(
+        lines.received(Line::Start, Edge::Falling),
+        STARTS / 2,
+        "falling edges are counted",
+    )
+}
+
+pub(super) fn level<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet_peer(board, 1)?;
+    for _ in 0..10 {
+        let high = board.lines().peer_powered();
+        equal(
+            u32::from(high),
+            1_u32,
+            "the level line of a system that runs is high",
+        )?;
+    }
+    meet_peer(board, 2)
+}

@@ -1,0 +1,91 @@
+//! Identity, and the memory that the cores of a system share.
+
+use crate::case::{Failure, Place, check, equal};
+use crate::meet::{FREE_WORDS, meet, meet_peer, word};
+use core::sync::atomic::Ordering;
+use tandem_board::{Board, CoreId};
+
+const ALL: &[CoreId] = &CoreId::ALL;
+
+pub(super) fn identity<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    for _ in 0..2 {
+        let identity = board.identity();
+        check(identity.system == place.system, "a core knows its system")?;
+        check(identity.core == place.core, "a core knows its number")?;
+        equal(
+            identity.generation.0,
+            1_u32,
+            "the first life is generation 1",
+        )?;
+    }
+    Ok(())
+}
+
+pub(super) fn zero<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    check(board.lmu().len() >= 1024, "the LMU has 4 KiB at least")?;
+    let all_zero = board
+        .lmu()
+        .iter()
+        .all(|word| word.load(Ordering::Relaxed) == 0);
+    check(all_zero, "the LMU is zero at power-on")
+}
+
+fn pattern(index: usize, writer: usize) -> u32 {
+    (index as u32 ^ (writer as u32) << 28).wrapping_mul(0x9E37_79B1) | 1
+}
+
+/// Each core in turn writes every word; the other two read it.
+pub(super) fn shared<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    let words = &board.lmu()[FREE_WORDS..];
+    for writer in CoreId::ALL {
+        let step = 2 * writer.index() as u32 + 1;
+        if place.core == writer {
+            for (index, word) in words.iter().enumerate() {
+                word.store(pattern(index, writer.index()), Ordering::Relaxed);
+            }
+        }
+        meet(board, ALL, step)?;
+        for (index, word) in words.iter().enumerate() {
+            let seen = word.load(Ordering::Relaxed);
+            equal(
+                seen,
+                pattern(index, writer.index()),
+                "what one core writes all cores read",
+            )?;
+        }
+        meet(board, ALL, step + 1)?;
+    }
+    match place.core {
+        CoreId::CONTROL => meet_peer(board, 1),
+        _ => Ok(()),
+    }
+}
+
+/// The other system, meanwhile.
+pub(super) fn apart<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet_peer(board, 1)?;
+    let untouched = board
+        .lmu()
+        .iter()
+        .all(|word| word.load(Ordering::Relaxed) == 0);
+    check(untouched, "the systems share no memory")
+}
+
+pub(super) fn atomic<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+    const ROUNDS: u32 = 20_000;
+    meet(board, ALL, 1)?;
+    for round in 0..ROUNDS {
+        word(board, 0).fetch_add(1, Ordering::Relaxed);
+        let bit = 1 << (place.core.index() as u32 * 8 + round % 8);
+        word(board, 1).fetch_xor(bit, Ordering::Relaxed);
+    }
+    meet(board, ALL, 2)?;
+    let added = word(board, 0).load(Ordering::Relaxed);
+    equal(added, 3 * ROUNDS, "no core's atomic addition is lost")?;
+    // Each bit was flipped 2500 times, an even number.
+    equal(
+        word(board, 1).load(Ordering::Relaxed),
+        0_u32,
+        "no core's atomic flip is lost",
+    )
+}

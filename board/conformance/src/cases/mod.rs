@@ -1,0 +1,81 @@
+//! The cases, by part of the board.
+
+mod can;
+mod clock;
+mod doorbell;
+mod flash;
+mod lines;
+mod link;
+mod lmu;
+mod supply;
+
+use crate::case::{Case, Part, Place, Setting};
+use tandem_board::Board;
+
+use Place as P;
+use Setting::{Plain, Restarts, Watchdog};
+
+/// How many cases the suite has.
+const COUNT: usize = 33;
+
+/// Makes the parts of a case live as long as the program.
+macro_rules! case {
+    ($name:literal, $setting:ident, $($place:ident: $role:path),+ $(,)?) => {
+        Case {
+            name: $name,
+            setting: $setting,
+            parts: const { &[$(Part { place: P::$place, role: $role }),+] },
+        }
+    };
+}
+
+/// All cases, in the order in which they make sense: a case relies on what those before it proved.
+#[must_use]
+#[rustfmt::skip]
+pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
+    [
+        case!("clock-monotonic", Plain, A0: clock::monotonic::<B>),
+        case!("clock-deadline", Plain, A0: clock::deadline::<B>, B1: clock::deadline::<B>),
+        case!("clock-past-deadline", Plain, A0: clock::past_deadline::<B>),
+        case!("clock-shared", Plain, A0: clock::shared::<B>, A1: clock::shared::<B>),
+        case!("identity", Plain,
+            A0: lmu::identity::<B>, A1: lmu::identity::<B>, A2: lmu::identity::<B>,
+            B0: lmu::identity::<B>, B1: lmu::identity::<B>, B2: lmu::identity::<B>),
+        case!("lmu-zero", Plain, A0: lmu::zero::<B>, B0: lmu::zero::<B>),
+        case!("lmu-shared", Plain,
+            A0: lmu::shared::<B>, A1: lmu::shared::<B>, A2: lmu::shared::<B>,
+            B0: lmu::apart::<B>),
+        case!("lmu-atomic", Plain,
+            A0: lmu::atomic::<B>, A1: lmu::atomic::<B>, A2: lmu::atomic::<B>),
+        case!("doorbell-before-wait", Plain, A0: doorbell::early_ringer::<B>, A1: doorbell::late_waiter::<B>),
+        case!("doorbell-wakes", Plain, B0: doorbell::ringer::<B>, B2: doorbell::sleeper::<B>),
+        case!("doorbell-merge", Plain, A0: doorbell::hasty_ringer::<B>, A1: doorbell::last_value::<B>),
+        case!("doorbell-all-pairs", Plain,
+            A0: doorbell::relay::<B>, A1: doorbell::relay::<B>, A2: doorbell::relay::<B>),
+        case!("doorbell-own", Plain, A0: doorbell::own::<B>, B1: doorbell::own::<B>),
+        case!("doorbell-absent", Plain, A0: doorbell::absent::<B>),
+        case!("can-order", Plain,
+            A0: can::order_sender::<B>, A1: can::order_receiver::<B>,
+            B0: can::order_receiver::<B>, B1: can::order_receiver::<B>),
+        case!("can-one-order", Plain,
+            A0: can::chatter::<B>, A1: can::listener::<B>,
+            B0: can::chatter::<B>, B1: can::listener::<B>),
+        case!("can-not-self", Plain, A0: can::lonely_sender::<B>, A1: can::witness::<B>),
+        case!("can-payload", Plain, A0: can::payload_sender::<B>, A1: can::payload_receiver::<B>),
+        case!("can-wakes", Plain, A0: can::paced_sender::<B>, A1: can::woken_receiver::<B>),
+        case!("can-wakes-only-if-asked", Plain, A0: can::steady_sender::<B>, A1: can::deaf_sleeper::<B>),
+        case!("can-overruns", Plain, A0: can::flood::<B>, A1: can::late_receiver::<B>),
+        case!("lines-count", Plain, A0: lines::counter::<B>, B0: lines::counter::<B>),
+        case!("lines-start-interrupts", Plain, A0: lines::starter::<B>, B0: lines::started::<B>),
+        case!("lines-level", Plain, A0: lines::level::<B>, B0: lines::level::<B>),
+        case!("link-order", Plain, A0: link::order::<B>, B0: link::order::<B>),
+        case!("link-full", Plain, A0: link::filler::<B>, B0: link::drainer::<B>),
+        case!("link-short-buffer", Plain, A0: link::long_sender::<B>, B0: link::short_receiver::<B>),
+        case!("flash-erase-program", Plain, B0: flash::erase_program::<B>),
+        case!("flash-ranges", Plain, A0: flash::ranges::<B>),
+        case!("flash-one-at-a-time", Plain, A0: flash::one_at_a_time::<B>),
+        case!("supply-watchdog", Watchdog, A0: supply::good_service::<B>),
+        case!("supply-wrong-answer", Restarts, A0: supply::wrong_answer::<B>),
+        case!("trace-and-lamp", Plain, A0: supply::trace_and_lamp::<B>),
+    ]
+}

@@ -1,0 +1,127 @@
+//! How the roles of a case wait for each other.
+
+use crate::case::{Failure, check};
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
+
+/// How long a role waits for what must come. Far beyond what any board needs, also on a machine that
+/// is busy with other things: it decides only how late a failure is seen.
+pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
+/// How often a role looks that sleeps in between.
+const LOOK: Duration = Duration::from_ms(1);
+/// What is long enough for something that must *not* come.
+pub(crate) const SETTLE: Duration = Duration::from_ms(20);
+/// How many interrupts without a cause a board may see in one wait.
+const SPURIOUS: u32 = 1_000;
+
+/// Word `index` of those that are free for a case.
+pub(crate) fn word<B: Board>(board: &B, index: usize) -> &AtomicU32 {
+    &board.lmu()[FREE_WORDS + index]
+}
+
+/// The first words of the LMU are where cores meet.
+pub(crate) const FREE_WORDS: usize = 8;
+
+/// Sleeps in small steps until `holds`. Consumes interrupts.
+#[track_caller]
+pub(crate) fn sleep_until<B: Board>(
+    board: &B,
+    what: &'static str,
+    mut holds: impl FnMut() -> bool,
+) -> Result<(), Failure> {
+    let limit = board.now() + PATIENCE;
+    while !holds() {
+        let now = board.now();
+        check(now < limit, what)?;
+        board.wait(now + LOOK);
+    }
+    Ok(())
+}
+
+/// Looks until `holds`, without a `wait`: interrupts stay pending.
+#[track_caller]
+pub(crate) fn spin_until<B: Board>(
+    board: &B,
+    what: &'static str,
+    mut holds: impl FnMut() -> bool,
+) -> Result<(), Failure> {
+    let limit = board.now() + PATIENCE;
+    while !holds() {
+        check(board.now() < limit, what)?;
+        core::hint::spin_loop();
+    }
+    Ok(())
+}
+
+/// Sleeps until `holds`, and may be woken by interrupts only: a deadline is a failure.
+#[track_caller]
+pub(crate) fn woken_until<B: Board>(
+    board: &B,
+    what: &'static str,
+    mut holds: impl FnMut() -> bool,
+) -> Result<(), Failure> {
+    let limit = board.now() + PATIENCE;
+    while !holds() {
+        check(board.wait(limit) == Wake::Interrupt, what)?;
+    }
+    Ok(())
+}
+
+/// Sleeps for a span whatever comes.
+#[track_caller]
+pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), Failure> {
+    let end = board.now() + span;
+    let mut spurious = 0;
+    while board.wait(end) == Wake::Interrupt {
+        spurious += 1;
+        check(
+            spurious < SPURIOUS,
+            "a core whose interrupts are consumed sleeps",
+        )?;
+    }
+    Ok(())
+}
+
+/// Waits until all of `cores` of this system have come to `step`. Steps count from 1.
+#[track_caller]
+pub(crate) fn meet<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(), Failure> {
+    let at = |core: CoreId| &board.lmu()[core.index()];
+    // Release pairs with Acquire below: what a core did before a meeting is visible after it.
+    at(board.identity().core).store(step, Ordering::Release);
+    sleep_until(board, "the cores of a system meet through the LMU", || {
+        cores
+            .iter()
+            .all(|core| at(*core).load(Ordering::Acquire) >= step)
+    })
+}
+
+/// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line, rising
+/// and falling in turn. Steps count from 1.
+#[track_caller]
+pub(crate) fn meet_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
+    const LINE: Line = Line::Heartbeat2;
+    let lines = board.lines();
+    lines.send(
+        LINE,
+        if step % 2 == 1 {
+            Edge::Rising
+        } else {
+            Edge::Falling
+        },
+    );
+    sleep_until(board, "the systems meet through a heartbeat line", || {
+        let rising = lines.received(LINE, Edge::Rising);
+        rising.wrapping_add(lines.received(LINE, Edge::Falling)) >= step
+    })
+}
+
+/// All of `cores` in both systems wait for each other; core 0 must be among them. Takes two steps: the
+/// next one of [`meet`] is `2 × step + 1`.
+#[track_caller]
+pub(crate) fn meet_all<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(), Failure> {
+    meet(board, cores, 2 * step - 1)?;
+    if board.identity().core == CoreId::CONTROL {
+        meet_peer(board, step)?;
+    }
+    meet(board, cores, 2 * step)
+}

@@ -1,0 +1,69 @@
+//! How a board runs the suite.
+
+use crate::{Case, cases};
+use core::fmt::Display;
+use tandem_board::Board;
+
+/// What runs cases on one kind of board.
+pub trait Rig {
+    /// The board.
+    type Board: Board + 'static;
+    /// How a case ends that does not pass: which role failed, hung or died.
+    type Fault: Display;
+
+    /// Whether this rig can give the case its setting.
+    fn takes(&self, case: &Case<Self::Board>) -> bool;
+
+    /// Powers both systems on, plays all parts of the case at the same time, and switches off. `index`
+    /// is the case's place in [`cases`], for [`run_role`](crate::run_role).
+    ///
+    /// # Errors
+    /// The first fault, if a role fails or does not end.
+    fn play(&mut self, index: usize, case: &Case<Self::Board>) -> Result<(), Self::Fault>;
+}
+
+/// How a case ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome<F> {
+    /// Every role returned `Ok`.
+    Passed,
+    /// The rig cannot give the case its setting.
+    Skipped,
+    /// A role did not pass.
+    Failed(F),
+}
+
+/// How many cases ended how.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Passed.
+    pub passed: u32,
+    /// Skipped.
+    pub skipped: u32,
+    /// Failed.
+    pub failed: u32,
+}
+
+/// Plays all cases in order and tells `report` of each.
+pub fn run_all<R: Rig>(
+    rig: &mut R,
+    mut report: impl FnMut(&Case<R::Board>, &Outcome<R::Fault>),
+) -> Summary {
+    let mut summary = Summary::default();
+    for (index, case) in cases::<R::Board>().iter().enumerate() {
+        let outcome = match rig.takes(case) {
+            false => Outcome::Skipped,
+            true => match rig.play(index, case) {
+                Ok(()) => Outcome::Passed,
+                Err(fault) => Outcome::Failed(fault),
+            },
+        };
+        match outcome {
+            Outcome::Passed => summary.passed += 1,
+            Outcome::Skipped => summary.skipped += 1,
+            Outcome::Failed(_) => summary.failed += 1,
+        }
+        report(case, &outcome);
+    }
+    summary
+}

@@ -1,0 +1,142 @@
+//! A core whose code blocks, as a poller: a thread that runs only when the pair says so.
+
+use crate::board::SimBoard;
+use crate::pair::Poller;
+use std::panic::resume_unwind;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration as WallTime;
+use tandem_board::{Board, Instant};
+
+/// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that never
+/// looks at its board. Only a diagnosis: no result depends on it.
+const HANGS_AFTER: WallTime = WallTime::from_secs(120);
+
+/// What unwinds a blocking core whose life is over, out of the call in which it is parked.
+#[derive(Clone, Copy, Debug)]
+pub struct CoreKilled;
+
+enum Said {
+    /// Parked until this time on the core's clock.
+    Parked(Instant),
+    /// The core's function has ended.
+    Ended,
+}
+
+/// The core's side: it runs between a resume and the next park.
+pub(crate) struct Baton {
+    resumed: Mutex<Receiver<()>>,
+    said: Sender<Said>,
+}
+
+impl Baton {
+    /// Lets the others run until `until` on the core's clock, or until the pair has a reason to resume
+    /// this core. Unwinds with [`CoreKilled`] when the core's life is over.
+    pub(crate) fn park(&self, until: Instant) {
+        if std::thread::panicking() {
+            return;
+        }
+        let parked = self.said.send(Said::Parked(until));
+        let resumed = self
+            .resumed
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .recv();
+        if parked.is_err() || resumed.is_err() {
+            resume_unwind(Box::new(CoreKilled));
+        }
+    }
+}
+
+/// Says that the function has ended, also when it unwinds.
+struct AtEnd(Arc<Baton>);
+
+impl Drop for AtEnd {
+    fn drop(&mut self) {
+        // The pair may have gone; then nobody asks.
+        let _ = self.0.said.send(Said::Ended);
+    }
+}
+
+/// The pair's side; dropping it ends the thread.
+struct CoreThread {
+    resume: Option<Sender<()>>,
+    said: Receiver<Said>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl CoreThread {
+    /// Runs the core until it parks; the time until which it sleeps.
+    fn poll(&mut self) -> Instant {
+        let Some(resume) = &self.resume else {
+            return Instant::NEVER;
+        };
+        let _ = resume.send(());
+        match self.said.recv_timeout(HANGS_AFTER) {
+            Ok(Said::Parked(until)) => return until,
+            Err(RecvTimeoutError::Timeout) => {
+                panic!("a core computes for {HANGS_AFTER:?} without looking at its board")
+            }
+            Ok(Said::Ended) | Err(RecvTimeoutError::Disconnected) => {}
+        }
+        self.resume = None;
+        if let Some(Err(panic)) = self.thread.take().map(JoinHandle::join) {
+            resume_unwind(panic);
+        }
+        Instant::NEVER
+    }
+}
+
+impl Drop for CoreThread {
+    fn drop(&mut self) {
+        self.resume = None;
+        // The thread unwinds; what a destructor in it says by panicking has been printed.
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Makes a poller of a function that blocks in `Board::wait`, for a factory of
+/// [`SimPair`](crate::SimPair). When `run` returns, the core sleeps for ever.
+///
+/// It runs on a thread of its own, but only while the pair polls it. Each look at the clock, at a line
+/// or at an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in which the
+/// other cores run: a loop that waits by looking ends. A loop that looks at the LMU alone does not.
+///
+/// # Panics
+/// A panic in `run` comes out of the pair's run function. The poller panics when the core computes for
+/// two minutes without a look at its board.
+pub fn blocking(board: &SimBoard, run: impl FnOnce(&SimBoard) + Send + 'static) -> Poller {
+    let (resume, resumed) = channel();
+    let (says, said) = channel();
+    let baton = Arc::new(Baton {
+        resumed: Mutex::new(resumed),
+        said: says,
+    });
+    let board = board.with_baton(Arc::clone(&baton));
+    let name = format!("core {}{}", board.identity().system, board.identity().core);
+    let body = move || {
+        let first = baton
+            .resumed
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .recv();
+        let _at_end = AtEnd(Arc::clone(&baton));
+        if first.is_ok() {
+            run(&board);
+        }
+    };
+    let thread = std::thread::Builder::new().name(name).spawn(body);
+    let thread = match thread {
+        Ok(thread) => Some(thread),
+        Err(error) => panic!("no thread for a core: {error}"),
+    };
+    let mut core = CoreThread {
+        resume: Some(resume),
+        said,
+        thread,
+    };
+    Box::new(move |_| core.poll())
+}

@@ -1,0 +1,385 @@
+//! The simulated machine as one core sees it.
+
+use crate::blocking::Baton;
+use crate::config::Defect;
+use crate::fabric::LINK_WORDS;
+use crate::flash;
+use crate::machine::{Attention, EventKind, Place, Sender, Shared, TraceEntry};
+use crate::watchdog;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU32;
+use tandem_board::{
+    Board, Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Generation, Identity,
+    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
+    TraceRecord, TransmitFull, Wake,
+};
+
+/// A core's connection to the machine, for one life of the core.
+#[derive(Clone)]
+pub(crate) struct Port {
+    pub(crate) shared: Arc<Shared>,
+    pub(crate) place: Place,
+    pub(crate) generation: Generation,
+    pub(crate) life: u64,
+    pub(crate) baton: Option<Arc<Baton>>,
+}
+
+impl Port {
+    /// Runs `act` unless this life of the core is over: the dead do not act.
+    fn alive<R>(&self, act: impl FnOnce(&mut crate::machine::Machine) -> R) -> Option<R> {
+        let mut machine = self.shared.lock();
+        let core = machine.core(self.place);
+        let lives = core.alive && core.life == self.life;
+        lives.then(|| act(&mut machine))
+    }
+
+    /// What a blocking core pays for looking at something that may change: the others run meanwhile.
+    fn look(&self) {
+        let pays = self.shared.config.look_at_clock;
+        let Some(baton) = &self.baton else { return };
+        if pays.as_ns() > 0 {
+            let until = self.shared.lock().local(self.place.system) + pays;
+            baton.park(until);
+        }
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        let wrong = self.shared.has(Defect::WrongWake);
+        loop {
+            let now = {
+                let mut machine = self.shared.lock();
+                let now = machine.local(self.place.system);
+                let core = machine.core(self.place);
+                if core.life == self.life && core::mem::take(&mut core.pending) {
+                    return if wrong {
+                        Wake::Deadline
+                    } else {
+                        Wake::Interrupt
+                    };
+                }
+                if now >= deadline {
+                    return Wake::Deadline;
+                }
+                core.attention = Attention::Waits;
+                now
+            };
+            let baton = self.baton.as_ref();
+            let Some(baton) = baton else {
+                panic!("a polled core cannot wait; see `blocking`")
+            };
+            if self.shared.has(Defect::EarlyDeadline) {
+                let half = deadline.since(now).as_ns() / 2;
+                baton.park(Instant::from_ns(now.as_ns() + half));
+                self.awake();
+                match self.alive(|machine| core::mem::take(&mut machine.core(self.place).pending)) {
+                    Some(true) => return Wake::Interrupt,
+                    _ => return Wake::Deadline,
+                }
+            }
+            baton.park(deadline);
+            self.awake();
+        }
+    }
+
+    fn awake(&self) {
+        self.alive(|machine| machine.core(self.place).attention = Attention::Runs);
+    }
+
+    fn is_control(&self) -> bool {
+        self.place.core == CoreId::CONTROL
+    }
+}
+
+/// What one core sees of a [`SimPair`](crate::SimPair), for one life of that core.
+///
+/// When that life is over (power lost, reset, core killed), what is sent through a board that somebody
+/// kept goes nowhere.
+///
+/// # Panics
+/// `wait` panics on a core that is polled. Programming the flash and serving the watchdog panic on
+/// another core than core 0.
+#[derive(Clone)]
+pub struct SimBoard {
+    port: Port,
+    can: SimCan,
+    lines: SimLines,
+    link: SimLink,
+    flash: SimFlash,
+    supply: SimSupply,
+}
+
+/// The CAN controller of a core.
+#[derive(Clone)]
+pub struct SimCan(Port);
+/// A system's ends of the lines.
+#[derive(Clone)]
+pub struct SimLines(Port);
+/// A system's end of the data link.
+#[derive(Clone)]
+pub struct SimLink(Port);
+/// The data flash of a system.
+#[derive(Clone)]
+pub struct SimFlash(Port);
+/// The supply of a system.
+#[derive(Clone)]
+pub struct SimSupply(Port);
+
+impl SimBoard {
+    pub(crate) fn new(port: Port) -> Self {
+        Self {
+            can: SimCan(port.clone()),
+            lines: SimLines(port.clone()),
+            link: SimLink(port.clone()),
+            flash: SimFlash(port.clone()),
+            supply: SimSupply(port.clone()),
+            port,
+        }
+    }
+
+    pub(crate) fn with_baton(&self, baton: Arc<Baton>) -> Self {
+        self.port.awake();
+        Self::new(Port {
+            baton: Some(baton),
+            ..self.port.clone()
+        })
+    }
+}
+
+impl Board for SimBoard {
+    type Can = SimCan;
+    type Lines = SimLines;
+    type Link = SimLink;
+    type Flash = SimFlash;
+    type Supply = SimSupply;
+
+    fn identity(&self) -> Identity {
+        let Place { system, core } = self.port.place;
+        Identity {
+            system,
+            core,
+            generation: self.port.generation,
+        }
+    }
+
+    fn now(&self) -> Instant {
+        self.port.look();
+        self.port.shared.lock().look(self.port.place)
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        self.port.shared.lmu(self.port.place)
+    }
+
+    fn ring(&self, to: CoreId) {
+        self.port
+            .alive(|machine| machine.ring(self.port.place.system, to));
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        self.port.wait(deadline)
+    }
+
+    fn can(&self) -> &SimCan {
+        &self.can
+    }
+
+    fn lines(&self) -> &SimLines {
+        &self.lines
+    }
+
+    fn link(&self) -> &SimLink {
+        &self.link
+    }
+
+    fn flash(&self) -> &SimFlash {
+        &self.flash
+    }
+
+    fn supply(&self) -> &SimSupply {
+        &self.supply
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        self.port.alive(|machine| {
+            let Place { system, core } = self.port.place;
+            if machine.trace.len() < machine.config.trace_records {
+                let at = machine.at();
+                machine.trace.push(TraceEntry {
+                    at,
+                    system,
+                    core,
+                    record,
+                });
+            } else {
+                machine.trace_lost += 1;
+            }
+        });
+    }
+}
+
+impl Can for SimCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let Place { system, core } = self.0.place;
+        self.0
+            .alive(|machine| machine.send_can(Sender::Core(system, core), frame));
+        Ok(())
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        let received = self
+            .0
+            .alive(|machine| machine.receive_can(self.0.place))
+            .flatten();
+        if received.is_none() {
+            self.0.look();
+        }
+        received
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        self.0
+            .alive(|machine| machine.wake_on_receive(self.0.place, on));
+    }
+
+    fn overruns(&self) -> u32 {
+        self.0
+            .alive(|machine| machine.core(self.0.place).overruns)
+            .unwrap_or(0)
+    }
+}
+
+impl Lines for SimLines {
+    fn send(&self, line: Line, edge: Edge) {
+        self.0
+            .alive(|machine| machine.send_edge(self.0.place.system, line, edge));
+    }
+
+    fn received(&self, line: Line, edge: Edge) -> u32 {
+        self.0.look();
+        self.0.shared.lock().edges(self.0.place.system, line, edge)
+    }
+
+    fn peer_powered(&self) -> bool {
+        self.0.look();
+        self.0.shared.lock().level(self.0.place.system.peer())
+    }
+}
+
+impl Link for SimLink {
+    const MAX_WORDS: usize = LINK_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        assert!(
+            words.len() <= LINK_WORDS,
+            "a datagram has at most {LINK_WORDS} words"
+        );
+        let system = self.0.place.system;
+        let sent = self
+            .0
+            .alive(|machine| machine.send_link(system, words))
+            .unwrap_or(Ok(()));
+        if sent.is_err() {
+            self.0.look();
+        }
+        sent
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        let system = self.0.place.system;
+        let Some(datagram) = self
+            .0
+            .alive(|machine| machine.receive_link(system))
+            .flatten()
+        else {
+            self.0.look();
+            return None;
+        };
+        let len = datagram.len().min(words.len());
+        words[..len].copy_from_slice(&datagram[..len]);
+        Some(len)
+    }
+}
+
+impl DataFlash for SimFlash {
+    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
+    const SECTORS: u32 = flash::SECTORS;
+
+    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
+        self.0
+            .shared
+            .lock()
+            .system(self.0.place.system)
+            .flash
+            .read(offset, into)
+    }
+
+    fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
+        assert!(self.0.is_control(), "only core 0 programs the flash");
+        self.0
+            .alive(|machine| machine.start_erase(self.0.place.system, sector))
+            .unwrap_or(Err(FlashError::Failed))
+    }
+
+    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
+        assert!(self.0.is_control(), "only core 0 programs the flash");
+        self.0
+            .alive(|machine| machine.start_program(self.0.place.system, offset, data))
+            .unwrap_or(Err(FlashError::Failed))
+    }
+
+    fn status(&self) -> FlashStatus {
+        self.0.look();
+        match self
+            .0
+            .shared
+            .lock()
+            .system(self.0.place.system)
+            .flash
+            .is_busy()
+        {
+            true => FlashStatus::Busy,
+            false => FlashStatus::Idle,
+        }
+    }
+}
+
+impl Supply for SimSupply {
+    const WINDOW_OPENS_US: u32 = watchdog::OPENS_US;
+    const WINDOW_CLOSES_US: u32 = watchdog::CLOSES_US;
+    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+
+    fn reset_cause(&self) -> ResetCause {
+        self.0.shared.lock().system(self.0.place.system).cause
+    }
+
+    fn watchdog_question(&self) -> u8 {
+        self.0
+            .shared
+            .lock()
+            .system(self.0.place.system)
+            .watchdog
+            .question()
+    }
+
+    fn service_watchdog(&self, answer: u8) {
+        assert!(self.0.is_control(), "only core 0 serves the watchdog");
+        self.0
+            .alive(|machine| machine.service_watchdog(self.0.place.system, answer));
+    }
+
+    fn request_reset(&self, request: ResetRequest) {
+        self.0
+            .alive(|machine| machine.request_reset(self.0.place, request));
+    }
+
+    fn show_role(&self, lamp: RoleLamp) {
+        let system = self.0.place.system;
+        self.0.alive(|machine| {
+            if machine.system(system).lamp != lamp {
+                machine.system(system).lamp = lamp;
+                machine.log(system, EventKind::Lamp(lamp));
+            }
+        });
+    }
+}

@@ -1,0 +1,169 @@
+//! What a run of the simulated pair depends on.
+
+use tandem_board::Duration;
+
+/// How a system's clock relates to virtual time: `local = offset + time × (1 + drift / 10⁹)`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Clock {
+    /// What the clock shows at virtual time zero, in nanoseconds.
+    pub offset_ns: u64,
+    /// How much faster it runs than virtual time, in parts per billion; a crystal is within ± 100 000.
+    pub drift_ppb: i32,
+}
+
+impl Clock {
+    const BILLION: i128 = 1_000_000_000;
+
+    fn rate(self) -> i128 {
+        Self::BILLION + i128::from(self.drift_ppb)
+    }
+
+    /// The local time at virtual time `at_ns`.
+    pub(crate) fn local_ns(self, at_ns: u64) -> u64 {
+        let run = i128::from(at_ns) * self.rate() / Self::BILLION;
+        u64::try_from(run)
+            .unwrap_or(u64::MAX)
+            .saturating_add(self.offset_ns)
+    }
+
+    /// The first virtual time at which the clock shows `local_ns` or more, so that no deadline is early.
+    pub(crate) fn virtual_ns(self, local_ns: u64) -> u64 {
+        if local_ns == u64::MAX {
+            return u64::MAX;
+        }
+        let run = i128::from(local_ns.saturating_sub(self.offset_ns));
+        let at = (run * Self::BILLION + self.rate() - 1) / self.rate();
+        u64::try_from(at).unwrap_or(u64::MAX)
+    }
+}
+
+/// In which order cores run that are due at the same instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Order {
+    /// A0, A1, A2, B0, B1, B2.
+    #[default]
+    Fixed,
+    /// A new order each time, drawn from the seed.
+    Shuffled,
+}
+
+/// Configuration of a [`SimPair`](crate::SimPair).
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Config {
+    /// Seed of everything that is drawn: the order of cores, torn flash bytes.
+    pub seed: u64,
+    /// The clocks of systems A and B. By default with different origins, as two chips have.
+    pub clocks: [Clock; 2],
+    /// The order of cores that are due at the same instant.
+    pub order: Order,
+    /// Whether the supplies reset a system whose watchdog is not serviced.
+    pub watchdog: bool,
+    /// How long a supply holds its system in reset.
+    pub reset_hold: Duration,
+    /// What a blocking core pays in virtual time for looking at the clock, so that waiting by spinning
+    /// ends. Polled cores pay nothing.
+    pub look_at_clock: Duration,
+    /// Frames that a core's CAN receive FIFO holds.
+    pub can_fifo_frames: usize,
+    /// Datagrams that a direction of the link holds.
+    pub link_datagrams: usize,
+    /// Records that the trace holds.
+    pub trace_records: usize,
+    /// A deliberate fault of the board itself, which the conformance suite must find.
+    pub defect: Option<Defect>,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            clocks: [
+                Clock {
+                    offset_ns: 1_000_000,
+                    drift_ppb: 0,
+                },
+                Clock {
+                    offset_ns: 7_000_000_000,
+                    drift_ppb: 0,
+                },
+            ],
+            order: Order::Fixed,
+            watchdog: true,
+            reset_hold: Duration::from_ms(2),
+            look_at_clock: Duration::from_us(2),
+            can_fifo_frames: 512,
+            link_datagrams: 16,
+            trace_records: 1 << 16,
+            defect: None,
+        }
+    }
+}
+
+/// A way in which a board can break its contract.
+///
+/// Exists for one purpose: each of these must make the conformance suite fail.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Defect {
+    /// A ring that comes while the core is awake is forgotten.
+    LostRing,
+    /// A ring goes to the next core.
+    MisdirectedRing,
+    /// `wait` ends before its deadline.
+    EarlyDeadline,
+    /// `wait` says "deadline" for an interrupt.
+    WrongWake,
+    /// The clock goes back now and then.
+    ClockGoesBack,
+    /// Each core has an LMU of its own.
+    PrivateLmu,
+    /// The LMU is not zero at power-on.
+    DirtyLmu,
+    /// The generation does not begin at 1.
+    WrongGeneration,
+    /// A core receives the CAN frames that it sends.
+    SelfReception,
+    /// The other system does not hear this system's CAN frames.
+    NoBroadcast,
+    /// Two CAN frames change places.
+    CanReordered,
+    /// The second half of a long CAN FD frame is lost.
+    FdTruncated,
+    /// Lost CAN frames are not counted.
+    OverrunNotCounted,
+    /// A received CAN frame does not wake.
+    NoWakeOnReceive,
+    /// A received CAN frame wakes a core that did not ask for it.
+    AlwaysWakeOnReceive,
+    /// Falling edges count as rising ones.
+    WrongEdge,
+    /// Edges come back on the sender's own counters.
+    LineLoopback,
+    /// An edge on the start line does not interrupt.
+    SilentStart,
+    /// The level line does not show that the other system is on.
+    LevelStuckLow,
+    /// Words of two datagrams are mixed.
+    LinkTorn,
+    /// Datagrams overtake each other.
+    LinkReordered,
+    /// A full link drops datagrams silently.
+    LinkDrops,
+    /// Erase fills with zeros.
+    EraseToZero,
+    /// Programming is not aligned to pages.
+    MisalignedProgram,
+    /// An operation can be started while another one runs.
+    NeverBusy,
+    /// Programmed bytes are lost when the system is reset or read back.
+    FlashForgets,
+    /// Programming a page disturbs the page behind it.
+    ProgramDisturbs,
+    /// The watchdog resets the system although it was serviced well.
+    WatchdogRefuses,
+    /// The watchdog asks the same question for ever.
+    SameQuestion,
+    /// A wrong answer to the watchdog has no effect.
+    WatchdogSleeps,
+    /// The reset cause is always power-on.
+    CauseForgotten,
+}

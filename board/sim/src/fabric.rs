@@ -1,0 +1,137 @@
+//! What lies between the two systems: lines, data link, CAN bus.
+
+use crate::config::Defect;
+use crate::machine::{Machine, OnBus, Place, Power, Sender, Wire};
+use tandem_board::{CanFrame, Edge, Line, LinkFull, Received, SystemId};
+
+/// The largest datagram of the link, in words.
+pub(crate) const LINK_WORDS: usize = 64;
+
+impl Machine {
+    pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
+        if self.systems[from.index()].is_cut(Wire::Line(line)) {
+            return;
+        }
+        let to = if self.has(Defect::LineLoopback) {
+            from
+        } else {
+            from.peer()
+        };
+        if self.systems[to.index()].power == Power::Off {
+            return;
+        }
+        let counted = if self.has(Defect::WrongEdge) {
+            Edge::Rising
+        } else {
+            edge
+        };
+        let count = &mut self.system(to).edges[line.index()][counted as usize];
+        *count = count.wrapping_add(1);
+        if line == Line::Start && !self.has(Defect::SilentStart) {
+            self.raise_peer(from);
+        }
+    }
+
+    pub(crate) fn edges(&self, system: SystemId, line: Line, edge: Edge) -> u32 {
+        self.systems[system.index()].edges[line.index()][edge as usize]
+    }
+
+    pub(crate) fn send_link(&mut self, from: SystemId, words: &[u32]) -> Result<(), LinkFull> {
+        let to = from.peer();
+        if self.systems[from.index()].is_cut(Wire::Link) || !self.is_powered(to) {
+            return Ok(());
+        }
+        let (limit, torn) = (self.config.link_datagrams, self.has(Defect::LinkTorn));
+        let (overtakes, drops) = (self.has(Defect::LinkReordered), self.has(Defect::LinkDrops));
+        let inbox = &mut self.system(to).inbox;
+        if inbox.len() >= limit {
+            return if drops { Ok(()) } else { Err(LinkFull) };
+        }
+        let mut datagram = words.to_vec();
+        if let (true, Some(last)) = (torn, inbox.back_mut()) {
+            let half = last.len().min(datagram.len()) / 2;
+            last[..half].swap_with_slice(&mut datagram[..half]);
+        }
+        inbox.push_back(datagram);
+        if overtakes {
+            inbox.make_contiguous().reverse();
+        }
+        Ok(())
+    }
+
+    pub(crate) fn receive_link(&mut self, system: SystemId) -> Option<Vec<u32>> {
+        self.system(system).inbox.pop_front()
+    }
+
+    /// Puts a frame on the bus: every core that is connected hears it, but its sender.
+    pub(crate) fn send_can(&mut self, sender: Sender, frame: &CanFrame) {
+        if let Sender::Core(system, _) = sender
+            && self.systems[system.index()].is_cut(Wire::Can)
+        {
+            return;
+        }
+        let at = self.at();
+        let on_bus = OnBus {
+            at,
+            sender,
+            frame: *frame,
+        };
+        self.bus.push(on_bus);
+        self.unheard.push(on_bus);
+        for place in Place::all() {
+            let own = sender == Sender::Core(place.system, place.core);
+            let deaf = self.has(Defect::NoBroadcast)
+                && matches!(sender, Sender::Core(system, _) if system != place.system);
+            if (!own || self.has(Defect::SelfReception)) && !deaf {
+                self.hear_can(place, frame);
+            }
+        }
+    }
+
+    fn hear_can(&mut self, place: Place, frame: &CanFrame) {
+        let at = self.local(place.system);
+        if self.systems[place.system.index()].is_cut(Wire::Can) || !self.core(place).alive {
+            return;
+        }
+        let depth = self.config.can_fifo_frames;
+        let uncounted = self.has(Defect::OverrunNotCounted);
+        let swapped = self.has(Defect::CanReordered) && self.bus.len().is_multiple_of(5);
+        let (mute, eager) = (
+            self.has(Defect::NoWakeOnReceive),
+            self.has(Defect::AlwaysWakeOnReceive),
+        );
+        let frame = if self.has(Defect::FdTruncated) {
+            truncated(frame)
+        } else {
+            *frame
+        };
+        let core = self.core(place);
+        if core.can_fifo.len() >= depth {
+            core.overruns = core.overruns.wrapping_add(u32::from(!uncounted));
+        } else {
+            core.can_fifo.push_back(Received { frame, at });
+            if let (true, Some(before)) = (swapped, core.can_fifo.len().checked_sub(2)) {
+                core.can_fifo.swap(before, before + 1);
+            }
+        }
+        core.pending |= (core.can_wakes && !mute) || eager;
+    }
+
+    pub(crate) fn receive_can(&mut self, place: Place) -> Option<Received> {
+        self.core(place).can_fifo.pop_front()
+    }
+
+    pub(crate) fn wake_on_receive(&mut self, place: Place, on: bool) {
+        let mute = self.has(Defect::NoWakeOnReceive);
+        let core = self.core(place);
+        core.can_wakes = on;
+        // Level, not edge: what has come before the caller asked is pending, too.
+        core.pending |= on && !mute && !core.can_fifo.is_empty();
+    }
+}
+
+fn truncated(frame: &CanFrame) -> CanFrame {
+    let data = frame.data();
+    let kept = if data.len() > 8 { 8 } else { data.len() };
+    CanFrame::new(frame.id(), frame.is_fd(), &data[..kept]).unwrap_or(*frame)
+}

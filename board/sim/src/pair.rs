@@ -1,0 +1,379 @@
+//! Both systems, driven in virtual time.
+
+use crate::board::{Port, SimBoard};
+use crate::config::{Config, Order};
+use crate::machine::{Attention, Event, OnBus, Place, Power, Sender, Shared, TraceEntry, Wire};
+use crate::world::WorldTick;
+use rand::seq::SliceRandom;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU32;
+use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId};
+
+/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline on
+/// its system's clock.
+pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
+
+/// What the vehicle does every millisecond.
+type World = Box<dyn FnMut(&mut WorldTick)>;
+
+/// The period of the world.
+const WORLD_PERIOD: Duration = Duration::from_ms(1);
+/// Polls at one instant after which the cores count as waking each other for ever.
+const LIVELOCK_POLLS: u32 = 100_000;
+
+struct Running {
+    life: u64,
+    board: SimBoard,
+    poll: Poller,
+}
+
+/// Two systems of three cores with everything between them, on one virtual clock.
+pub struct SimPair {
+    shared: Arc<Shared>,
+    factory: Box<dyn FnMut(&SimBoard) -> Poller>,
+    cores: [[Option<Running>; CoreId::COUNT]; 2],
+    world: Option<World>,
+    world_next: Instant,
+    order: ChaCha8Rng,
+}
+
+impl SimPair {
+    /// Two systems without power. `factory` makes the code of a core at each of its starts: at power-on
+    /// and after each reset; the board's identity says which core, and which of its lives.
+    pub fn new(config: Config, factory: impl FnMut(&SimBoard) -> Poller + 'static) -> Self {
+        let order = ChaCha8Rng::seed_from_u64(config.seed ^ 0x5EED);
+        Self {
+            shared: Arc::new(Shared::new(config)),
+            factory: Box::new(factory),
+            cores: Default::default(),
+            world: None,
+            world_next: Instant::NEVER,
+            order,
+        }
+    }
+
+    /// Two systems with power whose cores do nothing, for tests that act through [`SimPair::board`].
+    #[must_use]
+    pub fn idle(config: Config) -> Self {
+        let mut pair = Self::new(config, |_| Box::new(|_| Instant::NEVER));
+        SystemId::ALL
+            .into_iter()
+            .for_each(|system| pair.power_on(system));
+        pair
+    }
+
+    /// The virtual time.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        self.shared.lock().at()
+    }
+
+    /// The board of a core in its present life.
+    #[must_use]
+    pub fn board(&self, system: SystemId, core: CoreId) -> SimBoard {
+        self.board_at(Place { system, core })
+    }
+
+    fn board_at(&self, place: Place) -> SimBoard {
+        let mut machine = self.shared.lock();
+        let core = machine.core(place);
+        let (generation, life) = (Generation(core.generation), core.life);
+        drop(machine);
+        let shared = Arc::clone(&self.shared);
+        SimBoard::new(Port {
+            shared,
+            place,
+            generation,
+            life,
+            baton: None,
+        })
+    }
+
+    /// Sets what the vehicle does: called at once and then every millisecond of virtual time.
+    pub fn set_world(&mut self, world: impl FnMut(&mut WorldTick) + 'static) {
+        self.world = Some(Box::new(world));
+        self.world_next = self.now();
+    }
+
+    /// Runs for a span of virtual time.
+    ///
+    /// # Panics
+    /// See [`SimPair::run_until`].
+    pub fn run_for(&mut self, span: Duration) {
+        self.run_until(self.now() + span);
+    }
+
+    /// Runs everything that happens up to and including the virtual time `until`.
+    ///
+    /// # Panics
+    /// If a core panics, or if the cores wake each other for ever at one instant.
+    pub fn run_until(&mut self, until: Instant) {
+        self.run_while(until, |_| true);
+    }
+
+    /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is false.
+    /// Says whether it still was true at the end.
+    ///
+    /// # Panics
+    /// See [`SimPair::run_until`].
+    pub fn run_while(&mut self, until: Instant, mut goes_on: impl FnMut(&Self) -> bool) -> bool {
+        loop {
+            self.settle();
+            if !goes_on(self) {
+                return false;
+            }
+            let mut machine = self.shared.lock();
+            let next = Instant::from_ns(machine.next_ns()).min(self.world_next);
+            if next > until || next == Instant::NEVER {
+                let end = if until == Instant::NEVER {
+                    machine.at()
+                } else {
+                    until
+                };
+                machine.now_ns = machine.now_ns.max(end.as_ns());
+                return true;
+            }
+            machine.now_ns = machine.now_ns.max(next.as_ns());
+        }
+    }
+
+    /// Runs everything that happens at this instant.
+    fn settle(&mut self) {
+        let mut polls = 0;
+        loop {
+            self.shared.lock().settle();
+            self.tick_world();
+            self.follow_lives();
+            let mut due = self.due();
+            if due.is_empty() {
+                return;
+            }
+            if self.shared.config.order == Order::Shuffled {
+                due.shuffle(&mut self.order);
+            }
+            for place in due {
+                polls += 1;
+                assert!(
+                    polls < LIVELOCK_POLLS,
+                    "cores wake each other for ever at {:?}, last core {}{}",
+                    self.now(),
+                    place.system,
+                    place.core
+                );
+                self.poll(place);
+            }
+        }
+    }
+
+    fn tick_world(&mut self) {
+        let mut machine = self.shared.lock();
+        let Some(world) = &mut self.world else {
+            machine.unheard.clear();
+            return;
+        };
+        let at = machine.at();
+        if at < self.world_next {
+            return;
+        }
+        let lamp = |system: SystemId| {
+            machine
+                .is_powered(system)
+                .then_some(machine.systems[system.index()].lamp)
+        };
+        let lamps = SystemId::ALL.map(lamp);
+        let heard = core::mem::take(&mut machine.unheard);
+        drop(machine);
+        let mut tick = WorldTick {
+            at,
+            heard,
+            lamps,
+            sent: Vec::new(),
+        };
+        world(&mut tick);
+        let mut machine = self.shared.lock();
+        for frame in &tick.sent {
+            machine.send_can(Sender::World, frame);
+        }
+        self.world_next += WORLD_PERIOD;
+    }
+
+    /// Ends the code of cores whose life is over, and makes the code of those that began one.
+    fn follow_lives(&mut self) {
+        for place in Place::all() {
+            let (alive, life) = {
+                let mut machine = self.shared.lock();
+                let core = machine.core(place);
+                (core.alive, core.life)
+            };
+            let slot = &mut self.cores[place.system.index()][place.core.index()];
+            if slot
+                .as_ref()
+                .is_some_and(|running| !alive || running.life != life)
+            {
+                *slot = None;
+            }
+            if alive && slot.is_none() {
+                let board = self.board_at(place);
+                let poll = (self.factory)(&board);
+                let running = Running { life, board, poll };
+                self.cores[place.system.index()][place.core.index()] = Some(running);
+            }
+        }
+    }
+
+    fn due(&self) -> Vec<Place> {
+        let mut machine = self.shared.lock();
+        let now_ns = machine.now_ns;
+        Place::all()
+            .filter(|place| machine.core(*place).is_due(now_ns))
+            .collect()
+    }
+
+    fn poll(&mut self, place: Place) {
+        let slot = &mut self.cores[place.system.index()][place.core.index()];
+        let Some(running) = slot else { return };
+        {
+            let mut machine = self.shared.lock();
+            let now_ns = machine.now_ns;
+            let core = machine.core(place);
+            // One polled before at this instant may have ended this life.
+            if core.life != running.life || !core.is_due(now_ns) {
+                return;
+            }
+            if core.attention == Attention::Polled {
+                core.pending = false;
+            }
+            core.deadline_ns = u64::MAX;
+        }
+        let deadline = (running.poll)(&running.board);
+        let mut machine = self.shared.lock();
+        let clock = machine.config.clocks[place.system.index()];
+        machine.core(place).deadline_ns = clock.virtual_ns(deadline.as_ns());
+    }
+}
+
+/// Faults.
+impl SimPair {
+    /// Switches a supply on: the LMU is zero, the cores start in generation 1. Nothing if it is on.
+    pub fn power_on(&mut self, system: SystemId) {
+        self.shared.power_on(system);
+        self.follow_lives();
+    }
+
+    /// Takes the power from a system, at once.
+    pub fn power_off(&mut self, system: SystemId) {
+        self.shared.lock().power_off(system);
+        self.follow_lives();
+    }
+
+    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is before
+    /// the next operation changes its first byte.
+    pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
+        self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
+    }
+
+    /// The supply resets a system that is on; it restarts after [`Config::reset_hold`].
+    pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
+        self.shared.lock().reset(system, cause);
+        self.follow_lives();
+    }
+
+    /// A core dies and stays dead; nobody is told.
+    pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
+        self.shared.lock().kill_core(Place { system, core });
+        self.follow_lives();
+    }
+
+    /// A single core begins its next life; the LMU keeps its content.
+    pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
+        self.shared.lock().restart_core(Place { system, core });
+        self.follow_lives();
+    }
+
+    /// A core does nothing for a span of virtual time; what comes for it stays pending.
+    pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
+        let mut machine = self.shared.lock();
+        let thaws = (machine.at() + span).as_ns();
+        machine.core(Place { system, core }).frozen_until_ns = thaws;
+    }
+
+    /// All cores of a system do nothing for a span of virtual time; the supply goes on.
+    pub fn freeze(&mut self, system: SystemId, span: Duration) {
+        CoreId::ALL
+            .into_iter()
+            .for_each(|core| self.freeze_core(system, core, span));
+    }
+
+    /// Cuts a connection that comes from this system.
+    pub fn cut(&mut self, wire: Wire, from: SystemId) {
+        self.shared.lock().set_cut(wire, from, true);
+    }
+
+    /// Mends a connection that was cut.
+    pub fn mend(&mut self, wire: Wire, from: SystemId) {
+        self.shared.lock().set_cut(wire, from, false);
+    }
+
+    /// Changes the content of a system's flash by hand, as a programming device would.
+    pub fn edit_flash(&mut self, system: SystemId, edit: impl FnOnce(&mut [u8])) {
+        edit(self.shared.lock().system(system).flash.bytes_mut());
+    }
+}
+
+/// What a test can see.
+impl SimPair {
+    /// The state of a supply.
+    #[must_use]
+    pub fn power(&self, system: SystemId) -> Power {
+        self.shared.lock().systems[system.index()].power
+    }
+
+    /// The role that a system shows, if it runs.
+    #[must_use]
+    pub fn lamp(&self, system: SystemId) -> Option<RoleLamp> {
+        let machine = self.shared.lock();
+        machine
+            .is_powered(system)
+            .then_some(machine.systems[system.index()].lamp)
+    }
+
+    /// The LMU of a system.
+    #[must_use]
+    pub fn lmu(&self, system: SystemId) -> &[AtomicU32] {
+        self.shared.lmu(Place {
+            system,
+            core: CoreId::CONTROL,
+        })
+    }
+
+    /// The content of a system's flash; what is under way has not happened.
+    #[must_use]
+    pub fn flash(&self, system: SystemId) -> Vec<u8> {
+        self.shared.lock().systems[system.index()]
+            .flash
+            .bytes()
+            .to_vec()
+    }
+
+    /// What happened to the systems, oldest first.
+    #[must_use]
+    pub fn events(&self) -> Vec<Event> {
+        self.shared.lock().events.clone()
+    }
+
+    /// Takes the bus log: every frame since the last call, in bus order.
+    pub fn take_bus_log(&mut self) -> Vec<OnBus> {
+        core::mem::take(&mut self.shared.lock().bus)
+    }
+
+    /// Takes the trace, and how many records were lost because it was full.
+    pub fn take_trace(&mut self) -> (Vec<TraceEntry>, u64) {
+        let mut machine = self.shared.lock();
+        (
+            core::mem::take(&mut machine.trace),
+            core::mem::take(&mut machine.trace_lost),
+        )
+    }
+}

@@ -1,0 +1,137 @@
+//! The simulated board passes the conformance suite, and the suite finds every defect of a board.
+#![allow(clippy::unwrap_used, reason = "all of it is a test")]
+
+use std::fmt;
+use std::sync::{Arc, Mutex};
+use tandem_board::{Board, Duration, Identity, Instant, SystemId};
+use tandem_board_conformance::{
+    Case, Failure, Outcome, Part, Place, Rig, Setting, Summary, run_all,
+};
+use tandem_board_sim::{Config, EventKind, Order, SimBoard, SimPair, blocking};
+
+/// Virtual time after which a case counts as hanging: longer than a role's patience.
+const HANGS_AFTER: Duration = Duration::from_ms(60_000);
+
+/// Plays each case on a pair of its own, each role as a blocking core.
+struct SimRig {
+    config: Config,
+}
+
+/// How a role did not pass.
+#[derive(Debug, PartialEq)]
+enum Fault {
+    Failed(Place, Failure),
+    Hung,
+    Reset(SystemId),
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Failed(place, failure) => write!(f, "{place}: {failure}"),
+            Self::Hung => f.write_str("a role does not end"),
+            Self::Reset(system) => write!(f, "system {system} was reset"),
+        }
+    }
+}
+
+type Results = Arc<Mutex<Vec<Option<Result<(), Failure>>>>>;
+
+fn part_of(identity: Identity, parts: &[Part<SimBoard>]) -> Option<usize> {
+    let is = |place: Place| place.system == identity.system && place.core == identity.core;
+    parts.iter().position(|part| is(part.place))
+}
+
+impl Rig for SimRig {
+    type Board = SimBoard;
+    type Fault = Fault;
+
+    fn takes(&self, _: &Case<SimBoard>) -> bool {
+        true
+    }
+
+    fn play(&mut self, _: usize, case: &Case<SimBoard>) -> Result<(), Fault> {
+        let watchdog = case.setting != Setting::Plain;
+        let config = Config {
+            watchdog,
+            ..self.config.clone()
+        };
+        let results: Results = Arc::new(Mutex::new(vec![None; case.parts.len()]));
+        let (parts, told) = (case.parts, Arc::clone(&results));
+        let mut pair = SimPair::new(config, move |board| {
+            let Some(index) = part_of(board.identity(), parts) else {
+                return Box::new(|_| Instant::NEVER);
+            };
+            let Part { place, role } = parts[index];
+            let told = Arc::clone(&told);
+            blocking(board, move |board| {
+                let result = role(board, place);
+                told.lock().unwrap()[index] = Some(result);
+            })
+        });
+        SystemId::ALL
+            .into_iter()
+            .for_each(|system| pair.power_on(system));
+        let reset = |pair: &SimPair| {
+            let plays = |system| parts.iter().any(|part| part.place.system == system);
+            let events = pair.events().into_iter();
+            let mut resets = events.filter(|event| matches!(event.kind, EventKind::Reset(_)));
+            let reset = resets.find(|event| plays(event.system));
+            reset
+                .filter(|_| case.setting != Setting::Restarts)
+                .map(|event| event.system)
+        };
+        let hung = pair.run_while(Instant::ORIGIN + HANGS_AFTER, |pair| {
+            let results = results.lock().unwrap();
+            let failed = results.iter().any(|result| matches!(result, Some(Err(_))));
+            !failed && reset(pair).is_none() && results.iter().any(Option::is_none)
+        });
+        for (part, result) in parts.iter().zip(results.lock().unwrap().iter()) {
+            if let Some(Err(failure)) = result {
+                return Err(Fault::Failed(part.place, *failure));
+            }
+        }
+        match reset(&pair) {
+            Some(system) => Err(Fault::Reset(system)),
+            None if hung => Err(Fault::Hung),
+            None => Ok(()),
+        }
+    }
+}
+
+fn config() -> Config {
+    Config {
+        look_at_clock: Duration::from_us(20),
+        ..Config::default()
+    }
+}
+
+fn run(config: Config) -> (Summary, Vec<String>) {
+    let mut failed = Vec::new();
+    let summary = run_all(&mut SimRig { config }, |case, outcome| {
+        if let Outcome::Failed(fault) = outcome {
+            failed.push(format!("{}: {fault}", case.name));
+        }
+    });
+    (summary, failed)
+}
+
+#[test]
+fn the_simulated_board_passes() {
+    let (summary, failed) = run(config());
+    assert_eq!(failed, Vec::<String>::new());
+    assert!(summary.passed > 30);
+    assert_eq!(summary.skipped, 0);
+}
+
+#[test]
+fn the_simulated_board_passes_in_any_order_of_cores() {
+    for seed in 0..5 {
+        let (_, failed) = run(Config {
+            seed,
+            order: Order::Shuffled,
+            ..config()
+        });
+        assert_eq!(failed, Vec::<String>::new(), "seed {seed}");
+    }
+}
