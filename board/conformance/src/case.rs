@@ -63,11 +63,11 @@ pub struct Part<B: 'static> {
 pub enum Setting {
     /// Nothing; the watchdogs do not reset anybody.
     Plain,
-    /// The watchdogs watch. A reset of a system that has a role is a failure; what happens to the other
-    /// system does not matter.
+    /// The watchdogs watch. A reset of a system that has a role is a failure; what happens to the
+    /// other system does not matter.
     Watchdog,
-    /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the next
-    /// generation. The case has passed when every role has returned `Ok` in some life.
+    /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the
+    /// next generation. The case has passed when every role has returned `Ok` in some life.
     Restarts,
 }
 
@@ -142,8 +142,8 @@ pub(crate) fn equal(
     }
 }
 
-/// Plays part `part` of case `case` of [`cases`](crate::cases): how a process or a hart that was started
-/// for one role finds it.
+/// Plays part `part` of case `case` of [`cases`](crate::cases): how a process or a hart that was
+/// started for one role finds it.
 ///
 /// # Errors
 /// The [`Failure`] that the role saw, also if there is no such case or part.

@@ -1,12 +1,14 @@
 //! One suite that every board passes: the contracts of `tandem-board`, executable.
 //!
 //! A [`Case`] has one role for each core that takes part, and a role is a plain function over a
-//! [`Board`](tandem_board::Board): a rig can run it on a thread, in a process started for it, or on a
-//! hart. The roles of a case meet through LMU words and lines, with time limits on the board's clock.
+//! [`Board`](tandem_board::Board): a rig can run it on a thread, in a process started for it, or on
+//! a hart. The roles of a case meet through LMU words and lines, with time limits on the board's
+//! clock.
 //!
 //! What a rig gives to each case: both systems freshly powered on (LMU zero, no edges counted,
-//! generation 1), all boards of the case made before or while its roles start, nobody else on the bus,
-//! and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are absent.
+//! generation 1), all boards of the case made before or while its roles start, nobody else on the
+//! bus, and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are
+//! absent.
 //!
 //! ```text
 //! for each case in cases::<B>():        run_all(&mut rig, report)

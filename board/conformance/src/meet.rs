@@ -4,8 +4,8 @@ use crate::case::{Failure, check};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 
-/// How long a role waits for what must come. Far beyond what any board needs, also on a machine that
-/// is busy with other things: it decides only how late a failure is seen.
+/// How long a role waits for what must come. Far beyond what any board needs, also on a machine
+/// that is busy with other things: it decides only how late a failure is seen.
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
 /// How often a role looks that sleeps in between.
 const LOOK: Duration = Duration::from_ms(1);
@@ -95,8 +95,8 @@ pub(crate) fn meet<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(
     })
 }
 
-/// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line, rising
-/// and falling in turn. Steps count from 1.
+/// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line,
+/// rising and falling in turn. Steps count from 1.
 #[track_caller]
 pub(crate) fn meet_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
     const LINE: Line = Line::Heartbeat2;
@@ -115,8 +115,8 @@ pub(crate) fn meet_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
     })
 }
 
-/// All of `cores` in both systems wait for each other; core 0 must be among them. Takes two steps: the
-/// next one of [`meet`] is `2 × step + 1`.
+/// All of `cores` in both systems wait for each other; core 0 must be among them. Takes two steps:
+/// the next one of [`meet`] is `2 × step + 1`.
 #[track_caller]
 pub(crate) fn meet_all<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(), Failure> {
     meet(board, cores, 2 * step - 1)?;

@@ -14,8 +14,8 @@ pub trait Rig {
     /// Whether this rig can give the case its setting.
     fn takes(&self, case: &Case<Self::Board>) -> bool;
 
-    /// Powers both systems on, plays all parts of the case at the same time, and switches off. `index`
-    /// is the case's place in [`cases`], for [`run_role`](crate::run_role).
+    /// Powers both systems on, plays all parts of the case at the same time, and switches off.
+    /// `index` is the case's place in [`cases`], for [`run_role`](crate::run_role).
     ///
     /// # Errors
     /// The first fault, if a role fails or does not end.

@@ -9,8 +9,8 @@ use std::thread::JoinHandle;
 use std::time::Duration as WallTime;
 use tandem_board::{Board, Instant};
 
-/// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that never
-/// looks at its board. Only a diagnosis: no result depends on it.
+/// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that
+/// never looks at its board. Only a diagnosis: no result depends on it.
 const HANGS_AFTER: WallTime = WallTime::from_secs(120);
 
 /// What unwinds a blocking core whose life is over, out of the call in which it is parked.
@@ -31,8 +31,8 @@ pub(crate) struct Baton {
 }
 
 impl Baton {
-    /// Lets the others run until `until` on the core's clock, or until the pair has a reason to resume
-    /// this core. Unwinds with [`CoreKilled`] when the core's life is over.
+    /// Lets the others run until `until` on the core's clock, or until the pair has a reason to
+    /// resume this core. Unwinds with [`CoreKilled`] when the core's life is over.
     pub(crate) fn park(&self, until: Instant) {
         if std::thread::panicking() {
             return;
@@ -101,13 +101,14 @@ impl Drop for CoreThread {
 /// Makes a poller of a function that blocks in `Board::wait`, for a factory of
 /// [`SimPair`](crate::SimPair). When `run` returns, the core sleeps for ever.
 ///
-/// It runs on a thread of its own, but only while the pair polls it. Each look at the clock, at a line
-/// or at an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in which the
-/// other cores run: a loop that waits by looking ends. A loop that looks at the LMU alone does not.
+/// It runs on a thread of its own, but only while the pair polls it. Each look at the clock, at a
+/// line or at an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in
+/// which the other cores run: a loop that waits by looking ends. A loop that looks at the LMU alone
+/// does not.
 ///
 /// # Panics
-/// A panic in `run` comes out of the pair's run function. The poller panics when the core computes for
-/// two minutes without a look at its board.
+/// A panic in `run` comes out of the pair's run function. The poller panics when the core computes
+/// for two minutes without a look at its board.
 pub fn blocking(board: &SimBoard, run: impl FnOnce(&SimBoard) + Send + 'static) -> Poller {
     let (resume, resumed) = channel();
     let (says, said) = channel();

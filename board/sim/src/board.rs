@@ -33,7 +33,8 @@ impl Port {
         lives.then(|| act(&mut machine))
     }
 
-    /// What a blocking core pays for looking at something that may change: the others run meanwhile.
+    /// What a blocking core pays for looking at something that may change: the others run
+    /// meanwhile.
     fn look(&self) {
         let pays = self.shared.config.look_at_clock;
         let Some(baton) = &self.baton else { return };
@@ -92,8 +93,8 @@ impl Port {
 
 /// What one core sees of a [`SimPair`](crate::SimPair), for one life of that core.
 ///
-/// When that life is over (power lost, reset, core killed), what is sent through a board that somebody
-/// kept goes nowhere.
+/// When that life is over (power lost, reset, core killed), what is sent through a board that
+/// somebody kept goes nowhere.
 ///
 /// # Panics
 /// `wait` panics on a core that is polled. Programming the flash and serving the watchdog panic on

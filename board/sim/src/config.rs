@@ -7,7 +7,8 @@ use tandem_board::Duration;
 pub struct Clock {
     /// What the clock shows at virtual time zero, in nanoseconds.
     pub offset_ns: u64,
-    /// How much faster it runs than virtual time, in parts per billion; a crystal is within ± 100 000.
+    /// How much faster it runs than virtual time, in parts per billion; a crystal is within ± 100
+    /// 000.
     pub drift_ppb: i32,
 }
 
@@ -26,7 +27,8 @@ impl Clock {
             .saturating_add(self.offset_ns)
     }
 
-    /// The first virtual time at which the clock shows `local_ns` or more, so that no deadline is early.
+    /// The first virtual time at which the clock shows `local_ns` or more, so that no deadline is
+    /// early.
     pub(crate) fn virtual_ns(self, local_ns: u64) -> u64 {
         if local_ns == u64::MAX {
             return u64::MAX;
@@ -60,8 +62,8 @@ pub struct Config {
     pub watchdog: bool,
     /// How long a supply holds its system in reset.
     pub reset_hold: Duration,
-    /// What a blocking core pays in virtual time for looking at the clock, so that waiting by spinning
-    /// ends. Polled cores pay nothing.
+    /// What a blocking core pays in virtual time for looking at the clock, so that waiting by
+    /// spinning ends. Polled cores pay nothing.
     pub look_at_clock: Duration,
     /// Frames that a core's CAN receive FIFO holds.
     pub can_fifo_frames: usize,

@@ -135,7 +135,8 @@ impl Flash {
         Ok(())
     }
 
-    /// Lets a defect change what the operation under way does: the page behind its range, its result.
+    /// Lets a defect change what the operation under way does: the page behind its range, its
+    /// result.
     pub(crate) fn spoil(&mut self, change: impl FnOnce(&mut [u8], &mut [u8])) {
         if let Some(operation) = &mut self.operation {
             let end = (operation.offset + operation.target.len()).min(self.bytes.len());

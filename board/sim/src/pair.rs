@@ -11,8 +11,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId};
 
-/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline on
-/// its system's clock.
+/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
+/// on its system's clock.
 pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
 /// What the vehicle does every millisecond.
@@ -40,8 +40,8 @@ pub struct SimPair {
 }
 
 impl SimPair {
-    /// Two systems without power. `factory` makes the code of a core at each of its starts: at power-on
-    /// and after each reset; the board's identity says which core, and which of its lives.
+    /// Two systems without power. `factory` makes the code of a core at each of its starts: at
+    /// power-on and after each reset; the board's identity says which core, and which of its lives.
     pub fn new(config: Config, factory: impl FnMut(&SimBoard) -> Poller + 'static) -> Self {
         let order = ChaCha8Rng::seed_from_u64(config.seed ^ 0x5EED);
         Self {
@@ -54,7 +54,8 @@ impl SimPair {
         }
     }
 
-    /// Two systems with power whose cores do nothing, for tests that act through [`SimPair::board`].
+    /// Two systems with power whose cores do nothing, for tests that act through
+    /// [`SimPair::board`].
     #[must_use]
     pub fn idle(config: Config) -> Self {
         let mut pair = Self::new(config, |_| Box::new(|_| Instant::NEVER));
@@ -113,8 +114,8 @@ impl SimPair {
         self.run_while(until, |_| true);
     }
 
-    /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is false.
-    /// Says whether it still was true at the end.
+    /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is
+    /// false. Says whether it still was true at the end.
     ///
     /// # Panics
     /// See [`SimPair::run_until`].
@@ -268,8 +269,8 @@ impl SimPair {
         self.follow_lives();
     }
 
-    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is before
-    /// the next operation changes its first byte.
+    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is
+    /// before the next operation changes its first byte.
     pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
         self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
     }

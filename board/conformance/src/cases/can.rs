@@ -169,7 +169,8 @@ pub(super) fn witness<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 /// Every length that CAN and CAN FD have.
 const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
-/// The frames of the payload cases: each length, FD and classic, with ids at the ends of their ranges.
+/// The frames of the payload cases: each length, FD and classic, with ids at the ends of their
+/// ranges.
 fn payloads() -> impl Iterator<Item = CanFrame> {
     const IDS: [CanId; 4] = [
         CanId::Standard(0),
