@@ -12,7 +12,7 @@
 //!
 //! ```text
 //! for each case in cases::<B>():        run_all(&mut rig, report)
-//!     rig: power on, on each place of case.parts: run_role(case, part, &board) → Result<(), Failure>
+//!     rig: power on; for each of case.parts: run_role(case, part, &board) → Result<(), Failure>
 //! ```
 #![no_std]
 #![forbid(unsafe_code)]
