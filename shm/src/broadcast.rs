@@ -212,3 +212,151 @@ impl<'a> Item<'_, 'a> {
         }
     }
 }
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::{freeze_at, kill_at, zeroed};
+    use crate::sync::Ordering;
+
+    const SHAPE: Shape = Shape::new(4, 2);
+
+    fn ring() -> (&'static [AtomicU32], Sender<'static>, Receiver<'static>) {
+        let words = zeroed(words(SHAPE));
+        (
+            words,
+            Sender::attach(words, SHAPE).unwrap(),
+            Receiver::attach(words, SHAPE).unwrap(),
+        )
+    }
+
+    fn receive(receiver: &mut Receiver<'_>) -> Result<Option<(u32, [u32; 2])>, Lost> {
+        let mut value = [0; 2];
+        Ok(receiver
+            .receive_into(&mut value)?
+            .map(|number| (number, value)))
+    }
+
+    #[test]
+    fn every_receiver_gets_every_value_in_order() {
+        let (words, mut sender, mut one) = ring();
+        let mut other = one.clone();
+        assert_eq!(receive(&mut one), Ok(None));
+        for k in 0..10 {
+            assert_eq!(sender.send(&[k]), k);
+            assert_eq!(receive(&mut one), Ok(Some((k, [k, 0]))));
+            if k % 3 == 2 {
+                for k in k - 2..=k {
+                    assert_eq!(receive(&mut other), Ok(Some((k, [k, 0]))));
+                }
+            }
+        }
+        let mut late = Receiver::attach(words, SHAPE).unwrap();
+        assert_eq!(
+            receive(&mut late),
+            Ok(None),
+            "attached for what comes from now on"
+        );
+        let mut oldest = Receiver::attach_oldest(words, SHAPE).unwrap();
+        assert_eq!(receive(&mut oldest), Ok(Some((7, [7, 0]))));
+    }
+
+    #[test]
+    fn an_item_that_is_not_finished_comes_again() {
+        let (_, mut sender, mut receiver) = ring();
+        sender.send(&[5, 6]);
+        assert_eq!(receiver.receive().unwrap().unwrap().words().get(1), 6);
+        assert_eq!(receive(&mut receiver), Ok(Some((0, [5, 6]))));
+    }
+
+    /// Received and lost values add up to what was sent.
+    #[test]
+    fn a_slow_receiver_is_told_how_many_values_it_lost() {
+        let (_, mut sender, mut receiver) = ring();
+        for k in 0..11 {
+            sender.send(&[k]);
+        }
+        assert_eq!(receive(&mut receiver), Err(Lost { count: 9 }));
+        assert_eq!(receive(&mut receiver), Ok(Some((9, [9, 0]))));
+        assert_eq!(receive(&mut receiver), Ok(Some((10, [10, 0]))));
+        assert_eq!(receive(&mut receiver), Ok(None));
+    }
+
+    #[test]
+    fn a_receiver_frozen_at_every_step_gets_whole_values_and_counts_the_rest() {
+        for at in 0.. {
+            let (words, mut sender, mut receiver) = ring();
+            sender.send(&[0, 0]);
+            let lap = move || {
+                let mut sender = Sender::attach(words, SHAPE).unwrap();
+                for k in 1..8 {
+                    sender.send(&[k, k]);
+                }
+            };
+            let (first, hit) = freeze_at(at, lap, || receive(&mut receiver));
+            let mut seen = 0;
+            let mut next = Some(first);
+            while let Some(result) = next.take() {
+                match result {
+                    Ok(None) => break,
+                    Ok(Some((number, value))) => {
+                        assert_eq!(value, [number; 2], "frozen at {at}");
+                        assert_eq!(number, seen);
+                        seen += 1;
+                    }
+                    Err(Lost { count }) => seen += count,
+                }
+                next = Some(receive(&mut receiver));
+            }
+            if !hit {
+                break;
+            }
+            assert_eq!(seen, 8, "frozen at {at}");
+        }
+    }
+
+    #[test]
+    fn a_sender_killed_at_every_step_leaves_whole_values_and_no_number_twice() {
+        for at in 0.. {
+            let (words, mut sender, mut receiver) = ring();
+            (0..6).for_each(|k| {
+                sender.send(&[k, k]);
+                let _ = receive(&mut receiver);
+            });
+            let done = kill_at(at, || sender.send(&[6, 6])).is_some();
+            Sender::attach(words, SHAPE).unwrap().send(&[7, 7]);
+            match receive(&mut receiver).unwrap().unwrap() {
+                (6, [6, 6]) => assert_eq!(receive(&mut receiver), Ok(Some((7, [7, 7])))),
+                other => assert_eq!(other, (6, [7, 7]), "killed at {at}"),
+            }
+            assert_eq!(receive(&mut receiver), Ok(None));
+            if done {
+                break;
+            }
+        }
+    }
+
+    #[test]
+    fn scribbled_words_are_lost_values_and_heal() {
+        let (words, mut sender, mut receiver) = ring();
+        for scribble in [0, 1, 12345, u32::MAX, 1 << 31] {
+            sender.send(&[1; 2]);
+            words
+                .iter()
+                .for_each(|word| word.store(scribble, Ordering::Relaxed));
+            // Each call takes a value, skips, or says that there is none: it comes to an end.
+            sender.send(&[2; 2]);
+            let calls = (0..10)
+                .take_while(|_| receive(&mut receiver) != Ok(None))
+                .count();
+            assert!(calls < 10, "after {scribble}");
+            let number = sender.send(&[3; 2]);
+            assert_eq!(
+                receive(&mut receiver),
+                Ok(Some((number, [3; 2]))),
+                "after {scribble}"
+            );
+        }
+    }
+}

@@ -232,3 +232,146 @@ impl<'a> Item<'_, 'a> {
         self.consumer.publish();
     }
 }
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::{kill_at, zeroed};
+    use std::vec::Vec;
+
+    const SHAPE: Shape = Shape::new(4, 2);
+
+    fn queue() -> (&'static [AtomicU32], Producer<'static>, Consumer<'static>) {
+        let words = zeroed(words(SHAPE));
+        (
+            words,
+            Producer::attach(words, SHAPE).unwrap(),
+            Consumer::attach(words, SHAPE).unwrap(),
+        )
+    }
+
+    fn drain(consumer: &mut Consumer<'_>) -> Vec<[u32; 2]> {
+        let mut value = [0; 2];
+        core::iter::from_fn(|| consumer.receive_into(&mut value).then_some(value)).collect()
+    }
+
+    #[test]
+    fn values_come_in_order_and_a_full_queue_says_so() {
+        let (_, mut producer, mut consumer) = queue();
+        assert!(consumer.receive().is_none());
+        for round in 0..5 {
+            for k in 0..4 {
+                producer.send(&[round, k]).unwrap();
+            }
+            assert_eq!(producer.send(&[9, 9]), Err(Full));
+            assert_eq!(consumer.available(), 4);
+            let expected: Vec<_> = (0..4).map(|k| [round, k]).collect();
+            assert_eq!(drain(&mut consumer), expected);
+        }
+    }
+
+    #[test]
+    fn a_slot_is_lent_until_it_is_sent_and_received_until_it_is_released() {
+        let (_, mut producer, mut consumer) = queue();
+        let mut loan = producer.loan().unwrap();
+        loan.words().copy_from(&[1, 2]);
+        drop(loan);
+        assert!(consumer.receive().is_none());
+        producer.send(&[3]).unwrap();
+        assert_eq!(consumer.receive().unwrap().words().get(0), 3);
+        let item = consumer.receive().unwrap();
+        assert_eq!(item.words().iter().collect::<Vec<_>>(), [3, 0]);
+        item.release();
+        assert!(consumer.receive().is_none());
+    }
+
+    #[test]
+    fn indices_wrap_around() {
+        let (words, ..) = queue();
+        words[TAIL_AT].store(u32::MAX - 1, Ordering::Relaxed);
+        words[HEAD_AT].store(u32::MAX - 1, Ordering::Relaxed);
+        let mut producer = Producer::attach(words, SHAPE).unwrap();
+        let mut consumer = Consumer::attach(words, SHAPE).unwrap();
+        (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
+        assert_eq!(producer.send(&[4]), Err(Full));
+        assert_eq!(drain(&mut consumer), [[0, 0], [1, 1], [2, 2], [3, 3]]);
+    }
+
+    #[test]
+    fn a_producer_killed_at_every_step_has_sent_whole_values_or_nothing() {
+        for at in 0.. {
+            let (words, mut producer, mut consumer) = queue();
+            producer.send(&[0, 0]).unwrap();
+            let done = kill_at(at, || producer.send(&[1, 1])).is_some();
+            Producer::attach(words, SHAPE)
+                .unwrap()
+                .send(&[2, 2])
+                .unwrap();
+            let seen = drain(&mut consumer);
+            assert!(
+                seen == [[0, 0], [2, 2]] && !done || seen == [[0, 0], [1, 1], [2, 2]],
+                "killed at {at}: {seen:?}"
+            );
+            if done {
+                break;
+            }
+        }
+    }
+
+    #[test]
+    fn a_consumer_killed_at_every_step_leaves_the_values_that_it_has_not_released() {
+        for at in 0.. {
+            let (words, mut producer, mut consumer) = queue();
+            (0..3).for_each(|k| producer.send(&[k, k]).unwrap());
+            let mut seen = Vec::new();
+            let done = kill_at(at, || {
+                while let Some(item) = consumer.receive() {
+                    seen.push(item.words().get(0));
+                    item.release();
+                }
+            });
+            let rest = drain(&mut Consumer::attach(words, SHAPE).unwrap());
+            seen.extend(rest.iter().map(|value| value[0]));
+            seen.dedup();
+            assert_eq!(seen, [0, 1, 2], "killed at {at}");
+            if done.is_some() {
+                break;
+            }
+        }
+    }
+
+    #[test]
+    fn scribbled_indices_are_no_values_and_the_queue_heals() {
+        for scribble in [1, 4, 5, 12345, u32::MAX, 1 << 31] {
+            for at in [TAIL_AT, HEAD_AT] {
+                let (words, mut producer, mut consumer) = queue();
+                producer.send(&[1, 1]).unwrap();
+                words[at].store(scribble, Ordering::Relaxed);
+                for k in 0..20 {
+                    let _ = producer.send(&[k, k]);
+                    assert!(
+                        drain(&mut consumer).len() <= 4,
+                        "never more than there are slots"
+                    );
+                }
+                assert!(drain(&mut consumer).is_empty());
+                producer.send(&[7, 7]).unwrap();
+                assert_eq!(drain(&mut consumer), [[7, 7]], "{scribble} at {at}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_successor_that_attaches_to_scribbled_indices_makes_the_queue_whole() {
+        let (words, ..) = queue();
+        words[TAIL_AT].store(77, Ordering::Relaxed);
+        words[HEAD_AT].store(7777, Ordering::Relaxed);
+        let mut producer = Producer::attach(words, SHAPE).unwrap();
+        assert_eq!(producer.send(&[1, 1]), Err(Full));
+        let mut consumer = Consumer::attach(words, SHAPE).unwrap();
+        assert!(drain(&mut consumer).is_empty());
+        producer.send(&[2, 2]).unwrap();
+        assert_eq!(drain(&mut consumer), [[2, 2]]);
+    }
+}

@@ -208,3 +208,143 @@ impl<'a> View<'a> {
         }
     }
 }
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::{freeze_at, kill_at, zeroed};
+    use crate::sync::Ordering;
+
+    const SHAPE: Shape = Shape::new(4, 3);
+
+    fn channel() -> (&'static [AtomicU32], Writer<'static>, Reader<'static>) {
+        let words = zeroed(words(SHAPE));
+        (
+            words,
+            Writer::attach(words, SHAPE).unwrap(),
+            Reader::attach(words, SHAPE).unwrap(),
+        )
+    }
+
+    fn read(reader: &Reader<'_>) -> Option<(u32, [u32; 3])> {
+        let mut value = [0; 3];
+        reader.read_into(&mut value).map(|stamp| (stamp.0, value))
+    }
+
+    #[test]
+    fn readers_get_the_newest_value() {
+        let (_, mut writer, reader) = channel();
+        assert_eq!(reader.view().unwrap_err(), ReadError::Empty);
+        assert_eq!(reader.newest(), None);
+        for k in 0..20 {
+            assert_eq!(writer.publish(&[k, k]), Stamp(k));
+            assert_eq!(read(&reader), Some((k, [k, k, 0])));
+        }
+        let mut loan = writer.loan();
+        loan.words().set(2, 99);
+        assert_eq!(
+            read(&reader),
+            Some((19, [19, 19, 0])),
+            "a loan shows nothing"
+        );
+        loan.send();
+        assert_eq!(read(&reader).unwrap().1[2], 99);
+        assert_eq!(reader.newest().unwrap().since(Stamp(19)), 1);
+    }
+
+    #[test]
+    fn numbers_wrap_around() {
+        let (words, _, reader) = channel();
+        words[0].store(u32::MAX - 1, Ordering::Relaxed);
+        let mut writer = Writer::attach(words, SHAPE).unwrap();
+        for k in 0..4u32 {
+            let number = k.wrapping_sub(2);
+            assert_eq!(writer.publish(&[k; 3]), Stamp(number));
+            assert_eq!(read(&reader), Some((number, [k; 3])));
+        }
+    }
+
+    /// The writer runs to its end, whatever it overtakes, and a view says that it was overtaken.
+    #[test]
+    fn a_view_that_was_overtaken_is_void() {
+        let (_, mut writer, reader) = channel();
+        writer.publish(&[1; 3]);
+        let view = reader.view().unwrap();
+        for k in 2..5 {
+            writer.publish(&[k; 3]);
+        }
+        assert_eq!(view.words().get(0), 1, "three newer values leave it alone");
+        let again = reader.view().unwrap();
+        for k in 5..9 {
+            writer.publish(&[k; 3]);
+        }
+        assert_eq!(view.finish(), Err(ReadError::Overrun));
+        assert_eq!(again.finish(), Err(ReadError::Overrun));
+    }
+
+    /// A reader that is frozen at any step while the writer laps it returns one whole value.
+    #[test]
+    fn a_reader_frozen_at_every_step_returns_no_torn_value() {
+        for at in 0.. {
+            let (words, mut writer, reader) = channel();
+            writer.publish(&[1; 3]);
+            let lap = move || {
+                let mut writer = Writer::attach(words, SHAPE).unwrap();
+                for k in 2..8 {
+                    writer.publish(&[k; 3]);
+                }
+            };
+            let (value, hit) = freeze_at(at, lap, || read(&reader));
+            let (_, value) = value.unwrap();
+            assert!(
+                value == [1; 3] || value == [7; 3],
+                "frozen at {at}: {value:?}"
+            );
+            if !hit {
+                break;
+            }
+        }
+    }
+
+    /// A writer killed at any step leaves the old or the new value, and its successor goes on.
+    #[test]
+    fn a_writer_killed_at_every_step_leaves_a_whole_value_and_a_channel_that_goes_on() {
+        for at in 0.. {
+            let (words, mut writer, reader) = channel();
+            for k in 0..6 {
+                writer.publish(&[k; 3]);
+            }
+            let done = kill_at(at, || writer.publish(&[6; 3])).is_some();
+            let (number, value) = read(&reader).unwrap();
+            assert!(number == 5 || number == 6);
+            assert_eq!(value, [number; 3]);
+            let mut successor = Writer::attach(words, SHAPE).unwrap();
+            let before = reader.newest().unwrap();
+            let stamp = successor.publish(&[77; 3]);
+            assert_eq!(
+                stamp.since(before),
+                1,
+                "killed at {at}: no number is given twice"
+            );
+            assert_eq!(read(&reader), Some((stamp.0, [77; 3])));
+            if done {
+                break;
+            }
+        }
+    }
+
+    #[test]
+    fn scribbled_words_are_void_and_heal() {
+        let (words, mut writer, reader) = channel();
+        writer.publish(&[1; 3]);
+        for scribble in [0, 1, 12345, u32::MAX] {
+            words
+                .iter()
+                .for_each(|word| word.store(scribble, Ordering::Relaxed));
+            let _ = read(&reader);
+            let stamp = writer.publish(&[2; 3]);
+            assert_eq!(read(&reader), Some((stamp.0, [2; 3])));
+        }
+    }
+}

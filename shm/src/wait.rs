@@ -68,3 +68,66 @@ impl WaitPolicy {
         }
     }
 }
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+
+    /// Has something at the look number `after`; the sleep brings it at once.
+    struct Script {
+        after: u32,
+        looks: u32,
+        refused: bool,
+        sleeps: u32,
+        told: bool,
+    }
+
+    impl Event for Script {
+        type Output = u32;
+
+        fn check(&mut self) -> Option<u32> {
+            assert!(!self.told, "looks only after it has told that it is awake");
+            self.looks += 1;
+            (self.looks > self.after).then_some(self.sleeps)
+        }
+
+        fn prepare_sleep(&mut self) -> bool {
+            // The first time something comes in between.
+            let first = !core::mem::replace(&mut self.refused, true);
+            self.told = !first;
+            !first
+        }
+
+        fn sleep(&mut self) {
+            assert!(self.told);
+            self.sleeps += 1;
+        }
+
+        fn awake(&mut self) {
+            self.told = false;
+        }
+    }
+
+    fn wait(policy: WaitPolicy, after: u32) -> u32 {
+        policy.wait(&mut Script {
+            after,
+            looks: 0,
+            refused: false,
+            sleeps: 0,
+            told: false,
+        })
+    }
+
+    #[test]
+    fn each_policy_looks_and_sleeps_as_it_says() {
+        assert_eq!(wait(WaitPolicy::Spin, 1000), 0);
+        // The first look, then a refused sleep, then a sleep before each look.
+        assert_eq!(wait(WaitPolicy::Sleep, 0), 0);
+        assert_eq!(wait(WaitPolicy::Sleep, 1), 0);
+        assert_eq!(wait(WaitPolicy::Sleep, 5), 4);
+        assert_eq!(wait(WaitPolicy::SpinThenSleep { spins: 9 }, 9), 0);
+        assert_eq!(wait(WaitPolicy::SpinThenSleep { spins: 9 }, 19), 0);
+        assert_eq!(wait(WaitPolicy::SpinThenSleep { spins: 9 }, 20), 1);
+    }
+}
