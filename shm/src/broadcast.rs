@@ -13,6 +13,7 @@ use crate::sync::AtomicU32;
 use crate::view::{WordsMut, WordsRef};
 
 /// Words of a ring of this shape.
+#[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
     Ring::words(shape, stride(shape))
@@ -44,6 +45,7 @@ impl<'a> Sender<'a> {
 
     /// Lends the slot of the next value, to be filled in place. Its words hold an old value. Without
     /// [`Loan::send`] nothing is sent. Never blocks.
+    #[inline]
     pub fn loan(&mut self) -> Loan<'_, 'a> {
         self.ring.begin(self.next);
         Loan {
@@ -54,6 +56,7 @@ impl<'a> Sender<'a> {
 
     /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too much is
     /// cut off. Returns the value's number. Never blocks.
+    #[inline]
     pub fn send(&mut self, value: &[u32]) -> u32 {
         let mut loan = self.loan();
         let copied = loan.words.copy_from(value);
@@ -72,11 +75,13 @@ pub struct Loan<'s, 'a> {
 
 impl<'a> Loan<'_, 'a> {
     /// The words to fill.
+    #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
         &mut self.words
     }
 
     /// Sends the value and returns its number.
+    #[inline]
     pub fn send(self) -> u32 {
         let k = self.sender.next;
         self.sender.ring.complete(k);
@@ -139,6 +144,7 @@ impl<'a> Receiver<'a> {
     ///
     /// # Errors
     /// [`Lost`] if values were overwritten before they were received; the next call goes on behind them.
+    #[inline]
     pub fn receive(&mut self) -> Result<Option<Item<'_, 'a>>, Lost> {
         if self.cursor == self.head {
             self.head = self.ring.head();
@@ -158,6 +164,7 @@ impl<'a> Receiver<'a> {
     ///
     /// # Errors
     /// [`Lost`] as [`Receiver::receive`]; the content of `into` is void.
+    #[inline]
     pub fn receive_into(&mut self, into: &mut [u32]) -> Result<Option<u32>, Lost> {
         let Some(item) = self.receive()? else {
             return Ok(None);
@@ -193,6 +200,7 @@ pub struct Item<'r, 'a> {
 
 impl<'a> Item<'_, 'a> {
     /// The words; parts of a newer value may appear in them until [`Item::finish`] has said no.
+    #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.receiver.ring.payload(self.receiver.cursor))
@@ -202,6 +210,7 @@ impl<'a> Item<'_, 'a> {
     ///
     /// # Errors
     /// [`Lost`] if the sender overtook: forget what was read.
+    #[inline]
     pub fn finish(self) -> Result<u32, Lost> {
         let k = self.receiver.cursor;
         if self.receiver.ring.is_intact(k) {
@@ -231,6 +240,7 @@ mod tests {
         )
     }
 
+    #[inline]
     fn receive(receiver: &mut Receiver<'_>) -> Result<Option<(u32, [u32; 2])>, Lost> {
         let mut value = [0; 2];
         Ok(receiver

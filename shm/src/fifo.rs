@@ -24,6 +24,7 @@ const HEAD_AT: usize = LINE_WORDS;
 const SLOTS_AT: usize = 2 * LINE_WORDS;
 
 /// Words of a queue of this shape.
+#[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * shape.slot_words()
@@ -53,6 +54,7 @@ impl<'a> Queue<'a> {
         self.shape.slots() as u32
     }
 
+    #[inline]
     fn slot(&self, index: u32) -> &'a [AtomicU32] {
         let first = (index as usize & (self.shape.slots() - 1)) * self.shape.slot_words();
         &self.slots[first..first + self.shape.slot_words()]
@@ -86,6 +88,7 @@ impl<'a> Producer<'a> {
     }
 
     /// How many more values fit, at least. Looks at the consumer only if its last look says none.
+    #[inline]
     pub fn free(&mut self) -> usize {
         if self.tail.wrapping_sub(self.head) >= self.queue.capacity() {
             // Acquire pairs with the Release in `release`: the consumer has done with the slot.
@@ -101,6 +104,7 @@ impl<'a> Producer<'a> {
     ///
     /// # Errors
     /// [`Full`]
+    #[inline]
     pub fn loan(&mut self) -> Result<Loan<'_, 'a>, Full> {
         if self.free() == 0 {
             return Err(Full);
@@ -116,6 +120,7 @@ impl<'a> Producer<'a> {
     ///
     /// # Errors
     /// [`Full`]; the value was not sent.
+    #[inline]
     pub fn send(&mut self, value: &[u32]) -> Result<(), Full> {
         let mut loan = self.loan()?;
         let copied = loan.words.copy_from(value);
@@ -135,11 +140,13 @@ pub struct Loan<'p, 'a> {
 
 impl<'a> Loan<'_, 'a> {
     /// The words to fill.
+    #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
         &mut self.words
     }
 
     /// Sends the value.
+    #[inline]
     pub fn send(self) {
         let producer = self.producer;
         producer.tail = producer.tail.wrapping_add(1);
@@ -174,6 +181,7 @@ impl<'a> Consumer<'a> {
 
     /// How many values are there to receive, at least. Looks at the producer only if its last look says
     /// none.
+    #[inline]
     pub fn available(&mut self) -> usize {
         if self.tail == self.head {
             // Acquire pairs with the Release in `Loan::send`.
@@ -189,6 +197,7 @@ impl<'a> Consumer<'a> {
 
     /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays the
     /// next one until [`Item::release`].
+    #[inline]
     pub fn receive(&mut self) -> Option<Item<'_, 'a>> {
         if self.available() == 0 {
             return None;
@@ -197,6 +206,7 @@ impl<'a> Consumer<'a> {
     }
 
     /// Copies the next value, as many words as both have, and releases it. Whether there was one.
+    #[inline]
     pub fn receive_into(&mut self, into: &mut [u32]) -> bool {
         let Some(item) = self.receive() else {
             return false;
@@ -206,6 +216,7 @@ impl<'a> Consumer<'a> {
         true
     }
 
+    #[inline]
     fn publish(&self) {
         // Release pairs with the Acquire in `Producer::free`: the slot is read before it is refilled.
         self.queue.head.store(self.head, Ordering::Release);
@@ -221,12 +232,14 @@ pub struct Item<'c, 'a> {
 
 impl<'a> Item<'_, 'a> {
     /// The words; the producer does not touch them until the release.
+    #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.consumer.queue.slot(self.consumer.head))
     }
 
     /// Frees the slot for the producer.
+    #[inline]
     pub fn release(self) {
         self.consumer.head = self.consumer.head.wrapping_add(1);
         self.consumer.publish();

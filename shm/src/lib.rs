@@ -35,9 +35,11 @@
 pub mod broadcast;
 pub mod fifo;
 pub mod life;
+pub mod lock;
 pub mod mailbox;
 pub mod map;
 pub mod newest;
+pub mod pool;
 mod region;
 mod ring;
 pub mod sync;

@@ -88,6 +88,7 @@ impl<'a> Sender<'a> {
 
     /// Signals a task of the receiving core (`task_sync`). What was written to the LMU before is visible
     /// to the task. Never blocks; task or handler context.
+    #[inline]
     pub fn signal(&self, task: TaskId) -> Ring {
         self.words[SENT_AT + task.index()].fetch_add(1, Ordering::Relaxed);
         // Release pairs with the Acquire in `poll`: who sees the bit sees the count and the payload.
@@ -170,6 +171,7 @@ impl<'a> Receiver<'a> {
 
     /// Says that this core is going to sleep: from now on signals want the doorbell. `false` if signals
     /// are there already: do not sleep, poll. After the sleep call [`Receiver::awake`].
+    #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
         self.words[RECEIVER_AT].store(1, Ordering::Relaxed);
@@ -183,6 +185,7 @@ impl<'a> Receiver<'a> {
     }
 
     /// Says that this core is awake: signals need no doorbell.
+    #[inline]
     pub fn awake(&mut self) {
         self.words[RECEIVER_AT].store(0, Ordering::Relaxed);
     }

@@ -16,6 +16,7 @@ use crate::view::{WordsMut, WordsRef};
 const ATTEMPTS: u32 = 4;
 
 /// Words of a channel of this shape. Each slot has its own cache lines; 4 slots are a good number.
+#[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
     Ring::words(shape, stride(shape))
@@ -59,6 +60,7 @@ impl<'a> Writer<'a> {
 
     /// Lends the slot of the next value, to be filled in place. Its words hold an old value. Without
     /// [`Loan::send`] nothing is published. Never blocks.
+    #[inline]
     pub fn loan(&mut self) -> Loan<'_, 'a> {
         self.ring.begin(self.next);
         Loan {
@@ -69,6 +71,7 @@ impl<'a> Writer<'a> {
 
     /// Publishes a copy of `value`; what it lacks of the slot is filled with zeros, what it has too much
     /// is cut off. Never blocks.
+    #[inline]
     pub fn publish(&mut self, value: &[u32]) -> Stamp {
         let mut loan = self.loan();
         let copied = loan.words.copy_from(value);
@@ -87,11 +90,13 @@ pub struct Loan<'w, 'a> {
 
 impl<'a> Loan<'_, 'a> {
     /// The words to fill.
+    #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
         &mut self.words
     }
 
     /// Publishes the value.
+    #[inline]
     pub fn send(self) -> Stamp {
         let stamp = Stamp(self.writer.next);
         self.writer.ring.complete(stamp.0);
@@ -128,6 +133,7 @@ impl<'a> Reader<'a> {
     }
 
     /// The stamp of the newest value; `None` if there is none yet. For a look whether something is new.
+    #[inline]
     #[must_use]
     pub fn newest(&self) -> Option<Stamp> {
         let k = self.ring.head().wrapping_sub(1);
@@ -138,6 +144,7 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// [`ReadError`]
+    #[inline]
     pub fn view(&self) -> Result<View<'a>, ReadError> {
         let head = self.ring.head();
         let k = head.wrapping_sub(1);
@@ -174,6 +181,7 @@ impl<'a> Reader<'a> {
 
     /// Copies the newest value, as many words as both have, if there is one and it was read whole.
     /// On `None` the content of `into` is void.
+    #[inline]
     pub fn read_into(&self, into: &mut [u32]) -> Option<Stamp> {
         self.read(|words| words.copy_to(into))
             .ok()
@@ -191,6 +199,7 @@ pub struct View<'a> {
 
 impl<'a> View<'a> {
     /// The words; parts of a newer value may appear in them until [`View::finish`] has said no.
+    #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.ring.payload(self.k))
@@ -200,6 +209,7 @@ impl<'a> View<'a> {
     ///
     /// # Errors
     /// [`ReadError::Overrun`] if the writer overtook: forget what was read.
+    #[inline]
     pub fn finish(self) -> Result<Stamp, ReadError> {
         if self.ring.is_intact(self.k) {
             Ok(Stamp(self.k))

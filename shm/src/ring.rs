@@ -47,6 +47,7 @@ impl<'a> Ring<'a> {
     }
 
     /// How many values are complete, as the writer has published it.
+    #[inline]
     pub(crate) fn head(&self) -> u32 {
         // Acquire pairs with the Release in `complete`.
         self.head.load(Ordering::Acquire)
@@ -65,21 +66,25 @@ impl<'a> Ring<'a> {
         next
     }
 
+    #[inline]
     fn at(&self, k: u32) -> usize {
         (k as usize & (self.shape.slots() - 1)) * self.stride
     }
 
+    #[inline]
     fn stamp(&self, k: u32) -> &'a AtomicU32 {
         &self.slots[self.at(k)]
     }
 
     /// The words of value k.
+    #[inline]
     pub(crate) fn payload(&self, k: u32) -> &'a [AtomicU32] {
         let first = self.at(k) + 1;
         &self.slots[first..first + self.shape.slot_words()]
     }
 
     /// Writer: value k begins to be written.
+    #[inline]
     pub(crate) fn begin(&self, k: u32) {
         self.stamp(k).store(k << 1, Ordering::Relaxed);
         // Release pairs with the Acquire fence in `is_intact`: who sees a word that is stored after
@@ -88,6 +93,7 @@ impl<'a> Ring<'a> {
     }
 
     /// Writer: value k is complete.
+    #[inline]
     pub(crate) fn complete(&self, k: u32) {
         // Release pairs with the Acquire in `is_complete`.
         self.stamp(k).store(complete(k), Ordering::Release);
@@ -96,12 +102,14 @@ impl<'a> Ring<'a> {
     }
 
     /// Reader, before it reads: whether value k lies complete in its slot.
+    #[inline]
     pub(crate) fn is_complete(&self, k: u32) -> bool {
         // Acquire pairs with the Release in `complete`.
         self.stamp(k).load(Ordering::Acquire) == complete(k)
     }
 
     /// Reader, after it has read: whether all that it read was value k.
+    #[inline]
     pub(crate) fn is_intact(&self, k: u32) -> bool {
         // Acquire pairs with the Release fence in `begin`.
         fence(Ordering::Acquire);
@@ -110,6 +118,7 @@ impl<'a> Ring<'a> {
 }
 
 /// The stamp of value k when it is complete.
+#[inline]
 const fn complete(k: u32) -> u32 {
     k << 1 | 1
 }

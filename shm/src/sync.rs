@@ -14,6 +14,7 @@ pub use crate::step::AtomicU32;
 pub use core::sync::atomic::fence;
 
 /// Tells the processor (or loom) that this is a spin loop, `rounds` times. Never blocks.
+#[inline]
 pub fn spin(rounds: u32) {
     for _ in 0..rounds {
         #[cfg(not(loom))]

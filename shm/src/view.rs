@@ -17,6 +17,7 @@ impl<'a> WordsRef<'a> {
     }
 
     /// How many words; at least 1.
+    #[inline]
     #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
@@ -26,12 +27,14 @@ impl<'a> WordsRef<'a> {
     ///
     /// # Panics
     /// If `index` is not below [`WordsRef::len`].
+    #[inline]
     #[must_use]
     pub fn get(&self, index: usize) -> u32 {
         self.0[index].load(Ordering::Relaxed)
     }
 
     /// Copies from the first word on, as many as both have, and returns how many.
+    #[inline]
     pub fn copy_to(&self, into: &mut [u32]) -> usize {
         for (to, from) in into.iter_mut().zip(self.0) {
             *to = from.load(Ordering::Relaxed);
@@ -52,6 +55,7 @@ impl<'a> WordsMut<'a> {
     }
 
     /// How many words; at least 1.
+    #[inline]
     #[must_use]
     pub const fn len(&self) -> usize {
         self.0.len()
@@ -61,6 +65,7 @@ impl<'a> WordsMut<'a> {
     ///
     /// # Panics
     /// If `index` is not below [`WordsMut::len`].
+    #[inline]
     #[must_use]
     pub fn get(&self, index: usize) -> u32 {
         self.0[index].load(Ordering::Relaxed)
@@ -70,11 +75,13 @@ impl<'a> WordsMut<'a> {
     ///
     /// # Panics
     /// If `index` is not below [`WordsMut::len`].
+    #[inline]
     pub fn set(&mut self, index: usize, value: u32) {
         self.0[index].store(value, Ordering::Relaxed);
     }
 
     /// Copies `from` to the first words, as many as both have, and returns how many. The rest stays.
+    #[inline]
     pub fn copy_from(&mut self, from: &[u32]) -> usize {
         for (to, from) in self.0.iter().zip(from) {
             to.store(*from, Ordering::Relaxed);

@@ -1,0 +1,619 @@
+//! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, bounded starvation.
+//!
+//! One cache line. Word 0 is the *token* of the last acquisition: who took the lock, in which of its
+//! lives, in which turn (one more with each acquisition), and which cores wait. The other words are
+//! one *released* word for each core and life (by its generation mod 4): the owner gives the lock back
+//! by storing its token there. So the lock is free if the token's owner has released that very token,
+//! and taking it is one compare-and-swap from that token to one's own. T-LOCK-1, T-LOCK-3
+//!
+//! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
+//!   token into a word of its own life. The next three lives of its core use other words.
+//! - **Recovery**: a token that is not released and whose life is not alive is an orphan. Any core may
+//!   take over from it by the same compare-and-swap, and is told so by [`Acquired::Recovered`].
+//! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
+//!   performance of spin lock alternatives", 1990): waiting cores read, and end after the given number
+//!   of looks.
+//! - **Turns**: a waiting core sets its bit in the token. Of the waiting cores the next one after the
+//!   last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so whoever takes
+//!   the lock has seen the bit, and the cyclic distance from the last owner to a waiting core shrinks
+//!   with each turn: **a waiting core is passed at most [`MAX_WAITED_TURNS`] = 2 times**.
+//! - A waiting core that does not look (frozen, pre-empted, dead) would stop the others: who has looked
+//!   [`PATIENCE`] times at a free lock that is another's turn takes it and strikes the other's bit. The
+//!   bound above holds for cores that look at least once in that time.
+//!
+//! Limit: the turn has 23 bits. A core that is stopped between its look at the token and its
+//! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's, would
+//! take a lock that is held. At 100 ns a turn that is 0.8 s, the watchdog's business.
+
+use crate::life::{CORES, Life, Lives};
+use crate::region::{FitError, LINE_WORDS, fit};
+use crate::sync::{AtomicU32, Ordering};
+
+/// Words of a lock.
+pub const WORDS: usize = LINE_WORDS;
+
+/// How many turns others take at most while a core waits and looks.
+pub const MAX_WAITED_TURNS: u32 = CORES as u32 - 1;
+
+/// Looks at a free lock that is another's turn before a waiting core takes it nevertheless. With the
+/// back-off below some 2000 spins, tens of microseconds; longer than any core in step needs.
+#[cfg(not(loom))]
+pub const PATIENCE: u32 = 32;
+/// loom proves the bound for cores that look.
+#[cfg(loom)]
+pub const PATIENCE: u32 = u32::MAX;
+
+/// The longest pause between two looks, in spins.
+const MAX_PAUSE: u32 = 64;
+
+const TOKEN_AT: usize = 0;
+/// Lives of a core that have released words of their own.
+const RELEASED_LIVES: usize = 4;
+
+// The token, from the lowest bit: core + 1, generation, waiting cores, turn.
+const CORE_MASK: u32 = 0x3;
+const GENERATION_SHIFT: u32 = 2;
+const GENERATION_MASK: u32 = 0xF;
+const WAITING_SHIFT: u32 = 6;
+const WAITING: u32 = 0b111 << WAITING_SHIFT;
+const TURN_SHIFT: u32 = 9;
+const ONE_TURN: u32 = 1 << TURN_SHIFT;
+
+const _: () = assert!(CORES == 3 && CORES * RELEASED_LIVES < WORDS);
+
+/// The core that the token names; [`CORES`] if it names none.
+const fn core_of(token: u32) -> usize {
+    match token & CORE_MASK {
+        0 => CORES,
+        n => n as usize - 1,
+    }
+}
+
+const fn generation_of(token: u32) -> u32 {
+    token >> GENERATION_SHIFT & GENERATION_MASK
+}
+
+const fn waiting_bit(core: usize) -> u32 {
+    1 << (WAITING_SHIFT + core as u32)
+}
+
+/// The index of the word in which this life of the core releases.
+const fn released_at(core: usize, generation: u32) -> usize {
+    1 + core * RELEASED_LIVES + generation as usize % RELEASED_LIVES
+}
+
+/// The lock was not to be had within the given number of looks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimedOut;
+
+/// Why one look did not take the lock.
+enum Missed {
+    /// Someone else holds it, or was quicker.
+    Held,
+    /// It is free and in this turn another's.
+    Passed { turn: u32 },
+}
+
+/// The lock as one life of one core sees it. Several tasks of a core may each attach.
+///
+/// For tasks; a handler uses [`Lock::try_lock`] only, or it waits for the task that it interrupts.
+#[derive(Debug)]
+pub struct Lock<'a> {
+    token: &'a AtomicU32,
+    /// All words of the lock, for the released words of all lives.
+    words: &'a [AtomicU32],
+    /// The released word of this life.
+    own_released: &'a AtomicU32,
+    lives: Lives<'a>,
+    core: usize,
+    /// Core and generation in their places.
+    identity: u32,
+    /// The token of the last acquisition through this end, without waiting bits.
+    mine: u32,
+    /// How many turns others took during the last waiting.
+    waited: u32,
+}
+
+impl<'a> Lock<'a> {
+    /// Attaches to the lock. `life` must have been [announced](Lives::announce).
+    ///
+    /// # Errors
+    /// [`FitError`] if the words are too few or not at a line boundary.
+    pub fn attach(words: &'a [AtomicU32], life: Life, lives: Lives<'a>) -> Result<Self, FitError> {
+        let words = fit(words, WORDS)?;
+        // An earlier life may have died waiting. Another waiting task of this core sets the bit again.
+        words[TOKEN_AT].fetch_and(!waiting_bit(life.core()), Ordering::Relaxed);
+        let generation = life.generation() & GENERATION_MASK;
+        let identity = (life.core() as u32 + 1) | generation << GENERATION_SHIFT;
+        Ok(Self {
+            token: &words[TOKEN_AT],
+            words,
+            own_released: &words[released_at(life.core(), generation)],
+            lives,
+            core: life.core(),
+            identity,
+            mine: 0,
+            waited: 0,
+        })
+    }
+
+    /// Takes the lock if it is free and no waiting core comes before this one. Never blocks. `None` if
+    /// not.
+    #[inline]
+    #[must_use]
+    pub fn try_lock(&mut self) -> Option<Acquired<'_, 'a>> {
+        self.waited = 0;
+        if self.retake() {
+            return Some(Acquired::Clean(Guard { lock: self }));
+        }
+        self.look(false).ok().map(|orphan| self.acquired(orphan))
+    }
+
+    /// Takes the lock, waiting for at most `looks` looks at it. `relax(n)` is called between two looks
+    /// to pass the time of n spins (1 ..= 64): [`spin`](crate::sync::spin) on a core of its own, something that gives the
+    /// CPU away on a shared one. Task context.
+    ///
+    /// # Errors
+    /// [`TimedOut`] after so many looks.
+    #[inline]
+    pub fn lock(
+        &mut self,
+        looks: u32,
+        relax: impl FnMut(u32),
+    ) -> Result<Acquired<'_, 'a>, TimedOut> {
+        self.waited = 0;
+        if self.retake() {
+            return Ok(Acquired::Clean(Guard { lock: self }));
+        }
+        let orphan = self.wait(looks, relax)?;
+        Ok(self.acquired(orphan))
+    }
+
+    #[inline]
+    fn acquired(&mut self, orphan: bool) -> Acquired<'_, 'a> {
+        let guard = Guard { lock: self };
+        if orphan {
+            Acquired::Recovered(guard)
+        } else {
+            Acquired::Clean(guard)
+        }
+    }
+
+    /// The quick way: if the token is still this end's own (or none was ever taken), the lock is free.
+    #[inline]
+    fn retake(&mut self) -> bool {
+        // Another task of this core may hold the lock by the same token, 2^23 turns later.
+        if self.own_released.load(Ordering::Relaxed) != self.mine {
+            return false;
+        }
+        let next = self.token_after(self.mine);
+        // Relaxed: nobody had the lock since this end released it, there is nothing to pair with.
+        let taken = self
+            .token
+            .compare_exchange(self.mine, next, Ordering::Relaxed, Ordering::Relaxed)
+            .is_ok();
+        if taken {
+            self.mine = next;
+        }
+        taken
+    }
+
+    #[inline]
+    const fn token_after(&self, token: u32) -> u32 {
+        (token & !(ONE_TURN - 1)).wrapping_add(ONE_TURN) | self.identity
+    }
+
+    #[cold]
+    fn wait(&mut self, looks: u32, mut relax: impl FnMut(u32)) -> Result<bool, TimedOut> {
+        let own_bit = waiting_bit(self.core);
+        let mut announced = None;
+        let mut pause = 1;
+        let mut passed = (0, 0);
+        for _ in 0..looks {
+            match self.look(passed.1 >= PATIENCE) {
+                Ok(orphan) => {
+                    if let Some(first) = announced {
+                        self.waited =
+                            (self.mine.wrapping_sub(first) >> TURN_SHIFT).saturating_sub(1);
+                    }
+                    return Ok(orphan);
+                }
+                Err(Missed::Held) => passed.1 = 0,
+                Err(Missed::Passed { turn }) if turn == passed.0 => passed.1 += 1,
+                Err(Missed::Passed { turn }) => passed = (turn, 1),
+            }
+            if self.token.load(Ordering::Relaxed) & own_bit == 0 {
+                let token = self.token.fetch_or(own_bit, Ordering::Relaxed);
+                announced.get_or_insert(token & !(ONE_TURN - 1));
+            }
+            relax(pause);
+            pause = (pause * 2).min(MAX_PAUSE);
+        }
+        self.token.fetch_and(!own_bit, Ordering::Relaxed);
+        Err(TimedOut)
+    }
+
+    /// Looks once and takes the lock if that is possible, with `impatient` also out of turn. Returns
+    /// whether it was an orphan's.
+    fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
+        let token = self.token.load(Ordering::Relaxed);
+        let free = self.is_released(token);
+        if !free
+            && self
+                .lives
+                .is_current(core_of(token), generation_of(token), GENERATION_MASK)
+        {
+            return Err(Missed::Held);
+        }
+        let before = self.waiting_before(token);
+        if before != 0 && !impatient {
+            return Err(Missed::Passed {
+                turn: token >> TURN_SHIFT,
+            });
+        }
+        let mut mine = self.token_after(token);
+        // After exactly 2^23 turns the last release would already release the new token.
+        if mine == self.own_released.load(Ordering::Relaxed) {
+            mine = mine.wrapping_add(ONE_TURN);
+        }
+        let still_waiting = token & WAITING & !before & !waiting_bit(self.core);
+        // Relaxed: what the last owner did was acquired by `is_released`, and since the token is still
+        // the same, nobody had the lock after it.
+        self.token
+            .compare_exchange(
+                token,
+                mine | still_waiting,
+                Ordering::Relaxed,
+                Ordering::Relaxed,
+            )
+            .map_err(|_| Missed::Held)?;
+        self.mine = mine;
+        Ok(!free)
+    }
+
+    fn is_released(&self, token: u32) -> bool {
+        let core = core_of(token);
+        if core == CORES {
+            // Never taken; anything else without a core is scribble, and an orphan.
+            return token & !WAITING == 0;
+        }
+        // Acquire pairs with the Release in `Guard::drop`.
+        let released = self.words[released_at(core, generation_of(token))].load(Ordering::Acquire);
+        released == token & !WAITING
+    }
+
+    /// The waiting bits of living cores whose turn is before this core's.
+    fn waiting_before(&self, token: u32) -> u32 {
+        if token & WAITING & !waiting_bit(self.core) == 0 {
+            return 0;
+        }
+        let last = core_of(token);
+        (last + 1..=last + CORES)
+            .map(|core| core % CORES)
+            .take_while(|&core| core != self.core)
+            .filter(|&core| self.lives.current(core).is_some())
+            .fold(0, |bits, core| bits | token & waiting_bit(core))
+    }
+}
+
+/// The lock is taken.
+#[derive(Debug)]
+#[must_use = "dropping it releases the lock"]
+pub enum Acquired<'l, 'a> {
+    /// From an owner that had released it.
+    Clean(Guard<'l, 'a>),
+    /// From an owner that died with it: what the lock guards may be half-changed. Repair it; should
+    /// this core die too, the next taker is told again.
+    Recovered(Guard<'l, 'a>),
+}
+
+impl<'l, 'a> Acquired<'l, 'a> {
+    /// The guard, for data that no death can leave in a bad state.
+    #[inline]
+    pub fn into_guard(self) -> Guard<'l, 'a> {
+        match self {
+            Self::Clean(guard) | Self::Recovered(guard) => guard,
+        }
+    }
+
+    /// Whether the last owner died with the lock.
+    #[must_use]
+    pub const fn is_recovered(&self) -> bool {
+        matches!(self, Self::Recovered(_))
+    }
+}
+
+/// Holds the lock; dropping it releases.
+#[derive(Debug)]
+#[must_use = "dropping it releases the lock"]
+pub struct Guard<'l, 'a> {
+    lock: &'l mut Lock<'a>,
+}
+
+impl Guard<'_, '_> {
+    /// How many turns others took between this core's announcement that it waits and its own turn.
+    #[must_use]
+    pub const fn waited_turns(&self) -> u32 {
+        self.lock.waited
+    }
+}
+
+impl Drop for Guard<'_, '_> {
+    #[inline]
+    fn drop(&mut self) {
+        // Release pairs with the Acquire in `is_released`.
+        self.lock
+            .own_released
+            .store(self.lock.mine, Ordering::Release);
+    }
+}
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::{freeze_at, kill_at, zeroed};
+    use crate::sync::spin;
+
+    struct Bench {
+        words: &'static [AtomicU32],
+        lives: Lives<'static>,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            Self {
+                words: zeroed(WORDS),
+                lives: Lives::attach(zeroed(Lives::WORDS)).unwrap(),
+            }
+        }
+
+        /// A new life of a core, at this lock.
+        fn start(&self, core: usize, generation: u32) -> Lock<'static> {
+            let life = Life::new(core, generation).unwrap();
+            self.lives.announce(life).unwrap();
+            Lock::attach(self.words, life, self.lives).unwrap()
+        }
+
+        fn kill(&self, core: usize, generation: u32) {
+            assert!(self.lives.mark_dead(Life::new(core, generation).unwrap()));
+        }
+
+        fn token(&self) -> &'static AtomicU32 {
+            &self.words[TOKEN_AT]
+        }
+    }
+
+    /// T-LOCK-1: one owner at a time, of three cores.
+    #[test]
+    fn the_lock_is_taken_once() {
+        let bench = Bench::new();
+        let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        for _ in 0..3 {
+            let guard = a.try_lock().unwrap();
+            assert!(!guard.is_recovered());
+            assert!(b.try_lock().is_none());
+            assert_eq!(c.lock(5, |_| ()).unwrap_err(), TimedOut);
+            drop(guard);
+            assert!(b.lock(1, |_| ()).is_ok());
+            assert!(c.try_lock().is_some());
+        }
+    }
+
+    /// Two tasks of one core exclude each other as two cores do.
+    #[test]
+    fn two_ends_of_one_life_exclude_each_other() {
+        let bench = Bench::new();
+        let [mut one, mut two] = [bench.start(0, 1), bench.start(0, 1)];
+        let guard = one.try_lock().unwrap();
+        assert!(two.try_lock().is_none());
+        drop(guard);
+        let guard = two.try_lock().unwrap();
+        assert!(one.try_lock().is_none());
+        drop(guard);
+        assert!(one.try_lock().is_some());
+    }
+
+    /// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so; whoever takes
+    /// it from one that died in the middle of the repair is told again.
+    #[test]
+    fn a_dead_owner_is_replaced_and_the_taker_is_told() {
+        let bench = Bench::new();
+        let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        core::mem::forget(a.try_lock().unwrap());
+        assert!(b.try_lock().is_none(), "nobody says that it is dead");
+        bench.kill(0, 1);
+        let guard = b.try_lock().unwrap();
+        assert!(guard.is_recovered());
+        core::mem::forget(guard);
+        bench.start(1, 2);
+        assert!(
+            c.try_lock().unwrap().is_recovered(),
+            "a new life of the owner's core is enough"
+        );
+        assert!(!c.try_lock().unwrap().is_recovered());
+        assert!(!bench.start(0, 2).try_lock().unwrap().is_recovered());
+    }
+
+    #[test]
+    fn a_death_after_the_release_is_no_recovery() {
+        let bench = Bench::new();
+        drop(bench.start(0, 1).try_lock());
+        bench.kill(0, 1);
+        assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
+    }
+
+    /// T-LOCK-3: an owner killed at any step leaves a lock that the next taker gets.
+    #[test]
+    fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
+        for at in 0.. {
+            let bench = Bench::new();
+            let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+            drop(b.try_lock());
+            let held = core::cell::Cell::new(false);
+            let done = kill_at(at, || {
+                let guard = a.lock(3, |_| ()).unwrap();
+                held.set(true);
+                drop(guard);
+            });
+            bench.kill(0, 1);
+            let acquired = b.lock(1, |_| ()).unwrap();
+            if held.get() {
+                assert_eq!(acquired.is_recovered(), done.is_none(), "killed at {at}");
+            }
+            drop(acquired);
+            assert!(!bench.start(0, 2).lock(1, |_| ()).unwrap().is_recovered());
+            if done.is_some() {
+                break;
+            }
+        }
+    }
+
+    /// A waiting core killed at any step keeps nobody from the lock.
+    #[test]
+    fn a_waiter_killed_at_every_step_keeps_nobody_out() {
+        for at in 0.. {
+            let bench = Bench::new();
+            let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+            let guard = a.try_lock().unwrap();
+            let done = kill_at(at, || assert_eq!(b.lock(3, |_| ()).unwrap_err(), TimedOut));
+            drop(guard);
+            // Before anyone knows of the death: patience.
+            assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
+            assert!(a.try_lock().is_some(), "its bit is struck");
+            if done.is_some() {
+                break;
+            }
+        }
+        let bench = Bench::new();
+        let [mut a, _b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        drop(a.try_lock());
+        bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+        assert!(c.try_lock().is_none(), "it is its turn");
+        bench.kill(1, 1);
+        assert!(c.try_lock().is_some(), "the dead have no turn");
+        bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+        bench.start(1, 2);
+        assert!(
+            c.try_lock().is_some(),
+            "and a successor waits only when it says so"
+        );
+    }
+
+    /// A straggler: frozen at any step of its critical section, declared dead, replaced in all its
+    /// words by a busy lock, thawed. It releases nothing that another holds.
+    #[test]
+    fn a_straggler_releases_nobody_elses_lock() {
+        for lives in 1..RELEASED_LIVES as u32 {
+            for at in 0..4 {
+                let bench = Bench::new();
+                let mut old = bench.start(0, 1);
+                let mut other = bench.start(1, 1);
+                let words = bench.words;
+                let meanwhile = move || {
+                    for generation in 2..=1 + lives {
+                        drop(
+                            Bench {
+                                words,
+                                lives: bench.lives,
+                            }
+                            .start(0, generation)
+                            .try_lock(),
+                        );
+                    }
+                    let mut new = Bench {
+                        words,
+                        lives: bench.lives,
+                    }
+                    .start(0, 1 + lives);
+                    core::mem::forget(new.lock(PATIENCE + 2, |_| ()).unwrap());
+                };
+                let (_, hit) = freeze_at(at, meanwhile, || drop(old.try_lock()));
+                if hit {
+                    assert!(
+                        other.try_lock().is_none(),
+                        "{lives} lives later, frozen at {at}"
+                    );
+                }
+            }
+        }
+    }
+
+    /// T-LOCK-3: starvation is bounded. The lock goes round; a waiting core is passed twice at most.
+    #[test]
+    fn the_lock_goes_round_among_waiting_cores() {
+        let bench = Bench::new();
+        let mut cores = [0, 1, 2].map(|core| bench.start(core, 1));
+        drop(cores[1].try_lock());
+        for core in [0, 1, 2] {
+            bench.token().fetch_or(waiting_bit(core), Ordering::Relaxed);
+        }
+        for next in [2, 0, 1] {
+            for core in [0, 1, 2] {
+                if core != next {
+                    assert!(cores[core].try_lock().is_none(), "{core} before {next}");
+                }
+            }
+            assert!(cores[next].try_lock().is_some());
+        }
+        assert!(cores[1].try_lock().is_some(), "nobody waits any more");
+    }
+
+    /// T-LOCK-3: waiting is bounded, backs off, and reads.
+    #[test]
+    fn waiting_backs_off_and_ends() {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        let guard = a.try_lock().unwrap();
+        let mut pauses = std::vec::Vec::new();
+        let before = bench.token().load(Ordering::Relaxed);
+        assert_eq!(b.lock(9, |pause| pauses.push(pause)).unwrap_err(), TimedOut);
+        assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 64, 64, 64]);
+        assert_eq!(
+            bench.token().load(Ordering::Relaxed),
+            before,
+            "it waits no more"
+        );
+        drop(guard);
+    }
+
+    /// The number of turns wraps around; a core that comes back exactly then does not hold a lock that
+    /// its last release has released already.
+    #[test]
+    fn turns_wrap_around() {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        drop(b.try_lock());
+        // All turns of a round but one later.
+        let before = (b.mine & !(ONE_TURN - 1)).wrapping_sub(ONE_TURN) | a.identity;
+        bench.token().store(before, Ordering::Relaxed);
+        a.own_released.store(before, Ordering::Relaxed);
+        let guard = b.try_lock().unwrap();
+        assert!(a.try_lock().is_none());
+        drop(guard);
+        assert!(a.try_lock().is_some());
+    }
+
+    #[test]
+    fn scribbled_words_cost_time_and_no_more() {
+        for scribble in [
+            1,
+            4,
+            WAITING,
+            ONE_TURN,
+            0x1234_5678,
+            u32::MAX,
+            u32::MAX << 2,
+        ] {
+            let bench = Bench::new();
+            let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+            drop(a.try_lock());
+            bench
+                .words
+                .iter()
+                .for_each(|word| word.store(scribble, Ordering::Relaxed));
+            let _ = b.lock(PATIENCE + 3, spin);
+            let _ = a.lock(PATIENCE + 3, spin);
+        }
+    }
+}
