@@ -1,0 +1,350 @@
+//! The figures of one run, as `metrics.json` has them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::mastership::{self, ms_between};
+use crate::percentiles::Spans;
+use crate::runlog::{RunLog, Sample, Verdict, What};
+
+/// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
+pub(crate) const SCHEMA: &str = "tandem-metrics/1";
+/// Jerk is the change of acceleration over this span, s: shorter ones show the log's resolution.
+const JERK_SPAN_S: f64 = 0.1;
+/// Speeds of approach below this give no time to collision, m/s.
+const CLOSING_MIN: f64 = 0.1;
+
+/// What the run knows beside the vehicle's log.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Surroundings {
+    /// What was granted, in a line: scheduling, pinning, memory.
+    pub(crate) granted: String,
+    /// The timing profile that followed: `rt` or `desktop`.
+    pub(crate) timing: String,
+    /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
+    pub(crate) detection_bound_ms: Option<f64>,
+    /// Files and processes that were still there after the end.
+    pub(crate) leftovers: Vec<String>,
+    /// Ends of processes that came before the end of the run: (vehicle's clock, who).
+    pub(crate) deaths: Vec<(u64, String)>,
+}
+
+/// Contents of `metrics.json`. Scripts rely on the names.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Metrics {
+    /// [`SCHEMA`]
+    pub(crate) schema: String,
+    /// Name of the scenario.
+    pub(crate) scenario: String,
+    /// Seed of the sensors' noise.
+    pub(crate) seed: u64,
+    /// Scenario time that was driven, s.
+    pub(crate) duration_s: f64,
+    /// Scenario time that was asked for, s.
+    pub(crate) duration_asked_s: f64,
+    /// The run went to its end.
+    pub(crate) complete: bool,
+    /// Contacts of the own vehicle.
+    pub(crate) collisions: usize,
+    /// Control frames that the vehicle obeyed.
+    pub(crate) control_frames: usize,
+    /// Control frames that came with an outdated term and were ignored.
+    pub(crate) fenced_frames: usize,
+    /// Control frames whose protection or content was wrong.
+    pub(crate) invalid_frames: usize,
+    /// Longest time between two accepted control frames, over takeovers and to the end, ms.
+    pub(crate) control_gap_max_ms: Option<f64>,
+    /// Median of the time between two control frames of one mastership, by the sender's clock, ms.
+    pub(crate) control_period_p50_ms: Option<f64>,
+    /// 99 of 100 are not longer, ms.
+    pub(crate) control_period_p99_ms: Option<f64>,
+    /// 999 of 1000 are not longer, ms.
+    pub(crate) control_period_p99_9_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) control_period_max_ms: Option<f64>,
+    /// Median of the time from a measurement over cores 1 and 2 to core 0's command, ms.
+    pub(crate) chain_p50_ms: Option<f64>,
+    /// 99 of 100 are not longer, ms.
+    pub(crate) chain_p99_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) chain_max_ms: Option<f64>,
+    /// Time in which frames of both systems were accepted, ms.
+    pub(crate) two_masters_ms: f64,
+    /// Changes of the system that is obeyed.
+    pub(crate) takeovers: Vec<TakeoverMetrics>,
+    /// How many of them replaced a master that had not failed.
+    pub(crate) false_takeovers: usize,
+    /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
+    pub(crate) detection_bound_ms: Option<f64>,
+    /// Largest distance from the centre of the lane outside lane changes, m.
+    pub(crate) lateral_error_max_m: Option<f64>,
+    /// Smallest distance to the vehicle ahead, m.
+    pub(crate) lead_gap_min_m: Option<f64>,
+    /// Smallest distance to the vehicle ahead over the speed of approach, s.
+    pub(crate) ttc_min_s: Option<f64>,
+    /// What passengers feel.
+    pub(crate) comfort: Comfort,
+    /// Control cycles that a core reported as late.
+    pub(crate) deadline_misses: usize,
+    /// The timing profile: `rt` or `desktop`.
+    pub(crate) timing: String,
+    /// What was granted, in a line.
+    pub(crate) granted: String,
+    /// Trace records that were lost because the trace was full.
+    pub(crate) lost_trace: u64,
+    /// Files and processes that were still there after the end.
+    pub(crate) leftovers: Vec<String>,
+}
+
+/// One entry of [`Metrics::takeovers`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct TakeoverMetrics {
+    /// Who drove before: `A` or `B`.
+    pub(crate) from: String,
+    /// Who drove then.
+    pub(crate) to: String,
+    /// Scenario time of the new master's first frame, s.
+    pub(crate) at_s: f64,
+    /// By which sign the old master was taken for failed.
+    pub(crate) cause: String,
+    /// From its last sign of life to the decision, ms.
+    pub(crate) detected_ms: Option<f64>,
+    /// From the old master's last accepted frame to the new one's first, ms.
+    pub(crate) gap_ms: f64,
+    /// The old master had not failed.
+    pub(crate) is_false: bool,
+}
+
+/// Extremes of what passengers feel.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Comfort {
+    /// Strongest acceleration, m/s².
+    pub(crate) accel_max: f64,
+    /// Strongest braking, m/s², positive.
+    pub(crate) brake_max: f64,
+    /// Strongest lateral acceleration to either side, m/s².
+    pub(crate) lat_accel_max: f64,
+    /// Strongest longitudinal jerk, m/s³.
+    pub(crate) jerk_max: f64,
+}
+
+/// Times between two control frames that follow each other in one mastership, by the sender's clock, ms.
+pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
+    let accepted: Vec<_> = log.accepted().collect();
+    accepted
+        .windows(2)
+        .filter(|pair| (pair[0].system, pair[0].term) == (pair[1].system, pair[1].term))
+        .map(|pair| ms_between(pair[0].sent_ns, pair[1].sent_ns))
+        .collect()
+}
+
+/// Latencies of the chain core 1 → 2 → 0, ms.
+pub(crate) fn chain_ms(log: &RunLog) -> Vec<f64> {
+    let latency = |what: &What| match what {
+        What::ChainDone { latency_ms } => Some(*latency_ms),
+        _ => None,
+    };
+    log.events
+        .iter()
+        .filter_map(|event| latency(&event.what))
+        .collect()
+}
+
+/// Longitudinal jerk over time: (scenario time s, m/s³).
+pub(crate) fn jerk(log: &RunLog) -> Vec<(f64, f64)> {
+    let mut points = Vec::with_capacity(log.samples.len());
+    let mut earlier = log.samples.iter().peekable();
+    for sample in &log.samples {
+        let span_s = |from: &Sample| (sample.at_ns - from.at_ns) as f64 * 1e-9;
+        // The latest sample that is a whole span older.
+        let mut from = None;
+        while let Some(candidate) = earlier.next_if(|s| span_s(s) >= JERK_SPAN_S - 1e-6) {
+            from = Some(candidate);
+        }
+        if let Some(from) = from {
+            let mid_ns = from.at_ns + (sample.at_ns - from.at_ns) / 2;
+            points.push((
+                log.seconds(mid_ns),
+                (sample.accel - from.accel) / span_s(from),
+            ));
+        }
+    }
+    points
+}
+
+/// Longest time without an accepted control frame, ms: between two of them, or from the last one to the
+/// end of the run.
+fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
+    let accepted: Vec<_> = log.accepted().collect();
+    let to_end = log
+        .end_ns
+        .zip(accepted.last())
+        .map(|(end, last)| ms_between(last.at_ns, end));
+    accepted
+        .windows(2)
+        .map(|pair| ms_between(pair[0].at_ns, pair[1].at_ns))
+        .chain(to_end)
+        .reduce(f64::max)
+}
+
+/// Time to collision of one sample, s.
+pub(crate) fn ttc_s(sample: &Sample) -> Option<f64> {
+    let (gap, closing) = (sample.lead_gap?, sample.closing_speed?);
+    (closing > CLOSING_MIN).then(|| gap.max(0.0) / closing)
+}
+
+fn comfort(log: &RunLog) -> Comfort {
+    let max = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    Comfort {
+        accel_max: max(&mut log.samples.iter().map(|s| s.accel)),
+        brake_max: max(&mut log.samples.iter().map(|s| -s.accel)),
+        lat_accel_max: max(&mut log.samples.iter().map(|s| s.lat_accel.abs())),
+        jerk_max: max(&mut jerk(log).into_iter().map(|(_, jerk)| jerk.abs())),
+    }
+}
+
+/// Computes all figures of a run.
+pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
+    let period = Spans::from_ms(control_periods_ms(log));
+    let chain = Spans::from_ms(chain_ms(log));
+    let takeovers = mastership::takeovers(log);
+    let count = |verdict| {
+        log.control
+            .iter()
+            .filter(|frame| frame.verdict == verdict)
+            .count()
+    };
+    let centred = log.samples.iter().filter(|sample| !sample.changing_lane);
+    Metrics {
+        schema: SCHEMA.to_owned(),
+        scenario: log.header.scenario.clone(),
+        seed: log.header.seed,
+        duration_s: log.driven_s(),
+        duration_asked_s: log.header.duration_s,
+        complete: log.end_ns.is_some(),
+        collisions: log.collisions.len(),
+        control_frames: count(Verdict::Accepted),
+        fenced_frames: count(Verdict::Fenced),
+        invalid_frames: count(Verdict::Invalid),
+        control_gap_max_ms: control_gap_max_ms(log),
+        control_period_p50_ms: period.percentile_ms(50.0),
+        control_period_p99_ms: period.percentile_ms(99.0),
+        control_period_p99_9_ms: period.percentile_ms(99.9),
+        control_period_max_ms: period.max_ms(),
+        chain_p50_ms: chain.percentile_ms(50.0),
+        chain_p99_ms: chain.percentile_ms(99.0),
+        chain_max_ms: chain.max_ms(),
+        two_masters_ms: mastership::two_masters_ms(log),
+        false_takeovers: takeovers
+            .iter()
+            .filter(|takeover| takeover.is_false)
+            .count(),
+        takeovers: takeovers
+            .into_iter()
+            .map(|takeover| TakeoverMetrics {
+                from: takeover.from.name().to_owned(),
+                to: takeover.to.name().to_owned(),
+                at_s: log.seconds(takeover.at_ns),
+                cause: takeover.cause.unwrap_or_else(|| "not reported".to_owned()),
+                detected_ms: takeover.detected_ms,
+                gap_ms: takeover.gap_ms,
+                is_false: takeover.is_false,
+            })
+            .collect(),
+        detection_bound_ms: around.detection_bound_ms,
+        lateral_error_max_m: centred.map(|s| s.lateral_error.abs()).reduce(f64::max),
+        lead_gap_min_m: log
+            .samples
+            .iter()
+            .filter_map(|s| s.lead_gap)
+            .reduce(f64::min),
+        ttc_min_s: log.samples.iter().filter_map(ttc_s).reduce(f64::min),
+        comfort: comfort(log),
+        deadline_misses: log
+            .events
+            .iter()
+            .filter(|event| matches!(event.what, What::DeadlineMiss { .. }))
+            .count(),
+        timing: around.timing.clone(),
+        granted: around.granted.clone(),
+        lost_trace: log.lost_trace,
+        leftovers: around.leftovers.clone(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic;
+
+    #[test]
+    fn scripts_find_the_names_that_they_rely_on() {
+        let metrics = compute(&synthetic::with_takeover(20.0), &Surroundings::default());
+        let json = serde_json::to_value(&metrics).unwrap();
+        for name in [
+            "scenario",
+            "duration_s",
+            "collisions",
+            "control_frames",
+            "control_gap_max_ms",
+            "control_period_p99_ms",
+            "two_masters_ms",
+            "takeovers",
+            "lateral_error_max_m",
+            "false_takeovers",
+            "leftovers",
+        ] {
+            assert!(!json[name].is_null(), "{name}");
+        }
+        for name in ["cause", "detected_ms", "gap_ms"] {
+            assert!(!json["takeovers"][0][name].is_null(), "{name}");
+        }
+    }
+
+    #[test]
+    fn the_figures_of_a_run_with_a_takeover_are_those_it_was_made_with() {
+        let metrics = compute(&synthetic::with_takeover(20.0), &Surroundings::default());
+        assert_eq!(metrics.takeovers.len(), 1);
+        assert_eq!(metrics.two_masters_ms, 0.0);
+        assert_eq!(metrics.false_takeovers, 0);
+        assert!((metrics.takeovers[0].at_s - 10.0).abs() < 0.05);
+        let gap = metrics.control_gap_max_ms.unwrap();
+        assert!((gap - metrics.takeovers[0].gap_ms).abs() < 1e-9);
+        let p99 = metrics.control_period_p99_ms.unwrap();
+        assert!((9.0..11.0).contains(&p99), "{p99}");
+    }
+
+    #[test]
+    fn a_controller_that_falls_silent_for_good_is_a_gap_to_the_end() {
+        let mut log = synthetic::with_takeover(20.0);
+        log.control.retain(|frame| {
+            log.start_ns
+                .is_some_and(|s| frame.at_ns < s + 5_000_000_000)
+        });
+        let gap = compute(&log, &Surroundings::default())
+            .control_gap_max_ms
+            .unwrap();
+        assert!((gap - 15_000.0).abs() < 20.0, "{gap}");
+    }
+
+    #[test]
+    fn jerk_is_the_slope_of_acceleration() {
+        let mut log = RunLog {
+            start_ns: Some(0),
+            ..RunLog::default()
+        };
+        for step in 0..100_u64 {
+            let (at_ns, accel) = (step * 20_000_000, step as f64 * 0.04);
+            log.samples.push(Sample {
+                at_ns,
+                accel,
+                ..Sample::default()
+            });
+        }
+        let jerk = jerk(&log);
+        assert!(jerk.len() > 90);
+        assert!(
+            jerk.iter().all(|(_, jerk)| (jerk - 2.0).abs() < 1e-6),
+            "{jerk:?}"
+        );
+    }
+}

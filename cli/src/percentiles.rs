@@ -1,0 +1,114 @@
+//! Distributions of spans of time, and the `.hgrm` files that HdrHistogram's tools read.
+
+use std::fmt::Write as _;
+
+use hdrhistogram::Histogram;
+
+/// A distribution of spans, kept in nanoseconds with four significant digits.
+pub(crate) struct Spans {
+    histogram: Histogram<u64>,
+}
+
+impl Spans {
+    /// The distribution of these spans, in milliseconds; negative ones count as zero.
+    pub(crate) fn from_ms(spans_ms: impl IntoIterator<Item = f64>) -> Self {
+        // The bounds are constants that the type accepts; the fallback is never taken.
+        let mut histogram = Histogram::new_with_bounds(1, 3_600_000_000_000, 4)
+            .unwrap_or_else(|_| unreachable!("constant bounds"));
+        for span_ms in spans_ms {
+            histogram.saturating_record((span_ms * 1e6).max(0.0) as u64);
+        }
+        Self { histogram }
+    }
+
+    /// Number of spans.
+    pub(crate) fn count(&self) -> u64 {
+        self.histogram.len()
+    }
+
+    /// The span in ms that `percent` of all spans do not exceed; `None` if there is none.
+    pub(crate) fn percentile_ms(&self, percent: f64) -> Option<f64> {
+        (self.count() > 0).then(|| self.histogram.value_at_percentile(percent) as f64 * 1e-6)
+    }
+
+    /// The largest span, ms.
+    pub(crate) fn max_ms(&self) -> Option<f64> {
+        self.percentile_ms(100.0)
+    }
+
+    /// Points of the curve over percentiles: (1 / (1 − p), ms). The last one is the maximum, drawn at
+    /// the percentile of one in all.
+    pub(crate) fn curve(&self) -> Vec<(f64, f64)> {
+        if self.count() == 0 {
+            return Vec::new();
+        }
+        let rarest = self.count().max(2) as f64;
+        let mut points: Vec<(f64, f64)> = Vec::new();
+        for step in self.histogram.iter_quantiles(10) {
+            let rarity = (1.0 / (1.0 - step.quantile_iterated_to()).max(1e-12)).min(rarest);
+            points.push((rarity, step.value_iterated_to() as f64 * 1e-6));
+        }
+        points
+    }
+
+    /// The text of a `.hgrm` file, values in milliseconds.
+    pub(crate) fn to_hgrm(&self) -> String {
+        let mut text = String::from("       Value     Percentile TotalCount 1/(1-Percentile)\n\n");
+        for step in self.histogram.iter_quantiles(5) {
+            let value = step.value_iterated_to() as f64 * 1e-6;
+            let quantile = step.quantile_iterated_to();
+            let count = self.histogram.count_between(0, step.value_iterated_to());
+            let _ = write!(text, "{value:12.6} {quantile:2.12} {count:10}");
+            if quantile < 1.0 {
+                let _ = write!(text, " {:14.2}", 1.0 / (1.0 - quantile));
+            }
+            text.push('\n');
+        }
+        let (mean, deviation) = if self.count() == 0 {
+            (0.0, 0.0)
+        } else {
+            (self.histogram.mean() * 1e-6, self.histogram.stdev() * 1e-6)
+        };
+        let max = self.max_ms().unwrap_or(0.0);
+        let _ = writeln!(
+            text,
+            "#[Mean    = {mean:12.6}, StdDeviation   = {deviation:12.6}]"
+        );
+        let _ = writeln!(
+            text,
+            "#[Max     = {max:12.6}, Total count    = {:12}]",
+            self.count()
+        );
+        text
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_the_values() {
+        let spans = Spans::from_ms((1..=1000).map(f64::from));
+        assert!((spans.percentile_ms(50.0).unwrap() - 500.0).abs() < 0.1);
+        assert!((spans.percentile_ms(99.0).unwrap() - 990.0).abs() < 0.1);
+        assert!((spans.max_ms().unwrap() - 1000.0).abs() < 0.1);
+    }
+
+    #[test]
+    fn no_value_has_no_percentile_and_still_a_file() {
+        let spans = Spans::from_ms([]);
+        assert_eq!(spans.percentile_ms(99.0), None);
+        assert!(spans.curve().is_empty());
+        assert!(spans.to_hgrm().contains("Total count    =            0"));
+    }
+
+    #[test]
+    fn the_file_ends_at_the_maximum_and_counts_all() {
+        let text = Spans::from_ms([10.0, 10.0, 12.5]).to_hgrm();
+        let last = text.lines().rfind(|line| !line.starts_with('#')).unwrap();
+        let fields: Vec<&str> = last.split_whitespace().collect();
+        assert_eq!(fields[1..3], ["1.000000000000", "3"]);
+        assert!((fields[0].parse::<f64>().unwrap() - 12.5).abs() < 0.01);
+    }
+}

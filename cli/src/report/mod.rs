@@ -1,0 +1,433 @@
+//! The report of a run: one HTML file that needs nothing else.
+
+mod charts;
+mod sections;
+mod top_view;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use plotters::style::RGBColor;
+
+use crate::mastership::{Takeover, takeovers};
+use crate::metrics::{Metrics, Surroundings};
+use crate::roles::State;
+use crate::runlog::{Mode, RunLog, What};
+use charts::Chart;
+
+const STYLE: &str = include_str!("style.css");
+/// Rows of the event log; more would bury what matters.
+const EVENT_ROWS: usize = 200;
+
+/// The whole page.
+///
+/// # Errors
+/// If a chart cannot be drawn.
+pub(crate) fn page(
+    log: &RunLog,
+    metrics: &Metrics,
+    around: &Surroundings,
+) -> anyhow::Result<String> {
+    let takeovers = takeovers(log);
+    let body = html! {
+        main {
+            (header(metrics))
+            (tiles(metrics))
+            (roles(log, &takeovers)?)
+            (driving(log, &takeovers)?)
+            (control(log, metrics, &takeovers)?)
+            (takeover_table(metrics))
+            (conditions(metrics))
+            (events(log, around))
+            footer {
+                "Files beside this page: " code { "metrics.json" } " (all figures), "
+                code { "candump.log" } " (every CAN frame, readable with the repository's DBC file), "
+                code { "control-period.hgrm" } " and " code { "chain.hgrm" }
+                " (distributions, for HdrHistogram plotters)."
+            }
+        }
+    };
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "Tandem: " (metrics.scenario) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body { (body) }
+        }
+    };
+    Ok(page.into_string())
+}
+
+/// What was not as it must be, in words; empty if the run was good.
+pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
+    let mut objections = Vec::new();
+    let mut object = |wrong: bool, text: String| {
+        if wrong {
+            objections.push(text);
+        }
+    };
+    object(
+        metrics.control_frames == 0,
+        "no control frame was ever accepted".into(),
+    );
+    object(!metrics.complete, "the run did not come to its end".into());
+    object(
+        metrics.collisions > 0,
+        format!("{} collision(s)", metrics.collisions),
+    );
+    object(
+        metrics.two_masters_ms > 0.0,
+        format!("two masters for {:.1} ms", metrics.two_masters_ms),
+    );
+    object(
+        metrics.false_takeovers > 0,
+        format!(
+            "{} takeover(s) from a master that had not failed",
+            metrics.false_takeovers
+        ),
+    );
+    object(
+        !metrics.leftovers.is_empty(),
+        format!("{} leftover(s)", metrics.leftovers.len()),
+    );
+    objections
+}
+
+fn header(metrics: &Metrics) -> Markup {
+    let objections = objections(metrics);
+    html! {
+        h1 { "Scenario " (metrics.scenario) }
+        p.sub {
+            (format!("{:.1} s driven of {:.1} s asked for", metrics.duration_s, metrics.duration_asked_s))
+            " · seed " (metrics.seed) " · " (metrics.control_frames) " control frames"
+        }
+        @if objections.is_empty() {
+            div.verdict.good { "The vehicle was under control from start to end" }
+        } @else {
+            div.verdict.bad { (objections.join(" · ")) }
+        }
+    }
+}
+
+fn tile(name: &str, good: Option<bool>, value: &str, unit: &str, remark: &str) -> Markup {
+    let class = match good {
+        Some(true) => "tile good",
+        Some(false) => "tile bad",
+        None => "tile",
+    };
+    html! {
+        div class=(class) {
+            div.name { (name) }
+            div.value { (value) @if !unit.is_empty() { small { (unit) } } }
+            div.remark { (remark) }
+        }
+    }
+}
+
+fn tiles(metrics: &Metrics) -> Markup {
+    let ms = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
+    let last = metrics.takeovers.last();
+    let takeover_remark = last.map_or(String::new(), |t| {
+        format!("last: {} → {} at {:.1} s", t.from, t.to, t.at_s)
+    });
+    let lateral = metrics.lateral_error_max_m;
+    let lateral = lateral.map_or("–".to_owned(), |value| format!("{value:.2}"));
+    let period_remark = format!("median {} ms", ms(metrics.control_period_p50_ms));
+    let fenced = format!("{} frame(s) fenced off", metrics.fenced_frames);
+    let false_ones = format!("{} of them false", metrics.false_takeovers);
+    let takeover_remark = if metrics.false_takeovers > 0 {
+        false_ones
+    } else {
+        takeover_remark
+    };
+    html! {
+        div.tiles {
+            (tile("Collisions", Some(metrics.collisions == 0), &metrics.collisions.to_string(), "", ""))
+            (tile("Takeovers", (metrics.false_takeovers > 0).then_some(false),
+                &metrics.takeovers.len().to_string(), "", &takeover_remark))
+            (tile("Largest control gap", None, &ms(metrics.control_gap_max_ms), "ms",
+                "between accepted frames"))
+            (tile("Two masters", Some(metrics.two_masters_ms <= 0.0),
+                &format!("{:.1}", metrics.two_masters_ms), "ms", &fenced))
+            (tile("Control period p99", None, &ms(metrics.control_period_p99_ms), "ms",
+                &period_remark))
+            (tile("Lateral error, max", None, &lateral, "m", "outside lane changes"))
+        }
+    }
+}
+
+/// A card with a heading, a legend made of the chart's series, and the chart.
+fn card(title: &str, note: &str, chart: &Chart) -> anyhow::Result<Markup> {
+    let named = chart.series.iter().filter(|series| !series.name.is_empty());
+    let legend: Vec<(&str, RGBColor)> = named
+        .map(|series| (series.name.as_str(), series.color))
+        .collect();
+    let legend = if legend.len() > 1 {
+        html! {
+            div.legend {
+                @for (name, color) in legend { span { i style=(background(color)) {} (name) } }
+            }
+        }
+    } else {
+        html! {}
+    };
+    framed(title, note, &legend, chart)
+}
+
+fn framed(title: &str, note: &str, legend: &Markup, chart: &Chart) -> anyhow::Result<Markup> {
+    let svg = chart.to_svg()?;
+    let labelled = svg.replacen(
+        "<svg ",
+        &format!("<svg role=\"img\" aria-label=\"{title}\" "),
+        1,
+    );
+    Ok(html! {
+        section {
+            div.head { h2 { (title) } (legend) }
+            @if !note.is_empty() { p.note { (note) } }
+            (PreEscaped(labelled))
+        }
+    })
+}
+
+fn background(RGBColor(r, g, b): RGBColor) -> String {
+    format!("background:#{r:02x}{g:02x}{b:02x}")
+}
+
+fn roles(log: &RunLog, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
+    let chart = sections::roles(log, takeovers);
+    let legend = html! {
+        div.legend {
+            @for state in State::ALL {
+                span {
+                    @match sections::state_color(state) {
+                        Some(color) => i.box style=(background(color)) {},
+                        None => i.box.off {},
+                    }
+                    (state.name())
+                }
+            }
+        }
+    };
+    let note = match takeovers.len() {
+        0 => "What each system was, over scenario time in seconds.",
+        _ => "What each system was, over scenario time in seconds. Red dashes mark takeovers.",
+    };
+    framed("Roles", note, &legend, &chart)
+}
+
+fn driving(log: &RunLog, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
+    let [acceleration, jerk] = sections::comfort(log, takeovers);
+    let gap = sections::lead_gap(log, takeovers);
+    let moment = takeovers
+        .first()
+        .map(|takeover| takeover.at_ns)
+        .or(log.start_ns);
+    let view = moment.and_then(|at_ns| top_view::top_view(log, at_ns));
+    let view_title = if takeovers.is_empty() {
+        "The road at the start"
+    } else {
+        "The road at the takeover"
+    };
+    Ok(html! {
+        @if let Some((at_s, chart)) = view {
+            (card(view_title, &format!("From above at {at_s:.1} s: lanes, other vehicles, and the \
+                whole path of the own vehicle."), &chart)?)
+        }
+        (card("Lateral error", "Distance of the vehicle's centre from the centre of its lane.",
+            &sections::lateral(log, takeovers))?)
+        (card("Speed", "", &sections::speed(log, takeovers))?)
+        @if let Some(chart) = gap {
+            (card("Distance to the vehicle ahead", "Bumper to bumper, in the own lane.", &chart)?)
+        }
+        (card("Acceleration", "", &acceleration)?)
+        (card("Longitudinal jerk", "Change of acceleration over a tenth of a second.", &jerk)?)
+    })
+}
+
+fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
+    let figures = |name: &str, values: [Option<f64>; 4]| {
+        html! {
+            tr {
+                td { (name) }
+                @for value in values {
+                    td.num { (value.map_or("–".to_owned(), |value| format!("{value:.3}"))) }
+                }
+            }
+        }
+    };
+    let period = [
+        metrics.control_period_p50_ms,
+        metrics.control_period_p99_ms,
+        metrics.control_period_p99_9_ms,
+        metrics.control_period_max_ms,
+    ];
+    let chain = [
+        metrics.chain_p50_ms,
+        metrics.chain_p99_ms,
+        None,
+        metrics.chain_max_ms,
+    ];
+    Ok(html! {
+        (card("Gaps between accepted control frames",
+            "As the vehicle saw them on the bus: each dot is the time since the accepted frame before.",
+            &sections::gaps(log, takeovers))?)
+        (card("Control period and chain latency by percentile",
+            "Control period: by the sender's clock, within one mastership. Chain: from the measurement \
+             on core 1 over core 2 to the command of core 0.",
+            &sections::percentiles(log))?)
+        section {
+            h2 { "Distributions" }
+            table {
+                tr { th { "ms" } th.num { "p50" } th.num { "p99" } th.num { "p99.9" } th.num { "max" } }
+                (figures("Control period", period))
+                (figures("Chain core 1 → 2 → 0", chain))
+            }
+        }
+    })
+}
+
+fn system(name: &str) -> Markup {
+    html! { span class=(format!("sys {name}")) { (name) } }
+}
+
+fn takeover_table(metrics: &Metrics) -> Markup {
+    let bound = metrics.detection_bound_ms;
+    html! {
+        section {
+            h2 { "Takeovers" }
+            @if metrics.takeovers.is_empty() {
+                p.note { "None: the same system drove from start to end." }
+            } @else {
+                table {
+                    tr {
+                        th { "at" } th { "from → to" } th { "sign" } th.num { "detected" }
+                        th.num { "bound" } th.num { "without control" } th { "" }
+                    }
+                    @for takeover in &metrics.takeovers {
+                        tr {
+                            td.time { (format!("{:.3} s", takeover.at_s)) }
+                            td { (system(&takeover.from)) " → " (system(&takeover.to)) }
+                            td { (takeover.cause) }
+                            td.num { (optional_ms(takeover.detected_ms)) }
+                            td.num { (optional_ms(bound)) }
+                            td.num { (format!("{:.2} ms", takeover.gap_ms)) }
+                            td.bad { @if takeover.is_false { "the old master had not failed" } }
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn optional_ms(value: Option<f64>) -> String {
+    value.map_or("–".to_owned(), |value| format!("{value:.2} ms"))
+}
+
+fn conditions(metrics: &Metrics) -> Markup {
+    let row = |name: &str, value: String| html! { tr { td.time { (name) } td { (value) } } };
+    let unit = |value: Option<f64>, unit: &str| {
+        value.map_or("–".to_owned(), |value| format!("{value:.2} {unit}"))
+    };
+    let comfort = &metrics.comfort;
+    html! {
+        section {
+            h2 { "Figures and conditions" }
+            div.two {
+                table {
+                    (row("Timing profile", metrics.timing.clone()))
+                    (row("Granted", metrics.granted.clone()))
+                    (row("Late control cycles", metrics.deadline_misses.to_string()))
+                    (row("Invalid control frames", metrics.invalid_frames.to_string()))
+                    (row("Lost trace records", metrics.lost_trace.to_string()))
+                    (row("Left behind", match metrics.leftovers.as_slice() {
+                        [] => "nothing".to_owned(),
+                        found => found.join(", "),
+                    }))
+                }
+                table {
+                    (row("Smallest distance ahead", unit(metrics.lead_gap_min_m, "m")))
+                    (row("Smallest time to collision", unit(metrics.ttc_min_s, "s")))
+                    (row("Strongest acceleration", unit(Some(comfort.accel_max), "m/s²")))
+                    (row("Strongest braking", unit(Some(comfort.brake_max), "m/s²")))
+                    (row("Strongest lateral acceleration", unit(Some(comfort.lat_accel_max), "m/s²")))
+                    (row("Strongest jerk", unit(Some(comfort.jerk_max), "m/s³")))
+                }
+            }
+        }
+    }
+}
+
+/// One row of the event log: scenario time, who, what.
+type EventRow = (f64, String, String);
+
+fn events(log: &RunLog, around: &Surroundings) -> Markup {
+    let mut rows: Vec<EventRow> = log
+        .events
+        .iter()
+        .filter_map(|event| {
+            let who = format!("{}{}", event.system.name(), event.core);
+            Some((log.seconds(event.at_ns), who, describe(&event.what)?))
+        })
+        .collect();
+    rows.extend(log.collisions.iter().map(|collision| {
+        let what = format!("collision with {}", collision.with);
+        (log.seconds(collision.at_ns), "vehicle".to_owned(), what)
+    }));
+    rows.extend(around.deaths.iter().map(|(at_ns, who)| {
+        (
+            log.seconds(*at_ns),
+            who.clone(),
+            "the process ended".to_owned(),
+        )
+    }));
+    rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let more = rows.len().saturating_sub(EVENT_ROWS);
+    html! {
+        section {
+            h2 { "Events" }
+            table {
+                tr { th { "at" } th { "who" } th { "what" } }
+                @for (at_s, who, what) in rows.iter().take(EVENT_ROWS) {
+                    tr { td.time { (format!("{at_s:.4} s")) } td { (who) } td { (what) } }
+                }
+            }
+            @if more > 0 { p.note { "and " (more) " more" } }
+        }
+    }
+}
+
+/// An event in words; `None` for those that come in every cycle.
+fn describe(what: &What) -> Option<String> {
+    Some(match what {
+        What::Started { generation } => format!("starts, life {generation}"),
+        What::RoleChanged { role, mode, term } => {
+            let function = match mode {
+                Mode::L3 => ", L3",
+                Mode::None | Mode::DegradedL2 | Mode::SafeStop => "",
+            };
+            format!(
+                "is {}{function}, term {term}",
+                State::of(*role, *mode).name()
+            )
+        }
+        What::PeerLost { cause, silent_ms } => {
+            format!(
+                "takes the other system for failed: {cause}, {silent_ms:.2} ms since its last sign"
+            )
+        }
+        What::PeerBack => "hears the other system again".to_owned(),
+        What::TookOver { cause, detected_ms } => {
+            format!("takes over: {cause}, detected in {detected_ms:.2} ms")
+        }
+        What::CoreSilent { core } => format!("core {core} of its own system does not answer"),
+        What::DeadlineMiss { late_ms } => format!("a cycle came {late_ms:.2} ms late"),
+        What::ControlCycle { .. } | What::ChainDone { .. } => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests;

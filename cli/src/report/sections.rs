@@ -1,0 +1,282 @@
+//! The charts of a report: which data of the run each one shows.
+
+use super::charts::{Axis, Chart, Series, Shape, Style, color, plain, thin};
+use crate::mastership::{Takeover, ms_between};
+use crate::metrics::{chain_ms, control_periods_ms, jerk};
+use crate::percentiles::Spans;
+use crate::roles::{State, timeline};
+use crate::runlog::{RunLog, Sample, System};
+
+use plotters::style::RGBColor;
+
+/// More points than this in a line cannot be told apart.
+const LINE_POINTS: usize = 1_500;
+/// More dots than this only make the file large.
+const DOTS: usize = 3_000;
+
+/// The colour of a system.
+pub(super) const fn system_color(system: System) -> RGBColor {
+    match system {
+        System::A => color::A,
+        System::B => color::B,
+    }
+}
+
+/// The colour of a state.
+pub(super) const fn state_color(state: State) -> Option<RGBColor> {
+    match state {
+        State::Master => Some(color::GOOD),
+        State::Degraded => Some(color::WARN),
+        State::SafeStop => Some(color::B),
+        State::Standby => Some(color::CALM),
+        State::Starting => Some(color::PALE),
+        State::Suspended => Some(color::BAD),
+        State::Off => None,
+    }
+}
+
+fn over_time(log: &RunLog, value: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
+    log.samples
+        .iter()
+        .map(|sample| (log.seconds(sample.at_ns), value(sample)))
+        .collect()
+}
+
+fn line(name: &str, color: RGBColor, points: &[(f64, f64)]) -> Series {
+    // Thinning sorts values; pieces around gaps must stay apart, so such a line is kept whole.
+    let whole = points.iter().any(|point| !point.1.is_finite());
+    let points = if whole {
+        points.to_vec()
+    } else {
+        thin(points, LINE_POINTS)
+    };
+    Series {
+        name: name.to_owned(),
+        color,
+        style: Style::Line,
+        points,
+    }
+}
+
+fn dashed(name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Series {
+    Series {
+        name: name.to_owned(),
+        color,
+        style: Style::Dashed,
+        points,
+    }
+}
+
+fn time_chart(
+    log: &RunLog,
+    takeovers: &[Takeover],
+    height: u32,
+    unit: &'static str,
+    series: Vec<Series>,
+) -> Chart {
+    let values = series
+        .iter()
+        .flat_map(|series| &series.points)
+        .map(|point| point.1);
+    let y = Axis::over(unit, values, 5);
+    let mut chart = Chart::new(height, Axis::time(log.driven_s()), y);
+    chart.marks = marks(log, takeovers);
+    chart.series = series;
+    chart
+}
+
+fn marks(log: &RunLog, takeovers: &[Takeover]) -> Vec<f64> {
+    takeovers
+        .iter()
+        .map(|takeover| log.seconds(takeover.at_ns))
+        .collect()
+}
+
+/// Bars of the roles of both systems.
+pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
+    let name = |value: f64| {
+        if value < 1.0 {
+            "B".to_owned()
+        } else {
+            "A".to_owned()
+        }
+    };
+    let y = Axis {
+        name: "",
+        range: (0.0, 2.0),
+        ticks: vec![0.5, 1.5],
+        label: name,
+    };
+    let mut chart = Chart::new(150, Axis::time(log.driven_s()), y);
+    chart.grid = false;
+    for (system, base) in [(System::A, 1.0), (System::B, 0.0)] {
+        for span in timeline(log, system) {
+            if let Some(color) = state_color(span.state) {
+                let (left, right) = (span.from_s, span.to_s);
+                let (low, high) = (base + 0.14, base + 0.86);
+                let corners = vec![(left, low), (right, low), (right, high), (left, high)];
+                chart.shapes.push(Shape {
+                    color,
+                    opacity: 1.0,
+                    corners,
+                });
+            }
+        }
+    }
+    chart.marks = marks(log, takeovers);
+    chart
+}
+
+/// Distance from the centre of the lane.
+pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
+    let value = |changing: bool| {
+        over_time(log, |s| {
+            if s.changing_lane == changing {
+                s.lateral_error
+            } else {
+                f64::NAN
+            }
+        })
+    };
+    let mut series = vec![line("in lane", color::A, &value(false))];
+    if log.samples.iter().any(|sample| sample.changing_lane) {
+        series.push(line("changing lane", color::OTHER, &value(true)));
+    }
+    let mut chart = time_chart(log, takeovers, 230, "m, left +", series);
+    let (low, high) = chart.y.range;
+    // Never so close that noise of a centimetre looks like a swerve.
+    chart.y = Axis::linear("m, left +", (low.min(-0.3), high.max(0.3)), 5);
+    chart
+}
+
+/// Speed and what was asked for.
+pub(super) fn speed(log: &RunLog, takeovers: &[Takeover]) -> Chart {
+    let set = thin(
+        &over_time(log, |s| s.set_speed.unwrap_or(f64::NAN)),
+        LINE_POINTS,
+    );
+    let series = vec![
+        dashed("set by the driver", color::MUTED, set),
+        line("own speed", color::A, &over_time(log, |s| s.speed)),
+    ];
+    time_chart(log, takeovers, 230, "m/s", series)
+}
+
+/// Distance to the vehicle ahead; `None` if there never was one.
+pub(super) fn lead_gap(log: &RunLog, takeovers: &[Takeover]) -> Option<Chart> {
+    log.samples
+        .iter()
+        .any(|sample| sample.lead_gap.is_some())
+        .then(|| {
+            let points = over_time(log, |s| s.lead_gap.unwrap_or(f64::NAN));
+            let mut chart = time_chart(
+                log,
+                takeovers,
+                210,
+                "m",
+                vec![line("gap", color::A, &points)],
+            );
+            chart.y = Axis::linear("m", (0.0, chart.y.range.1), 5);
+            chart
+        })
+}
+
+/// Accelerations, and jerk.
+pub(super) fn comfort(log: &RunLog, takeovers: &[Takeover]) -> [Chart; 2] {
+    let accelerations = vec![
+        line("lateral", color::OTHER, &over_time(log, |s| s.lat_accel)),
+        line("longitudinal", color::A, &over_time(log, |s| s.accel)),
+    ];
+    let jerk = vec![line("jerk", color::A, &jerk(log))];
+    [
+        time_chart(log, takeovers, 210, "m/s²", accelerations),
+        time_chart(log, takeovers, 190, "m/s³", jerk),
+    ]
+}
+
+/// Every gap between two accepted control frames, by the system that ended it.
+pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
+    let accepted: Vec<_> = log.accepted().collect();
+    let gaps: Vec<_> = accepted
+        .windows(2)
+        .map(|pair| {
+            let gap_ms = ms_between(pair[0].at_ns, pair[1].at_ns);
+            (
+                pair[1].system,
+                log.seconds(pair[1].at_ns),
+                gap_ms.max(0.1).log10(),
+            )
+        })
+        .collect();
+    let top = gaps.iter().map(|gap| gap.2.ceil() as i32).fold(2, i32::max);
+    let y = Axis::decades("ms", (0, top), |power| plain(10.0_f64.powf(power)));
+    let mut chart = Chart::new(230, Axis::time(log.driven_s()), y);
+    for system in System::ALL {
+        let points: Vec<_> = gaps
+            .iter()
+            .filter(|gap| gap.0 == system)
+            .map(|gap| (gap.1, gap.2.max(0.0)))
+            .collect();
+        chart.series.push(Series {
+            name: format!("accepted from {}", system.name()),
+            color: system_color(system),
+            style: Style::Dots,
+            points: thin(&points, DOTS),
+        });
+    }
+    chart.marks = marks(log, takeovers);
+    chart
+}
+
+/// Distributions of the control period and of the chain, over percentiles.
+pub(super) fn percentiles(log: &RunLog) -> Chart {
+    let curves = [
+        (
+            "control period",
+            color::A,
+            Spans::from_ms(control_periods_ms(log)).curve(),
+        ),
+        (
+            "chain core 1 → 2 → 0",
+            color::B,
+            Spans::from_ms(chain_ms(log)).curve(),
+        ),
+    ];
+    let series: Vec<Series> = curves
+        .into_iter()
+        .filter(|(_, _, curve)| !curve.is_empty())
+        .map(|(name, color, curve)| Series {
+            name: name.to_owned(),
+            color,
+            style: Style::Line,
+            points: curve
+                .iter()
+                .map(|(rarity, ms)| (rarity.log10(), *ms))
+                .collect(),
+        })
+        .collect();
+    let all = || series.iter().flat_map(|series| &series.points);
+    let rarest = all().map(|point| point.0.ceil() as i32).fold(1, i32::max);
+    let top = all().map(|point| point.1).fold(1.0, f64::max);
+    let x = Axis::decades("percentile", (0, rarest), percentile_label);
+    let mut chart = Chart::new(260, x, Axis::linear("ms", (0.0, top * 1.1), 6));
+    chart.series = series;
+    chart
+}
+
+/// 0 → "0 %", 1 → "90 %", 2 → "99 %", 3 → "99.9 %".
+fn percentile_label(power: f64) -> String {
+    let digits = (power.round() as usize).saturating_sub(2);
+    format!("{:.*} %", digits, 100.0 - 10.0_f64.powf(2.0 - power))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_labelled_as_people_write_them() {
+        let labels: Vec<String> = (0..5).map(|n| percentile_label(f64::from(n))).collect();
+        assert_eq!(labels, ["0 %", "90 %", "99 %", "99.9 %", "99.99 %"]);
+    }
+}

@@ -1,0 +1,66 @@
+//! The report of a made-up run.
+
+use super::*;
+use crate::{metrics, synthetic};
+
+fn synthetic_page() -> String {
+    let log = synthetic::with_takeover(60.0);
+    let around = Surroundings {
+        granted: "SCHED_FIFO, memory locked, CPUs 0 and 1".into(),
+        timing: "rt".into(),
+        detection_bound_ms: Some(3.2),
+        leftovers: Vec::new(),
+        deaths: vec![(log.start_ns.unwrap() + 30_000_000_000, "supply A".into())],
+    };
+    page(&log, &metrics::compute(&log, &around), &around).unwrap()
+}
+
+/// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
+#[test]
+fn the_page_needs_nothing_from_outside() {
+    let page = synthetic_page();
+    if let Some(path) = std::env::var_os("TANDEM_REPORT_SAMPLE") {
+        std::fs::write(path, &page).unwrap();
+    }
+    // The name of the SVG format is the only address on the page.
+    let rest = page.replace("http://www.w3.org/2000/svg", "");
+    for outside in ["http:", "https:", "<link", "<script", "<img", "url("] {
+        assert!(!rest.contains(outside), "{outside}");
+    }
+}
+
+#[test]
+fn every_colour_of_a_chart_is_known_to_the_dark_style() {
+    let page = synthetic_page();
+    let svgs = page
+        .split("<svg ")
+        .skip(1)
+        .filter_map(|rest| rest.split("</svg>").next());
+    let light_and_dark = ["#8A94A3", "#E2B104", "#FFFFFF"];
+    for svg in svgs {
+        for attribute in ["fill=\"#", "stroke=\"#"] {
+            for rest in svg.split(attribute).skip(1) {
+                let color = format!("#{}", &rest[..6]);
+                let known = STYLE.contains(&color) || light_and_dark.contains(&color.as_str());
+                assert!(known, "{color}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
+    let (log, around) = (RunLog::default(), Surroundings::default());
+    let page = page(&log, &metrics::compute(&log, &around), &around).unwrap();
+    assert!(page.contains("no control frame was ever accepted"));
+    assert!(!page.contains("NaN"));
+}
+
+#[test]
+fn names_from_a_scenario_file_are_text_and_no_markup() {
+    let mut log = synthetic::with_takeover(4.0);
+    log.header.scenario = "<script>alert(1)</script>".into();
+    let around = Surroundings::default();
+    let page = page(&log, &metrics::compute(&log, &around), &around).unwrap();
+    assert!(!page.contains("<script>"));
+}

@@ -1,0 +1,202 @@
+//! The road from above at one moment: lanes, the own path, the vehicles.
+
+use super::charts::{Axis, Chart, Series, Shape, Style, color};
+use crate::runlog::{Lane, Other, RunLog, Sample};
+
+/// Height of the chart in its own units.
+const HEIGHT: u32 = 230;
+/// How far to look ahead, m; how far back follows from the width.
+const AHEAD_M: f64 = 85.0;
+/// Half the height of the view, m.
+const ASIDE_M: f64 = 13.0;
+/// The own vehicle, as it is drawn, m.
+const OWN: (f64, f64) = (4.6, 1.9);
+
+/// The view in which the own vehicle stands at the origin and looks along x.
+struct View {
+    x: f64,
+    y: f64,
+    cos: f64,
+    sin: f64,
+    heading: f64,
+    back_m: f64,
+}
+
+impl View {
+    fn of(sample: &Sample) -> Self {
+        let (sin, cos) = sample.heading.sin_cos();
+        let back_m = 2.0 * ASIDE_M * Chart::aspect(HEIGHT) - AHEAD_M;
+        Self {
+            x: sample.x,
+            y: sample.y,
+            cos,
+            sin,
+            heading: sample.heading,
+            back_m,
+        }
+    }
+
+    fn local(&self, [x, y]: [f64; 2]) -> (f64, f64) {
+        let (dx, dy) = (x - self.x, y - self.y);
+        (dx * self.cos + dy * self.sin, dy * self.cos - dx * self.sin)
+    }
+
+    fn shows(&self, (x, y): (f64, f64)) -> bool {
+        (-self.back_m..=AHEAD_M).contains(&x) && (-ASIDE_M..=ASIDE_M).contains(&y)
+    }
+
+    /// The part of a polyline that is in view, in pieces between points that are not a number.
+    fn polyline(&self, points: impl Iterator<Item = [f64; 2]>) -> Vec<(f64, f64)> {
+        let mut local: Vec<(f64, f64)> = Vec::new();
+        for point in points.map(|point| self.local(point)) {
+            let Some(&last) = local.last() else {
+                local.push(point);
+                continue;
+            };
+            // Fine steps, so that what leaves the view is cut at its edge.
+            let steps = ((point.0 - last.0).hypot(point.1 - last.1) / 0.5)
+                .ceil()
+                .clamp(1.0, 400.0);
+            for step in 1..=steps as u32 {
+                let part = f64::from(step) / steps;
+                local.push((
+                    last.0 + (point.0 - last.0) * part,
+                    last.1 + (point.1 - last.1) * part,
+                ));
+            }
+        }
+        local
+            .into_iter()
+            .map(|p| if self.shows(p) { p } else { (p.0, f64::NAN) })
+            .collect()
+    }
+
+    /// The corners of a vehicle, if it is wholly in view.
+    fn rectangle(&self, vehicle: &Other) -> Option<Vec<(f64, f64)>> {
+        let (cx, cy) = self.local([vehicle.x, vehicle.y]);
+        let (sin, cos) = (vehicle.heading - self.heading).sin_cos();
+        let (half_l, half_w) = (vehicle.length / 2.0, vehicle.width / 2.0);
+        let corners: Vec<(f64, f64)> = [
+            (half_l, half_w),
+            (-half_l, half_w),
+            (-half_l, -half_w),
+            (half_l, -half_w),
+        ]
+        .into_iter()
+        .map(|(l, w)| (cx + l * cos - w * sin, cy + l * sin + w * cos))
+        .collect();
+        corners
+            .iter()
+            .all(|corner| self.shows(*corner))
+            .then_some(corners)
+    }
+
+    /// The surface of a lane, cut to what is in view.
+    fn surface(&self, lane: &Lane) -> Vec<Vec<(f64, f64)>> {
+        lane.left
+            .windows(2)
+            .zip(lane.right.windows(2))
+            .map(|(left, right)| vec![left[0], left[1], right[1], right[0]])
+            .map(|quad| {
+                quad.into_iter()
+                    .map(|point| self.local(point))
+                    .collect::<Vec<_>>()
+            })
+            .filter(|quad| quad.iter().any(|corner| self.shows(*corner)))
+            .map(|quad| quad.into_iter().map(|(x, y)| self.clamp(x, y)).collect())
+            .collect()
+    }
+
+    fn clamp(&self, x: f64, y: f64) -> (f64, f64) {
+        (x.clamp(-self.back_m, AHEAD_M), y.clamp(-ASIDE_M, ASIDE_M))
+    }
+}
+
+/// The road at the sample with vehicles that is nearest to `at_ns`; `None` if there is none.
+pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
+    // Runs without any traffic have no vehicles in any sample; then any sample does.
+    let with_others = log.samples.iter().any(|sample| !sample.others.is_empty());
+    let sample = log
+        .samples
+        .iter()
+        .filter(|sample| !with_others || !sample.others.is_empty())
+        .min_by_key(|sample| sample.at_ns.abs_diff(at_ns))?;
+    let view = View::of(sample);
+    let x = Axis::linear("m ahead of the own vehicle", (-view.back_m, AHEAD_M), 10);
+    let y = Axis::linear("m, left +", (-ASIDE_M, ASIDE_M), 5);
+    let mut chart = Chart::new(HEIGHT, x, y);
+    chart.grid = false;
+    for lane in &log.header.lanes {
+        for corners in view.surface(lane) {
+            chart.shapes.push(Shape {
+                color: color::ROAD,
+                opacity: 1.0,
+                corners,
+            });
+        }
+    }
+    let mut line = |color, style, points| {
+        chart.series.push(Series {
+            name: String::new(),
+            color,
+            style,
+            points,
+        });
+    };
+    for lane in &log.header.lanes {
+        for border in [&lane.left, &lane.right] {
+            line(
+                color::OTHER,
+                Style::Dashed,
+                view.polyline(border.iter().copied()),
+            );
+        }
+    }
+    let path = log
+        .samples
+        .iter()
+        .step_by(10)
+        .map(|sample| [sample.x, sample.y]);
+    line(color::A, Style::Line, view.polyline(path));
+    let own = Other {
+        x: sample.x,
+        y: sample.y,
+        heading: sample.heading,
+        length: OWN.0,
+        width: OWN.1,
+    };
+    let others = sample.others.iter().map(|other| (other, color::MUTED));
+    for (vehicle, color) in others.chain([(&own, color::A)]) {
+        if let Some(corners) = view.rectangle(vehicle) {
+            chart.shapes.push(Shape {
+                color,
+                opacity: 1.0,
+                corners,
+            });
+        }
+    }
+    Some((log.seconds(sample.at_ns), chart))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_view_turns_with_the_own_vehicle() {
+        let heading = std::f64::consts::FRAC_PI_2;
+        let view = View::of(&Sample {
+            x: 5.0,
+            y: 5.0,
+            heading,
+            ..Sample::default()
+        });
+        let (ahead, aside) = view.local([4.0, 15.0]);
+        assert!((ahead - 10.0).abs() < 1e-9 && (aside - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_run_without_samples_has_no_view() {
+        assert!(top_view(&RunLog::default(), 0).is_none());
+    }
+}

@@ -1,0 +1,215 @@
+//! A made-up run for the tests of the figures and of the report.
+
+use crate::runlog::{
+    ControlSeen, CoreEvent, Header, Lane, Mode, Other, Record, Role, RunLog, Sample, StatusSeen,
+    System, Verdict, What,
+};
+
+/// The clock at the start of the world.
+const START_NS: u64 = 1_700_000_000;
+
+/// A small generator of noise that is the same in every run.
+struct Noise(u64);
+
+impl Noise {
+    /// -1 to 1, with a thin tail.
+    fn next(&mut self) -> f64 {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        let u = (self.0 >> 11) as f64 / (1_u64 << 53) as f64 * 2.0 - 1.0;
+        u * u * u
+    }
+}
+
+/// A run of `duration_s` in which A loses power in the middle and B takes over.
+pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
+    let mut log = RunLog::default();
+    log.push(Record::Header(Header {
+        scenario: "cut-in".into(),
+        seed: 1,
+        duration_s,
+        lanes: (0..3).map(lane).collect(),
+    }));
+    log.push(Record::Start { at_ns: START_NS });
+    let middle_ns = START_NS + (duration_s * 0.5e9) as u64;
+    let end_ns = START_NS + (duration_s * 1e9) as u64;
+    add_samples(&mut log, end_ns);
+    add_control(&mut log, middle_ns, end_ns);
+    add_status(&mut log, middle_ns, end_ns);
+    log.push(Record::End {
+        at_ns: end_ns,
+        lost_trace: 0,
+    });
+    log.events.sort_by_key(|event| event.at_ns);
+    log
+}
+
+/// Where the middle of the road is at `x`.
+fn road(x: f64) -> f64 {
+    12.0 * (x / 220.0).sin()
+}
+
+fn lane(number: i32) -> Lane {
+    let border = |offset: f64| {
+        (-20..300)
+            .map(|i| f64::from(i) * 5.0)
+            .map(move |x| [x, road(x) + offset])
+    };
+    let right = f64::from(number - 1) * 3.5 - 1.75;
+    Lane {
+        left: border(right + 3.5).collect(),
+        right: border(right).collect(),
+    }
+}
+
+fn add_samples(log: &mut RunLog, end_ns: u64) {
+    let (mut x, mut speed, mut noise) = (0.0_f64, 20.0_f64, Noise(7));
+    for (step, at_ns) in (START_NS..end_ns).step_by(20_000_000).enumerate() {
+        let t = step as f64 * 0.02;
+        let accel = 1.2 * (t / 4.0).sin() * (-(t / 40.0)).exp() + 0.02 * noise.next();
+        speed += accel * 0.02;
+        x += speed * 0.02;
+        let lateral_error = 0.12 * (t / 3.0).sin() + 0.01 * noise.next();
+        let heading = (12.0 / 220.0 * (x / 220.0).cos()).atan();
+        let gap = 30.0 - 8.0 * (t / 6.0).sin();
+        let other = |ahead: f64, offset: f64, length: f64| Other {
+            x: x + ahead,
+            y: road(x + ahead) + offset,
+            heading: (12.0 / 220.0 * ((x + ahead) / 220.0).cos()).atan(),
+            length,
+            width: if length > 6.0 { 2.5 } else { 1.85 },
+        };
+        log.push(Record::Sample(Sample {
+            at_ns,
+            x,
+            y: road(x) + lateral_error,
+            heading,
+            speed,
+            set_speed: Some(27.0),
+            accel,
+            lat_accel: 0.5 * (t / 3.0).cos(),
+            lateral_error,
+            changing_lane: false,
+            lead_gap: (t > 6.0).then_some(gap),
+            closing_speed: Some(8.0 / 6.0 * (t / 6.0).cos()),
+            others: vec![
+                other(gap + 4.6, 0.0, 4.6),
+                other(12.0, 3.5, 4.4),
+                other(-22.0, -3.5, 12.0),
+                other(55.0, -3.5, 4.5),
+            ],
+        }));
+    }
+}
+
+fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
+    let mut noise = Noise(99);
+    let mut event = |at_ns, system, core, what| {
+        log.events.push(CoreEvent {
+            at_ns,
+            system,
+            core,
+            what,
+        });
+    };
+    event(
+        START_NS - 300_000_000,
+        System::A,
+        0,
+        What::Started { generation: 1 },
+    );
+    event(
+        START_NS - 290_000_000,
+        System::B,
+        0,
+        What::Started { generation: 1 },
+    );
+    let role = |role, mode, term| What::RoleChanged { role, mode, term };
+    event(
+        START_NS - 20_000_000,
+        System::A,
+        0,
+        role(Role::Master, Mode::L3, 2),
+    );
+    event(
+        START_NS - 19_000_000,
+        System::B,
+        0,
+        role(Role::Standby, Mode::L3, 2),
+    );
+    let lost = What::PeerLost {
+        cause: "power line fell".into(),
+        silent_ms: 1.1,
+    };
+    event(middle_ns + 600_000, System::B, 0, lost);
+    let took = What::TookOver {
+        cause: "power line fell".into(),
+        detected_ms: 1.1,
+    };
+    event(middle_ns + 620_000, System::B, 0, took);
+    event(
+        middle_ns + 630_000,
+        System::B,
+        0,
+        role(Role::Master, Mode::DegradedL2, 3),
+    );
+    for cycle_ns in (START_NS..end_ns).step_by(50_000_000) {
+        let latency_ms = 14.0 + 3.0 * noise.next();
+        let system = if cycle_ns < middle_ns {
+            System::A
+        } else {
+            System::B
+        };
+        event(
+            cycle_ns + 15_000_000,
+            system,
+            0,
+            What::ChainDone { latency_ms },
+        );
+    }
+    for cycle_ns in (START_NS..end_ns).step_by(10_000_000) {
+        let late_ns = 60_000 + (50_000.0 * (1.0 + noise.next())) as u64;
+        let (system, term, phase_ns) = if cycle_ns < middle_ns {
+            (System::A, 2, 0)
+        } else {
+            (System::B, 3, 3_300_000)
+        };
+        let sent_ns = cycle_ns + phase_ns + late_ns;
+        log.control.push(ControlSeen {
+            at_ns: (sent_ns + 40_000) / 1_000_000 * 1_000_000 + 1_000_000,
+            sent_ns,
+            system,
+            term,
+            mode: if term == 2 {
+                Mode::L3
+            } else {
+                Mode::DegradedL2
+            },
+            verdict: Verdict::Accepted,
+        });
+    }
+}
+
+fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
+    for at_ns in (START_NS..end_ns).step_by(100_000_000) {
+        let dead = at_ns >= middle_ns;
+        let b = if dead {
+            (Role::Master, Mode::DegradedL2, 3)
+        } else {
+            (Role::Standby, Mode::L3, 2)
+        };
+        let status = |system, (role, mode, term)| StatusSeen {
+            at_ns,
+            system,
+            role,
+            mode,
+            term,
+        };
+        if !dead {
+            log.status
+                .push(status(System::A, (Role::Master, Mode::L3, 2)));
+        }
+        log.status.push(status(System::B, b));
+    }
+}
