@@ -1,7 +1,7 @@
-//! Turns `dbc/tandem.dbc` into Rust: a struct per frame layout, an enum per value table, the frame list.
+//! Turns `dbc/tandem.dbc` into Rust: structs for frame layouts, enums for value tables.
 //!
 //! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
-//! stands in `src/signal.rs`. A DBC that uses something that this generator does not know fails the build.
+//! stands in `src/signal.rs`. What this generator does not know in a DBC fails the build.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -210,7 +210,11 @@ fn write_layout(dbc: &Dbc, name: &str, messages: &[&Message], out: &mut String) 
         .iter()
         .filter(|s| !["Crc", "Counter", "Spare"].contains(&&*s.name))
     {
-        writeln!(out, "    pub(crate) const {}", signal_const(signal)?)?;
+        writeln!(
+            out,
+            "    pub(crate) const {}",
+            signal_const(message, signal)?
+        )?;
     }
     write_codec(&fields, out)?;
     writeln!(out, "}}\n")?;
@@ -252,11 +256,11 @@ fn write_codec(fields: &[Field<'_>], out: &mut String) -> Result<()> {
     writeln!(out, "    ///\n    /// # Errors")?;
     writeln!(
         out,
-        "    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value that is"
+        "    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value"
     )?;
     writeln!(
         out,
-        "    /// out of the signal's range or not in its value table."
+        "    /// that is out of the signal's range or not in its value table."
     )?;
     writeln!(
         out,
@@ -386,7 +390,7 @@ impl<'a> Field<'a> {
 }
 
 /// The constant that describes a signal to `src/signal.rs`.
-fn signal_const(signal: &Signal) -> Result<String> {
+fn signal_const(message: &Message, signal: &Signal) -> Result<String> {
     let Signal {
         name,
         start_bit,
@@ -398,16 +402,26 @@ fn signal_const(signal: &Signal) -> Result<String> {
         || signal.multiplexer_indicator != MultiplexIndicator::Plain
         || signal.offset != 0.0
         || *size > 32
+        || start_bit + size > message.size * 8
     {
-        return Err(format!("{name}: not a plain little endian signal up to 32 bits").into());
+        return Err(format!(
+            "{name}: not a plain little endian signal within the frame, up to 32 bits"
+        )
+        .into());
     }
     let raw = |physical: &NumericValue| (number(physical) / factor).round() as i64;
+    let (min, max) = (raw(&signal.min), raw(&signal.max));
+    let held = match signal.value_type {
+        ValueType::Unsigned => 0..1 << size,
+        ValueType::Signed => -(1 << (size - 1))..1 << (size - 1),
+    };
+    if !held.contains(&min) || !held.contains(&max) || min > max {
+        return Err(format!("{name}: {size} bits do not hold its range").into());
+    }
+    let name_of_constant = shouted(name);
     Ok(format!(
-        "{}: Signal = Signal {{ name: \"{name}\", start: {start_bit}, len: {size}, factor: {factor:?}, \
-         min: {}, max: {} }};",
-        shouted(name),
-        raw(&signal.min),
-        raw(&signal.max),
+        "{name_of_constant}: Signal = Signal {{ name: \"{name}\", start: {start_bit}, \
+         len: {size}, factor: {factor:?}, min: {min}, max: {max} }};"
     ))
 }
 

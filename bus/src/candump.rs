@@ -1,7 +1,7 @@
 //! Log lines in the format of `candump -L`: `(1436509052.249713) vcan0 0A0##1A1B2C3`.
 //!
-//! Classic CAN is `id#data`; CAN FD is `id##` with one hex digit of flags, then the data. A standard
-//! id has three hex digits, an extended one eight.
+//! Classic CAN is `id#data`; CAN FD is `id##` with one hex digit of flags, then the data. A
+//! standard id has three hex digits, an extended one eight.
 
 use core::fmt;
 

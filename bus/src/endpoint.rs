@@ -20,8 +20,8 @@ impl Transmitter {
         }
     }
 
-    /// The frame to send. Call it once for each frame that is really sent: a number that is left out
-    /// counts as a lost frame at the receiver.
+    /// The frame to send. Call it once for each frame that is really sent: a number that is left
+    /// out counts as a lost frame at the receiver.
     pub fn encode(&mut self, message: &Message) -> Encoded {
         let Some(index) = frame_index(message.id()) else {
             return message.encode(0);

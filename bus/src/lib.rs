@@ -1,8 +1,8 @@
 //! CAN frames of the vehicle: the DBC's signals and their end-to-end protection (no_std).
 //!
 //! `dbc/tandem.dbc` is the single source of every frame; the build script makes the structs of
-//! [`dbc`] from it. [`Message`] is one frame with its values, [`Transmitter`] and [`Receiver`] add and
-//! check the end-to-end protection of [`e2e`], [`candump`] writes and reads logs.
+//! [`dbc`] from it. [`Message`] is one frame with its values, [`Transmitter`] and [`Receiver`] add
+//! and check the end-to-end protection of [`e2e`], [`candump`] writes and reads logs.
 //!
 //! ```
 //! use tandem_bus::{Control, Message, Receiver, Transmitter};

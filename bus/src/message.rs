@@ -40,7 +40,8 @@ impl Message {
     /// [`Receiver`](crate::Receiver) does both.
     ///
     /// # Errors
-    /// [`DecodeError`]: the frame is none of the DBC's, or holds a value that the DBC does not allow.
+    /// [`DecodeError`]: the frame is none of the DBC's, or a value is one that the DBC does not
+    /// allow.
     pub fn decode(id: u32, data: &[u8]) -> Result<Self, DecodeError> {
         let id = u16::try_from(id).map_err(|_| DecodeError::UnknownId)?;
         if let Some(system) = position(&Control::IDS, id) {

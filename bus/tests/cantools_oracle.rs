@@ -1,4 +1,4 @@
-//! The frames of this crate and those of cantools, an independent implementation, from the same DBC.
+//! The frames of this crate and those of cantools, an independent implementation.
 #![allow(clippy::unwrap_used)]
 
 mod frames;
@@ -17,7 +17,8 @@ use tandem_bus::{Encoded, FRAMES, Message, Transmitter};
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cantools_oracle.py");
 
-/// Whether cantools is there. Without it a test passes and says so, unless `TANDEM_REQUIRE_ORACLES=1`.
+/// Whether cantools is there. Without it a test passes and says so, unless
+/// `TANDEM_REQUIRE_ORACLES=1`.
 fn cantools_or_skip(test: &str) -> bool {
     let import = Command::new("python3")
         .args(["-c", "import cantools"])
@@ -93,7 +94,7 @@ fn bytes(hex: &str) -> Vec<u8> {
     (0..hex.len()).step_by(2).map(byte).collect()
 }
 
-/// The values that Rust reads from a frame are those of the oracle, but for the precision of an `f32`.
+/// The values that Rust reads from a frame are those of the oracle, to the precision of an `f32`.
 fn assert_same_values(frame: &Message, oracle: &BTreeMap<&str, f64>) {
     let ours = frames::values(frame);
     // The oracle has two more: Crc and Counter.

@@ -68,7 +68,8 @@ proptest! {
         let back = Message::decode(u32::from(frame.id), frame.data()).unwrap();
         prop_assert_eq!(back.id(), message.id());
         let dbc = dbc();
-        for ((name, value), (_, back)) in frames::values(&message).iter().zip(frames::values(&back)) {
+        let values = frames::values(&message);
+        for ((name, value), (_, back)) in values.iter().zip(frames::values(&back)) {
             let signal = dbc.signal_by_name(MessageId::Standard(frame.id), name).unwrap();
             let (low, high) = expected(signal, *value);
             prop_assert!((low..=high).contains(&back), "{}: {} became {}", name, value, back);
@@ -80,7 +81,10 @@ proptest! {
     /// Bytes from a peer are allegations: refused or decoded, and what was decoded is in range.
     #[test]
     fn any_bytes_decode_or_are_refused(
-        id in prop_oneof![prop::sample::select(&FRAMES[..]).prop_map(|f| u32::from(f.id)), any::<u32>()],
+        id in prop_oneof![
+            prop::sample::select(&FRAMES[..]).prop_map(|frame| u32::from(frame.id)),
+            any::<u32>(),
+        ],
         data in prop_oneof![
             prop::collection::vec(any::<u8>(), 8),
             prop::collection::vec(any::<u8>(), 16),

@@ -174,7 +174,7 @@ fn receiver_says_why_it_refuses() {
 }
 
 proptest! {
-    /// A CRC of 16 bits finds every burst of up to 16 bits: here, damage to any two adjacent bytes.
+    /// A CRC of 16 bits finds every burst of up to 16 bits: damage to any two adjacent bytes.
     #[test]
     fn damage_is_found(
         frame_info in prop::sample::select(FRAMES.as_slice()),
@@ -186,7 +186,7 @@ proptest! {
         let mut data = fill[..frame_info.len].to_vec();
         protect(frame_info.id, counter, &mut data);
         let at = place.index(data.len() - 1);
-        // The CRC itself is stored low byte first, so a burst across its edge is not one of the code.
+        // The CRC itself is stored low byte first, so its edge with the data breaks a burst.
         prop_assume!(at != 1);
         let [low, high] = damage.to_le_bytes();
         data[at] ^= low;
@@ -195,7 +195,10 @@ proptest! {
     }
 
     #[test]
-    fn any_bytes_are_judged_without_a_panic(id: u16, data in prop::collection::vec(any::<u8>(), 0..80)) {
+    fn any_bytes_are_judged_without_a_panic(
+        id: u16,
+        data in prop::collection::vec(any::<u8>(), 0..80),
+    ) {
         let _ = Checker::new(id).check(&data);
         let _ = Receiver::new().receive(u32::from(id), &data);
     }
