@@ -186,7 +186,8 @@ proptest! {
         let mut data = fill[..frame_info.len].to_vec();
         protect(frame_info.id, counter, &mut data);
         let at = place.index(data.len() - 1);
-        // The CRC itself is stored low byte first, so its edge with the data breaks a burst.
+        // The CRC stands before the data here, behind them in the code word: byte 1 and byte 2
+        // are no neighbours in it.
         prop_assume!(at != 1);
         let [low, high] = damage.to_le_bytes();
         data[at] ^= low;
