@@ -168,10 +168,12 @@ impl Road {
     pub fn new(lanelets: &[Lanelet]) -> Self {
         let chains = chain::chains(lanelets);
         let headings = chain::run_out_headings(lanelets, &chains);
+        let by_id = chain::lanes_by_id(lanelets, &chains);
+        let lane_of = |id: Option<i64>| id.and_then(|id| by_id.get(&id)).map(|lane| LaneId(*lane));
         let mut lanes: Vec<Lane> = chains
             .iter()
             .zip(&headings)
-            .map(|(chain, heading)| lane(lanelets, &chains, chain, *heading))
+            .map(|(chain, heading)| lane(lanelets, chain, *heading, &lane_of))
             .collect();
         join_beyond_the_map(&mut lanes);
         Self { lanes }
@@ -223,8 +225,13 @@ impl Road {
     }
 }
 
-/// Builds one lane with a run-out before and after it.
-fn lane(lanelets: &[Lanelet], chains: &[Chain], chain: &Chain, run_out: f64) -> Lane {
+/// Builds one lane with a run-out before and after it, the latter in the direction `run_out`.
+fn lane(
+    lanelets: &[Lanelet],
+    chain: &Chain,
+    run_out: f64,
+    lane_of: &impl Fn(Option<i64>) -> Option<LaneId>,
+) -> Lane {
     let raw = chain::centre_line(lanelets, chain);
     let mut points = Vec::with_capacity(raw.points.len() + 2);
     let first = raw.points[0];
@@ -249,15 +256,13 @@ fn lane(lanelets: &[Lanelet], chains: &[Chain], chain: &Chain, run_out: f64) -> 
             let station = (index as f64 * STEP - RUN_OUT).clamp(0.0, mapped);
             let piece = raw.piece_at(station);
             let lanelet = &lanelets[piece];
-            let lane_of =
-                |id: Option<i64>| id.and_then(|id| chain::lane_with(lanelets, chains, id));
             Section {
                 centre: centres[index],
                 heading: headings[index],
                 curvature: wrap_angle(after - before) / (2.0 * STEP),
                 width: raw.width_at(station),
-                left: lane_of(lanelet.left_neighbour).map(LaneId),
-                right: lane_of(lanelet.right_neighbour).map(LaneId),
+                left: lane_of(lanelet.left_neighbour),
+                right: lane_of(lanelet.right_neighbour),
                 speed_limit: lanelet.speed_limit.unwrap_or(f64::INFINITY),
             }
         })

@@ -292,7 +292,7 @@ impl World {
                     class: vehicle.class,
                     pose: vehicle.participant.footprint.pose,
                     speed: vehicle.participant.speed,
-                    acceleration: vehicle.acceleration,
+                    acceleration: vehicle.participant.acceleration,
                     length: vehicle.participant.footprint.length,
                     width: vehicle.participant.footprint.width,
                     lane: vehicle.lane,
@@ -416,6 +416,7 @@ fn participant(ego: &EgoTruth) -> Participant {
     Participant {
         footprint,
         speed: ego.speed,
+        acceleration: ego.long_acceleration,
     }
 }
 

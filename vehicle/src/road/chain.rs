@@ -1,5 +1,7 @@
 //! Which lanelets make up a lane, and the raw centre line along them.
 
+use std::collections::HashMap;
+
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};
 
@@ -27,7 +29,13 @@ pub(super) struct CentreLine {
 
 /// Every lanelet is in at least one chain; after a merge several chains share lanelets.
 pub(super) fn chains(lanelets: &[Lanelet]) -> Vec<Chain> {
-    let index_of = |id: i64| lanelets.iter().position(|lanelet| lanelet.id == id);
+    let places: HashMap<i64, usize> = lanelets
+        .iter()
+        .enumerate()
+        .rev()
+        .map(|(index, lanelet)| (lanelet.id, index))
+        .collect();
+    let index_of = |id: i64| places.get(&id).copied();
     let known = |ids: &[i64]| {
         ids.iter()
             .filter_map(|id| index_of(*id))
@@ -38,7 +46,7 @@ pub(super) fn chains(lanelets: &[Lanelet]) -> Vec<Chain> {
         .map(|l| straightest(lanelets, l, &known(&l.successors)))
         .collect();
     let has_neighbour_that = |lanelet: &Lanelet, test: &dyn Fn(&Lanelet) -> bool| {
-        neighbours(lanelets, lanelet)
+        neighbours(lanelets, &places, lanelet)
             .into_iter()
             .any(|index| test(&lanelets[index]))
     };
@@ -65,8 +73,11 @@ pub(super) fn chains(lanelets: &[Lanelet]) -> Vec<Chain> {
     };
     let mut seen = vec![false; lanelets.len()];
     let mut chains = Vec::new();
-    let is_continued = |index: usize| next.contains(&Some(index));
-    for start in (0..lanelets.len()).filter(|index| !is_continued(*index)) {
+    let mut is_continued = vec![false; lanelets.len()];
+    for successor in next.iter().flatten() {
+        is_continued[*successor] = true;
+    }
+    for start in (0..lanelets.len()).filter(|index| !is_continued[*index]) {
         chains.push(follow(start, &mut seen));
     }
     // What is left are rings: they begin anywhere.
@@ -96,7 +107,7 @@ fn straightest(lanelets: &[Lanelet], from: &Lanelet, candidates: &[usize]) -> Op
 }
 
 /// All lanelets beside this one, over any number of lanes, in the same direction.
-fn neighbours(lanelets: &[Lanelet], lanelet: &Lanelet) -> Vec<usize> {
+fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, lanelet: &Lanelet) -> Vec<usize> {
     let mut found = Vec::new();
     let mut open = vec![lanelet];
     while let Some(lanelet) = open.pop() {
@@ -104,7 +115,7 @@ fn neighbours(lanelets: &[Lanelet], lanelet: &Lanelet) -> Vec<usize> {
             .into_iter()
             .flatten()
         {
-            let index = lanelets.iter().position(|l| l.id == id);
+            let index = places.get(&id).copied();
             if let Some(index) = index.filter(|index| !found.contains(index)) {
                 found.push(index);
                 open.push(&lanelets[index]);
@@ -114,11 +125,15 @@ fn neighbours(lanelets: &[Lanelet], lanelet: &Lanelet) -> Vec<usize> {
     found
 }
 
-/// The first lane that contains the lanelet with this id.
-pub(super) fn lane_with(lanelets: &[Lanelet], chains: &[Chain], id: i64) -> Option<usize> {
-    chains
-        .iter()
-        .position(|chain| chain.pieces.iter().any(|piece| lanelets[*piece].id == id))
+/// The first lane that contains each lanelet, by the lanelet's id.
+pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64, usize> {
+    let mut lanes = HashMap::new();
+    for (lane, chain) in chains.iter().enumerate() {
+        for piece in &chain.pieces {
+            lanes.entry(lanelets[*piece].id).or_insert(lane);
+        }
+    }
+    lanes
 }
 
 /// The direction in which each lane goes on beyond the map: the mean over all lanes that end side by
@@ -133,13 +148,12 @@ pub(super) fn run_out_headings(lanelets: &[Lanelet], chains: &[Chain]) -> Vec<f6
         .collect();
     (0..chains.len())
         .map(|index| {
-            let (point, heading) = ends[index];
+            let heading = ends[index].1;
             let group = side_by_side(&ends, index);
             let offsets = group
                 .iter()
                 .map(|other| wrap_angle(ends[*other].1 - heading));
             let mean = offsets.sum::<f64>() / group.len() as f64;
-            debug_assert!(point.x.is_finite());
             wrap_angle(heading + mean)
         })
         .collect()
@@ -186,6 +200,12 @@ pub(super) fn centre_line(lanelets: &[Lanelet], chain: &Chain) -> CentreLine {
         }
         line.ends
             .push((line.stations[line.stations.len() - 1], *piece));
+    }
+    if line.points.len() < 2 {
+        // Bounds that cross each other leave a single point; a lane needs a direction.
+        line.points.push(line.points[0] + Vec2::new(0.1, 0.0));
+        line.stations.push(0.1);
+        line.widths.push(line.widths[0]);
     }
     line
 }

@@ -4,21 +4,22 @@
 //! changes from replay to driving by itself, for good, when
 //!
 //! - its recording ends;
-//! - it would have to brake with more than [`REPLAY_BRAKES`] for the ego, or for a vehicle that drives
+//! - it would have to brake with more than 1.5 m/s² for the ego, or for a vehicle that drives
 //!   by itself already, ahead of it; or it is about to come too close;
-//! - it would hit one of these from the side within [`LOOK_AHEAD_S`] by changing lanes: it stays in
+//! - it would hit one of these from the side within a second by changing lanes: it stays in
 //!   the lane that it is in, as a driver who looks first.
 //!
 //! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
 //! heading and time gap that it has at that moment. It knows the ego and all others, slows down for
-//! curves, and stops at the end of a lane.
+//! curves, stops at the end of a lane, and lets in who has to leave a lane that ends.
 
 mod idm;
 mod recording;
+mod sight;
 
 use std::sync::Arc;
 
-pub use idm::Driver;
+pub use idm::{Driver, Leader};
 
 use crate::commonroad::{Class, Obstacle};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
@@ -34,12 +35,15 @@ const CURVE_ACCELERATION: f64 = 2.5;
 const LATERAL_RATE: f64 = 0.8;
 /// Largest jerk of a vehicle that drives by itself: pressing the pedal, and braking, m/s³.
 const JERK: (f64, f64) = (4.0, 40.0);
+/// Largest curvature (1/m) and yaw rate (rad/s) of a vehicle that drives by itself.
+const TURN: (f64, f64) = (0.2, 0.5);
 /// Time in which a driver returns to the own habitual time gap, s.
 const GAP_RELAXATION_S: f64 = 10.0;
-/// No vehicle wants to go slower than this on its own, m/s: a recording may show it in a jam only.
-const DESIRED_SPEED_MIN: f64 = 8.0;
-/// Farther ahead nobody looks, m.
-const SIGHT: f64 = 200.0;
+/// Cars and trucks want to go this fast if the speed limit allows, m/s: a recording may show them in
+/// a jam only.
+const DESIRED_SPEED_MIN: f64 = 13.9;
+/// Most that anybody brakes to let somebody in, m/s².
+const COURTESY: f64 = 1.5;
 
 /// What another vehicle, or the ego, is to those who drive by themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,6 +52,8 @@ pub struct Participant {
     pub footprint: Footprint,
     /// m/s along its heading.
     pub speed: f64,
+    /// m/s² along its heading.
+    pub acceleration: f64,
 }
 
 impl Participant {
@@ -88,8 +94,6 @@ pub struct Vehicle {
     pub class: Class,
     /// Where, how large, how fast.
     pub participant: Participant,
-    /// m/s² along its heading.
-    pub acceleration: f64,
     /// How it moves.
     pub mode: Mode,
     /// The lane that it is in.
@@ -98,6 +102,8 @@ pub struct Vehicle {
     pub place: Frenet,
     /// Change of `place.d`, m/s.
     lateral_speed: f64,
+    /// The offset from the lane's centre that the driver goes to, m.
+    aim: f64,
     driver: Driver,
     /// Time gap that it began with when it left its recording, s, and when that was.
     begun: (f64, f64),
@@ -118,19 +124,6 @@ pub struct Traffic {
     recordings: Arc<[Obstacle]>,
     vehicles: Vec<Vehicle>,
 }
-
-/// What is ahead of a vehicle in its lane.
-#[derive(Clone, Copy)]
-struct Leader {
-    /// Bumper to bumper, m.
-    gap: f64,
-    speed: f64,
-}
-
-const FREE_ROAD: Leader = Leader {
-    gap: f64::INFINITY,
-    speed: 0.0,
-};
 
 impl Traffic {
     /// The traffic at time 0.
@@ -164,9 +157,11 @@ impl Traffic {
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Mode::Driving {
                 let wanted = self.wanted_acceleration(index, t, ego);
+                let may_return = self.may_return(index, ego);
                 let vehicle = &mut self.vehicles[index];
-                let change = wanted - vehicle.acceleration;
-                vehicle.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
+                vehicle.aim = if may_return { 0.0 } else { vehicle.place.d };
+                let change = wanted - vehicle.participant.acceleration;
+                vehicle.participant.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
             }
         }
         for (vehicle, recording) in self.vehicles.iter_mut().zip(self.recordings.iter()) {
@@ -215,7 +210,7 @@ impl Traffic {
     fn stand(&mut self, index: usize) {
         let vehicle = &mut self.vehicles[index];
         vehicle.mode = Mode::Standing;
-        (vehicle.participant.speed, vehicle.acceleration) = (0.0, 0.0);
+        (vehicle.participant.speed, vehicle.participant.acceleration) = (0.0, 0.0);
     }
 
     /// The ego and all who drive by themselves: those whom a recording does not know.
@@ -229,16 +224,10 @@ impl Traffic {
     fn endangers(&self, index: usize, t: f64, ego: &Participant) -> bool {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
-        let mut leader = FREE_ROAD;
-        for other in self.deviating(index, ego) {
-            if let Some(ahead) = self.ahead(vehicle, &other) {
-                leader = if ahead.gap < leader.gap {
-                    ahead
-                } else {
-                    leader
-                };
-            }
-        }
+        let leader = self
+            .deviating(index, ego)
+            .filter_map(|other| sight::ahead(&self.road, vehicle, &other))
+            .fold(Leader::NONE, nearer);
         let closing = speed - leader.speed;
         let room = (leader.gap - 2.0).max(0.1);
         if closing > 0.0 && closing * closing / (2.0 * room) > REPLAY_BRAKES {
@@ -279,6 +268,8 @@ impl Traffic {
     fn drive_on(&mut self, index: usize, t: f64, ego: &Participant) {
         let leader = self.leader(index, ego);
         let vehicle = &mut self.vehicles[index];
+        // Some recordings roll backwards at a standstill.
+        vehicle.participant.speed = vehicle.participant.speed.max(0.0);
         let (yaw, speed) = (
             vehicle.participant.footprint.pose.yaw,
             vehicle.participant.speed,
@@ -308,67 +299,43 @@ impl Traffic {
                 .min((CURVE_ACCELERATION / bend).sqrt()),
             ..vehicle.driver
         };
-        let leader = self.leader(index, ego);
-        driver.follow(speed, leader.gap, leader.speed)
+        let wanted = driver.follow(speed, &self.leader(index, ego));
+        let merging = self
+            .others(index, ego)
+            .filter_map(|o| sight::merging(&self.road, vehicle, &o));
+        merging
+            .map(|leader| driver.follow(speed, &leader).max(-COURTESY))
+            .fold(wanted, f64::min)
+    }
+
+    /// Everybody else who is present, and the ego.
+    fn others(&self, index: usize, ego: &Participant) -> impl Iterator<Item = Participant> {
+        let others = self.vehicles.iter().enumerate();
+        let others = others.filter(move |(i, v)| *i != index && v.is_present());
+        others.map(|(_, v)| v.participant).chain([*ego])
     }
 
     fn leader(&self, index: usize, ego: &Participant) -> Leader {
         let vehicle = &self.vehicles[index];
-        let others = self.vehicles.iter().enumerate();
-        let others = others.filter(|(i, v)| *i != index && v.is_present());
-        let mut leader = FREE_ROAD;
-        for other in others.map(|(_, v)| &v.participant).chain([ego]) {
-            if let Some(ahead) = self.ahead(vehicle, other) {
-                leader = if ahead.gap < leader.gap {
-                    ahead
-                } else {
-                    leader
-                };
-            }
-        }
         let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
-        let end = end - vehicle.participant.footprint.length / 2.0;
-        if end < leader.gap {
-            Leader {
-                gap: end,
-                speed: 0.0,
-            }
-        } else {
-            leader
-        }
+        let end = Leader::standing(end - vehicle.participant.footprint.length / 2.0);
+        self.others(index, ego)
+            .filter_map(|other| sight::ahead(&self.road, vehicle, &other))
+            .fold(end, nearer)
     }
 
-    /// What `other` is to `vehicle`, if it is or will soon be ahead in its lane.
-    fn ahead(&self, vehicle: &Vehicle, other: &Participant) -> Option<Leader> {
-        let own = &vehicle.participant.footprint;
-        let apart = own
-            .pose
-            .unrotate(other.footprint.pose.position - own.pose.position);
-        if apart.x < 0.0 || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x {
-            return None;
-        }
-        let lane = self.road.lane(vehicle.lane);
-        let near = vehicle.place.s + apart.x;
-        let place = lane.project_near(other.footprint.pose.position, near);
-        let heading = lane.at(place.s).heading;
-        let drift = other.speed * wrap_angle(other.footprint.pose.yaw - heading).sin();
-        let reach = (own.width + other.footprint.width) / 2.0 + 0.2;
-        // It counts if it is in the way now or in a second; the way leads to the lane's centre.
-        let (low, high) = (
-            vehicle.place.d.min(0.0) - reach,
-            vehicle.place.d.max(0.0) + reach,
-        );
-        let in_the_way = |d: f64| low < d && d < high;
-        if place.s <= vehicle.place.s || !(in_the_way(place.d) || in_the_way(place.d + drift)) {
-            return None;
-        }
-        let gap = place.s - vehicle.place.s - (own.length + other.footprint.length) / 2.0;
-        let speed = other.speed * wrap_angle(other.footprint.pose.yaw - heading).cos();
-        Some(Leader {
-            gap,
-            speed: speed.max(0.0),
-        })
+    /// Whether a driver who is beside the lane's middle may go there.
+    fn may_return(&self, index: usize, ego: &Participant) -> bool {
+        let vehicle = &self.vehicles[index];
+        vehicle.place.d.abs() < 0.2
+            || !self
+                .others(index, ego)
+                .any(|other| sight::blocks_return(&self.road, vehicle, &other))
     }
+}
+
+fn nearer(a: Leader, b: Leader) -> Leader {
+    if b.gap < a.gap { b } else { a }
 }
 
 fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
@@ -379,6 +346,11 @@ fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
         .iter()
         .filter_map(|state| state.speed)
         .fold(0.0, f64::max);
+    let usual = match recording.class {
+        Class::Car | Class::Truck => DESIRED_SPEED_MIN,
+        _ => 1.0,
+    };
+    let desired_speed = fastest.max(usual.min(road.lane(lane).at(place.s).speed_limit));
     let driver = if recording.length > 8.0 {
         Driver::TRUCK
     } else {
@@ -398,14 +370,15 @@ fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
             } else {
                 motion.speed
             },
+            acceleration: 0.0,
         },
-        acceleration: 0.0,
         mode: Mode::Absent,
         lane,
         place,
         lateral_speed: 0.0,
+        aim: 0.0,
         driver: Driver {
-            desired_speed: fastest.max(DESIRED_SPEED_MIN),
+            desired_speed,
             ..driver
         },
         begun: (driver.time_gap, 0.0),
@@ -417,7 +390,7 @@ fn replay(vehicle: &mut Vehicle, recording: &Obstacle, road: &Road, t: f64) {
     let motion = recording::motion(&recording.states, t);
     vehicle.participant.footprint.pose = motion.pose;
     vehicle.participant.speed = motion.speed;
-    vehicle.acceleration = motion.acceleration;
+    vehicle.participant.acceleration = motion.acceleration;
     let section = road.lane(vehicle.lane).at(vehicle.place.s);
     vehicle.place = road
         .lane(vehicle.lane)
@@ -432,9 +405,9 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     let lane = road.lane(vehicle.lane);
     let section = lane.at(vehicle.place.s);
     let before = vehicle.participant.speed;
-    let speed = (before + vehicle.acceleration * dt).max(0.0);
+    let speed = (before + vehicle.participant.acceleration * dt).max(0.0);
     if speed == 0.0 {
-        vehicle.acceleration = vehicle.acceleration.max(0.0);
+        vehicle.participant.acceleration = vehicle.participant.acceleration.max(0.0);
     }
     let pull =
         -LATERAL_RATE * LATERAL_RATE * vehicle.place.d - 2.0 * LATERAL_RATE * vehicle.lateral_speed;
@@ -445,7 +418,11 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
         .sqrt();
     vehicle.place.s += along * dt / (1.0 - section.curvature * vehicle.place.d).max(0.5);
     vehicle.place.d += vehicle.lateral_speed * dt;
-    let yaw = lane.at(vehicle.place.s).heading + vehicle.lateral_speed.atan2(along.max(0.1));
+    let yaw = lane.at(vehicle.place.s).heading + vehicle.lateral_speed.atan2(along);
+    let before = vehicle.participant.footprint.pose.yaw;
+    // Nobody turns on the spot: curvature is limited, and so is the yaw rate.
+    let turn = (TURN.0 * mean).min(TURN.1) * dt;
+    let yaw = before + wrap_angle(yaw - before).clamp(-turn, turn);
     let position = lane.point(vehicle.place);
     vehicle.participant.footprint.pose = Pose {
         position,

@@ -2,7 +2,7 @@
 
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 use tandem_vehicle::geometry::Vec2;
-use tandem_vehicle::traffic::Driver;
+use tandem_vehicle::traffic::{Driver, Leader};
 use tandem_vehicle::{LaneId, Snapshot, World};
 
 /// m, between the axles.
@@ -51,10 +51,10 @@ impl ReferenceDriver {
         let beside = [section.left, section.right].into_iter().flatten();
         let goes_on = |lane: &LaneId| road.distance_to_end(*lane, station(*lane)) > 1_000.0;
         let free = |lane: &LaneId| {
-            let (ahead, behind) = gaps(world, now, *lane);
-            let closes_in =
-                |gap: f64, closing: f64| gap < 6.0 + 2.0 * closing.max(0.0) + 0.3 * now.speed;
-            !closes_in(ahead.0, now.speed - ahead.1) && !closes_in(behind.0, behind.1 - now.speed)
+            let (ahead, behind) = neighbours(world, now, *lane);
+            let room =
+                |gap: f64, closing: f64| gap > 6.0 + 2.0 * closing.max(0.0) + 0.3 * now.speed;
+            room(ahead.gap, now.speed - ahead.speed) && room(behind.gap, behind.speed - now.speed)
         };
         if let Some(lane) = beside.filter(goes_on).find(free) {
             self.lane = Some(lane);
@@ -63,11 +63,11 @@ impl ReferenceDriver {
     }
 }
 
-/// Bumper distance and speed of the nearest vehicles ahead and behind in a lane.
-fn gaps(world: &World, now: &Snapshot, lane: LaneId) -> ((f64, f64), (f64, f64)) {
+/// The nearest vehicles ahead and behind in a lane.
+fn neighbours(world: &World, now: &Snapshot, lane: LaneId) -> (Leader, Leader) {
     let line = world.road().lane(lane);
     let own = line.project(now.pose.position);
-    let (mut ahead, mut behind) = ((f64::INFINITY, 0.0), (f64::INFINITY, 0.0));
+    let (mut ahead, mut behind) = (Leader::NONE, Leader::NONE);
     for other in &now.vehicles {
         if (other.pose.position - now.pose.position).norm() > 250.0 {
             continue;
@@ -85,8 +85,13 @@ fn gaps(world: &World, now: &Snapshot, lane: LaneId) -> ((f64, f64), (f64, f64))
         } else {
             &mut behind
         };
-        if gap < side.0 {
-            *side = (gap, other.speed);
+        if gap < side.gap {
+            let (speed, acceleration) = (other.speed, other.acceleration);
+            *side = Leader {
+                gap,
+                speed,
+                acceleration,
+            };
         }
     }
     (ahead, behind)
@@ -100,16 +105,24 @@ fn acceleration(world: &World, now: &Snapshot, target: LaneId) -> f64 {
     };
     let mut wanted = f64::INFINITY;
     for lane in [target, now.lane] {
-        let (ahead, _) = gaps(world, now, lane);
-        wanted = wanted.min(driver.follow(now.speed, ahead.0, ahead.1));
+        let (ahead, _) = neighbours(world, now, lane);
+        wanted = wanted.min(driver.follow(now.speed, &ahead));
     }
     let line = world.road().lane(now.lane);
-    let end = world
-        .road()
-        .distance_to_end(now.lane, line.project(now.pose.position).s)
-        - 10.0;
+    let station = line.project(now.pose.position).s;
+    let end = world.road().distance_to_end(now.lane, station) - 10.0;
     if target == now.lane && end.is_finite() {
-        wanted = wanted.min(driver.follow(now.speed, end.max(0.1), 0.0));
+        wanted = wanted.min(driver.follow(now.speed, &Leader::standing(end.max(0.1))));
+        // Fall in behind the one ahead in the next lane, gently.
+        let section = line.at(station);
+        for lane in [section.left, section.right]
+            .into_iter()
+            .flatten()
+            .filter(|_| end < 600.0)
+        {
+            let (ahead, _) = neighbours(world, now, lane);
+            wanted = wanted.min(driver.follow(now.speed, &ahead).max(-1.0));
+        }
     }
     wanted
 }

@@ -1,0 +1,93 @@
+//! What a driver makes of the others: who is ahead, who is beside, who wants to come in.
+
+use super::{Leader, Participant, Vehicle};
+use crate::geometry::wrap_angle;
+use crate::road::{Frenet, LaneId, Road};
+
+/// Farther ahead nobody looks, m.
+const SIGHT: f64 = 200.0;
+/// Side distance that nobody goes below, m.
+const SIDE: f64 = 0.2;
+/// So far before the end of a lane those beside it make room, m.
+const COURTESY_FROM: f64 = 250.0;
+/// Who is slower does not want to come in, m/s.
+const MERGING_SPEED: f64 = 3.0;
+
+/// Another one in the coordinates of the lane of who looks.
+struct Seen {
+    place: Frenet,
+    /// Speed across the lane, m/s, left positive.
+    drift: f64,
+    /// As a leader; `gap` is negative beside each other.
+    leader: Leader,
+}
+
+fn see(road: &Road, vehicle: &Vehicle, other: &Participant) -> Option<Seen> {
+    let own = &vehicle.participant.footprint;
+    let reach = (own.length + other.footprint.length) / 2.0;
+    let apart = own.pose.to_local(other.footprint.pose.position);
+    if apart.x < -reach || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x.abs() {
+        return None;
+    }
+    let lane = road.lane(vehicle.lane);
+    let place = lane.project_near(other.footprint.pose.position, vehicle.place.s + apart.x);
+    let angle = wrap_angle(other.footprint.pose.yaw - lane.at(place.s).heading);
+    Some(Seen {
+        place,
+        drift: other.speed * angle.sin(),
+        leader: Leader {
+            gap: place.s - vehicle.place.s - reach,
+            speed: (other.speed * angle.cos()).max(0.0),
+            acceleration: other.acceleration,
+        },
+    })
+}
+
+/// Side distance of the centres at which two just pass each other, m.
+fn clearance(vehicle: &Vehicle, other: &Participant) -> f64 {
+    (vehicle.participant.footprint.width + other.footprint.width) / 2.0 + SIDE
+}
+
+/// `other` as a leader, if it is ahead and in the way now or within a second.
+pub(super) fn ahead(road: &Road, vehicle: &Vehicle, other: &Participant) -> Option<Leader> {
+    let seen = see(road, vehicle, other)?;
+    let clearance = clearance(vehicle, other);
+    let apart = seen.place.d - vehicle.place.d;
+    let soon = apart + seen.drift - vehicle.lateral_speed;
+    // Who passes from one side to the other within the second is in the way as well.
+    let in_the_way = apart.abs().min(soon.abs()) < clearance || apart * soon < 0.0;
+    (in_the_way && seen.place.s > vehicle.place.s).then_some(seen.leader)
+}
+
+/// Whether `other` stands in the way back to the middle of the lane: a driver waits beside it.
+pub(super) fn blocks_return(road: &Road, vehicle: &Vehicle, other: &Participant) -> bool {
+    let Some(seen) = see(road, vehicle, other) else {
+        return false;
+    };
+    let clearance = clearance(vehicle, other);
+    let between = seen.place.d > vehicle.place.d.min(0.0) - clearance
+        && seen.place.d < vehicle.place.d.max(0.0) + clearance;
+    let near = seen.leader.gap < 2.0 + vehicle.participant.speed;
+    let on_that_side = (seen.place.d - vehicle.place.d) * vehicle.place.d < 0.0;
+    between && near && on_that_side
+}
+
+/// `other` as a leader, if it is ahead in a lane beside that ends soon: it has to come in, and to let
+/// in one is a duty (in German law, StVO § 7 (4)).
+pub(super) fn merging(road: &Road, vehicle: &Vehicle, other: &Participant) -> Option<Leader> {
+    let section = road.lane(vehicle.lane).at(vehicle.place.s);
+    let ends = |lane: &LaneId| road.lane(*lane).end.is_some();
+    let beside = [section.left, section.right].into_iter().flatten();
+    for lane in beside.filter(ends) {
+        let seen = see(road, vehicle, other)?;
+        let place = road.lane(lane).project(other.footprint.pose.position);
+        let width = road.lane(lane).at(place.s).width;
+        let in_lane = place.d.abs() < width / 2.0 && road.lane(lane).exists_at(place.s);
+        let soon = road.distance_to_end(lane, place.s) < COURTESY_FROM;
+        let moves = other.speed > MERGING_SPEED;
+        if in_lane && soon && moves && seen.place.s > vehicle.place.s {
+            return Some(seen.leader);
+        }
+    }
+    None
+}
