@@ -69,6 +69,9 @@ pub enum Setting {
     /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the
     /// next generation. The case has passed when every role has returned `Ok` in some life.
     Restarts,
+    /// System A asks to be held in reset for good: its roles need not end. Those of system B must
+    /// return `Ok`. The watchdogs do not reset anybody.
+    Suspends,
 }
 
 /// One case of the suite.

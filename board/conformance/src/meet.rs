@@ -7,7 +7,7 @@ use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 /// How long a role waits for what must come. Far beyond what any board needs, also on a machine
 /// that is busy with other things: it decides only how late a failure is seen.
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
-/// How often a role looks that sleeps in between.
+/// How often a role looks at first that sleeps in between.
 const LOOK: Duration = Duration::from_ms(1);
 /// What is long enough for something that must *not* come.
 pub(crate) const SETTLE: Duration = Duration::from_ms(20);
@@ -29,11 +29,13 @@ pub(crate) fn sleep_until<B: Board>(
     what: &'static str,
     mut holds: impl FnMut() -> bool,
 ) -> Result<(), Failure> {
-    let limit = board.now() + PATIENCE;
+    let begin = board.now();
     while !holds() {
         let now = board.now();
-        check(now < limit, what)?;
-        board.wait(now + LOOK);
+        let waited = now.since(begin);
+        check(waited < PATIENCE, what)?;
+        // The longer it has taken, the longer it may take.
+        board.wait(now + LOOK.max(Duration::from_ns(waited.as_ns() / 32)));
     }
     Ok(())
 }
@@ -62,7 +64,8 @@ pub(crate) fn woken_until<B: Board>(
 ) -> Result<(), Failure> {
     let limit = board.now() + PATIENCE;
     while !holds() {
-        check(board.wait(limit) == Wake::Interrupt, what)?;
+        let interrupted = board.wait(limit) == Wake::Interrupt;
+        check(interrupted && board.now() < limit, what)?;
     }
     Ok(())
 }

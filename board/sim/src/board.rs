@@ -46,6 +46,7 @@ impl Port {
 
     fn wait(&self, deadline: Instant) -> Wake {
         let wrong = self.shared.has(Defect::WrongWake);
+        let spurious = self.shared.has(Defect::SpuriousForEver);
         loop {
             let now = {
                 let mut machine = self.shared.lock();
@@ -59,7 +60,11 @@ impl Port {
                     };
                 }
                 if now >= deadline {
-                    return Wake::Deadline;
+                    return if spurious {
+                        Wake::Interrupt
+                    } else {
+                        Wake::Deadline
+                    };
                 }
                 core.attention = Attention::Waits;
                 now
@@ -289,7 +294,7 @@ impl Link for SimLink {
         let system = self.0.place.system;
         let Some(datagram) = self
             .0
-            .alive(|machine| machine.receive_link(system))
+            .alive(|machine| machine.receive_link(system, words.len()))
             .flatten()
         else {
             self.0.look();

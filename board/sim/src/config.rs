@@ -114,10 +114,16 @@ pub enum Defect {
     EarlyDeadline,
     /// `wait` says "deadline" for an interrupt.
     WrongWake,
+    /// `wait` says "interrupt" for a deadline.
+    SpuriousForEver,
     /// The clock goes back now and then.
     ClockGoesBack,
+    /// The cores of a system have different clocks.
+    SkewedCores,
     /// Each core has an LMU of its own.
     PrivateLmu,
+    /// The systems share one LMU.
+    OneLmu,
     /// The LMU is not zero at power-on.
     DirtyLmu,
     /// The generation does not begin at 1.
@@ -128,7 +134,9 @@ pub enum Defect {
     NoBroadcast,
     /// Two CAN frames change places.
     CanReordered,
-    /// The second half of a long CAN FD frame is lost.
+    /// System B hears its own frames before those of system A.
+    CanTwoOrders,
+    /// The end of a long CAN FD frame is lost.
     FdTruncated,
     /// Lost CAN frames are not counted.
     OverrunNotCounted,
@@ -144,28 +152,90 @@ pub enum Defect {
     SilentStart,
     /// The level line does not show that the other system is on.
     LevelStuckLow,
+    /// The level line does not fall.
+    LevelStuckHigh,
+    /// A change of the level line does not interrupt.
+    SilentLevel,
     /// Words of two datagrams are mixed.
     LinkTorn,
     /// Datagrams overtake each other.
     LinkReordered,
     /// A full link drops datagrams silently.
     LinkDrops,
+    /// What does not fit into a receiver's buffer comes as the next datagram.
+    LinkSplits,
     /// Erase fills with zeros.
     EraseToZero,
-    /// Programming is not aligned to pages.
+    /// Programming need not be aligned to pages.
     MisalignedProgram,
-    /// An operation can be started while another one runs.
+    /// A new operation takes the place of the one under way.
     NeverBusy,
-    /// Programmed bytes are lost when the system is reset or read back.
-    FlashForgets,
     /// Programming a page disturbs the page behind it.
     ProgramDisturbs,
+    /// A reset erases the flash.
+    FlashForgets,
     /// The watchdog resets the system although it was serviced well.
     WatchdogRefuses,
     /// The watchdog asks the same question for ever.
     SameQuestion,
     /// A wrong answer to the watchdog has no effect.
+    AnyAnswer,
+    /// An early service is accepted.
+    WindowIgnored,
+    /// A service that does not come has no effect.
     WatchdogSleeps,
     /// The reset cause is always power-on.
     CauseForgotten,
+    /// A reset that a core asks for does not come.
+    RequestIgnored,
+    /// A reset leaves core 2 running.
+    PartialReset,
+}
+
+impl Defect {
+    /// All of them.
+    pub const ALL: [Self; 42] = [
+        Self::LostRing,
+        Self::MisdirectedRing,
+        Self::EarlyDeadline,
+        Self::WrongWake,
+        Self::SpuriousForEver,
+        Self::ClockGoesBack,
+        Self::SkewedCores,
+        Self::PrivateLmu,
+        Self::OneLmu,
+        Self::DirtyLmu,
+        Self::WrongGeneration,
+        Self::SelfReception,
+        Self::NoBroadcast,
+        Self::CanReordered,
+        Self::CanTwoOrders,
+        Self::FdTruncated,
+        Self::OverrunNotCounted,
+        Self::NoWakeOnReceive,
+        Self::AlwaysWakeOnReceive,
+        Self::WrongEdge,
+        Self::LineLoopback,
+        Self::SilentStart,
+        Self::LevelStuckLow,
+        Self::LevelStuckHigh,
+        Self::SilentLevel,
+        Self::LinkTorn,
+        Self::LinkReordered,
+        Self::LinkDrops,
+        Self::LinkSplits,
+        Self::EraseToZero,
+        Self::MisalignedProgram,
+        Self::NeverBusy,
+        Self::ProgramDisturbs,
+        Self::FlashForgets,
+        Self::WatchdogRefuses,
+        Self::SameQuestion,
+        Self::AnyAnswer,
+        Self::WindowIgnored,
+        Self::WatchdogSleeps,
+        Self::CauseForgotten,
+        Self::RequestIgnored,
+        Self::PartialReset,
+    ];
 }

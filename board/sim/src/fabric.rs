@@ -2,7 +2,7 @@
 
 use crate::config::Defect;
 use crate::machine::{Machine, OnBus, Place, Power, Sender, Wire};
-use tandem_board::{CanFrame, Edge, Line, LinkFull, Received, SystemId};
+use tandem_board::{CanFrame, CoreId, Edge, Line, LinkFull, Received, SystemId};
 
 /// The largest datagram of the link, in words.
 pub(crate) const LINK_WORDS: usize = 64;
@@ -59,8 +59,15 @@ impl Machine {
         Ok(())
     }
 
-    pub(crate) fn receive_link(&mut self, system: SystemId) -> Option<Vec<u32>> {
-        self.system(system).inbox.pop_front()
+    /// The next datagram, for a buffer of `room` words.
+    pub(crate) fn receive_link(&mut self, system: SystemId, room: usize) -> Option<Vec<u32>> {
+        let splits = self.has(Defect::LinkSplits);
+        let inbox = &mut self.system(system).inbox;
+        let datagram = inbox.pop_front()?;
+        if splits && datagram.len() > room {
+            inbox.push_front(datagram[room..].to_vec());
+        }
+        Some(datagram)
     }
 
     /// Puts a frame on the bus: every core that is connected hears it, but its sender.
@@ -83,19 +90,21 @@ impl Machine {
             let deaf = self.has(Defect::NoBroadcast)
                 && matches!(sender, Sender::Core(system, _) if system != place.system);
             if (!own || self.has(Defect::SelfReception)) && !deaf {
-                self.hear_can(place, frame);
+                self.hear_can(place, sender, frame);
             }
         }
     }
 
-    fn hear_can(&mut self, place: Place, frame: &CanFrame) {
+    fn hear_can(&mut self, place: Place, sender: Sender, frame: &CanFrame) {
         let at = self.local(place.system);
         if self.systems[place.system.index()].is_cut(Wire::Can) || !self.core(place).alive {
             return;
         }
         let depth = self.config.can_fifo_frames;
         let uncounted = self.has(Defect::OverrunNotCounted);
-        let swapped = self.has(Defect::CanReordered) && self.bus.len().is_multiple_of(5);
+        let hasty = |core| sender == Sender::Core(SystemId::B, core) && place.system == SystemId::B;
+        let swapped = self.has(Defect::CanReordered) && self.bus.len().is_multiple_of(5)
+            || self.has(Defect::CanTwoOrders) && hasty(CoreId::CONTROL);
         let (mute, eager) = (
             self.has(Defect::NoWakeOnReceive),
             self.has(Defect::AlwaysWakeOnReceive),

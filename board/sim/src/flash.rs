@@ -155,6 +155,11 @@ impl Flash {
         count
     }
 
+    /// A defect: forgets the operation under way.
+    pub(crate) fn abandon(&mut self) {
+        self.operation = None;
+    }
+
     /// Ends the operation under way at once.
     pub(crate) fn finish(&mut self) {
         if let Some(Operation { offset, target, .. }) = self.operation.take() {

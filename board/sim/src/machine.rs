@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
     CanFrame, CoreId, FlashError, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp,
-    SystemId, TraceRecord,
+    SystemId, TraceRecord, watchdog_answer,
 };
 
 /// Words of one LMU: 32 KiB, as on the TC297.
@@ -218,7 +218,7 @@ pub(crate) struct System {
     pub(crate) lamp: RoleLamp,
     pub(crate) edges: [[u32; 2]; 3],
     pub(crate) inbox: VecDeque<Vec<u32>>,
-    request: Option<(CoreId, ResetRequest)>,
+    request: Option<ResetRequest>,
     cut: [bool; Wire::COUNT],
 }
 
@@ -301,12 +301,17 @@ impl Shared {
     }
 
     pub(crate) fn lmu(&self, place: Place) -> &[AtomicU32] {
-        let core = if self.has(Defect::PrivateLmu) {
-            place.core.index()
+        let system = if self.has(Defect::OneLmu) {
+            SystemId::A
         } else {
-            0
+            place.system
         };
-        &self.lmus[place.system.index() * CoreId::COUNT + core]
+        let core = if self.has(Defect::PrivateLmu) {
+            place.core
+        } else {
+            CoreId::CONTROL
+        };
+        &self.lmus[system.index() * CoreId::COUNT + core.index()]
     }
 
     pub(crate) fn power_on(&self, system: SystemId) {
@@ -350,13 +355,15 @@ impl Machine {
     /// The time as a core sees it, with the defects of its clock.
     pub(crate) fn look(&mut self, place: Place) -> Instant {
         let now = self.local(place.system);
-        let back = self.has(Defect::ClockGoesBack);
+        let defect = self.config.defect;
         let core = self.core(place);
         core.looks = core.looks.wrapping_add(1);
-        match back && core.looks.is_multiple_of(7) {
-            true => Instant::from_ns(now.as_ns().saturating_sub(1_000_000)),
-            false => now,
-        }
+        let behind_ns = match defect {
+            Some(Defect::ClockGoesBack) if core.looks.is_multiple_of(7) => 1_000_000,
+            Some(Defect::SkewedCores) => 200_000 * place.core.index() as u64,
+            _ => 0,
+        };
+        Instant::from_ns(now.as_ns().saturating_sub(behind_ns))
     }
 
     pub(crate) fn log(&mut self, system: SystemId, kind: EventKind) {
@@ -399,14 +406,15 @@ impl Machine {
     /// What the level line shows of `system` to its peer.
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
-        shown || self.systems[system.index()].is_cut(Wire::Level)
+        let stuck = self.has(Defect::LevelStuckHigh);
+        shown || stuck || self.systems[system.index()].is_cut(Wire::Level)
     }
 
     /// Changes the state of a supply; a change of the level line interrupts the other system.
     fn set_power(&mut self, system: SystemId, power: Power) {
         let before = self.level(system);
         self.system(system).power = power;
-        if self.level(system) != before {
+        if self.level(system) != before && !self.has(Defect::SilentLevel) {
             self.raise_peer(system);
         }
     }
@@ -435,7 +443,8 @@ impl Machine {
         state.watchdog = Watchdog::start(now_ns);
         state.lamp = RoleLamp::Starting;
         state.request = None;
-        for core in &mut state.cores {
+        // All are dead here, but for a defect.
+        for core in state.cores.iter_mut().filter(|core| !core.alive) {
             core.start(core.generation + 1 + skipped, now_ns);
         }
         self.set_power(system, Power::On);
@@ -445,13 +454,22 @@ impl Machine {
     /// The cores of a system and what the chip was doing end.
     fn stop(&mut self, system: SystemId, power: Power) {
         let now_ns = self.now_ns;
+        let resets = matches!(power, Power::Reset { .. });
+        let partial = resets && self.has(Defect::PartialReset);
+        let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
         let changed = state.flash.lose_power(now_ns, &mut self.noise);
         state.flash_bytes_to_live = state
             .flash_bytes_to_live
             .map(|left| left - changed.min(left));
         state.inbox.clear();
-        state.cores.iter_mut().for_each(|core| core.alive = false);
+        if forgets {
+            state.flash = Flash::new();
+        }
+        let reached = if partial { 2 } else { CoreId::COUNT };
+        state.cores[..reached]
+            .iter_mut()
+            .for_each(|core| core.alive = false);
         self.set_power(system, power);
     }
 
@@ -487,24 +505,26 @@ impl Machine {
     }
 
     pub(crate) fn request_reset(&mut self, place: Place, request: ResetRequest) {
-        self.system(place.system)
-            .request
-            .get_or_insert((place.core, request));
+        self.system(place.system).request.get_or_insert(request);
         self.log(place.system, EventKind::Requested(place.core, request));
     }
 
     pub(crate) fn service_watchdog(&mut self, system: SystemId, answer: u8) {
-        let now_ns = self.now_ns;
-        let before = self.systems[system.index()].watchdog;
-        let service = self.system(system).watchdog.service(answer, now_ns);
-        if self.has(Defect::SameQuestion) {
-            self.system(system).watchdog.ask_again(&before);
-        }
-        let refused = match service {
-            Service::Accepted => self.has(Defect::WatchdogRefuses) && before.question() == 2,
-            Service::Refused => !self.has(Defect::WatchdogSleeps),
+        let (now_ns, defect) = (self.now_ns, self.config.defect);
+        let watchdog = &mut self.system(system).watchdog;
+        let before = *watchdog;
+        let answer = match defect {
+            Some(Defect::AnyAnswer) => watchdog_answer(before.question()),
+            Some(Defect::WatchdogRefuses) if before.question() == 2 => !answer,
+            _ => answer,
         };
-        if refused && self.config.watchdog {
+        let service = watchdog.service(answer, now_ns);
+        match defect {
+            Some(Defect::SameQuestion) => watchdog.ask_again(&before),
+            Some(Defect::WindowIgnored) => watchdog.open(),
+            _ => {}
+        }
+        if service == Service::Refused && self.config.watchdog {
             self.reset(system, ResetCause::Watchdog);
         }
     }
@@ -513,13 +533,14 @@ impl Machine {
     pub(crate) fn settle(&mut self) {
         for system in SystemId::ALL {
             self.settle_flash(system);
-            if let Some((_, request)) = self.system(system).request.take() {
+            if let Some(request) = self.system(system).request.take() {
                 self.obey(system, request);
             }
+            let sleeps = self.has(Defect::WatchdogSleeps);
             match self.systems[system.index()].power {
                 Power::On => {
                     let late = self.now_ns > self.systems[system.index()].watchdog.closes_ns();
-                    if late && self.config.watchdog {
+                    if late && self.config.watchdog && !sleeps {
                         self.reset(system, ResetCause::Watchdog);
                     }
                 }
@@ -540,6 +561,9 @@ impl Machine {
     }
 
     fn obey(&mut self, system: SystemId, request: ResetRequest) {
+        if !self.is_powered(system) || self.has(Defect::RequestIgnored) {
+            return;
+        }
         match request {
             ResetRequest::Software => self.reset(system, ResetCause::Software),
             ResetRequest::CoreDead => self.reset(system, ResetCause::Trap),
@@ -573,10 +597,13 @@ impl Machine {
 
     /// The next virtual time at which something happens by itself.
     pub(crate) fn next_ns(&self) -> u64 {
+        let sleeps = self.has(Defect::WatchdogSleeps);
         let of_system = |system: SystemId| {
             let state = &self.systems[system.index()];
             let supply = match state.power {
-                Power::On if self.config.watchdog => state.watchdog.closes_ns().saturating_add(1),
+                Power::On if self.config.watchdog && !sleeps => {
+                    state.watchdog.closes_ns().saturating_add(1)
+                }
                 Power::Reset { until, .. } => until.as_ns(),
                 _ => u64::MAX,
             };
@@ -600,7 +627,7 @@ impl Machine {
         let (now_ns, defect) = (self.now_ns, self.config.defect);
         let flash = &mut self.system(system).flash;
         if defect == Some(Defect::NeverBusy) {
-            flash.finish();
+            flash.abandon();
         }
         flash.start_erase(sector, now_ns)?;
         if defect == Some(Defect::EraseToZero) {
@@ -618,17 +645,15 @@ impl Machine {
         let (now_ns, defect) = (self.now_ns, self.config.defect);
         let flash = &mut self.system(system).flash;
         if defect == Some(Defect::NeverBusy) {
-            flash.finish();
+            flash.abandon();
         }
         let offset = match defect {
             Some(Defect::MisalignedProgram) => offset & !(PAGE_BYTES - 1),
             _ => offset,
         };
         flash.start_program(offset, data, now_ns)?;
-        match defect {
-            Some(Defect::ProgramDisturbs) => flash.spoil(|behind, _| behind.fill(0)),
-            Some(Defect::FlashForgets) => flash.spoil(|_, target| target.fill(0xFF)),
-            _ => {}
+        if defect == Some(Defect::ProgramDisturbs) {
+            flash.spoil(|behind, _| behind.fill(0));
         }
         Ok(())
     }

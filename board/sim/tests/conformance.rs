@@ -1,13 +1,14 @@
 //! The simulated board passes the conformance suite, and the suite finds every defect of a board.
 #![allow(clippy::unwrap_used, reason = "all of it is a test")]
 
+use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::{Arc, Mutex};
 use tandem_board::{Board, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
-    Case, Failure, Outcome, Part, Place, Rig, Setting, Summary, run_all,
+    Case, Failure, Outcome, Part, Place, Rig, Setting, Summary, cases, run_all,
 };
-use tandem_board_sim::{Config, EventKind, Order, SimBoard, SimPair, blocking};
+use tandem_board_sim::{Config, Defect, EventKind, Order, SimBoard, SimPair, blocking};
 
 /// Virtual time after which a case counts as hanging: longer than a role's patience.
 const HANGS_AFTER: Duration = Duration::from_ms(60_000);
@@ -51,7 +52,8 @@ impl Rig for SimRig {
     }
 
     fn play(&mut self, _: usize, case: &Case<SimBoard>) -> Result<(), Fault> {
-        let watchdog = case.setting != Setting::Plain;
+        let watchdog = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
+        let suspends = case.setting == Setting::Suspends;
         let config = Config {
             watchdog,
             ..self.config.clone()
@@ -84,7 +86,10 @@ impl Rig for SimRig {
         let hung = pair.run_while(Instant::ORIGIN + HANGS_AFTER, |pair| {
             let results = results.lock().unwrap();
             let failed = results.iter().any(|result| matches!(result, Some(Err(_))));
-            !failed && reset(pair).is_none() && results.iter().any(Option::is_none)
+            let awaited = |(part, result): (&Part<SimBoard>, &Option<_>)| {
+                result.is_none() && !(suspends && part.place.system == SystemId::A)
+            };
+            !failed && reset(pair).is_none() && parts.iter().zip(results.iter()).any(awaited)
         });
         for (part, result) in parts.iter().zip(results.lock().unwrap().iter()) {
             if let Some(Err(failure)) = result {
@@ -134,4 +139,39 @@ fn the_simulated_board_passes_in_any_order_of_cores() {
         });
         assert_eq!(failed, Vec::<String>::new(), "seed {seed}");
     }
+}
+
+/// Cases that no defect makes fail: they prove the absence of a crash, or what every board of
+/// safe Rust has.
+const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
+
+/// Each defect makes some case fail, and each case fails for some defect.
+#[test]
+fn conformance_catches_defects() {
+    let mut fallible = BTreeSet::new();
+    for defect in Defect::ALL {
+        let (summary, failed) = run(Config {
+            defect: Some(defect),
+            ..config()
+        });
+        assert!(summary.failed > 0, "the suite does not find {defect:?}");
+        println!("{defect:?}:\n    {}", failed.join("\n    "));
+        fallible.extend(
+            failed
+                .iter()
+                .filter_map(|line| Some(line.split_once(':')?.0.to_string())),
+        );
+    }
+    let infallible: Vec<_> = cases::<SimBoard>()
+        .iter()
+        .map(|case| case.name)
+        .filter(|name| !fallible.contains(*name))
+        .collect();
+    assert_eq!(infallible, CANNOT_FAIL_HERE, "cases that never fail");
+}
+
+#[test]
+fn names_of_cases_are_unique() {
+    let names: BTreeSet<_> = cases::<SimBoard>().iter().map(|case| case.name).collect();
+    assert_eq!(names.len(), cases::<SimBoard>().len());
 }

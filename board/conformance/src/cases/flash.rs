@@ -1,8 +1,8 @@
 //! The data flash.
 
-use crate::case::{Failure, Place, check, equal};
-use crate::meet::sleep_until;
-use tandem_board::{Board, DataFlash, FlashError, FlashStatus};
+use crate::case::{Failure, Place, check, equal, fail};
+use crate::meet::{PATIENCE, sleep, sleep_until};
+use tandem_board::{Board, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
 
 /// Room for the largest page that the suite programs.
 const PAGE: usize = 64;
@@ -178,4 +178,22 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: Place) -> Result<(), Failure
         )?;
     }
     Ok(())
+}
+
+/// First life: programs a page and asks for a reset. Second life: reads it.
+pub(super) fn durable<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    let page = &data(7)[..B::Flash::PAGE_BYTES as usize];
+    let offset = B::Flash::SECTOR_BYTES;
+    if board.identity().generation.0 == 1 {
+        erase(board, 1)?;
+        check(
+            board.flash().start_program(offset, page).is_ok(),
+            "an idle flash takes a page",
+        )?;
+        idle(board)?;
+        board.supply().request_reset(ResetRequest::Software);
+        sleep(board, PATIENCE)?;
+        return fail("a reset that was asked for comes");
+    }
+    holds(board, offset, page)
 }

@@ -13,10 +13,10 @@ use crate::case::{Case, Part, Place, Setting};
 use tandem_board::Board;
 
 use Place as P;
-use Setting::{Plain, Restarts, Watchdog};
+use Setting::{Plain, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
-const COUNT: usize = 33;
+const COUNT: usize = 40;
 
 /// Makes the parts of a case live as long as the program.
 macro_rules! case {
@@ -78,8 +78,17 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
         case!("flash-erase-program", Plain, B0: flash::erase_program::<B>),
         case!("flash-ranges", Plain, A0: flash::ranges::<B>),
         case!("flash-one-at-a-time", Plain, A0: flash::one_at_a_time::<B>),
+        case!("flash-durable", Restarts, A0: flash::durable::<B>),
         case!("supply-watchdog", Watchdog, A0: supply::good_service::<B>),
         case!("supply-wrong-answer", Restarts, A0: supply::wrong_answer::<B>),
+        case!("supply-early", Restarts, B0: supply::early::<B>),
+        case!("supply-late", Restarts, A0: supply::late::<B>),
+        case!("supply-never", Restarts, B0: supply::never::<B>),
+        case!("supply-software-reset", Restarts,
+            A0: supply::software_reset::<B>, A2: supply::bystander::<B>),
+        case!("supply-core-dead", Restarts,
+            A0: supply::bystander::<B>, A1: supply::reports_core_dead::<B>),
+        case!("supply-suspend", Suspends, A0: supply::suspends::<B>, B0: supply::sees_low::<B>),
         case!("trace-and-lamp", Plain, A0: supply::trace_and_lamp::<B>),
     ]
 }

@@ -1,8 +1,10 @@
 //! The supply with its watchdogs and reset causes, the trace and the lamp.
 
 use crate::case::{Failure, Place, check, equal, fail};
-use crate::meet::{PATIENCE, sleep};
-use tandem_board::{Board, Duration, ResetCause, RoleLamp, Supply, watchdog_answer};
+use crate::meet::{PATIENCE, meet_peer, sleep, woken_until};
+use tandem_board::{
+    Board, Duration, Lines, ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer,
+};
 
 /// The middle of the window, counted from a service.
 fn middle<S: Supply>() -> Duration {
@@ -42,17 +44,24 @@ pub(super) fn good_service<B: Board>(board: &B, _: Place) -> Result<(), Failure>
     )
 }
 
-/// First life: a wrong answer. Second life: that was the cause.
-pub(super) fn wrong_answer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
-    if board.identity().generation.0 == 1 {
-        serve(board);
+fn is_first_life<B: Board>(board: &B) -> bool {
+    board.identity().generation.0 == 1
+}
+
+/// Serves well, so that a reset can only come for what was before.
+fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
+    for _ in 0..5 {
         sleep(board, middle::<B::Supply>())?;
-        let question = board.supply().watchdog_question();
-        board.supply().service_watchdog(!watchdog_answer(question));
-        sleep(board, PATIENCE)?;
-        return fail("a wrong answer to the watchdog resets the system");
+        serve(board);
     }
-    reset_for(board, ResetCause::Watchdog)
+    Ok(())
+}
+
+/// The first life ends here, by a reset that is due.
+#[track_caller]
+fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
+    sleep(board, PATIENCE)?;
+    fail(what)
 }
 
 /// This is the second life, and began for this cause.
@@ -68,6 +77,103 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
         seen as u32,
         cause as u32,
         "the supply tells the cause of the reset",
+    )
+}
+
+/// First life: a wrong answer. Second life: that was the cause.
+pub(super) fn wrong_answer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        serve(board);
+        sleep(board, middle::<B::Supply>())?;
+        let question = board.supply().watchdog_question();
+        board.supply().service_watchdog(!watchdog_answer(question));
+        serve_on(board)?;
+        return fail("a wrong answer to the watchdog resets the system");
+    }
+    reset_for(board, ResetCause::Watchdog)
+}
+
+/// First life: a right answer before the window opens.
+pub(super) fn early<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        check(
+            B::Supply::WINDOW_OPENS_US > 0,
+            "a window watchdog has a closed window",
+        )?;
+        serve(board);
+        serve(board);
+        serve_on(board)?;
+        return fail("a service before the window opens resets the system");
+    }
+    reset_for(board, ResetCause::Watchdog)
+}
+
+/// First life: one service, and no second.
+pub(super) fn late<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        serve(board);
+        return expect_reset(board, "no service in the window resets the system");
+    }
+    reset_for(board, ResetCause::Watchdog)
+}
+
+/// First life: no service at all.
+pub(super) fn never<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        return expect_reset(board, "no first service resets the system");
+    }
+    reset_for(board, ResetCause::Watchdog)
+}
+
+/// First life: asks for a reset.
+pub(super) fn software_reset<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        board.supply().request_reset(ResetRequest::Software);
+        return expect_reset(board, "a reset that was asked for comes");
+    }
+    reset_for(board, ResetCause::Software)
+}
+
+/// First life: reports a dead core of its system.
+pub(super) fn reports_core_dead<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        board.supply().request_reset(ResetRequest::CoreDead);
+        return expect_reset(board, "a report of a dead core resets the system");
+    }
+    reset_for(board, ResetCause::Trap)
+}
+
+/// A core of a system that another core of it lets reset.
+pub(super) fn bystander<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    if is_first_life(board) {
+        return expect_reset(board, "a reset is one of all cores of the system");
+    }
+    equal(
+        board.identity().generation.0,
+        2_u32,
+        "a reset begins the next generation",
+    )
+}
+
+/// Asks to be held in reset, when the other system watches.
+pub(super) fn suspends<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet_peer(board, 1)?;
+    sleep(board, Duration::from_ms(5))?;
+    board.supply().request_reset(ResetRequest::Suspend);
+    expect_reset(board, "a system that suspends is held in reset")
+}
+
+/// Is woken by the level line of the other system.
+pub(super) fn sees_low<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+    meet_peer(board, 1)?;
+    let lines = board.lines();
+    woken_until(board, "a fall of the level line interrupts core 0", || {
+        !lines.peer_powered()
+    })?;
+    sleep(board, Duration::from_ms(50))?;
+    check(
+        !lines.peer_powered(),
+        "a system that suspends stays in reset",
     )
 }
 
