@@ -1,3 +1,12 @@
 //! The driving functions of the three cores: pure computation, told the time. T-CHIP-3
 
+pub mod control;
+pub mod degraded;
+mod idm;
+mod math;
+pub mod odometry;
+pub mod perception;
+pub mod planning;
+pub mod road;
 pub mod types;
+mod vehicle;

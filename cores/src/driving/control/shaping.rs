@@ -1,0 +1,145 @@
+//! Limits of what is asked of the actuators: amplitude and rate, so that no command ever jumps.
+
+use crate::driving::math::{bound, clamp, max, min};
+use crate::driving::types::{Command, Ego};
+use crate::driving::vehicle::{MAX_STEERING_RAD, MAX_STEERING_RATE, WHEELBASE_M};
+
+/// Brakes hold the standing vehicle with this, m/s².
+pub(crate) const STANDSTILL_BRAKE: f32 = -0.5;
+
+/// Period of core 0, s: rates are limited per step.
+const PERIOD_S: f32 = 0.01;
+/// m/s²
+const MAX_ACCELERATION: f32 = 3.0;
+/// m/s²; the tyres carry 10.
+const MAX_BRAKING: f32 = 9.5;
+/// Jerk of comfortable driving, m/s³.
+const COMFORT_JERK: f32 = 6.0;
+/// Jerk of hard braking, m/s³: full braking after 0.2 s.
+const BRAKING_JERK: f32 = 45.0;
+/// A wish for braking beyond this is no comfort matter any more, m/s².
+const HARD_BRAKING: f32 = -3.2;
+/// Lateral jerk that a change of steering may cause, m/s³.
+const LATERAL_JERK: f32 = 12.0;
+
+/// Limits commands; remembers the last one.
+#[derive(Clone, Debug)]
+pub(crate) struct Shaper {
+    last: Command,
+}
+
+impl Shaper {
+    pub(crate) fn new() -> Self {
+        Self {
+            last: Command::default(),
+        }
+    }
+
+    pub(crate) fn resume(&mut self, last: &Command) {
+        if last.steering_angle.is_finite() && last.acceleration.is_finite() {
+            self.last = Command {
+                steering_angle: bound(last.steering_angle, MAX_STEERING_RAD),
+                acceleration: clamp(last.acceleration, -MAX_BRAKING, MAX_ACCELERATION),
+            };
+        }
+    }
+
+    pub(crate) fn last(&self) -> Command {
+        self.last
+    }
+
+    /// The command nearest to the wish that limits allow one period after the last command. `urgent`
+    /// allows the jerk of hard braking for any braking.
+    pub(crate) fn shape(&mut self, wish: &Command, ego: &Ego, urgent: bool) -> Command {
+        let speed = max(ego.speed, 3.0);
+        let lateral_rate = LATERAL_JERK * WHEELBASE_M / (speed * speed);
+        let turn = min(MAX_STEERING_RATE, lateral_rate) * PERIOD_S;
+        let angle = bound(wish.steering_angle, MAX_STEERING_RAD);
+        let angle = clamp(
+            angle,
+            self.last.steering_angle - turn,
+            self.last.steering_angle + turn,
+        );
+
+        let wished = clamp(wish.acceleration, -MAX_BRAKING, MAX_ACCELERATION);
+        let hard = wished < self.last.acceleration && (urgent || wished < HARD_BRAKING);
+        let down = if hard { BRAKING_JERK } else { COMFORT_JERK };
+        // Brakes are let go quickly: holding them longer than needed only costs way to the follower.
+        let up = if self.last.acceleration < HARD_BRAKING {
+            3.0 * COMFORT_JERK
+        } else {
+            COMFORT_JERK
+        };
+        let acceleration = clamp(
+            wished,
+            self.last.acceleration - down * PERIOD_S,
+            self.last.acceleration + up * PERIOD_S,
+        );
+        self.last = Command {
+            steering_angle: angle,
+            acceleration,
+        };
+        self.last
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cruising() -> Ego {
+        Ego {
+            speed: 25.0,
+            ..Ego::default()
+        }
+    }
+
+    #[test]
+    fn comfort_limits_the_rate_of_gentle_wishes() {
+        let mut shaper = Shaper::new();
+        let wish = Command {
+            steering_angle: 0.1,
+            acceleration: -2.0,
+        };
+        let first = shaper.shape(&wish, &cruising(), false);
+        assert!((first.acceleration + COMFORT_JERK * PERIOD_S).abs() < 1e-6);
+        let lateral_jerk = first.steering_angle / PERIOD_S / WHEELBASE_M * 625.0;
+        assert!((lateral_jerk - LATERAL_JERK).abs() < 0.1, "{lateral_jerk}");
+    }
+
+    #[test]
+    fn an_emergency_brakes_at_once() {
+        let mut shaper = Shaper::new();
+        let wish = Command {
+            steering_angle: 0.0,
+            acceleration: -9.0,
+        };
+        for _ in 0..21 {
+            shaper.shape(&wish, &cruising(), false);
+        }
+        assert!(shaper.last().acceleration <= -9.0);
+    }
+
+    /// T-RED-4: the command of a system that takes over begins where the failed one's ended.
+    #[test]
+    fn goes_on_from_another_systems_command() {
+        let mut shaper = Shaper::new();
+        shaper.resume(&Command {
+            steering_angle: 0.02,
+            acceleration: -1.5,
+        });
+        let next = shaper.shape(&Command::default(), &cruising(), false);
+        assert!((next.acceleration + 1.5).abs() <= COMFORT_JERK * PERIOD_S + 1e-6);
+        assert!((next.steering_angle - 0.02).abs() < 0.001);
+    }
+
+    #[test]
+    fn refuses_to_go_on_from_what_is_no_number() {
+        let mut shaper = Shaper::new();
+        shaper.resume(&Command {
+            steering_angle: f32::NAN,
+            acceleration: 1.0,
+        });
+        assert_eq!(shaper.last(), Command::default());
+    }
+}

@@ -1,0 +1,198 @@
+//! Degraded mode (core 0): L2 lane keeping and distance keeping straight from the scene, and safe stop.
+//!
+//! Needs no trajectory, so it lives on when core 2 or the other system is gone. It never changes lanes,
+//! drives no faster than a cap, and stops before its lane ends.
+
+use tandem_board::{Duration, Instant};
+
+use super::control::{PathError, STANDSTILL_BRAKE, Shaper, driven_curvature, steer};
+use super::idm::{self, Driver, Leader};
+use super::math::{abs, clamp, max, min, sqrt, wrap_angle};
+use super::odometry::{Pose, motion};
+use super::road::CentreLine;
+use super::types::{Command, Ego, Object, Scene};
+use super::vehicle::{LENGTH_M, WIDTH_M};
+
+/// A scene is used for this long; after that the functions have nothing to go by but the chassis.
+pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
+
+/// Degraded mode drives no faster than this, m/s (90 km/h).
+const SPEED_CAP: f32 = 25.0;
+/// Speed with which a lane may end before the vehicle stands: distance kept to the end, m.
+const END_MARGIN_M: f32 = 8.0;
+/// Lateral acceleration in curves, m/s².
+const CURVE_ACCELERATION: f32 = 2.5;
+/// Deceleration of a safe stop, m/s².
+const SAFE_STOP_BRAKING: f32 = 2.5;
+/// Steering answers this late, s: its feed-forward looks so far ahead.
+const PREVIEW_S: f32 = 0.07;
+
+/// How degraded mode drives: with a larger gap than a system that has its full functions.
+const DRIVER: Driver = Driver {
+    desired_speed: SPEED_CAP,
+    time_gap: 1.8,
+    standstill_gap: 4.0,
+    max_acceleration: 1.2,
+    comfortable_braking: 2.0,
+};
+
+/// Lane keeping and distance keeping with what one core can compute in its 10 ms.
+#[derive(Clone, Debug)]
+pub struct DegradedControl {
+    shaper: Shaper,
+}
+
+impl Default for DegradedControl {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl DegradedControl {
+    /// At rest, wheels straight.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            shaper: Shaper::new(),
+        }
+    }
+
+    /// Goes on from this command, which another function or the other system gave last.
+    pub fn resume(&mut self, last: &Command) {
+        self.shaper.resume(last);
+    }
+
+    /// The command that was given last, or the one to go on from.
+    #[must_use]
+    pub fn last(&self) -> Command {
+        self.shaper.last()
+    }
+
+    /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads to
+    /// [`DegradedControl::safe_stop`].
+    pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
+        let age = now.since(scene.at);
+        if age > SCENE_MAX_AGE {
+            return self.safe_stop(ego);
+        }
+        let pose = motion(&scene.ego, ego, age.as_secs_f32());
+        let Some(lanes) = &scene.lanes else {
+            return self.without_lanes(ego, scene, age.as_secs_f32(), &pose);
+        };
+        let line = CentreLine::new(lanes);
+        let steering_angle = keep(&line, &pose, ego);
+
+        let limit = min(lanes.speed_limit, scene.set_speed.unwrap_or(SPEED_CAP));
+        let desired = min(min(limit, SPEED_CAP), curve_speed(&line, ego.speed));
+        let driver = Driver {
+            desired_speed: max(desired, 0.1),
+            ..DRIVER
+        };
+        let mut acceleration = idm::acceleration(&driver, ego.speed, None);
+        for object in &scene.objects {
+            if concerns(object, &line, lanes.width) {
+                acceleration = min(
+                    acceleration,
+                    follow(&driver, ego, object, age.as_secs_f32(), &pose),
+                );
+            }
+        }
+        if lanes.own_end.is_finite() {
+            let gap = lanes.own_end - pose.x - 0.5 * LENGTH_M - END_MARGIN_M;
+            let end = Leader {
+                gap: gap + driver.standstill_gap,
+                speed: 0.0,
+            };
+            acceleration = min(
+                acceleration,
+                idm::acceleration(&driver, ego.speed, Some(end)),
+            );
+        }
+        self.shape(
+            ego,
+            Command {
+                steering_angle,
+                acceleration,
+            },
+        )
+    }
+
+    /// Stops with what the chassis alone tells: brakes moderately, lets the wheels go straight slowly.
+    pub fn safe_stop(&mut self, ego: &Ego) -> Command {
+        // The last curve is held for a while and left within some seconds: better than either going
+        // straight at once or circling for ever.
+        let steering_angle = 0.995 * self.shaper.last().steering_angle;
+        self.shape(
+            ego,
+            Command {
+                steering_angle,
+                acceleration: -SAFE_STOP_BRAKING,
+            },
+        )
+    }
+
+    /// No lane is seen: goes on in the driven curve, keeps the distance, and slows down to a stop.
+    fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &Pose) -> Command {
+        let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
+        let mut acceleration = -1.5;
+        for object in &scene.objects {
+            if concerns(object, &line, WIDTH_M + 1.0) {
+                acceleration = min(acceleration, follow(&DRIVER, ego, object, age_s, pose));
+            }
+        }
+        let steering_angle = 0.998 * self.shaper.last().steering_angle;
+        self.shape(
+            ego,
+            Command {
+                steering_angle,
+                acceleration,
+            },
+        )
+    }
+
+    fn shape(&mut self, ego: &Ego, mut wish: Command) -> Command {
+        if ego.speed < 0.3 && wish.acceleration < 0.2 {
+            wish.acceleration = STANDSTILL_BRAKE;
+        }
+        self.shaper.shape(&wish, ego, false)
+    }
+}
+
+/// Road wheel angle that keeps the vehicle, now at `pose`, on the line.
+fn keep(line: &CentreLine, pose: &Pose, ego: &Ego) -> f32 {
+    let (foot, offset) = line.project(pose.x, pose.y);
+    let error = PathError {
+        offset,
+        course: wrap_angle(pose.heading + ego.slip_angle - line.heading(foot)),
+        curvature: line.curvature(foot + PREVIEW_S * ego.speed),
+    };
+    steer(&error, ego.speed, ego.acceleration)
+}
+
+/// The speed at which the curves ahead stay comfortable, m/s.
+fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
+    let mut slowest = f32::INFINITY;
+    let mut x = 0.0;
+    while x < 10.0 + 3.0 * speed {
+        let curvature = max(abs(line.curvature(x)), 1e-5);
+        slowest = min(slowest, sqrt(CURVE_ACCELERATION / curvature));
+        x += 10.0;
+    }
+    slowest
+}
+
+/// Whether the object is ahead and in the lane, or reaches into it, or will be in it soon.
+fn concerns(object: &Object, line: &CentreLine, lane_width: f32) -> bool {
+    let (_, offset) = line.project(object.x, object.y);
+    let reach = 0.5 * max(lane_width, WIDTH_M) + 0.5 * object.width - 0.4;
+    object.x > 0.0 && (object.cuts_in || abs(offset) < reach)
+}
+
+/// Acceleration behind an object whose place was known `age_s` ago, with the vehicle now at `pose`.
+fn follow(driver: &Driver, ego: &Ego, object: &Object, age_s: f32, pose: &Pose) -> f32 {
+    let x = object.x + object.vx * age_s;
+    let gap = x - pose.x - 0.5 * (LENGTH_M + max(object.length, 3.0));
+    // A braking leader will be slower when the own brakes have answered.
+    let speed = max(0.0, object.vx + 0.4 * clamp(object.ax, -8.0, 0.0));
+    idm::acceleration(driver, ego.speed, Some(Leader { gap, speed }))
+}

@@ -1,0 +1,120 @@
+//! Intelligent Driver Model: how a good driver keeps speed and distance.
+//!
+//! M. Treiber, A. Hennecke, D. Helbing, "Congested traffic states in empirical observations and
+//! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A. Kesting,
+//! "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): no shrinking of the steady gap near the
+//! desired speed, bounded reaction above the desired speed.
+
+use super::math::{clamp, max, min, sqrt};
+
+/// What the driver wants.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Driver {
+    /// m/s
+    pub(crate) desired_speed: f32,
+    /// s
+    pub(crate) time_gap: f32,
+    /// Bumper to bumper at standstill, m.
+    pub(crate) standstill_gap: f32,
+    /// m/s²
+    pub(crate) max_acceleration: f32,
+    /// Deceleration that is still comfortable, m/s², positive.
+    pub(crate) comfortable_braking: f32,
+}
+
+/// The vehicle, or the end of the lane, that one keeps a distance to.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Leader {
+    /// Bumper to bumper, m.
+    pub(crate) gap: f32,
+    /// Along the road, m/s.
+    pub(crate) speed: f32,
+}
+
+/// The strongest braking that the model asks for, m/s².
+pub(crate) const MAX_BRAKING: f32 = 9.0;
+
+/// Acceleration in m/s².
+pub(crate) fn acceleration(driver: &Driver, speed: f32, leader: Option<Leader>) -> f32 {
+    let free = free_acceleration(driver, speed);
+    let Some(leader) = leader else { return free };
+    let gap = max(leader.gap, 0.1);
+    let ratio = desired_gap(driver, speed, leader.speed) / gap;
+    let wish = driver.max_acceleration * (1.0 - ratio * ratio);
+    let combined = if ratio >= 1.0 {
+        min(wish, free)
+    } else if free > 0.0 {
+        // Near the desired gap the interaction takes over smoothly from the free acceleration.
+        let power = 2.0 * driver.max_acceleration / max(free, 0.05);
+        free * (1.0 - libm::powf(ratio, clamp(power, 2.0, 40.0)))
+    } else {
+        free
+    };
+    clamp(combined, -MAX_BRAKING, driver.max_acceleration)
+}
+
+/// The gap that the driver wants at this speed behind a leader with that speed, m.
+pub(crate) fn desired_gap(driver: &Driver, speed: f32, leader_speed: f32) -> f32 {
+    let closing = speed - leader_speed;
+    let comfort = 2.0 * sqrt(driver.max_acceleration * driver.comfortable_braking);
+    driver.standstill_gap + max(0.0, speed * driver.time_gap + speed * closing / comfort)
+}
+
+fn free_acceleration(driver: &Driver, speed: f32) -> f32 {
+    let desired = max(driver.desired_speed, 0.1);
+    let ratio = speed / desired;
+    if ratio <= 1.0 {
+        let squared = ratio * ratio;
+        driver.max_acceleration * (1.0 - squared * squared)
+    } else {
+        // Above the desired speed it slows down gently, in proportion to the excess.
+        max(-driver.comfortable_braking, -0.4 * (speed - desired))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DRIVER: Driver = Driver {
+        desired_speed: 30.0,
+        time_gap: 1.5,
+        standstill_gap: 3.0,
+        max_acceleration: 1.5,
+        comfortable_braking: 2.0,
+    };
+
+    #[test]
+    fn settles_at_the_desired_gap() {
+        let (mut gap, mut speed) = (80.0_f32, 28.0_f32);
+        for _ in 0..20_000 {
+            let leader = Leader { gap, speed: 20.0 };
+            let a = acceleration(&DRIVER, speed, Some(leader));
+            speed = (speed + a * 0.01).max(0.0);
+            gap += (20.0 - speed) * 0.01;
+            assert!(gap > 2.0);
+        }
+        assert!((gap - 33.0).abs() < 1.0, "{gap}");
+        assert!((speed - 20.0).abs() < 0.05);
+    }
+
+    #[test]
+    fn stops_before_an_obstacle() {
+        let (mut gap, mut speed) = (150.0_f32, 30.0_f32);
+        let mut hardest: f32 = 0.0;
+        for _ in 0..6_000 {
+            let a = acceleration(&DRIVER, speed, Some(Leader { gap, speed: 0.0 }));
+            hardest = hardest.min(a);
+            speed = (speed + a * 0.01).max(0.0);
+            gap -= speed * 0.01;
+        }
+        assert!(speed < 0.1 && gap > 1.0, "{speed} {gap}");
+        assert!(hardest > -5.0, "{hardest}");
+    }
+
+    #[test]
+    fn slows_down_gently_above_the_desired_speed() {
+        let a = acceleration(&DRIVER, 40.0, None);
+        assert!((-2.0..0.0).contains(&a), "{a}");
+    }
+}

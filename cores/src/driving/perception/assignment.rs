@@ -1,0 +1,167 @@
+//! Assignment of detections to tracks with the least total cost.
+//!
+//! Shortest augmenting paths with potentials, O(n² m): R. Jonker, A. Volgenant, "A Shortest Augmenting
+//! Path Algorithm for Dense and Sparse Linear Assignment Problems", Computing 38 (1987).
+
+use super::{MAX_DETECTIONS, MAX_TRACKS};
+
+/// A pair outside the gate.
+pub(crate) const IMPOSSIBLE: f32 = 1e6;
+/// Cost of leaving a track without a detection: more than any pair within the gate.
+const UNASSIGNED: f32 = 60.0;
+/// Real columns, and one column of its own for every track that stays without a detection.
+const COLUMNS: usize = MAX_DETECTIONS + MAX_TRACKS;
+
+/// Costs of all pairs; rows are tracks, columns are detections.
+pub(crate) type Costs = [[f32; MAX_DETECTIONS]; MAX_TRACKS];
+
+/// The detection of each of the first `tracks` tracks, if any. Time is bounded by
+/// `MAX_TRACKS² × (MAX_DETECTIONS + MAX_TRACKS)` steps.
+pub(crate) fn assign(
+    costs: &Costs,
+    tracks: usize,
+    detections: usize,
+) -> [Option<usize>; MAX_TRACKS] {
+    let tracks = tracks.min(MAX_TRACKS);
+    let detections = detections.min(MAX_DETECTIONS);
+    let columns = detections + tracks;
+    let cost = |row: usize, column: usize| {
+        if column < detections {
+            costs[row][column]
+        } else if column == detections + row {
+            UNASSIGNED
+        } else {
+            IMPOSSIBLE
+        }
+    };
+    // Row 0 and column 0 are the algorithm's virtual ones.
+    let mut row_potential = [0.0_f32; MAX_TRACKS + 1];
+    let mut column_potential = [0.0_f32; COLUMNS + 1];
+    let mut row_of = [0_usize; COLUMNS + 1];
+    for row in 1..=tracks {
+        let mut before = [0_usize; COLUMNS + 1];
+        let mut slack = [f32::INFINITY; COLUMNS + 1];
+        let mut visited = [false; COLUMNS + 1];
+        row_of[0] = row;
+        let mut column = 0;
+        while row_of[column] != 0 {
+            visited[column] = true;
+            let (mut least, mut next) = (f32::INFINITY, 0);
+            let here = row_of[column];
+            for other in 1..=columns {
+                if visited[other] {
+                    continue;
+                }
+                let reduced =
+                    cost(here - 1, other - 1) - row_potential[here] - column_potential[other];
+                if reduced < slack[other] {
+                    slack[other] = reduced;
+                    before[other] = column;
+                }
+                if slack[other] < least {
+                    least = slack[other];
+                    next = other;
+                }
+            }
+            for other in 0..=columns {
+                if visited[other] {
+                    row_potential[row_of[other]] += least;
+                    column_potential[other] -= least;
+                } else {
+                    slack[other] -= least;
+                }
+            }
+            column = next;
+        }
+        while column != 0 {
+            let back = before[column];
+            row_of[column] = row_of[back];
+            column = back;
+        }
+    }
+    let mut result = [None; MAX_TRACKS];
+    for column in 1..=detections {
+        let row = row_of[column];
+        if row > 0 && costs[row - 1][column - 1] < UNASSIGNED {
+            result[row - 1] = Some(column - 1);
+        }
+    }
+    result
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn costs(rows: &[&[f32]]) -> Costs {
+        let mut costs = [[IMPOSSIBLE; MAX_DETECTIONS]; MAX_TRACKS];
+        for (row, values) in rows.iter().enumerate() {
+            costs[row][..values.len()].copy_from_slice(values);
+        }
+        costs
+    }
+
+    #[test]
+    fn the_least_sum_wins_over_the_nearest_neighbour() {
+        // Greedy would give track 0 its detection 0 (cost 1) and leave track 1 with 20.
+        let result = assign(&costs(&[&[1.0, 2.0], &[1.5, 20.0]]), 2, 2);
+        assert_eq!(&result[..2], &[Some(1), Some(0)]);
+    }
+
+    #[test]
+    fn outside_the_gate_nothing_is_assigned() {
+        let result = assign(
+            &costs(&[&[IMPOSSIBLE, IMPOSSIBLE], &[IMPOSSIBLE, 3.0]]),
+            2,
+            2,
+        );
+        assert_eq!(&result[..2], &[None, Some(1)]);
+        assert_eq!(assign(&costs(&[]), 0, 5), [None; MAX_TRACKS]);
+        assert_eq!(assign(&costs(&[]), 5, 0), [None; MAX_TRACKS]);
+    }
+
+    /// Against all permutations of small problems with seeded costs.
+    #[test]
+    fn as_good_as_trying_all() {
+        let mut seed = 1_u32;
+        let mut random = || {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (seed >> 16) as f32 / 65_536.0 * 40.0
+        };
+        for _ in 0..200 {
+            let (tracks, detections) = (4, 5);
+            let mut problem = costs(&[]);
+            for row in problem.iter_mut().take(tracks) {
+                for cost in row.iter_mut().take(detections) {
+                    let value = random();
+                    *cost = if value > 25.0 { IMPOSSIBLE } else { value };
+                }
+            }
+            let result = assign(&problem, tracks, detections);
+            let total: f32 = (0..tracks)
+                .map(|t| result[t].map_or(UNASSIGNED, |d| problem[t][d]))
+                .sum();
+            assert!((total - best(&problem, 0, tracks, detections, 0)).abs() < 1e-2);
+        }
+    }
+
+    fn best(problem: &Costs, track: usize, tracks: usize, detections: usize, used: u32) -> f32 {
+        if track == tracks {
+            return 0.0;
+        }
+        let mut least = UNASSIGNED + best(problem, track + 1, tracks, detections, used);
+        for detection in 0..detections {
+            if used & 1 << detection == 0 && problem[track][detection] < UNASSIGNED {
+                let rest = best(
+                    problem,
+                    track + 1,
+                    tracks,
+                    detections,
+                    used | 1 << detection,
+                );
+                least = least.min(problem[track][detection] + rest);
+            }
+        }
+        least
+    }
+}

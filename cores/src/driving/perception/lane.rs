@@ -1,0 +1,165 @@
+//! The lanes as the camera sees them, filtered over time and carried along with the own motion.
+//!
+//! The coefficients of the centre line are the state of a Kalman filter whose transition is the
+//! Taylor shift of the polynomial by the way driven: E. D. Dickmanns, B. D. Mysliwetz, "Recursive 3-D
+//! Road and Relative Ego-State Recognition", IEEE PAMI 14 (1992).
+
+use nalgebra::{Matrix4, Vector4};
+use tandem_board::{Duration, Instant};
+use tandem_bus::CameraLanes;
+
+use crate::driving::math::{abs, clamp};
+use crate::driving::odometry::Pose;
+use crate::driving::road::DEFAULT_LANE_WIDTH_M;
+use crate::driving::types::Lanes;
+
+/// Lanes are carried along without the camera for this long.
+const COAST: Duration = Duration::from_ms(300);
+
+/// Standard deviations of the camera's coefficients: m, 1, 1/m, 1/m².
+const MEASUREMENT: [f32; 4] = [0.025, 0.001_5, 3e-5, 4e-7];
+/// How fast the true coefficients leave the model, per square root of a second.
+const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
+
+/// The filter.
+#[derive(Clone, Debug)]
+pub(crate) struct LaneFilter {
+    seen: Option<Instant>,
+    lanes: Lanes,
+    state: Vector4<f32>,
+    covariance: Matrix4<f32>,
+}
+
+impl LaneFilter {
+    pub(crate) fn new() -> Self {
+        let lanes = Lanes {
+            c: [0.0; 4],
+            view_range: 0.0,
+            width: DEFAULT_LANE_WIDTH_M,
+            left: None,
+            right: None,
+            own_end: f32::INFINITY,
+            left_end: f32::INFINITY,
+            right_end: f32::INFINITY,
+            speed_limit: f32::INFINITY,
+        };
+        Self {
+            seen: None,
+            lanes,
+            state: Vector4::zeros(),
+            covariance: Matrix4::zeros(),
+        }
+    }
+
+    /// Carries the lanes into the frame of the vehicle that has moved by `step` in `dt` seconds.
+    pub(crate) fn predict(&mut self, dt: f32, step: &Pose) {
+        if self.seen.is_none() {
+            return;
+        }
+        let d = step.x;
+        #[rustfmt::skip]
+        let shift = Matrix4::new(
+            1.0, d, d * d, d * d * d,
+            0.0, 1.0, 2.0 * d, 3.0 * d * d,
+            0.0, 0.0, 1.0, 3.0 * d,
+            0.0, 0.0, 0.0, 1.0,
+        );
+        self.state = shift * self.state;
+        let slope = self.state.y;
+        self.state.x -= step.y;
+        self.state.y -= step.heading * (1.0 + slope * slope);
+        self.covariance = shift * self.covariance * shift.transpose();
+        for (index, drift) in DRIFT.iter().enumerate() {
+            self.covariance[(index, index)] += drift * drift * dt;
+        }
+        for end in [
+            &mut self.lanes.own_end,
+            &mut self.lanes.left_end,
+            &mut self.lanes.right_end,
+        ] {
+            *end -= d;
+        }
+    }
+
+    /// Takes in what the camera saw at `at`, the time up to which the filter was predicted.
+    pub(crate) fn update(&mut self, at: Instant, camera: &CameraLanes) {
+        if !camera.valid {
+            return;
+        }
+        let measured = Vector4::new(camera.c0, camera.c1, camera.c2, camera.c3);
+        if self.seen.is_none() {
+            self.state = measured;
+            self.covariance = Matrix4::from_diagonal(&Vector4::from(MEASUREMENT.map(|s| s * s)));
+        } else {
+            // When the vehicle crosses a line, its own lane is another one: the same shape aside.
+            let aside = measured.x - self.state.x;
+            if abs(aside) > 0.4 * self.lanes.width {
+                self.state.x = measured.x;
+            }
+            self.correct(&measured);
+        }
+        self.seen = Some(at);
+        let end = |end: f32| {
+            if end >= CameraLanes::NO_END {
+                f32::INFINITY
+            } else {
+                end
+            }
+        };
+        let width = |width: f32| {
+            if width > 1.5 {
+                width
+            } else {
+                DEFAULT_LANE_WIDTH_M
+            }
+        };
+        let limit = camera.speed_limit;
+        self.lanes = Lanes {
+            c: self.lanes.c,
+            view_range: f32::from(camera.view_range),
+            width: width(camera.width),
+            left: camera.left_exists.then(|| width(camera.left_width)),
+            right: camera.right_exists.then(|| width(camera.right_width)),
+            own_end: end(camera.own_end),
+            left_end: end(camera.left_end),
+            right_end: end(camera.right_end),
+            speed_limit: if limit >= CameraLanes::NO_SPEED_LIMIT {
+                f32::INFINITY
+            } else {
+                limit
+            },
+        };
+    }
+
+    /// One scalar update for each coefficient: their noises are independent, so no matrix is inverted.
+    fn correct(&mut self, measured: &Vector4<f32>) {
+        for (index, deviation) in MEASUREMENT.iter().enumerate() {
+            let column = self.covariance.column(index).into_owned();
+            let variance = column[index] + deviation * deviation;
+            let residual = measured[index] - self.state[index];
+            self.state += column * (residual / variance);
+            self.covariance -= column * column.transpose() / variance;
+        }
+    }
+
+    /// The lanes in the frame up to which the filter was predicted; `None` if the camera has been
+    /// blind for too long.
+    pub(crate) fn lanes(&self, now: Instant) -> Option<Lanes> {
+        let seen = self.seen?;
+        if now.since(seen) > COAST {
+            return None;
+        }
+        let s = &self.state;
+        Some(Lanes {
+            c: [s.x, s.y, clamp(s.z, -0.02, 0.02), clamp(s.w, -2e-4, 2e-4)],
+            ..self.lanes
+        })
+    }
+
+    /// Forgets lanes that are too old, so that the next ones are taken as they are.
+    pub(crate) fn expire(&mut self, now: Instant) {
+        if self.seen.is_some_and(|seen| now.since(seen) > COAST) {
+            self.seen = None;
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Object lists as they come in over the bus: a header, then one frame for each object.
+
+use heapless::Vec;
+use tandem_board::{Duration, Instant};
+use tandem_bus::{SensorHeader, SensorId, SensorObject};
+
+use super::MAX_DETECTIONS;
+
+/// A list that is still not complete after this time has lost frames; what is there is used.
+const COMPLETION_TIME: Duration = Duration::from_ms(20);
+
+/// The newest object list of one sensor.
+#[derive(Clone, Debug, Default)]
+struct List {
+    at: Instant,
+    expected: usize,
+    objects: Vec<SensorObject, MAX_DETECTIONS>,
+    fresh: bool,
+}
+
+/// The newest object list of every sensor.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lists {
+    lists: [List; SensorId::ALL.len()],
+}
+
+impl Lists {
+    /// Begins the next list of this sensor; the one before it ends, complete or not.
+    pub(crate) fn begin(&mut self, now: Instant, sensor: SensorId, header: &SensorHeader) {
+        let list = &mut self.lists[sensor.index()];
+        list.at = now;
+        list.expected = usize::from(header.object_count).min(MAX_DETECTIONS);
+        list.objects.clear();
+        list.fresh = true;
+    }
+
+    /// Adds an object to the list that the sensor has begun. More than the header announced are
+    /// ignored, and so is what comes after the list was taken.
+    pub(crate) fn add(&mut self, sensor: SensorId, object: &SensorObject) {
+        let list = &mut self.lists[sensor.index()];
+        if list.fresh && list.objects.len() < list.expected {
+            // Cannot be full: `expected` is within the capacity.
+            let _ = list.objects.push(*object);
+        }
+    }
+
+    /// The oldest list that is ready and was not taken before: its sensor, time and objects.
+    pub(crate) fn take(
+        &mut self,
+        now: Instant,
+    ) -> Option<(SensorId, Instant, Vec<SensorObject, MAX_DETECTIONS>)> {
+        let is_ready = |list: &List| {
+            let complete = list.objects.len() == list.expected;
+            list.fresh && (complete || now.since(list.at) > COMPLETION_TIME)
+        };
+        let sensor = SensorId::ALL
+            .into_iter()
+            .filter(|sensor| is_ready(&self.lists[sensor.index()]))
+            .min_by_key(|sensor| self.lists[sensor.index()].at)?;
+        let list = &mut self.lists[sensor.index()];
+        list.fresh = false;
+        Some((sensor, list.at, list.objects.clone()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ms(ms: u64) -> Instant {
+        Instant::ORIGIN + Duration::from_ms(ms)
+    }
+
+    fn header(object_count: u8) -> SensorHeader {
+        SensorHeader {
+            object_count,
+            ..SensorHeader::default()
+        }
+    }
+
+    #[test]
+    fn a_list_is_taken_once_and_only_when_it_is_complete() {
+        let mut lists = Lists::default();
+        let radar = SensorId::RadarFront;
+        lists.begin(ms(5), radar, &header(2));
+        lists.add(radar, &SensorObject::default());
+        assert!(lists.take(ms(10)).is_none());
+        lists.add(radar, &SensorObject::default());
+        lists.add(radar, &SensorObject::default());
+        let (sensor, at, objects) = lists.take(ms(10)).unwrap();
+        assert_eq!((sensor, at, objects.len()), (radar, ms(5), 2));
+        assert!(lists.take(ms(10)).is_none());
+    }
+
+    #[test]
+    fn a_list_that_lost_frames_is_used_after_a_while() {
+        let mut lists = Lists::default();
+        lists.begin(ms(0), SensorId::CameraFront, &header(3));
+        lists.add(SensorId::CameraFront, &SensorObject::default());
+        assert!(lists.take(ms(20)).is_none());
+        assert_eq!(lists.take(ms(21)).unwrap().2.len(), 1);
+    }
+
+    #[test]
+    fn the_oldest_comes_first() {
+        let mut lists = Lists::default();
+        lists.begin(ms(9), SensorId::RadarFront, &header(0));
+        lists.begin(ms(3), SensorId::CameraFront, &header(0));
+        assert_eq!(lists.take(ms(10)).unwrap().0, SensorId::CameraFront);
+        assert_eq!(lists.take(ms(10)).unwrap().0, SensorId::RadarFront);
+    }
+
+    #[test]
+    fn an_announced_count_beyond_the_capacity_is_cut_off() {
+        let mut lists = Lists::default();
+        lists.begin(ms(0), SensorId::RadarFront, &header(255));
+        for _ in 0..300 {
+            lists.add(SensorId::RadarFront, &SensorObject::default());
+        }
+        assert_eq!(lists.take(ms(1)).unwrap().2.len(), MAX_DETECTIONS);
+    }
+}

@@ -1,0 +1,265 @@
+//! Perception (core 1, every 50 ms): fuses five radars and a camera into one scene. T-CHIP-3, T-CHIP-4
+//!
+//! Bus frames come in by [`Perception::on_message`] at any time; [`Perception::cycle`] does the work:
+//! predict the tracks to each list's time, assign, update, begin and end tracks, then analyse motion
+//! and scene. Everything stands in the frame of the vehicle and is carried along with its motion.
+
+mod assignment;
+mod kalman;
+mod lane;
+mod lists;
+mod scene;
+mod track;
+
+use heapless::Vec;
+use tandem_board::Instant;
+use tandem_bus::{CameraLanes, EgoMotion, Message, SensorId, SensorObject};
+
+use super::control::driven_curvature;
+use super::odometry::Odometry;
+use super::types::{Ego, Object, Scene};
+use assignment::{IMPOSSIBLE, assign};
+use lane::LaneFilter;
+use lists::Lists;
+use scene::RoadView;
+use track::{Detection, Track};
+
+/// Tracks at one time, confirmed or not.
+const MAX_TRACKS: usize = 32;
+/// Detections in one list; what the header can announce.
+const MAX_DETECTIONS: usize = 32;
+
+/// The perception function with all its memory; about 25 KiB, nothing allocated.
+#[derive(Clone, Debug)]
+pub struct Perception {
+    odometry: Odometry,
+    lists: Lists,
+    camera_lanes: Option<(Instant, CameraLanes)>,
+    lanes: LaneFilter,
+    tracks: Vec<Track, MAX_TRACKS>,
+    /// The time up to which tracks and lanes are predicted.
+    time: Option<Instant>,
+    next_id: u32,
+    set_speed: Option<f32>,
+    scene: Scene,
+}
+
+impl Default for Perception {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Perception {
+    /// Knows nothing yet.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            odometry: Odometry::new(),
+            lists: Lists::default(),
+            camera_lanes: None,
+            lanes: LaneFilter::new(),
+            tracks: Vec::new(),
+            time: None,
+            next_id: 1,
+            set_speed: None,
+            scene: Scene {
+                at: Instant::ORIGIN,
+                cycle: 0,
+                ego: Ego::default(),
+                lanes: None,
+                set_speed: None,
+                objects: Vec::new(),
+            },
+        }
+    }
+
+    /// Takes a frame in that was on the bus at `now`. Frames of the systems themselves are ignored.
+    ///
+    /// A measurement counts as made when the frame that begins its list was on the bus.
+    pub fn on_message(&mut self, now: Instant, message: &Message) {
+        match message {
+            Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
+            Message::DriverRequest(request) => {
+                self.set_speed = request.engage.then_some(request.set_speed);
+            }
+            Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
+            Message::SensorObject(sensor, object) => self.lists.add(*sensor, object),
+            Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
+            Message::Control { .. } | Message::Status { .. } => {}
+        }
+    }
+
+    /// The scene at `now`, from all that came in. To be called every 50 ms; time is bounded.
+    pub fn cycle(&mut self, now: Instant) -> &Scene {
+        // At most one list of each sensor is pending.
+        for _ in SensorId::ALL {
+            let Some((sensor, at, objects)) = self.lists.take(now) else {
+                break;
+            };
+            self.advance(at);
+            self.fuse(sensor, &objects);
+        }
+        self.advance_lanes();
+        self.advance(now);
+        self.tidy();
+        self.lanes.expire(now);
+        self.analyse(now);
+        &self.scene
+    }
+
+    /// The last scene.
+    #[must_use]
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// Predicts tracks and lanes to `to`; does not go back.
+    fn advance(&mut self, to: Instant) {
+        let from = *self.time.get_or_insert(to);
+        if to <= from {
+            return;
+        }
+        let dt = to.since(from).as_secs_f32();
+        let step = self.odometry.between(from, to);
+        for track in &mut self.tracks {
+            track.predict(dt, &step);
+        }
+        self.lanes.predict(dt, &step);
+        self.time = Some(to);
+    }
+
+    fn advance_lanes(&mut self) {
+        if let Some((at, lanes)) = self.camera_lanes.take() {
+            self.advance(at);
+            self.lanes.update(at, &lanes);
+        }
+    }
+
+    /// Takes in the list of one sensor, measured at the time up to which the tracks are predicted.
+    fn fuse(&mut self, sensor: SensorId, objects: &[SensorObject]) {
+        let ego = *self.odometry.ego();
+        let mut detections: Vec<Detection, MAX_DETECTIONS> = Vec::new();
+        for object in objects {
+            // Cannot be full: a list is no longer than this.
+            let _ = detections.push(Detection::new(sensor, object, &ego));
+        }
+        let mut costs = [[IMPOSSIBLE; MAX_DETECTIONS]; MAX_TRACKS];
+        for (t, track) in self.tracks.iter().enumerate() {
+            for (d, detection) in detections.iter().enumerate() {
+                costs[t][d] = track.fit(detection).map_or(IMPOSSIBLE, |fit| fit.cost());
+            }
+        }
+        let assigned = assign(&costs, self.tracks.len(), detections.len());
+        let mut used = [false; MAX_DETECTIONS];
+        for (t, track) in self.tracks.iter_mut().enumerate() {
+            if let Some(d) = assigned[t]
+                && let Some(fit) = track.fit(&detections[d])
+            {
+                track.update(&fit, &detections[d]);
+                used[d] = true;
+            }
+        }
+        for (d, detection) in detections.iter().enumerate() {
+            if !used[d] {
+                self.begin_track(detection);
+            }
+        }
+    }
+
+    /// Begins a track; when there is no place, the farthest unconfirmed one gives way.
+    fn begin_track(&mut self, detection: &Detection) {
+        let track = Track::new(self.next_id, detection);
+        self.next_id = self.next_id.wrapping_add(1);
+        if let Err(track) = self.tracks.push(track) {
+            let farthest = self.tracks.iter_mut().max_by(|a, b| {
+                (!a.confirmed, distance(a))
+                    .partial_cmp(&(!b.confirmed, distance(b)))
+                    .unwrap_or(core::cmp::Ordering::Equal)
+            });
+            if let Some(farthest) = farthest
+                && distance(&track) < distance(farthest)
+            {
+                *farthest = track;
+            }
+        }
+    }
+
+    /// Ends lost tracks and merges doubles.
+    fn tidy(&mut self) {
+        self.tracks.retain(|track| !track.is_lost());
+        let mut first = 0;
+        while first < self.tracks.len() {
+            let mut second = first + 1;
+            while second < self.tracks.len() {
+                if self.tracks[first].is_same(&self.tracks[second]) {
+                    if self.tracks[second].is_better_than(&self.tracks[first]) {
+                        self.tracks.swap(first, second);
+                    }
+                    let double = self.tracks.swap_remove(second);
+                    self.tracks[first].absorb(&double);
+                } else {
+                    second += 1;
+                }
+            }
+            first += 1;
+        }
+    }
+
+    fn analyse(&mut self, now: Instant) {
+        let ego = *self.odometry.ego();
+        let lanes = self.lanes.lanes(now);
+        let road = RoadView::new(lanes.as_ref(), driven_curvature(&ego));
+        self.scene.at = now;
+        self.scene.cycle = self.scene.cycle.wrapping_add(1);
+        self.scene.ego = ego;
+        self.scene.lanes = lanes;
+        self.scene.set_speed = self.set_speed;
+        self.scene.objects.clear();
+        self.tracks.sort_unstable_by(|a, b| {
+            distance(a)
+                .partial_cmp(&distance(b))
+                .unwrap_or(core::cmp::Ordering::Equal)
+        });
+        for track in &mut self.tracks {
+            let place = road.place(track);
+            if !track.confirmed {
+                continue;
+            }
+            let object = Object {
+                id: track.id,
+                class: track.class,
+                x: track.x.position(),
+                y: track.y.position(),
+                vx: track.x.velocity(),
+                vy: track.y.velocity(),
+                ax: track.x.acceleration(),
+                length: track.length,
+                width: track.width,
+                lane: place.lane,
+                cuts_in: place.cuts_in,
+            };
+            if self.scene.objects.push(object).is_err() {
+                break;
+            }
+        }
+    }
+}
+
+/// Squared distance from the own vehicle, m².
+fn distance(track: &Track) -> f32 {
+    let (x, y) = (track.x.position(), track.y.position());
+    x * x + y * y
+}
+
+/// The own motion in a bus message.
+#[must_use]
+pub fn ego_of(motion: &EgoMotion) -> Ego {
+    Ego {
+        speed: motion.speed,
+        yaw_rate: motion.yaw_rate,
+        acceleration: motion.long_acceleration,
+        steering_angle: motion.steering_angle,
+        slip_angle: motion.slip_angle,
+    }
+}

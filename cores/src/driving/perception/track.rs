@@ -1,0 +1,248 @@
+//! One tracked object: filters of both axes, what kind it is, and how sure it is that it exists.
+
+use tandem_bus::{Class, SensorId, SensorObject};
+
+use super::kalman::{Axis, Innovation, Measured, Motion};
+use crate::driving::math::{abs, clamp, cos, lerp, max, min, sin};
+use crate::driving::odometry::Pose;
+use crate::driving::types::{Ego, ObjectClass};
+
+/// Along the road vehicles brake with up to 8 m/s² within half a second.
+const ALONG: Motion = Motion {
+    acceleration_noise: 9.0,
+    fading_s: 1.5,
+};
+/// Across the road they change lanes gently.
+const ACROSS: Motion = Motion {
+    acceleration_noise: 1.0,
+    fading_s: 0.5,
+};
+/// 99.9 % of the chi-squared distribution with four degrees of freedom.
+const GATE: f32 = 18.5;
+/// However unsure a track is, a detection farther away is another object, m.
+const MAX_JUMP_X_M: f32 = 8.0;
+/// The same across the road: less than the distance of two lanes, m.
+const MAX_JUMP_Y_M: f32 = 2.5;
+
+/// Confirmed by this many detections of one sensor …
+const CONFIRMING_HITS: u16 = 3;
+/// … or by this many different sensors.
+const CONFIRMING_SENSORS: u32 = 2;
+/// An unconfirmed track ends when it was not seen for this long, s.
+const TENTATIVE_COAST_S: f32 = 0.12;
+/// A confirmed track goes on unseen for this long, s: short occlusions, single dropouts.
+const COAST_S: f32 = 0.8;
+/// The same close beside the own vehicle, where the fields of view may leave a gap, s.
+const BESIDE_COAST_S: f32 = 2.0;
+
+/// A detection in the vehicle frame, with velocities over ground.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Detection {
+    sensor: SensorId,
+    class: Class,
+    x: Measured,
+    y: Measured,
+    length: f32,
+    width: f32,
+}
+
+impl Detection {
+    /// What a sensor's object means, with the own motion at the time of the measurement.
+    pub(crate) fn new(sensor: SensorId, object: &SensorObject, ego: &Ego) -> Self {
+        let (along, across) = velocity_variances(sensor, object.x, object.y);
+        let deviation = |value: f32| clamp(value, 0.1, 5.0);
+        let (dx, dy) = (deviation(object.xdeviation), deviation(object.ydeviation));
+        Self {
+            sensor,
+            class: object.class,
+            x: Measured {
+                position: object.x,
+                velocity: object.vx + ego.speed,
+                position_variance: dx * dx,
+                velocity_variance: along,
+            },
+            y: Measured {
+                position: object.y,
+                velocity: object.vy + ego.speed * ego.slip_angle,
+                position_variance: dy * dy,
+                velocity_variance: across,
+            },
+            length: object.length,
+            width: object.width,
+        }
+    }
+}
+
+/// Variances of the measured velocities along x and y, (m/s)²: a radar measures the velocity along the
+/// line of sight by Doppler and guesses the one across it; for a camera it is the other way round.
+fn velocity_variances(sensor: SensorId, x: f32, y: f32) -> (f32, f32) {
+    let (radial, tangential) = match sensor {
+        SensorId::RadarFront => (0.12, 0.6),
+        SensorId::CameraFront => (0.8, 0.4),
+        _ => (0.17, 0.7),
+    };
+    let (radial, tangential) = (radial * radial, tangential * tangential);
+    let share = x * x / max(x * x + y * y, 0.1);
+    (
+        lerp(tangential, radial, share),
+        lerp(radial, tangential, share),
+    )
+}
+
+/// A pair of track and detection within the gate.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Match {
+    x: Innovation,
+    y: Innovation,
+}
+
+impl Match {
+    /// Negative logarithm of the likelihood but for constants.
+    pub(crate) fn cost(&self) -> f32 {
+        let volume = max(self.x.determinant * self.y.determinant, 1e-12);
+        self.x.distance + self.y.distance + libm::logf(volume)
+    }
+}
+
+/// A tracked object.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Track {
+    pub(crate) id: u32,
+    pub(crate) x: Axis,
+    pub(crate) y: Axis,
+    pub(crate) class: ObjectClass,
+    pub(crate) length: f32,
+    pub(crate) width: f32,
+    pub(crate) confirmed: bool,
+    /// Cycles in a row in which it moved into the own lane.
+    pub(crate) approaching: u8,
+    hits: u16,
+    sensors: u8,
+    unseen_s: f32,
+}
+
+impl Track {
+    pub(crate) fn new(id: u32, detection: &Detection) -> Self {
+        let mut track = Self {
+            id,
+            x: Axis::new(&detection.x),
+            y: Axis::new(&detection.y),
+            class: ObjectClass::Unknown,
+            length: if detection.length > 0.3 {
+                detection.length
+            } else {
+                4.5
+            },
+            width: if detection.width > 0.3 {
+                detection.width
+            } else {
+                1.8
+            },
+            confirmed: false,
+            approaching: 0,
+            hits: 0,
+            sensors: 0,
+            unseen_s: 0.0,
+        };
+        track.seen(detection);
+        track
+    }
+
+    /// Moves the object on by `dt` and into the frame of the vehicle that has meanwhile moved by
+    /// `step`.
+    pub(crate) fn predict(&mut self, dt: f32, step: &Pose) {
+        self.x.predict(dt, &ALONG);
+        self.y.predict(dt, &ACROSS);
+        self.unseen_s += dt;
+        let (x, y) = step.to_local(self.x.position(), self.y.position());
+        let (sine, cosine) = (sin(step.heading), cos(step.heading));
+        let turn = |x: f32, y: f32| (cosine * x + sine * y, cosine * y - sine * x);
+        let (vx, vy) = turn(self.x.velocity(), self.y.velocity());
+        let (ax, ay) = turn(self.x.acceleration(), self.y.acceleration());
+        self.x.set(x, vx, ax);
+        self.y.set(y, vy, ay);
+    }
+
+    /// How the detection fits, if it lies within the gate.
+    pub(crate) fn fit(&self, detection: &Detection) -> Option<Match> {
+        if abs(detection.x.position - self.x.position()) > MAX_JUMP_X_M
+            || abs(detection.y.position - self.y.position()) > MAX_JUMP_Y_M
+        {
+            return None;
+        }
+        let x = self.x.innovation(&detection.x);
+        let y = self.y.innovation(&detection.y);
+        (x.distance + y.distance < GATE).then_some(Match { x, y })
+    }
+
+    /// Takes the detection in.
+    pub(crate) fn update(&mut self, fit: &Match, detection: &Detection) {
+        self.x.update(&fit.x);
+        self.y.update(&fit.y);
+        self.seen(detection);
+    }
+
+    fn seen(&mut self, detection: &Detection) {
+        self.hits = self.hits.saturating_add(1);
+        self.sensors |= 1 << detection.sensor.index();
+        self.unseen_s = 0.0;
+        self.confirmed |=
+            self.hits >= CONFIRMING_HITS || self.sensors.count_ones() >= CONFIRMING_SENSORS;
+        if detection.class != Class::Unknown {
+            self.class = kind(detection.class);
+        }
+        if detection.length > 0.3 {
+            self.length = lerp(self.length, detection.length, 0.2);
+        }
+        if detection.width > 0.3 {
+            self.width = lerp(self.width, detection.width, 0.2);
+        }
+    }
+
+    /// Whether the track has been unseen for so long that it ends.
+    pub(crate) fn is_lost(&self) -> bool {
+        let beside = abs(self.x.position()) < 8.0 && abs(self.y.position()) < 8.0;
+        let patience = match (self.confirmed, beside) {
+            (false, _) => TENTATIVE_COAST_S,
+            (true, false) => COAST_S,
+            (true, true) => BESIDE_COAST_S,
+        };
+        self.unseen_s > patience
+    }
+
+    /// Whether both tracks are the same object: two vehicles cannot be in one place.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        let reach = clamp(0.6 * max(self.length, other.length), 1.0, 6.0);
+        let width = clamp(0.7 * max(self.width, other.width), 0.6, 1.6);
+        abs(self.x.position() - other.x.position()) < reach
+            && abs(self.y.position() - other.y.position()) < width
+            && abs(self.x.velocity() - other.x.velocity()) < 4.0
+    }
+
+    /// Whether this track is to be kept rather than `other`, which is the same object.
+    pub(crate) fn is_better_than(&self, other: &Self) -> bool {
+        (self.confirmed, self.hits, other.id) > (other.confirmed, other.hits, self.id)
+    }
+
+    /// Takes over what the double knew.
+    pub(crate) fn absorb(&mut self, double: &Self) {
+        self.sensors |= double.sensors;
+        self.hits = self.hits.saturating_add(double.hits);
+        self.confirmed |= double.confirmed || self.sensors.count_ones() >= CONFIRMING_SENSORS;
+        self.unseen_s = min(self.unseen_s, double.unseen_s);
+        if self.class == ObjectClass::Unknown {
+            self.class = double.class;
+        }
+    }
+}
+
+fn kind(class: Class) -> ObjectClass {
+    match class {
+        Class::Car => ObjectClass::Car,
+        Class::Truck => ObjectClass::Truck,
+        Class::Motorcycle => ObjectClass::Motorcycle,
+        Class::Pedestrian => ObjectClass::Pedestrian,
+        Class::Static => ObjectClass::Static,
+        _ => ObjectClass::Unknown,
+    }
+}

@@ -1,0 +1,374 @@
+//! Behaviour decision: keep the lane or change it, with the criteria of MOBIL and a way back.
+//!
+//! A. Kesting, M. Treiber, D. Helbing, "General Lane-Changing Model MOBIL for Car-Following Models",
+//! Transportation Research Record 1999 (2007): a change must be safe for the new follower and must gain
+//! acceleration for oneself, less what it costs the follower. Accelerations come from the IDM.
+
+use super::prediction::Predicted;
+use crate::driving::idm::{self, Driver, Leader};
+use crate::driving::math::{abs, lerp, max, min};
+use crate::driving::types::Lanes;
+use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
+
+/// Gain in acceleration that makes a change worth its while, m/s².
+const CHANGING_THRESHOLD: f32 = 0.45;
+/// How much the follower's loss counts (politeness).
+const POLITENESS: f32 = 0.3;
+/// Braking that a change may ask of the new follower, m/s²; more when the own lane ends.
+const SAFE_BRAKING: f32 = 2.0;
+const SAFE_BRAKING_AT_END: f32 = 3.5;
+/// A wish must hold for this long before it is acted on, in cycles of 50 ms.
+const WISH_CYCLES: u16 = 16;
+/// The same when the own lane ends.
+const FORCED_WISH_CYCLES: u16 = 4;
+/// Rest after a change or a try, in cycles.
+const REST_CYCLES: u16 = 100;
+const REST_CYCLES_AT_END: u16 = 20;
+/// A change takes this long …
+const CHANGE_S: f32 = 5.0;
+/// … but no less way than this, m.
+const CHANGE_MIN_M: f32 = 18.0;
+/// The rest of a change is never steered in less time than this, s.
+const REST_MIN_S: f32 = 2.0;
+/// A lane that ends within this time is not changed to, s.
+const LANE_WORTH_S: f32 = 20.0;
+/// A lane that ends within this time is left, s, or within this distance, m.
+const LEAVE_BEFORE_S: f32 = 14.0;
+const LEAVE_BEFORE_M: f32 = 200.0;
+
+/// A side of the own lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Side {
+    Left,
+    Right,
+}
+
+impl Side {
+    const ALL: [Self; 2] = [Self::Left, Self::Right];
+
+    fn sign(self) -> f32 {
+        match self {
+            Self::Left => 1.0,
+            Self::Right => -1.0,
+        }
+    }
+
+    /// Offset of the lane's centre and distance to its end, if there is a lane.
+    fn lane(self, lanes: &Lanes) -> Option<(f32, f32)> {
+        let (width, end) = match self {
+            Self::Left => (lanes.left?, lanes.left_end),
+            Self::Right => (lanes.right?, lanes.right_end),
+        };
+        Some((self.sign() * 0.5 * (lanes.width + width), end))
+    }
+}
+
+/// What the vehicle does about its lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Intent {
+    /// Stays in the lane.
+    Keep,
+    /// Changes the lane; `crossed` when its own lane is the new one already.
+    Change {
+        side: Side,
+        crossed: bool,
+        rest_m: f32,
+    },
+}
+
+/// What the decision rests on.
+#[derive(Clone, Debug)]
+pub(crate) struct Situation<'a> {
+    pub(crate) lanes: &'a Lanes,
+    pub(crate) objects: &'a [Predicted],
+    /// m/s
+    pub(crate) speed: f32,
+    /// m/s
+    pub(crate) desired_speed: f32,
+    /// Own offset from the own lane's centre, m.
+    pub(crate) offset: f32,
+}
+
+/// What planning is to do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Goal {
+    /// Offset to go to, m.
+    pub(crate) offset: f32,
+    /// Way to it, m; `None` while the lane is kept.
+    pub(crate) rest_m: Option<f32>,
+    /// Distance to the end of the lane that is gone to, m.
+    pub(crate) end: f32,
+    /// Centre of the lane in which a gap is sought, m.
+    pub(crate) sought: Option<f32>,
+}
+
+/// The decision with its memory.
+#[derive(Clone, Debug)]
+pub(crate) struct Behaviour {
+    pub(crate) intent: Intent,
+    wishes: [u16; 2],
+    rest: u16,
+}
+
+impl Behaviour {
+    pub(crate) fn new() -> Self {
+        Self {
+            intent: Intent::Keep,
+            wishes: [0; 2],
+            rest: 0,
+        }
+    }
+
+    /// Tells that the own lane is now the one to the left (+1) or right (-1) of the old one.
+    pub(crate) fn crossed_line(&mut self, direction: f32) {
+        self.wishes = [0; 2];
+        if let Intent::Change { side, crossed, .. } = &mut self.intent {
+            *crossed = side.sign() == direction;
+        }
+    }
+
+    /// Ends a change that has become dangerous, if the vehicle still is in its old lane.
+    pub(crate) fn abort(&mut self) -> bool {
+        if let Intent::Change { crossed: false, .. } = self.intent {
+            self.intent = Intent::Keep;
+            self.rest = REST_CYCLES / 2;
+            self.wishes = [0; 2];
+            return true;
+        }
+        false
+    }
+
+    /// The goal for this cycle; `moved` is the way since the last one, m.
+    pub(crate) fn decide(&mut self, now: &Situation<'_>, moved: f32) -> Goal {
+        self.rest = self.rest.saturating_sub(1);
+        if let Intent::Change { rest_m, .. } = &mut self.intent {
+            *rest_m = max(*rest_m - moved, 0.0);
+        }
+        match self.intent {
+            Intent::Change {
+                side,
+                crossed: false,
+                ..
+            } => {
+                let tight = now.past_the_middle(side);
+                let gone = side.lane(now.lanes).is_none_or(|(centre, _)| {
+                    !tight && !now.is_safe(centre, 1.5 * SAFE_BRAKING_AT_END, 0.6)
+                });
+                if gone {
+                    self.abort();
+                }
+            }
+            Intent::Change {
+                crossed: true,
+                rest_m,
+                ..
+            } => {
+                if abs(now.offset) < 0.3 || rest_m <= 0.0 {
+                    self.intent = Intent::Keep;
+                    self.rest = REST_CYCLES;
+                }
+            }
+            Intent::Keep => self.consider(now),
+        }
+        self.goal(now)
+    }
+
+    fn goal(&self, now: &Situation<'_>) -> Goal {
+        let keep = Goal {
+            offset: 0.0,
+            rest_m: None,
+            end: now.lanes.own_end,
+            sought: None,
+        };
+        match self.intent {
+            Intent::Keep => Goal {
+                sought: now.forced().map(|(_, centre)| centre),
+                ..keep
+            },
+            Intent::Change {
+                side,
+                crossed,
+                rest_m,
+            } => {
+                let rest_m = Some(max(rest_m, max(REST_MIN_S * now.speed, 0.5 * CHANGE_MIN_M)));
+                match side.lane(now.lanes) {
+                    Some((offset, end)) if !crossed => Goal {
+                        offset,
+                        rest_m,
+                        end,
+                        sought: None,
+                    },
+                    _ => Goal { rest_m, ..keep },
+                }
+            }
+        }
+    }
+
+    /// Counts for how long a change has been wished, and begins it.
+    fn consider(&mut self, now: &Situation<'_>) {
+        let forced = now.forced().map(|(side, _)| side);
+        let needed = if forced.is_some() {
+            FORCED_WISH_CYCLES
+        } else {
+            WISH_CYCLES
+        };
+        if forced.is_some() {
+            self.rest = self.rest.min(REST_CYCLES_AT_END);
+        }
+        for side in Side::ALL {
+            let wish = &mut self.wishes[side as usize];
+            *wish = if now.wishes(side, forced) {
+                wish.saturating_add(1)
+            } else {
+                0
+            };
+        }
+        if self.rest > 0 || abs(now.offset) > 0.6 {
+            return;
+        }
+        let [left, right] = self.wishes;
+        let side = if left >= right {
+            Side::Left
+        } else {
+            Side::Right
+        };
+        if max_of(left, right) >= needed {
+            let rest_m = max(CHANGE_S * now.speed, CHANGE_MIN_M);
+            self.intent = Intent::Change {
+                side,
+                crossed: false,
+                rest_m,
+            };
+            self.wishes = [0; 2];
+        }
+    }
+}
+
+fn max_of(a: u16, b: u16) -> u16 {
+    if a > b { a } else { b }
+}
+
+impl Situation<'_> {
+    fn driver(&self) -> Driver {
+        Driver {
+            desired_speed: self.desired_speed,
+            time_gap: 1.5,
+            standstill_gap: 4.0,
+            max_acceleration: 1.5,
+            comfortable_braking: 2.0,
+        }
+    }
+
+    /// The side to go to because the own lane ends soon, and that lane's centre.
+    fn forced(&self) -> Option<(Side, f32)> {
+        let end = self.lanes.own_end;
+        if end > max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M) {
+            return None;
+        }
+        let worth = |side: &Side| {
+            side.lane(self.lanes)
+                .is_some_and(|(_, other)| other > end + 50.0)
+        };
+        let side = Side::ALL.into_iter().find(worth)?;
+        side.lane(self.lanes).map(|(centre, _)| (side, centre))
+    }
+
+    /// Whether the body is over the line so far that going back is no better than going on.
+    fn past_the_middle(&self, side: Side) -> bool {
+        side.sign() * self.offset > 0.5 * self.lanes.width - 0.25 * WIDTH_M
+    }
+
+    /// The nearest objects ahead and behind in the lane with this centre.
+    fn neighbours(&self, centre: f32) -> (Option<&Predicted>, Option<&Predicted>) {
+        let half = 0.5 * self.lanes.width;
+        let (mut leader, mut follower): (Option<&Predicted>, Option<&Predicted>) = (None, None);
+        for object in self.objects {
+            let reach = half + 0.3 * object.half_width;
+            let inside = abs(object.d - centre) < reach || abs(object.across(2.5) - centre) < half;
+            if !inside {
+                continue;
+            }
+            if object.s > 0.0 {
+                if leader.is_none_or(|nearest| object.s < nearest.s) {
+                    leader = Some(object);
+                }
+            } else if follower.is_none_or(|nearest| object.s > nearest.s) {
+                follower = Some(object);
+            }
+        }
+        (leader, follower)
+    }
+
+    fn own_acceleration(&self, leader: Option<&Predicted>) -> f32 {
+        let leader = leader.map(|object| {
+            let gap = object.s - object.half_length - 0.5 * LENGTH_M;
+            Leader {
+                gap,
+                speed: max(object.along(1.0).1, 0.0),
+            }
+        });
+        idm::acceleration(&self.driver(), self.speed, leader)
+    }
+
+    fn follower_acceleration(&self, follower: &Predicted) -> f32 {
+        let driver = Driver {
+            desired_speed: max(follower.speed, 5.0),
+            time_gap: 1.0,
+            standstill_gap: 2.0,
+            max_acceleration: 1.5,
+            comfortable_braking: 2.0,
+        };
+        let gap = -follower.s - follower.half_length - 0.5 * LENGTH_M;
+        idm::acceleration(
+            &driver,
+            follower.speed,
+            Some(Leader {
+                gap,
+                speed: self.speed,
+            }),
+        )
+    }
+
+    /// Whether the lane with this centre has a gap that neither follower nor own vehicle would have to
+    /// brake for harder than `braking`; `share` of the usual distances is demanded.
+    fn is_safe(&self, centre: f32, braking: f32, share: f32) -> bool {
+        let (leader, follower) = self.neighbours(centre);
+        if let Some(leader) = leader {
+            let gap = leader.s - leader.half_length - 0.5 * LENGTH_M;
+            let (speed, ahead) = (self.speed, max(leader.along(2.0).1, 0.0));
+            let needed =
+                3.0 + share * 0.5 * speed + max((speed * speed - ahead * ahead) / 10.0, 0.0);
+            if gap < needed || self.own_acceleration(Some(leader)) < -braking {
+                return false;
+            }
+        }
+        if let Some(follower) = follower {
+            let gap = -follower.s - follower.half_length - 0.5 * LENGTH_M;
+            let (own, behind) = (self.speed, max(follower.speed, 0.0));
+            let needed = 3.0 + share * 0.6 * behind + max((behind * behind - own * own) / 5.0, 0.0);
+            if gap < needed || self.follower_acceleration(follower) < -braking {
+                return false;
+            }
+        }
+        true
+    }
+
+    fn wishes(&self, side: Side, forced: Option<Side>) -> bool {
+        let Some((centre, end)) = side.lane(self.lanes) else {
+            return false;
+        };
+        if let Some(forced) = forced {
+            let near = 1.0 - min(max(self.lanes.own_end, 0.0) / LEAVE_BEFORE_M, 1.0);
+            let braking = lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near);
+            return side == forced && self.is_safe(centre, braking, lerp(1.0, 0.7, near));
+        }
+        if end < max(LANE_WORTH_S * self.speed, 400.0) || self.speed < 3.0 {
+            return false;
+        }
+        let (leader, follower) = self.neighbours(centre);
+        let (own_leader, _) = self.neighbours(0.0);
+        let gain = self.own_acceleration(leader) - self.own_acceleration(own_leader);
+        let loss = follower.map_or(0.0, |object| max(-self.follower_acceleration(object), 0.0));
+        gain - POLITENESS * loss > CHANGING_THRESHOLD && self.is_safe(centre, SAFE_BRAKING, 1.0)
+    }
+}

@@ -1,0 +1,136 @@
+//! Candidates for the path across the road: quintics over the way, towards a lane's centre.
+
+use super::polynomial::{Jet, Polynomial};
+use crate::driving::math::{abs, atan, cos, max, min, sin, tan};
+use crate::driving::road::Reference;
+use crate::driving::types::TrajectoryPoint;
+
+/// Greatest curvature of a path, 1/m: the turning circle with a margin.
+const MAX_CURVATURE: f32 = 0.17;
+
+/// A path relative to the reference: offset over arc length from the start on.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Path {
+    shape: Polynomial,
+    pub(crate) goal: f32,
+    start_s: f32,
+}
+
+/// A state in the Frenet frame: arc length, and the offset with its derivatives by arc length.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Station {
+    pub(crate) s: f32,
+    pub(crate) offset: Jet,
+}
+
+impl Path {
+    /// From the station to an offset, over `length` m.
+    pub(crate) fn new(from: &Station, goal: f32, length: f32) -> Self {
+        let goal_jet = Jet {
+            value: goal,
+            ..Jet::default()
+        };
+        let shape = Polynomial::quintic(&from.offset, &goal_jet, max(length, 1.0));
+        Self {
+            shape,
+            goal,
+            start_s: from.s,
+        }
+    }
+
+    /// Offset and derivatives at arc length `s`.
+    pub(crate) fn at(&self, s: f32) -> Jet {
+        self.shape.at(max(s - self.start_s, 0.0))
+    }
+}
+
+/// The Frenet state of a Cartesian one (Werling et al., appendix).
+pub(crate) fn to_frenet(point: &TrajectoryPoint, s: f32, d: f32, road: &Reference) -> Station {
+    let turn = crate::driving::math::bound(point.heading - road.heading, 1.0);
+    let stretch = max(1.0 - road.curvature * d, 0.2);
+    let slope = stretch * tan(turn);
+    let bend = stretch / (cos(turn) * cos(turn))
+        * (point.curvature * stretch / cos(turn) - road.curvature)
+        - (road.sharpness * d + road.curvature * slope) * tan(turn);
+    Station {
+        s,
+        offset: Jet {
+            value: d,
+            first: slope,
+            second: bend,
+            third: 0.0,
+        },
+    }
+}
+
+/// The Cartesian state at an offset from the reference, moving along the road with `motion`.
+pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> TrajectoryPoint {
+    let stretch = max(1.0 - road.curvature * offset.value, 0.2);
+    let slope = offset.first / stretch;
+    let turn = atan(slope);
+    let (along, bent) = (
+        cos(turn),
+        road.sharpness * offset.value + road.curvature * offset.first,
+    );
+    let curvature = ((offset.second + bent * slope) * along * along / stretch + road.curvature)
+        * along
+        / stretch;
+    let scale = stretch / along;
+    TrajectoryPoint {
+        x: road.x - offset.value * sin(road.heading),
+        y: road.y + offset.value * cos(road.heading),
+        heading: road.heading + turn,
+        curvature: max(min(curvature, MAX_CURVATURE), -MAX_CURVATURE),
+        speed: max(motion.first * scale, 0.0),
+        acceleration: motion.second * scale,
+    }
+}
+
+/// What a path costs when it is driven with this speed: comfort against the time off the centre.
+pub(crate) fn cost(path: &Path, speed: f32) -> f32 {
+    let mut cost = 0.0;
+    for step in 0..16 {
+        let s = path.start_s + step as f32 * 0.25 * max(speed, 2.0);
+        let offset = path.at(s);
+        let aside = offset.value - path.goal;
+        let acceleration = offset.second * speed * speed;
+        let jerk = offset.third * speed * speed * speed;
+        cost += aside * aside + 0.6 * acceleration * acceleration + 0.1 * jerk * jerk;
+        if abs(offset.second) > MAX_CURVATURE {
+            cost += 100.0;
+        }
+    }
+    cost
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cartesian_and_back() {
+        let road = Reference {
+            x: 3.0,
+            y: 1.0,
+            heading: 0.1,
+            curvature: 0.004,
+            sharpness: 1e-5,
+        };
+        let offset = Jet {
+            value: 1.2,
+            first: 0.05,
+            second: 0.003,
+            third: 0.0,
+        };
+        let motion = Jet {
+            value: 0.0,
+            first: 20.0,
+            second: 0.5,
+            third: 0.0,
+        };
+        let point = to_cartesian(&road, &offset, &motion);
+        let back = to_frenet(&point, 0.0, 1.2, &road).offset;
+        assert!((back.first - offset.first).abs() < 1e-5, "{back:?}");
+        assert!((back.second - offset.second).abs() < 1e-5, "{back:?}");
+    }
+}

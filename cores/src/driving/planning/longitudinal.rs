@@ -1,0 +1,374 @@
+//! Candidates for the motion along the road, and what they cost.
+//!
+//! Velocity-keeping quartics of Werling et al. (see `polynomial`) plus braking ramps. The target speed
+//! is that of a distance keeper whose deceleration towards the leader stays bounded; gaps below the
+//! safe distance of S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a Formal Model of Safe and Scalable
+//! Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort does not count.
+
+use super::polynomial::{Jet, Polynomial};
+use crate::driving::math::{abs, clamp, max, min, sqrt};
+
+/// Steps of the evaluation.
+pub(crate) const STEPS: usize = 32;
+/// Seconds between two of them: the evaluation looks 8 s ahead.
+pub(crate) const STEP_S: f32 = 0.25;
+
+/// Time gap to the leader, s.
+const TIME_GAP_S: f32 = 1.6;
+/// Distance to the leader at standstill, m.
+const STANDSTILL_GAP_M: f32 = 4.0;
+/// Share of the usual distance that is kept to a vehicle behind which a gap is sought.
+const SOUGHT_SHARE: f32 = 0.6;
+/// Deceleration with which a slower leader is approached, m/s².
+const APPROACH_BRAKING: f32 = 1.2;
+/// Time constant of keeping the distance, s.
+const DISTANCE_S: f32 = 3.0;
+/// Deceleration towards the end of the lane, m/s².
+const END_BRAKING: f32 = 1.6;
+/// Greatest acceleration, m/s².
+const MAX_ACCELERATION: f32 = 2.0;
+/// Strongest braking of candidates that are no emergency, m/s².
+const MAX_BRAKING: f32 = 8.0;
+/// Full braking, m/s².
+pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
+/// Jerk of gentle and of hard braking ramps, m/s³.
+const RAMP_JERK: f32 = 6.0;
+const EMERGENCY_JERK: f32 = 40.0;
+
+const WEIGHT_JERK: f32 = 0.15;
+const WEIGHT_ACCELERATION: f32 = 0.8;
+const WEIGHT_SPEED: f32 = 0.25;
+/// Speed errors beyond this weigh linearly: they are no reason to hurry, m/s.
+const SPEED_ERROR_KNEE: f32 = 4.0;
+const WEIGHT_UNSAFE: f32 = 400.0;
+const WEIGHT_CONTACT: f32 = 5_000.0;
+
+/// What limits the motion along the road, over the evaluation's steps.
+#[derive(Clone, Debug)]
+pub(crate) struct Corridor {
+    /// Speed to drive when nothing is ahead, m/s.
+    pub(crate) desired_speed: f32,
+    /// How far the own centre may go before it touches what is ahead, m.
+    pub(crate) bound: [f32; STEPS],
+    /// Speed of what is ahead, m/s.
+    pub(crate) bound_speed: [f32; STEPS],
+    /// The same for a vehicle of the next lane behind which a gap is sought: no danger, only a wish.
+    sought: [(f32, f32); STEPS],
+    /// Where the own centre has to stand at the latest, m.
+    pub(crate) stop: [f32; STEPS],
+}
+
+impl Corridor {
+    /// Nothing ahead.
+    pub(crate) fn free(desired_speed: f32) -> Self {
+        Self {
+            desired_speed,
+            bound: [f32::INFINITY; STEPS],
+            bound_speed: [0.0; STEPS],
+            sought: [(f32::INFINITY, 0.0); STEPS],
+            stop: [f32::INFINITY; STEPS],
+        }
+    }
+
+    /// What is ahead at a step may not be touched.
+    pub(crate) fn limit(&mut self, step: usize, bound: f32, speed: f32) {
+        if bound < self.bound[step] {
+            self.bound[step] = bound;
+            self.bound_speed[step] = speed;
+        }
+    }
+
+    /// A gap behind this is sought.
+    pub(crate) fn seek(&mut self, step: usize, bound: f32, speed: f32) {
+        self.sought[step] = (bound, speed);
+    }
+
+    /// The speed that a good driver would have at this step and place, m/s.
+    fn target_speed(&self, step: usize, motion: &Jet) -> f32 {
+        let mut target = self.desired_speed;
+        if self.bound[step] < f32::INFINITY {
+            let wanted = STANDSTILL_GAP_M + TIME_GAP_S * max(motion.first, 0.0);
+            let spare = self.bound[step] - motion.value - wanted;
+            target = min(
+                target,
+                max(self.bound_speed[step], 0.0) + closing(spare, APPROACH_BRAKING),
+            );
+        }
+        let (bound, speed) = self.sought[step];
+        if bound < f32::INFINITY {
+            let wanted = SOUGHT_SHARE * (STANDSTILL_GAP_M + TIME_GAP_S * max(motion.first, 0.0));
+            let spare = bound - motion.value - wanted;
+            target = min(
+                target,
+                max(speed, 0.0) + max(closing(spare, APPROACH_BRAKING), -3.0),
+            );
+        }
+        if self.stop[step] < f32::INFINITY {
+            target = min(target, closing(self.stop[step] - motion.value, END_BRAKING));
+        }
+        max(target, 0.0)
+    }
+
+    /// What the gap at this step costs for its danger, per second.
+    fn danger(&self, step: usize, motion: &Jet) -> f32 {
+        let speed = max(motion.first, 0.0);
+        let mut cost = 0.0;
+        if self.bound[step] < f32::INFINITY {
+            let gap = self.bound[step] - motion.value;
+            let ahead = max(self.bound_speed[step], 0.0);
+            let braking = speed * speed / 14.0 - ahead * ahead / 16.0;
+            let safe = 1.0 + 0.3 * speed + max(braking, 0.0);
+            if gap < safe {
+                let lack = (safe - gap) / (safe + 4.0);
+                cost += WEIGHT_UNSAFE * lack * lack;
+            }
+            if gap < 1.0 {
+                cost += WEIGHT_CONTACT * (1.0 - max(gap, -10.0));
+            }
+        }
+        let beyond = motion.value - self.stop[step];
+        if beyond > 0.0 {
+            cost += WEIGHT_UNSAFE * min(beyond, 5.0);
+        }
+        cost
+    }
+}
+
+/// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and far
+/// from it such that a constant deceleration closes it.
+fn closing(spare: f32, braking: f32) -> f32 {
+    if spare <= 0.0 {
+        return spare / DISTANCE_S;
+    }
+    let linear = braking * DISTANCE_S;
+    sqrt(2.0 * braking * spare + linear * linear) - linear
+}
+
+/// A motion along the road.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Profile {
+    /// To a speed.
+    Keep(Polynomial),
+    /// Braking with a ramp of constant jerk and then constantly, to standstill.
+    Brake(Ramp),
+}
+
+/// The phases of a braking ramp.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ramp {
+    speed: f32,
+    acceleration: f32,
+    jerk: f32,
+    ramp_s: f32,
+    stop_s: f32,
+    goal: f32,
+}
+
+impl Ramp {
+    /// From this speed and acceleration to a deceleration of `braking` > 0.
+    pub(crate) fn new(speed: f32, acceleration: f32, braking: f32, jerk: f32) -> Self {
+        let goal = -braking;
+        let jerk = if acceleration > goal { -jerk } else { jerk };
+        let ramp_s = (goal - acceleration) / jerk;
+        let mut ramp = Self {
+            speed: max(speed, 0.0),
+            acceleration,
+            jerk,
+            ramp_s,
+            stop_s: f32::INFINITY,
+            goal,
+        };
+        let after = ramp.moving(ramp_s).first;
+        if after > 0.0 {
+            ramp.stop_s = ramp_s + after / braking;
+        } else {
+            // Stands before the ramp ends: halve the interval, it is monotone enough at the end.
+            let (mut low, mut high) = (0.0, ramp_s);
+            for _ in 0..16 {
+                let middle = 0.5 * (low + high);
+                if ramp.moving(middle).first > 0.0 {
+                    low = middle
+                } else {
+                    high = middle
+                }
+            }
+            ramp.stop_s = high;
+        }
+        ramp
+    }
+
+    fn moving(&self, t: f32) -> Jet {
+        let r = min(t, self.ramp_s);
+        let second = self.acceleration + self.jerk * r;
+        let first = self.speed + r * (self.acceleration + 0.5 * self.jerk * r);
+        let value = r * (self.speed + r * (0.5 * self.acceleration + self.jerk * r / 6.0));
+        if t <= self.ramp_s {
+            return Jet {
+                value,
+                first,
+                second,
+                third: self.jerk,
+            };
+        }
+        let h = t - self.ramp_s;
+        Jet {
+            value: value + h * (first + 0.5 * self.goal * h),
+            first: first + self.goal * h,
+            second: self.goal,
+            third: 0.0,
+        }
+    }
+
+    fn at(&self, t: f32) -> Jet {
+        if t >= self.stop_s {
+            let value = self.moving(self.stop_s).value;
+            return Jet {
+                value,
+                ..Jet::default()
+            };
+        }
+        self.moving(t)
+    }
+}
+
+impl Profile {
+    /// Way in m, speed, acceleration and jerk after `t` seconds.
+    pub(crate) fn at(&self, t: f32) -> Jet {
+        match self {
+            Self::Keep(polynomial) => polynomial.at(t),
+            Self::Brake(ramp) => ramp.at(t),
+        }
+    }
+
+    /// Full braking.
+    pub(crate) fn emergency(start: &Jet) -> Self {
+        Self::Brake(Ramp::new(
+            start.first,
+            start.second,
+            EMERGENCY_BRAKING,
+            EMERGENCY_JERK,
+        ))
+    }
+
+    /// Cost of driving this in the corridor; `None` if the vehicle cannot or must not.
+    fn cost(&self, corridor: &Corridor, best: f32) -> Option<f32> {
+        let mut cost = 0.0;
+        for step in 0..STEPS {
+            let motion = self.at((step + 1) as f32 * STEP_S);
+            if motion.first < -0.05 || motion.second < -EMERGENCY_BRAKING - 0.5 {
+                return None;
+            }
+            if let Self::Keep(_) = self
+                && (motion.second > MAX_ACCELERATION || motion.second < -MAX_BRAKING)
+            {
+                return None;
+            }
+            let error = abs(motion.first - corridor.target_speed(step, &motion));
+            let error = if error < SPEED_ERROR_KNEE {
+                error * error
+            } else {
+                SPEED_ERROR_KNEE * (2.0 * error - SPEED_ERROR_KNEE)
+            };
+            cost += STEP_S
+                * (WEIGHT_JERK * motion.third * motion.third
+                    + WEIGHT_ACCELERATION * motion.second * motion.second
+                    + WEIGHT_SPEED * error
+                    + corridor.danger(step, &motion));
+            if cost > best {
+                return None;
+            }
+        }
+        Some(cost)
+    }
+}
+
+/// Changes of speed that candidates make, m/s.
+const SPEED_CHANGES: [f32; 19] = [
+    0.0, -0.25, 0.25, -0.6, 0.6, -1.2, 1.2, -2.0, 2.0, -3.5, 3.5, -5.0, 5.0, -7.5, 7.5, -10.0,
+    -14.0, -19.0, -25.0,
+];
+/// Durations of these changes, s.
+const DURATIONS_S: [f32; 5] = [1.2, 2.2, 3.5, 5.0, 7.0];
+/// Decelerations of braking ramps, m/s².
+const BRAKINGS: [f32; 6] = [1.5, 2.5, 3.5, 5.0, 7.0, 9.0];
+
+/// The cheapest profile from this start (way 0), and its cost.
+pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, f32) {
+    let mut best = (Profile::emergency(start), f32::INFINITY);
+    let mut consider = |profile: Profile| {
+        if let Some(cost) = profile.cost(corridor, best.1) {
+            best = (profile, cost);
+        }
+    };
+    for &duration in &DURATIONS_S {
+        for &change in &SPEED_CHANGES {
+            let speed = clamp(start.first + change, 0.0, 60.0);
+            consider(Profile::Keep(Polynomial::quartic(start, speed, duration)));
+        }
+        for speed in [0.0, corridor.desired_speed] {
+            consider(Profile::Keep(Polynomial::quartic(start, speed, duration)));
+        }
+    }
+    for &braking in &BRAKINGS {
+        let jerk = if braking > 4.0 {
+            EMERGENCY_JERK
+        } else {
+            RAMP_JERK
+        };
+        consider(Profile::Brake(Ramp::new(
+            start.first,
+            start.second,
+            braking,
+            jerk,
+        )));
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ramp_stops_and_stays() {
+        for (speed, acceleration) in [(20.0, 1.0), (0.5, 1.0), (0.0, 0.0), (10.0, -9.5)] {
+            let ramp = Ramp::new(speed, acceleration, 4.0, 6.0);
+            let mut way = -1e-3;
+            for step in 0..200 {
+                let motion = ramp.at(step as f32 * 0.1);
+                assert!(motion.first >= -1e-3, "{speed} {step} {motion:?}");
+                assert!(motion.value >= way - 1e-3);
+                way = motion.value;
+            }
+            assert_eq!(ramp.at(20.0).first, 0.0);
+        }
+    }
+
+    #[test]
+    fn free_road_is_driven_at_the_desired_speed() {
+        let start = Jet {
+            first: 30.0,
+            ..Jet::default()
+        };
+        let (profile, _) = cheapest(&start, &Corridor::free(30.0));
+        assert!((profile.at(4.0).first - 30.0).abs() < 0.3);
+        let (profile, _) = cheapest(&start, &Corridor::free(33.0));
+        let motion = profile.at(4.0);
+        assert!(motion.first > 30.5, "{motion:?}");
+    }
+
+    #[test]
+    fn a_standing_obstacle_is_not_touched() {
+        let mut corridor = Corridor::free(30.0);
+        for step in 0..STEPS {
+            corridor.limit(step, 60.0, 0.0);
+        }
+        let start = Jet {
+            first: 25.0,
+            ..Jet::default()
+        };
+        let (profile, _) = cheapest(&start, &corridor);
+        let end = profile.at(8.0);
+        assert!(end.value < 60.0, "{end:?}");
+    }
+}

@@ -1,0 +1,368 @@
+//! Decision and planning (core 2): from the scene to a trajectory. T-CHIP-3
+//!
+//! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
+//! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one after
+//! the other: a path towards the goal of the behaviour decision, then the cheapest motion along it.
+//! Every plan begins where the last one is at that time, not at what was measured, so that consecutive
+//! plans join smoothly; it is only drawn towards the measured state slowly.
+
+mod behaviour;
+mod lateral;
+mod longitudinal;
+mod polynomial;
+mod prediction;
+
+use heapless::Vec;
+
+use super::control::{driven_curvature, sample};
+use super::math::{abs, max, min, sqrt, wrap_angle};
+use super::odometry::{Pose, motion};
+use super::road::{CentreLine, DEFAULT_LANE_WIDTH_M, FrenetFrame};
+use super::types::{
+    Ego, Lanes, MAX_OBJECTS, Maneuver, Scene, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S, Trajectory,
+    TrajectoryPoint,
+};
+use super::vehicle::{LENGTH_M, WIDTH_M};
+use behaviour::{Behaviour, Goal, Intent, Side, Situation};
+use lateral::{Path, Station, to_cartesian, to_frenet};
+use longitudinal::{Corridor, Profile, STEP_S, STEPS, cheapest};
+use polynomial::Jet;
+use prediction::Predicted;
+
+/// A plan that is older than this is not continued, s.
+const MAX_PLAN_AGE_S: f32 = 0.3;
+/// When the vehicle is this far from its plan, planning starts anew from what was measured, m, m, m/s.
+const MAX_ASIDE_M: f32 = 0.8;
+const MAX_BEHIND_M: f32 = 4.0;
+const MAX_SPEED_ERROR: f32 = 2.5;
+/// Share by which the plan is drawn to the measured state in each cycle.
+const DRAW: f32 = 0.04;
+/// Lateral acceleration in curves, m/s².
+const CURVE_ACCELERATION: f32 = 2.2;
+/// Distance kept to the end of a lane: room to steer into the next one, m.
+const END_MARGIN_M: f32 = 15.0;
+/// Room aside that counts as free, m.
+const SIDE_MARGIN_M: f32 = 0.35;
+/// Objects farther away along the road are not looked at, m.
+const FARTHEST_M: f32 = 220.0;
+const FARTHEST_BEHIND_M: f32 = 90.0;
+/// A plan with stronger braking than this is an emergency, m/s².
+const HARD_BRAKING: f32 = 4.0;
+/// Times in which the lane is regained, s.
+const KEEP_S: [f32; 3] = [2.0, 3.0, 4.5];
+/// The shortest way for it, m.
+const KEEP_MIN_M: f32 = 10.0;
+
+/// Decides and plans, with the memory of the last plan.
+#[derive(Clone, Debug)]
+pub struct Planner {
+    behaviour: Behaviour,
+    last: Option<Last>,
+}
+
+#[derive(Clone, Debug)]
+struct Last {
+    trajectory: Trajectory,
+    ego: Ego,
+    line: Option<CentreLine>,
+}
+
+impl Default for Planner {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The road and what is on it, for one plan.
+struct View {
+    frame: FrenetFrame,
+    objects: Vec<Predicted, MAX_OBJECTS>,
+    lanes: Option<Lanes>,
+}
+
+impl Planner {
+    /// Without a plan to continue.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            behaviour: Behaviour::new(),
+            last: None,
+        }
+    }
+
+    /// The trajectory for this scene. Always gives one: if nothing else is left, full braking along
+    /// the lane. Without lanes it goes on in the driven curve and slows down.
+    pub fn plan(&mut self, scene: &Scene) -> Trajectory {
+        let line = match &scene.lanes {
+            Some(lanes) => CentreLine::new(lanes),
+            None => CentreLine::of_curvature(driven_curvature(&scene.ego)),
+        };
+        let (start, moved) = self.start(scene);
+        self.watch_lines(scene, &line);
+
+        let frame = FrenetFrame::new(line);
+        let mut objects = Vec::new();
+        for object in &scene.objects {
+            let predicted = Predicted::new(object, &frame);
+            if (-FARTHEST_BEHIND_M..FARTHEST_M).contains(&predicted.s) {
+                // Cannot be full: a scene holds no more.
+                let _ = objects.push(predicted);
+            }
+        }
+        let view = View {
+            frame,
+            objects,
+            lanes: scene.lanes,
+        };
+        let (s, d) = view.frame.project(start.x, start.y);
+        let road = view.frame.reference(s);
+        let station = to_frenet(&start, s, d, &road);
+        let along = 1.0
+            / max(
+                sqrt(1.0 + station.offset.first * station.offset.first),
+                1e-3,
+            );
+        let first = Jet {
+            value: 0.0,
+            first: start.speed * along,
+            second: start.acceleration * along,
+            third: 0.0,
+        };
+        let desired_speed = desired_speed(scene, &view.frame, s);
+
+        let goal = match &view.lanes {
+            Some(lanes) => {
+                let situation = Situation {
+                    lanes,
+                    objects: &view.objects,
+                    speed: start.speed,
+                    desired_speed,
+                    offset: d,
+                };
+                self.behaviour.decide(&situation, moved)
+            }
+            None => {
+                self.behaviour = Behaviour::new();
+                Goal {
+                    offset: d,
+                    rest_m: None,
+                    end: f32::INFINITY,
+                    sought: None,
+                }
+            }
+        };
+        let mut path = choose_path(&station, &goal, first.first);
+        let mut profile = choose_profile(&view, &station, &path, &goal, &first, desired_speed);
+        if view.touches(&station, &path, &profile) && self.behaviour.abort() {
+            let end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
+            let goal = Goal {
+                offset: 0.0,
+                rest_m: None,
+                end,
+                sought: None,
+            };
+            path = choose_path(&station, &goal, first.first);
+            profile = choose_profile(&view, &station, &path, &goal, &first, desired_speed);
+        }
+
+        let trajectory = Trajectory {
+            at: scene.at,
+            cycle: scene.cycle,
+            maneuver: self.maneuver(&profile),
+            points: points(&view.frame, &station, &path, &profile),
+        };
+        let line = scene.lanes.as_ref().map(CentreLine::new);
+        self.last = Some(Last {
+            trajectory: trajectory.clone(),
+            ego: scene.ego,
+            line,
+        });
+        trajectory
+    }
+
+    /// The state that the new plan begins with, in the scene's frame, and the way driven since the
+    /// last plan, m.
+    fn start(&self, scene: &Scene) -> (TrajectoryPoint, f32) {
+        let measured = TrajectoryPoint {
+            x: 0.0,
+            y: 0.0,
+            heading: scene.ego.slip_angle,
+            curvature: driven_curvature(&scene.ego),
+            speed: max(scene.ego.speed, 0.0),
+            acceleration: scene.ego.acceleration,
+        };
+        let Some(last) = &self.last else {
+            return (measured, 0.0);
+        };
+        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        if age > MAX_PLAN_AGE_S || scene.at <= last.trajectory.at {
+            return (measured, 0.0);
+        }
+        let step = motion(&last.ego, &scene.ego, age);
+        let planned = sample(&last.trajectory, age);
+        let pose = Pose {
+            x: planned.x,
+            y: planned.y,
+            heading: planned.heading,
+        }
+        .seen_from(step);
+        if abs(pose.y) > MAX_ASIDE_M
+            || abs(pose.x) > MAX_BEHIND_M
+            || abs(planned.speed - scene.ego.speed) > MAX_SPEED_ERROR
+        {
+            return (measured, step.x);
+        }
+        let aside = wrap_angle(measured.heading - pose.heading);
+        let start = TrajectoryPoint {
+            x: pose.x * (1.0 - DRAW),
+            y: pose.y * (1.0 - DRAW),
+            heading: pose.heading + DRAW * aside,
+            curvature: planned.curvature,
+            speed: planned.speed + DRAW * (measured.speed - planned.speed),
+            acceleration: planned.acceleration,
+        };
+        (start, step.x)
+    }
+
+    /// Notices when the own lane has become another one: its centre line jumps aside.
+    fn watch_lines(&mut self, scene: &Scene, line: &CentreLine) {
+        let (Some(last), Some(lanes)) = (&self.last, &scene.lanes) else {
+            return;
+        };
+        let Some(before) = last.line else { return };
+        let age = scene.at.since(last.trajectory.at).as_secs_f32();
+        let step = motion(&last.ego, &scene.ego, age);
+        let jump = line.project(0.0, 0.0).1 - before.project(step.x, step.y).1;
+        if abs(jump) > 0.5 * lanes.width {
+            // Left of the new centre where it was right of the old one: it went right, and so on.
+            self.behaviour
+                .crossed_line(if jump < 0.0 { 1.0 } else { -1.0 });
+        }
+    }
+
+    fn maneuver(&self, profile: &Profile) -> Maneuver {
+        let hardest = min(profile.at(0.3).second, profile.at(0.8).second);
+        match self.behaviour.intent {
+            _ if hardest < -HARD_BRAKING => Maneuver::Brake,
+            Intent::Change {
+                side: Side::Left, ..
+            } => Maneuver::ChangeLeft,
+            Intent::Change {
+                side: Side::Right, ..
+            } => Maneuver::ChangeRight,
+            Intent::Keep => Maneuver::Follow,
+        }
+    }
+}
+
+/// What driver, signs and curves allow, m/s. Without lanes or a request of the driver: to a stop, and
+/// as it is.
+fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
+    let Some(lanes) = &scene.lanes else {
+        return 0.0;
+    };
+    let set = scene.set_speed.unwrap_or(max(scene.ego.speed, 0.0));
+    let curvature = frame.max_curvature(s, s + 15.0 + 3.0 * max(scene.ego.speed, 0.0));
+    let curve = sqrt(CURVE_ACCELERATION / max(curvature, 1e-5));
+    max(min(min(set, lanes.speed_limit), curve), 0.0)
+}
+
+/// The cheapest path to the goal.
+fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
+    if let Some(rest_m) = goal.rest_m {
+        return Path::new(from, goal.offset, rest_m);
+    }
+    let candidate = |time: f32| Path::new(from, goal.offset, max(time * speed, KEEP_MIN_M));
+    let mut best = candidate(KEEP_S[0]);
+    let mut least = lateral::cost(&best, speed);
+    for &time in &KEEP_S[1..] {
+        let path = candidate(time);
+        let cost = lateral::cost(&path, speed);
+        if cost < least {
+            (best, least) = (path, cost);
+        }
+    }
+    best
+}
+
+/// The cheapest motion along the path among all that is on the road.
+fn choose_profile(
+    view: &View,
+    station: &Station,
+    path: &Path,
+    goal: &Goal,
+    start: &Jet,
+    desired_speed: f32,
+) -> Profile {
+    let mut corridor = Corridor::free(desired_speed);
+    let half = 0.5 * view.lanes.map_or(DEFAULT_LANE_WIDTH_M, |lanes| lanes.width);
+    let own_end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
+    for step in 0..STEPS {
+        let t = (step + 1) as f32 * STEP_S;
+        let aside = path.at(station.s + start.first * t).value;
+        let in_goal_lane = abs(aside - goal.offset) < half;
+        let end = if in_goal_lane { goal.end } else { own_end };
+        if end < f32::INFINITY {
+            corridor.stop[step] = end - END_MARGIN_M - 0.5 * LENGTH_M - station.s;
+        }
+    }
+    let sought = goal.sought.and_then(|centre| {
+        let in_lane = |object: &&Predicted| abs(object.d - centre) < half && object.s > 2.0;
+        let nearer = |a: &&Predicted, b: &&Predicted| {
+            a.s.partial_cmp(&b.s).unwrap_or(core::cmp::Ordering::Equal)
+        };
+        view.objects.iter().filter(in_lane).min_by(nearer)
+    });
+    for object in view.objects.iter().filter(|object| object.s > station.s) {
+        let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
+        for step in 0..STEPS {
+            let t = (step + 1) as f32 * STEP_S;
+            let (s, speed) = object.along(t);
+            let aside = path.at(station.s + start.first * t).value;
+            let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
+            let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
+            if abs(object.across(t) - aside) < reach {
+                corridor.limit(step, bound, speed);
+            } else if is_sought {
+                corridor.seek(step, bound, speed);
+            }
+        }
+    }
+    cheapest(start, &corridor).0
+}
+
+impl View {
+    /// Whether the plan touches an object that is beside or ahead of the vehicle.
+    fn touches(&self, station: &Station, path: &Path, profile: &Profile) -> bool {
+        self.objects.iter().any(|object| {
+            let length = object.half_length + 0.5 * LENGTH_M;
+            let width = object.half_width + 0.5 * WIDTH_M + 0.1;
+            object.s > station.s - length
+                && (1..=20).any(|step| {
+                    let t = step as f32 * 0.2;
+                    let s = station.s + profile.at(t).value;
+                    abs(object.along(t).0 - s) < length + 0.5
+                        && abs(object.across(t) - path.at(s).value) < width
+                })
+        })
+    }
+}
+
+/// Samples of the plan in the vehicle frame.
+fn points(
+    frame: &FrenetFrame,
+    station: &Station,
+    path: &Path,
+    profile: &Profile,
+) -> [TrajectoryPoint; TRAJECTORY_SAMPLES] {
+    let mut points = [TrajectoryPoint::default(); TRAJECTORY_SAMPLES];
+    let mut way = 0.0;
+    for (index, point) in points.iter_mut().enumerate() {
+        let motion = profile.at(index as f32 * TRAJECTORY_STEP_S);
+        // Polynomials that end at standstill may swing back by millimetres.
+        way = max(way, motion.value);
+        let s = station.s + way;
+        *point = to_cartesian(&frame.reference(s), &path.at(s), &motion);
+    }
+    points
+}

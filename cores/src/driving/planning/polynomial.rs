@@ -1,0 +1,125 @@
+//! Quartic and quintic polynomials between boundary states: the shapes of least jerk.
+//!
+//! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
+//! Scenarios in a Frenét Frame", ICRA 2010: quintics where the end position is given, quartics where
+//! only the end velocity is.
+
+/// A value and its first three derivatives.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Jet {
+    pub(crate) value: f32,
+    pub(crate) first: f32,
+    pub(crate) second: f32,
+    pub(crate) third: f32,
+}
+
+/// `c[0] + c[1] t + … + c[5] t⁵` up to `end`, and on with the end's first derivative.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Polynomial {
+    c: [f32; 6],
+    end: f32,
+}
+
+impl Polynomial {
+    /// From the start's value and derivatives to the end's, over `end` > 0.
+    pub(crate) fn quintic(start: &Jet, goal: &Jet, end: f32) -> Self {
+        let t = end;
+        let (c0, c1, c2) = (start.value, start.first, 0.5 * start.second);
+        let value = goal.value - (c0 + t * (c1 + t * c2));
+        let first = (goal.first - (c1 + 2.0 * c2 * t)) * t;
+        let second = (goal.second - 2.0 * c2) * t * t;
+        let cube = t * t * t;
+        let c3 = (10.0 * value - 4.0 * first + 0.5 * second) / cube;
+        let c4 = (-15.0 * value + 7.0 * first - second) / (cube * t);
+        let c5 = (6.0 * value - 3.0 * first + 0.5 * second) / (cube * t * t);
+        Self {
+            c: [c0, c1, c2, c3, c4, c5],
+            end,
+        }
+    }
+
+    /// From the start to a first derivative, with second derivative zero, over `end` > 0.
+    pub(crate) fn quartic(start: &Jet, first: f32, end: f32) -> Self {
+        let t = end;
+        let (c1, c2) = (start.first, 0.5 * start.second);
+        let first = first - (c1 + 2.0 * c2 * t);
+        let second = -2.0 * c2;
+        let c3 = (first - second * t / 3.0) / (t * t);
+        let c4 = (second * t - 2.0 * first) / (4.0 * t * t * t);
+        Self {
+            c: [start.value, c1, c2, c3, c4, 0.0],
+            end,
+        }
+    }
+
+    /// Value and derivatives at `t` ≥ 0.
+    pub(crate) fn at(&self, t: f32) -> Jet {
+        if t > self.end {
+            let end = self.inside(self.end);
+            let value = end.value + end.first * (t - self.end);
+            return Jet {
+                value,
+                first: end.first,
+                second: 0.0,
+                third: 0.0,
+            };
+        }
+        self.inside(t)
+    }
+
+    fn inside(&self, t: f32) -> Jet {
+        let [c0, c1, c2, c3, c4, c5] = self.c;
+        Jet {
+            value: c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+            first: c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+            second: 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+            third: 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn near(a: f32, b: f32) -> bool {
+        (a - b).abs() < 1e-3
+    }
+
+    #[test]
+    fn quintic_meets_both_ends() {
+        let start = Jet {
+            value: 1.0,
+            first: 0.2,
+            second: -0.1,
+            third: 0.0,
+        };
+        let goal = Jet {
+            value: -2.0,
+            first: 0.1,
+            second: 0.05,
+            third: 0.0,
+        };
+        let shape = Polynomial::quintic(&start, &goal, 4.0);
+        let (from, to) = (shape.at(0.0), shape.at(4.0));
+        assert!(near(from.value, 1.0) && near(from.first, 0.2) && near(from.second, -0.1));
+        assert!(near(to.value, -2.0) && near(to.first, 0.1) && near(to.second, 0.05));
+        assert!(near(shape.at(6.0).value, -1.8));
+    }
+
+    #[test]
+    fn quartic_meets_both_ends() {
+        let start = Jet {
+            value: 3.0,
+            first: 20.0,
+            second: -1.0,
+            third: 0.0,
+        };
+        let shape = Polynomial::quartic(&start, 12.0, 5.0);
+        let (from, to) = (shape.at(0.0), shape.at(5.0));
+        assert!(near(from.value, 3.0) && near(from.first, 20.0) && near(from.second, -1.0));
+        assert!(near(to.first, 12.0) && near(to.second, 0.0));
+        let step = shape.at(2.001).first - shape.at(1.999).first;
+        assert!((step / 0.002 - shape.at(2.0).second).abs() < 0.02);
+    }
+}

@@ -1,0 +1,121 @@
+//! Where the other road users will be: in the Frenet frame of the own lane.
+
+use crate::driving::math::{abs, clamp, cos, exp, max, min, sin};
+use crate::driving::road::FrenetFrame;
+use crate::driving::types::Object;
+
+/// Slower than this across the road counts as keeping the lane, m/s.
+const WANDERING: f32 = 0.3;
+/// Time constant with which a movement across the road ends, s.
+const SWERVE_S: f32 = 1.2;
+/// Gentle braking is expected to last this long …
+const BRAKING_S: f32 = 1.0;
+/// … and harder braking longer, s for each m/s².
+const BRAKING_S_PER_STRENGTH: f32 = 0.8;
+
+/// One object and its expected motion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Predicted {
+    /// Along the road, m; 0 is the own vehicle.
+    pub(crate) s: f32,
+    /// Across the road from the centre of the own lane, m, left positive.
+    pub(crate) d: f32,
+    /// Along the road, m/s.
+    pub(crate) speed: f32,
+    across: f32,
+    acceleration: f32,
+    pub(crate) half_length: f32,
+    pub(crate) half_width: f32,
+    cuts_in: bool,
+}
+
+impl Predicted {
+    pub(crate) fn new(object: &Object, frame: &FrenetFrame) -> Self {
+        let (s, d) = frame.project(object.x, object.y);
+        let heading = frame.reference(s).heading;
+        let (sine, cosine) = (sin(heading), cos(heading));
+        let across = object.vy * cosine - object.vx * sine;
+        Self {
+            s,
+            d,
+            speed: object.vx * cosine + object.vy * sine,
+            across: if abs(across) < WANDERING && !object.cuts_in {
+                0.0
+            } else {
+                across
+            },
+            acceleration: clamp(object.ax, -9.0, 0.0),
+            half_length: 0.5 * max(object.length, 1.0),
+            half_width: 0.5 * max(object.width, 0.5),
+            cuts_in: object.cuts_in,
+        }
+    }
+
+    /// Place along the road and speed in `t` seconds: braking goes on the longer the harder it is,
+    /// acceleration does not go on.
+    pub(crate) fn along(&self, t: f32) -> (f32, f32) {
+        if self.speed <= 0.0 {
+            return (self.s + self.speed * t, self.speed);
+        }
+        let mut lasting = BRAKING_S - BRAKING_S_PER_STRENGTH * self.acceleration;
+        if self.acceleration < 0.0 {
+            lasting = min(lasting, -self.speed / self.acceleration);
+        }
+        let braking = min(t, lasting);
+        let speed = max(0.0, self.speed + self.acceleration * braking);
+        let way = 0.5 * (self.speed + speed) * braking + speed * (t - braking);
+        (self.s + way, speed)
+    }
+
+    /// Place across the road in `t` seconds: a cut-in ends in the middle of the own lane, any other
+    /// swerve fades.
+    pub(crate) fn across(&self, t: f32) -> f32 {
+        if self.cuts_in {
+            let way = max(abs(self.across), 0.5) * t;
+            return if self.d > 0.0 {
+                max(self.d - way, 0.0)
+            } else {
+                min(self.d + way, 0.0)
+            };
+        }
+        self.d + self.across * SWERVE_S * (1.0 - exp(-t / SWERVE_S))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn predicted(speed: f32, acceleration: f32) -> Predicted {
+        Predicted {
+            s: 30.0,
+            d: 3.5,
+            speed,
+            across: -1.0,
+            acceleration,
+            half_length: 2.2,
+            half_width: 0.9,
+            cuts_in: false,
+        }
+    }
+
+    #[test]
+    fn hard_braking_goes_on_to_standstill() {
+        let (s, speed) = predicted(20.0, -8.0).along(8.0);
+        assert!((s - 30.0 - 25.0).abs() < 0.1 && speed == 0.0, "{s} {speed}");
+        let (_, speed) = predicted(20.0, -1.0).along(8.0);
+        assert!((speed - 18.2).abs() < 0.01, "{speed}");
+    }
+
+    #[test]
+    fn a_cut_in_ends_in_the_own_lane_and_a_swerve_fades() {
+        let swerving = predicted(20.0, 0.0);
+        assert!((swerving.across(60.0) - 2.3).abs() < 0.01);
+        let cutting_in = Predicted {
+            cuts_in: true,
+            ..swerving
+        };
+        assert_eq!(cutting_in.across(60.0), 0.0);
+        assert!((cutting_in.across(1.0) - 2.5).abs() < 1e-6);
+    }
+}

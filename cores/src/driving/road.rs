@@ -1,0 +1,275 @@
+//! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet frame.
+
+use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
+use super::types::Lanes;
+
+/// No road is bent more than this, 1/m; what a noisy polynomial says beyond is cut off.
+const MAX_BEND: f32 = 0.02;
+/// Width of a lane where nothing is known of it, m.
+pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;
+
+/// A centre line `y(x)` that goes on with constant second derivative on both sides of the view.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CentreLine {
+    c: [f32; 4],
+    end: f32,
+}
+
+impl CentreLine {
+    /// The centre line of the own lane.
+    #[must_use]
+    pub fn new(lanes: &Lanes) -> Self {
+        Self {
+            c: lanes.c,
+            end: clamp(lanes.view_range, 5.0, 250.0),
+        }
+    }
+
+    /// The line that a vehicle follows when it keeps turning as it does; for when no lane is seen.
+    #[must_use]
+    pub fn of_curvature(curvature: f32) -> Self {
+        Self {
+            c: [0.0, 0.0, 0.5 * bound(curvature, MAX_BEND), 0.0],
+            end: 60.0,
+        }
+    }
+
+    /// Offset y in m at x in m.
+    #[must_use]
+    pub fn y(&self, x: f32) -> f32 {
+        let [c0, c1, c2, c3] = self.c;
+        if x < 0.0 {
+            return c0 + x * (c1 + x * bound(c2, 0.5 * MAX_BEND));
+        }
+        let inside = min(x, self.end);
+        let y = c0 + inside * (c1 + inside * (c2 + inside * c3));
+        let beyond = x - inside;
+        y + beyond * (self.slope(inside) + 0.5 * beyond * self.bend(inside))
+    }
+
+    /// First derivative of y at x.
+    #[must_use]
+    pub fn slope(&self, x: f32) -> f32 {
+        let [_, c1, c2, c3] = self.c;
+        if x < 0.0 {
+            return c1 + 2.0 * x * bound(c2, 0.5 * MAX_BEND);
+        }
+        let inside = min(x, self.end);
+        let slope = c1 + inside * (2.0 * c2 + 3.0 * inside * c3);
+        slope + (x - inside) * self.bend(inside)
+    }
+
+    /// Second derivative of y at x, 1/m.
+    #[must_use]
+    pub fn bend(&self, x: f32) -> f32 {
+        let inside = clamp(x, 0.0, self.end);
+        bound(2.0 * self.c[2] + 6.0 * inside * self.c[3], MAX_BEND)
+    }
+
+    /// Curvature in 1/m at x.
+    #[must_use]
+    pub fn curvature(&self, x: f32) -> f32 {
+        let slope = self.slope(x);
+        let stretch = 1.0 + slope * slope;
+        self.bend(x) / (stretch * sqrt(stretch))
+    }
+
+    /// Direction in rad at x.
+    #[must_use]
+    pub fn heading(&self, x: f32) -> f32 {
+        atan(self.slope(x))
+    }
+
+    /// The foot of the perpendicular from a point, as its x, and the signed distance (left positive).
+    #[must_use]
+    pub fn project(&self, x: f32, y: f32) -> (f32, f32) {
+        let mut foot = x;
+        for _ in 0..4 {
+            let slope = self.slope(foot);
+            let aside = self.y(foot) - y;
+            let residual = foot - x + aside * slope;
+            let gradient = 1.0 + slope * slope + aside * self.bend(foot);
+            foot -= residual / max(gradient, 0.2);
+        }
+        let heading = self.heading(foot);
+        let offset = (y - self.y(foot)) * cos(heading) - (x - foot) * sin(heading);
+        (foot, offset)
+    }
+}
+
+/// Nodes of the arc length's table.
+const NODES: usize = 96;
+/// Distance between nodes along x, m.
+const NODE_STEP_M: f32 = 4.0;
+/// x of the first node, m.
+const FIRST_NODE_M: f32 = -100.0;
+
+/// One point of the Frenet frame's reference.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reference {
+    pub(crate) x: f32,
+    pub(crate) y: f32,
+    pub(crate) heading: f32,
+    pub(crate) curvature: f32,
+    /// Change of curvature along the arc, 1/m².
+    pub(crate) sharpness: f32,
+}
+
+/// A centre line with its arc length: s is 0 abeam of the vehicle frame's origin at x = 0.
+#[derive(Clone, Debug)]
+pub(crate) struct FrenetFrame {
+    line: CentreLine,
+    arc: [f32; NODES],
+}
+
+impl FrenetFrame {
+    pub(crate) fn new(line: CentreLine) -> Self {
+        let mut arc = [0.0; NODES];
+        let stretch = |x: f32| {
+            let slope = line.slope(x);
+            sqrt(1.0 + slope * slope)
+        };
+        let mut before = stretch(FIRST_NODE_M);
+        for node in 1..NODES {
+            let x = FIRST_NODE_M + node as f32 * NODE_STEP_M;
+            let here = stretch(x);
+            // Simpson's rule over one step.
+            let between = stretch(x - 0.5 * NODE_STEP_M);
+            arc[node] = arc[node - 1] + NODE_STEP_M * (before + 4.0 * between + here) / 6.0;
+            before = here;
+        }
+        let origin = arc[(-FIRST_NODE_M / NODE_STEP_M) as usize];
+        for node in &mut arc {
+            *node -= origin;
+        }
+        Self { line, arc }
+    }
+
+    fn s_of(&self, x: f32) -> f32 {
+        let place = (x - FIRST_NODE_M) / NODE_STEP_M;
+        let node = clamp(place, 0.0, (NODES - 2) as f32) as usize;
+        self.arc[node] + (place - node as f32) * (self.arc[node + 1] - self.arc[node])
+    }
+
+    fn x_of(&self, s: f32) -> f32 {
+        let node = self
+            .arc
+            .partition_point(|&arc| arc <= s)
+            .clamp(1, NODES - 1)
+            - 1;
+        let share = (s - self.arc[node]) / max(self.arc[node + 1] - self.arc[node], 1e-3);
+        FIRST_NODE_M + (node as f32 + share) * NODE_STEP_M
+    }
+
+    /// Arc length and signed distance (left positive) of a point of the vehicle frame.
+    pub(crate) fn project(&self, x: f32, y: f32) -> (f32, f32) {
+        let (foot, offset) = self.line.project(x, y);
+        (self.s_of(foot), offset)
+    }
+
+    /// The reference at arc length `s`.
+    pub(crate) fn reference(&self, s: f32) -> Reference {
+        let x = self.x_of(s);
+        let heading = self.line.heading(x);
+        let curvature = self.line.curvature(x);
+        let ahead = self.line.curvature(x + 1.0);
+        let sharpness = (ahead - curvature) * cos(heading);
+        Reference {
+            x,
+            y: self.line.y(x),
+            heading,
+            curvature,
+            sharpness,
+        }
+    }
+
+    /// The greatest curvature between two arc lengths, by samples every 10 m, 1/m.
+    pub(crate) fn max_curvature(&self, from: f32, to: f32) -> f32 {
+        let mut greatest = 0.0;
+        let mut s = from;
+        while s <= to {
+            greatest = max(greatest, abs(self.line.curvature(self.x_of(s))));
+            s += 10.0;
+        }
+        greatest
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bent() -> CentreLine {
+        CentreLine {
+            c: [0.5, 0.02, 0.001, -2e-6],
+            end: 100.0,
+        }
+    }
+
+    #[test]
+    fn smooth_at_both_ends_of_the_view() {
+        let line = bent();
+        for x in [0.0, 100.0] {
+            assert!((line.y(x - 0.01) - line.y(x + 0.01)).abs() < 5e-3);
+            assert!((line.slope(x - 0.01) - line.slope(x + 0.01)).abs() < 1e-3);
+        }
+    }
+
+    #[test]
+    fn projection_is_perpendicular() {
+        let line = bent();
+        for (x, y) in [(0.0, 0.0), (40.0, 6.0), (90.0, -2.0), (-20.0, 3.0)] {
+            let (foot, offset) = line.project(x, y);
+            let heading = line.heading(foot);
+            let back = (
+                foot - offset * sin(heading),
+                line.y(foot) + offset * cos(heading),
+            );
+            assert!(
+                (back.0 - x).abs() < 1e-2 && (back.1 - y).abs() < 1e-2,
+                "{x} {y}: {back:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn arc_length_of_a_circle() {
+        let frame = FrenetFrame::new(CentreLine {
+            c: [0.0, 0.0, 0.005, 0.0],
+            end: 100.0,
+        });
+        // A parabola of curvature 0.01 at its vertex is near to the circle for short ways.
+        let (s, d) = frame.project(20.0, 0.005 * 400.0);
+        assert!(d.abs() < 1e-3);
+        assert!((s - 20.13).abs() < 0.02, "{s}");
+        let reference = frame.reference(s);
+        assert!((reference.x - 20.0).abs() < 0.02);
+        assert!(
+            (reference.curvature - 0.0094).abs() < 2e-4,
+            "{}",
+            reference.curvature
+        );
+        assert!(frame.max_curvature(0.0, 50.0) <= 0.01);
+    }
+
+    #[test]
+    fn wild_polynomials_stay_finite() {
+        let lanes = Lanes {
+            c: [3.0, 1.5, 0.03, -3e-4],
+            view_range: 255.0,
+            width: 3.5,
+            left: None,
+            right: None,
+            own_end: f32::INFINITY,
+            left_end: f32::INFINITY,
+            right_end: f32::INFINITY,
+            speed_limit: f32::INFINITY,
+        };
+        let frame = FrenetFrame::new(CentreLine::new(&lanes));
+        for x in [-300.0, 0.0, 10.0, 400.0] {
+            let (s, d) = frame.project(x, 1.0);
+            assert!(s.is_finite() && d.is_finite());
+            assert!(frame.reference(s).y.is_finite());
+        }
+    }
+}
