@@ -1,14 +1,91 @@
-//! What runs on the cores of one system: the driving functions and their wiring, generic over one
-//! board.
+//! What runs on the cores of one system: the driving functions and their wiring over one board.
 //!
-//! `driving` is pure computation (sensor frames in, scene, trajectory, command out), told the time.
+//! [`driving`] is pure computation (sensor frames in; scene, trajectory, command out), told the time.
+//! [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for all:
+//!
+//! ```text
+//! loop { let deadline = core.poll(); board.wait(deadline); }
+//! ```
 #![no_std]
 #![forbid(unsafe_code)]
 
 #[cfg(test)]
 extern crate std;
 
+pub mod core0;
+pub mod core1;
+pub mod core2;
 pub mod driving;
+pub mod layout;
 pub mod schedule;
 pub mod trace;
 pub mod words;
+
+use tandem_board::{Board, Can, CanId, Duration, Instant};
+use tandem_bus::{Message, ReceiveError};
+
+/// The work of one core, in steps that end by themselves.
+pub trait Core {
+    /// Does all that is due and returns when to be called again at the latest; also to be called when an
+    /// interrupt has come. Task context; never blocks, never allocates.
+    fn poll(&mut self) -> Instant;
+}
+
+/// How often a core that waits for the LMU to be formatted looks again.
+const RETRY: Duration = Duration::from_ms(1);
+
+/// Limits that depend on how punctual the machine's timers are.
+#[derive(Clone, Copy, Debug)]
+pub struct Config {
+    /// Limits of heartbeats, start protocol and takeover.
+    pub redundancy: tandem_redundancy::Config,
+    /// Core 1 or 2 is silent if it has not passed through a cycle for longer than this.
+    pub alive_limit: Duration,
+    /// How long cores 1 and 2 may take from the start to their first cycle, and the sensors to show a
+    /// lane.
+    pub boot_limit: Duration,
+}
+
+impl Config {
+    /// For machines whose timers are late by far less than a millisecond.
+    #[must_use]
+    pub const fn rt() -> Self {
+        Self {
+            redundancy: tandem_redundancy::Config::rt(),
+            // A cycle that is missed is noticed within the period that follows it.
+            alive_limit: Duration::from_ms(75),
+            boot_limit: Duration::from_ms(2000),
+        }
+    }
+
+    /// For ordinary processes on a desktop.
+    #[must_use]
+    pub const fn desktop() -> Self {
+        Self {
+            redundancy: tandem_redundancy::Config::desktop(),
+            alive_limit: Duration::from_ms(100),
+            boot_limit: Duration::from_ms(4000),
+        }
+    }
+}
+
+/// Hands every received frame of the DBC that passes its end-to-end check to `take`, with the time at
+/// which it was on the bus. Other frames are other people's traffic.
+fn read_can<B: Board>(
+    board: &B,
+    receiver: &mut tandem_bus::Receiver,
+    mut take: impl FnMut(Instant, Message),
+) {
+    while let Some(received) = board.can().try_receive() {
+        let CanId::Standard(id) = received.frame.id() else {
+            continue;
+        };
+        match receiver.receive(id.into(), received.frame.data()) {
+            Ok(message) => take(received.at, message),
+            Err(ReceiveError::Protection(_)) => {
+                board.trace(trace::Event::Refused { id: id.into() }.encode());
+            }
+            Err(ReceiveError::Decode(_)) => {}
+        }
+    }
+}

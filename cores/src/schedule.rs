@@ -30,7 +30,7 @@ pub struct Schedule<T, const N: usize> {
     entries: [Entry<T>; N],
 }
 
-impl<T: Copy, const N: usize> Schedule<T, N> {
+impl<T: Copy + PartialEq, const N: usize> Schedule<T, N> {
     /// Tasks with their periods, in falling order of priority, all first released at `start`.
     ///
     /// # Panics
@@ -64,6 +64,14 @@ impl<T: Copy, const N: usize> Schedule<T, N> {
             at,
             missed,
         })
+    }
+
+    /// Begins the grid of one task anew: its next release is at `at`.
+    pub fn restart(&mut self, task: T, at: Instant) {
+        self.entries
+            .iter_mut()
+            .filter(|entry| entry.task == task)
+            .for_each(|entry| entry.next = at);
     }
 
     /// The time of the next release.

@@ -2,48 +2,73 @@
 //!
 //! The trace is for people and reports; nothing that drives reads it.
 
-use tandem_board::TraceRecord;
+use tandem_board::{Duration, TraceRecord};
+use tandem_redundancy::{Evidence, Phase};
 
 /// One thing that happened on a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
-    /// The core runs, in this life; `cause` is the reset cause (0 power-on, 1 software, 2 watchdog,
-    /// 3 trap).
+    /// The core runs.
     Started {
         /// Life of the core.
         generation: u32,
-        /// Reset cause.
+        /// Reset cause: 0 power-on, 1 software, 2 watchdog, 3 trap; 0 on cores 1 and 2.
         cause: u8,
     },
-    /// Role and mode of the system are now these (as in the DBC's value tables).
+    /// Role and mode of the system are now these, with their codes in the frames.
     Role {
         /// 0 starting, 1 master, 2 standby, 3 suspended.
         role: u8,
         /// 0 none, 1 L3, 2 degraded L2, 3 safe stop.
         mode: u8,
-        /// Mastership term that the system holds or knows.
+        /// The highest mastership term that the system knows.
         term: u32,
     },
-    /// Start protocol done: both systems run in step.
-    Synchronised,
-    /// The other system is taken for failed.
-    PeerLost {
-        /// What it was seen by, as [`Evidence`].
-        evidence: Evidence,
-        /// Time since its last sign of life, µs.
-        silent_us: u32,
+    /// The redundancy's phase changed.
+    Phase {
+        /// Before.
+        from: Phase,
+        /// After.
+        to: Phase,
+        /// On what evidence.
+        on: Evidence,
     },
-    /// The other system's heartbeats are back.
-    PeerBack,
     /// This system became master because the other failed.
     TookOver {
-        /// What the failure was seen by.
-        evidence: Evidence,
-        /// Time since the other's last sign of life, µs.
-        silent_us: u32,
+        /// On what evidence.
+        cause: Evidence,
+        /// Time since the other's last heartbeat, µs.
+        since_heartbeat_us: u32,
+        /// Time since the other's last control frame, µs.
+        since_control_us: u32,
         /// The new term.
         term: u32,
     },
+    /// The other system is taken for failed, or no longer.
+    PeerFailed(bool),
+    /// A heartbeat line went silent, or came back.
+    Line {
+        /// 1 or 2.
+        line: u8,
+        /// Went silent.
+        silent: bool,
+    },
+    /// Both heartbeat lines are silent, but the other system is seen to live.
+    LinesSplit,
+    /// Nothing is heard on CAN, or something again.
+    CanSilent(bool),
+    /// A frame came that no correct peer sends, or one of a lower term; it was ignored.
+    Ignored {
+        /// Its term; 0 if that was not the reason.
+        term: u32,
+    },
+    /// The term was raised without a change of role.
+    TermRaised {
+        /// The new term.
+        term: u32,
+    },
+    /// The state in flash was lost.
+    StateLost,
     /// One control cycle of core 0.
     ControlCycle {
         /// Start after its release, ns.
@@ -70,96 +95,93 @@ pub enum Event {
         /// Cycles that did not run.
         missed: u32,
     },
-    /// One heartbeat line is silent while the other is alive, or the level line contradicts both.
-    LineBroken {
-        /// 1 or 2; 0 for a contradiction.
-        line: u8,
-    },
-    /// An own fault was found.
-    OwnFault {
-        /// Failure mode as in the status frame.
-        mode: u8,
-    },
-    /// A frame or a word from a peer was refused.
+    /// A frame or a value in the LMU was refused.
     Refused {
         /// CAN id, or 0 for the LMU.
         id: u32,
     },
 }
 
-/// What the loss of the other system was seen by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Evidence {
-    /// Its power level fell.
-    Level,
-    /// Both heartbeat lines and its control frames are silent.
-    Heartbeats,
-    /// Its heartbeats are alive, its control frames are missing.
-    ControlFrames,
-    /// It never answered the handshake.
-    Handshake,
-}
-
-impl Evidence {
-    const ALL: [Self; 4] = [
-        Self::Level,
-        Self::Heartbeats,
-        Self::ControlFrames,
-        Self::Handshake,
-    ];
-
-    /// The name that reports use.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Level => "power level fell",
-            Self::Heartbeats => "heartbeats and control frames silent",
-            Self::ControlFrames => "control frames missing",
-            Self::Handshake => "no handshake",
+impl From<tandem_redundancy::Event> for Event {
+    fn from(event: tandem_redundancy::Event) -> Self {
+        use tandem_redundancy::Event as E;
+        let us = |span: Duration| u32::try_from(span.as_us()).unwrap_or(u32::MAX);
+        match event {
+            E::Phase { from, to, on } => Self::Phase { from, to, on },
+            E::Takeover(takeover) => Self::TookOver {
+                cause: takeover.cause,
+                since_heartbeat_us: us(takeover.since_heartbeat),
+                since_control_us: us(takeover.since_control),
+                term: takeover.term.bits(),
+            },
+            E::LineSilent(line) => Self::Line { line, silent: true },
+            E::LineBack(line) => Self::Line {
+                line,
+                silent: false,
+            },
+            E::LinesSplit => Self::LinesSplit,
+            E::PeerFailed(failed) => Self::PeerFailed(failed),
+            E::Implausible => Self::Ignored { term: 0 },
+            E::StaleTerm(term) => Self::Ignored { term: term.bits() },
+            E::TermRaised(term) => Self::TermRaised { term: term.bits() },
+            E::CanSilent(silent) => Self::CanSilent(silent),
+            E::StateLost => Self::StateLost,
         }
     }
 }
 
 impl Event {
-    /// The event as four words: kind and two small fields in the first, then three numbers.
+    /// The event as four words: kind and up to three small fields in the first, then three numbers.
     #[must_use]
     pub const fn encode(self) -> TraceRecord {
-        const fn head(kind: u8, a: u8, b: u8) -> u32 {
-            u32::from_le_bytes([kind, a, b, 0])
+        const fn head(kind: u8, a: u8, b: u8, c: u8) -> u32 {
+            u32::from_le_bytes([kind, a, b, c])
         }
         match self {
-            Self::Started { generation, cause } => [head(1, cause, 0), generation, 0, 0],
-            Self::Role { role, mode, term } => [head(2, role, mode), term, 0, 0],
-            Self::Synchronised => [head(3, 0, 0), 0, 0, 0],
-            Self::PeerLost {
-                evidence,
-                silent_us,
-            } => [head(4, evidence as u8, 0), silent_us, 0, 0],
-            Self::PeerBack => [head(5, 0, 0), 0, 0, 0],
+            Self::Started { generation, cause } => [head(1, cause, 0, 0), generation, 0, 0],
+            Self::Role { role, mode, term } => [head(2, role, mode, 0), term, 0, 0],
+            Self::Phase { from, to, on } => [head(3, from as u8, to as u8, on as u8), 0, 0, 0],
             Self::TookOver {
-                evidence,
-                silent_us,
+                cause,
+                since_heartbeat_us,
+                since_control_us,
                 term,
-            } => [head(6, evidence as u8, 0), silent_us, term, 0],
+            } => [
+                head(4, cause as u8, 0, 0),
+                since_heartbeat_us,
+                since_control_us,
+                term,
+            ],
+            Self::PeerFailed(failed) => [head(5, failed as u8, 0, 0), 0, 0, 0],
+            Self::Line { line, silent } => [head(6, line, silent as u8, 0), 0, 0, 0],
+            Self::LinesSplit => [head(7, 0, 0, 0), 0, 0, 0],
+            Self::CanSilent(silent) => [head(8, silent as u8, 0, 0), 0, 0, 0],
+            Self::Ignored { term } => [head(9, 0, 0, 0), term, 0, 0],
+            Self::TermRaised { term } => [head(10, 0, 0, 0), term, 0, 0],
+            Self::StateLost => [head(11, 0, 0, 0), 0, 0, 0],
             Self::ControlCycle {
                 lateness_ns,
                 execution_ns,
                 transmitted,
-            } => [head(7, transmitted as u8, 0), lateness_ns, execution_ns, 0],
-            Self::Chain { latency_ns, cycle } => [head(8, 0, 0), latency_ns, cycle, 0],
-            Self::CoreSilent { core } => [head(9, core, 0), 0, 0, 0],
-            Self::DeadlineMiss { missed } => [head(10, 0, 0), missed, 0, 0],
-            Self::LineBroken { line } => [head(11, line, 0), 0, 0, 0],
-            Self::OwnFault { mode } => [head(12, mode, 0), 0, 0, 0],
-            Self::Refused { id } => [head(13, 0, 0), id, 0, 0],
+            } => [
+                head(12, transmitted as u8, 0, 0),
+                lateness_ns,
+                execution_ns,
+                0,
+            ],
+            Self::Chain { latency_ns, cycle } => [head(13, 0, 0, 0), latency_ns, cycle, 0],
+            Self::CoreSilent { core } => [head(14, core, 0, 0), 0, 0, 0],
+            Self::DeadlineMiss { missed } => [head(15, 0, 0, 0), missed, 0, 0],
+            Self::Refused { id } => [head(16, 0, 0, 0), id, 0, 0],
         }
     }
 
     /// The event in a record; `None` if it is none of ours.
     #[must_use]
-    pub fn decode([first, x, y, _]: TraceRecord) -> Option<Self> {
-        let [kind, a, b, _] = first.to_le_bytes();
-        let evidence = Evidence::ALL.get(usize::from(a)).copied();
+    pub fn decode([first, x, y, z]: TraceRecord) -> Option<Self> {
+        let [kind, a, b, c] = first.to_le_bytes();
+        let phase = |code: u8| Phase::ALL.get(usize::from(code)).copied();
+        let evidence = |code: u8| Evidence::ALL.get(usize::from(code)).copied();
         Some(match kind {
             1 => Self::Started {
                 generation: x,
@@ -170,31 +192,39 @@ impl Event {
                 mode: b,
                 term: x,
             },
-            3 => Self::Synchronised,
-            4 => Self::PeerLost {
-                evidence: evidence?,
-                silent_us: x,
+            3 => Self::Phase {
+                from: phase(a)?,
+                to: phase(b)?,
+                on: evidence(c)?,
             },
-            5 => Self::PeerBack,
-            6 => Self::TookOver {
-                evidence: evidence?,
-                silent_us: x,
-                term: y,
+            4 => Self::TookOver {
+                cause: evidence(a)?,
+                since_heartbeat_us: x,
+                since_control_us: y,
+                term: z,
             },
-            7 => Self::ControlCycle {
+            5 => Self::PeerFailed(a != 0),
+            6 => Self::Line {
+                line: a,
+                silent: b != 0,
+            },
+            7 => Self::LinesSplit,
+            8 => Self::CanSilent(a != 0),
+            9 => Self::Ignored { term: x },
+            10 => Self::TermRaised { term: x },
+            11 => Self::StateLost,
+            12 => Self::ControlCycle {
                 lateness_ns: x,
                 execution_ns: y,
                 transmitted: a != 0,
             },
-            8 => Self::Chain {
+            13 => Self::Chain {
                 latency_ns: x,
                 cycle: y,
             },
-            9 => Self::CoreSilent { core: a },
-            10 => Self::DeadlineMiss { missed: x },
-            11 => Self::LineBroken { line: a },
-            12 => Self::OwnFault { mode: a },
-            13 => Self::Refused { id: x },
+            14 => Self::CoreSilent { core: a },
+            15 => Self::DeadlineMiss { missed: x },
+            16 => Self::Refused { id: x },
             _ => return None,
         })
     }
@@ -206,6 +236,11 @@ mod tests {
 
     #[test]
     fn every_event_survives_the_trace() {
+        let phase = |from, to| Event::Phase {
+            from,
+            to,
+            on: Evidence::PeerOff,
+        };
         let events = [
             Event::Started {
                 generation: 3,
@@ -216,17 +251,23 @@ mod tests {
                 mode: 2,
                 term: 9,
             },
-            Event::Synchronised,
-            Event::PeerLost {
-                evidence: Evidence::Heartbeats,
-                silent_us: 4000,
-            },
-            Event::PeerBack,
+            phase(Phase::Standby, Phase::DegradedMaster),
             Event::TookOver {
-                evidence: Evidence::ControlFrames,
-                silent_us: 12_000,
+                cause: Evidence::PeerSilent,
+                since_heartbeat_us: 4000,
+                since_control_us: 12_000,
                 term: 4,
             },
+            Event::PeerFailed(true),
+            Event::Line {
+                line: 2,
+                silent: true,
+            },
+            Event::LinesSplit,
+            Event::CanSilent(false),
+            Event::Ignored { term: 6 },
+            Event::TermRaised { term: 7 },
+            Event::StateLost,
             Event::ControlCycle {
                 lateness_ns: 1,
                 execution_ns: 2,
@@ -238,14 +279,12 @@ mod tests {
             },
             Event::CoreSilent { core: 2 },
             Event::DeadlineMiss { missed: 5 },
-            Event::LineBroken { line: 1 },
-            Event::OwnFault { mode: 6 },
             Event::Refused { id: 0x110 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
         }
         assert_eq!(Event::decode([0; 4]), None);
-        assert_eq!(Event::decode([0xFF04, 0, 0, 0]), None);
+        assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
     }
 }

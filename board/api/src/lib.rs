@@ -66,7 +66,8 @@ pub trait Board {
     /// synchronised and may have different origins.
     fn now(&self) -> Instant;
 
-    /// The LMU: the memory that all cores of this system reach, as words. On the TC297 32 KiB at
+    /// The LMU: the memory that all cores of this system reach, as words from a boundary of 64
+    /// bytes on. On the TC297 32 KiB at
     /// 0xB000_0000. It is zero at power-on, and keeps its content over the reset of single cores.
     /// Any core may write any word at any time.
     fn lmu(&self) -> &[AtomicU32];

@@ -258,6 +258,9 @@ pub(crate) struct Machine {
     pub(crate) noise: ChaCha8Rng,
 }
 
+/// The LMU begins at a boundary of this.
+const LINE_BYTES: usize = 64;
+
 /// The machine, as the pair and its boards share it.
 pub(crate) struct Shared {
     pub(crate) config: Config,
@@ -268,7 +271,8 @@ pub(crate) struct Shared {
 impl Shared {
     pub(crate) fn new(config: Config) -> Self {
         let lmu = || {
-            (0..LMU_WORDS)
+            // One line more than needed, so that `lmu` can begin at a boundary of a line.
+            (0..LMU_WORDS + LINE_BYTES / size_of::<AtomicU32>())
                 .map(|_| AtomicU32::new(0xDEAD_BEEF))
                 .collect()
         };
@@ -311,7 +315,8 @@ impl Shared {
         } else {
             CoreId::CONTROL
         };
-        &self.lmus[system.index() * CoreId::COUNT + core.index()]
+        let words = &self.lmus[system.index() * CoreId::COUNT + core.index()];
+        &words[words.as_ptr().align_offset(LINE_BYTES)..][..LMU_WORDS]
     }
 
     pub(crate) fn power_on(&self, system: SystemId) {

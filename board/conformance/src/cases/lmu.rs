@@ -23,6 +23,8 @@ pub(super) fn identity<B: Board>(board: &B, place: Place) -> Result<(), Failure>
 
 pub(super) fn zero<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     check(board.lmu().len() >= 1024, "the LMU has 4 KiB at least")?;
+    let aligned = board.lmu().as_ptr().align_offset(64) == 0;
+    check(aligned, "the LMU begins at a boundary of 64 bytes")?;
     let all_zero = board
         .lmu()
         .iter()

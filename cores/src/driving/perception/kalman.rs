@@ -72,8 +72,7 @@ impl Axis {
         self.state.z
     }
 
-    #[cfg(test)]
-    fn position_variance(&self) -> f32 {
+    pub(crate) fn position_variance(&self) -> f32 {
         self.covariance.m11
     }
 

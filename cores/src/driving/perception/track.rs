@@ -51,7 +51,7 @@ impl Detection {
     pub(crate) fn new(sensor: SensorId, object: &SensorObject, ego: &Ego) -> Self {
         let (along, across) = velocity_variances(sensor, object.x, object.y);
         let deviation = |value: f32| clamp(value, 0.1, 5.0);
-        let (dx, dy) = (deviation(object.xdeviation), deviation(object.ydeviation));
+        let (dx, dy) = (deviation(object.x_deviation), deviation(object.y_deviation));
         Self {
             sensor,
             class: object.class,

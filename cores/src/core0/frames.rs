@@ -1,0 +1,84 @@
+//! The frames that core 0 sends and hears, between the bus's words and the redundancy's.
+
+use super::drive::Output;
+use tandem_board::{Board, Can, CanFrame, CanId, SystemId};
+use tandem_bus::{Control, Message, Status, Transmitter};
+use tandem_redundancy::{ControlFrame, Mode, PeerReport, Redundancy, Role, Term};
+
+const fn bus_role(role: Role) -> tandem_bus::Role {
+    match role {
+        Role::Starting => tandem_bus::Role::Starting,
+        Role::Master => tandem_bus::Role::Master,
+        Role::Standby => tandem_bus::Role::Standby,
+        Role::Suspended => tandem_bus::Role::Suspended,
+    }
+}
+
+const fn bus_mode(mode: Mode) -> tandem_bus::Mode {
+    match mode {
+        Mode::None => tandem_bus::Mode::None,
+        Mode::L3 => tandem_bus::Mode::L3,
+        Mode::DegradedL2 => tandem_bus::Mode::DegradedL2,
+        Mode::SafeStop => tandem_bus::Mode::SafeStop,
+    }
+}
+
+/// The control frame for this output.
+pub(super) fn control(redundancy: &Redundancy, output: &Output) -> Control {
+    Control {
+        role: bus_role(redundancy.role()),
+        mode: bus_mode(output.mode),
+        term: redundancy.term().bits(),
+        steering_angle: output.command.steering_angle,
+        acceleration: output.command.acceleration,
+        // The largest number that the signal can carry stands for "rests on no sensor data".
+        command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
+    }
+}
+
+/// The status frame.
+pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) -> Status {
+    let state = redundancy.state();
+    let [line1_silent, line2_silent] = redundancy.lines_silent();
+    Status {
+        role: bus_role(redundancy.role()),
+        mode: bus_mode(redundancy.mode()),
+        sys_failure: state.sys_failure,
+        cpsys_failure: state.cpsys_failure,
+        line1_silent,
+        line2_silent,
+        failure_mode: state.failure_mode.code(),
+        term: redundancy.highest_term().bits(),
+        abn_resets: u16::try_from(state.abn_resets).unwrap_or(u16::MAX),
+        total_resets: u16::try_from(state.total_resets).unwrap_or(u16::MAX),
+        tracks,
+        deadline_misses: u8::try_from(deadline_misses).unwrap_or(u8::MAX),
+    }
+}
+
+/// Encodes and sends; whether the controller took the frame.
+pub(super) fn send<B: Board>(board: &B, transmitter: &mut Transmitter, message: &Message) -> bool {
+    let encoded = transmitter.encode(message);
+    let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
+    frame.is_ok_and(|frame| board.can().try_send(&frame).is_ok())
+}
+
+/// A control frame of the other system, as the redundancy takes it.
+pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame> {
+    Some(ControlFrame {
+        system: SystemId::from_index(usize::from(from))?,
+        term: Term::from_bits(control.term),
+        role: Role::from_code(control.role as u8)?,
+        mode: Mode::from_code(control.mode as u8)?,
+    })
+}
+
+/// A status frame of the other system. That it was heard at all shows that its CAN is alive.
+pub(super) fn heard_status(status: &Status) -> Option<PeerReport> {
+    Some(PeerReport {
+        role: Role::from_code(status.role as u8)?,
+        mode: Mode::from_code(status.mode as u8)?,
+        term: Term::from_bits(status.term),
+        can_alive: true,
+    })
+}

@@ -1,0 +1,106 @@
+//! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2. T-CHIP-3
+
+use crate::driving::perception::Perception;
+use crate::driving::types::Scene;
+use crate::layout::{ControllerMap, PLAN, Writer};
+use crate::schedule::Schedule;
+use crate::trace::Event;
+use crate::{Core, RETRY, read_can};
+use tandem_board::{Board, CoreId, Duration, Instant};
+use tandem_bus::Receiver;
+use tandem_shm::mailbox::{Ring, Sender};
+
+/// The period of the sensors.
+pub const PERIOD: Duration = Duration::from_ms(50);
+
+/// What core 1 has once it is attached to the LMU.
+struct Attached<'b> {
+    map: ControllerMap<'b>,
+    to_planning: Sender<'b>,
+    scenes: Writer<'b, Scene>,
+}
+
+/// The perception core.
+pub struct Core1<'b, B: Board> {
+    board: &'b B,
+    attached: Option<Attached<'b>>,
+    frames: Receiver,
+    perception: Perception,
+    schedule: Schedule<(), 1>,
+}
+
+impl<'b, B: Board> Core1<'b, B> {
+    /// Starts the core's life on this board.
+    #[must_use]
+    pub fn new(board: &'b B) -> Self {
+        let start = board.now();
+        let generation = board.identity().generation.0;
+        board.trace(
+            Event::Started {
+                generation,
+                cause: 0,
+            }
+            .encode(),
+        );
+        Self {
+            board,
+            attached: None,
+            frames: Receiver::new(),
+            perception: Perception::new(),
+            schedule: Schedule::new(start + PERIOD, [((), PERIOD)]),
+        }
+    }
+
+    fn attach(&mut self) {
+        let Ok(map) = ControllerMap::attach(self.board) else {
+            return;
+        };
+        let (Ok(to_planning), Some(scenes)) =
+            (Sender::attach(map.mailbox_1_to_2()), map.scene_writer())
+        else {
+            return;
+        };
+        self.attached = Some(Attached {
+            map,
+            to_planning,
+            scenes,
+        });
+    }
+
+    fn cycle(&mut self) {
+        let Self {
+            board,
+            frames,
+            perception,
+            ..
+        } = self;
+        read_can(*board, frames, |at, message| {
+            perception.on_message(at, &message)
+        });
+        let Some(attached) = &mut self.attached else {
+            return;
+        };
+        let scene = self.perception.cycle(self.board.now());
+        attached.scenes.publish(scene);
+        attached.map.count_cycle();
+        if attached.to_planning.signal(PLAN) == Ring::Needed {
+            self.board.ring(CoreId::PLANNING);
+        }
+    }
+}
+
+impl<B: Board> Core for Core1<'_, B> {
+    fn poll(&mut self) -> Instant {
+        if self.attached.is_none() {
+            self.attach();
+        }
+        while self.schedule.release(self.board.now()).is_some() {
+            self.cycle();
+        }
+        if self.attached.is_some() {
+            self.schedule.next()
+        } else {
+            self.board.now() + RETRY
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
+
+use crate::driving::planning::Planner;
+use crate::driving::types::{Scene, Trajectory};
+use crate::layout::{ControllerMap, FOLLOW, PLAN, Reader, Writer};
+use crate::trace::Event;
+use crate::{Core, RETRY};
+use tandem_board::{Board, CoreId, Duration, Instant};
+use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
+
+/// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the drive.
+const LOOK: Duration = Duration::from_ms(50);
+
+/// The planning task with all that it uses: what core 1's signal runs.
+struct Planning<'b, B: Board> {
+    board: &'b B,
+    map: ControllerMap<'b>,
+    scenes: Reader<'b, Scene>,
+    planner: Planner,
+    trajectories: Writer<'b, Trajectory>,
+    to_control: Sender<'b>,
+}
+
+impl<B: Board> Planning<'_, B> {
+    fn plan(&mut self, _call: Call) {
+        match self.scenes.fetch() {
+            Ok(Some(scene)) => {
+                let trajectory = self.planner.plan(&scene);
+                self.trajectories.publish(&trajectory);
+                self.map.count_cycle();
+                if self.to_control.signal(FOLLOW) == Ring::Needed {
+                    self.board.ring(CoreId::CONTROL);
+                }
+            }
+            Ok(None) => {}
+            Err(_) => self.board.trace(Event::Refused { id: 0 }.encode()),
+        }
+    }
+}
+
+/// The planning core.
+pub struct Core2<'b, B: Board> {
+    board: &'b B,
+    tasks: TaskTable<Planning<'b, B>>,
+    attached: Option<(Receiver<'b>, Planning<'b, B>)>,
+}
+
+impl<'b, B: Board> Core2<'b, B> {
+    /// Starts the core's life on this board.
+    #[must_use]
+    pub fn new(board: &'b B) -> Self {
+        let generation = board.identity().generation.0;
+        board.trace(
+            Event::Started {
+                generation,
+                cause: 0,
+            }
+            .encode(),
+        );
+        let mut tasks = TaskTable::new();
+        // The table is new, so the id is free.
+        let _taken = tasks.add(PLAN, Planning::plan, 0);
+        Self {
+            board,
+            tasks,
+            attached: None,
+        }
+    }
+
+    fn attach(&mut self) -> Option<()> {
+        let map = ControllerMap::attach(self.board).ok()?;
+        let planning = Planning {
+            board: self.board,
+            map,
+            scenes: map.scene_reader()?,
+            planner: Planner::new(),
+            trajectories: map.trajectory_writer()?,
+            to_control: Sender::attach(map.mailbox_2_to_0()).ok()?,
+        };
+        let receiver = Receiver::attach(map.mailbox_1_to_2()).ok()?;
+        self.attached = Some((receiver, planning));
+        Some(())
+    }
+}
+
+impl<B: Board> Core for Core2<'_, B> {
+    fn poll(&mut self) -> Instant {
+        if self.attached.is_none() {
+            self.attach();
+        }
+        let Some((receiver, planning)) = &mut self.attached else {
+            return self.board.now() + RETRY;
+        };
+        receiver.awake();
+        loop {
+            self.tasks.run(receiver, planning);
+            if receiver.prepare_sleep() {
+                return self.board.now() + LOOK;
+            }
+        }
+    }
+}
