@@ -1,4 +1,5 @@
 //! Whole-controller tests in virtual time: both systems, six cores, one vehicle, no process.
+#![allow(clippy::expect_used, clippy::print_stdout, reason = "a test may panic and print")]
 
 mod drive;
 

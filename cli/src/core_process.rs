@@ -1,0 +1,43 @@
+//! The process that is one core of one system.
+
+use crate::plan::{Profile, RunPlan};
+use anyhow::Context as _;
+use tandem_board::{Board, CoreId};
+use tandem_board_host::HostBoard;
+use tandem_board_host::args::CoreArgs;
+use tandem_cores::core0::Core0;
+use tandem_cores::core1::Core1;
+use tandem_cores::core2::Core2;
+use tandem_cores::{Config, Core};
+
+/// Runs the core until its supply ends it. Returns only if it cannot start.
+///
+/// # Errors
+/// If the run that it belongs to is gone, or its arguments are not this program's.
+pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
+    let _grant = args.claim();
+    let config = config(&RunPlan::from_extra(&args.common.extra)?);
+    let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
+    match args.identity.core {
+        CoreId::CONTROL => go(&board, Core0::new(&board, config)),
+        CoreId::PERCEPTION => go(&board, Core1::new(&board)),
+        _ => go(&board, Core2::new(&board)),
+    }
+}
+
+/// The limits of a run.
+pub(crate) fn config(plan: &RunPlan) -> Config {
+    let mut config = match plan.profile {
+        Profile::Rt => Config::rt(),
+        Profile::Desktop => Config::desktop(),
+    };
+    config.redundancy.reintegrate = plan.reintegrate;
+    config
+}
+
+fn go(board: &HostBoard, mut core: impl Core) -> ! {
+    loop {
+        let deadline = core.poll();
+        board.wait(deadline);
+    }
+}
