@@ -9,9 +9,9 @@ use crate::watchdog;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Generation, Identity,
-    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    TraceRecord, TransmitFull, Wake,
+    Board, Can, CanFrame, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus, Generation,
+    Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp,
+    Supply, TraceRecord, TransmitFull, Wake,
 };
 
 /// A core's connection to the machine, for one life of the core.
@@ -45,46 +45,49 @@ impl Port {
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
-        let wrong = self.shared.has(Defect::WrongWake);
-        let spurious = self.shared.has(Defect::SpuriousForEver);
+        let Some(baton) = &self.baton else {
+            panic!("a polled core cannot wait; see `blocking`")
+        };
+        let deadline = match self.shared.has(Defect::EarlyDeadline) {
+            true => self.halfway(deadline),
+            false => deadline,
+        };
+        if let Some(wake) = self.woken(deadline) {
+            self.look();
+            return wake;
+        }
         loop {
-            let now = {
-                let mut machine = self.shared.lock();
-                let now = machine.local(self.place.system);
-                let core = machine.core(self.place);
-                if core.life == self.life && core::mem::take(&mut core.pending) {
-                    return if wrong {
-                        Wake::Deadline
-                    } else {
-                        Wake::Interrupt
-                    };
-                }
-                if now >= deadline {
-                    return if spurious {
-                        Wake::Interrupt
-                    } else {
-                        Wake::Deadline
-                    };
-                }
-                core.attention = Attention::Waits;
-                now
-            };
-            let baton = self.baton.as_ref();
-            let Some(baton) = baton else {
-                panic!("a polled core cannot wait; see `blocking`")
-            };
-            if self.shared.has(Defect::EarlyDeadline) {
-                let half = deadline.since(now).as_ns() / 2;
-                baton.park(Instant::from_ns(now.as_ns() + half));
-                self.awake();
-                match self.alive(|machine| core::mem::take(&mut machine.core(self.place).pending)) {
-                    Some(true) => return Wake::Interrupt,
-                    _ => return Wake::Deadline,
-                }
-            }
             baton.park(deadline);
             self.awake();
+            if let Some(wake) = self.woken(deadline) {
+                return wake;
+            }
         }
+    }
+
+    /// What ends a wait now; if nothing does, the core pays attention to interrupts.
+    fn woken(&self, deadline: Instant) -> Option<Wake> {
+        let mut machine = self.shared.lock();
+        let now = machine.local(self.place.system);
+        let core = machine.core(self.place);
+        let pending = core.life == self.life && core::mem::take(&mut core.pending);
+        if !pending && now < deadline {
+            core.attention = Attention::Waits;
+            return None;
+        }
+        let defect = self.shared.config.defect;
+        Some(match pending {
+            true if defect == Some(Defect::WrongWake) => Wake::Deadline,
+            true => Wake::Interrupt,
+            false if defect == Some(Defect::SpuriousForEver) => Wake::Interrupt,
+            false => Wake::Deadline,
+        })
+    }
+
+    /// A defect: the middle between now and the deadline.
+    fn halfway(&self, deadline: Instant) -> Instant {
+        let now = self.shared.lock().local(self.place.system);
+        now + Duration::from_ns(deadline.since(now).as_ns() / 2)
     }
 
     fn awake(&self) {
