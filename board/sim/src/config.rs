@@ -63,8 +63,8 @@ pub struct Config {
     /// How long a supply holds its system in reset.
     pub reset_hold: Duration,
     /// What a blocking core pays in virtual time for looking at the clock, a line, an empty
-    /// receiver, or for a wait that ends at once, so that waiting by spinning ends. Polled cores pay
-    /// nothing.
+    /// receiver, or for a wait that ends at once, so that waiting by spinning ends. Polled cores
+    /// pay nothing.
     pub look_at_clock: Duration,
     /// Frames that a core's CAN receive FIFO holds.
     pub can_fifo_frames: usize,

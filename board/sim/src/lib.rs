@@ -17,6 +17,7 @@ mod fabric;
 mod flash;
 mod machine;
 mod pair;
+mod power;
 mod watchdog;
 mod world;
 
