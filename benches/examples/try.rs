@@ -1,28 +1,17 @@
 //! try
 use tandem_benches::*;
+use tandem_shm::wait::WaitPolicy;
 fn main() {
+    let iso = tandem_board_host::isolation::enter().unwrap();
+    println!("{iso:?}");
+    let sys = tandem_board_host::BareSystem::power_on(&iso).unwrap();
     let plan = harness::Plan {
         rounds: 20000,
         warm_up: 1000,
         cpus: [0, 1],
     };
     let k = clock::ns_per_tick();
-    for (n, f) in [
-        (
-            "line",
-            floor::cache_line as fn(&harness::Plan) -> std::io::Result<Vec<u32>>,
-        ),
-        ("crossbeam", peers::crossbeam_channel),
-        ("rtrb", peers::rtrb),
-        ("ioxps", peers::iceoryx2_pubsub),
-        ("futex", floor::futex),
-        ("eventfd", floor::eventfd),
-        ("pipe", peers::pipe),
-        ("unix", peers::unix_socket),
-        ("mq", peers::message_queue),
-        ("ioxev", peers::iceoryx2_event),
-    ] {
-        let mut s = f(&plan).unwrap();
+    let show = |n: &str, mut s: Vec<u32>| {
         s.sort();
         let p = |q: f64| s[(s.len() as f64 * q) as usize] as f64 * k;
         println!(
@@ -32,5 +21,29 @@ fn main() {
             p(0.999),
             s.len()
         );
+    };
+    for (n, f) in [
+        (
+            "line",
+            floor::cache_line as fn(&harness::Plan) -> std::io::Result<Vec<u32>>,
+        ),
+        ("rtrb", peers::rtrb),
+        ("ioxps", peers::iceoryx2_pubsub),
+        ("futex", floor::futex),
+        ("ioxev", peers::iceoryx2_event),
+    ] {
+        show(n, f(&plan).unwrap());
     }
+    show(
+        "tandem spin",
+        tandem::sync(&sys, &plan, WaitPolicy::Spin).unwrap(),
+    );
+    show(
+        "tandem sleep",
+        tandem::sync(&sys, &plan, WaitPolicy::Sleep).unwrap(),
+    );
+    show(
+        "tandem spin+sleep",
+        tandem::sync(&sys, &plan, WaitPolicy::SpinThenSleep { spins: 200 }).unwrap(),
+    );
 }

@@ -35,14 +35,15 @@ pub struct Shared {
 
 /// Words before the samples that belong to the case.
 const CASE_WORDS: usize = 1 << 16;
-/// Words for the samples of the far end.
-const SAMPLE_WORDS: usize = 1 << 20;
+/// Words for the samples of one end; more rounds overwrite the first ones.
+const SAMPLE_WORDS: usize = 1 << 19;
+const TOTAL_WORDS: usize = CASE_WORDS + 2 * SAMPLE_WORDS;
 /// Words in a cache line.
 const LINE: usize = 16;
 
 impl Shared {
     fn new() -> io::Result<Self> {
-        let bytes = (CASE_WORDS + SAMPLE_WORDS) * 4;
+        let bytes = TOTAL_WORDS * 4;
         // SAFETY: a fresh anonymous mapping, not at a fixed address, touches no other memory.
         let base = unsafe {
             libc::mmap(
@@ -59,7 +60,7 @@ impl Shared {
         }
         // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped only
         // by `free`, after which its batch uses no word of it any more.
-        let words = unsafe { std::slice::from_raw_parts(base.cast(), CASE_WORDS + SAMPLE_WORDS) };
+        let words = unsafe { std::slice::from_raw_parts(base.cast(), TOTAL_WORDS) };
         Ok(Self { words })
     }
 
@@ -87,8 +88,8 @@ impl Shared {
         }
     }
 
-    fn samples(&self) -> &'static [AtomicU32] {
-        &self.words[CASE_WORDS..]
+    fn samples(&self, end: usize) -> &'static [AtomicU32] {
+        &self.words[CASE_WORDS + end * SAMPLE_WORDS..][..SAMPLE_WORDS]
     }
 }
 
@@ -97,17 +98,15 @@ pub fn pin(cpu: usize) {
     core_affinity::set_for_current(core_affinity::CoreId { id: cpu });
 }
 
-fn near_end(end: &mut impl End, plan: &Plan) -> Vec<u32> {
-    let mut samples = Vec::with_capacity(plan.rounds);
+fn near_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
     for round in 0..plan.warm_up + plan.rounds {
         end.send(ticks());
         let stamp = end.receive();
         let way = ticks().wrapping_sub(stamp);
-        if round >= plan.warm_up {
-            samples.push(way);
+        if let Some(place) = round.checked_sub(plan.warm_up) {
+            samples[place % samples.len()].store(way, Ordering::Relaxed);
         }
     }
-    samples
 }
 
 fn far_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
@@ -115,7 +114,7 @@ fn far_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
         let stamp = end.receive();
         let way = ticks().wrapping_sub(stamp);
         if let Some(place) = round.checked_sub(plan.warm_up) {
-            samples[place % SAMPLE_WORDS].store(way, Ordering::Relaxed);
+            samples[place % samples.len()].store(way, Ordering::Relaxed);
         }
         end.send(ticks());
     }
@@ -123,78 +122,112 @@ fn far_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
 
 /// Passes a stamp to and fro between two processes; returns all one-way times in ticks.
 ///
-/// The ends are made after the fork, each in its own process.
+/// Each end is made in a process of its own, which lives for this batch only: it inherits nothing from
+/// earlier batches but what the caller had opened before.
 ///
 /// # Errors
-/// If the process or the shared memory cannot be had, or the far end died.
+/// If the processes or the shared memory cannot be had, or an end died.
 pub fn between_processes<N: End, F: End>(
     plan: &Plan,
     near: impl FnOnce(&Shared) -> N,
     far: impl FnOnce(&Shared) -> F,
 ) -> io::Result<Vec<u32>> {
     let shared = Shared::new()?;
+    let near = fork(plan.cpus[0], || {
+        let mut end = near(&shared);
+        shared.meet(2);
+        near_end(&mut end, plan, shared.samples(0));
+    })?;
+    let far = fork(plan.cpus[1], || {
+        let mut end = far(&shared);
+        shared.meet(2);
+        far_end(&mut end, plan, shared.samples(1));
+    });
+    let far = far.inspect_err(|_| kill(near))?;
+    let outcome = wait_for_both([near, far]);
+    let samples = collect(&shared, plan);
+    shared.free();
+    outcome.map(|()| samples)
+}
+
+/// Runs `end` in a child process on this CPU.
+fn fork(cpu: usize, end: impl FnOnce()) -> io::Result<libc::pid_t> {
     // SAFETY: this program has no other thread at this point that could hold a lock; the child runs
-    // only the far end and leaves by `_exit`.
+    // only its end and leaves by `_exit`.
     let child = unsafe { libc::fork() };
     if child < 0 {
         return Err(io::Error::last_os_error());
     }
-    pin(plan.cpus[usize::from(child == 0)]);
     if child == 0 {
         // SAFETY: only sets this process's own death signal: it dies with its parent.
         unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
-        let mut end = far(&shared);
-        shared.meet(2);
-        far_end(&mut end, plan, shared.samples());
-        drop(end);
+        pin(cpu);
+        let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(end));
         // SAFETY: ends the child without running the parent's exit handlers.
-        unsafe { libc::_exit(0) };
+        unsafe { libc::_exit(i32::from(ended.is_err())) };
     }
-    let mut end = near(&shared);
-    shared.meet(2);
-    let mut samples = near_end(&mut end, plan);
-    let mut status = 0;
-    // SAFETY: `child` is our child and not yet waited for; `status` is a valid place.
-    unsafe { libc::waitpid(child, &mut status, 0) };
-    drop(end);
-    collect_far(&shared, plan, &mut samples);
-    shared.free();
-    if status == 0 {
-        Ok(samples)
-    } else {
-        Err(io::Error::other("the far end died"))
+    Ok(child)
+}
+
+fn kill(child: libc::pid_t) {
+    // SAFETY: `child` is our child and not yet waited for.
+    unsafe {
+        libc::kill(child, libc::SIGKILL);
+        libc::waitpid(child, std::ptr::null_mut(), 0);
     }
+}
+
+/// Waits until both have ended; if one dies, the other would wait for it for ever and is killed.
+fn wait_for_both(mut children: [libc::pid_t; 2]) -> io::Result<()> {
+    for _ in 0..2 {
+        let mut status = 0;
+        // SAFETY: waits for any child, of which there are just these; `status` is a valid place.
+        let ended = unsafe { libc::waitpid(-1, &mut status, 0) };
+        children = children.map(|child| if child == ended { 0 } else { child });
+        if status != 0 {
+            children
+                .into_iter()
+                .filter(|child| *child != 0)
+                .for_each(kill);
+            return Err(io::Error::other("one end of the measurement died"));
+        }
+    }
+    Ok(())
 }
 
 /// The same between two threads of this process, for peers that only work there.
 ///
 /// # Errors
 /// If the shared memory cannot be had.
-pub fn between_threads<N: End, F: End + Send>(
+pub fn between_threads<N: End + Send, F: End + Send>(
     plan: &Plan,
     mut near: N,
     mut far: F,
 ) -> io::Result<Vec<u32>> {
     let shared = Shared::new()?;
-    let mut samples = Vec::new();
     std::thread::scope(|scope| {
         scope.spawn(|| {
             pin(plan.cpus[1]);
             shared.meet(2);
-            far_end(&mut far, plan, shared.samples());
+            far_end(&mut far, plan, shared.samples(1));
         });
-        pin(plan.cpus[0]);
-        shared.meet(2);
-        samples = near_end(&mut near, plan);
+        scope.spawn(|| {
+            pin(plan.cpus[0]);
+            shared.meet(2);
+            near_end(&mut near, plan, shared.samples(0));
+        });
     });
-    collect_far(&shared, plan, &mut samples);
+    let samples = collect(&shared, plan);
     shared.free();
     Ok(samples)
 }
 
-fn collect_far(shared: &Shared, plan: &Plan, samples: &mut Vec<u32>) {
-    let far = shared.samples().iter().take(plan.rounds);
-    samples.extend(far.map(|way| way.load(Ordering::Relaxed)));
+fn collect(shared: &Shared, plan: &Plan) -> Vec<u32> {
+    let of = |end| shared.samples(end).iter().take(plan.rounds);
+    of(0)
+        .chain(of(1))
+        .map(|way| way.load(Ordering::Relaxed))
+        .collect()
 }
 
 /// A number for names that no other batch of this machine uses at the same time.

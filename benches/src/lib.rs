@@ -4,3 +4,4 @@ pub mod clock;
 pub mod floor;
 pub mod harness;
 pub mod peers;
+pub mod tandem;

@@ -3,8 +3,7 @@
 use crate::plan::{Profile, RunPlan};
 use anyhow::Context as _;
 use tandem_board::{Board, CoreId};
-use tandem_board_host::HostBoard;
-use tandem_board_host::args::CoreArgs;
+use tandem_board_host::{CoreArgs, HostBoard};
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;

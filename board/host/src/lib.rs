@@ -16,6 +16,7 @@ extern crate iceoryx2_bb_loggers as _;
 
 mod args;
 mod backplane;
+mod bare;
 mod bell;
 mod board;
 mod can;
@@ -39,6 +40,7 @@ pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
 pub use backplane::{Backplane, BackplaneError, Cut};
+pub use bare::BareSystem;
 pub use bell::BellError;
 pub use board::{AttachError, HostBoard, LMU_WORDS};
 pub use can::HostCan;

@@ -1,0 +1,146 @@
+//! Tandem itself: 4 bytes through a newest-value channel and a signal of the sync mailbox, on the host
+//! board, from the sender's call to the running handler. T-SYNC-4
+
+use crate::harness::{End, Plan, Shared, between_processes};
+use std::io;
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::Relaxed;
+use tandem_board::{Board, CoreId, Duration, Generation};
+use tandem_board_host::{BareSystem, HostBoard};
+use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::wait::{Event, WaitPolicy};
+use tandem_shm::{Shape, newest};
+
+const VALUE: Shape = Shape::new(4, 1);
+/// Words of one direction: the mailbox, then the channel.
+const WAY_WORDS: usize = 1024;
+const CHANNEL_AT: usize = 512;
+
+fn task() -> TaskId {
+    TaskId::new(1).expect("1 is a task id")
+}
+
+/// What the handler works on.
+struct Inbox {
+    value: newest::Reader<'static>,
+    received: Option<u32>,
+}
+
+fn handle(inbox: &mut Inbox, _call: Call) {
+    let value = inbox.value.read(|words| words.get(0));
+    inbox.received = value.ok().map(|(_, value)| value);
+}
+
+/// What a core waits for: a signal that its handler has taken.
+struct Waiting {
+    board: &'static HostBoard,
+    signals: Receiver<'static>,
+    tasks: TaskTable<Inbox>,
+    inbox: Inbox,
+}
+
+impl Event for Waiting {
+    type Output = u32;
+
+    fn check(&mut self) -> Option<u32> {
+        self.tasks.run(&mut self.signals, &mut self.inbox);
+        self.inbox.received.take()
+    }
+
+    fn prepare_sleep(&mut self) -> bool {
+        self.signals.prepare_sleep()
+    }
+
+    fn sleep(&mut self) {
+        self.board.wait(self.board.now() + Duration::from_ms(100));
+    }
+
+    fn awake(&mut self) {
+        self.signals.awake();
+    }
+}
+
+/// One core: sends to the peer and waits for it.
+struct Core {
+    board: &'static HostBoard,
+    peer: CoreId,
+    policy: WaitPolicy,
+    value: newest::Writer<'static>,
+    signal: Sender<'static>,
+    waiting: Waiting,
+}
+
+impl Core {
+    fn start(
+        system: &BareSystem,
+        core: CoreId,
+        peer: CoreId,
+        life: u32,
+        policy: WaitPolicy,
+    ) -> Self {
+        let board = system
+            .attach(core, Generation(life))
+            .expect("the bare system is powered");
+        let board: &'static HostBoard = Box::leak(Box::new(board));
+        let way = |to: CoreId| -> &'static [AtomicU32] {
+            &board.lmu()[to.index() * WAY_WORDS..][..WAY_WORDS]
+        };
+        let (out, inward) = (way(peer), way(core));
+        let mut tasks = TaskTable::new();
+        tasks.add(task(), handle, 0).expect("the table is empty");
+        let value = newest::Reader::attach(&inward[CHANNEL_AT..], VALUE).expect("it fits");
+        let signals = Receiver::attach(&inward[..mailbox::WORDS]).expect("it fits");
+        let inbox = Inbox {
+            value,
+            received: None,
+        };
+        Self {
+            board,
+            peer,
+            policy,
+            value: newest::Writer::attach(&out[CHANNEL_AT..], VALUE).expect("it fits"),
+            signal: Sender::attach(&out[..mailbox::WORDS]).expect("it fits"),
+            waiting: Waiting {
+                board,
+                signals,
+                tasks,
+                inbox,
+            },
+        }
+    }
+}
+
+impl End for Core {
+    fn send(&mut self, stamp: u32) {
+        self.value.publish(&[stamp]);
+        if self.signal.signal(task()) == Ring::Needed {
+            self.board.ring(self.peer);
+        }
+    }
+
+    fn receive(&mut self) -> u32 {
+        self.policy.wait(&mut self.waiting)
+    }
+}
+
+/// One-way time from core 1 to core 2 and back under this waiting policy.
+///
+/// # Errors
+/// As [`between_processes`].
+pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Vec<u32>> {
+    let life = next_life();
+    let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
+    let start = |core, peer| {
+        move |_: &Shared| {
+            let core = Core::start(system, core, peer, life, policy);
+            core
+        }
+    };
+    between_processes(plan, start(a, b), start(b, a))
+}
+
+/// Lives rise from batch to batch, as those of a core that is reset.
+fn next_life() -> u32 {
+    static LIVES: AtomicU32 = AtomicU32::new(1);
+    LIVES.fetch_add(1, Relaxed)
+}

@@ -1,0 +1,55 @@
+//! A system without a supply, whose cores a caller starts itself: for benchmarks.
+
+use std::path::PathBuf;
+
+use tandem_board::{CoreId, Generation, Identity, SystemId};
+
+use crate::args::{Common, CoreArgs, Schedule};
+use crate::backplane::Backplane;
+use crate::board::{AttachError, HostBoard, create_lmu};
+use crate::flash::HostFlash;
+use crate::isolation::Isolation;
+use crate::name::RunName;
+
+/// System A under power: LMU, doorbells and wires, but nobody who watches or resets its cores.
+#[derive(Debug)]
+pub struct BareSystem {
+    run: RunName,
+    flash: PathBuf,
+}
+
+impl BareSystem {
+    /// Powers the system on in this place. The memory goes with the place.
+    ///
+    /// # Errors
+    /// [`AttachError`] if shared memory or the file of the data flash cannot be had.
+    pub fn power_on(isolation: &Isolation) -> Result<Self, AttachError> {
+        let run = isolation.run().clone();
+        let flash = PathBuf::from(format!("/dev/shm/{}.dflash", run.as_str()));
+        let backplane = Backplane::create(&run)?;
+        HostFlash::prepare(&flash)?;
+        let power_on = backplane.power_on(SystemId::A);
+        create_lmu(&run, SystemId::A, power_on)?;
+        Ok(Self { run, flash })
+    }
+
+    /// Attaches the calling process as a core in this life. Once per process.
+    ///
+    /// # Errors
+    /// [`AttachError`] if something of it cannot be mapped or opened.
+    pub fn attach(&self, core: CoreId, generation: Generation) -> Result<HostBoard, AttachError> {
+        HostBoard::attach(&CoreArgs {
+            common: Common {
+                run: self.run.clone(),
+                schedule: Schedule::default(),
+                extra: vec![],
+            },
+            identity: Identity {
+                system: SystemId::A,
+                core,
+                generation,
+            },
+            flash: self.flash.clone(),
+        })
+    }
+}
