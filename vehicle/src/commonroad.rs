@@ -9,6 +9,13 @@ use roxmltree::{Document, Node};
 use crate::geometry::{Vec2, wrap_angle};
 use crate::scenario::ScenarioError;
 
+/// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
+const NUMBER_MAX: f64 = 1e8;
+/// A longer lanelet is refused, m: it is a slip of the keyboard, and would fill the memory.
+const LANELET_MAX: f64 = 1e5;
+/// Nobody is faster, m/s.
+const SPEED_MAX: f64 = 150.0;
+
 /// A piece of lane between two bounds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Lanelet {
@@ -223,6 +230,9 @@ impl<'a, 'input> Reader<'a, 'input> {
             if points.len() < 2 {
                 return Err(self.error(bound, "has fewer than two points", "give the whole bound"));
             }
+            if points.windows(2).map(|w| (w[1] - w[0]).norm()).sum::<f64>() > LANELET_MAX {
+                return Err(self.error(bound, "is longer than 100 km", "check its coordinates"));
+            }
             Ok(points)
         };
         let references = |name| -> Result<Vec<i64>, ScenarioError> {
@@ -319,14 +329,14 @@ impl<'a, 'input> Reader<'a, 'input> {
             };
             match shape.tag_name().name() {
                 "rectangle" => add_box(
-                    self.number(self.child(shape, "length")?)?,
-                    self.number(self.child(shape, "width")?)?,
+                    self.extent(shape, "length")?,
+                    self.extent(shape, "width")?,
                     elements(shape, "orientation")
                         .next()
                         .map_or(Ok(0.0), |n| self.number(n))?,
                 ),
                 "circle" => {
-                    let diameter = 2.0 * self.number(self.child(shape, "radius")?)?;
+                    let diameter = 2.0 * self.extent(shape, "radius")?;
                     add_box(diameter, diameter, 0.0);
                 }
                 "polygon" => {
@@ -352,6 +362,15 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
+    fn extent(&self, shape: Element<'_, '_>, name: &str) -> Result<f64, ScenarioError> {
+        let node = self.child(shape, name)?;
+        let extent = self.number(node)?;
+        if extent <= 0.0 {
+            return Err(self.error(node, "is not positive", "give metres > 0"));
+        }
+        Ok(extent)
+    }
+
     /// A state; `default_yaw` is for things that may lack an orientation.
     fn state(
         &self,
@@ -372,7 +391,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             yaw,
             speed: elements(node, "velocity")
                 .next()
-                .map(|n| self.value(n))
+                .map(|n| self.speed(n))
                 .transpose()?,
         })
     }
@@ -447,14 +466,28 @@ impl<'a, 'input> Reader<'a, 'input> {
         })
     }
 
+    /// A speed that a road vehicle can have.
+    fn speed(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+        let speed = self.value(node)?;
+        if speed.abs() > SPEED_MAX {
+            let problem = format!("is faster than {SPEED_MAX} m/s");
+            return Err(self.error(node, &problem, "give metres per second"));
+        }
+        Ok(speed)
+    }
+
     fn number(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
         self.parsed(node, self.text(node))
     }
 
     fn parsed(&self, node: Element<'_, '_>, text: &str) -> Result<f64, ScenarioError> {
         match text.trim().parse::<f64>() {
-            Ok(number) if number.is_finite() => Ok(number),
-            _ => Err(self.error(node, &format!("holds {text:?}"), "give a finite number")),
+            Ok(number) if number.abs() <= NUMBER_MAX => Ok(number),
+            _ => Err(self.error(
+                node,
+                &format!("holds {text:?}"),
+                "give a finite number up to 1e8",
+            )),
         }
     }
 

@@ -175,35 +175,34 @@ impl Traffic {
 
     fn leave_recording_if_needed(&mut self, index: usize, t: f64, ego: &Participant) {
         let states = &self.recordings[index].states;
-        let (begin, end) = recording::span(states);
+        let (_, end) = recording::span(states);
         match self.vehicles[index].mode {
-            Mode::Absent if t >= begin && t <= end.max(begin + 0.1) => {
-                replay(
-                    &mut self.vehicles[index],
-                    &self.recordings[index],
-                    &self.road,
-                    t,
-                );
-                let room = |other: &Participant| {
-                    let own = self.vehicles[index].participant;
-                    !own.footprint
-                        .grown(2.0 * own.speed.max(2.0), 0.5)
-                        .overlaps(&other.footprint)
-                };
-                if t <= 0.0 || self.deviating(index, ego).all(|other| room(&other)) {
-                    self.vehicles[index].mode = if self.recordings[index].is_static {
-                        Mode::Standing
-                    } else {
-                        Mode::Replay
-                    };
-                }
-            }
+            Mode::Absent => self.appear_if_due(index, t, ego),
             Mode::Replay if t > end => match self.vehicles[index].class {
                 Class::Pedestrian | Class::Static => self.stand(index),
                 _ => self.drive_on(index, t, ego),
             },
             Mode::Replay if self.endangers(index, t, ego) => self.drive_on(index, t, ego),
             _ => {}
+        }
+    }
+
+    /// Puts a vehicle into the picture when its recording begins; things are always there.
+    fn appear_if_due(&mut self, index: usize, t: f64, ego: &Participant) {
+        let recording = &self.recordings[index];
+        let (begin, end) = recording::span(&recording.states);
+        let over = t > end && recording.states.len() > 1;
+        if !recording.is_static && (t < begin || over) {
+            return;
+        }
+        replay(&mut self.vehicles[index], recording, &self.road, t);
+        let own = self.vehicles[index].participant;
+        let claimed = own.footprint.grown(2.0 * own.speed.max(2.0), 0.5);
+        let is_free = |other: Participant| !claimed.overlaps(&other.footprint);
+        if recording.is_static {
+            self.stand(index);
+        } else if t <= 0.0 || self.deviating(index, ego).all(is_free) {
+            self.vehicles[index].mode = Mode::Replay;
         }
     }
 

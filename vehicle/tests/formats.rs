@@ -1,0 +1,232 @@
+//! CommonRoad files: both versions, every kind of value, and what is wrong with the bad ones.
+
+#![allow(clippy::unwrap_used)]
+
+use proptest::prelude::*;
+use tandem_vehicle::commonroad::{self, Class, Map};
+use tandem_vehicle::geometry::Vec2;
+use tandem_vehicle::{Config, Scenario, ScenarioError, World};
+
+const AREAS: &str = include_str!("../fixtures/commonroad/areas-2018b.xml");
+const SIGN: &str = include_str!("../fixtures/commonroad/sign-2020a.xml");
+
+fn map(text: &str) -> Map {
+    commonroad::parse(text, "test.xml").unwrap()
+}
+
+#[test]
+fn version_2018b_with_areas_and_intervals() {
+    let map = map(AREAS);
+    assert_eq!(map.name, "ZAM_Areas-1_1_T-1");
+    assert_eq!(map.lanelets.len(), 3);
+    assert_eq!(map.lanelets[0].speed_limit, Some(25.5));
+    assert_eq!(map.lanelets[0].left_neighbour, Some(3));
+    assert_eq!(
+        map.lanelets[1].right_neighbour, None,
+        "opposite traffic is no neighbour"
+    );
+    assert_eq!((map.ego.t, map.ego.speed), (0.0, Some(22.0)));
+
+    let truck = &map.obstacles[0];
+    assert_eq!(
+        (truck.class, truck.length, truck.width),
+        (Class::Truck, 8.0, 2.5)
+    );
+    let [first, second] = &truck.states[..] else {
+        panic!("{truck:?}")
+    };
+    assert_eq!(
+        first.position,
+        Vec2::new(60.0, 2.0),
+        "the centre of the area"
+    );
+    assert!(
+        (first.yaw - 0.1).abs() < 1e-12 && first.speed == Some(20.0),
+        "midpoints"
+    );
+    assert!(
+        first.t.abs() < 1e-12 && (second.t - 0.2).abs() < 1e-12,
+        "since the ego's start"
+    );
+    assert_eq!(
+        (second.position, second.speed),
+        (Vec2::new(64.0, 2.0), None)
+    );
+
+    let pillar = &map.obstacles[1];
+    assert_eq!(
+        (pillar.class, pillar.length, pillar.is_static),
+        (Class::Static, 1.0, true)
+    );
+    let polygon = &map.obstacles[2];
+    assert_eq!((polygon.length, polygon.width), (4.0, 2.0));
+    let centre = polygon.states[0].position;
+    assert!(
+        (centre - Vec2::new(120.0, -3.0)).norm() < 1e-6,
+        "its centre, turned: {centre:?}"
+    );
+}
+
+#[test]
+fn version_2020a_with_sign_and_obstacles() {
+    let map = map(SIGN);
+    assert_eq!(map.lanelets[0].speed_limit, Some(13.89));
+    assert_eq!(map.obstacles.len(), 2);
+    assert!(map.obstacles[0].is_static && map.obstacles[0].class == Class::Car);
+    assert_eq!(map.obstacles[1].class, Class::Motorcycle);
+    let scenario = Scenario::parse(SIGN, "test.xml").unwrap();
+    assert_eq!(scenario.set_speed(), 13.89, "the speed limit");
+}
+
+/// Each bad file is refused with its line, its element, and what to do.
+#[test]
+fn errors_name_file_line_element_and_a_way_out() {
+    let cases = [
+        (
+            "commonRoadVersion=\"2018b\"",
+            "commonRoadVersion=\"2099\"",
+            "test.xml:3: <commonRoad>",
+        ),
+        (
+            "timeStepSize=\"0.2\"",
+            "timeStepSize=\"0\"",
+            "timeStepSize that is not positive",
+        ),
+        (
+            "timeStepSize=\"0.2\"",
+            "timeStepSize=\"soon\"",
+            "holds \"soon\"; give a finite number",
+        ),
+        (
+            "<x>100</x><y>4</y>",
+            "<x>inf</x><y>4</y>",
+            "test.xml:5: <x> holds \"inf\"",
+        ),
+        (
+            "<x>100</x><y>4</y>",
+            "<x>1e200</x><y>4</y>",
+            "test.xml:5: <x> holds \"1e200\"",
+        ),
+        (
+            "<x>100</x><y>4</y>",
+            "<x>100</x>",
+            "test.xml:5: <point> lacks <y>; add <y>",
+        ),
+        (
+            "<role>dynamic</role>",
+            "<role>ghost</role>",
+            "<obstacle id=\"10\"> has the role \"ghost\"",
+        ),
+        (
+            "<lanelet id=\"2\">",
+            "<lanelet id=\"two\">",
+            "<lanelet id=\"two\"> refers to \"two\"",
+        ),
+        (
+            "<lanelet id=\"2\">",
+            "<lanelet>",
+            "<lanelet> lacks the attribute \"id\"",
+        ),
+        (
+            "<length>8</length>",
+            "<length>-8</length>",
+            "<length> is not positive",
+        ),
+        (
+            "<velocity><exact>22<",
+            "<velocity><exact>1000<",
+            "faster than",
+        ),
+        (
+            "<intervalStart>6<",
+            "<intervalStart>-9<",
+            "is not later than the state before it",
+        ),
+        (
+            "<circle><radius>0.5</radius></circle>",
+            "<star/>",
+            "unknown shape <star>",
+        ),
+        (
+            "<point><x>20</x><y>2.1</y></point>",
+            "",
+            "<position> is empty",
+        ),
+        (
+            "planningProblem",
+            "planningIssue",
+            "<commonRoad> lacks <planningProblem>",
+        ),
+        ("</obstacle>", "", "no well-formed XML"),
+    ];
+    for (good, bad, expected) in cases {
+        assert!(AREAS.contains(good), "{good}");
+        let error = commonroad::parse(&AREAS.replace(good, bad), "test.xml").unwrap_err();
+        assert!(
+            error.to_string().contains(expected),
+            "{error}\nlacks {expected:?}"
+        );
+        assert!(error.to_string().starts_with("test.xml:"), "{error}");
+    }
+}
+
+#[test]
+fn unknown_names_and_unreadable_files_say_what_there_is() {
+    let error = Scenario::load("cutin").unwrap_err().to_string();
+    assert!(
+        error.contains("did you mean \"cut-in\"") && error.contains("stop-and-go"),
+        "{error}"
+    );
+    let error = Scenario::load("xyz").unwrap_err().to_string();
+    assert!(!error.contains("did you mean"), "{error}");
+    let error = Scenario::load("no/such/file.xml").unwrap_err();
+    assert!(matches!(error, ScenarioError::Read { .. }), "{error}");
+    assert!(error.to_string().contains("no/such/file.xml"), "{error}");
+    let folder = env!("CARGO_MANIFEST_DIR");
+    assert!(matches!(
+        Scenario::load(folder),
+        Err(ScenarioError::Read { .. })
+    ));
+}
+
+#[test]
+fn every_embedded_scenario_has_its_name() {
+    assert_eq!(Scenario::names().len(), 6);
+    for name in Scenario::names() {
+        assert_eq!(Scenario::load(name).unwrap().name(), name);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(200))]
+
+    /// A damaged file is refused or runs; it never panics.
+    #[test]
+    fn damaged_files_do_no_harm(
+        line in 0_usize..70,
+        other in 0_usize..70,
+        number in prop::sample::select(vec!["0", "-1", "1e9", "1e-300", "NaN", "7", ""]),
+        kind in 0..4,
+    ) {
+        for text in [AREAS, SIGN] {
+            let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
+            let (line, other) = (line % lines.len(), other % lines.len());
+            match kind {
+                0 => { lines.remove(line); }
+                1 => lines.swap(line, other),
+                2 => lines[line] = lines[other].clone(),
+                _ => {
+                    let digits = |c: char| c.is_ascii_digit();
+                    let changed: Vec<_> = lines[line].split(digits).map(str::to_owned).collect();
+                    lines[line] = changed.join(number);
+                }
+            }
+            if let Ok(scenario) = Scenario::parse(&lines.join("\n"), "damaged.xml") {
+                let mut world = World::new(&scenario, Config::default());
+                for ms in 0..60 {
+                    world.step(ms * 1_000_000, &mut |_, _| {});
+                }
+            }
+        }
+    }
+}

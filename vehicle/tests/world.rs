@@ -1,0 +1,216 @@
+//! The world as the controller meets it: through frames and time only.
+
+#![allow(clippy::unwrap_used)]
+
+use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
+use tandem_vehicle::{Config, Scenario, Snapshot, Verdict, World};
+
+const MS: u64 = 1_000_000;
+
+/// A world, a clock, and a controller that sends constant commands.
+struct Run {
+    world: World,
+    now_ms: u64,
+    transmitter: Transmitter,
+    receiver: Receiver,
+    received: Vec<(u64, Message)>,
+}
+
+impl Run {
+    fn new(scenario: &str, seed: u64) -> Self {
+        let scenario = Scenario::load(scenario).unwrap();
+        Self {
+            world: World::new(&scenario, Config { seed }),
+            now_ms: 5_000,
+            transmitter: Transmitter::new(),
+            receiver: Receiver::new(),
+            received: Vec::new(),
+        }
+    }
+
+    fn send(&mut self, system: u8, term: u32, acceleration: f32, steering_angle: f32) {
+        let (role, mode) = (Role::Master, Mode::L3);
+        let control = Control {
+            role,
+            mode,
+            term,
+            acceleration,
+            steering_angle,
+            ..Control::default()
+        };
+        let frame = self
+            .transmitter
+            .encode(&Message::Control { system, control });
+        self.world
+            .on_frame(self.now_ms * MS, u32::from(frame.id), frame.data());
+    }
+
+    /// Lets time pass; every frame must pass the receiver's checks.
+    fn wait(&mut self, ms: u64) {
+        for _ in 0..ms {
+            let (receiver, received, now) = (&mut self.receiver, &mut self.received, self.now_ms);
+            self.world.step(now * MS, &mut |id, data| {
+                received.push((now, receiver.receive(u32::from(id), data).unwrap()));
+            });
+            self.now_ms += 1;
+        }
+    }
+
+    /// Sends every 10 ms for this long.
+    fn control(&mut self, ms: u64, acceleration: f32) {
+        for _ in 0..ms / 10 {
+            self.send(0, 2, acceleration, 0.0);
+            self.wait(10);
+        }
+    }
+
+    fn now(&self) -> &Snapshot {
+        self.world.snapshot()
+    }
+}
+
+#[test]
+fn the_world_waits_for_the_first_control_frame() {
+    let mut run = Run::new("free-lane", 1);
+    let start = run.now().clone();
+    run.wait(500);
+    assert_eq!(*run.now(), start, "nothing moves");
+    let running = |run: &Run| {
+        run.received
+            .iter()
+            .rev()
+            .find_map(|(_, message)| match message {
+                Message::EgoMotion(motion) => Some((motion.world_running, motion.speed)),
+                _ => None,
+            })
+    };
+    let (is_running, speed) = running(&run).unwrap();
+    assert!(
+        !is_running && (speed - 30.0).abs() < 0.3,
+        "the sensors show the start"
+    );
+    run.send(0, 2, 0.0, 0.0);
+    run.wait(100);
+    assert!(running(&run).unwrap().0);
+    assert!((run.now().time_s - 0.1).abs() < 1e-9);
+    assert!((run.now().pose.position.x - start.pose.position.x - 3.0).abs() < 0.1);
+}
+
+/// T-CHIP-3, T-CHIP-4: five radars and a camera every 50 ms, the ego's motion every 10 ms, and every
+/// list is as long as its header says.
+#[test]
+fn frames_come_in_their_cycles() {
+    let mut run = Run::new("cut-in", 1);
+    run.control(1_000, 0.0);
+    let count = |wanted: &dyn Fn(&Message) -> bool| {
+        run.received
+            .iter()
+            .filter(|(_, message)| wanted(message))
+            .count()
+    };
+    assert_eq!(count(&|m| matches!(m, Message::EgoMotion(_))), 100);
+    assert_eq!(count(&|m| matches!(m, Message::CameraLanes(_))), 20);
+    assert_eq!(count(&|m| matches!(m, Message::DriverRequest(_))), 10);
+    for sensor in tandem_bus::SensorId::ALL {
+        let headers = run
+            .received
+            .iter()
+            .filter_map(|(at, message)| match message {
+                Message::SensorHeader(s, header) if *s == sensor => Some((*at, header)),
+                _ => None,
+            });
+        let headers: Vec<_> = headers.collect();
+        assert_eq!(headers.len(), 20, "{sensor:?}");
+        let announced: u32 = headers.iter().map(|(_, h)| u32::from(h.object_count)).sum();
+        let sent = count(&|m| matches!(m, Message::SensorObject(s, _) if *s == sensor));
+        assert_eq!(sent, announced as usize, "{sensor:?}");
+        assert!(
+            headers
+                .iter()
+                .all(|(at, h)| u64::from(h.measured_at) == at * 1_000)
+        );
+        assert!(
+            headers.windows(2).all(|w| w[1].0 - w[0].0 == 50),
+            "{sensor:?}"
+        );
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_frames_and_another_one_does_not() {
+    let frames = |seed| {
+        let mut run = Run::new("stop-and-go", seed);
+        run.control(3_000, -1.0);
+        run.received
+    };
+    assert!(frames(7) == frames(7));
+    assert!(frames(7) != frames(8));
+}
+
+#[test]
+fn a_late_caller_gets_all_that_was_due_and_a_frozen_one_stops_the_world() {
+    let mut run = Run::new("free-lane", 1);
+    run.control(100, 0.0);
+    run.now_ms += 60;
+    run.wait(1);
+    assert!(
+        (run.now().time_s - 0.161).abs() < 1e-9,
+        "{}",
+        run.now().time_s
+    );
+    run.now_ms += 5_000;
+    run.wait(1);
+    assert!(
+        (run.now().time_s - 0.162).abs() < 1e-9,
+        "{}",
+        run.now().time_s
+    );
+    assert_eq!(run.world.stalled_ns(), 5_000 * MS);
+}
+
+/// T-CHIP-7: without a controller the vehicle holds the steering and brakes gently, and it obeys the
+/// next master at once; the former one never again.
+#[test]
+fn without_a_controller_it_brakes_gently_until_the_next_master() {
+    let mut run = Run::new("free-lane", 1);
+    run.control(1_000, 0.0);
+    run.wait(90);
+    assert!(!run.now().fallback);
+    run.wait(1_000);
+    assert!(run.now().fallback);
+    assert!((run.now().acceleration + 2.0).abs() < 0.01);
+    run.send(1, 3, 1.0, 0.0);
+    run.send(0, 2, -9.0, 0.0);
+    run.wait(60);
+    assert!(!run.now().fallback && run.now().request.acceleration == 1.0);
+    assert_eq!(run.now().accepted.map(|a| (a.system, a.term)), Some((1, 3)));
+    let last = run.world.gate_mut().drain_log().next_back().unwrap();
+    assert_eq!((last.system, last.verdict), (0, Verdict::Fenced));
+    assert!(run.world.gate().gap_max_ns(run.now_ms * MS) >= 1_090 * MS);
+}
+
+#[test]
+fn braking_ends_at_a_standstill_and_never_goes_backwards() {
+    let mut run = Run::new("free-lane", 1);
+    run.control(6_000, -8.0);
+    assert_eq!(run.now().speed, 0.0);
+    let place = run.now().pose;
+    run.control(1_000, -8.0);
+    assert_eq!(run.now().pose, place);
+    run.control(2_000, 2.0);
+    assert!(run.now().speed > 2.0);
+    assert!(run.world.metrics().deceleration_max < 8.1);
+}
+
+#[test]
+fn hitting_the_leader_counts_as_one_collision() {
+    let mut run = Run::new("stop-and-go", 1);
+    run.control(20_000, 0.5);
+    assert_eq!(
+        run.world.metrics().collisions,
+        1,
+        "{:?}",
+        run.world.metrics()
+    );
+    assert!(run.world.metrics().ttc_min_s < 0.1);
+}
