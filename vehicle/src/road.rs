@@ -318,3 +318,101 @@ fn join_beyond_the_map(lanes: &mut [Lane]) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+
+    #[test]
+    fn frenet_coordinates_lead_there_and_back() {
+        let scenario = Scenario::load("free-lane").unwrap();
+        for lane in scenario.road().lanes() {
+            for step in 0..400 {
+                let place = Frenet {
+                    s: f64::from(step) * 10.0 - 200.0,
+                    d: f64::from(step % 11) - 5.0,
+                };
+                let point = lane.point(place);
+                for found in [
+                    lane.project(point),
+                    lane.project_near(point, place.s + 30.0),
+                ] {
+                    assert!((found.s - place.s).abs() < 0.05, "{place:?} {found:?}");
+                    assert!((found.d - place.d).abs() < 0.01, "{place:?} {found:?}");
+                }
+            }
+        }
+    }
+
+    /// A lane whose neighbours go on ends; all others go on for ever, side by side.
+    #[test]
+    fn a_lane_drop_ends_and_the_map_does_not() {
+        let scenario = Scenario::load("lane-drop").unwrap();
+        let road = scenario.road();
+        let [drop, middle, left] = road.lanes() else {
+            panic!("three lanes, one of them ends")
+        };
+        let end = drop.end.unwrap();
+        assert!((end - RUN_OUT - 1_050.0).abs() < 3.0, "{end}");
+        assert_eq!((middle.end, left.end), (None, None));
+        assert_eq!(middle.at(end - 10.0).right, Some(LaneId(0)));
+        assert_eq!(middle.at(end + 10.0).right, None);
+        for s in [100.0, 1_000.0, 2_600.0, 4_000.0, 9_000.0] {
+            let beside = left.project(middle.at(s).centre);
+            assert!((beside.d + 3.5).abs() < 0.05, "{s} {beside:?}");
+            assert_eq!(middle.at(s).left, Some(LaneId(2)));
+            assert_eq!(left.at(s).right, Some(LaneId(1)));
+        }
+    }
+
+    #[test]
+    fn a_place_belongs_to_the_nearest_lane_that_exists_there() {
+        let scenario = Scenario::load("lane-drop").unwrap();
+        let road = scenario.road();
+        let drop = road.lane(LaneId(0));
+        let end = drop.end.unwrap();
+        for (s, d, expected) in [
+            (end - 20.0, 1.6, 0),
+            (end - 20.0, 1.9, 1),
+            (end + 20.0, 0.0, 1),
+        ] {
+            let point = drop.point(Frenet { s, d });
+            let (lane, place) = road.locate(point, drop.at(s).heading);
+            assert_eq!(lane, LaneId(expected), "{s} {d} {place:?}");
+        }
+    }
+
+    /// At a fork a lane goes on straight; the branch begins there and is a lane of its own.
+    #[test]
+    fn a_fork_makes_two_lanes() {
+        let lanelet = |id, points: [(f64, f64); 2], successors: &[i64], predecessors: &[i64]| {
+            let bound = |side: f64| points.map(|(x, y)| Vec2::new(x, y + side)).to_vec();
+            Lanelet {
+                id,
+                left: bound(1.75),
+                right: bound(-1.75),
+                predecessors: predecessors.to_vec(),
+                successors: successors.to_vec(),
+                left_neighbour: None,
+                right_neighbour: None,
+                speed_limit: None,
+            }
+        };
+        let road = Road::new(&[
+            lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2, 3], &[]),
+            lanelet(2, [(200.0, 0.0), (400.0, -60.0)], &[], &[1]),
+            lanelet(3, [(200.0, 0.0), (400.0, 2.0)], &[], &[1]),
+        ]);
+        let lanes: Vec<_> = road
+            .lanes()
+            .iter()
+            .map(|lane| lane.lanelets.clone())
+            .collect();
+        assert_eq!(lanes, [vec![1, 3], vec![2]]);
+        assert!(road.lane(LaneId(0)).begin.is_none() && road.lane(LaneId(1)).begin.is_some());
+        assert!(road.lanes().iter().all(|lane| lane.end.is_none()));
+        let (lane, _) = road.locate(Vec2::new(150.0, 0.0), 0.0);
+        assert_eq!(lane, LaneId(0));
+    }
+}

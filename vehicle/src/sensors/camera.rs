@@ -142,3 +142,48 @@ fn solve(mut matrix: [[f64; 5]; 4]) -> [f64; 4] {
     }
     solution
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+    use crate::geometry::Pose;
+    use crate::road::Frenet;
+
+    /// The cubic stays within 10 cm of the centre line on all embedded roads.
+    #[test]
+    fn the_polynomial_follows_the_road() {
+        for name in Scenario::names() {
+            let scenario = Scenario::load(name).unwrap();
+            let road = scenario.road();
+            for index in 0..road.lanes().len() {
+                let lane = road.lane(LaneId(index));
+                for station in (0..2_800).step_by(20).map(f64::from) {
+                    let place = Frenet { s: station, d: 0.4 };
+                    let section = lane.at(station);
+                    let yaw = section.heading + 0.02;
+                    let pose = Pose {
+                        position: lane.point(place),
+                        yaw,
+                    };
+                    let ego = EgoTruth {
+                        pose,
+                        lane: LaneId(index),
+                        place,
+                        ..EgoTruth::default()
+                    };
+                    let c = fit(&ego, road);
+                    for ahead in [0.0, 20.0, 40.0, 60.0, 78.0] {
+                        let point = pose.to_local(lane.at(station + ahead).centre);
+                        let x = point.x;
+                        let y = c[0] + c[1] * x + c[2] * x * x + c[3] * x * x * x;
+                        assert!(
+                            (y - point.y).abs() < 0.1,
+                            "{name} {station} {ahead}: {y} {point:?}"
+                        );
+                    }
+                }
+            }
+        }
+    }
+}

@@ -8,17 +8,37 @@ use tandem_vehicle::{LaneId, Snapshot, World};
 /// m, between the axles.
 const WHEELBASE: f64 = 2.579;
 
+/// How the driver drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Manner {
+    /// As one should.
+    Normal,
+    /// Brakes to a standstill after 5 s and stays there.
+    StopsInLane,
+    /// At 60 percent of the speed that the others expect.
+    Dawdles,
+    /// Takes every gap beside.
+    ChangesLanes,
+    /// Sends one frame and then nothing: the vehicle helps itself.
+    Absent,
+}
+
 /// Follows the leader by the Intelligent Driver Model and the lane by pure pursuit (Coulter 1992).
 pub(crate) struct ReferenceDriver {
+    manner: Manner,
     transmitter: Transmitter,
     lane: Option<LaneId>,
+    /// When the lane was chosen, s.
+    chosen_s: f64,
 }
 
 impl ReferenceDriver {
-    pub(crate) fn new() -> Self {
+    pub(crate) fn new(manner: Manner) -> Self {
         Self {
+            manner,
             transmitter: Transmitter::new(),
             lane: None,
+            chosen_s: 0.0,
         }
     }
 
@@ -26,16 +46,28 @@ impl ReferenceDriver {
     pub(crate) fn control(&mut self, world: &World) -> tandem_bus::Encoded {
         let now = world.snapshot();
         let target = self.choose_lane(world);
+        let silent = self.manner == Manner::Absent && now.running;
         let control = Control {
-            role: Role::Master,
+            role: if silent { Role::Standby } else { Role::Master },
             mode: Mode::L3,
             term: 2,
             steering_angle: steering(world, now, target) as f32,
-            acceleration: acceleration(world, now, target) as f32,
+            acceleration: self.acceleration(world, target) as f32,
             ..Control::default()
         };
         self.transmitter
             .encode(&Message::Control { system: 0, control })
+    }
+
+    fn acceleration(&self, world: &World, target: LaneId) -> f64 {
+        let now = world.snapshot();
+        let desired_speed = match self.manner {
+            Manner::Dawdles => 0.6 * world.set_speed(),
+            _ => world.set_speed(),
+        };
+        let wanted = acceleration(world, now, target, desired_speed);
+        let stops = self.manner == Manner::StopsInLane && now.time_s > 5.0;
+        if stops { wanted.min(-2.5) } else { wanted }
     }
 
     /// Leaves a lane that ends as soon as there is a gap beside it.
@@ -44,7 +76,8 @@ impl ReferenceDriver {
         let target = *self.lane.get_or_insert(now.lane);
         let road = world.road();
         let station = |lane| road.lane(lane).project(now.pose.position).s;
-        if road.distance_to_end(target, station(target)) > 600.0 {
+        let restless = self.manner == Manner::ChangesLanes && now.time_s > self.chosen_s + 7.0;
+        if !restless && road.distance_to_end(target, station(target)) > 600.0 {
             return target;
         }
         let section = road.lane(target).at(station(target));
@@ -57,7 +90,7 @@ impl ReferenceDriver {
             room(ahead.gap, now.speed - ahead.speed) && room(behind.gap, behind.speed - now.speed)
         };
         if let Some(lane) = beside.filter(goes_on).find(free) {
-            self.lane = Some(lane);
+            (self.lane, self.chosen_s) = (Some(lane), now.time_s);
         }
         self.lane.unwrap_or(target)
     }
@@ -97,9 +130,9 @@ fn neighbours(world: &World, now: &Snapshot, lane: LaneId) -> (Leader, Leader) {
     (ahead, behind)
 }
 
-fn acceleration(world: &World, now: &Snapshot, target: LaneId) -> f64 {
+fn acceleration(world: &World, now: &Snapshot, target: LaneId, desired_speed: f64) -> f64 {
     let driver = Driver {
-        desired_speed: world.set_speed(),
+        desired_speed,
         time_gap: 1.3,
         ..Driver::CAR
     };
