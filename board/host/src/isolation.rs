@@ -7,7 +7,6 @@
 //! all dead, which is when their lock is free.
 
 use core::fmt;
-use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;
 use std::io;
@@ -23,15 +22,13 @@ use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
 use rustix::process::{getegid, geteuid};
 use rustix::thread::UnshareFlags;
 
-use crate::name::{RUN_PREFIX, RunName};
+use crate::name::RunName;
 
 const SHM: &str = "/dev/shm";
 const TMP: &str = "/tmp";
 /// Bytes that a run needs there, and some.
 const SPACE: u64 = 8 << 20;
 const LOCK_SUFFIX: &str = ".lock";
-/// Beginnings of file names that a run (or iceoryx2 in it) could leave behind.
-const TRACES: [&str; 3] = [RUN_PREFIX, "iox2_", "iceoryx2"];
 
 /// Why a run cannot have shared memory.
 #[derive(Debug, thiserror::Error)]
@@ -48,7 +45,6 @@ pub struct Isolation {
     place: Place,
     /// The machine's `/dev/shm` and `/tmp`, as they are outside.
     outside: [OwnedFd; 2],
-    before: BTreeSet<String>,
 }
 
 #[derive(Debug)]
@@ -87,7 +83,6 @@ fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, Isolatio
     let run = RunName::unique();
     let outside = [open_folder(SHM)?, open_folder(TMP)?];
     sweep(&outside[0]);
-    let before = traces(&outside);
     let place = match unshare() {
         Ok(()) => Place::Private,
         Err(refused) => {
@@ -103,7 +98,6 @@ fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, Isolatio
         run,
         place,
         outside,
-        before,
     })
 }
 
@@ -133,13 +127,16 @@ impl Isolation {
         }
     }
 
-    /// Names in the machine's `/dev/shm` and `/tmp` that look like ours and were not there before.
+    /// Files of this run in the machine's `/dev/shm` and `/tmp`.
     #[must_use]
     pub fn leftovers(&self) -> Vec<String> {
-        traces(&self.outside)
-            .difference(&self.before)
-            .cloned()
-            .collect()
+        let mut found = vec![];
+        for (folder, path) in self.outside.iter().zip([SHM, TMP]) {
+            // All that a process of the run creates has the run's name in its own.
+            let own = names(folder).filter(|name| name.contains(self.run.as_str()));
+            found.extend(own.map(|name| format!("{path}/{name}")));
+        }
+        found
     }
 }
 
@@ -267,19 +264,6 @@ fn remove(folder: &OwnedFd, run: &str) {
         let _ = unlinkat(folder, &*name, AtFlags::empty());
     }
     let _ = unlinkat(folder, lock.as_str(), AtFlags::empty());
-}
-
-fn traces(folders: &[OwnedFd; 2]) -> BTreeSet<String> {
-    let mut found = BTreeSet::new();
-    for (folder, path) in folders.iter().zip([SHM, TMP]) {
-        let ours = |name: &String| TRACES.iter().any(|start| name.starts_with(start));
-        found.extend(
-            names(folder)
-                .filter(ours)
-                .map(|name| format!("{path}/{name}")),
-        );
-    }
-    found
 }
 
 fn names(folder: &OwnedFd) -> impl Iterator<Item = String> {

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 /// What the names of all runs begin with.
-pub(crate) const RUN_PREFIX: &str = "tandem-";
+const RUN_PREFIX: &str = "tandem-";
 
 /// The name of one run on this machine: `tandem-` and up to 40 letters, digits and dashes.
 ///

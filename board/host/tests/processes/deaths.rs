@@ -172,7 +172,7 @@ fn kill_core_0(script: &mut Script) {
     script.await_life(A, 1);
     let first = CoreId::ALL.map(|core| script.pid(A, core));
     for life in 2..4 {
-        signal(script.pid(A, CONTROL), Signal::KILL);
+        script.signal(A, CONTROL, Signal::KILL);
         script.until("level falls", |script| !script.world.is_powered(A));
         script.await_life(A, life);
         assert!(script.world.is_powered(A));
@@ -206,7 +206,7 @@ fn supervise(board: &HostBoard) {
 fn kill_core_1(script: &mut Script) {
     await_start(script, A, 1);
     script.await_life(A, 1);
-    signal(script.pid(A, PERCEPTION), Signal::KILL);
+    script.signal(A, PERCEPTION, Signal::KILL);
     script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
     script.rest(60);
     assert_eq!(script.generation(A, CONTROL).0, 1, "nobody else resets");
@@ -221,7 +221,7 @@ fn kill_core_1(script: &mut Script) {
 /// T-CHIP-6: a hang, whoever hangs: nothing but the missing service tells.
 fn freeze(script: &mut Script) {
     await_start(script, B, 1);
-    signal(script.pid(B, CONTROL), Signal::STOP);
+    script.signal(B, CONTROL, Signal::STOP);
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
 }
 
@@ -356,7 +356,7 @@ fn answer_rings(board: &HostBoard) {
 fn reset_and_ring(script: &mut Script) {
     for life in 1..5 {
         while script.await_trace(A, CONTROL, ANSWER)[1] != life {}
-        signal(script.pid(A, CONTROL), Signal::KILL);
+        script.signal(A, CONTROL, Signal::KILL);
     }
 }
 

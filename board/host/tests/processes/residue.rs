@@ -242,17 +242,16 @@ fn kill_while_starting(place: &str) -> Outcome {
 
 fn two_runs() -> Outcome {
     let folder = tempfile::tempdir()?;
-    let lasting = start(folder.path(), "shared", 9)?;
+    let mut lasting = start(folder.path(), "shared", 9)?;
     let case = stage::all_cases().find(|case| case.name == "a_short_run_ends_by_itself");
-    stage::run_case(case.expect("a known case"))?;
-    assert_eq!(
-        processes::of_run(&lasting.run).len(),
-        9,
-        "the first is untouched"
-    );
-    let mut launcher = lasting.launcher;
-    signal(launcher.id(), Signal::INT);
-    until("the launcher ends", || launcher.try_wait().ok().flatten())?;
+    let second = stage::run_case(case.expect("a known case"));
+    let first = processes::of_run(&lasting.run).len();
+    signal(lasting.launcher.id(), Signal::INT);
+    until("the launcher ends", || {
+        lasting.launcher.try_wait().ok().flatten()
+    })?;
     gone(&lasting.run)?;
+    second?;
+    assert_eq!(first, 9, "the first is untouched");
     Ok(())
 }

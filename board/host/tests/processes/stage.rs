@@ -6,6 +6,7 @@ use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use rustix::process::Signal;
 use tandem_board::{Board, CoreId, Generation, SystemId};
 use tandem_board_host::{
     HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, Traced, WorldPort, clock, isolation,
@@ -218,6 +219,14 @@ impl Script {
         self.world.backplane().core_pid(system, core)
     }
 
+    /// Signals a core as soon as its supply has entered it.
+    pub(crate) fn signal(&mut self, system: SystemId, core: CoreId, what: Signal) {
+        self.until("the core has a process", |script| {
+            script.pid(system, core) != 0
+        });
+        signal(self.pid(system, core), what);
+    }
+
     pub(crate) fn generation(&self, system: SystemId, core: CoreId) -> Generation {
         self.world.backplane().generation(system, core)
     }
@@ -233,7 +242,7 @@ impl Script {
     }
 }
 
-pub(crate) fn signal(pid: u32, signal: rustix::process::Signal) {
+pub(crate) fn signal(pid: u32, signal: Signal) {
     let pid = rustix::process::Pid::from_raw(pid as i32).expect("a process");
     rustix::process::kill_process(pid, signal).expect("the process is there");
 }
