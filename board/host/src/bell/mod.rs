@@ -4,6 +4,8 @@
 //! which life is the current one, so that a core that was reset is found again and one that is dead
 //! is rung in vain, which is what ringing a dead core means.
 
+#[cfg(test)]
+mod measure;
 mod trigger;
 
 use core::fmt;
