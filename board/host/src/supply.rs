@@ -37,9 +37,8 @@ use crate::wire::SERVICE_WORDS;
 
 /// How often the supply looks at its registers.
 const PERIOD: Duration = Duration::from_ms(1);
-/// A supply that did not look for longer than this was itself held up (stopped, or the machine was) and
-/// starts its watch anew.
-const OVERSLEPT: Duration = Duration::from_ms(10);
+/// A supply that is later than this was held up itself: it was stopped, or the machine was.
+const HELD_UP: Duration = Duration::from_ms(50);
 /// Shortest time that a reset holds the system down. It also gives the bus time to drop what the dead
 /// cores had not sent.
 const SHORTEST_PAUSE: Duration = Duration::from_ms(20);
@@ -107,7 +106,10 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         pause: SHORTEST_PAUSE,
         peer,
     };
-    backplane.clear_received_edges(args.system);
+    if power_on > 1 {
+        // At the first one nothing is older than the run, and the other system may be on already.
+        backplane.clear_received_edges(args.system);
+    }
     supply.work(&vehicle);
     Ok(())
 }
@@ -170,8 +172,11 @@ impl Supply<'_> {
         loop {
             self.sleep(vehicle.fd(), next);
             let now = clock::now();
-            if now.since(next) > OVERSLEPT {
-                self.start_watch_anew(now);
+            let late = now.since(next);
+            if let State::On { watchdog, .. } = &mut self.state
+                && late > HELD_UP
+            {
+                watchdog.excuse(late);
             }
             if now >= next {
                 // Ticks that were missed carry nothing.
@@ -245,18 +250,6 @@ impl Supply<'_> {
         }
     }
 
-    fn start_watch_anew(&mut self, now: Instant) {
-        let State::On { watchdog, .. } = &mut self.state else {
-            return;
-        };
-        let mut unjudged = 0;
-        while let Some(service) = self.services.receive() {
-            service.release();
-            unjudged += 1;
-        }
-        watchdog.forgive(now, unjudged);
-    }
-
     fn watchdog(&mut self, now: Instant) -> Result<(), WatchdogFault> {
         let State::On { watchdog, .. } = &mut self.state else {
             return Ok(());
@@ -303,7 +296,7 @@ impl Supply<'_> {
         self.backplane.take_reset_request(self.args.system);
         self.state = State::On {
             since: now,
-            watchdog: Watchdog::new(now, 0),
+            watchdog: Watchdog::new(now),
         };
         self.set_level(self.args.system, true);
         for core in CoreId::ALL {

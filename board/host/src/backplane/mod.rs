@@ -94,6 +94,12 @@ impl Backplane {
         Ok(backplane)
     }
 
+    /// Removes the backplane of a run that a test has made.
+    #[cfg(test)]
+    pub(crate) fn remove(run: &RunName) {
+        Segment::<WORDS>::remove(run, NAME).unwrap();
+    }
+
     fn run(self, register: Run) -> &'static AtomicU32 {
         &self.words[layout::run(register)]
     }

@@ -187,3 +187,74 @@ fn file(of: Identity) -> FileName {
     // Letters, digits and dashes: always a valid name. The fallback only keeps it total.
     FileName::new(name.as_bytes()).unwrap_or_else(|_| BellEvent::default_prefix())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::sync::atomic::AtomicBool;
+    use iceoryx2_bb_posix::access_mode::AccessMode;
+    use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
+    use std::thread;
+    use tandem_board::Duration;
+
+    const OF: Identity = Identity {
+        system: SystemId::A,
+        core: CoreId::PLANNING,
+        generation: Generation(1),
+    };
+
+    /// The state that iceoryx2 keeps of an event, as a stalled notifier would reach it.
+    fn state_of(run: &RunName) -> EventStorage {
+        let suffix = FileName::new(b".trigger_mgmt").unwrap();
+        let config = shm::Configuration::default()
+            .prefix(&segment::prefix(run))
+            .suffix(&suffix);
+        <EventStorage as DynamicStorage<_>>::Builder::new(&file(OF))
+            .config(&config)
+            .has_ownership(false)
+            .open(AccessMode::ReadWrite)
+            .unwrap()
+    }
+
+    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and does so
+    /// when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
+    #[test]
+    fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
+        const NOTIFIED: u8 = 2;
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        let bell = Bell::hang(&run, OF).unwrap();
+        backplane.set_bell_generation(OF.system, OF.core, OF.generation);
+        let asleep = AtomicBool::new(false);
+        thread::scope(|scope| {
+            let sleeper = scope.spawn(|| {
+                let patience = clock::now() + Duration::from_ms(10_000);
+                asleep.store(true, SeqCst);
+                bell.wait(patience) && clock::now() < patience
+            });
+            while !asleep.load(SeqCst) {
+                thread::yield_now();
+            }
+            thread::sleep(Span::from_millis(50));
+            state_of(&run)
+                .get()
+                .notification_state
+                .store(NOTIFIED, SeqCst);
+            Ringers::new(&run).ring(backplane, OF.system, OF.core);
+            assert!(sleeper.join().unwrap(), "slept through a ring");
+        });
+        Backplane::remove(&run);
+    }
+
+    #[test]
+    fn a_bell_that_never_hung_is_rung_in_vain() {
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        let ringers = Ringers::new(&run);
+        ringers.ring(backplane, OF.system, OF.core);
+        // The life is announced, but what it left is gone.
+        backplane.set_bell_generation(OF.system, OF.core, Generation(7));
+        ringers.ring(backplane, OF.system, OF.core);
+        Backplane::remove(&run);
+    }
+}

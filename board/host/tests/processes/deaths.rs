@@ -173,7 +173,6 @@ fn kill_core_0(script: &mut Script) {
     let first = CoreId::ALL.map(|core| script.pid(A, core));
     for life in 2..4 {
         script.signal(A, CONTROL, Signal::KILL);
-        script.until("level falls", |script| !script.world.is_powered(A));
         script.await_life(A, life);
         assert!(script.world.is_powered(A));
         assert_eq!(await_start(script, A, life), (ResetCause::Trap, 0));

@@ -1,6 +1,5 @@
 //! What a run leaves behind: nothing, whoever is killed and whenever.
 
-use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Child;
 use std::thread;
@@ -60,17 +59,6 @@ pub(crate) fn trials() -> Vec<Trial> {
 
 type Outcome = Result<(), libtest_mimic::Failed>;
 
-fn outside() -> BTreeSet<String> {
-    ["/dev/shm", "/tmp"]
-        .iter()
-        .flat_map(|folder| std::fs::read_dir(folder).into_iter().flatten().flatten())
-        .map(|entry| entry.path().to_string_lossy().into_owned())
-        .filter(|path| {
-            path.contains("tandem-") || path.contains("iox2") || path.contains("iceoryx")
-        })
-        .collect()
-}
-
 /// A run of this launcher, once it has any process besides.
 struct Started {
     launcher: Child,
@@ -119,8 +107,8 @@ fn gone(run: &RunName) -> Result<(), String> {
 
 fn interrupt(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
-    let before = outside();
     let mut started = start(folder.path(), place, 9)?;
+    let launchers = [started.launcher.id()];
     signal(started.launcher.id(), Signal::INT);
     let status = until("the launcher ends", || {
         started.launcher.try_wait().ok().flatten()
@@ -129,12 +117,22 @@ fn interrupt(place: &str) -> Outcome {
         return Err(format!("{status}").into());
     }
     gone(&started.run)?;
-    assert_clean(&before)
+    assert_clean(&launchers)
 }
 
-fn assert_clean(before: &BTreeSet<String>) -> Outcome {
-    let mine = |path: &&String| !before.contains(*path) && is_stale(path);
-    let left: Vec<String> = outside().iter().filter(mine).cloned().collect();
+/// No file in the machine's folders bears the name of a run that one of these launchers started.
+fn assert_clean(launchers: &[u32]) -> Outcome {
+    let own = |name: &String| {
+        launchers
+            .iter()
+            .any(|pid| name.contains(&format!("tandem-{pid}-")))
+    };
+    let left: Vec<String> = ["/dev/shm", "/tmp"]
+        .iter()
+        .flat_map(|folder| std::fs::read_dir(folder).into_iter().flatten().flatten())
+        .map(|entry| entry.path().to_string_lossy().into_owned())
+        .filter(own)
+        .collect();
     if left.is_empty() {
         Ok(())
     } else {
@@ -142,25 +140,12 @@ fn assert_clean(before: &BTreeSet<String>) -> Outcome {
     }
 }
 
-/// Files of runs that other tests have under way are no residue.
-fn is_stale(path: &str) -> bool {
-    let name = path.rsplit('/').next().unwrap_or(path);
-    let alive = processes::list();
-    let launcher = name
-        .strip_prefix("tandem-")
-        .and_then(|rest| rest.split('-').next());
-    let launcher_lives = launcher.is_some_and(|pid| Path::new(&format!("/proc/{pid}")).exists());
-    !launcher_lives
-        && !alive
-            .iter()
-            .any(|process| name.starts_with(process.run.as_str()))
-}
-
 fn kill_all(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
-    let before = outside();
+    let mut launchers = vec![];
     for _ in 0..3 {
         let mut started = start(folder.path(), place, 9)?;
+        launchers.push(started.launcher.id());
         signal(started.launcher.id(), Signal::KILL);
         for process in processes::of_run(&started.run) {
             signal(process.pid, Signal::KILL);
@@ -170,18 +155,19 @@ fn kill_all(place: &str) -> Outcome {
     }
     // The next run starts by itself, and sweeps what a shared place kept.
     let mut next = start(folder.path(), place, 9)?;
+    launchers.push(next.launcher.id());
     signal(next.launcher.id(), Signal::INT);
     let status = until("the launcher ends", || {
         next.launcher.try_wait().ok().flatten()
     })?;
     assert!(status.success(), "{status}");
-    assert_clean(&before)
+    assert_clean(&launchers)
 }
 
 fn orphan(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
-    let before = outside();
     let mut started = start(folder.path(), place, 9)?;
+    let launchers = [started.launcher.id()];
     signal(started.launcher.id(), Signal::KILL);
     started.launcher.wait()?;
     thread::sleep(Duration::from_millis(300));
@@ -193,14 +179,15 @@ fn orphan(place: &str) -> Outcome {
         .expect("a vehicle");
     signal(vehicle.pid, Signal::KILL);
     gone(&started.run)?;
-    assert_clean(&before)
+    assert_clean(&launchers)
 }
 
 fn kill_while_starting(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
-    let before = outside();
+    let mut launchers = vec![];
     for round in 0..20_u64 {
         let mut launcher = start_launcher(LASTING.name, folder.path(), place);
+        launchers.push(launcher.id());
         let prefix = format!("tandem-{}-", launcher.id());
         thread::sleep(Duration::from_micros(round * 1_300));
         let ours = || -> Vec<processes::Process> {
@@ -233,11 +220,12 @@ fn kill_while_starting(place: &str) -> Outcome {
     }
     // A start after all that works, and sweeps.
     let mut next = start(folder.path(), place, 9)?;
+    launchers.push(next.launcher.id());
     signal(next.launcher.id(), Signal::INT);
     until("the launcher ends", || {
         next.launcher.try_wait().ok().flatten()
     })?;
-    assert_clean(&before)
+    assert_clean(&launchers)
 }
 
 fn two_runs() -> Outcome {

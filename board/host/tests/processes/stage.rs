@@ -30,6 +30,8 @@ pub(crate) struct Case {
 pub(crate) struct Script {
     pub(crate) world: WorldPort,
     pub(crate) run: RunName,
+    pub(crate) case: String,
+    pub(crate) folder: OsString,
     /// Trace records that nobody has waited for yet.
     traced: Vec<Traced>,
 }
@@ -40,6 +42,7 @@ pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
         .chain(crate::deaths::CASES)
         .chain(crate::residue::CASES)
         .copied()
+        .chain(crate::conformance::cases())
 }
 
 fn case(name: &str) -> Case {
@@ -110,7 +113,7 @@ pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
             ..Schedule::default()
         },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
-        extra: vec![name.clone()],
+        extra: vec![name.clone(), folder.into()],
     };
     launcher.start(&plan, &again).expect("start");
     let ended = launcher.wait();
@@ -146,6 +149,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 return ExitCode::FAILURE;
             }
         }
+        ProcessArgs::Core(args) if crate::conformance::play(&name, &args) => {}
         ProcessArgs::Core(args) => match HostBoard::attach(&args) {
             Ok(board) => (case.core)(&board),
             Err(error) => {
@@ -165,6 +169,8 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                     let mut script = Script {
                         world,
                         run: args.common.run.clone(),
+                        case: name,
+                        folder: args.common.extra[1].clone(),
                         traced: vec![],
                     };
                     script.world.set_ignition(true);
