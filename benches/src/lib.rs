@@ -1,7 +1,16 @@
 //! Measurements: floors, peers, and what Tandem adds, by one harness in one run.
+//!
+//! Two ends pass 4 bytes to and fro (see [`harness`]); the [`cases`] differ only in how.
+#![allow(
+    clippy::expect_used,
+    reason = "an end that cannot start panics; its process dies and the case is reported as failed"
+)]
 
+pub mod cases;
 pub mod clock;
+pub mod command;
 pub mod floor;
 pub mod harness;
 pub mod peers;
+pub mod result;
 pub mod tandem;

@@ -130,12 +130,7 @@ impl End for Core {
 pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Vec<u32>> {
     let life = next_life();
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start = |core, peer| {
-        move |_: &Shared| {
-            let core = Core::start(system, core, peer, life, policy);
-            core
-        }
-    };
+    let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy);
     between_processes(plan, start(a, b), start(b, a))
 }
 
