@@ -259,8 +259,11 @@ fn sweep(shm: &OwnedFd) {
 /// Removes all files of a run, its lock file last: as long as that is there, a sweep finds the rest.
 fn remove(folder: &OwnedFd, run: &str) {
     let lock = format!("{run}{LOCK_SUFFIX}");
-    let own = |name: &str| name.starts_with(&format!("{run}_"));
-    for name in names(folder).filter(|name| own(name)) {
+    let own = |name: &String| {
+        let rest = name.strip_prefix(run);
+        rest.is_some_and(|rest| rest.starts_with(['_', '.'])) && *name != lock
+    };
+    for name in names(folder).filter(own) {
         let _ = unlinkat(folder, &*name, AtFlags::empty());
     }
     let _ = unlinkat(folder, lock.as_str(), AtFlags::empty());

@@ -10,12 +10,15 @@ use tandem_board::{
 };
 use tandem_board_host::{HostBoard, clock, processes};
 
-use crate::stage::{Case, Script, await_interrupt, idle, live, serve, signal};
+use crate::stage::{Case, GRANTED, Script, await_interrupt, idle, live, serve, signal};
 
 use SystemId::{A, B};
 
 const CONTROL: CoreId = CoreId::CONTROL;
 const PERCEPTION: CoreId = CoreId::PERCEPTION;
+
+/// The case whose processes claim real time.
+pub(crate) const REALTIME: &str = "with_real_time_if_permitted";
 
 pub(crate) const CASES: &[Case] = &[
     Case {
@@ -82,6 +85,11 @@ pub(crate) const CASES: &[Case] = &[
         name: "an_early_death_is_survived",
         core: live,
         vehicle: kill_at_the_start,
+    },
+    Case {
+        name: REALTIME,
+        core: live,
+        vehicle: check_policy,
     },
     Case {
         name: "the_processes_can_be_listed",
@@ -455,4 +463,27 @@ fn list(script: &mut Script) {
     let all = processes::of_run(&run);
     assert!(all.iter().all(|process| process.cpu.is_some()));
     assert!(all.iter().any(|process| process.pid == std::process::id()));
+}
+
+/// All processes but the launcher have the policy that they were granted, and drive on with it.
+fn check_policy(script: &mut Script) {
+    const FIFO: &str = "1";
+    for system in SystemId::ALL {
+        for core in CoreId::ALL {
+            let granted = script.await_trace(system, core, GRANTED)[1] == 1;
+            script.until("the core is entered", |script| {
+                script.pid(system, core) != 0
+            });
+            let pid = script.pid(system, core);
+            let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("its state");
+            // Field 41 of proc(5): the policy; 40 fields are before it, 2 of them up to the bracket.
+            let fields = stat.rsplit_once(')').expect("a name").1;
+            let policy = fields.split_whitespace().nth(38).expect("a policy");
+            assert_eq!(policy == FIFO, granted, "{system}{core}");
+        }
+    }
+    script.rest(300);
+    for system in SystemId::ALL {
+        assert_eq!(script.generation(system, CONTROL).0, 1);
+    }
 }

@@ -18,6 +18,9 @@ pub(crate) const LAUNCH: &str = "launch";
 /// How long anything may take before it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 
+/// First trace record of every core in the case of that name: whether it was granted real-time priority.
+pub(crate) const GRANTED: u32 = 1_000;
+
 /// One case: what every core does, and the script.
 #[derive(Clone, Copy)]
 pub(crate) struct Case {
@@ -109,7 +112,7 @@ pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
     let mut launcher = Launcher::prepare_in(place.expect("place")).expect("launcher");
     let plan = Plan {
         schedule: Schedule {
-            realtime: false,
+            realtime: name == crate::deaths::REALTIME,
             ..Schedule::default()
         },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
@@ -151,7 +154,13 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
         }
         ProcessArgs::Core(args) if crate::conformance::play(&name, &args) => {}
         ProcessArgs::Core(args) => match HostBoard::attach(&args) {
-            Ok(board) => (case.core)(&board),
+            Ok(board) => {
+                let grant = args.claim();
+                if case.name == crate::deaths::REALTIME {
+                    board.trace([GRANTED, u32::from(grant.is_realtime()), 0, 0]);
+                }
+                (case.core)(&board);
+            }
             Err(error) => {
                 eprintln!("core: {error}");
                 return ExitCode::FAILURE;
@@ -164,6 +173,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 eprintln!("the vehicle hangs");
                 std::process::exit(9);
             });
+            let _ = args.claim();
             match WorldPort::attach(&args) {
                 Ok(world) => {
                     let mut script = Script {
