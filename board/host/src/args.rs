@@ -41,8 +41,8 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// What a core of a run with this schedule would be granted, tried on a thread of its own. For the
-    /// line that a start prints.
+    /// What a core of a run with this schedule would be granted, tried on a thread of its own. For
+    /// the line that a start prints.
     ///
     /// Starts a thread, so it comes after [`isolation::enter`](crate::isolation::enter).
     #[must_use]

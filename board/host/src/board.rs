@@ -70,8 +70,8 @@ pub struct HostBoard {
 impl HostBoard {
     /// Attaches this process as the core that `args` says, in the life that `args` says.
     ///
-    /// From then on the core's doorbell can be rung. A process attaches once: the memory stays mapped
-    /// until it ends.
+    /// From then on the core's doorbell can be rung. A process attaches once: the memory stays
+    /// mapped until it ends.
     ///
     /// # Errors
     /// [`AttachError`] if the run is over, or something of it cannot be mapped or opened.
@@ -173,8 +173,8 @@ impl Board for HostBoard {
     }
 }
 
-/// The name of the LMU: a new one for each power-on, so that a supply which was killed half-way leaves
-/// nothing that the next one could trip over.
+/// The name of the LMU: a new one for each power-on, so that a supply which was killed half-way
+/// leaves nothing that the next one could trip over.
 fn lmu_name(system: SystemId, power_on: u32) -> String {
     format!("lmu-{system}-{power_on}")
 }

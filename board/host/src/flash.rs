@@ -43,9 +43,9 @@ pub enum FlashFileError {
 
 /// The data flash of a system in a file.
 ///
-/// A background thread does what was started and calls `fdatasync`, so that "idle" means durable. The
-/// death of the process at any time leaves in the range of the operation what NOR flash leaves there:
-/// any mixture of old and new.
+/// A background thread does what was started and calls `fdatasync`, so that "idle" means durable.
+/// The death of the process at any time leaves in the range of the operation what NOR flash leaves
+/// there: any mixture of old and new.
 #[derive(Debug)]
 pub struct HostFlash {
     file: Arc<File>,

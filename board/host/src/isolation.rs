@@ -1,10 +1,10 @@
 //! Where the files of a run live, so that nothing is left behind whatever happens.
 //!
-//! If permitted, the run gets a mount namespace with a `/dev/shm` of its own: when its last process has
-//! died, by whatever means, the kernel removes all of it. If not (as in most containers), the files lie
-//! in the machine's `/dev/shm` under the run's name, beside a lock file that all processes of the run
-//! hold open. The run wipes them at its end, and every start sweeps what runs left whose processes are
-//! all dead, which is when their lock is free.
+//! If permitted, the run gets a mount namespace with a `/dev/shm` of its own: when its last process
+//! has died, by whatever means, the kernel removes all of it. If not (as in most containers), the
+//! files lie in the machine's `/dev/shm` under the run's name, beside a lock file that all
+//! processes of the run hold open. The run wipes them at its end, and every start sweeps what runs
+//! left whose processes are all dead, which is when their lock is free.
 
 use core::fmt;
 use std::ffi::OsStr;
@@ -53,15 +53,15 @@ enum Place {
     Private,
     /// The machine's.
     Shared {
-        /// Held open by every process of the run; dropping it here does not free the lock as long as
-        /// one lives.
+        /// Held open by every process of the run; dropping it here does not free the lock as long
+        /// as one lives.
         _lock: OwnedFd,
         refused: String,
     },
 }
 
-/// Gives the calling process, and all that it starts, a place for the files of a new run: one of its
-/// own if that is permitted.
+/// Gives the calling process, and all that it starts, a place for the files of a new run: one of
+/// its own if that is permitted.
 ///
 /// To be called first thing, before the process has threads.
 ///
@@ -184,8 +184,8 @@ fn unshare() -> Result<(), String> {
 }
 
 fn unshare_flags(flags: UnshareFlags) -> rustix::io::Result<()> {
-    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared between
-    // threads (CLONE_FILES), which is not asked for here.
+    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared
+    // between threads (CLONE_FILES), which is not asked for here.
     unsafe { rustix::thread::unshare_unsafe(flags) }
 }
 
@@ -256,7 +256,8 @@ fn sweep(shm: &OwnedFd) {
     }
 }
 
-/// Removes all files of a run, its lock file last: as long as that is there, a sweep finds the rest.
+/// Removes all files of a run, its lock file last: as long as that is there, a sweep finds the
+/// rest.
 fn remove(folder: &OwnedFd, run: &str) {
     let lock = format!("{run}{LOCK_SUFFIX}");
     let own = |name: &String| {

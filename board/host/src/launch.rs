@@ -232,8 +232,8 @@ impl Launcher {
         }
     }
 
-    /// Ends the run: powers the systems down, kills what does not go, waits for all, wipes the files,
-    /// and looks what is left all the same.
+    /// Ends the run: powers the systems down, kills what does not go, waits for all, wipes the
+    /// files, and looks what is left all the same.
     pub fn finish(mut self) -> Leftovers {
         self.end()
     }
@@ -246,7 +246,8 @@ impl Launcher {
         let mut processes = processes::of_run(self.isolation.run());
         if !all_gone || !processes.is_empty() {
             let deadline = Instant::now() + KILL_GRACE;
-            // Supplies first would be enough; repeated, because a supply may just be starting a core.
+            // Supplies first would be enough; repeated, because a supply may just be starting a
+            // core.
             while !processes.is_empty() && Instant::now() < deadline {
                 for process in &processes {
                     if let Some(pid) = i32::try_from(process.pid).ok().and_then(Pid::from_raw) {

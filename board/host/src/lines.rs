@@ -46,8 +46,8 @@ impl Lines for HostLines {
     }
 }
 
-/// A system's end of the data link. It is wired to core 0: on the other cores nothing can be sent and
-/// nothing arrives.
+/// A system's end of the data link. It is wired to core 0: on the other cores nothing can be sent
+/// and nothing arrives.
 #[derive(Debug)]
 pub struct HostLink {
     backplane: Backplane,

@@ -51,8 +51,8 @@ pub struct Process {
 
 /// All processes of all runs, ordered by run, system (the vehicle last), supply before cores.
 ///
-/// What is seen is what the caller may see of `/proc`. Processes that have ended but were not waited
-/// for are left out.
+/// What is seen is what the caller may see of `/proc`. Processes that have ended but were not
+/// waited for are left out.
 #[must_use]
 pub fn list() -> Vec<Process> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
@@ -117,8 +117,8 @@ fn look_at(pid: u32) -> Option<Process> {
     })
 }
 
-/// From the line of `/proc/PID/stat` (proc(5)): field 3 and field 39. Field 2, the name, may contain
-/// anything, so fields are counted from its closing bracket.
+/// From the line of `/proc/PID/stat` (proc(5)): field 3 and field 39. Field 2, the name, may
+/// contain anything, so fields are counted from its closing bracket.
 fn state_and_cpu(stat: &str) -> Option<(String, Option<u32>)> {
     let mut fields = stat.rsplit_once(')')?.1.split_whitespace();
     let state = fields.next()?.to_owned();

@@ -59,8 +59,8 @@ impl fmt::Display for Grant {
 /// How much stack is touched in advance, in bytes: more than a core's deepest cycle.
 const STACK: usize = 256 * 1024;
 
-/// Claims for the calling thread (and the memory of its process) what `claim` says, and returns what
-/// was granted. Threads that are started afterwards inherit the CPU, not the priority.
+/// Claims for the calling thread (and the memory of its process) what `claim` says, and returns
+/// what was granted. Threads that are started afterwards inherit the CPU, not the priority.
 ///
 /// Memory is locked as it is touched, not all at once: what a killed process has touched must be
 /// given back before anybody hears of its death (some 58 µs for a MiB).

@@ -32,8 +32,8 @@ impl<const N: usize> fmt::Debug for Words<N> {
     }
 }
 
-// SAFETY: an array of 32-bit atomics with a C layout: self-contained, the same in every process, and
-// valid for any bit pattern.
+// SAFETY: an array of 32-bit atomics with a C layout: self-contained, the same in every process,
+// and valid for any bit pattern.
 unsafe impl<const N: usize> ZeroCopySend for Words<N> {}
 
 /// Why a segment could not be created, opened or removed.
@@ -101,8 +101,8 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Removes the name; processes that have the segment mapped keep it. Nothing happens if there is
-    /// none.
+    /// Removes the name; processes that have the segment mapped keep it. Nothing happens if there
+    /// is none.
     pub(crate) fn remove(run: &RunName, name: &str) -> Result<(), SegmentError> {
         quiet();
         // SAFETY: the contract asks that nobody uses the segment, because its content would go
@@ -124,7 +124,8 @@ impl<const N: usize> fmt::Debug for Segment<N> {
     }
 }
 
-/// iceoryx2 reports expected outcomes (such as "does not exist") to its log; ours are in the errors.
+/// iceoryx2 reports expected outcomes (such as "does not exist") to its log; ours are in the
+/// errors.
 pub(crate) fn quiet() {
     iceoryx2_log::set_log_level(iceoryx2_log::LogLevel::Fatal);
 }

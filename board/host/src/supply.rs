@@ -1,9 +1,9 @@
 //! The supply of a system: power, watchdogs, reset generator, reset cause. T-CHIP-6
 //!
-//! One process for each system. It powers its three cores, which die with it; it watches over core 0
-//! and resets the system when that dies, is not served, or asks for it; and it watches the other supply
-//! to tell its own system at once when that loses power. It depends on the vehicle (which is the
-//! battery: without it all is dark), not on the launcher.
+//! One process for each system. It powers its three cores, which die with it; it watches over core
+//! 0 and resets the system when that dies, is not served, or asks for it; and it watches the other
+//! supply to tell its own system at once when that loses power. It depends on the vehicle (which is
+//! the battery: without it all is dark), not on the launcher.
 //!
 //! | state | level | goes on when |
 //! |---|---|---|
@@ -39,8 +39,8 @@ use crate::wire::SERVICE_WORDS;
 const PERIOD: Duration = Duration::from_ms(1);
 /// A supply that is later than this was held up itself: it was stopped, or the machine was.
 const HELD_UP: Duration = Duration::from_ms(50);
-/// Shortest time that a reset holds the system down. It also gives the bus time to drop what the dead
-/// cores had not sent.
+/// Shortest time that a reset holds the system down. It also gives the bus time to drop what the
+/// dead cores had not sent.
 const SHORTEST_PAUSE: Duration = Duration::from_ms(20);
 /// Longest pause. It doubles with each reset up to here, so that a program which dies at its start
 /// does not use up the machine.
@@ -71,14 +71,15 @@ impl From<FitError> for SupplyError {
     }
 }
 
-/// Is the supply of a system until the ignition is off. `command` makes the command that starts a core.
+/// Is the supply of a system until the ignition is off. `command` makes the command that starts a
+/// core.
 ///
-/// To be called on the main thread: cores die with the thread that started them. It claims real time as
-/// `args` says.
+/// To be called on the main thread: cores die with the thread that started them. It claims real
+/// time as `args` says.
 ///
 /// # Errors
-/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that cannot
-/// be started is no error: it is a core that is dead.
+/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that
+/// cannot be started is no error: it is a core that is dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
     let backplane = Backplane::open(&args.common.run)?;
@@ -114,7 +115,8 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     Ok(())
 }
 
-/// Waits until all processes of the run are known and the ignition is on; `None` if that will never be.
+/// Waits until all processes of the run are known and the ignition is on; `None` if that will never
+/// be.
 fn wait_for_ignition(
     args: &SupplyArgs,
     backplane: Backplane,
@@ -326,8 +328,8 @@ impl Supply<'_> {
         let generation = Generation(self.backplane.generation(system, core).0 + 1);
         self.backplane.set_generation(system, core, generation);
         let mut command = (self.command)(&self.args.core(core, generation));
-        // A core that cannot be started is one that died at its start: for core 0 that is a reset, as
-        // the watchdog is not served.
+        // A core that cannot be started is one that died at its start: for core 0 that is a reset,
+        // as the watchdog is not served.
         if let Ok(child) = spawn::spawn_bound(&mut command) {
             self.backplane.set_core_pid(system, core, child.id());
             let watched = Watched::new(child.id());

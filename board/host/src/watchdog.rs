@@ -2,8 +2,8 @@
 
 use tandem_board::{Duration, Instant, watchdog_answer};
 
-/// Earliest service after the previous one, in microseconds. Short enough that a cycle which was late
-/// once and is on time again is no fault.
+/// Earliest service after the previous one, in microseconds. Short enough that a cycle which was
+/// late once and is on time again is no fault.
 pub(crate) const WINDOW_OPENS_US: u32 = 500;
 /// Latest service after the previous one, in microseconds: ten control cycles. Takeover does not
 /// depend on it (heartbeats do that), so it may wait out what the scheduler of a busy desktop does.
@@ -49,8 +49,8 @@ impl Watchdog {
         }
     }
 
-    /// A service came, at `at` by the core's word, and was seen at `now`. Whether it was late is for
-    /// [`Watchdog::check`], which is asked all the time.
+    /// A service came, at `at` by the core's word, and was seen at `now`. Whether it was late is
+    /// for [`Watchdog::check`], which is asked all the time.
     pub(crate) fn on_service(
         &mut self,
         now: Instant,

@@ -45,11 +45,11 @@ pub struct Traced {
     pub record: TraceRecord,
 }
 
-/// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders the
-/// frames of all nodes.
+/// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders
+/// the frames of all nodes.
 ///
-/// Once a millisecond the vehicle calls [`WorldPort::transmitted`], which moves what the cores sent,
-/// and [`WorldPort::broadcast`] for what its own nodes send.
+/// Once a millisecond the vehicle calls [`WorldPort::transmitted`], which moves what the cores
+/// sent, and [`WorldPort::broadcast`] for what its own nodes send.
 #[derive(Debug)]
 pub struct WorldPort {
     backplane: Backplane,
@@ -121,9 +121,9 @@ impl WorldPort {
         self.backplane.stop_requested()
     }
 
-    /// Takes what the cores have sent since the last call, shows each frame to `seen`, with the time of
-    /// its sending, and puts it on the bus. A system without power, or cut off the bus, sends
-    /// nothing: what its cores had left to send is dropped.
+    /// Takes what the cores have sent since the last call, shows each frame to `seen`, with the
+    /// time of its sending, and puts it on the bus. A system without power, or cut off the bus,
+    /// sends nothing: what its cores had left to send is dropped.
     pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         let now = clock::now();
         let reaches = self.reaches();
@@ -187,8 +187,8 @@ impl WorldPort {
         }
     }
 
-    /// Takes the trace records that the cores have emitted since the last call, in the order of each
-    /// core, and returns how many were lost.
+    /// Takes the trace records that the cores have emitted since the last call, in the order of
+    /// each core, and returns how many were lost.
     pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         let mut lost = 0;
         let mut words = [0; TRACE_WORDS];

@@ -1,7 +1,8 @@
-//! The backplane of a run: the wires between the systems, the bus, the supplies' registers, the trace.
+//! The backplane of a run: the wires between the systems, the bus, the supplies' registers, the
+//! trace.
 //!
-//! It is what the cores of both systems, their supplies and the vehicle have in common, and so it is
-//! everything that is *not* the LMU: portable code sees it only through the board's traits.
+//! It is what the cores of both systems, their supplies and the vehicle have in common, and so it
+//! is everything that is *not* the LMU: portable code sees it only through the board's traits.
 
 mod layout;
 

@@ -78,17 +78,35 @@ fn print(what: &str, unit: &str, mut samples: Vec<u64>) {
     );
 }
 
-/// How late a timed wait of 1 ms ends when nobody rings.
-fn lateness<E: Sendable>() -> Vec<u64> {
-    let pair = Pair::<E>::new();
-    let wait = || {
-        let due = clock::now() + tandem_board::Duration::from_ms(1);
-        pair.listener
-            .timed_wait(|_| {}, Duration::from_millis(1))
-            .expect("a wait");
-        clock::now().since(due).as_us()
+/// How late waits of 1 ms end, and what share of the CPU the waiting takes.
+fn lateness(mut wait: impl FnMut(Duration) + Send + 'static) -> (Vec<u64>, u64) {
+    const WAITS: u64 = 2_000;
+    let cpu_time = || {
+        let time = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
+        time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64
     };
-    (0..2_000).map(|_| wait()).collect()
+    let sleeper = thread::spawn(move || {
+        realtime_on(0);
+        let (began, used) = (clock::now(), cpu_time());
+        let mut late = || {
+            let due = clock::now() + tandem_board::Duration::from_ms(1);
+            wait(Duration::from_millis(1));
+            clock::now().since(due).as_us()
+        };
+        let samples = (0..WAITS).map(|_| late()).collect();
+        let share = 100 * (cpu_time() - used) / clock::now().since(began).as_ns();
+        (samples, share)
+    });
+    sleeper.join().expect("samples")
+}
+
+fn print_lateness(wait: impl FnMut(Duration) + Send + 'static) {
+    let (samples, share) = lateness(wait);
+    print(
+        &format!("lateness of a wait of 1 ms, {share} % of the CPU"),
+        "µs",
+        samples,
+    );
 }
 
 /// From the ring on one CPU until the sleeper on the other runs.
@@ -170,7 +188,10 @@ fn deafness<E: Sendable>() -> (usize, u64) {
 
 fn measure<E: Sendable>(what: &str) {
     println!("{what}");
-    print("lateness of a wait of 1 ms", "µs", lateness::<E>());
+    let pair = Pair::<E>::new();
+    print_lateness(move |span| {
+        pair.listener.timed_wait(|_| {}, span).expect("a wait");
+    });
     print("one way to a sleeper on another CPU", "ns", one_way::<E>());
     let (deaf, rings) = deafness::<E>();
     println!("  deaf to {deaf} of {rings} rings by two");
@@ -179,6 +200,11 @@ fn measure<E: Sendable>(what: &str) {
 #[test]
 #[ignore = "a measurement"]
 fn bells_beside_the_triggers_of_iceoryx2() {
+    println!("clock_nanosleep, the floor");
+    print_lateness(|span| {
+        let span = tandem_board::Duration::from_ns(span.as_nanos() as u64);
+        clock::sleep_until(clock::now() + span);
+    });
     measure::<UnixDatagramShmBitSet>("unix datagram socket (the default of iceoryx2)");
     measure::<SemaphoreShmBitSet>("semaphore");
     measure::<BellEvent>("futex");

@@ -66,8 +66,8 @@ impl Bell {
                 generation: Generation(before),
                 ..of
             };
-            // SAFETY: that life is over, and those who still ring it have it mapped, which a removed
-            // name does not disturb.
+            // SAFETY: that life is over, and those who still ring it have it mapped, which a
+            // removed name does not disturb.
             let _ = unsafe { BellEvent::remove_cfg(&file(before), &config(run)) };
         }
         let listener = <BellEvent as Event<_>>::ListenerBuilder::new(&file(of))
@@ -127,8 +127,8 @@ impl Ringers {
 
     /// Rings the core, in whichever life it is. Does nothing if it has none. Never waits for it.
     pub(crate) fn ring(&self, backplane: Backplane, system: SystemId, core: CoreId) {
-        // What the caller has written before must be seen by a life that hangs its bell just now and
-        // is therefore not rung: pairs with the fence in `HostBoard::attach`.
+        // What the caller has written before must be seen by a life that hangs its bell just now
+        // and is therefore not rung: pairs with the fence in `HostBoard::attach`.
         core::sync::atomic::fence(SeqCst);
         let generation = backplane.bell_generation(system, core);
         if generation == Generation(0) {
@@ -216,8 +216,8 @@ mod tests {
             .unwrap()
     }
 
-    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and does so
-    /// when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
+    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and
+    /// does so when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
     #[test]
     fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
         const NOTIFIED: u8 = 2;

@@ -77,7 +77,8 @@ impl FutexHandle {
     /// Wakes the listener if it sleeps; else its next sleep ends at once. Never blocks.
     pub(crate) fn wake(&self) {
         let word = word(&self.storage);
-        // Pairs with the compare-exchange in `sleep`: either that sees PENDING, or this sees SLEEPING.
+        // Pairs with the compare-exchange in `sleep`: either that sees PENDING, or this sees
+        // SLEEPING.
         if word.swap(PENDING, SeqCst) == SLEEPING {
             // Nobody to wake is no error: the listener may have just died.
             let _ = futex::wake(word, futex::Flags::empty(), 1);

@@ -75,7 +75,8 @@ fn both_done(script: &mut Script) {
 
 const ROUNDS: u32 = 200_000;
 
-/// T-CHIP-1: the LMU is one memory for the three cores of a system, and another for the other system.
+/// T-CHIP-1: the LMU is one memory for the three cores of a system, and another for the other
+/// system.
 fn increment(board: &HostBoard) {
     let lmu = board.lmu();
     assert_eq!(lmu.len(), 8192);

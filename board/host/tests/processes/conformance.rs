@@ -1,5 +1,5 @@
-//! The contracts of the board, as `tandem-board-conformance` has them: each case a run, each role in
-//! the process of its core.
+//! The contracts of the board, as `tandem-board-conformance` has them: each case a run, each role
+//! in the process of its core.
 //!
 //! A role's result is a file beside the data flash, since the trace may be full and the core reset.
 

@@ -107,7 +107,8 @@ const CODE_OF: [ResetCause; 4] = [
     ResetCause::Trap,
 ];
 
-/// Core 0 says in which life it is, why, and what it found in a word of the LMU that it then spoils.
+/// Core 0 says in which life it is, why, and what it found in a word of the LMU that it then
+/// spoils.
 fn report(board: &HostBoard) {
     if board.identity().core == CONTROL {
         let cause = board.supply().reset_cause();
@@ -125,7 +126,8 @@ fn report_start(board: &HostBoard) {
     live(board);
 }
 
-/// Waits for the report of the given life, and returns its reset cause and what it found in the LMU.
+/// Waits for the report of the given life, and returns its reset cause and what it found in the
+/// LMU.
 fn await_start(script: &mut Script, system: SystemId, life: u32) -> (ResetCause, u32) {
     loop {
         let [_, generation, cause, found] = script.await_trace(system, CONTROL, STARTED);
@@ -314,8 +316,8 @@ fn paced(script: &mut Script) {
     let start = Clock::now();
     script.rest(1_500);
     let lives = script.generation(A, CONTROL).0;
-    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s; whatever the machine does, no more
-    // than that in the time that has really passed.
+    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s; whatever the machine does, no
+    // more than that in the time that has really passed.
     let (mut allowed, mut pause, mut time) = (1, 20, 0);
     while time < start.elapsed().as_millis() + 100 {
         time += pause;
@@ -476,7 +478,8 @@ fn check_policy(script: &mut Script) {
             });
             let pid = script.pid(system, core);
             let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("its state");
-            // Field 41 of proc(5): the policy; 40 fields are before it, 2 of them up to the bracket.
+            // Field 41 of proc(5): the policy; 40 fields are before it, 2 of them up to the
+            // bracket.
             let fields = stat.rsplit_once(')').expect("a name").1;
             let policy = fields.split_whitespace().nth(38).expect("a policy");
             assert_eq!(policy == FIFO, granted, "{system}{core}");

@@ -18,7 +18,8 @@ pub(crate) const LAUNCH: &str = "launch";
 /// How long anything may take before it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 
-/// First trace record of every core in the case of that name: whether it was granted real-time priority.
+/// First trace record of every core in the case of that name: whether it was granted real-time
+/// priority.
 pub(crate) const GRANTED: u32 = 1_000;
 
 /// One case: what every core does, and the script.
