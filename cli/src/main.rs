@@ -1,20 +1,93 @@
 //! The tandem command.
 #![forbid(unsafe_code)]
 
-#[allow(dead_code)]
+mod args;
+mod core_process;
+mod failure;
+mod files;
+mod live;
 mod mastership;
-#[allow(dead_code)]
 mod metrics;
-#[allow(dead_code)]
+mod observe;
+mod out_dir;
 mod percentiles;
-#[allow(dead_code)]
+mod plan;
+mod ps;
+mod recorder;
 mod report;
-#[allow(dead_code)]
 mod roles;
-#[allow(dead_code)]
+mod run;
 mod runlog;
+mod summary;
 #[cfg(test)]
-#[allow(dead_code)]
 mod synthetic;
+mod vehicle;
 
-fn main() {}
+use std::io::{self, Write as _};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use clap::Parser as _;
+use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
+
+use args::{Cli, Command};
+use failure::Failure;
+
+fn main() -> ExitCode {
+    // The processes of a run are this program with hidden arguments.
+    if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
+        return match process(args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("{error:#}");
+                ExitCode::FAILURE
+            }
+        };
+    }
+    match command(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.say();
+            failure.code()
+        }
+    }
+}
+
+fn command(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Run(args) => run::run(&args),
+        Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
+        Command::Scenarios => scenarios().map_err(Failure::Run),
+    }
+}
+
+/// One process of a run, until it ends.
+fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
+    match args? {
+        ProcessArgs::Supply(args) => {
+            let system = args.system;
+            supply::run(&args, &run::core_command).with_context(|| format!("supply {system}"))
+        }
+        ProcessArgs::Core(args) => {
+            let of = args.identity;
+            core_process::run(&args).with_context(|| format!("core {}{}", of.system, of.core))
+        }
+        ProcessArgs::Vehicle(args) => vehicle::run(&args).context("vehicle"),
+    }
+}
+
+fn scenarios() -> anyhow::Result<()> {
+    let mut text = String::new();
+    for (name, description) in tandem_vehicle::Scenario::descriptions() {
+        text += &format!("{name:14}  {description}\n");
+    }
+    print(&text)
+}
+
+/// Writes to stdout; a reader that has seen enough is no error.
+fn print(text: &str) -> anyhow::Result<()> {
+    match io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error).context("stdout"),
+        _ => Ok(()),
+    }
+}

@@ -282,7 +282,10 @@ mod tests {
             at_ns: 60_000_000,
             system: System::A,
             core: 0,
-            what: What::Started { generation: 2 },
+            what: What::Started {
+                generation: 2,
+                cause: "trap".into(),
+            },
         });
         assert!(!takeovers(&log)[0].is_false);
     }

@@ -10,8 +10,6 @@ use crate::runlog::{RunLog, Sample, Verdict, What};
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
 /// Jerk is the change of acceleration over this span, s: shorter ones show the log's resolution.
 const JERK_SPAN_S: f64 = 0.1;
-/// Speeds of approach below this give no time to collision, m/s.
-const CLOSING_MIN: f64 = 0.1;
 
 /// What the run knows beside the vehicle's log.
 #[derive(Clone, Debug, Default)]
@@ -24,8 +22,6 @@ pub(crate) struct Surroundings {
     pub(crate) detection_bound_ms: Option<f64>,
     /// Files and processes that were still there after the end.
     pub(crate) leftovers: Vec<String>,
-    /// Ends of processes that came before the end of the run: (vehicle's clock, who).
-    pub(crate) deaths: Vec<(u64, String)>,
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
@@ -44,7 +40,7 @@ pub(crate) struct Metrics {
     /// The run went to its end.
     pub(crate) complete: bool,
     /// Contacts of the own vehicle.
-    pub(crate) collisions: usize,
+    pub(crate) collisions: u32,
     /// Control frames that the vehicle obeyed.
     pub(crate) control_frames: usize,
     /// Control frames that came with an outdated term and were ignored.
@@ -76,7 +72,11 @@ pub(crate) struct Metrics {
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
     /// Largest distance from the centre of the lane outside lane changes, m.
-    pub(crate) lateral_error_max_m: Option<f64>,
+    pub(crate) lateral_error_max_m: f64,
+    /// How often the vehicle went to another lane.
+    pub(crate) lane_changes: u32,
+    /// How far it went, m.
+    pub(crate) distance_m: f64,
     /// Smallest distance to the vehicle ahead, m.
     pub(crate) lead_gap_min_m: Option<f64>,
     /// Smallest distance to the vehicle ahead over the speed of approach, s.
@@ -84,13 +84,15 @@ pub(crate) struct Metrics {
     /// What passengers feel.
     pub(crate) comfort: Comfort,
     /// Control cycles that a core reported as late.
-    pub(crate) deadline_misses: usize,
+    pub(crate) deadline_misses: u64,
     /// The timing profile: `rt` or `desktop`.
     pub(crate) timing: String,
     /// What was granted, in a line.
     pub(crate) granted: String,
     /// Trace records that were lost because the trace was full.
     pub(crate) lost_trace: u64,
+    /// How long the world stood still because the vehicle's process was stopped, ms.
+    pub(crate) stalled_ms: f64,
     /// Files and processes that were still there after the end.
     pub(crate) leftovers: Vec<String>,
 }
@@ -123,8 +125,8 @@ pub(crate) struct Comfort {
     pub(crate) brake_max: f64,
     /// Strongest lateral acceleration to either side, m/s².
     pub(crate) lat_accel_max: f64,
-    /// Strongest longitudinal jerk, m/s³.
-    pub(crate) jerk_max: f64,
+    /// 99 of 100 milliseconds had less longitudinal jerk, m/s³.
+    pub(crate) jerk_p99: f64,
 }
 
 /// Times between two control frames that follow each other in one mastership, by the sender's clock, ms.
@@ -186,20 +188,15 @@ fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
         .reduce(f64::max)
 }
 
-/// Time to collision of one sample, s.
-pub(crate) fn ttc_s(sample: &Sample) -> Option<f64> {
-    let (gap, closing) = (sample.lead_gap?, sample.closing_speed?);
-    (closing > CLOSING_MIN).then(|| gap.max(0.0) / closing)
-}
-
-fn comfort(log: &RunLog) -> Comfort {
-    let max = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
-    Comfort {
-        accel_max: max(&mut log.samples.iter().map(|s| s.accel)),
-        brake_max: max(&mut log.samples.iter().map(|s| -s.accel)),
-        lat_accel_max: max(&mut log.samples.iter().map(|s| s.lat_accel.abs())),
-        jerk_max: max(&mut jerk(log).into_iter().map(|(_, jerk)| jerk.abs())),
-    }
+fn deadline_misses(log: &RunLog) -> u64 {
+    let missed = |what: &What| match what {
+        What::DeadlineMiss { missed } => Some(u64::from(*missed)),
+        _ => None,
+    };
+    log.events
+        .iter()
+        .filter_map(|event| missed(&event.what))
+        .sum()
 }
 
 /// Computes all figures of a run.
@@ -213,7 +210,7 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
             .filter(|frame| frame.verdict == verdict)
             .count()
     };
-    let centred = log.samples.iter().filter(|sample| !sample.changing_lane);
+    let drive = &log.figures;
     Metrics {
         schema: SCHEMA.to_owned(),
         scenario: log.header.scenario.clone(),
@@ -221,7 +218,7 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
         duration_s: log.driven_s(),
         duration_asked_s: log.header.duration_s,
         complete: log.end_ns.is_some(),
-        collisions: log.collisions.len(),
+        collisions: drive.collisions,
         control_frames: count(Verdict::Accepted),
         fenced_frames: count(Verdict::Fenced),
         invalid_frames: count(Verdict::Invalid),
@@ -251,22 +248,22 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
             })
             .collect(),
         detection_bound_ms: around.detection_bound_ms,
-        lateral_error_max_m: centred.map(|s| s.lateral_error.abs()).reduce(f64::max),
-        lead_gap_min_m: log
-            .samples
-            .iter()
-            .filter_map(|s| s.lead_gap)
-            .reduce(f64::min),
-        ttc_min_s: log.samples.iter().filter_map(ttc_s).reduce(f64::min),
-        comfort: comfort(log),
-        deadline_misses: log
-            .events
-            .iter()
-            .filter(|event| matches!(event.what, What::DeadlineMiss { .. }))
-            .count(),
+        lateral_error_max_m: drive.lateral_error_max_m,
+        lane_changes: drive.lane_changes,
+        distance_m: drive.distance_m,
+        lead_gap_min_m: drive.gap_min_m,
+        ttc_min_s: drive.ttc_min_s,
+        comfort: Comfort {
+            accel_max: drive.accel_max,
+            brake_max: drive.brake_max,
+            lat_accel_max: drive.lat_accel_max,
+            jerk_p99: drive.jerk_p99,
+        },
+        deadline_misses: deadline_misses(log),
         timing: around.timing.clone(),
         granted: around.granted.clone(),
         lost_trace: log.lost_trace,
+        stalled_ms: log.stalled_ms,
         leftovers: around.leftovers.clone(),
     }
 }

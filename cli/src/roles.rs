@@ -127,6 +127,11 @@ fn observations(log: &RunLog, system: System) -> Vec<(u64, State)> {
         .map(|status| (status.at_ns, State::of(status.role, status.mode)))
         .collect();
     seen.extend(control.map(|frame| (frame.at_ns, State::of(Role::Master, frame.mode))));
+    let off = log
+        .power
+        .iter()
+        .filter(|power| power.system == system && !power.on);
+    seen.extend(off.map(|power| (power.at_ns, State::Off)));
     seen.extend(events.filter_map(|event| match event.what {
         What::RoleChanged { role, mode, .. } => Some((event.at_ns, State::of(role, mode))),
         What::Started { .. } => Some((event.at_ns, State::Starting)),

@@ -11,9 +11,6 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::SystemId;
 
-/// File name of the log within the folder of a run.
-pub(crate) const FILE_NAME: &str = "run.jsonl";
-
 /// One of the two systems, as the log writes it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub(crate) enum System {
@@ -81,6 +78,8 @@ pub(crate) enum Verdict {
     Accepted,
     /// Its term was below one that was accepted before: it was ignored.
     Fenced,
+    /// Its sender did not claim to be the master: it was ignored.
+    NotMaster,
     /// Its protection (CRC, counter) or its content was wrong: it was ignored.
     Invalid,
 }
@@ -95,11 +94,18 @@ pub(crate) struct Header {
     pub(crate) seed: u64,
     /// Seconds of scenario time that were asked for.
     pub(crate) duration_s: f64,
-    /// Centre lines of the lanes with their widths, for the top view.
+}
+
+/// The lanes around the own vehicle, recorded now and then.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct RoadSeen {
+    /// When the vehicle was there, ns.
+    pub(crate) at_ns: u64,
+    /// The lanes.
     pub(crate) lanes: Vec<Lane>,
 }
 
-/// One lane of the road.
+/// A piece of one lane.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Lane {
     /// Left border, m.
@@ -127,10 +133,10 @@ pub(crate) struct Sample {
     pub(crate) accel: f64,
     /// Lateral acceleration, m/s².
     pub(crate) lat_accel: f64,
-    /// Distance from the centre line of the lane that the vehicle is in, left positive, m.
+    /// The lane that the vehicle is in: its number in the scenario's road.
+    pub(crate) lane: usize,
+    /// Distance from that lane's centre line, left positive, m.
     pub(crate) lateral_error: f64,
-    /// Whether the vehicle is between two lanes on purpose, so that `lateral_error` says nothing.
-    pub(crate) changing_lane: bool,
     /// Distance to the vehicle ahead in the own lane, bumper to bumper, m.
     pub(crate) lead_gap: Option<f64>,
     /// How fast that distance shrinks, m/s.
@@ -208,6 +214,8 @@ pub(crate) enum What {
     Started {
         /// Which of its lives.
         generation: u32,
+        /// Why, in words.
+        cause: String,
     },
     /// The system has a new role or function.
     RoleChanged {
@@ -234,13 +242,6 @@ pub(crate) enum What {
         /// From its last sign of life to the decision, ms.
         detected_ms: f64,
     },
-    /// One control cycle ended.
-    ControlCycle {
-        /// How late it began, ms.
-        lateness_ms: f64,
-        /// How long it computed, ms.
-        exec_ms: f64,
-    },
     /// A control command rests for the first time on one more measurement.
     ChainDone {
         /// From the measurement on core 1 over core 2 to the command on core 0, ms.
@@ -251,11 +252,41 @@ pub(crate) enum What {
         /// Its number.
         core: u8,
     },
-    /// A cycle came too late.
+    /// Control cycles came so late that they were left out.
     DeadlineMiss {
-        /// By how much, ms.
-        late_ms: f64,
+        /// How many.
+        missed: u32,
     },
+    /// Something else, in words.
+    Note {
+        /// The words.
+        text: String,
+    },
+}
+
+/// The vehicle's own figures of the drive, taken at every millisecond.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Figures {
+    /// Contacts of the own vehicle.
+    pub(crate) collisions: u32,
+    /// Largest distance from the centre of the lane outside lane changes, m.
+    pub(crate) lateral_error_max_m: f64,
+    /// How often the vehicle went to another lane.
+    pub(crate) lane_changes: u32,
+    /// Smallest distance to the vehicle ahead, m.
+    pub(crate) gap_min_m: Option<f64>,
+    /// Smallest time to collision with it, s.
+    pub(crate) ttc_min_s: Option<f64>,
+    /// Strongest acceleration, m/s².
+    pub(crate) accel_max: f64,
+    /// Strongest braking, m/s², positive.
+    pub(crate) brake_max: f64,
+    /// Strongest lateral acceleration to either side, m/s².
+    pub(crate) lat_accel_max: f64,
+    /// 99 of 100 milliseconds had less longitudinal jerk, m/s³.
+    pub(crate) jerk_p99: f64,
+    /// How far the vehicle went, m.
+    pub(crate) distance_m: f64,
 }
 
 /// One line of the log.
@@ -271,35 +302,43 @@ pub(crate) enum Record {
     },
     /// The state of the world.
     Sample(Sample),
+    /// The road around the vehicle.
+    Road(RoadSeen),
     /// A control frame.
     Control(ControlSeen),
     /// A status frame.
     Status(StatusSeen),
     /// A core's report.
     Event(CoreEvent),
-    /// The own vehicle touched something.
+    /// A system got power, or lost it.
+    Power(PowerSeen),
+    /// The own vehicle touched another one.
     Collision {
         /// ns
         at_ns: u64,
-        /// What it touched.
-        with: String,
     },
+    /// How the drive stands; the last such record counts.
+    Figures(Figures),
     /// The last line of a run that went to its end.
     End {
         /// ns
         at_ns: u64,
         /// Trace records that were lost because the trace was full.
         lost_trace: u64,
+        /// How long the vehicle's process was stopped, so that the world stood still, ms.
+        stalled_ms: f64,
     },
 }
 
-/// A contact of the own vehicle.
-#[derive(Clone, Debug)]
-pub(crate) struct Collision {
-    /// ns
+/// A change of a system's power level.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct PowerSeen {
+    /// When the vehicle saw it, ns.
     pub(crate) at_ns: u64,
-    /// What it touched.
-    pub(crate) with: String,
+    /// The system.
+    pub(crate) system: System,
+    /// Whether it has power and is out of reset.
+    pub(crate) on: bool,
 }
 
 /// All records of one run, sorted by kind, each kind by time.
@@ -313,16 +352,24 @@ pub(crate) struct RunLog {
     pub(crate) end_ns: Option<u64>,
     /// Trace records that were lost.
     pub(crate) lost_trace: u64,
+    /// How long the world stood still because its process was stopped, ms.
+    pub(crate) stalled_ms: f64,
     /// The world over time.
     pub(crate) samples: Vec<Sample>,
+    /// The road, piece by piece.
+    pub(crate) road: Vec<RoadSeen>,
     /// All control frames in the order of the bus.
     pub(crate) control: Vec<ControlSeen>,
     /// All status frames in the order of the bus.
     pub(crate) status: Vec<StatusSeen>,
     /// What the cores reported.
     pub(crate) events: Vec<CoreEvent>,
-    /// What the vehicle touched.
-    pub(crate) collisions: Vec<Collision>,
+    /// Changes of the systems' power.
+    pub(crate) power: Vec<PowerSeen>,
+    /// When the vehicle touched another one, ns.
+    pub(crate) collisions_ns: Vec<u64>,
+    /// The vehicle's own figures.
+    pub(crate) figures: Figures,
 }
 
 impl RunLog {
@@ -358,13 +405,21 @@ impl RunLog {
             Record::Header(header) => self.header = header,
             Record::Start { at_ns } => self.start_ns = Some(at_ns),
             Record::Sample(sample) => self.samples.push(sample),
+            Record::Road(road) => self.road.push(road),
             Record::Control(frame) => self.control.push(frame),
             Record::Status(frame) => self.status.push(frame),
             Record::Event(event) => self.events.push(event),
-            Record::Collision { at_ns, with } => self.collisions.push(Collision { at_ns, with }),
-            Record::End { at_ns, lost_trace } => {
+            Record::Power(power) => self.power.push(power),
+            Record::Collision { at_ns } => self.collisions_ns.push(at_ns),
+            Record::Figures(figures) => self.figures = figures,
+            Record::End {
+                at_ns,
+                lost_trace,
+                stalled_ms,
+            } => {
                 self.end_ns = Some(at_ns);
                 self.lost_trace = lost_trace;
+                self.stalled_ms = stalled_ms;
             }
         }
     }

@@ -1,8 +1,8 @@
 //! A made-up run for the tests of the figures and of the report.
 
 use crate::runlog::{
-    ControlSeen, CoreEvent, Header, Lane, Mode, Other, Record, Role, RunLog, Sample, StatusSeen,
-    System, Verdict, What,
+    ControlSeen, CoreEvent, Figures, Header, Lane, Mode, Other, PowerSeen, Record, RoadSeen, Role,
+    RunLog, Sample, StatusSeen, System, Verdict, What,
 };
 
 /// The clock at the start of the world.
@@ -29,6 +29,9 @@ pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
         scenario: "cut-in".into(),
         seed: 1,
         duration_s,
+    }));
+    log.push(Record::Road(RoadSeen {
+        at_ns: START_NS,
         lanes: (0..3).map(lane).collect(),
     }));
     log.push(Record::Start { at_ns: START_NS });
@@ -37,9 +40,26 @@ pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
     add_samples(&mut log, end_ns);
     add_control(&mut log, middle_ns, end_ns);
     add_status(&mut log, middle_ns, end_ns);
+    log.push(Record::Power(PowerSeen {
+        at_ns: middle_ns,
+        system: System::A,
+        on: false,
+    }));
+    log.push(Record::Figures(Figures {
+        lateral_error_max_m: 0.13,
+        gap_min_m: Some(22.0),
+        ttc_min_s: Some(21.7),
+        accel_max: 1.1,
+        brake_max: 0.8,
+        lat_accel_max: 0.5,
+        jerk_p99: 0.6,
+        distance_m: 22.0 * duration_s,
+        ..Figures::default()
+    }));
     log.push(Record::End {
         at_ns: end_ns,
         lost_trace: 0,
+        stalled_ms: 0.0,
     });
     log.events.sort_by_key(|event| event.at_ns);
     log
@@ -89,8 +109,8 @@ fn add_samples(log: &mut RunLog, end_ns: u64) {
             set_speed: Some(27.0),
             accel,
             lat_accel: 0.5 * (t / 3.0).cos(),
+            lane: 1,
             lateral_error,
-            changing_lane: false,
             lead_gap: (t > 6.0).then_some(gap),
             closing_speed: Some(8.0 / 6.0 * (t / 6.0).cos()),
             others: vec![
@@ -117,13 +137,19 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
         START_NS - 300_000_000,
         System::A,
         0,
-        What::Started { generation: 1 },
+        What::Started {
+            generation: 1,
+            cause: "power-on".into(),
+        },
     );
     event(
         START_NS - 290_000_000,
         System::B,
         0,
-        What::Started { generation: 1 },
+        What::Started {
+            generation: 1,
+            cause: "power-on".into(),
+        },
     );
     let role = |role, mode, term| What::RoleChanged { role, mode, term };
     event(

@@ -15,7 +15,6 @@ const LABEL_HEIGHT: u32 = 40;
 /// The colours of the report; `style.css` knows each of them.
 pub(crate) mod color {
     use plotters::style::RGBColor;
-    pub(crate) const INK: RGBColor = RGBColor(0x1F, 0x29, 0x33);
     pub(crate) const MUTED: RGBColor = RGBColor(0x5F, 0x6B, 0x7A);
     pub(crate) const GRID: RGBColor = RGBColor(0xE3, 0xE8, 0xEE);
     pub(crate) const ROAD: RGBColor = RGBColor(0xEC, 0xEF, 0xF3);

@@ -8,7 +8,7 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 
 use crate::mastership::{Takeover, takeovers};
-use crate::metrics::{Metrics, Surroundings};
+use crate::metrics::Metrics;
 use crate::roles::State;
 use crate::runlog::{Mode, RunLog, What};
 use charts::Chart;
@@ -21,11 +21,7 @@ const EVENT_ROWS: usize = 200;
 ///
 /// # Errors
 /// If a chart cannot be drawn.
-pub(crate) fn page(
-    log: &RunLog,
-    metrics: &Metrics,
-    around: &Surroundings,
-) -> anyhow::Result<String> {
+pub(crate) fn page(log: &RunLog, metrics: &Metrics) -> anyhow::Result<String> {
     let takeovers = takeovers(log);
     let body = html! {
         main {
@@ -36,7 +32,7 @@ pub(crate) fn page(
             (control(log, metrics, &takeovers)?)
             (takeover_table(metrics))
             (conditions(metrics))
-            (events(log, around))
+            (events(log))
             footer {
                 "Files beside this page: " code { "metrics.json" } " (all figures), "
                 code { "candump.log" } " (every CAN frame, readable with the repository's DBC file), "
@@ -132,8 +128,7 @@ fn tiles(metrics: &Metrics) -> Markup {
     let takeover_remark = last.map_or(String::new(), |t| {
         format!("last: {} → {} at {:.1} s", t.from, t.to, t.at_s)
     });
-    let lateral = metrics.lateral_error_max_m;
-    let lateral = lateral.map_or("–".to_owned(), |value| format!("{value:.2}"));
+    let lateral = format!("{:.2}", metrics.lateral_error_max_m);
     let period_remark = format!("median {} ms", ms(metrics.control_period_p50_ms));
     let fenced = format!("{} frame(s) fenced off", metrics.fenced_frames);
     let false_ones = format!("{} of them false", metrics.false_takeovers);
@@ -343,6 +338,7 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Late control cycles", metrics.deadline_misses.to_string()))
                     (row("Invalid control frames", metrics.invalid_frames.to_string()))
                     (row("Lost trace records", metrics.lost_trace.to_string()))
+                    (row("The world stood still", format!("{:.0} ms", metrics.stalled_ms)))
                     (row("Left behind", match metrics.leftovers.as_slice() {
                         [] => "nothing".to_owned(),
                         found => found.join(", "),
@@ -354,7 +350,9 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Strongest acceleration", unit(Some(comfort.accel_max), "m/s²")))
                     (row("Strongest braking", unit(Some(comfort.brake_max), "m/s²")))
                     (row("Strongest lateral acceleration", unit(Some(comfort.lat_accel_max), "m/s²")))
-                    (row("Strongest jerk", unit(Some(comfort.jerk_max), "m/s³")))
+                    (row("Jerk, 99 % of the time below", unit(Some(comfort.jerk_p99), "m/s³")))
+                    (row("Lane changes", metrics.lane_changes.to_string()))
+                    (row("Distance driven", format!("{:.0} m", metrics.distance_m)))
                 }
             }
         }
@@ -364,7 +362,7 @@ fn conditions(metrics: &Metrics) -> Markup {
 /// One row of the event log: scenario time, who, what.
 type EventRow = (f64, String, String);
 
-fn events(log: &RunLog, around: &Surroundings) -> Markup {
+fn events(log: &RunLog) -> Markup {
     let mut rows: Vec<EventRow> = log
         .events
         .iter()
@@ -373,18 +371,31 @@ fn events(log: &RunLog, around: &Surroundings) -> Markup {
             Some((log.seconds(event.at_ns), who, describe(&event.what)?))
         })
         .collect();
-    rows.extend(log.collisions.iter().map(|collision| {
-        let what = format!("collision with {}", collision.with);
-        (log.seconds(collision.at_ns), "vehicle".to_owned(), what)
-    }));
-    rows.extend(around.deaths.iter().map(|(at_ns, who)| {
+    let vehicle =
+        |at_ns: u64, what: &str| (log.seconds(at_ns), "vehicle".to_owned(), what.to_owned());
+    rows.extend(
+        log.collisions_ns
+            .iter()
+            .map(|at_ns| vehicle(*at_ns, "collision")),
+    );
+    rows.extend(
+        log.start_ns
+            .map(|at_ns| vehicle(at_ns, "obeys the first control frame")),
+    );
+    rows.extend(log.power.iter().map(|power| {
+        let what = if power.on {
+            "has power"
+        } else {
+            "is without power or held in reset"
+        };
         (
-            log.seconds(*at_ns),
-            who.clone(),
-            "the process ended".to_owned(),
+            log.seconds(power.at_ns),
+            format!("system {}", power.system.name()),
+            what.to_owned(),
         )
     }));
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let rows = merged(rows);
     let more = rows.len().saturating_sub(EVENT_ROWS);
     html! {
         section {
@@ -400,10 +411,26 @@ fn events(log: &RunLog, around: &Surroundings) -> Markup {
     }
 }
 
+/// Events that say the same again and again become one row that counts them.
+fn merged(rows: Vec<EventRow>) -> Vec<EventRow> {
+    let mut merged: Vec<(EventRow, u32)> = Vec::new();
+    for row in rows {
+        match merged.last_mut() {
+            Some((last, times)) if (&last.1, &last.2) == (&row.1, &row.2) => *times += 1,
+            _ => merged.push((row, 1)),
+        }
+    }
+    let counted = |((at_s, who, what), times): (EventRow, u32)| match times {
+        1 => (at_s, who, what),
+        _ => (at_s, who, format!("{what} ({times} times)")),
+    };
+    merged.into_iter().map(counted).collect()
+}
+
 /// An event in words; `None` for those that come in every cycle.
 fn describe(what: &What) -> Option<String> {
     Some(match what {
-        What::Started { generation } => format!("starts, life {generation}"),
+        What::Started { generation, cause } => format!("starts, life {generation}: {cause}"),
         What::RoleChanged { role, mode, term } => {
             let function = match mode {
                 Mode::L3 => ", L3",
@@ -424,8 +451,9 @@ fn describe(what: &What) -> Option<String> {
             format!("takes over: {cause}, detected in {detected_ms:.2} ms")
         }
         What::CoreSilent { core } => format!("core {core} of its own system does not answer"),
-        What::DeadlineMiss { late_ms } => format!("a cycle came {late_ms:.2} ms late"),
-        What::ControlCycle { .. } | What::ChainDone { .. } => return None,
+        What::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
+        What::Note { text } => text.clone(),
+        What::ChainDone { .. } => return None,
     })
 }
 

@@ -127,21 +127,22 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     chart
 }
 
-/// Distance from the centre of the lane.
+/// Distance from the centre of the lane. It jumps where the vehicle goes over the line between two
+/// lanes: the line of the chart is broken there.
 pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
-    let value = |changing: bool| {
-        over_time(log, |s| {
-            if s.changing_lane == changing {
-                s.lateral_error
-            } else {
-                f64::NAN
-            }
-        })
-    };
-    let mut series = vec![line("in lane", color::A, &value(false))];
-    if log.samples.iter().any(|sample| sample.changing_lane) {
-        series.push(line("changing lane", color::OTHER, &value(true)));
+    let mut points: Vec<(f64, f64)> = Vec::with_capacity(log.samples.len());
+    let mut lane = None;
+    for sample in &log.samples {
+        let at_s = log.seconds(sample.at_ns);
+        if lane
+            .replace(sample.lane)
+            .is_some_and(|before| before != sample.lane)
+        {
+            points.push((at_s, f64::NAN));
+        }
+        points.push((at_s, sample.lateral_error));
     }
+    let series = vec![line("lateral error", color::A, &points)];
     let mut chart = time_chart(log, takeovers, 230, "m, left +", series);
     let (low, high) = chart.y.range;
     // Never so close that noise of a centimetre looks like a swerve.

@@ -1,6 +1,7 @@
 //! The report of a made-up run.
 
 use super::*;
+use crate::metrics::Surroundings;
 use crate::{metrics, synthetic};
 
 fn synthetic_page() -> String {
@@ -10,9 +11,8 @@ fn synthetic_page() -> String {
         timing: "rt".into(),
         detection_bound_ms: Some(3.2),
         leftovers: Vec::new(),
-        deaths: vec![(log.start_ns.unwrap() + 30_000_000_000, "supply A".into())],
     };
-    page(&log, &metrics::compute(&log, &around), &around).unwrap()
+    page(&log, &metrics::compute(&log, &around)).unwrap()
 }
 
 /// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
@@ -51,9 +51,16 @@ fn every_colour_of_a_chart_is_known_to_the_dark_style() {
 #[test]
 fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
     let (log, around) = (RunLog::default(), Surroundings::default());
-    let page = page(&log, &metrics::compute(&log, &around), &around).unwrap();
+    let page = page(&log, &metrics::compute(&log, &around)).unwrap();
     assert!(page.contains("no control frame was ever accepted"));
     assert!(!page.contains("NaN"));
+}
+
+#[test]
+fn what_is_said_again_and_again_is_counted() {
+    let row = |at_s: f64, what: &str| (at_s, "A0".to_owned(), what.to_owned());
+    let rows = merged(vec![row(1.0, "x"), row(2.0, "x"), row(3.0, "y")]);
+    assert_eq!(rows, [row(1.0, "x (2 times)"), row(3.0, "y")]);
 }
 
 #[test]
@@ -61,6 +68,6 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
     let mut log = synthetic::with_takeover(4.0);
     log.header.scenario = "<script>alert(1)</script>".into();
     let around = Surroundings::default();
-    let page = page(&log, &metrics::compute(&log, &around), &around).unwrap();
+    let page = page(&log, &metrics::compute(&log, &around)).unwrap();
     assert!(!page.contains("<script>"));
 }

@@ -126,7 +126,11 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     let y = Axis::linear("m, left +", (-ASIDE_M, ASIDE_M), 5);
     let mut chart = Chart::new(HEIGHT, x, y);
     chart.grid = false;
-    for lane in &log.header.lanes {
+    let before = log.road.iter().rfind(|road| road.at_ns <= sample.at_ns);
+    let lanes = before
+        .or(log.road.first())
+        .map_or(&[][..], |road| &road.lanes);
+    for lane in lanes {
         for corners in view.surface(lane) {
             chart.shapes.push(Shape {
                 color: color::ROAD,
@@ -143,7 +147,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
             points,
         });
     };
-    for lane in &log.header.lanes {
+    for lane in lanes {
         for border in [&lane.left, &lane.right] {
             line(
                 color::OTHER,

@@ -1,0 +1,205 @@
+//! The command line that people use.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+const EXAMPLES: &str = "\
+The three jobs:
+  benchmark  tandem bench --quick
+             latency between cores, beside the hardware's floor and what else one would use
+  kill       tandem run                       in one terminal
+             kill -9 $(tandem ps --json | jq '.[] | select(.kind == \"supply\"
+                                              and .role == \"master\") | .pid')
+             the vehicle goes on under the other system, and the report shows how
+  reuse      the crates shm, redundancy, cores and bus are no_std: see README.md
+
+Exit status: 0 all well; 1 the run failed (collision, no controller, two masters, ...);
+2 the command line or an input was wrong and nothing was started; 130 ended by Ctrl-C.";
+
+const RUN_EXAMPLES: &str = "\
+Examples:
+  tandem run                                   60 s of the scenario cut-in
+  tandem run --scenario hard-braking --duration 30
+  tandem run --scenario path/to/USA_US101-3_3_T-1.xml --out us101
+  tandem run --json --quiet | jq .control_gap_max_ms
+
+Kill any process of the run while it drives (tandem ps lists them). The report is written at the
+end into the folder that --out names: report.html, metrics.json, candump.log and two .hgrm files.";
+
+/// A fail-operational controller: two systems of three cores each, and the vehicle that they drive.
+#[derive(Debug, Parser)]
+#[command(name = "tandem", version, after_help = EXAMPLES, max_term_width = 100)]
+pub(crate) struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub(crate) command: Command,
+}
+
+/// The jobs.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Command {
+    /// Drive a scenario with both systems, and write a report
+    Run(RunArgs),
+    /// List the processes of all runs, so that you can kill one
+    Ps(PsArgs),
+    /// List the scenarios that are built in
+    Scenarios,
+}
+
+/// Arguments of `tandem run`.
+#[derive(Debug, Args)]
+#[command(after_help = RUN_EXAMPLES)]
+pub(crate) struct RunArgs {
+    /// A built-in scenario (see `tandem scenarios`) or a CommonRoad XML file (2018b or 2020a)
+    #[arg(long, value_name = "FILE|NAME", default_value = "cut-in")]
+    pub(crate) scenario: String,
+
+    /// How long to drive, in scenario time: 60, 60s, 1.5m
+    #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration,
+          allow_hyphen_values = true)]
+    pub(crate) duration: f64,
+
+    /// The limits of time: by what the machine grants, real time or none, or one of the two
+    #[arg(long, value_enum, default_value_t = Timing::Auto)]
+    pub(crate) timing: Timing,
+
+    /// Seed of the sensors' noise
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+
+    /// Folder of the report; one that exists must be empty or an earlier report
+    #[arg(long, value_name = "DIR", default_value = "tandem-report")]
+    pub(crate) out: PathBuf,
+
+    /// Folder that keeps both systems' data flash from run to run [default: new for each run]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) dflash: Option<PathBuf>,
+
+    /// CPUs of the cores, as 0,1 or 0-3: core i runs on the i-th, modulo their number
+    /// [default: all]
+    #[arg(long, value_name = "LIST", value_parser = parse_cpus)]
+    pub(crate) cpus: Option<CpuList>,
+
+    /// Let a system that comes back become the standby of the running one
+    #[arg(long)]
+    pub(crate) reintegrate: bool,
+
+    /// Print the contents of metrics.json at the end, and nothing else on stdout
+    #[arg(long)]
+    pub(crate) json: bool,
+
+    /// Say nothing but errors
+    #[arg(long, short)]
+    pub(crate) quiet: bool,
+}
+
+/// Arguments of `tandem ps`.
+#[derive(Debug, Args)]
+pub(crate) struct PsArgs {
+    /// Print a JSON array of objects with pid, kind, system, core, role, cpu
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+/// Values of `--timing`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Timing {
+    /// Real time if the machine grants it
+    Auto,
+    /// Real time, or an error
+    Rt,
+    /// No real time
+    Desktop,
+}
+
+/// Numbers of CPUs, at least one, each once.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct CpuList(pub(crate) Vec<usize>);
+
+/// The longest run, s: what the log of a run may fill.
+const DURATION_MAX_S: f64 = 3600.0;
+
+fn parse_duration(text: &str) -> Result<f64, String> {
+    let text = text.trim();
+    let unit_at = text
+        .find(|c: char| c.is_ascii_alphabetic())
+        .unwrap_or(text.len());
+    let (number, unit) = text.split_at(unit_at);
+    let factor = match unit {
+        "" | "s" => 1.0,
+        "ms" => 1e-3,
+        "m" | "min" => 60.0,
+        "h" => 3600.0,
+        _ => return Err("write it as 60, 60s, 500ms or 1.5m".to_owned()),
+    };
+    let number: f64 = number
+        .trim()
+        .parse()
+        .map_err(|_| "write it as 60, 60s, 500ms or 1.5m".to_owned())?;
+    let seconds = number * factor;
+    if !(seconds > 0.0 && seconds <= DURATION_MAX_S) {
+        return Err(format!(
+            "it must be more than 0 and at most {DURATION_MAX_S} s"
+        ));
+    }
+    Ok(seconds)
+}
+
+fn parse_cpus(text: &str) -> Result<CpuList, String> {
+    let number = |text: &str| {
+        text.trim()
+            .parse::<usize>()
+            .map_err(|_| "write it as 0,1 or 0-3".to_owned())
+    };
+    let mut cpus = Vec::new();
+    for part in text.split(',') {
+        let (first, last) = match part.split_once('-') {
+            Some((first, last)) => (number(first)?, number(last)?),
+            None => (number(part)?, number(part)?),
+        };
+        if first > last || last > 4095 {
+            return Err(format!("{part} is no range of CPUs"));
+        }
+        cpus.extend(first..=last);
+    }
+    let mut once = cpus.clone();
+    once.sort_unstable();
+    once.dedup();
+    if once.len() < cpus.len() {
+        return Err("a CPU is named twice".to_owned());
+    }
+    Ok(CpuList(cpus))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        use clap::CommandFactory as _;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn durations_are_read_with_and_without_unit() {
+        for (text, seconds) in [("60", 60.0), ("60s", 60.0), ("1.5m", 90.0), ("500 ms", 0.5)] {
+            assert_eq!(parse_duration(text), Ok(seconds), "{text}");
+        }
+        for text in [
+            "0", "-5", "nan", "NaN", "inf", "", "s", "1x", "2h", "1e400", "0ms",
+        ] {
+            assert!(parse_duration(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn cpus_are_lists_and_ranges() {
+        assert_eq!(parse_cpus("0,1"), Ok(CpuList(vec![0, 1])));
+        assert_eq!(parse_cpus("2, 0-1"), Ok(CpuList(vec![2, 0, 1])));
+        for text in ["", "x", "1-0", "0,0", "0-99999", "-1", "0,"] {
+            assert!(parse_cpus(text).is_err(), "{text}");
+        }
+    }
+}

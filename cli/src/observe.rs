@@ -1,0 +1,194 @@
+//! What the vehicle, the bus and the cores report, in the words of the run log.
+
+use tandem_board_host::Traced;
+use tandem_bus::Message;
+use tandem_cores::trace::Event;
+use tandem_vehicle::geometry::Vec2;
+use tandem_vehicle::road::{Frenet, Road};
+use tandem_vehicle::{Acceptance, Metrics, VehicleSnapshot};
+
+use crate::runlog::{
+    ControlSeen, CoreEvent, Figures, Lane, Mode, Other, Role, StatusSeen, System, Verdict, What,
+};
+
+/// The road is recorded so far back and ahead of the vehicle, m, in steps of [`ROAD_STEP_M`].
+const ROAD_BACK_M: f64 = 100.0;
+const ROAD_AHEAD_M: f64 = 400.0;
+const ROAD_STEP_M: f64 = 4.0;
+/// Lanes that are further aside are other roads, m.
+const ROAD_ASIDE_M: f64 = 30.0;
+
+const fn system(index: u8) -> System {
+    if index == 0 { System::A } else { System::B }
+}
+
+const fn role(role: tandem_bus::Role) -> Role {
+    match role {
+        tandem_bus::Role::Starting => Role::Starting,
+        tandem_bus::Role::Master => Role::Master,
+        tandem_bus::Role::Standby => Role::Standby,
+        tandem_bus::Role::Suspended => Role::Suspended,
+    }
+}
+
+const fn mode(mode: tandem_bus::Mode) -> Mode {
+    match mode {
+        tandem_bus::Mode::None => Mode::None,
+        tandem_bus::Mode::L3 => Mode::L3,
+        tandem_bus::Mode::DegradedL2 => Mode::DegradedL2,
+        tandem_bus::Mode::SafeStop => Mode::SafeStop,
+    }
+}
+
+/// A control frame that the vehicle has judged; `message` is what it holds.
+pub(crate) fn control(seen: Acceptance, sent_ns: u64, message: Option<&Message>) -> ControlSeen {
+    ControlSeen {
+        at_ns: seen.at_ns,
+        sent_ns,
+        system: system(seen.system),
+        term: seen.term,
+        mode: match message {
+            Some(Message::Control { control, .. }) => mode(control.mode),
+            _ => Mode::None,
+        },
+        verdict: match seen.verdict {
+            tandem_vehicle::Verdict::Accepted => Verdict::Accepted,
+            tandem_vehicle::Verdict::Fenced => Verdict::Fenced,
+            tandem_vehicle::Verdict::NotMaster => Verdict::NotMaster,
+            tandem_vehicle::Verdict::Invalid => Verdict::Invalid,
+        },
+    }
+}
+
+/// A status frame; `None` if it is another one.
+pub(crate) fn status(at_ns: u64, message: &Message) -> Option<StatusSeen> {
+    match message {
+        Message::Status {
+            system: index,
+            status,
+        } => Some(StatusSeen {
+            at_ns,
+            system: system(*index),
+            role: role(status.role),
+            mode: mode(status.mode),
+            term: status.term,
+        }),
+        _ => None,
+    }
+}
+
+/// A core's trace record; `None` if it has no meaning or comes in every cycle without a use here.
+pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
+    let us = |us: u32| f64::from(us) * 1e-3;
+    let note = |text: String| What::Note { text };
+    let what = match Event::decode(traced.record)? {
+        Event::Started { generation, cause } => {
+            let causes = ["power-on", "software", "watchdog", "trap"];
+            let cause = causes.get(usize::from(cause)).unwrap_or(&"unknown cause");
+            What::Started {
+                generation,
+                cause: (*cause).to_owned(),
+            }
+        }
+        Event::Role {
+            role: role_code,
+            mode: mode_code,
+            term,
+        } => What::RoleChanged {
+            role: role(*tandem_bus::Role::ALL.get(usize::from(role_code))?),
+            mode: mode(*tandem_bus::Mode::ALL.get(usize::from(mode_code))?),
+            term,
+        },
+        Event::Synchronised => note("both systems run in step".to_owned()),
+        Event::PeerLost {
+            evidence,
+            silent_us,
+        } => What::PeerLost {
+            cause: evidence.name().to_owned(),
+            silent_ms: us(silent_us),
+        },
+        Event::PeerBack => What::PeerBack,
+        Event::TookOver {
+            evidence,
+            silent_us,
+            ..
+        } => What::TookOver {
+            cause: evidence.name().to_owned(),
+            detected_ms: us(silent_us),
+        },
+        Event::ControlCycle { .. } => return None,
+        Event::Chain { latency_ns, .. } => What::ChainDone {
+            latency_ms: f64::from(latency_ns) * 1e-6,
+        },
+        Event::CoreSilent { core } => What::CoreSilent { core },
+        Event::DeadlineMiss { missed } => What::DeadlineMiss { missed },
+        Event::LineBroken { line: 0 } => {
+            note("the level line contradicts the heartbeat lines".to_owned())
+        }
+        Event::LineBroken { line } => note(format!("heartbeat line {line} is silent")),
+        Event::OwnFault { mode } => note(format!("has found its own fault {mode}")),
+        Event::Refused { id: 0 } => note("has refused what the shared memory held".to_owned()),
+        Event::Refused { id } => note(format!("has refused a frame with id {id:03X}")),
+    };
+    let (system, core) = (System::from(traced.system), traced.core.index() as u8);
+    Some(CoreEvent {
+        at_ns: traced.at.as_ns(),
+        system,
+        core,
+        what,
+    })
+}
+
+/// The vehicle's own figures.
+pub(crate) fn figures(metrics: &Metrics) -> Figures {
+    let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+    Figures {
+        collisions: metrics.collisions,
+        lateral_error_max_m: metrics.lateral_error_max_m,
+        lane_changes: metrics.lane_changes,
+        gap_min_m: finite(metrics.gap_min_m),
+        ttc_min_s: finite(metrics.ttc_min_s),
+        accel_max: metrics.acceleration_max,
+        brake_max: metrics.deceleration_max,
+        lat_accel_max: metrics.lateral_acceleration_max,
+        jerk_p99: metrics.jerk_p99,
+        distance_m: metrics.distance_m,
+    }
+}
+
+/// Another vehicle.
+pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
+    Other {
+        x: vehicle.pose.position.x,
+        y: vehicle.pose.position.y,
+        heading: vehicle.pose.yaw,
+        length: vehicle.length,
+        width: vehicle.width,
+    }
+}
+
+/// The lanes around a point.
+pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
+    let count = ((ROAD_BACK_M + ROAD_AHEAD_M) / ROAD_STEP_M) as u32;
+    let around = |lane: &tandem_vehicle::road::Lane| {
+        let place = lane.project(near);
+        let mut borders = Lane::default();
+        let stations =
+            (0..=count).map(|step| place.s - ROAD_BACK_M + f64::from(step) * ROAD_STEP_M);
+        for s in stations.filter(|s| lane.exists_at(*s)) {
+            let half = lane.at(s).width / 2.0;
+            let at = |d: f64| {
+                let point = lane.point(Frenet { s, d });
+                // A tenth of a metre is finer than any screen.
+                [
+                    (point.x * 10.0).round() / 10.0,
+                    (point.y * 10.0).round() / 10.0,
+                ]
+            };
+            borders.left.push(at(half));
+            borders.right.push(at(-half));
+        }
+        (place.d.abs() <= ROAD_ASIDE_M && borders.left.len() > 1).then_some(borders)
+    };
+    road.lanes().iter().filter_map(around).collect()
+}

@@ -1,0 +1,280 @@
+//! The folder of a report: it is replaced as a whole, and only if it holds nothing but a report.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::PermissionsExt as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, bail};
+use serde::Deserialize;
+use tempfile::TempDir;
+
+use crate::metrics::SCHEMA;
+
+/// The page.
+pub(crate) const REPORT: &str = "report.html";
+/// The figures; by its content a folder is known as a report.
+pub(crate) const METRICS: &str = "metrics.json";
+/// The CAN log.
+pub(crate) const CANDUMP: &str = "candump.log";
+/// Distribution of the control period.
+pub(crate) const CONTROL_PERIOD: &str = "control-period.hgrm";
+/// Distribution of the chain's latency.
+pub(crate) const CHAIN: &str = "chain.hgrm";
+
+const FILES: [&str; 5] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN];
+
+/// A place where a report can be put.
+#[derive(Debug)]
+pub(crate) struct OutDir {
+    /// The folder, without symbolic links.
+    path: PathBuf,
+    /// Its parent.
+    parent: PathBuf,
+}
+
+impl OutDir {
+    /// Checks that a report can be put at `path`, without changing anything.
+    ///
+    /// # Errors
+    /// What is in the way, and what to do.
+    pub(crate) fn check(path: &Path) -> anyhow::Result<Self> {
+        // A folder behind a symbolic link is replaced where it is, so that the link stays.
+        let path = match fs::canonicalize(path) {
+            Ok(path) => path,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path)?,
+            Err(error) => {
+                return Err(error).with_context(|| format!("--out {}", path.display()));
+            }
+        };
+        let parent = path.parent().with_context(|| {
+            format!(
+                "--out {}: the root folder cannot be a report",
+                path.display()
+            )
+        })?;
+        if path.exists() {
+            check_replaceable(&path)?;
+        }
+        if std::env::current_dir().is_ok_and(|current| current.starts_with(&path)) {
+            bail!(
+                "--out {}: the current folder would be replaced; name another one",
+                path.display()
+            );
+        }
+        // Permissions, read-only file systems and full disks: only trying it tells.
+        TempDir::new_in(parent)
+            .with_context(|| format!("--out: cannot write in {}", parent.display()))?;
+        Ok(Self {
+            parent: parent.to_owned(),
+            path,
+        })
+    }
+
+    /// The folder.
+    pub(crate) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// A temporary folder beside it, to be filled and handed to [`OutDir::put`].
+    ///
+    /// # Errors
+    /// If it cannot be created.
+    pub(crate) fn stage(&self) -> anyhow::Result<TempDir> {
+        tempfile::Builder::new()
+            .prefix(".tandem-report-")
+            // As readable as any new folder of this user, less what the umask takes.
+            .permissions(fs::Permissions::from_mode(0o777))
+            .tempdir_in(&self.parent)
+            .with_context(|| format!("cannot write in {}", self.parent.display()))
+    }
+
+    /// Puts the filled folder in place of the old one.
+    ///
+    /// # Errors
+    /// If the old one is no longer a report, or cannot be replaced.
+    pub(crate) fn put(&self, stage: TempDir) -> anyhow::Result<()> {
+        // Another run may put its report there at the same time: then the later one wins.
+        for _ in 0..10 {
+            if self.path.exists() {
+                check_replaceable(&self.path)?;
+                let old = self.stage()?;
+                let moved = fs::rename(&self.path, old.path().join("old"));
+                if moved
+                    .as_ref()
+                    .is_err_and(|error| error.kind() != io::ErrorKind::NotFound)
+                {
+                    return moved.with_context(|| format!("replacing {}", self.path.display()));
+                }
+            }
+            match fs::rename(stage.path(), &self.path) {
+                Ok(()) => {
+                    // It is no longer temporary.
+                    let _ = stage.keep();
+                    return Ok(());
+                }
+                Err(error) if error.kind() == io::ErrorKind::DirectoryNotEmpty => {}
+                Err(error) => {
+                    return Err(error).with_context(|| format!("writing {}", self.path.display()));
+                }
+            }
+        }
+        bail!(
+            "{}: other runs keep writing to the same folder",
+            self.path.display()
+        )
+    }
+}
+
+/// The path of a folder that does not exist, in a parent that must.
+fn absent(path: &Path) -> anyhow::Result<PathBuf> {
+    if path.symlink_metadata().is_ok() {
+        bail!(
+            "--out {}: a symbolic link that leads nowhere",
+            path.display()
+        );
+    }
+    let name = path
+        .file_name()
+        .with_context(|| format!("--out {}: not the name of a folder", path.display()))?;
+    let parent = match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    };
+    let parent = fs::canonicalize(parent).with_context(|| {
+        let parent = parent.display();
+        format!(
+            "--out {}: there is no folder {parent}; create it first",
+            path.display()
+        )
+    })?;
+    Ok(parent.join(name))
+}
+
+/// An existing folder may be replaced if it is empty or holds a report and nothing else.
+fn check_replaceable(path: &Path) -> anyhow::Result<()> {
+    let shown = path.display();
+    if !path.is_dir() {
+        bail!("--out {shown}: it is a file; name a folder");
+    }
+    let entries = fs::read_dir(path).with_context(|| format!("--out {shown}"))?;
+    let mut names = Vec::new();
+    for entry in entries {
+        names.push(entry.with_context(|| format!("--out {shown}"))?.file_name());
+    }
+    if names.is_empty() {
+        return Ok(());
+    }
+    if let Some(foreign) = names
+        .iter()
+        .find(|name| !FILES.iter().any(|known| name == known))
+    {
+        bail!(
+            "--out {shown}: it holds {}, which no report does, and would be replaced; \
+             name another folder",
+            foreign.display()
+        );
+    }
+    #[derive(Deserialize)]
+    struct Marker {
+        schema: String,
+    }
+    let marker = fs::read(path.join(METRICS)).ok();
+    let marker: Option<Marker> = marker.and_then(|text| serde_json::from_slice(&text).ok());
+    if marker.is_none_or(|marker| marker.schema != SCHEMA) {
+        bail!(
+            "--out {shown}: it is neither empty nor a report of this program; name another folder"
+        );
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn put(out: &OutDir, content: &str) -> anyhow::Result<()> {
+        let stage = out.stage().unwrap();
+        fs::write(
+            stage.path().join(METRICS),
+            format!("{{\"schema\":\"{SCHEMA}\"}}"),
+        )
+        .unwrap();
+        fs::write(stage.path().join(REPORT), content).unwrap();
+        out.put(stage)
+    }
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<String> = entries
+            .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_report_replaces_an_empty_folder_and_an_earlier_report() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("out");
+        put(&OutDir::check(&path).unwrap(), "one").unwrap();
+        put(&OutDir::check(&path).unwrap(), "two").unwrap();
+        assert_eq!(fs::read_to_string(path.join(REPORT)).unwrap(), "two");
+        let empty = root.path().join("empty");
+        fs::create_dir(&empty).unwrap();
+        put(&OutDir::check(&empty).unwrap(), "three").unwrap();
+        assert_eq!(names(root.path()), ["empty", "out"]);
+    }
+
+    #[test]
+    fn checking_changes_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        OutDir::check(&root.path().join("out")).unwrap();
+        assert!(names(root.path()).is_empty());
+    }
+
+    #[test]
+    fn what_is_no_report_is_never_replaced() {
+        let root = tempfile::tempdir().unwrap();
+        let file = root.path().join("file");
+        fs::write(&file, "x").unwrap();
+        let folder = root.path().join("folder");
+        fs::create_dir(&folder).unwrap();
+        fs::write(folder.join("thesis.txt"), "x").unwrap();
+        let other = root.path().join("other");
+        fs::create_dir(&other).unwrap();
+        fs::write(other.join(METRICS), "{\"schema\":\"someone else's\"}").unwrap();
+        for path in [
+            file,
+            folder,
+            other,
+            root.path().join("a/b"),
+            PathBuf::from("/"),
+        ] {
+            assert!(OutDir::check(&path).is_err(), "{}", path.display());
+        }
+    }
+
+    #[test]
+    fn what_came_into_a_report_since_is_never_replaced() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("out");
+        let out = OutDir::check(&path).unwrap();
+        put(&out, "one").unwrap();
+        fs::write(path.join("notes.txt"), "mine").unwrap();
+        assert!(put(&out, "two").is_err());
+        assert_eq!(fs::read_to_string(path.join("notes.txt")).unwrap(), "mine");
+        assert_eq!(names(root.path()), ["out"]);
+    }
+
+    #[test]
+    fn a_symbolic_link_stays() {
+        let root = tempfile::tempdir().unwrap();
+        let real = root.path().join("real");
+        fs::create_dir(&real).unwrap();
+        let link = root.path().join("link");
+        std::os::unix::fs::symlink(&real, &link).unwrap();
+        put(&OutDir::check(&link).unwrap(), "one").unwrap();
+        assert!(link.is_symlink() && link.join(REPORT).exists());
+    }
+}

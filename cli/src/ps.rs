@@ -1,0 +1,112 @@
+//! `tandem ps`: the processes of all runs.
+
+use anyhow::Context as _;
+use serde::Serialize;
+use tandem_board::SystemId;
+use tandem_board_host::processes::{self, Kind, Process};
+
+use crate::args::PsArgs;
+
+/// What `--json` prints of a process.
+#[derive(Debug, Serialize)]
+struct Row {
+    pid: u32,
+    kind: String,
+    system: Option<String>,
+    core: Option<usize>,
+    role: Option<String>,
+    cpu: Option<u32>,
+}
+
+/// What the board calls a master that drives alone.
+const DEGRADED: &str = "degraded";
+
+fn row(process: &Process) -> Row {
+    let role = process.role.as_deref();
+    Row {
+        pid: process.pid,
+        kind: process.kind.to_string(),
+        system: process.system.map(|system: SystemId| system.to_string()),
+        core: match process.kind {
+            Kind::Core(core, _) => Some(core.index()),
+            Kind::Supply | Kind::Vehicle => None,
+        },
+        // Degraded is a mode: such a system is the master.
+        role: role.map(|role| if role == DEGRADED { "master" } else { role }.to_owned()),
+        cpu: process.cpu,
+    }
+}
+
+/// Prints the processes.
+///
+/// # Errors
+/// If stdout cannot be written.
+pub(crate) fn run(args: &PsArgs) -> anyhow::Result<()> {
+    let processes = processes::list();
+    let text = if args.json {
+        let rows: Vec<Row> = processes.iter().map(row).collect();
+        serde_json::to_string_pretty(&rows).context("the list of processes")? + "\n"
+    } else {
+        table(&processes)
+    };
+    crate::print(&text)
+}
+
+fn table(processes: &[Process]) -> String {
+    if processes.is_empty() {
+        return "no run is under way; `tandem run` starts one\n".to_owned();
+    }
+    let mut text = format!(
+        "{:>8}  {:8}  {:6}  {:4}  {:17}  {:>3}  {}\n",
+        "PID", "KIND", "SYSTEM", "CORE", "ROLE", "CPU", "RUN"
+    );
+    for process in processes {
+        let row = row(process);
+        let dash = || "-".to_owned();
+        let mode = if process.role.as_deref() == Some(DEGRADED) {
+            " (degraded)"
+        } else {
+            ""
+        };
+        text += &format!(
+            "{:>8}  {:8}  {:6}  {:4}  {:17}  {:>3}  {}\n",
+            row.pid,
+            row.kind,
+            row.system.unwrap_or_else(dash),
+            row.core.map_or_else(dash, |core| core.to_string()),
+            row.role.map_or_else(dash, |role| role + mode),
+            row.cpu.map_or_else(dash, |cpu| cpu.to_string()),
+            process.run,
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::{CoreId, Generation};
+
+    fn core() -> Process {
+        Process {
+            pid: 17,
+            run: "tandem-1-a".parse().unwrap(),
+            kind: Kind::Core(CoreId::PLANNING, Generation(1)),
+            system: Some(SystemId::B),
+            role: Some(DEGRADED.to_owned()),
+            cpu: Some(1),
+        }
+    }
+
+    #[test]
+    fn scripts_find_exactly_the_names_that_they_rely_on() {
+        let json = serde_json::to_string(&row(&core())).unwrap();
+        let expected = r#"{"pid":17,"kind":"core","system":"B","core":2,"role":"master","cpu":1}"#;
+        assert_eq!(json, expected);
+    }
+
+    #[test]
+    fn people_see_that_a_master_is_degraded() {
+        assert!(table(&[core()]).contains("master (degraded)"));
+    }
+}

@@ -1,0 +1,315 @@
+//! `tandem run`: checks, starts both systems and the vehicle, waits, writes the report.
+
+use std::fs::{self, File};
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use anyhow::{Context as _, bail};
+use tandem_board::SystemId;
+use tandem_board_host::realtime::{Claim, Grant, claim};
+use tandem_board_host::{
+    CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
+};
+use tandem_vehicle::Scenario;
+
+use crate::args::{CpuList, RunArgs, Timing};
+use crate::failure::Failure;
+use crate::files::RunFiles;
+use crate::live::Progress;
+use crate::metrics::{self, Metrics, Surroundings};
+use crate::out_dir::{self, OutDir};
+use crate::percentiles::Spans;
+use crate::plan::{Profile, RunPlan};
+use crate::runlog::RunLog;
+use crate::{report, summary};
+
+/// Drives the scenario and writes the report.
+///
+/// # Errors
+/// [`Failure`] with the exit status that the command documents.
+pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
+    let checked = Checked::new(args).map_err(Failure::Usage)?;
+    let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
+    let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
+    if !args.quiet {
+        eprintln!("{granted}");
+    }
+    let plan = RunPlan {
+        scenario: args.scenario.clone(),
+        seed: args.seed,
+        duration_s: args.duration,
+        profile,
+        reintegrate: args.reintegrate,
+    };
+    let files = RunFiles::of(launcher.isolation().run().clone());
+    let ended = drive(args, &checked, &plan, &files, &mut launcher).map_err(Failure::Run)?;
+    if ended.interrupted {
+        launcher.finish();
+        return Err(Failure::Interrupted);
+    }
+    let collected = Collected::new(&checked.out, &files, ended);
+    let left = leftovers(&launcher.finish());
+    let around = Surroundings {
+        granted,
+        timing: profile.name().to_owned(),
+        detection_bound_ms: None,
+        leftovers: left,
+    };
+    let metrics = collected
+        .and_then(|c| c.write(&checked.out, &around))
+        .map_err(Failure::Run)?;
+    tell(args, &checked.out, &metrics).map_err(Failure::Run)?;
+    match report::objections(&metrics) {
+        objections if objections.is_empty() => Ok(()),
+        objections => Err(Failure::Objections(objections)),
+    }
+}
+
+/// What was found to be right before anything is started.
+struct Checked {
+    out: OutDir,
+    pinning: Pinning,
+    cpus: Vec<usize>,
+    dflash: Option<PathBuf>,
+}
+
+impl Checked {
+    fn new(args: &RunArgs) -> anyhow::Result<Self> {
+        Scenario::load(&args.scenario)?;
+        let out = OutDir::check(&args.out)?;
+        let available = available_cpus()?;
+        let (pinning, cpus) = match &args.cpus {
+            None => (Pinning::Auto, available),
+            Some(CpuList(asked)) => (Pinning::Cpus(indices(asked, &available)?), asked.clone()),
+        };
+        let dflash = args.dflash.as_deref().map(check_dflash).transpose()?;
+        Ok(Self {
+            out,
+            pinning,
+            cpus,
+            dflash,
+        })
+    }
+}
+
+fn available_cpus() -> anyhow::Result<Vec<usize>> {
+    let ids = core_affinity::get_core_ids().context("cannot tell which CPUs there are")?;
+    Ok(ids.into_iter().map(|id| id.id).collect())
+}
+
+/// Places of the CPUs that were asked for among those that there are.
+fn indices(asked: &[usize], available: &[usize]) -> anyhow::Result<Vec<usize>> {
+    asked
+        .iter()
+        .map(|cpu| {
+            available
+                .iter()
+                .position(|there| there == cpu)
+                .with_context(|| {
+                    format!("--cpus: there is no CPU {cpu}; this process may use {available:?}")
+                })
+        })
+        .collect()
+}
+
+fn check_dflash(folder: &Path) -> anyhow::Result<PathBuf> {
+    let shown = folder.display();
+    let folder = fs::canonicalize(folder)
+        .with_context(|| format!("--dflash {shown}: create this folder first"))?;
+    if !folder.is_dir() {
+        bail!("--dflash {shown}: it is a file; name a folder");
+    }
+    tempfile::tempfile_in(&folder)
+        .with_context(|| format!("--dflash {shown}: cannot write in this folder"))?;
+    Ok(folder)
+}
+
+/// Finds out what the machine grants, and says it in a line.
+fn grant(
+    args: &RunArgs,
+    checked: &Checked,
+    launcher: &Launcher,
+) -> anyhow::Result<(Profile, String)> {
+    let granted = if args.timing == Timing::Desktop {
+        Grant {
+            fifo: None,
+            cpu: None,
+            memory_locked: false,
+        }
+    } else {
+        // In a thread of its own: this one stays as it is.
+        let probe = || {
+            claim(Claim {
+                priority: Some(1),
+                cpu: None,
+                lock_memory: true,
+            })
+        };
+        std::thread::scope(|scope| scope.spawn(probe).join())
+            .map_err(|_| anyhow::anyhow!("asking for real time has panicked"))?
+    };
+    if args.timing == Timing::Rt && !granted.is_realtime() {
+        bail!(
+            "--timing rt: SCHED_FIFO was refused; run as root, grant CAP_SYS_NICE, raise \
+             RLIMIT_RTPRIO to 80, or use --timing auto"
+        );
+    }
+    let profile = if granted.is_realtime() {
+        Profile::Rt
+    } else {
+        Profile::Desktop
+    };
+    let cpus: Vec<String> = checked.cpus.iter().map(ToString::to_string).collect();
+    let line = format!(
+        "{} timing: {}, {}, cores pinned to CPU {}; {}",
+        profile.name(),
+        if granted.is_realtime() {
+            "SCHED_FIFO"
+        } else {
+            "no real-time priority"
+        },
+        if granted.memory_locked {
+            "memory locked"
+        } else {
+            "memory not locked"
+        },
+        cpus.join(","),
+        launcher.isolation(),
+    );
+    Ok((profile, line))
+}
+
+/// Starts everything and waits for the end.
+fn drive(
+    args: &RunArgs,
+    checked: &Checked,
+    plan: &RunPlan,
+    files: &RunFiles,
+    launcher: &mut Launcher,
+) -> anyhow::Result<Ended> {
+    let flash = SystemId::ALL.map(|system| match &checked.dflash {
+        Some(folder) => folder.join(format!("{system}.dflash")),
+        None => files.flash(system),
+    });
+    let schedule = Schedule {
+        realtime: plan.profile == Profile::Rt,
+        pinning: checked.pinning.clone(),
+    };
+    let errors = File::create(files.errors()).context("creating the log of errors")?;
+    launcher.start(
+        &Plan {
+            schedule,
+            flash,
+            extra: plan.to_extra()?,
+        },
+        &|args| {
+            let mut command = this_program(args);
+            match errors.try_clone() {
+                Ok(errors) => command.stderr(errors),
+                Err(_) => command.stderr(Stdio::null()),
+            };
+            command
+        },
+    )?;
+    let progress = (!args.quiet).then(|| Progress::show(files.live(), plan.duration_s));
+    let ended = launcher.wait();
+    if let Some(progress) = progress {
+        progress.end();
+    }
+    Ok(ended)
+}
+
+/// The command that starts this very program, even if its file was replaced meanwhile.
+fn this_program(args: &ProcessArgs) -> Command {
+    let mut command = Command::new("/proc/self/exe");
+    command.arg0("tandem").args(args.to_argv());
+    // Nothing of a run may keep the caller's pipes open after `tandem run` itself has ended.
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    command
+}
+
+/// The command by which a supply starts a core.
+pub(crate) fn core_command(args: &CoreArgs) -> Command {
+    this_program(&ProcessArgs::Core(args.clone()))
+}
+
+fn leftovers(found: &Leftovers) -> Vec<String> {
+    let processes = found
+        .processes
+        .iter()
+        .map(|p| format!("process {} ({})", p.pid, p.kind));
+    processes.chain(found.files.iter().cloned()).collect()
+}
+
+/// What was taken out of the run's shared memory before that is wiped.
+struct Collected {
+    log: RunLog,
+    stage: tempfile::TempDir,
+}
+
+impl Collected {
+    fn new(out: &OutDir, files: &RunFiles, ended: Ended) -> anyhow::Result<Self> {
+        let errors = fs::read_to_string(files.errors()).unwrap_or_default();
+        let errors = errors.trim();
+        if !errors.is_empty() {
+            eprintln!("the processes of the run said:\n{errors}");
+        }
+        let log = RunLog::read(&files.log()).with_context(|| match ended.vehicle {
+            Some(status) => format!("the vehicle's process ended with {status}"),
+            None => "the vehicle's process ended".to_owned(),
+        })?;
+        let stage = out.stage()?;
+        let candump = stage.path().join(out_dir::CANDUMP);
+        fs::copy(files.candump(), &candump)
+            .with_context(|| format!("writing {}", candump.display()))?;
+        Ok(Self { log, stage })
+    }
+
+    fn write(self, out: &OutDir, around: &Surroundings) -> anyhow::Result<Metrics> {
+        let metrics = metrics::compute(&self.log, around);
+        let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
+        let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
+        let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
+        let page = report::page(&self.log, &metrics)?;
+        for (name, text) in [
+            (out_dir::REPORT, page),
+            (out_dir::METRICS, json),
+            (out_dir::CONTROL_PERIOD, period),
+            (out_dir::CHAIN, chain),
+        ] {
+            let path = self.stage.path().join(name);
+            fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+        }
+        out.put(self.stage)?;
+        Ok(metrics)
+    }
+}
+
+/// The end of the run on the terminal.
+fn tell(args: &RunArgs, out: &OutDir, metrics: &Metrics) -> anyhow::Result<()> {
+    let report = out.path().join(out_dir::REPORT);
+    if args.json {
+        let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;
+        return crate::print(&format!("{json}\n"));
+    }
+    if args.quiet {
+        return Ok(());
+    }
+    crate::print(&summary::table(metrics, &report))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cpus_are_named_by_their_numbers() {
+        assert_eq!(indices(&[5, 2], &[2, 3, 5]).unwrap(), [2, 0]);
+        let error = indices(&[7], &[2, 3]).unwrap_err().to_string();
+        assert!(
+            error.contains("no CPU 7") && error.contains("[2, 3]"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,92 @@
+//! The table at the end of a run.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use crate::metrics::Metrics;
+
+/// The most important figures, and where the rest is.
+pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
+    let mut text = String::new();
+    let mut row = |name: &str, value: String| {
+        let _ = writeln!(text, "  {name:22}{value}");
+    };
+    let ms = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.2}"));
+    row(
+        "scenario",
+        format!(
+            "{}, {:.1} s, {:.0} m",
+            metrics.scenario, metrics.duration_s, metrics.distance_m
+        ),
+    );
+    row("collisions", metrics.collisions.to_string());
+    row(
+        "lateral error",
+        format!("{:.2} m at most", metrics.lateral_error_max_m),
+    );
+    row(
+        "control period",
+        format!(
+            "p50 {}  p99 {}  p99.9 {}  max {} ms",
+            ms(metrics.control_period_p50_ms),
+            ms(metrics.control_period_p99_ms),
+            ms(metrics.control_period_p99_9_ms),
+            ms(metrics.control_period_max_ms)
+        ),
+    );
+    row(
+        "chain core 1-2-0",
+        format!(
+            "p50 {}  p99 {}  max {} ms",
+            ms(metrics.chain_p50_ms),
+            ms(metrics.chain_p99_ms),
+            ms(metrics.chain_max_ms)
+        ),
+    );
+    row(
+        "control frames",
+        format!(
+            "{} accepted, {} fenced off",
+            metrics.control_frames, metrics.fenced_frames
+        ),
+    );
+    row(
+        "largest gap",
+        format!("{} ms", ms(metrics.control_gap_max_ms)),
+    );
+    row("two masters", format!("{:.1} ms", metrics.two_masters_ms));
+    row("takeovers", takeovers(metrics));
+    row("report", report.display().to_string());
+    text
+}
+
+fn takeovers(metrics: &Metrics) -> String {
+    if metrics.takeovers.is_empty() {
+        return "none".to_owned();
+    }
+    let each = metrics.takeovers.iter().map(|takeover| {
+        let detected = takeover
+            .detected_ms
+            .map_or(String::new(), |ms| format!(", detected in {ms:.2} ms"));
+        format!(
+            "{} to {} at {:.2} s: {}{detected}, {:.1} ms without control",
+            takeover.from, takeover.to, takeover.at_s, takeover.cause, takeover.gap_ms
+        )
+    });
+    each.collect::<Vec<_>>().join(&format!("\n{:24}", ""))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::metrics::{Surroundings, compute};
+    use crate::synthetic;
+
+    #[test]
+    fn the_table_names_the_takeover_and_the_report() {
+        let metrics = compute(&synthetic::with_takeover(10.0), &Surroundings::default());
+        let text = table(&metrics, Path::new("/x/report.html"));
+        assert!(text.contains("A to B at 5.0"), "{text}");
+        assert!(text.contains("/x/report.html"), "{text}");
+    }
+}
