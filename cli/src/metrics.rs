@@ -20,6 +20,8 @@ pub(crate) struct Surroundings {
     pub(crate) timing: String,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
+    /// How long the vehicle can be without control at most when a master falls silent, ms.
+    pub(crate) gap_bound_ms: Option<f64>,
     /// Files and processes that were still there after the end.
     pub(crate) leftovers: Vec<String>,
 }
@@ -71,6 +73,8 @@ pub(crate) struct Metrics {
     pub(crate) false_takeovers: usize,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
+    /// How long the vehicle can be without control at most when a master falls silent, ms.
+    pub(crate) gap_bound_ms: Option<f64>,
     /// Largest distance from the centre of the lane outside lane changes, m.
     pub(crate) lateral_error_max_m: f64,
     /// How often the vehicle went to another lane.
@@ -248,6 +252,7 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
             })
             .collect(),
         detection_bound_ms: around.detection_bound_ms,
+        gap_bound_ms: around.gap_bound_ms,
         lateral_error_max_m: drive.lateral_error_max_m,
         lane_changes: drive.lane_changes,
         distance_m: drive.distance_m,

@@ -3,6 +3,7 @@
 use tandem_board_host::Traced;
 use tandem_bus::Message;
 use tandem_cores::trace::Event;
+use tandem_redundancy::Evidence;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
 use tandem_vehicle::{Acceptance, Metrics, VehicleSnapshot};
@@ -79,8 +80,6 @@ pub(crate) fn status(at_ns: u64, message: &Message) -> Option<StatusSeen> {
 
 /// A core's trace record; `None` if it has no meaning or comes in every cycle without a use here.
 pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
-    let us = |us: u32| f64::from(us) * 1e-3;
-    let note = |text: String| What::Note { text };
     let what = match Event::decode(traced.record)? {
         Event::Started { generation, cause } => {
             let causes = ["power-on", "software", "watchdog", "trap"];
@@ -99,36 +98,25 @@ pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
             mode: mode(*tandem_bus::Mode::ALL.get(usize::from(mode_code))?),
             term,
         },
-        Event::Synchronised => note("both systems run in step".to_owned()),
-        Event::PeerLost {
-            evidence,
-            silent_us,
-        } => What::PeerLost {
-            cause: evidence.name().to_owned(),
-            silent_ms: us(silent_us),
-        },
-        Event::PeerBack => What::PeerBack,
         Event::TookOver {
-            evidence,
-            silent_us,
+            cause,
+            since_heartbeat_us,
+            since_control_us,
             ..
         } => What::TookOver {
-            cause: evidence.name().to_owned(),
-            detected_ms: us(silent_us),
+            // A mute master's heart goes on beating.
+            detected_ms: f64::from(match cause {
+                Evidence::MasterMute => since_control_us,
+                _ => since_heartbeat_us,
+            }) * 1e-3,
+            cause: evidence_in_words(cause).to_owned(),
         },
-        Event::ControlCycle { .. } => return None,
         Event::Chain { latency_ns, .. } => What::ChainDone {
             latency_ms: f64::from(latency_ns) * 1e-6,
         },
         Event::CoreSilent { core } => What::CoreSilent { core },
         Event::DeadlineMiss { missed } => What::DeadlineMiss { missed },
-        Event::LineBroken { line: 0 } => {
-            note("the level line contradicts the heartbeat lines".to_owned())
-        }
-        Event::LineBroken { line } => note(format!("heartbeat line {line} is silent")),
-        Event::OwnFault { mode } => note(format!("has found its own fault {mode}")),
-        Event::Refused { id: 0 } => note("has refused what the shared memory held".to_owned()),
-        Event::Refused { id } => note(format!("has refused a frame with id {id:03X}")),
+        other => What::Note { text: note(other)? },
     };
     let (system, core) = (System::from(traced.system), traced.core.index() as u8);
     Some(CoreEvent {
@@ -137,6 +125,59 @@ pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
         core,
         what,
     })
+}
+
+/// An event that no figure needs, in words.
+fn note(event: Event) -> Option<String> {
+    Some(match event {
+        Event::Phase { from, to, on } => {
+            format!("from {from:?} to {to:?}: {}", evidence_in_words(on))
+        }
+        Event::PeerFailed(true) => "takes the other system for failed".to_owned(),
+        Event::PeerFailed(false) => "no longer takes the other system for failed".to_owned(),
+        Event::Line { line, silent: true } => format!("heartbeat line {line} is silent"),
+        Event::Line {
+            line,
+            silent: false,
+        } => format!("heartbeat line {line} is back"),
+        Event::LinesSplit => "both heartbeat lines are cut, the other system lives".to_owned(),
+        Event::CanSilent(true) => "hears nothing on CAN".to_owned(),
+        Event::CanSilent(false) => "hears CAN again".to_owned(),
+        Event::Ignored { term: 0 } => "has ignored an implausible frame".to_owned(),
+        Event::Ignored { term } => format!("has ignored a frame of the outdated term {term}"),
+        Event::TermRaised { term } => format!("raises its term to {term}"),
+        Event::StateLost => "the state in flash was lost".to_owned(),
+        Event::Refused { id: 0 } => "has refused what the shared memory held".to_owned(),
+        Event::Refused { id } => format!("has refused a frame with id {id:03X}"),
+        Event::Started { .. }
+        | Event::Role { .. }
+        | Event::TookOver { .. }
+        | Event::ControlCycle { .. }
+        | Event::Chain { .. }
+        | Event::CoreSilent { .. }
+        | Event::DeadlineMiss { .. } => return None,
+    })
+}
+
+const fn evidence_in_words(evidence: Evidence) -> &'static str {
+    match evidence {
+        Evidence::SyncHeard => "sync edge of the other system",
+        Evidence::PeerRuns => "the other system is running",
+        Evidence::HandshakeDone => "handshake done",
+        Evidence::NobodyThere => "nobody has answered",
+        Evidence::PeerOff => "power level fell",
+        Evidence::PeerSilent => "heartbeats and control frames silent",
+        Evidence::BeatsSilent => "heartbeats silent",
+        Evidence::MasterMute => "control frames missing",
+        Evidence::HigherTerm => "the other system drives in a higher term",
+        Evidence::BeatsBack => "heartbeats are back",
+        Evidence::PeerStable => "the other system is back for good",
+        Evidence::Stalled => "was held up",
+        Evidence::ListenOver => "the other system has not taken over",
+        Evidence::FaultReset => "own fault, a reset may cure it",
+        Evidence::FaultStop => "own fault while alone",
+        Evidence::FaultSuspend => "own fault that stays",
+    }
 }
 
 /// The vehicle's own figures.

@@ -22,7 +22,7 @@ use crate::out_dir::{self, OutDir};
 use crate::percentiles::Spans;
 use crate::plan::{Profile, RunPlan};
 use crate::runlog::RunLog;
-use crate::{report, summary};
+use crate::{core_process, report, summary};
 
 /// Drives the scenario and writes the report.
 ///
@@ -50,10 +50,13 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     }
     let collected = Collected::new(&checked.out, &files, ended);
     let left = leftovers(&launcher.finish());
+    let limits = core_process::config(&plan).redundancy;
     let around = Surroundings {
         granted,
         timing: profile.name().to_owned(),
-        detection_bound_ms: None,
+        detection_bound_ms: Some(limits.takeover_bound().as_ms_f64()),
+        // The bus moves frames once a millisecond.
+        gap_bound_ms: Some(limits.gap_bound().as_ms_f64() + 1.0),
         leftovers: left,
     };
     let metrics = collected

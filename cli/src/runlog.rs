@@ -226,15 +226,6 @@ pub(crate) enum What {
         /// The mastership term.
         term: u32,
     },
-    /// The other system is taken for failed.
-    PeerLost {
-        /// By which sign.
-        cause: String,
-        /// How long it had been silent, ms.
-        silent_ms: f64,
-    },
-    /// The other system is heard again.
-    PeerBack,
     /// This system has become the master in place of the other.
     TookOver {
         /// By which sign the other was taken for failed.

@@ -164,11 +164,6 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
         0,
         role(Role::Standby, Mode::L3, 2),
     );
-    let lost = What::PeerLost {
-        cause: "power line fell".into(),
-        silent_ms: 1.1,
-    };
-    event(middle_ns + 600_000, System::B, 0, lost);
     let took = What::TookOver {
         cause: "power line fell".into(),
         detected_ms: 1.1,

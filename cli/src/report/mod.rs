@@ -299,7 +299,8 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                 table {
                     tr {
                         th { "at" } th { "from → to" } th { "sign" } th.num { "detected" }
-                        th.num { "bound" } th.num { "without control" } th { "" }
+                        th.num { "bound" } th.num { "without control" } th.num { "bound" }
+                        th { "" }
                     }
                     @for takeover in &metrics.takeovers {
                         tr {
@@ -309,6 +310,7 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                             td.num { (optional_ms(takeover.detected_ms)) }
                             td.num { (optional_ms(bound)) }
                             td.num { (format!("{:.2} ms", takeover.gap_ms)) }
+                            td.num { (optional_ms(metrics.gap_bound_ms)) }
                             td.bad { @if takeover.is_false { "the old master had not failed" } }
                         }
                     }
@@ -441,12 +443,6 @@ fn describe(what: &What) -> Option<String> {
                 State::of(*role, *mode).name()
             )
         }
-        What::PeerLost { cause, silent_ms } => {
-            format!(
-                "takes the other system for failed: {cause}, {silent_ms:.2} ms since its last sign"
-            )
-        }
-        What::PeerBack => "hears the other system again".to_owned(),
         What::TookOver { cause, detected_ms } => {
             format!("takes over: {cause}, detected in {detected_ms:.2} ms")
         }

@@ -10,6 +10,7 @@ fn synthetic_page() -> String {
         granted: "SCHED_FIFO, memory locked, CPUs 0 and 1".into(),
         timing: "rt".into(),
         detection_bound_ms: Some(3.2),
+        gap_bound_ms: Some(14.5),
         leftovers: Vec::new(),
     };
     page(&log, &metrics::compute(&log, &around)).unwrap()
