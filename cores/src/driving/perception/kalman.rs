@@ -72,7 +72,8 @@ impl Axis {
         self.state.z
     }
 
-    pub(crate) fn position_variance(&self) -> f32 {
+    #[cfg(test)]
+    fn position_variance(&self) -> f32 {
         self.covariance.m11
     }
 

@@ -1,0 +1,262 @@
+//! The driving functions around the world, in virtual time: what the wiring of the cores does, without
+//! cores.
+#![allow(dead_code, clippy::unwrap_used)]
+
+use std::path::PathBuf;
+
+use tandem_board::{Duration, Instant};
+use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
+use tandem_cores::driving::control::MotionControl;
+use tandem_cores::driving::degraded::DegradedControl;
+use tandem_cores::driving::perception::{Perception, ego_of};
+use tandem_cores::driving::planning::Planner;
+use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
+use tandem_vehicle::{Config, Metrics, Scenario, Snapshot, World};
+
+/// Perception begins its cycle so late in each 50 ms, when all sensors have reported.
+const PERCEPTION_PHASE_MS: u64 = 25;
+/// Core 1 and core 2 need so long until the trajectory is with core 0.
+const CHAIN_MS: u64 = 15;
+
+/// Which function produces the command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Function {
+    /// Perception, planning, control.
+    L3,
+    /// Degraded control from the scene.
+    L2,
+    /// Safe stop from the chassis alone.
+    SafeStop,
+}
+
+/// One system with its functions.
+pub(crate) struct System {
+    receiver: Receiver,
+    pub(crate) perception: Perception,
+    planner: Planner,
+    control: MotionControl,
+    degraded: DegradedControl,
+    ego: Ego,
+    scene: Option<Scene>,
+    pending: Option<(u64, Trajectory)>,
+    pub(crate) trajectory: Option<Trajectory>,
+    /// Trajectories no longer come, as if core 2 had died.
+    pub(crate) planning_is_dead: bool,
+}
+
+impl System {
+    pub(crate) fn new() -> Self {
+        Self {
+            receiver: Receiver::new(),
+            perception: Perception::new(),
+            planner: Planner::new(),
+            control: MotionControl::new(),
+            degraded: DegradedControl::new(),
+            ego: Ego::default(),
+            scene: None,
+            pending: None,
+            trajectory: None,
+            planning_is_dead: false,
+        }
+    }
+
+    pub(crate) fn on_frame(&mut self, now: Instant, id: u16, data: &[u8]) {
+        if let Ok(message) = self.receiver.receive(u32::from(id), data) {
+            if let Message::EgoMotion(motion) = &message {
+                self.ego = ego_of(motion);
+                self.control.on_ego(now, &self.ego);
+            }
+            self.perception.on_message(now, &message);
+        }
+    }
+
+    /// One millisecond: perception and planning when they are due.
+    pub(crate) fn tick(&mut self, now_ms: u64, now: Instant) {
+        if now_ms % 50 == PERCEPTION_PHASE_MS {
+            let scene = self.perception.cycle(now).clone();
+            if !self.planning_is_dead {
+                self.pending = Some((now_ms + CHAIN_MS, self.planner.plan(&scene)));
+            }
+            self.scene = Some(scene);
+        }
+        if let Some((at, _)) = self.pending
+            && now_ms >= at
+        {
+            self.trajectory = self.pending.take().map(|(_, trajectory)| trajectory);
+        }
+    }
+
+    /// The next commands go on from this one.
+    pub(crate) fn resume(&mut self, last: &Command) {
+        self.control.resume(last);
+        self.degraded.resume(last);
+    }
+
+    /// The command of the wished function; a function that cannot go on gives way to the next.
+    pub(crate) fn command(
+        &mut self,
+        now: Instant,
+        wished: Function,
+    ) -> Option<(Command, Function)> {
+        let mut function = wished;
+        let mut command = None;
+        if function == Function::L3 {
+            let trajectory = self.trajectory.as_ref()?;
+            match self.control.step(now, &self.ego, trajectory) {
+                Ok(result) => command = Some(result),
+                Err(_) => function = Function::L2,
+            }
+        }
+        if function == Function::L2 {
+            command = Some(self.degraded.step(now, &self.ego, self.scene.as_ref()?));
+        }
+        if function == Function::SafeStop {
+            command = Some(self.degraded.safe_stop(&self.ego));
+        }
+        let command = command?;
+        self.resume(&command);
+        Some((command, function))
+    }
+}
+
+/// The world with one or two systems that drive in it.
+pub(crate) struct Drive {
+    pub(crate) world: World,
+    pub(crate) now_ms: u64,
+    pub(crate) systems: Vec<System>,
+    pub(crate) master: usize,
+    pub(crate) function: Function,
+    /// Sensors whose frames are lost, by their ids.
+    pub(crate) lost: Vec<u16>,
+    transmitter: Transmitter,
+    /// The largest changes of consecutive commands: steering rad, acceleration m/s².
+    pub(crate) largest_step: Command,
+    last: Option<Command>,
+}
+
+impl Drive {
+    pub(crate) fn new(scenario: &Scenario, seed: u64, systems: usize) -> Self {
+        Self {
+            world: World::new(scenario, Config { seed }),
+            now_ms: 0,
+            systems: (0..systems).map(|_| System::new()).collect(),
+            master: 0,
+            function: Function::L3,
+            lost: Vec::new(),
+            transmitter: Transmitter::new(),
+            largest_step: Command::default(),
+            last: None,
+        }
+    }
+
+    pub(crate) fn now(&self) -> Instant {
+        Instant::ORIGIN + Duration::from_ms(self.now_ms + 1_000)
+    }
+
+    /// Runs until the scenario has gone on for `seconds` more.
+    pub(crate) fn run(
+        &mut self,
+        seconds: f64,
+        watch: &mut dyn FnMut(&Snapshot, &System, &Command),
+    ) {
+        let end = self.world.snapshot().time_s + seconds;
+        while self.world.snapshot().time_s < end {
+            self.tick(watch);
+            assert!(self.now_ms < 1_000_000, "the world does not start");
+        }
+    }
+
+    fn tick(&mut self, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
+        let now = self.now();
+        let (systems, lost) = (&mut self.systems, &self.lost);
+        self.world.step(self.now_ms * 1_000_000, &mut |id, data| {
+            if !lost.contains(&id) {
+                for system in systems.iter_mut() {
+                    system.on_frame(now, id, data);
+                }
+            }
+        });
+        for system in &mut self.systems {
+            system.tick(self.now_ms, now);
+        }
+        if self.now_ms % 10 == 5 {
+            self.control(now, watch);
+        }
+        self.now_ms += 1;
+    }
+
+    /// The master's command goes to the vehicle; the others compute silently and hear it.
+    fn control(&mut self, now: Instant, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
+        let function = self.function;
+        let mut sent = None;
+        for (index, system) in self.systems.iter_mut().enumerate() {
+            let command = system.command(now, function);
+            if index == self.master {
+                sent = command;
+            }
+        }
+        let Some((command, function)) = sent else {
+            return;
+        };
+        let term = 2 * (1 + self.master as u32) + self.master as u32;
+        let control = Control {
+            role: Role::Master,
+            mode: if function == Function::L3 {
+                Mode::L3
+            } else {
+                Mode::DegradedL2
+            },
+            term,
+            steering_angle: command.steering_angle,
+            acceleration: command.acceleration,
+            ..Control::default()
+        };
+        let message = Message::Control {
+            system: self.master as u8,
+            control,
+        };
+        let frame = self.transmitter.encode(&message);
+        self.world
+            .on_frame(self.now_ms * 1_000_000, u32::from(frame.id), frame.data());
+        for system in &mut self.systems {
+            system.resume(&command);
+        }
+        if let Some(last) = self.last {
+            let step = &mut self.largest_step;
+            let steering = (command.steering_angle - last.steering_angle).abs();
+            step.steering_angle = step.steering_angle.max(steering);
+            let acceleration = (command.acceleration - last.acceleration).abs();
+            step.acceleration = step.acceleration.max(acceleration);
+        }
+        self.last = Some(command);
+        watch(self.world.snapshot(), &self.systems[self.master], &command);
+    }
+
+    pub(crate) fn metrics(&self) -> Metrics {
+        self.world.metrics()
+    }
+}
+
+/// The embedded scenarios, and the recorded ones if they lie beside the repository.
+pub(crate) fn scenarios() -> Vec<Scenario> {
+    let mut all: Vec<_> = Scenario::names()
+        .map(|name| Scenario::load(name).unwrap())
+        .collect();
+    all.extend(recorded());
+    all
+}
+
+/// The recorded scenarios in `../shared/scenarios`, seen from the workspace, as far as they are there.
+pub(crate) fn recorded() -> Vec<Scenario> {
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/scenarios");
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return Vec::new();
+    };
+    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
+    files.retain(|file| file.extension().is_some_and(|ext| ext == "xml"));
+    files.sort();
+    files
+        .iter()
+        .map(|file| Scenario::read(file).unwrap())
+        .collect()
+}
