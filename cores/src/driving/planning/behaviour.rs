@@ -17,6 +17,8 @@ const POLITENESS: f32 = 0.3;
 /// Braking that a change may ask of the new follower, m/s²; more when the own lane ends.
 const SAFE_BRAKING: f32 = 2.0;
 const SAFE_BRAKING_AT_END: f32 = 3.5;
+/// No change is begun while the own leader makes the vehicle brake harder than this, m/s².
+const CALM_BRAKING: f32 = 1.5;
 /// A wish must hold for this long before it is acted on, in cycles of 50 ms.
 const WISH_CYCLES: u16 = 16;
 /// The same when the own lane ends.
@@ -26,6 +28,8 @@ const REST_CYCLES: u16 = 100;
 const REST_CYCLES_AT_END: u16 = 20;
 /// A change takes this long …
 const CHANGE_S: f32 = 5.0;
+/// … or this, when the own lane ends, …
+const FORCED_CHANGE_S: f32 = 4.0;
 /// … but no less way than this, m.
 const CHANGE_MIN_M: f32 = 18.0;
 /// The rest of a change is never steered in less time than this, s.
@@ -83,6 +87,8 @@ pub(crate) struct Situation<'a> {
     pub(crate) objects: &'a [Predicted],
     /// m/s
     pub(crate) speed: f32,
+    /// Speed to be had soon, with the braking that is under way, m/s.
+    pub(crate) next_speed: f32,
     /// m/s
     pub(crate) desired_speed: f32,
     /// Own offset from the own lane's centre, m.
@@ -152,7 +158,7 @@ impl Behaviour {
             } => {
                 let tight = now.past_the_middle(side);
                 let gone = side.lane(now.lanes).is_none_or(|(centre, _)| {
-                    !tight && !now.is_safe(centre, 1.5 * SAFE_BRAKING_AT_END, 0.6)
+                    !tight && !now.is_safe(centre, 1.5 * SAFE_BRAKING_AT_END, 0.3)
                 });
                 if gone {
                     self.abort();
@@ -233,7 +239,12 @@ impl Behaviour {
             Side::Right
         };
         if max_of(left, right) >= needed {
-            let rest_m = max(CHANGE_S * now.speed, CHANGE_MIN_M);
+            let time = if forced.is_some() {
+                FORCED_CHANGE_S
+            } else {
+                CHANGE_S
+            };
+            let rest_m = max(time * now.speed, CHANGE_MIN_M);
             self.intent = Intent::Change {
                 side,
                 crossed: false,
@@ -249,11 +260,12 @@ fn max_of(a: u16, b: u16) -> u16 {
 }
 
 impl Situation<'_> {
-    fn driver(&self) -> Driver {
+    /// The own driving as a model, with a share of the usual time gap.
+    fn driver(&self, share: f32) -> Driver {
         Driver {
             desired_speed: self.desired_speed,
-            time_gap: 1.5,
-            standstill_gap: 4.0,
+            time_gap: 1.5 * share,
+            standstill_gap: 4.0 * share,
             max_acceleration: 1.5,
             comfortable_braking: 2.0,
         }
@@ -299,7 +311,7 @@ impl Situation<'_> {
         (leader, follower)
     }
 
-    fn own_acceleration(&self, leader: Option<&Predicted>) -> f32 {
+    fn own_acceleration(&self, leader: Option<&Predicted>, share: f32) -> f32 {
         let leader = leader.map(|object| {
             let gap = object.s - object.half_length - 0.5 * LENGTH_M;
             Leader {
@@ -307,13 +319,13 @@ impl Situation<'_> {
                 speed: max(object.along(1.0).1, 0.0),
             }
         });
-        idm::acceleration(&self.driver(), self.speed, leader)
+        idm::acceleration(&self.driver(share), self.speed, leader)
     }
 
-    fn follower_acceleration(&self, follower: &Predicted) -> f32 {
+    fn follower_acceleration(&self, follower: &Predicted, share: f32) -> f32 {
         let driver = Driver {
             desired_speed: max(follower.speed, 5.0),
-            time_gap: 1.0,
+            time_gap: share,
             standstill_gap: 2.0,
             max_acceleration: 1.5,
             comfortable_braking: 2.0,
@@ -324,7 +336,7 @@ impl Situation<'_> {
             follower.speed,
             Some(Leader {
                 gap,
-                speed: self.speed,
+                speed: self.next_speed,
             }),
         )
     }
@@ -335,18 +347,21 @@ impl Situation<'_> {
         let (leader, follower) = self.neighbours(centre);
         if let Some(leader) = leader {
             let gap = leader.s - leader.half_length - 0.5 * LENGTH_M;
-            let (speed, ahead) = (self.speed, max(leader.along(2.0).1, 0.0));
-            let needed =
-                3.0 + share * 0.5 * speed + max((speed * speed - ahead * ahead) / 10.0, 0.0);
-            if gap < needed || self.own_acceleration(Some(leader)) < -braking {
+            let (own, ahead) = (self.speed, max(leader.along(2.0).1, 0.0));
+            let closing = max((own * own - ahead * ahead) / 10.0, 0.0);
+            let needed = 2.0 + share * (1.0 + 0.5 * own) + closing;
+            if gap < needed || self.own_acceleration(Some(leader), share) < -braking {
                 return false;
             }
         }
         if let Some(follower) = follower {
-            let gap = -follower.s - follower.half_length - 0.5 * LENGTH_M;
-            let (own, behind) = (self.speed, max(follower.speed, 0.0));
-            let needed = 3.0 + share * 0.6 * behind + max((behind * behind - own * own) / 5.0, 0.0);
-            if gap < needed || self.follower_acceleration(follower) < -braking {
+            let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
+            // The gap grows on the way to the line; who must change counts on it.
+            let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
+            let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
+            let closing = max((behind * behind - own * own) / 5.0, 0.0);
+            let needed = 2.0 + share * (1.0 + 0.6 * behind) + closing;
+            if gap < needed || self.follower_acceleration(follower, share) < -braking {
                 return false;
             }
         }
@@ -360,15 +375,21 @@ impl Situation<'_> {
         if let Some(forced) = forced {
             let near = 1.0 - min(max(self.lanes.own_end, 0.0) / LEAVE_BEFORE_M, 1.0);
             let braking = lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near);
-            return side == forced && self.is_safe(centre, braking, lerp(1.0, 0.7, near));
+            return side == forced && self.is_safe(centre, braking, lerp(0.5, 0.3, near));
         }
         if end < max(LANE_WORTH_S * self.speed, 400.0) || self.speed < 3.0 {
             return false;
         }
         let (leader, follower) = self.neighbours(centre);
         let (own_leader, _) = self.neighbours(0.0);
-        let gain = self.own_acceleration(leader) - self.own_acceleration(own_leader);
-        let loss = follower.map_or(0.0, |object| max(-self.follower_acceleration(object), 0.0));
+        let kept = self.own_acceleration(own_leader, 1.0);
+        if kept < -CALM_BRAKING {
+            return false;
+        }
+        let gain = self.own_acceleration(leader, 1.0) - kept;
+        let loss = follower.map_or(0.0, |object| {
+            max(-self.follower_acceleration(object, 1.0), 0.0)
+        });
         gain - POLITENESS * loss > CHANGING_THRESHOLD && self.is_safe(centre, SAFE_BRAKING, 1.0)
     }
 }

@@ -25,6 +25,8 @@ const APPROACH_BRAKING: f32 = 1.2;
 const DISTANCE_S: f32 = 3.0;
 /// Deceleration towards the end of the lane, m/s².
 const END_BRAKING: f32 = 1.6;
+/// Time constant of the last metres before it, s.
+const END_S: f32 = 1.0;
 /// Greatest acceleration, m/s².
 const MAX_ACCELERATION: f32 = 2.0;
 /// Strongest braking of candidates that are no emergency, m/s².
@@ -56,6 +58,8 @@ pub(crate) struct Corridor {
     sought: [(f32, f32); STEPS],
     /// Where the own centre has to stand at the latest, m.
     pub(crate) stop: [f32; STEPS],
+    /// Deceleration towards that place, m/s².
+    pub(crate) end_braking: f32,
 }
 
 impl Corridor {
@@ -67,6 +71,7 @@ impl Corridor {
             bound_speed: [0.0; STEPS],
             sought: [(f32::INFINITY, 0.0); STEPS],
             stop: [f32::INFINITY; STEPS],
+            end_braking: END_BRAKING,
         }
     }
 
@@ -91,7 +96,7 @@ impl Corridor {
             let spare = self.bound[step] - motion.value - wanted;
             target = min(
                 target,
-                max(self.bound_speed[step], 0.0) + closing(spare, APPROACH_BRAKING),
+                max(self.bound_speed[step], 0.0) + closing(spare, APPROACH_BRAKING, DISTANCE_S),
             );
         }
         let (bound, speed) = self.sought[step];
@@ -100,11 +105,14 @@ impl Corridor {
             let spare = bound - motion.value - wanted;
             target = min(
                 target,
-                max(speed, 0.0) + max(closing(spare, APPROACH_BRAKING), -3.0),
+                max(speed, 0.0) + max(closing(spare, APPROACH_BRAKING, DISTANCE_S), -3.0),
             );
         }
         if self.stop[step] < f32::INFINITY {
-            target = min(target, closing(self.stop[step] - motion.value, END_BRAKING));
+            target = min(
+                target,
+                closing(self.stop[step] - motion.value, self.end_braking, END_S),
+            );
         }
         max(target, 0.0)
     }
@@ -136,11 +144,11 @@ impl Corridor {
 
 /// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and far
 /// from it such that a constant deceleration closes it.
-fn closing(spare: f32, braking: f32) -> f32 {
+fn closing(spare: f32, braking: f32, time_constant: f32) -> f32 {
     if spare <= 0.0 {
-        return spare / DISTANCE_S;
+        return spare / time_constant;
     }
-    let linear = braking * DISTANCE_S;
+    let linear = braking * time_constant;
     sqrt(2.0 * braking * spare + linear * linear) - linear
 }
 

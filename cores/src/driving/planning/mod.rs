@@ -41,6 +41,9 @@ const DRAW: f32 = 0.04;
 const CURVE_ACCELERATION: f32 = 2.2;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
 const END_MARGIN_M: f32 = 15.0;
+/// While a gap is sought, the end of the lane is met by braking as late and as hard as this, s, m/s².
+const SEEKING_S: f32 = 2.0;
+const SEEKING_BRAKING: f32 = 2.8;
 /// Room aside that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
 /// Objects farther away along the road are not looked at, m.
@@ -136,6 +139,7 @@ impl Planner {
                     lanes,
                     objects: &view.objects,
                     speed: start.speed,
+                    next_speed: max(start.speed + 1.5 * min(start.acceleration, 0.0), 0.0),
                     desired_speed,
                     offset: d,
                 };
@@ -295,6 +299,9 @@ fn choose_profile(
     desired_speed: f32,
 ) -> Profile {
     let mut corridor = Corridor::free(desired_speed);
+    if goal.sought.is_some() {
+        corridor.end_braking = SEEKING_BRAKING;
+    }
     let half = 0.5 * view.lanes.map_or(DEFAULT_LANE_WIDTH_M, |lanes| lanes.width);
     let own_end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
     for step in 0..STEPS {
@@ -302,7 +309,8 @@ fn choose_profile(
         let aside = path.at(station.s + start.first * t).value;
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
-        if end < f32::INFINITY {
+        // While a gap in the next lane is sought, the own lane is used as long as it lasts.
+        if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
             corridor.stop[step] = end - END_MARGIN_M - 0.5 * LENGTH_M - station.s;
         }
     }
@@ -313,7 +321,10 @@ fn choose_profile(
         };
         view.objects.iter().filter(in_lane).min_by(nearer)
     });
-    for object in view.objects.iter().filter(|object| object.s > station.s) {
+    // What stands beyond the end of the own lane is kept away from by stopping before the end.
+    let concerns =
+        |object: &&Predicted| object.s > station.s && !(object.s > own_end && object.speed < 1.0);
+    for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
         for step in 0..STEPS {
             let t = (step + 1) as f32 * STEP_S;
