@@ -3,9 +3,33 @@
 mod drive;
 
 use drive::{Drive, Function};
+use tandem_bus::{CameraLanes, SensorId};
+use tandem_vehicle::Scenario;
 
 /// How long every scenario is driven, s.
 const SECONDS: f64 = 60.0;
+/// When something happens to the controller, s: in scenarios with events this is amid them.
+const EVENT_S: f64 = 24.0;
+/// Most that a scenario without an emergency may ask of the passengers, m/s², m/s³.
+const COMFORT_BRAKING: f64 = 3.2;
+const COMFORT_JERK: f64 = 3.5;
+
+/// Scenarios in which somebody else makes hard braking necessary.
+fn is_emergency(scenario: &Scenario) -> bool {
+    ["cut-in", "hard-braking"].contains(&scenario.name())
+}
+
+/// What holds for every run, whatever happened to the controller.
+fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
+    let m = drive.metrics();
+    let run = format!("{} seed {seed}: {m:?}", scenario.name());
+    assert_eq!(m.collisions, 0, "{run}");
+    // The recorded ego of the A9 starts in a lane change, off the centre by more than this.
+    assert!(m.lateral_error_max_m < 0.31, "{run}");
+    assert!(m.lateral_acceleration_max < 2.5, "{run}");
+    assert!(m.acceleration_max < 2.2, "{run}");
+    assert!(m.gap_min_m > 2.0, "{run}");
+}
 
 /// T-CHIP-3: perception, planning and control drive every scenario without a collision and in comfort.
 #[test]
@@ -14,28 +38,151 @@ fn l3_drives_every_scenario() {
         for seed in 1..=3 {
             let mut drive = Drive::new(&scenario, seed, 1);
             drive.run(SECONDS, &mut |_, _, _| {});
+            assert_safe(&scenario, seed, &drive);
             let m = drive.metrics();
-            let run = format!("{} seed {seed}: {m:?}", scenario.name());
-            assert_eq!(m.collisions, 0, "{run}");
-            assert!(m.lateral_error_max_m < 0.35, "{run}");
-            assert!(m.lateral_acceleration_max < 3.0, "{run}");
-            assert!(m.acceleration_max < 2.5, "{run}");
+            if !is_emergency(&scenario) {
+                let run = format!("{} seed {seed}: {m:?}", scenario.name());
+                assert!(m.deceleration_max < COMFORT_BRAKING, "{run}");
+                assert!(m.jerk_p99 < COMFORT_JERK, "{run}");
+            }
         }
     }
 }
 
-/// T-CHIP-3: the L2 functions keep lane and distance in every scenario, whose lane may end.
+/// A slower leader is overtaken, and a lane that ends is left without stopping.
+#[test]
+fn l3_changes_lanes_where_it_helps() {
+    for (name, distance_m) in [("slow-leader", 1_800.0), ("lane-drop", 1_500.0)] {
+        let scenario = Scenario::load(name).unwrap();
+        for seed in 5..=6 {
+            let mut drive = Drive::new(&scenario, seed, 1);
+            drive.run(SECONDS, &mut |_, _, _| {});
+            let m = drive.metrics();
+            assert_eq!(m.lane_changes, 1, "{name} seed {seed}: {m:?}");
+            assert!(m.distance_m > distance_m, "{name} seed {seed}: {m:?}");
+        }
+    }
+}
+
+/// T-CHIP-3: the L2 functions keep lane and distance in every scenario, and stop where the lane ends.
 #[test]
 fn l2_drives_every_scenario() {
     for scenario in drive::scenarios() {
-        for seed in 1..=3 {
+        for seed in 1..=2 {
             let mut drive = Drive::new(&scenario, seed, 1);
             drive.function = Function::L2;
             drive.run(SECONDS, &mut |_, _, _| {});
+            assert_safe(&scenario, seed, &drive);
             let m = drive.metrics();
             let run = format!("{} seed {seed}: {m:?}", scenario.name());
-            assert_eq!((m.collisions, m.lane_changes), (0, 0), "{run}");
-            assert!(m.lateral_error_max_m < 0.35, "{run}");
+            assert_eq!(m.lane_changes, 0, "{run}");
+            assert!(m.deceleration_max < 5.0, "{run}");
+            if scenario.name() == "lane-drop" {
+                let world = drive.world.snapshot();
+                assert!(world.speed < 0.1 && world.gap > 5.0, "{run}");
+            }
         }
     }
+}
+
+/// When core 2 dies amid the drive, core 0 goes over to the L2 functions without a jump.
+#[test]
+fn degrades_amid_the_drive() {
+    for scenario in drive::scenarios() {
+        let seed = 11;
+        let mut drive = Drive::new(&scenario, seed, 1);
+        drive.run(EVENT_S, &mut |_, _, _| {});
+        drive.systems[0].planning_is_dead = true;
+        drive.run(SECONDS - EVENT_S, &mut |_, _, _| {});
+        assert_eq!(drive.produced, Some(Function::L2));
+        // A change of lanes may have been under way: the lane that the vehicle is in is kept, so
+        // the offset is no error there.
+        let m = drive.metrics();
+        let run = format!("{} seed {seed}: {m:?}", scenario.name());
+        assert_eq!(m.collisions, 0, "{run}");
+        assert!(m.lateral_acceleration_max < 3.0, "{run}");
+        let step = drive.largest_step;
+        assert!(
+            step.steering_angle < 0.0035 && step.acceleration < 0.5,
+            "{run} {step:?}"
+        );
+    }
+}
+
+/// T-CHIP-7: the standby computes silently; when it takes over, passengers notice nothing.
+#[test]
+fn a_takeover_is_not_felt() {
+    for scenario in drive::scenarios() {
+        let seed = 11;
+        let mut alone = Drive::new(&scenario, seed, 1);
+        alone.run(SECONDS, &mut |_, _, _| {});
+        let mut pair = Drive::new(&scenario, seed, 2);
+        pair.run(EVENT_S, &mut |_, _, _| {});
+        pair.master = 1;
+        pair.run(SECONDS - EVENT_S, &mut |_, _, _| {});
+        assert_safe(&scenario, seed, &pair);
+        let (m, other) = (pair.metrics(), alone.metrics());
+        let run = format!(
+            "{} seed {seed}: {m:?} instead of {other:?}",
+            scenario.name()
+        );
+        assert!(m.deceleration_max < other.deceleration_max + 0.7, "{run}");
+        assert!(
+            m.lateral_acceleration_max < other.lateral_acceleration_max + 0.3,
+            "{run}"
+        );
+    }
+}
+
+/// Any one sensor may be missing for the whole drive; the camera's lanes may be missing for a while.
+#[test]
+fn drives_without_any_one_sensor() {
+    for name in ["cut-in", "hard-braking"] {
+        let scenario = Scenario::load(name).unwrap();
+        for sensor in SensorId::ALL {
+            let mut drive = Drive::new(&scenario, 1, 1);
+            drive.lost = vec![sensor.header_id(), sensor.object_id()];
+            drive.run(SECONDS, &mut |_, _, _| {});
+            assert_eq!(drive.metrics().collisions, 0, "{name} without {sensor:?}");
+        }
+        let mut drive = Drive::new(&scenario, 1, 1);
+        drive.run(EVENT_S, &mut |_, _, _| {});
+        drive.lost = vec![CameraLanes::ID];
+        drive.run(2.0, &mut |_, _, _| {});
+        assert!(drive.systems[0].perception.scene().lanes.is_none());
+        drive.lost.clear();
+        drive.run(SECONDS - EVENT_S - 2.0, &mut |_, _, _| {});
+        assert_eq!(drive.metrics().collisions, 0, "{name} with a blind camera");
+    }
+}
+
+/// With nothing left but the chassis the vehicle comes to a stop.
+#[test]
+fn a_safe_stop_stops() {
+    let scenario = Scenario::load("free-lane").unwrap();
+    let mut drive = Drive::new(&scenario, 1, 1);
+    drive.run(EVENT_S, &mut |_, _, _| {});
+    drive.function = Function::SafeStop;
+    drive.run(20.0, &mut |_, _, _| {});
+    let m = drive.metrics();
+    assert!(drive.world.snapshot().speed < 0.1);
+    assert!(m.deceleration_max < 3.0, "{m:?}");
+    assert_eq!(m.collisions, 0);
+}
+
+/// The same frames at the same times give the same commands to the bit.
+#[test]
+fn deterministic() {
+    let commands = || {
+        let mut drive = Drive::new(&Scenario::load("cut-in").unwrap(), 7, 1);
+        let mut bits = Vec::new();
+        drive.run(20.0, &mut |_, _, command| {
+            bits.push((
+                command.steering_angle.to_bits(),
+                command.acceleration.to_bits(),
+            ));
+        });
+        bits
+    };
+    assert_eq!(commands(), commands());
 }

@@ -5,9 +5,9 @@
 
 use tandem_board::{Duration, Instant};
 
-use super::control::{PathError, STANDSTILL_BRAKE, Shaper, driven_curvature, steer};
+use super::control::{PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, driven_curvature, steer};
 use super::idm::{self, Driver, Leader};
-use super::math::{abs, clamp, max, min, sqrt, wrap_angle};
+use super::math::{abs, max, min, sqrt, wrap_angle};
 use super::odometry::{Pose, motion};
 use super::road::CentreLine;
 use super::types::{Command, Ego, Object, Scene};
@@ -18,12 +18,16 @@ pub const SCENE_MAX_AGE: Duration = Duration::from_ms(500);
 
 /// Degraded mode drives no faster than this, m/s (90 km/h).
 const SPEED_CAP: f32 = 25.0;
-/// Speed with which a lane may end before the vehicle stands: distance kept to the end, m.
+/// Distance kept to the end of the lane, m.
 const END_MARGIN_M: f32 = 8.0;
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.5;
 /// Deceleration of a safe stop, m/s².
 const SAFE_STOP_BRAKING: f32 = 2.5;
+/// Braking for what is not in the lane yet, m/s².
+const SOON_BRAKING: f32 = 3.0;
+/// Deceleration without lanes, m/s².
+const BLIND_BRAKING: f32 = 1.5;
 /// Steering answers this late, s: its feed-forward looks so far ahead.
 const PREVIEW_S: f32 = 0.07;
 
@@ -39,6 +43,7 @@ const DRIVER: Driver = Driver {
 /// Lane keeping and distance keeping with what one core can compute in its 10 ms.
 #[derive(Clone, Debug)]
 pub struct DegradedControl {
+    slip: SlipFilter,
     shaper: Shaper,
 }
 
@@ -53,6 +58,7 @@ impl DegradedControl {
     #[must_use]
     pub fn new() -> Self {
         Self {
+            slip: SlipFilter::default(),
             shaper: Shaper::new(),
         }
     }
@@ -71,6 +77,10 @@ impl DegradedControl {
     /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads to
     /// [`DegradedControl::safe_stop`].
     pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
+        let ego = &Ego {
+            slip_angle: self.slip.filter(ego.slip_angle),
+            ..*ego
+        };
         let age = now.since(scene.at);
         if age > SCENE_MAX_AGE {
             return self.safe_stop(ego);
@@ -89,14 +99,11 @@ impl DegradedControl {
             ..DRIVER
         };
         let mut acceleration = idm::acceleration(&driver, ego.speed, None);
-        for object in &scene.objects {
-            if concerns(object, &line, lanes.width) {
-                acceleration = min(
-                    acceleration,
-                    follow(&driver, ego, object, age.as_secs_f32(), &pose),
-                );
-            }
-        }
+        let now_at = (age.as_secs_f32(), &pose);
+        acceleration = min(
+            acceleration,
+            keep_distance(&driver, ego, scene, &line, lanes.width, now_at),
+        );
         if lanes.own_end.is_finite() {
             let gap = lanes.own_end - pose.x - 0.5 * LENGTH_M - END_MARGIN_M;
             let end = Leader {
@@ -134,12 +141,8 @@ impl DegradedControl {
     /// No lane is seen: goes on in the driven curve, keeps the distance, and slows down to a stop.
     fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &Pose) -> Command {
         let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
-        let mut acceleration = -1.5;
-        for object in &scene.objects {
-            if concerns(object, &line, WIDTH_M + 1.0) {
-                acceleration = min(acceleration, follow(&DRIVER, ego, object, age_s, pose));
-            }
-        }
+        let distance = keep_distance(&DRIVER, ego, scene, &line, WIDTH_M + 1.0, (age_s, pose));
+        let acceleration = min(-BLIND_BRAKING, distance);
         let steering_angle = 0.998 * self.shaper.last().steering_angle;
         self.shape(
             ego,
@@ -181,18 +184,60 @@ fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
     slowest
 }
 
-/// Whether the object is ahead and in the lane, or reaches into it, or will be in it soon.
-fn concerns(object: &Object, line: &CentreLine, lane_width: f32) -> bool {
-    let (_, offset) = line.project(object.x, object.y);
-    let reach = 0.5 * max(lane_width, WIDTH_M) + 0.5 * object.width - 0.4;
-    object.x > 0.0 && (object.cuts_in || abs(offset) < reach)
+/// What an object means for the own lane.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Concern {
+    /// Not ahead, or in another lane.
+    None,
+    /// It will come into the lane soon.
+    Soon,
+    /// It is ahead and in the lane, or reaches into it.
+    Now,
 }
 
-/// Acceleration behind an object whose place was known `age_s` ago, with the vehicle now at `pose`.
-fn follow(driver: &Driver, ego: &Ego, object: &Object, age_s: f32, pose: &Pose) -> f32 {
-    let x = object.x + object.vx * age_s;
-    let gap = x - pose.x - 0.5 * (LENGTH_M + max(object.length, 3.0));
-    // A braking leader will be slower when the own brakes have answered.
-    let speed = max(0.0, object.vx + 0.4 * clamp(object.ax, -8.0, 0.0));
-    idm::acceleration(driver, ego.speed, Some(Leader { gap, speed }))
+fn concern(object: &Object, line: &CentreLine, lane_width: f32) -> Concern {
+    let (_, offset) = line.project(object.x, object.y);
+    let reach = 0.5 * max(lane_width, WIDTH_M) + 0.5 * object.width - 0.4;
+    if object.x <= 0.0 {
+        Concern::None
+    } else if abs(offset) < reach {
+        Concern::Now
+    } else if object.cuts_in {
+        Concern::Soon
+    } else {
+        Concern::None
+    }
+}
+
+/// Acceleration that all objects on the line allow, with the scene `age_s` old and the vehicle now at
+/// `pose`.
+fn keep_distance(
+    driver: &Driver,
+    ego: &Ego,
+    scene: &Scene,
+    line: &CentreLine,
+    lane_width: f32,
+    (age_s, pose): (f32, &Pose),
+) -> f32 {
+    let mut acceleration = driver.max_acceleration;
+    for object in &scene.objects {
+        let limit = match concern(object, line, lane_width) {
+            Concern::None => continue,
+            Concern::Soon => -SOON_BRAKING,
+            Concern::Now => -idm::MAX_BRAKING,
+        };
+        let x = object.x + object.vx * age_s;
+        let gap = x - pose.x - 0.5 * (LENGTH_M + max(object.length, 3.0));
+        let leader = Leader {
+            gap,
+            speed: max(object.vx, 0.0),
+        };
+        // Noise of the estimated acceleration is no reason to brake.
+        let braking = min(object.ax + 0.7, 0.0);
+        acceleration = min(
+            acceleration,
+            max(idm::adaptive(driver, ego.speed, leader, braking), limit),
+        );
+    }
+    acceleration
 }

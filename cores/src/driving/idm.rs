@@ -3,9 +3,12 @@
 //! M. Treiber, A. Hennecke, D. Helbing, "Congested traffic states in empirical observations and
 //! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A. Kesting,
 //! "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): no shrinking of the steady gap near the
-//! desired speed, bounded reaction above the desired speed.
+//! desired speed, bounded reaction above the desired speed. [`adaptive`] is its extension to a cruise
+//! control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber, D. Helbing,
+//! "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on Traffic Capacity",
+//! Phil. Trans. R. Soc. A 368 (2010).
 
-use super::math::{clamp, max, min, sqrt};
+use super::math::{clamp, exp, max, min, sqrt};
 
 /// What the driver wants.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +36,48 @@ pub(crate) struct Leader {
 
 /// The strongest braking that the model asks for, m/s².
 pub(crate) const MAX_BRAKING: f32 = 9.0;
+
+/// How cool the cruise control is: 0 is the plain model, 1 trusts the leader not to brake suddenly.
+const COOLNESS: f32 = 0.99;
+
+/// Acceleration in m/s² of a cruise control behind a leader with this acceleration in m/s².
+pub(crate) fn adaptive(
+    driver: &Driver,
+    speed: f32,
+    leader: Leader,
+    leader_acceleration: f32,
+) -> f32 {
+    let plain = acceleration(driver, speed, Some(leader));
+    let constant = constant_acceleration(driver, speed, leader, leader_acceleration);
+    if plain >= constant {
+        return plain;
+    }
+    let braking = driver.comfortable_braking;
+    let calm = constant + braking * tanh((plain - constant) / braking);
+    clamp(
+        (1.0 - COOLNESS) * plain + COOLNESS * calm,
+        -MAX_BRAKING,
+        driver.max_acceleration,
+    )
+}
+
+/// The acceleration that avoids a collision if nobody changes his acceleration.
+fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerates: f32) -> f32 {
+    let gap = max(leader.gap, 0.1);
+    let accelerates = min(accelerates, driver.max_acceleration);
+    let closing = speed - leader.speed;
+    if leader.speed * closing <= -2.0 * gap * accelerates {
+        let divisor = leader.speed * leader.speed - 2.0 * gap * accelerates;
+        return speed * speed * accelerates / max(divisor, 0.01);
+    }
+    let closing = max(closing, 0.0);
+    accelerates - closing * closing / (2.0 * gap)
+}
+
+fn tanh(x: f32) -> f32 {
+    let e = exp(2.0 * clamp(x, -10.0, 10.0));
+    (e - 1.0) / (e + 1.0)
+}
 
 /// Acceleration in m/s².
 pub(crate) fn acceleration(driver: &Driver, speed: f32, leader: Option<Leader>) -> f32 {
@@ -110,6 +155,28 @@ mod tests {
         }
         assert!(speed < 0.1 && gap > 1.0, "{speed} {gap}");
         assert!(hardest > -5.0, "{hardest}");
+    }
+
+    #[test]
+    fn a_short_gap_without_danger_is_met_calmly() {
+        let leader = Leader {
+            gap: 8.0,
+            speed: 10.0,
+        };
+        assert!(acceleration(&DRIVER, 10.0, Some(leader)) < -4.0);
+        let calm = adaptive(&DRIVER, 10.0, leader, 0.0);
+        assert!((-2.1..-0.3).contains(&calm), "{calm}");
+        // With real danger it brakes as hard as is needed.
+        let hard = adaptive(
+            &DRIVER,
+            20.0,
+            Leader {
+                gap: 12.0,
+                speed: 10.0,
+            },
+            -3.0,
+        );
+        assert!(hard < -6.0, "{hard}");
     }
 
     #[test]

@@ -126,9 +126,12 @@ pub(crate) struct Drive {
     pub(crate) systems: Vec<System>,
     pub(crate) master: usize,
     pub(crate) function: Function,
+    /// The function that the master's last command came from.
+    pub(crate) produced: Option<Function>,
     /// Sensors whose frames are lost, by their ids.
     pub(crate) lost: Vec<u16>,
     transmitter: Transmitter,
+    recording: Option<Vec<(Instant, u16, Vec<u8>)>>,
     /// The largest changes of consecutive commands: steering rad, acceleration m/s².
     pub(crate) largest_step: Command,
     last: Option<Command>,
@@ -142,8 +145,10 @@ impl Drive {
             systems: (0..systems).map(|_| System::new()).collect(),
             master: 0,
             function: Function::L3,
+            produced: None,
             lost: Vec::new(),
             transmitter: Transmitter::new(),
+            recording: None,
             largest_step: Command::default(),
             last: None,
         }
@@ -166,10 +171,21 @@ impl Drive {
         }
     }
 
+    /// Drives on for `seconds` and keeps the frames that the vehicle sent.
+    pub(crate) fn record(&mut self, seconds: f64, frames: &mut Vec<(Instant, u16, Vec<u8>)>) {
+        self.recording = Some(Vec::new());
+        self.run(seconds, &mut |_, _, _| {});
+        frames.extend(self.recording.take().into_iter().flatten());
+    }
+
     fn tick(&mut self, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
         let now = self.now();
         let (systems, lost) = (&mut self.systems, &self.lost);
+        let recording = &mut self.recording;
         self.world.step(self.now_ms * 1_000_000, &mut |id, data| {
+            if let Some(recording) = recording {
+                recording.push((now, id, data.to_vec()));
+            }
             if !lost.contains(&id) {
                 for system in systems.iter_mut() {
                     system.on_frame(now, id, data);
@@ -198,6 +214,7 @@ impl Drive {
         let Some((command, function)) = sent else {
             return;
         };
+        self.produced = Some(function);
         let term = 2 * (1 + self.master as u32) + self.master as u32;
         let control = Control {
             role: Role::Master,

@@ -11,8 +11,8 @@ use crate::driving::vehicle::steering_for;
 
 /// Time constant of the return to the path, s. The yaw dynamics at 30 m/s take 0.14 s.
 const TIME_CONSTANT_S: f32 = 0.75;
-/// ℓ at low speed, m: about two wheelbases.
-const MIN_LENGTH_M: f32 = 5.0;
+/// ℓ at low speed, m: three wheelbases, so that the camera's noise does not shake the wheels.
+const MIN_LENGTH_M: f32 = 8.0;
 /// Larger offsets are met as if they were this, m: no wild return to a path far away.
 const MAX_OFFSET_M: f32 = 1.5;
 /// Lateral acceleration that feedback may ask for on top of the path's, m/s².
@@ -29,6 +29,26 @@ pub(crate) struct PathError {
     pub(crate) course: f32,
     /// Curvature of the path, 1/m.
     pub(crate) curvature: f32,
+}
+
+/// The side slip angle without the noise of its measurement, which would shake the wheels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SlipFilter {
+    angle: f32,
+}
+
+/// Share of the newest measurement in each step of 10 ms: a time constant of 0.1 s.
+const SLIP_SHARE: f32 = 0.1;
+
+impl SlipFilter {
+    /// Takes a measurement, rad; the filtered angle.
+    pub(crate) fn filter(&mut self, measured: f32) -> f32 {
+        self.angle += SLIP_SHARE * (measured - self.angle);
+        if !self.angle.is_finite() {
+            self.angle = 0.0;
+        }
+        self.angle
+    }
 }
 
 /// Road wheel angle in rad for a vehicle that moves with `speed` (m/s) and `acceleration` (m/s²).

@@ -3,7 +3,7 @@
 mod lateral;
 mod shaping;
 
-pub(crate) use lateral::{PathError, steer};
+pub(crate) use lateral::{PathError, SlipFilter, steer};
 pub(crate) use shaping::{STANDSTILL_BRAKE, Shaper};
 
 use tandem_board::{Duration, Instant};
@@ -45,6 +45,7 @@ pub enum ControlError {
 #[derive(Clone, Debug)]
 pub struct MotionControl {
     odometry: Odometry,
+    slip: SlipFilter,
     shaper: Shaper,
 }
 
@@ -60,6 +61,7 @@ impl MotionControl {
     pub fn new() -> Self {
         Self {
             odometry: Odometry::new(),
+            slip: SlipFilter::default(),
             shaper: Shaper::new(),
         }
     }
@@ -91,6 +93,10 @@ impl MotionControl {
         ego: &Ego,
         trajectory: &Trajectory,
     ) -> Result<Command, ControlError> {
+        let ego = &Ego {
+            slip_angle: self.slip.filter(ego.slip_angle),
+            ..*ego
+        };
         let age = now.since(trajectory.at);
         if age > TRAJECTORY_MAX_AGE {
             return Err(ControlError::TrajectoryTooOld);

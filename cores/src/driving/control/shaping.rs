@@ -19,6 +19,8 @@ const COMFORT_JERK: f32 = 6.0;
 const BRAKING_JERK: f32 = 45.0;
 /// A wish for braking beyond this is no comfort matter any more, m/s².
 const HARD_BRAKING: f32 = -3.2;
+/// From this speed on the wheels may be turned as fast as they can, m/s.
+const ROLLING_SPEED: f32 = 4.0;
 /// Lateral jerk that a change of steering may cause, m/s³.
 const LATERAL_JERK: f32 = 12.0;
 
@@ -53,7 +55,9 @@ impl Shaper {
     pub(crate) fn shape(&mut self, wish: &Command, ego: &Ego, urgent: bool) -> Command {
         let speed = max(ego.speed, 3.0);
         let lateral_rate = LATERAL_JERK * WHEELBASE_M / (speed * speed);
-        let turn = min(MAX_STEERING_RATE, lateral_rate) * PERIOD_S;
+        // The wheels of a standing vehicle are not turned: it would only follow noise.
+        let rolling = clamp(ego.speed / ROLLING_SPEED, 0.02, 1.0);
+        let turn = min(rolling * MAX_STEERING_RATE, lateral_rate) * PERIOD_S;
         let angle = bound(wish.steering_angle, MAX_STEERING_RAD);
         let angle = clamp(
             angle,

@@ -7,11 +7,11 @@ use crate::driving::types::Lanes;
 use super::track::Track;
 
 /// A cut-in is foreseen up to this time ahead, s.
-const CUT_IN_HORIZON_S: f32 = 2.5;
+const CUT_IN_HORIZON_S: f32 = 2.0;
 /// Slower than this across the lane is wandering, not changing lanes, m/s.
-const CUT_IN_SPEED: f32 = 0.35;
+const CUT_IN_SPEED: f32 = 0.5;
 /// An object must move in for this many cycles in a row to be believed.
-const CUT_IN_CYCLES: u8 = 4;
+const CUT_IN_CYCLES: u8 = 5;
 
 /// Where an object is on the road.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -85,7 +85,8 @@ impl RoadView {
         } else {
             track.approaching / 2
         };
-        let cuts_in = moves_in && (track.approaching >= CUT_IN_CYCLES || overlaps);
+        let cuts_in =
+            moves_in && (track.approaching >= CUT_IN_CYCLES || overlaps && track.approaching > 1);
         Place { lane, cuts_in }
     }
 }
