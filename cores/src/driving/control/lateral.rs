@@ -69,7 +69,7 @@ mod tests {
     /// Kinematic vehicle on a circle of the given curvature, starting off the path.
     fn settle(speed: f32, curvature: f32, offset: f32) -> (f32, f32) {
         let (mut offset, mut course, mut greatest) = (offset, 0.0_f32, 0.0_f32);
-        for _ in 0..1_500 {
+        for _ in 0..3_000 {
             let angle = steer(
                 &PathError {
                     offset,
