@@ -429,3 +429,6 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     };
     vehicle.participant.speed = speed;
 }
+
+#[cfg(test)]
+mod tests;
