@@ -408,8 +408,8 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     if speed == 0.0 {
         vehicle.participant.acceleration = vehicle.participant.acceleration.max(0.0);
     }
-    let pull =
-        -LATERAL_RATE * LATERAL_RATE * vehicle.place.d - 2.0 * LATERAL_RATE * vehicle.lateral_speed;
+    let pull = -LATERAL_RATE * LATERAL_RATE * (vehicle.place.d - vehicle.aim)
+        - 2.0 * LATERAL_RATE * vehicle.lateral_speed;
     let mean = (before + speed) / 2.0;
     vehicle.lateral_speed = (vehicle.lateral_speed + pull * dt).clamp(-0.2 * mean, 0.2 * mean);
     let along = (mean * mean - vehicle.lateral_speed * vehicle.lateral_speed)
