@@ -90,8 +90,9 @@ impl<'a> Sender<'a> {
     /// to the task. Never blocks; task or handler context.
     #[inline]
     pub fn signal(&self, task: TaskId) -> Ring {
-        self.words[SENT_AT + task.index()].fetch_add(1, Ordering::Relaxed);
-        // Release pairs with the Acquire in `poll`: who sees the bit sees the count and the payload.
+        // Release pairs with the Acquire of the count in `poll`: who counts it sees the payload.
+        self.words[SENT_AT + task.index()].fetch_add(1, Ordering::Release);
+        // Release pairs with the Acquire of the bits in `poll`: who sees the bit sees the count.
         self.words[PENDING_AT].fetch_or(1 << task.index(), Ordering::Release);
         // SeqCst pairs with the fence in `prepare_sleep`: either this sees `asleep`, or that the bit.
         fence(Ordering::SeqCst);
@@ -150,13 +151,14 @@ impl<'a> Receiver<'a> {
         let pending = &self.words[PENDING_AT];
         // A plain look first: while nothing comes, the line stays shared and is not written.
         if pending.load(Ordering::Relaxed) != 0 {
-            // Acquire pairs with the Release in `signal`.
+            // Acquire pairs with the Release of the bit in `signal`.
             self.look |= pending.swap(0, Ordering::Acquire) & ALL_TASKS;
         }
         let mut signals = 0u32;
         while self.look != 0 {
             let id = self.look.trailing_zeros() as usize;
-            let sent = self.words[SENT_AT + id].load(Ordering::Relaxed);
+            // Acquire pairs with the Release of the count in `signal`: it may be ahead of the bit.
+            let sent = self.words[SENT_AT + id].load(Ordering::Acquire);
             let count = sent.wrapping_sub(self.handled[id]);
             if count != 0 {
                 handle(TaskId(id as u8), count);

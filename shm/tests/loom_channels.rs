@@ -1,0 +1,167 @@
+//! loom models of the channels: newest value, broadcast, FIFO; and of formatting the map.
+#![cfg(loom)]
+
+mod common;
+
+use common::{model, zeroed};
+use loom::thread;
+use tandem_shm::broadcast::{self, Lost};
+use tandem_shm::map::{AttachError, Layout, Map, Region};
+use tandem_shm::newest::{self, ReadError};
+use tandem_shm::sync::{Ordering, spin};
+use tandem_shm::{Shape, fifo};
+
+const SHAPE: Shape = Shape::new(2, 2);
+
+/// The reader gets whole values, never an older one after a newer one, while the writer laps it and
+/// is replaced by a successor in the middle of a value.
+#[test]
+fn newest_is_never_torn_and_never_goes_back() {
+    model(4, || {
+        let words = zeroed(newest::words(SHAPE));
+        let writer = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut writer = newest::Writer::attach(&words, SHAPE).unwrap();
+                writer.publish(&[1, 1]);
+                writer.publish(&[2, 2]);
+                writer.loan().words().set(0, 99);
+                let mut successor = newest::Writer::attach(&words, SHAPE).unwrap();
+                successor.publish(&[3, 3]);
+            })
+        };
+        let reader = newest::Reader::attach(&words, SHAPE).unwrap();
+        let mut last = 0;
+        for _ in 0..2 {
+            match reader.read(|words| [words.get(0), words.get(1)]) {
+                Ok((stamp, [a, b])) => {
+                    assert_eq!((a, b), (stamp.0 + 1, stamp.0 + 1));
+                    assert!(a >= last);
+                    last = a;
+                }
+                Err(ReadError::Empty) => assert_eq!(last, 0),
+                Err(ReadError::Overrun) => {}
+            }
+        }
+        writer.join().unwrap();
+        assert_eq!(reader.read(|words| words.get(1)).unwrap().1, 3);
+    });
+}
+
+/// Every value is received whole and in order, or counted as lost.
+#[test]
+fn broadcast_values_are_received_or_counted() {
+    model(4, || {
+        let words = zeroed(broadcast::words(SHAPE));
+        let mut receiver = broadcast::Receiver::attach(&words, SHAPE).unwrap();
+        let sender = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut sender = broadcast::Sender::attach(&words, SHAPE).unwrap();
+                for k in 0..3 {
+                    sender.send(&[k, k]);
+                }
+            })
+        };
+        let mut next = 0;
+        let mut look = |receiver: &mut broadcast::Receiver<'_>| {
+            let mut value = [0; 2];
+            match receiver.receive_into(&mut value) {
+                Ok(None) => return false,
+                Ok(Some(number)) => {
+                    assert_eq!((number, value), (next, [next; 2]));
+                    next += 1;
+                }
+                Err(Lost { count }) => next += count,
+            }
+            true
+        };
+        for _ in 0..2 {
+            look(&mut receiver);
+        }
+        sender.join().unwrap();
+        while look(&mut receiver) {}
+        assert_eq!(next, 3);
+    });
+}
+
+/// Every value is received once, whole and in order; the producer never writes a slot in use.
+#[test]
+fn fifo_values_arrive_in_order() {
+    model(4, || {
+        let words = zeroed(fifo::words(SHAPE));
+        let producer = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                for k in 1..=3 {
+                    while producer.send(&[k, k]).is_err() {
+                        spin(1);
+                    }
+                }
+            })
+        };
+        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        for k in 1..=3 {
+            let item = loop {
+                match consumer.receive() {
+                    Some(item) => break item,
+                    None => spin(1),
+                }
+            };
+            let value = [item.words().get(0), item.words().get(1)];
+            item.release();
+            assert_eq!(value, [k; 2]);
+        }
+        producer.join().unwrap();
+        assert!(consumer.receive().is_none());
+    });
+}
+
+/// A consumer that is replaced goes on where its predecessor has released.
+#[test]
+fn fifo_survives_a_new_consumer() {
+    model(4, || {
+        let words = zeroed(fifo::words(SHAPE));
+        let producer = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                for k in 1..=2 {
+                    producer.send(&[k, k]).unwrap();
+                }
+            })
+        };
+        let mut next = 1;
+        for _ in 0..3 {
+            let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+            let mut value = [0; 2];
+            if consumer.receive_into(&mut value) {
+                assert_eq!(value, [next; 2]);
+                next += 1;
+            }
+        }
+        producer.join().unwrap();
+    });
+}
+
+/// Who attaches sees a formatted LMU, whatever was in it before.
+#[test]
+fn map_is_seen_whole_or_not_at_all() {
+    const LAYOUT: Layout = Layout::new(&[Region::new("a", 1)]);
+    model(4, || {
+        let words = zeroed(LAYOUT.total_words());
+        words[LAYOUT.offset(0)].store(7, Ordering::Relaxed);
+        let boot = {
+            let words = words.clone();
+            thread::spawn(move || {
+                Map::format(&words, LAYOUT).unwrap();
+            })
+        };
+        match Map::attach(&words, LAYOUT) {
+            Ok(map) => assert_eq!(map.region(0)[0].load(Ordering::Relaxed), 0),
+            Err(error) => assert_eq!(error, AttachError::NotReady),
+        }
+        boot.join().unwrap();
+    });
+}

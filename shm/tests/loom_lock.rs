@@ -1,0 +1,190 @@
+//! loom models of the lock and of the pool.
+#![cfg(loom)]
+
+mod common;
+
+use common::{model, zeroed};
+use loom::cell::UnsafeCell;
+use loom::sync::Arc;
+use loom::thread;
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Acquired, Lock, MAX_WAITED_TURNS};
+use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
+use tandem_shm::sync::{AtomicU32, Ordering, spin};
+
+/// Looks before a core gives up; enough to wait for two turns.
+const LOOKS: u32 = 8;
+
+const LIVES_AT: usize = lock::WORDS;
+
+fn life(core: usize) -> Life {
+    Life::new(core, 1).unwrap()
+}
+
+fn lives(words: &[AtomicU32]) -> Lives<'_> {
+    Lives::attach(&words[LIVES_AT..]).unwrap()
+}
+
+/// The words of a lock and its life table, with these cores alive.
+fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
+    let words = zeroed(LIVES_AT + Lives::WORDS);
+    for core in 0..cores {
+        lives(&words).announce(life(core)).unwrap();
+    }
+    words
+}
+
+/// As many cores as `times` has numbers take the lock so many times, or give up. loom sees whether two
+/// are inside at once and whether the one inside sees what the last one did.
+fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
+    model(preemptions, move || {
+        let words = lock_words(CORES);
+        let guarded = Arc::new(UnsafeCell::new(0u32));
+        let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
+            let mut lock = Lock::attach(&words, life(core), lives(&words)).unwrap();
+            for _ in 0..times[core] {
+                if let Ok(acquired) = lock.lock(LOOKS, spin) {
+                    let Acquired::Clean(guard) = acquired else {
+                        panic!("nobody died")
+                    };
+                    assert!(guard.waited_turns() <= MAX_WAITED_TURNS);
+                    guarded.with_mut(|_| ());
+                }
+            }
+        };
+        let others: Vec<_> = (1..CORES)
+            .map(|other| {
+                let (words, guarded) = (words.clone(), guarded.clone());
+                thread::spawn(move || run(words, guarded, other))
+            })
+            .collect();
+        run(words, guarded, 0);
+        for other in others {
+            other.join().unwrap();
+        }
+    });
+}
+
+/// T-LOCK-1, T-LOCK-3: mutual exclusion, acquire and release.
+#[test]
+fn two_cores_exclude_each_other() {
+    contend([2, 2], 5);
+}
+
+/// T-LOCK-1, T-LOCK-3: three cores.
+#[test]
+fn three_cores_exclude_each_other() {
+    contend([1, 1, 1], 3);
+}
+
+/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often the others come back.
+#[test]
+fn three_cores_wait_two_turns_at_most() {
+    contend([1, 2, 2], 2);
+}
+
+/// T-LOCK-3: the owner dies; of the two that take over exactly one is told, the first.
+#[test]
+fn one_taker_is_told_of_the_death() {
+    model(3, || {
+        let words = lock_words(3);
+        core::mem::forget(
+            Lock::attach(&words, life(0), lives(&words))
+                .unwrap()
+                .try_lock(),
+        );
+        let recovered = Arc::new(UnsafeCell::new(()));
+        let takers: Vec<_> = (1..3)
+            .map(|core| {
+                let (words, recovered) = (words.clone(), recovered.clone());
+                thread::spawn(move || {
+                    let mut lock = Lock::attach(&words, life(core), lives(&words)).unwrap();
+                    match lock.lock(6, spin) {
+                        Ok(acquired) => {
+                            recovered.with_mut(|_| ());
+                            u32::from(acquired.is_recovered())
+                        }
+                        Err(_) => 0,
+                    }
+                })
+            })
+            .collect();
+        lives(&words).mark_dead(life(0));
+        let told: u32 = takers.into_iter().map(|taker| taker.join().unwrap()).sum();
+        let mut lock = Lock::attach(&words, life(1), lives(&words)).unwrap();
+        let told = told + u32::from(lock.try_lock().unwrap().is_recovered());
+        assert_eq!(told, 1);
+    });
+}
+
+const BLOCKS: usize = 2;
+
+/// The words of a pool and a life table with cores 0 and 1 alive.
+fn pool_words() -> Arc<Vec<AtomicU32>> {
+    let words = zeroed(pool::words(BLOCKS) + Lives::WORDS);
+    for core in 0..2 {
+        pool_lives(&words).announce(life(core)).unwrap();
+    }
+    words
+}
+
+fn pool_lives(words: &[AtomicU32]) -> Lives<'_> {
+    Lives::attach(&words[pool::words(BLOCKS)..]).unwrap()
+}
+
+fn attach(words: &[AtomicU32], core: usize) -> Pool<'_> {
+    Pool::attach(words, BLOCKS, life(core), pool_lives(words)).unwrap()
+}
+
+/// T-SHM-1, T-SHM-2: two cores get and give back at the same time; nothing is given twice or lost.
+#[test]
+fn two_cores_get_different_blocks() {
+    model(3, || {
+        let words = pool_words();
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut pool = attach(&words, 1);
+                let handle = pool.get(1).unwrap();
+                pool.open(handle).unwrap()[0].store(1, Ordering::Relaxed);
+                handle
+            })
+        };
+        let mut pool = attach(&words, 0);
+        let first = pool.get(1).unwrap();
+        pool.give_back(first).unwrap();
+        let handle = pool.get(BLOCK_WORDS).unwrap();
+        pool.open(handle).unwrap()[0].store(2, Ordering::Relaxed);
+        let theirs = other.join().unwrap();
+        assert_eq!(pool.free_words(), 0);
+        assert_ne!(handle.to_words()[0] & 0xFFFF, theirs.to_words()[0] & 0xFFFF);
+        assert_eq!(pool.open(handle).unwrap()[0].load(Ordering::Relaxed), 2);
+    });
+}
+
+/// T-SHM-3: who can open what was handed over sees what the last owner wrote, also after it came back.
+#[test]
+fn handing_over_carries_the_words() {
+    model(3, || {
+        let words = pool_words();
+        let mut pool = attach(&words, 0);
+        let handle = pool.get(1).unwrap();
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let pool = attach(&words, 1);
+                if let Ok(mine) = pool.open(handle) {
+                    assert_eq!(mine[0].load(Ordering::Relaxed), 7);
+                    mine[0].store(8, Ordering::Relaxed);
+                    pool.hand_over(handle, 0).unwrap();
+                }
+            })
+        };
+        pool.open(handle).unwrap()[0].store(7, Ordering::Relaxed);
+        pool.hand_over(handle, 1).unwrap();
+        if let Ok(mine) = pool.open(handle) {
+            assert_eq!(mine[0].load(Ordering::Relaxed), 8);
+        }
+        other.join().unwrap();
+    });
+}
