@@ -58,7 +58,8 @@ impl<'a> Ring<'a> {
     /// may have been seen, and must not be given to another value.
     pub(crate) fn resume(&self) -> u32 {
         let mut next = self.head.load(Ordering::Relaxed);
-        if self.stamp(next).load(Ordering::Relaxed) == complete(next) {
+        // Acquire pairs with the Release of the stamp in `complete`: the value is passed on with the head.
+        if self.stamp(next).load(Ordering::Acquire) == complete(next) {
             next = next.wrapping_add(1);
             // Release pairs with the Acquire in `head`.
             self.head.store(next, Ordering::Release);
@@ -95,17 +96,17 @@ impl<'a> Ring<'a> {
     /// Writer: value k is complete.
     #[inline]
     pub(crate) fn complete(&self, k: u32) {
-        // Release pairs with the Acquire in `is_complete`.
+        // Release pairs with the Acquire in `resume`.
         self.stamp(k).store(complete(k), Ordering::Release);
         // Release pairs with the Acquire in `head`.
         self.head.store(k.wrapping_add(1), Ordering::Release);
     }
 
-    /// Reader, before it reads: whether value k lies complete in its slot.
+    /// Reader, before it reads: whether value k, which is below a head that it has seen, lies in its slot.
     #[inline]
     pub(crate) fn is_complete(&self, k: u32) -> bool {
-        // Acquire pairs with the Release in `complete`.
-        self.stamp(k).load(Ordering::Acquire) == complete(k)
+        // Relaxed: the head was acquired, so the words are those of value k or later ones.
+        self.stamp(k).load(Ordering::Relaxed) == complete(k)
     }
 
     /// Reader, after it has read: whether all that it read was value k.

@@ -85,7 +85,8 @@ fn broadcast_values_are_received_or_counted() {
     });
 }
 
-/// Every value is received once, whole and in order; the producer never writes a slot in use.
+/// Every value is received once, whole and in order. (That the producer does not refill a slot before the
+/// consumer has read it is beyond loom: it lets no load see a store that comes later.)
 #[test]
 fn fifo_values_arrive_in_order() {
     model(4, || {
