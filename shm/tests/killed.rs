@@ -1,0 +1,240 @@
+//! Processes that are killed and frozen at random moments while they use what is in the LMU.
+#![cfg(all(target_os = "linux", not(loom), not(miri)))]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+#[allow(dead_code, reason = "shared with other tests")]
+mod process;
+
+use process::{Child, announce, give_way, shared, sleep_us, take};
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Acquired, Lock};
+use tandem_shm::newest::{ReadError, Reader, Writer};
+use tandem_shm::sync::{AtomicU32, Ordering};
+use tandem_shm::{LINE_WORDS, Shape, fifo, newest};
+
+const CORES: usize = 3;
+
+/// A sequence without a pattern, the same in each run.
+fn scatter(i: u64, below: u64) -> u64 {
+    ((i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33) % below
+}
+
+const LOCK_AT: usize = Lives::WORDS;
+const GUARDED_AT: usize = LOCK_AT + lock::WORDS;
+/// Who is inside: core + 1.
+const INSIDE: usize = GUARDED_AT;
+/// Two numbers that are equal while nobody is inside.
+const PAIR: [usize; 2] = [GUARDED_AT + 1, GUARDED_AT + 2];
+const RECOVERIES: usize = GUARDED_AT + 3;
+const STOP: usize = GUARDED_AT + LINE_WORDS;
+/// How often each core was inside.
+const PROGRESS: usize = STOP + 1;
+const WORDS: usize = STOP + LINE_WORDS;
+
+/// One stay inside: checks that the core is alone and the pair whole, and changes both halves.
+fn stay_inside(words: &[AtomicU32], core: usize, acquired: Acquired<'_, '_>) {
+    let [a, b] = PAIR.map(|at| &words[at]);
+    let add = |word: &AtomicU32| word.store(word.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+    if acquired.is_recovered() {
+        b.store(a.load(Ordering::Relaxed), Ordering::Relaxed);
+        add(&words[RECOVERIES]);
+    } else {
+        assert_eq!(words[INSIDE].load(Ordering::Relaxed), 0, "two are inside");
+    }
+    words[INSIDE].store(core as u32 + 1, Ordering::Relaxed);
+    add(a);
+    if a.load(Ordering::Relaxed).is_multiple_of(8) {
+        give_way();
+    }
+    add(b);
+    assert_eq!(a.load(Ordering::Relaxed), b.load(Ordering::Relaxed));
+    assert_eq!(
+        words[INSIDE].swap(0, Ordering::Relaxed),
+        core as u32 + 1,
+        "two were inside"
+    );
+    words[PROGRESS + core].fetch_add(1, Ordering::Relaxed);
+}
+
+fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Child {
+    Child::start(move || {
+        let lives = Lives::attach(words).unwrap();
+        let mut lock =
+            Lock::attach(&words[LOCK_AT..], announce(lives, core, generation), lives).unwrap();
+        while words[STOP].load(Ordering::Relaxed) == 0 {
+            stay_inside(words, core, take(&mut lock));
+        }
+    })
+}
+
+/// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced. Nobody
+/// is ever inside with another, a half-done change is never taken for whole, and all go on.
+#[test]
+fn a_lock_whose_owner_is_killed_is_recovered() {
+    const KILLS: u64 = 120;
+    let words = shared(WORDS);
+    let lives = Lives::attach(words).unwrap();
+    let mut generations = [1; CORES];
+    let mut children: Vec<_> = (0..CORES)
+        .map(|core| Some(start_core(words, core, 1)))
+        .collect();
+    for i in 0..KILLS {
+        sleep_us(200 + scatter(i, 3_000));
+        let core = scatter(i, CORES as u64) as usize;
+        if let Some(child) = children[core].take() {
+            child.kill();
+        }
+        // Every second time the supervisor marks the death, else the successor's announcement tells it.
+        if i.is_multiple_of(2) {
+            lives.mark_dead(Life::new(core, generations[core]).unwrap());
+        }
+        generations[core] += 1;
+        children[core] = Some(start_core(words, core, generations[core]));
+    }
+    let progress = |core: usize| words[PROGRESS + core].load(Ordering::Relaxed);
+    let before = [0, 1, 2].map(progress);
+    while (0..CORES).any(|core| progress(core) == before[core]) {
+        sleep_us(1_000);
+        assert!(
+            children.iter().flatten().all(Child::is_running),
+            "a core failed"
+        );
+    }
+    words[STOP].store(1, Ordering::Relaxed);
+    children.into_iter().flatten().for_each(Child::join);
+    let [a, b] = PAIR.map(|at| words[at].load(Ordering::Relaxed));
+    assert_eq!(a, b);
+    assert!(
+        words[RECOVERIES].load(Ordering::Relaxed) > 0,
+        "no kill ever hit an owner"
+    );
+}
+
+/// T-LOCK-3: an owner that is frozen (SIGSTOP), declared dead, replaced, and thawed does not release
+/// the lock of its successor.
+#[test]
+fn a_thawed_owner_does_not_release_anothers_lock() {
+    let words = shared(WORDS);
+    let lives = Lives::attach(words).unwrap();
+    let frozen = Child::start(move || {
+        let lives = Lives::attach(words).unwrap();
+        let mut lock = Lock::attach(&words[LOCK_AT..], announce(lives, 0, 1), lives).unwrap();
+        let guard = take(&mut lock);
+        // SAFETY: sends a signal to this very process.
+        unsafe { libc::raise(libc::SIGSTOP) };
+        drop(guard);
+    });
+    frozen.wait_stopped();
+    assert!(lives.mark_dead(Life::new(0, 1).unwrap()));
+    let [mut one, mut two] = [1, 2]
+        .map(|core| Lock::attach(&words[LOCK_AT..], announce(lives, core, 1), lives).unwrap());
+    let guard = one.try_lock().unwrap();
+    assert!(guard.is_recovered());
+    frozen.signal(libc::SIGCONT);
+    frozen.join();
+    assert!(two.try_lock().is_none(), "the lock is still held");
+    drop(guard);
+    assert!(!two.try_lock().unwrap().is_recovered());
+}
+
+/// The writer is killed (-9) and replaced again and again; a reader gets whole values only, and never an
+/// older one after a newer one.
+#[test]
+fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
+    const SHAPE: Shape = Shape::new(4, 64);
+    let words = shared(newest::words(SHAPE));
+    let start = || {
+        Child::start(move || {
+            let mut writer = Writer::attach(words, SHAPE).unwrap();
+            let mut value = [0; 64];
+            let reader = Reader::attach(words, SHAPE).unwrap();
+            reader.read_into(&mut value);
+            for k in value[0] + 1.. {
+                writer.publish(&[k; 64]);
+            }
+        })
+    };
+    let reader = Reader::attach(words, SHAPE).unwrap();
+    let mut last = 0;
+    let mut seen = 0;
+    for i in 0..60 {
+        let writer = start();
+        for _ in 0..scatter(i, 2_000) {
+            let read = reader.read(|words| {
+                let first = words.get(0);
+                words.iter().all(|word| word == first).then_some(first)
+            });
+            match read {
+                Ok((_, value)) => {
+                    let value = value.unwrap_or_else(|| panic!("a torn value"));
+                    assert!(value >= last, "{value} after {last}");
+                    seen += u32::from(value > last);
+                    last = value;
+                }
+                Err(ReadError::Empty) => assert_eq!(last, 0),
+                Err(ReadError::Overrun) => give_way(),
+            }
+        }
+        while last == 0 && reader.newest().is_none() {
+            give_way();
+        }
+        writer.kill();
+        let whole = reader.read(|words| words.iter().all(|word| word == words.get(0)));
+        assert!(whole.unwrap().1, "what a killed writer leaves is whole");
+    }
+    assert!(seen > 0);
+}
+
+/// Producer and consumer are killed (-9) in turn; no value is lost, none comes out of order, and only the
+/// one that a killed consumer had in hand comes twice.
+#[test]
+fn a_queue_whose_ends_are_killed_loses_nothing() {
+    const SHAPE: Shape = Shape::new(8, 4);
+    /// Behind the queue: the last value that was taken out.
+    const LAST_AT: usize = fifo::words(SHAPE);
+    let words = shared(LAST_AT + 2);
+    let produce = || {
+        Child::start(move || {
+            let mut producer = fifo::Producer::attach(words, SHAPE).unwrap();
+            // The number of the next value is the producer's index, which the LMU keeps.
+            for k in words[0].load(Ordering::Relaxed) + 1.. {
+                while producer.send(&[k; 4]).is_err() {
+                    give_way();
+                }
+            }
+        })
+    };
+    let consume = || {
+        Child::start(move || {
+            let mut consumer = fifo::Consumer::attach(words, SHAPE).unwrap();
+            loop {
+                let Some(item) = consumer.receive() else {
+                    give_way();
+                    continue;
+                };
+                let value = item.words().get(0);
+                assert!(item.words().iter().all(|word| word == value));
+                let last = words[LAST_AT].load(Ordering::Relaxed);
+                assert!(value == last || value == last + 1, "{value} after {last}");
+                words[LAST_AT].store(value, Ordering::Relaxed);
+                item.release();
+            }
+        })
+    };
+    let start = |end| if end == 0 { produce() } else { consume() };
+    let mut ends = [0, 1].map(|end| Some(start(end)));
+    let all_running = |ends: &[Option<Child>; 2]| ends.iter().flatten().all(Child::is_running);
+    for i in 0..60 {
+        sleep_us(200 + scatter(i, 2_000));
+        assert!(all_running(&ends), "an end failed");
+        let end = scatter(i, 2) as usize;
+        // The successor starts when the predecessor has ended.
+        ends[end] = None;
+        ends[end] = Some(start(end));
+    }
+    let last = words[LAST_AT].load(Ordering::Relaxed);
+    while words[LAST_AT].load(Ordering::Relaxed) == last {
+        assert!(all_running(&ends), "an end failed");
+        give_way();
+    }
+}

@@ -1,0 +1,72 @@
+//! Three processes increment one counter: without the lock increments get lost, with it none. T-LOCK-2
+#![cfg(all(target_os = "linux", not(loom), not(miri)))]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+#[allow(dead_code, reason = "shared with other tests")]
+mod process;
+
+use process::{Child, announce, give_way, meet, shared, take};
+use tandem_shm::life::Lives;
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::sync::{AtomicU32, Ordering};
+
+const CORES: u32 = 3;
+/// Increments of each process.
+const INCREMENTS: u32 = 20_000;
+/// Every so many increments the process gives its CPU away between load and store, so that the control
+/// group shows its loss on a single CPU, too.
+const GIVE_WAY_EVERY: u32 = 64;
+
+const LIVES_AT: usize = 0;
+const LOCK_AT: usize = LIVES_AT + Lives::WORDS;
+const COUNTER_AT: usize = LOCK_AT + lock::WORDS;
+const START_AT: usize = COUNTER_AT + 16;
+const WORDS: usize = START_AT + 16;
+
+/// The counter's way up: a load, perhaps a pause, a store.
+fn increment(counter: &AtomicU32, i: u32) {
+    let value = counter.load(Ordering::Relaxed);
+    if i.is_multiple_of(GIVE_WAY_EVERY) {
+        give_way();
+    }
+    counter.store(value + 1, Ordering::Relaxed);
+}
+
+/// Three processes, each with `work(words, core, i)` for i up to [`INCREMENTS`]; returns the counter.
+fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) -> u32 {
+    let words = shared(WORDS);
+    let children: Vec<_> = (0..CORES as usize)
+        .map(|core| {
+            Child::start(move || {
+                let lives = Lives::attach(words).unwrap();
+                let life = announce(lives, core, 1);
+                let mut lock = Lock::attach(&words[LOCK_AT..], life, lives).unwrap();
+                meet(&words[START_AT], CORES);
+                for i in 0..INCREMENTS {
+                    work(words, &mut lock, i);
+                }
+            })
+        })
+        .collect();
+    children.into_iter().for_each(Child::join);
+    words[COUNTER_AT].load(Ordering::Relaxed)
+}
+
+/// T-LOCK-2: the control group. That increments get lost is likely, not certain: it has many tries.
+#[test]
+fn without_the_lock_increments_are_lost() {
+    let lost =
+        (0..50).any(|_| count(|words, _, i| increment(&words[COUNTER_AT], i)) < CORES * INCREMENTS);
+    assert!(lost, "the test cannot show what the lock is for");
+}
+
+/// T-LOCK-2: with the lock none is lost.
+#[test]
+fn with_the_lock_none_is_lost() {
+    let counted = count(|words, lock, i| {
+        let acquired = take(lock);
+        assert!(!acquired.is_recovered(), "nobody died");
+        increment(&words[COUNTER_AT], i);
+    });
+    assert_eq!(counted, CORES * INCREMENTS);
+}
