@@ -1,8 +1,8 @@
 //! Reads CommonRoad XML, versions 2018b and 2020a, into plain data.
 //!
-//! Format: <https://commonroad.in.tum.de>. An interval stands for its midpoint, an area for its centre.
-//! Not read: goal states, intersections, traffic lights, occupancy sets, phantom and environment
-//! obstacles (they are no traffic).
+//! Format: <https://commonroad.in.tum.de>. An interval stands for its midpoint, an area for its
+//! centre. Not read: goal states, intersections, traffic lights, occupancy sets, phantom and
+//! environment obstacles (they are no traffic).
 
 use roxmltree::{Document, Node};
 

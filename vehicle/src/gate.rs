@@ -6,7 +6,7 @@
 //!
 //! | frame | verdict | acts |
 //! |---|---|---|
-//! | protection, length or values wrong, or the term's lowest bit is not the system | `Invalid` | no |
+//! | protection, length or value wrong, or the term's lowest bit is another | `Invalid` | no |
 //! | role other than master | `NotMaster` | no |
 //! | term lower than the highest seen | `Fenced` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
@@ -17,8 +17,8 @@ use tandem_bus::{Control, Message, Role};
 /// Two systems have both been master if the vehicle accepted X, then Y, then X again within this
 /// time, ns. A takeover and a second one back take a restart in between, which is far longer.
 const TWO_MASTERS_WITHIN_NS: u64 = 200_000_000;
-/// After this silence a sender may start with any counter, ns: it was down, and frames that were lost
-/// meanwhile are not news.
+/// After this silence a sender may start with any counter, ns: it was down, and frames that were
+/// lost meanwhile are not news.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 /// The log keeps so many entries between two calls of [`Gate::drain_log`]: three hours of frames.
 const LOG_CAPACITY: usize = 1 << 20;

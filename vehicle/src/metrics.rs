@@ -23,9 +23,10 @@ pub struct Metrics {
     pub collisions: u32,
     /// Largest distance to the centre of the own lane, m, while no lane change was under way.
     ///
-    /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that ends
-    /// in the middle of another lane. One that leads back counts in full, as does one that lasts
-    /// longer than 10 s. The way from the start to the centre of the first lane does not count.
+    /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
+    /// ends in the middle of another lane. One that leads back counts in full, as does one that
+    /// lasts longer than 10 s. The way from the start to the centre of the first lane does not
+    /// count.
     pub lateral_error_max_m: f64,
     /// The same within lane changes, to the nearest lane's centre, m: about half a lane's width.
     pub lane_change_offset_max_m: f64,

@@ -192,8 +192,9 @@ impl State {
         }
     }
 
-    /// Sets yaw rate and slip angle to what rolling without slip means: below [`KINEMATIC_BELOW`] they
-    /// follow from the other states, and what tyre slip has left of them must not stay for ever.
+    /// Sets yaw rate and slip angle to what rolling without slip means: below [`KINEMATIC_BELOW`]
+    /// they follow from the other states, and what tyre slip has left of them must not stay for
+    /// ever.
     pub fn settle_slowly_rolling(&mut self, p: &Parameters) {
         let wheelbase = p.front_axle + p.rear_axle;
         let tan = self.steering_angle.tan();
@@ -235,8 +236,8 @@ mod tests {
         (largest(&pose), largest(&motion))
     }
 
-    /// The plant agrees with an independent implementation over steering steps, slaloms, braking in a
-    /// turn, launching, inputs beyond the limits, and crawling.
+    /// The plant agrees with an independent implementation over steering steps, slaloms, braking in
+    /// a turn, launching, inputs beyond the limits, and crawling.
     ///
     /// Runge-Kutta of fourth order at 1 ms has a global error below 1e-8 here; 1e-6 leaves room for
     /// the kink of the acceleration limit at the switching speed, where a fixed step is of first

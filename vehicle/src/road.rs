@@ -1,11 +1,12 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
-//! Lanelets are chained into lanes: each goes on with the successor that bends least. Centre lines are
-//! smoothed, because maps have corners where roads have curves (US-101 has points every few metres
-//! with noise, A9 one every hundred with corners of 0.02 rad).
+//! Lanelets are chained into lanes: each goes on with the successor that bends least. Centre lines
+//! are smoothed, because maps have corners where roads have curves (US-101 has points every few
+//! metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
-//! **Beyond the map.** Where a lane ends because the map ends, it goes on straight without end, parallel
-//! to its neighbours. Where it ends while a neighbour goes on, that is a lane drop: a real end.
+//! **Beyond the map.** Where a lane ends because the map ends, it goes on straight without end,
+//! parallel to its neighbours. Where it ends while a neighbour goes on, that is a lane drop: a real
+//! end.
 
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};

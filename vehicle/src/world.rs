@@ -103,8 +103,8 @@ pub struct Snapshot {
     pub vehicles: Vec<VehicleSnapshot>,
 }
 
-/// The world outside of the controller. Deterministic: the same scenario, seed, frames and times give
-/// the same run to the bit.
+/// The world outside of the controller. Deterministic: the same scenario, seed, frames and times
+/// give the same run to the bit.
 pub struct World {
     road: Arc<Road>,
     set_speed: f64,
@@ -186,9 +186,10 @@ impl World {
         }
     }
 
-    /// Lets the world run up to `now_ns`, in ticks of one millisecond, and hands out the frames that
-    /// are due: id and data. To be called every millisecond; a late call catches up. After more than
-    /// 200 ms without a call the world has stood still instead, see [`World::stalled_ns`].
+    /// Lets the world run up to `now_ns`, in ticks of one millisecond, and hands out the frames
+    /// that are due: id and data. To be called every millisecond; a late call catches up. After
+    /// more than 200 ms without a call the world has stood still instead, see
+    /// [`World::stalled_ns`].
     pub fn step(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
         let mut next = *self.next_ns.get_or_insert(now_ns);
         if now_ns.saturating_sub(next) > STALL_NS {
@@ -420,8 +421,8 @@ fn participant(ego: &EgoTruth) -> Participant {
     }
 }
 
-/// Bumper distance and speed of the nearest vehicle that is ahead in the ego's lane: with its centre
-/// in the lane, or in the way of the ego's body.
+/// Bumper distance and speed of the nearest vehicle that is ahead in the ego's lane: with its
+/// centre in the lane, or in the way of the ego's body.
 fn leader(road: &Road, ego: &EgoTruth, vehicles: &[VehicleSnapshot]) -> (f64, f64) {
     let lane = road.lane(ego.lane);
     let mut nearest = (f64::INFINITY, 0.0);

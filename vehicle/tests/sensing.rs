@@ -11,8 +11,8 @@ use tandem_vehicle::{Config, Scenario, World};
 /// The ego's speed, m/s.
 const SPEED: f64 = 20.0;
 
-/// Three straight lanes along x, 3.5 m wide, the ego in the middle one at the origin; the leftmost lane
-/// ends at 150 m. `things` are (x, y, length, width) of standing things.
+/// Three straight lanes along x, 3.5 m wide, the ego in the middle one at the origin; the leftmost
+/// lane ends at 150 m. `things` are (x, y, length, width) of standing things.
 fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
     let mut xml = String::from(
         "<commonRoad commonRoadVersion=\"2018b\" timeStepSize=\"0.1\" benchmarkID=\"straight\">",
@@ -46,9 +46,9 @@ fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
     }
     write!(
         xml,
-        "<planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point></position>\
-         <orientation><exact>{yaw}</exact></orientation><time><exact>0</exact></time><velocity><exact>\
-         {SPEED}</exact></velocity></initialState></planningProblem></commonRoad>"
+        "<planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point>\
+         </position><orientation><exact>{yaw}</exact></orientation><time><exact>0</exact>\
+         </time><velocity><exact>{SPEED}</exact></velocity></initialState></planningProblem></commonRoad>"
     )
     .unwrap();
     Scenario::parse(&xml, "straight").unwrap()

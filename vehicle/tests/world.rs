@@ -96,8 +96,8 @@ fn the_world_waits_for_the_first_control_frame() {
     assert!((run.now().pose.position.x - start.pose.position.x - 3.0).abs() < 0.1);
 }
 
-/// T-CHIP-3, T-CHIP-4: five radars and a camera every 50 ms, the ego's motion every 10 ms, and every
-/// list is as long as its header says.
+/// T-CHIP-3, T-CHIP-4: five radars and a camera every 50 ms, the ego's motion every 10 ms, and
+/// every list is as long as its header says.
 #[test]
 fn frames_come_in_their_cycles() {
     let mut run = Run::new("cut-in", 1);
@@ -168,8 +168,8 @@ fn a_late_caller_gets_all_that_was_due_and_a_frozen_one_stops_the_world() {
     assert_eq!(run.world.stalled_ns(), 5_000 * MS);
 }
 
-/// T-CHIP-7: without a controller the vehicle holds the steering and brakes gently, and it obeys the
-/// next master at once; the former one never again.
+/// T-CHIP-7: without a controller the vehicle holds the steering and brakes gently, and it obeys
+/// the next master at once; the former one never again.
 #[test]
 fn without_a_controller_it_brakes_gently_until_the_next_master() {
     let mut run = Run::new("free-lane", 1);

@@ -136,8 +136,8 @@ pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64
     lanes
 }
 
-/// The direction in which each lane goes on beyond the map: the mean over all lanes that end side by
-/// side, so that they stay side by side.
+/// The direction in which each lane goes on beyond the map: the mean over all lanes that end side
+/// by side, so that they stay side by side.
 pub(super) fn run_out_headings(lanelets: &[Lanelet], chains: &[Chain]) -> Vec<f64> {
     let ends: Vec<(Vec2, f64)> = chains
         .iter()

@@ -2,12 +2,12 @@
 
 use crate::geometry::Vec2;
 
-/// Standard deviation of the smoothing kernel, m. A corner of 0.02 rad becomes a curve with less than
-/// 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
+/// Standard deviation of the smoothing kernel, m. A corner of 0.02 rad becomes a curve with less
+/// than 0.7 m/s² of lateral acceleration at 30 m/s; a curve with 60 m radius moves by 6 cm.
 const SIGMA: f64 = 15.0;
 
-/// Points every `step` metres along the line, both ends included (the last distance may be longer by
-/// up to half a step).
+/// Points every `step` metres along the line, both ends included (the last distance may be longer
+/// by up to half a step).
 pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
     let count = ((length / step).round() as usize).max(2);
@@ -32,8 +32,8 @@ pub(super) fn resampled(points: &[Vec2], step: f64) -> Vec<Vec2> {
     samples
 }
 
-/// Smooths twice and adds back what the second pass took ("twicing", Tukey 1977): a kernel of fourth
-/// order, which leaves parabolas where they are.
+/// Smooths twice and adds back what the second pass took ("twicing", Tukey 1977): a kernel of
+/// fourth order, which leaves parabolas where they are.
 pub(super) fn smoothed(points: &[Vec2], step: f64) -> Vec<Vec2> {
     let once = gaussian(points, step);
     let twice = gaussian(&once, step);

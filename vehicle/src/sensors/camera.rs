@@ -5,8 +5,8 @@ use tandem_bus::CameraLanes;
 use super::{EgoTruth, Noise};
 use crate::road::{LaneId, Road};
 
-/// The polynomial reaches so far ahead, m: with a cubic over more, curves of motorway junctions leave
-/// residuals of decimetres.
+/// The polynomial reaches so far ahead, m: with a cubic over more, curves of motorway junctions
+/// leave residuals of decimetres.
 const VIEW_RANGE: f64 = 80.0;
 /// An end of a lane is in sight from so far, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
@@ -117,7 +117,8 @@ fn fit(ego: &EgoTruth, road: &Road) -> [f64; 4] {
     [0, 1, 2, 3].map(|power| scaled[power] / VIEW_RANGE.powi(power as i32))
 }
 
-/// Solves four linear equations, the right-hand side in the last column, by elimination with pivots.
+/// Solves four linear equations, the right-hand side in the last column, by elimination with
+/// pivots.
 fn solve(mut matrix: [[f64; 5]; 4]) -> [f64; 4] {
     for column in 0..4 {
         let largest = |row: &usize| matrix[*row][column].abs();

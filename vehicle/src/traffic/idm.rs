@@ -2,9 +2,9 @@
 //!
 //! Base: Treiber, Hennecke, Helbing, "Congested traffic states in empirical observations and
 //! microscopic simulations", Phys. Rev. E 62 (2000). With the improved free term and the "constant
-//! acceleration heuristic" of Kesting, Treiber, Helbing, "Enhanced Intelligent Driver Model to assess
-//! the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): the base model brakes in
-//! an emergency when somebody cuts in, where people see that a little is enough.
+//! acceleration heuristic" of Kesting, Treiber, Helbing, "Enhanced Intelligent Driver Model to
+//! assess the impact of adaptive cruise control", Phil. Trans. R. Soc. A 368 (2010): the base model
+//! brakes in an emergency when somebody cuts in, where people see that a little is enough.
 
 /// Share of the heuristic in the model ("coolness"); the published value.
 const COOLNESS: f64 = 0.99;
@@ -124,8 +124,8 @@ impl Driver {
 mod tests {
     use super::*;
 
-    /// Drives 300 s behind a leader whose speed is `leader(t)`; the smallest gap, the final one, and
-    /// the hardest braking.
+    /// Drives 300 s behind a leader whose speed is `leader(t)`; the smallest gap, the final one,
+    /// and the hardest braking.
     fn drive(mut gap: f64, leader: impl Fn(f64) -> f64) -> (f64, f64, f64) {
         let (mut speed, mut smallest, mut hardest) = (leader(0.0), f64::INFINITY, 0.0_f64);
         for step in 0..30_000 {

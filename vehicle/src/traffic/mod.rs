@@ -9,9 +9,9 @@
 //! - it would hit one of these from the side within a second by changing lanes: it stays in
 //!   the lane that it is in, as a driver who looks first.
 //!
-//! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the speed,
-//! heading and time gap that it has at that moment. It knows the ego and all others, slows down for
-//! curves, stops at the end of a lane, and lets in who has to leave a lane that ends.
+//! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the
+//! speed, heading and time gap that it has at that moment. It knows the ego and all others, slows
+//! down for curves, stops at the end of a lane, and lets in who has to leave a lane that ends.
 
 mod idm;
 mod recording;
@@ -39,8 +39,8 @@ const JERK: (f64, f64) = (4.0, 40.0);
 const TURN: (f64, f64) = (0.2, 0.5);
 /// Time in which a driver returns to the own habitual time gap, s.
 const GAP_RELAXATION_S: f64 = 10.0;
-/// Cars and trucks want to go this fast if the speed limit allows, m/s: a recording may show them in
-/// a jam only.
+/// Cars and trucks want to go this fast if the speed limit allows, m/s: a recording may show them
+/// in a jam only.
 const DESIRED_SPEED_MIN: f64 = 13.9;
 /// Most that anybody brakes to let somebody in, m/s².
 const COURTESY: f64 = 1.5;

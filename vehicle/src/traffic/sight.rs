@@ -72,8 +72,8 @@ pub(super) fn blocks_return(road: &Road, vehicle: &Vehicle, other: &Participant)
     between && near && on_that_side
 }
 
-/// `other` as a leader, if it is ahead in a lane beside that ends soon: it has to come in, and to let
-/// in one is a duty (in German law, StVO § 7 (4)).
+/// `other` as a leader, if it is ahead in a lane beside that ends soon: it has to come in, and to
+/// let in one is a duty (in German law, StVO § 7 (4)).
 pub(super) fn merging(road: &Road, vehicle: &Vehicle, other: &Participant) -> Option<Leader> {
     let section = road.lane(vehicle.lane).at(vehicle.place.s);
     let ends = |lane: &LaneId| road.lane(*lane).end.is_some();
