@@ -48,7 +48,8 @@ fn scenario(things: &[(f64, f64, f64, f64)], yaw: f64) -> Scenario {
         xml,
         "<planningProblem id=\"9\"><initialState><position><point><x>0</x><y>0</y></point>\
          </position><orientation><exact>{yaw}</exact></orientation><time><exact>0</exact>\
-         </time><velocity><exact>{SPEED}</exact></velocity></initialState></planningProblem></commonRoad>"
+         </time><velocity><exact>{SPEED}</exact></velocity>\
+         </initialState></planningProblem></commonRoad>"
     )
     .unwrap();
     Scenario::parse(&xml, "straight").unwrap()
