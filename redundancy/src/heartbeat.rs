@@ -197,3 +197,122 @@ impl BeatReceiver {
         self.lines.map(|line| line.received)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    const LIMIT: Duration = Duration::from_ms(4);
+
+    fn at_us(us: u64) -> Instant {
+        Instant::from_ns(us * 1_000)
+    }
+
+    #[test]
+    fn sends_every_period_without_drift_and_without_bursts() {
+        let mut sender = BeatSender::new(Duration::from_ms(1));
+        assert_eq!(sender.poll(at_us(0)), None);
+        assert_eq!(sender.due(), Instant::NEVER);
+        sender.start(at_us(100));
+        let mut sent = Vec::new();
+        // Polled late by up to 0.4 ms, then held up from 6.3 to 20.5 ms.
+        for us in [
+            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 20_600, 21_500, 22_500,
+        ] {
+            if let Some(beat) = sender.poll(at_us(us)) {
+                sent.push((us, beat.edge));
+            }
+        }
+        let times: Vec<u64> = sent.iter().map(|&(us, _)| us).collect();
+        let expected = [
+            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 21_500, 22_500,
+        ];
+        assert_eq!(times, expected);
+        assert!(
+            sent.windows(2).all(|pair| pair[0].1 != pair[1].1),
+            "the edges alternate"
+        );
+        assert_eq!(sender.sent(), 10);
+        sender.stop();
+        assert_eq!(sender.poll(at_us(30_000)), None);
+    }
+
+    /// Feeds one edge per millisecond on the lines that are whole, from counts just below wrap-around,
+    /// and returns the receiver after `ms` milliseconds.
+    fn fed(whole: [bool; 2], ms: u64) -> BeatReceiver {
+        let mut counts = [u32::MAX - 5, u32::MAX];
+        let mut receiver = BeatReceiver::new(LIMIT, counts, at_us(0));
+        receiver.expect(at_us(0));
+        for tick in 1..=ms {
+            for line in 0..2 {
+                counts[line] = counts[line].wrapping_add(u32::from(whole[line]));
+            }
+            let _ = receiver.update(at_us(tick * 1_000), counts);
+        }
+        receiver
+    }
+
+    /// T-RED-3: line 1, and only if it fails line 2; one broken line is no failure but is reported;
+    /// counts wrap around unnoticed.
+    #[test]
+    fn one_silent_line_is_no_failure() {
+        for (whole, silent, failed) in [
+            ([true, true], [false, false], false),
+            ([false, true], [true, false], false),
+            ([true, false], [false, true], false),
+            ([false, false], [true, true], true),
+        ] {
+            let receiver = fed(whole, 20);
+            assert_eq!(receiver.silent(), silent);
+            assert_eq!(receiver.both_silent(), failed);
+            let expected = whole.map(|whole| if whole { 20 } else { 0 });
+            assert_eq!(receiver.received(), expected);
+        }
+    }
+
+    /// T-RED-3: silence is what lasts longer than the limit, told once; so is the return.
+    #[test]
+    fn silence_begins_after_the_limit_and_ends_with_an_edge() {
+        let mut receiver = fed([true, true], 10);
+        let counts = [u32::MAX.wrapping_add(5), u32::MAX.wrapping_add(10)];
+        let last = at_us(10_000);
+        assert_eq!(receiver.update(last + LIMIT, counts), [None, None]);
+        let late = last + LIMIT + Duration::from_ns(1);
+        assert_eq!(receiver.update(late, counts), [Some(LineChange::Silent); 2]);
+        assert_eq!(receiver.update(late, counts), [None, None]);
+        assert!(receiver.both_silent());
+        assert_eq!(receiver.alive_for(late), Duration::ZERO);
+        let back = late + Duration::from_ms(50);
+        let changes = receiver.update(back, [counts[0], counts[1] + 1]);
+        assert_eq!(changes, [None, Some(LineChange::Back)]);
+        let later = back + Duration::from_ms(3);
+        assert_eq!(receiver.alive_for(later), Duration::from_ms(3));
+    }
+
+    /// T-RED-3: two clocks that drift apart by 1 % never raise a false alarm, though the counts of sent
+    /// and received heartbeats differ soon.
+    #[test]
+    fn a_drift_of_phase_is_no_false_alarm() {
+        let mut receiver = BeatReceiver::new(LIMIT, [0, 0], at_us(0));
+        receiver.expect(at_us(0));
+        for own in 1..20_000u64 {
+            // The sender's period is 1.01 ms; the receiver looks every millisecond.
+            let count = (own * 1_000 / 1_010) as u32;
+            assert_eq!(
+                receiver.update(at_us(own * 1_000), [count, count]),
+                [None, None]
+            );
+        }
+        assert_eq!(receiver.received(), [19_800, 19_800]);
+    }
+
+    #[test]
+    fn own_absence_is_forgiven_only_for_lines_that_were_alive() {
+        let mut receiver = fed([false, true], 10);
+        let counts = [u32::MAX - 5, u32::MAX.wrapping_add(10)];
+        receiver.forgive(at_us(500_000));
+        assert_eq!(receiver.update(at_us(503_000), counts), [None, None]);
+        assert_eq!(receiver.silent(), [true, false]);
+    }
+}

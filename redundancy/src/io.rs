@@ -176,7 +176,8 @@ pub struct Actions {
     pub sync: bool,
     /// Send this edge on both heartbeat lines.
     pub beat: Option<Beat>,
-    /// The output has just opened: send a control frame now, do not wait for the next cycle.
+    /// The output has just opened, or a frame was refused until this poll: send a control frame now (ask
+    /// [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)), do not wait for the next cycle.
     pub transmit_now: bool,
     /// The output just closed: discard control frames that wait in the transmit buffer.
     pub output_closed: bool,

@@ -34,6 +34,8 @@ pub struct Redundancy {
     last_poll: Instant,
     /// When it last was permitted to transmit.
     last_permit: Instant,
+    /// A transmission was refused because the last poll was too long ago.
+    refused: bool,
     /// When the peer's last valid control frame was heard, or when this system became standby.
     last_control: Instant,
     control_known: bool,
@@ -51,6 +53,8 @@ pub struct Redundancy {
     stopping: bool,
     can_silent: bool,
     lines_split: bool,
+    /// The master was silent or in its start since its last control frame.
+    suspected: bool,
     stale_told: Term,
     pending: Option<Event>,
     reset: Option<ResetRequest>,
@@ -90,6 +94,7 @@ impl Redundancy {
             last: None,
             last_poll: now,
             last_permit: now,
+            refused: false,
             last_control: now,
             control_known: false,
             control_while_starting: false,
@@ -103,6 +108,7 @@ impl Redundancy {
             stopping: false,
             can_silent: false,
             lines_split: false,
+            suspected: false,
             stale_told: Term::NONE,
             pending: matches!(loaded, Loaded::Lost).then_some(Event::StateLost),
             reset: suspended.then_some(ResetRequest::Suspend),
@@ -144,7 +150,8 @@ impl Redundancy {
     /// once if the answer is yes.
     ///
     /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a core
-    /// that was held up must first look whether the other system has taken over meanwhile. A core that
+    /// that was held up must first look whether the other system has taken over meanwhile. If it has not,
+    /// the next poll says [`Actions::transmit_now`], so the frame that was refused is only late. A core that
     /// is frozen between the answer and the transmission can still send one stale frame; no software can
     /// prevent that, and the vehicle refuses it by its term.
     #[must_use]
@@ -154,6 +161,7 @@ impl Redundancy {
         if granted {
             self.last_permit = now;
         }
+        self.refused = self.phase.is_driving() && !leased;
         granted
     }
 
@@ -244,7 +252,11 @@ impl Redundancy {
         let overdue = held_up > self.config.lease();
         match self.phase {
             Phase::Starting => self.poll_start(now, &last, &snapshot, new_beats, actions),
-            Phase::Standby => self.poll_standby(now, actions),
+            Phase::Standby => {
+                // A handshake is a word of a system that has just started, so it does not drive.
+                self.suspected |= snapshot.handshakes != last.handshakes;
+                self.poll_standby(now, actions);
+            }
             Phase::Master | Phase::DegradedMaster => {
                 if overdue && self.may_be_deposed(now, new_beats) {
                     self.apply(now, Evidence::Stalled, actions);
@@ -259,6 +271,9 @@ impl Redundancy {
             // The other starts while this system drives: tell it to follow.
             actions.handshake = true;
             actions.sync = true;
+        }
+        if core::mem::take(&mut self.refused) && self.phase.is_driving() {
+            actions.transmit_now = true;
         }
         self.note_health(now);
         actions.beat = self.beat_sender.poll(now);
@@ -371,9 +386,12 @@ impl Redundancy {
     fn poll_standby(&mut self, now: Instant, actions: &mut Actions) {
         let control_age = now.since(self.last_control);
         let silent = self.beats.both_silent();
+        // A silence is remembered until control frames come again: a master that was reset may be back
+        // with its heartbeats, as a standby, before the third witness has spoken.
+        self.suspected |= silent;
         if self.peer_off() {
             self.apply(now, Evidence::PeerOff, actions);
-        } else if silent && control_age > self.config.witness_limit() {
+        } else if self.suspected && control_age > self.config.witness_limit() {
             self.apply(now, Evidence::PeerSilent, actions);
         } else if !silent && self.master_is_mute(now) {
             self.apply(now, Evidence::MasterMute, actions);
@@ -465,6 +483,7 @@ impl Redundancy {
             Phase::Standby => {
                 self.last_control = now;
                 self.control_known = true;
+                self.suspected = false;
                 self.peer_mode = standby_mode(frame.mode);
             }
             _ => self.apply(now, Evidence::HigherTerm, actions),
@@ -539,6 +558,10 @@ impl Redundancy {
         if on == Evidence::BeatsBack {
             self.set_peer_failed(false, actions);
         }
+        if on == Evidence::HigherTerm && self.peer_low_since.is_some() {
+            // It drives without power: the level line is broken.
+            self.level_broken = true;
+        }
         let Some(to) = next(self.phase, on) else {
             return;
         };
@@ -581,6 +604,7 @@ impl Redundancy {
                 self.state.is_master = false;
                 self.last_control = now;
                 self.control_known = false;
+                self.suspected = false;
                 self.peer_mode = Mode::DegradedL2;
                 self.set_peer_failed(false, actions);
             }

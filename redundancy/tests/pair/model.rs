@@ -1,0 +1,502 @@
+//! Two machines, their lines, a CAN bus and a vehicle that fences: small, deterministic, in 0.1 ms steps.
+
+use std::collections::VecDeque;
+use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
+use tandem_redundancy::{
+    Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, PeerReport, Phase,
+    Redundancy, Role, Snapshot, SystemState, Takeover, Term,
+};
+
+pub(crate) const STEP_US: u64 = 100;
+/// How long a program of the data flash takes.
+const FLASH_US: u64 = 400;
+/// How long a reset and the start of the software take.
+pub(crate) const RESET_US: u64 = 3_000;
+
+/// Which connections are cut. A line is cut per direction, named by the system that sends.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Cuts {
+    pub(crate) beats: [[bool; 2]; 2],
+    pub(crate) start: [bool; 2],
+    pub(crate) level: [bool; 2],
+    pub(crate) can: [bool; 2],
+    pub(crate) link: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Frame {
+    Control(ControlFrame),
+    Status(PeerReport),
+    Vehicle,
+}
+
+/// A control frame as the vehicle saw it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    pub(crate) at_us: u64,
+    pub(crate) system: SystemId,
+    pub(crate) term: Term,
+}
+
+pub(crate) struct System {
+    pub(crate) machine: Option<Redundancy>,
+    pub(crate) powered: bool,
+    /// Held in reset by its supply for good.
+    pub(crate) held: bool,
+    /// Starts at this time, for this cause.
+    boot: Option<(u64, ResetCause)>,
+    pub(crate) frozen_until: u64,
+    thawed: bool,
+    /// What is in flash; `None` is a flash that was never written.
+    pub(crate) flash: Option<SystemState>,
+    pub(crate) flash_lost: bool,
+    writing: Option<(u64, SystemState)>,
+    edges: [[u32; 2]; 3],
+    can_frames: u32,
+    inbox: VecDeque<Frame>,
+    link_inbox: VecDeque<PeerReport>,
+    /// Origin of its clock.
+    origin_us: u64,
+    next_poll: u64,
+    next_control: u64,
+    next_status: u64,
+    peer_level: bool,
+    interrupt: bool,
+    pub(crate) faults: Vec<FailureMode>,
+}
+
+pub(crate) struct Pair {
+    pub(crate) config: Config,
+    pub(crate) now_us: u64,
+    pub(crate) cuts: Cuts,
+    /// The power level of this system reads as low at the other, against the contract of the line.
+    pub(crate) level_stuck_low: [bool; 2],
+    pub(crate) systems: [System; 2],
+    bus: VecDeque<(u64, Option<SystemId>, Frame)>,
+    next_vehicle: u64,
+    random: u64,
+    pub(crate) accepted: Vec<Seen>,
+    pub(crate) fenced: Vec<Seen>,
+    pub(crate) events: Vec<(u64, SystemId, Event)>,
+    pub(crate) synchronised: Vec<(u64, SystemId)>,
+    /// Time in which both outputs were open and both systems connected to the bus, at present and the
+    /// longest.
+    both_open_us: u64,
+    pub(crate) both_open_max_us: u64,
+}
+
+impl Pair {
+    /// Both systems without power, each with its factory state in flash.
+    pub(crate) fn new(config: Config, seed: u64) -> Self {
+        let system = |id: SystemId| System {
+            machine: None,
+            powered: false,
+            held: false,
+            boot: None,
+            frozen_until: 0,
+            thawed: false,
+            flash: Some(SystemState::factory(id)),
+            flash_lost: false,
+            writing: None,
+            // Near their wrap-around, so that every run goes across it.
+            edges: [[u32::MAX - 40; 2]; 3],
+            can_frames: u32::MAX - 3,
+            inbox: VecDeque::new(),
+            link_inbox: VecDeque::new(),
+            origin_us: [1_000_000, 77_000_000_000][id.index()],
+            next_poll: 0,
+            next_control: 0,
+            next_status: 0,
+            peer_level: false,
+            interrupt: false,
+            faults: Vec::new(),
+        };
+        Self {
+            config,
+            now_us: 0,
+            cuts: Cuts::default(),
+            level_stuck_low: [false; 2],
+            systems: SystemId::ALL.map(system),
+            bus: VecDeque::new(),
+            next_vehicle: 0,
+            random: seed.wrapping_mul(2).wrapping_add(1),
+            accepted: Vec::new(),
+            fenced: Vec::new(),
+            events: Vec::new(),
+            synchronised: Vec::new(),
+            both_open_us: 0,
+            both_open_max_us: 0,
+        }
+    }
+
+    /// In dual operation, A driving, for some time.
+    pub(crate) fn dual(config: Config, seed: u64) -> Self {
+        let mut pair = Self::new(config, seed);
+        pair.power_on(SystemId::A);
+        pair.power_on(SystemId::B);
+        pair.run_ms(300);
+        assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
+        pair
+    }
+
+    fn random(&mut self, below: u64) -> u64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        self.random % below
+    }
+
+    pub(crate) fn power_on(&mut self, id: SystemId) {
+        let system = &mut self.systems[id.index()];
+        if !system.powered {
+            system.powered = true;
+            system.boot = Some((self.now_us + RESET_US, ResetCause::PowerOn));
+        }
+    }
+
+    pub(crate) fn power_off(&mut self, id: SystemId) {
+        let system = &mut self.systems[id.index()];
+        system.powered = false;
+        system.held = false;
+        system.machine = None;
+        system.boot = None;
+        system.frozen_until = 0;
+        system.edges = [[u32::MAX - 40; 2]; 3];
+        system.writing = None;
+    }
+
+    /// The supply resets the system.
+    pub(crate) fn reset(&mut self, id: SystemId, cause: ResetCause) {
+        let system = &mut self.systems[id.index()];
+        if system.powered && !system.held && system.boot.is_none() {
+            system.machine = None;
+            system.frozen_until = 0;
+            system.writing = None;
+            system.boot = Some((self.now_us + RESET_US, cause));
+        }
+    }
+
+    /// The software stands still; what it has sent before still arrives.
+    pub(crate) fn freeze_ms(&mut self, id: SystemId, ms: u64) {
+        let system = &mut self.systems[id.index()];
+        if system.machine.is_some() {
+            system.frozen_until = self.now_us + ms * 1_000;
+            system.thawed = true;
+        }
+    }
+
+    pub(crate) fn run_ms(&mut self, ms: u64) {
+        for _ in 0..ms * 1_000 / STEP_US {
+            self.step();
+        }
+    }
+
+    /// Runs until the condition holds, at most `ms` milliseconds; returns the time it took.
+    pub(crate) fn run_until(&mut self, ms: u64, condition: impl Fn(&Self) -> bool) -> u64 {
+        let from = self.now_us;
+        while !condition(self) {
+            assert!(
+                self.now_us < from + ms * 1_000,
+                "not within {ms} ms: {:?}",
+                self.phases()
+            );
+            self.step();
+        }
+        self.now_us - from
+    }
+
+    pub(crate) fn phase(&self, id: SystemId) -> Option<Phase> {
+        self.systems[id.index()]
+            .machine
+            .as_ref()
+            .map(Redundancy::phase)
+    }
+
+    pub(crate) fn phases(&self) -> [Option<Phase>; 2] {
+        SystemId::ALL.map(|id| self.phase(id))
+    }
+
+    pub(crate) fn state(&self, id: SystemId) -> SystemState {
+        *self.systems[id.index()].machine.as_ref().unwrap().state()
+    }
+
+    /// Takeovers since `from_us`.
+    pub(crate) fn takeovers(&self, from_us: u64) -> Vec<(u64, SystemId, Takeover)> {
+        let takeover = |&(at, id, event)| match event {
+            Event::Takeover(takeover) if at >= from_us => Some((at, id, takeover)),
+            _ => None,
+        };
+        self.events.iter().filter_map(takeover).collect()
+    }
+
+    /// The longest time without an accepted control frame from `from_us` until now.
+    pub(crate) fn longest_gap_us(&self, from_us: u64) -> u64 {
+        let before = self
+            .accepted
+            .iter()
+            .rev()
+            .find(|seen| seen.at_us <= from_us);
+        let mut last = before.map_or(from_us, |seen| seen.at_us);
+        let mut longest = 0;
+        for seen in self.accepted.iter().filter(|seen| seen.at_us > from_us) {
+            longest = longest.max(seen.at_us - last);
+            last = seen.at_us;
+        }
+        longest.max(self.now_us - last)
+    }
+
+    /// How often the system that drives changed.
+    pub(crate) fn changes_of_driver(&self) -> usize {
+        self.accepted
+            .windows(2)
+            .filter(|pair| pair[0].system != pair[1].system)
+            .count()
+    }
+
+    fn step(&mut self) {
+        self.now_us += STEP_US;
+        self.deliver();
+        if self.now_us >= self.next_vehicle {
+            self.next_vehicle = self.now_us + 10_000;
+            self.send(None, Frame::Vehicle);
+        }
+        for id in SystemId::ALL {
+            self.power_step(id);
+        }
+        for id in SystemId::ALL {
+            let now = self.now_us;
+            let system = &self.systems[id.index()];
+            if system.machine.is_some() && now >= system.frozen_until {
+                self.system_step(id);
+            }
+        }
+        let open = |system: &System| {
+            system
+                .machine
+                .as_ref()
+                .is_some_and(|machine| machine.phase().is_driving())
+                && self.now_us >= system.frozen_until
+        };
+        let both = self.systems.iter().all(open) && self.cuts.can == [false; 2];
+        self.both_open_us = if both { self.both_open_us + STEP_US } else { 0 };
+        self.both_open_max_us = self.both_open_max_us.max(self.both_open_us);
+    }
+
+    fn level(&self, of: SystemId) -> bool {
+        let system = &self.systems[of.index()];
+        let high = system.powered && !system.held && system.boot.is_none();
+        (high || self.cuts.level[of.index()]) && !self.level_stuck_low[of.index()]
+    }
+
+    fn power_step(&mut self, id: SystemId) {
+        let now = self.now_us;
+        let level = self.level(id.peer());
+        let (config, jitter) = (self.config, self.random(10) * 1_000);
+        let system = &mut self.systems[id.index()];
+        if level != system.peer_level {
+            system.peer_level = level;
+            system.interrupt = true;
+        }
+        if let Some((at, state)) = system.writing
+            && now >= at
+        {
+            system.flash = Some(state);
+            system.writing = None;
+        }
+        let Some((_, cause)) = system.boot.filter(|&(at, _)| now >= at) else {
+            return;
+        };
+        let loaded = match system.flash {
+            _ if system.flash_lost => Loaded::Lost,
+            Some(state) => Loaded::State(state),
+            None => Loaded::Blank,
+        };
+        system.boot = None;
+        system.flash_lost = false;
+        system.inbox.clear();
+        system.link_inbox.clear();
+        let at = Instant::from_ns((now + system.origin_us) * 1_000);
+        system.machine = Some(Redundancy::new(config, id, cause, loaded, at));
+        system.next_poll = now;
+        system.next_control = now + jitter;
+        system.next_status = now + jitter * 10;
+    }
+
+    fn system_step(&mut self, id: SystemId) {
+        let now = self.now_us;
+        let system = &mut self.systems[id.index()];
+        if system.thawed {
+            // The worst case: it stood just before a transmission.
+            system.thawed = false;
+            self.control_cycle(id);
+        }
+        let system = &mut self.systems[id.index()];
+        if !system.interrupt && now < system.next_poll {
+            return;
+        }
+        system.interrupt = false;
+        let at = Instant::from_ns((now + system.origin_us) * 1_000);
+        let mut inputs: Vec<Input> = Vec::new();
+        for frame in system.inbox.drain(..) {
+            system.can_frames = system.can_frames.wrapping_add(1);
+            match frame {
+                Frame::Control(control) => inputs.push(Input::ControlFrame(control)),
+                Frame::Status(report) => inputs.push(Input::StatusFrame(report)),
+                Frame::Vehicle => {}
+            }
+        }
+        inputs.extend(system.link_inbox.drain(..).map(Input::LinkReport));
+        inputs.extend(system.faults.iter().copied().map(Input::OwnFault));
+        let edges = system.edges;
+        let both = |line: Line| edges[line.index()][0].wrapping_add(edges[line.index()][1]);
+        inputs.push(Input::Poll(Snapshot {
+            handshakes: edges[Line::Start.index()][0],
+            syncs: edges[Line::Start.index()][1],
+            beats: [both(Line::Heartbeat1), both(Line::Heartbeat2)],
+            peer_powered: system.peer_level,
+            can_frames: system.can_frames,
+        }));
+        for input in inputs {
+            let Some(machine) = &mut self.systems[id.index()].machine else {
+                return;
+            };
+            let actions = machine.on(at, input);
+            self.act(id, &actions);
+        }
+        let late = self.random(4) * 100;
+        let system = &mut self.systems[id.index()];
+        let interval = self.config.poll_interval.as_us();
+        system.next_poll = now / interval * interval + interval + late;
+        if now >= system.next_control {
+            self.control_cycle(id);
+        }
+    }
+
+    fn act(&mut self, id: SystemId, actions: &Actions) {
+        for event in actions.events.iter() {
+            self.events.push((self.now_us, id, event));
+        }
+        if actions.synchronised {
+            self.synchronised.push((self.now_us, id));
+        }
+        for (line, edge) in actions.edges() {
+            self.edge(id, line, edge);
+        }
+        let now = self.now_us;
+        let system = &mut self.systems[id.index()];
+        if let Some(state) = actions.persist {
+            system.writing = Some((now + FLASH_US, state));
+        }
+        match actions.reset {
+            Some(_) if system.writing.is_some() => {}
+            Some(ResetRequest::Suspend) => {
+                system.held = true;
+                system.machine = None;
+            }
+            Some(ResetRequest::CoreDead) => self.reset(id, ResetCause::Trap),
+            Some(ResetRequest::Software) => self.reset(id, ResetCause::Software),
+            None => {}
+        }
+        if actions.transmit_now {
+            self.control_cycle(id);
+        }
+    }
+
+    fn edge(&mut self, from: SystemId, line: Line, edge: Edge) {
+        let cut = match line {
+            Line::Start => self.cuts.start[from.index()],
+            Line::Heartbeat1 => self.cuts.beats[0][from.index()],
+            Line::Heartbeat2 => self.cuts.beats[1][from.index()],
+        };
+        let to = &mut self.systems[from.peer().index()];
+        if to.powered && !cut {
+            let count = &mut to.edges[line.index()][edge as usize];
+            *count = count.wrapping_add(1);
+            to.interrupt |= line == Line::Start;
+        }
+    }
+
+    /// One control cycle: a control frame if permitted, a report over the link, now and then a status.
+    fn control_cycle(&mut self, id: SystemId) {
+        let now = self.now_us;
+        let system = &mut self.systems[id.index()];
+        let Some(machine) = &mut system.machine else {
+            return;
+        };
+        system.next_control = now + self.config.control_period.as_us();
+        let at = Instant::from_ns((now + system.origin_us) * 1_000);
+        let control = machine.may_transmit(at).then(|| ControlFrame {
+            system: id,
+            term: machine.term(),
+            role: machine.role(),
+            mode: machine.mode(),
+        });
+        let report = machine.link_report();
+        let status = now >= system.next_status;
+        if status {
+            system.next_status = now + 100_000;
+        }
+        if let Some(control) = control {
+            self.send(Some(id), Frame::Control(control));
+        }
+        if status {
+            self.send(Some(id), Frame::Status(report));
+        }
+        let peer = &mut self.systems[id.peer().index()];
+        if !self.cuts.link && peer.powered {
+            peer.link_inbox.push_back(report);
+        }
+    }
+
+    fn send(&mut self, from: Option<SystemId>, frame: Frame) {
+        let latency = 200 + self.random(9) * 100;
+        // In bus order: a frame never passes one that was sent before it.
+        let at = (self.now_us + latency).max(self.bus.back().map_or(0, |&(at, ..)| at));
+        self.bus.push_back((at, from, frame));
+    }
+
+    fn deliver(&mut self) {
+        while let Some(&(at, from, frame)) = self.bus.front() {
+            if at > self.now_us {
+                return;
+            }
+            self.bus.pop_front();
+            if from.is_some_and(|from| self.cuts.can[from.index()]) {
+                continue;
+            }
+            if let Frame::Control(control) = frame {
+                self.vehicle_hears(control);
+            }
+            for to in SystemId::ALL {
+                let connected = !self.cuts.can[to.index()] && Some(to) != from;
+                let system = &mut self.systems[to.index()];
+                if connected && system.powered && system.boot.is_none() {
+                    system.inbox.push_back(frame);
+                }
+            }
+        }
+    }
+
+    /// Fencing: no term below the highest accepted one.
+    fn vehicle_hears(&mut self, frame: ControlFrame) {
+        assert_eq!(frame.role, Role::Master);
+        let seen = Seen {
+            at_us: self.now_us,
+            system: frame.system,
+            term: frame.term,
+        };
+        if self
+            .accepted
+            .last()
+            .is_some_and(|last| frame.term < last.term)
+        {
+            self.fenced.push(seen);
+        } else {
+            self.accepted.push(seen);
+        }
+    }
+}
+
+pub(crate) fn us(span: Duration) -> u64 {
+    span.as_us()
+}

@@ -1,0 +1,424 @@
+//! The state store under loss of power at every byte of every operation, and on a flash that fails.
+
+use proptest::prelude::*;
+use proptest::test_runner::RngSeed;
+use std::cell::{Cell, RefCell};
+use tandem_board::{DataFlash, FlashError, FlashStatus, SystemId};
+use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
+
+/// How an operation that was cut off after `n` bytes' worth of work left its range.
+#[derive(Clone, Copy, Debug)]
+enum Torn {
+    /// The first `n` bytes are new.
+    Front,
+    /// The last `n` bytes are new.
+    Back,
+    /// `n` bytes anywhere are new, and in one more byte some bits.
+    Scattered,
+}
+
+const TORN: [Torn; 3] = [Torn::Front, Torn::Back, Torn::Scattered];
+
+#[derive(Clone)]
+struct Flash {
+    bytes: Vec<u8>,
+    geometry: Geometry,
+}
+
+impl Flash {
+    fn new(sector_bytes: u32) -> Self {
+        let geometry = Geometry {
+            sector_bytes,
+            first_sector: 1,
+        };
+        // A sector before and behind, which the store must not touch.
+        Self {
+            bytes: vec![0xFF; 4 * sector_bytes as usize],
+            geometry,
+        }
+    }
+
+    fn load(&self) -> (StateStore, Loaded) {
+        StateStore::load(self.geometry, |offset, into| {
+            let at = offset as usize;
+            into.copy_from_slice(&self.bytes[at..at + into.len()]);
+            Ok(())
+        })
+    }
+
+    /// The range of an operation and what it is to contain.
+    fn effect(&self, op: &FlashOp) -> (usize, Vec<u8>) {
+        let sector = self.geometry.sector_bytes;
+        let (at, new) = match op {
+            FlashOp::Erase { sector: n } => ((n * sector) as usize, vec![0xFF; sector as usize]),
+            FlashOp::Program { offset, data } => {
+                let at = *offset as usize;
+                assert_eq!(at % 8, 0);
+                let old = &self.bytes[at..at + data.len()];
+                assert!(
+                    old.iter().all(|&byte| byte == 0xFF),
+                    "programmed what was not erased"
+                );
+                (at, data.to_vec())
+            }
+        };
+        let own = sector as usize..3 * sector as usize;
+        assert!(
+            own.contains(&at) && at + new.len() <= own.end,
+            "outside of its two sectors"
+        );
+        (at, new)
+    }
+
+    fn apply(&mut self, op: &FlashOp) {
+        let (at, new) = self.effect(op);
+        self.bytes[at..at + new.len()].copy_from_slice(&new);
+    }
+
+    fn apply_torn(&mut self, op: &FlashOp, n: usize, torn: Torn) {
+        let (at, new) = self.effect(op);
+        let len = new.len();
+        for i in 0..len {
+            let is_new = match torn {
+                Torn::Front => i < n,
+                Torn::Back => i >= len - n,
+                // 7 is coprime to all lengths here: the first n of a walk over all bytes.
+                Torn::Scattered => (i * 7 + n * 3) % len < n,
+            };
+            if is_new {
+                self.bytes[at + i] = new[i];
+            }
+        }
+        if matches!(torn, Torn::Scattered) && n < len {
+            let i = (n * 5) % len;
+            let mask = 0x5Au8.rotate_left(n as u32 % 8);
+            self.bytes[at + i] = self.bytes[at + i] & !mask | new[i] & mask;
+        }
+    }
+}
+
+fn state(n: u32) -> SystemState {
+    SystemState {
+        is_master: n % 2 == 0,
+        cpsys_failure: n % 3 == 0,
+        failure_mode: FailureMode::from_code((n % 8) as u8),
+        total_resets: n,
+        abn_resets: u32::MAX - n,
+        term: Term::from_bits(n.wrapping_mul(0x9E37_79B9)),
+        ..SystemState::factory(SystemId::A)
+    }
+}
+
+/// The state in flash; none before the first write is complete, when the factory state counts.
+fn read(flash: &Flash) -> Option<SystemState> {
+    match flash.load().1 {
+        Loaded::State(state) => Some(state),
+        Loaded::Blank | Loaded::Lost => None,
+    }
+}
+
+/// Writes `state` to the end; calls `before` with the flash as it is before each operation.
+fn write(
+    store: &mut StateStore,
+    flash: &mut Flash,
+    state: SystemState,
+    mut before: impl FnMut(&Flash, &FlashOp),
+) {
+    store.request(state);
+    while let Some(op) = store.poll(FlashStatus::Idle) {
+        before(flash, &op);
+        flash.apply(&op);
+    }
+    assert!(store.is_settled());
+    assert_eq!(store.durable(), Some(&state));
+}
+
+fn steps(flash: &Flash, op: &FlashOp) -> usize {
+    flash.effect(op).1.len()
+}
+
+/// T-RED-1: power lost at every byte of every operation of many writes (several changes of sector), in
+/// three ways of tearing; after the reboot the state is the old or the new one, and writing goes on.
+/// The loss repeats once more, at every byte of what follows the first.
+#[test]
+fn power_loss_at_every_byte_leaves_the_old_or_the_new_state() {
+    let mut flash = Flash::new(128);
+    let (mut store, loaded) = flash.load();
+    assert_eq!(loaded, Loaded::Blank);
+    let mut old = None;
+    let (mut cuts, mut erases, mut torn_old, mut torn_new) = (0u64, 0, 0, 0);
+    for n in 0..14 {
+        let new = state(n);
+        write(&mut store, &mut flash, new, |flash, op| {
+            erases += u32::from(matches!(op, FlashOp::Erase { .. }));
+            for torn in TORN {
+                for cut in 0..=steps(flash, op) {
+                    let mut after = flash.clone();
+                    after.apply_torn(op, cut, torn);
+                    let found = read(&after);
+                    assert!(
+                        found == old || found == Some(new),
+                        "{torn:?} {cut}: {found:?}"
+                    );
+                    torn_old += u32::from(found == old);
+                    torn_new += u32::from(found == Some(new));
+                    cuts += 1 + go_on_after_loss(after, found);
+                }
+            }
+        });
+        old = Some(new);
+        assert_eq!(read(&flash), old);
+    }
+    assert!(erases >= 2 && torn_old > 0 && torn_new > 0);
+    println!("{cuts} power losses, {erases} of the writes with an erase");
+}
+
+/// After a loss: one more write, with a second loss at every byte of each of its operations.
+fn go_on_after_loss(mut flash: Flash, old: Option<SystemState>) -> u64 {
+    let mut cuts = 0;
+    let (mut store, _) = flash.load();
+    let new = state(1000);
+    write(&mut store, &mut flash, new, |flash, op| {
+        for cut in 0..=steps(flash, op) {
+            let mut after = flash.clone();
+            after.apply_torn(op, cut, Torn::Scattered);
+            let found = read(&after);
+            assert!(
+                found == old || found == Some(new),
+                "second loss at {cut}: {found:?}"
+            );
+            cuts += 1;
+        }
+    });
+    assert_eq!(read(&flash), Some(new));
+    cuts
+}
+
+/// T-RED-1: the same with sectors of the real size, at every byte of one erase and the programs around
+/// it.
+#[test]
+fn power_loss_with_sectors_of_real_size() {
+    let mut flash = Flash::new(4096);
+    let (mut store, _) = flash.load();
+    for n in 0..254 {
+        write(&mut store, &mut flash, state(n), |_, _| {});
+    }
+    let mut old = Some(state(253));
+    let mut erases = 0;
+    for n in 254..258 {
+        let new = state(n);
+        write(&mut store, &mut flash, new, |flash, op| {
+            erases += u32::from(matches!(op, FlashOp::Erase { .. }));
+            for (i, cut) in (0..=steps(flash, op)).enumerate() {
+                let mut after = flash.clone();
+                after.apply_torn(op, cut, TORN[i % 3]);
+                let found = read(&after);
+                assert!(found == old || found == Some(new), "{cut}: {found:?}");
+            }
+        });
+        old = Some(new);
+    }
+    assert_eq!(erases, 1);
+}
+
+/// T-RED-1: without a single valid record the loss is told, and the next write is durable all the same.
+#[test]
+fn a_flash_full_of_garbage_is_lost_and_written_anew() {
+    let mut flash = Flash::new(128);
+    let sector = 128;
+    flash.bytes[sector..3 * sector].fill(0xA7);
+    let (mut store, loaded) = flash.load();
+    assert_eq!(loaded, Loaded::Lost);
+    write(&mut store, &mut flash, state(5), |_, _| {});
+    assert_eq!(read(&flash), Some(state(5)));
+}
+
+#[test]
+fn an_unreadable_flash_is_lost() {
+    let geometry = Geometry {
+        sector_bytes: 128,
+        first_sector: 0,
+    };
+    let (_, loaded) = StateStore::load(geometry, |_, _| Err(FlashError::Failed));
+    assert_eq!(loaded, Loaded::Lost);
+}
+
+/// T-RED-1: while an operation runs, newer requests replace older ones; the newest is written.
+#[test]
+fn the_newest_request_wins() {
+    let mut flash = Flash::new(128);
+    let (mut store, _) = flash.load();
+    store.request(state(1));
+    let first = store.poll(FlashStatus::Idle).unwrap();
+    for n in 2..=4 {
+        store.request(state(n));
+        assert_eq!(store.poll(FlashStatus::Busy), None);
+        assert!(!store.is_settled());
+    }
+    flash.apply(&first);
+    let second = store.poll(FlashStatus::Idle).unwrap();
+    flash.apply(&second);
+    assert_eq!(
+        store.poll(FlashStatus::Idle),
+        None,
+        "states 2 and 3 are not written"
+    );
+    assert_eq!(read(&flash), Some(state(4)));
+    store.request(state(4));
+    assert_eq!(
+        store.poll(FlashStatus::Idle),
+        None,
+        "what is durable is not written again"
+    );
+    assert!(store.is_settled());
+}
+
+#[test]
+fn a_medium_that_always_fails_is_given_up() {
+    let mut flash = Flash::new(128);
+    let (mut store, _) = flash.load();
+    store.request(state(1));
+    let mut tries = 0;
+    let mut status = FlashStatus::Idle;
+    while let Some(op) = store.poll(status) {
+        flash.apply_torn(&op, 9, Torn::Front);
+        status = FlashStatus::Failed;
+        tries += 1;
+        assert!(tries < 100);
+    }
+    assert!(store.is_broken() && store.is_settled());
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        failure_persistence: None,
+        rng_seed: RngSeed::Fixed(1),
+        ..ProptestConfig::default()
+    })]
+
+    /// T-RED-1: operations that fail or are refused now and then, and reboots, lose nothing that was
+    /// durable.
+    #[test]
+    fn a_flash_that_fails_now_and_then(
+        faults in prop::collection::vec((0u8..8, 0usize..128, 0usize..3), 1..80),
+    ) {
+        let mut flash = Flash::new(128);
+        let (mut store, _) = flash.load();
+        let mut status = FlashStatus::Idle;
+        // What may be read: what is durable, and what a failed program may have written all the same.
+        let mut readable = vec![None];
+        let mut failed_in_a_row = 0;
+        for (n, (kind, cut, torn)) in faults.into_iter().enumerate() {
+            let new = state(n as u32);
+            store.request(new);
+            let op = store.poll(status);
+            status = FlashStatus::Idle;
+            if let Some(&durable) = store.durable()
+                && !readable.contains(&Some(durable))
+            {
+                readable = vec![Some(durable)];
+            }
+            let Some(op) = op else { continue };
+            // At most three failures in a row: a medium that is not broken.
+            let kind = if failed_in_a_row == 3 { 7 } else { kind };
+            failed_in_a_row = if kind == 1 { failed_in_a_row + 1 } else { 0 };
+            match kind {
+                0 => store.refused(),
+                1 => {
+                    let cut = cut.min(steps(&flash, &op));
+                    flash.apply_torn(&op, cut, TORN[torn]);
+                    status = FlashStatus::Failed;
+                    readable.push(Some(new));
+                }
+                2 => {
+                    flash.apply(&op);
+                    // A reboot; what was read is what counts from now on.
+                    let found = read(&flash);
+                    prop_assert!(readable.contains(&found) || found == Some(new));
+                    readable = vec![found];
+                    store = flash.load().0;
+                }
+                _ => flash.apply(&op),
+            }
+            prop_assert!(!store.is_broken());
+        }
+    }
+}
+
+/// A flash behind the board's trait, on which an operation takes some calls of `status`.
+struct BoardFlash {
+    flash: RefCell<Flash>,
+    running: RefCell<Option<FlashOp>>,
+    left: Cell<u32>,
+}
+
+impl DataFlash for BoardFlash {
+    const SECTOR_BYTES: u32 = 128;
+
+    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
+        let at = offset as usize;
+        into.copy_from_slice(&self.flash.borrow().bytes[at..at + into.len()]);
+        Ok(())
+    }
+
+    fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
+        self.start(FlashOp::Erase { sector })
+    }
+
+    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
+        let data = data.try_into().map_err(|_| FlashError::OutOfRange)?;
+        self.start(FlashOp::Program { offset, data })
+    }
+
+    fn status(&self) -> FlashStatus {
+        match self.left.get() {
+            0 => FlashStatus::Idle,
+            1 => {
+                let op = self.running.take().unwrap();
+                self.flash.borrow_mut().apply(&op);
+                self.left.set(0);
+                FlashStatus::Busy
+            }
+            n => {
+                self.left.set(n - 1);
+                FlashStatus::Busy
+            }
+        }
+    }
+}
+
+impl BoardFlash {
+    fn start(&self, op: FlashOp) -> Result<(), FlashError> {
+        if self.left.get() > 0 {
+            return Err(FlashError::Busy);
+        }
+        *self.running.borrow_mut() = Some(op);
+        self.left.set(3);
+        Ok(())
+    }
+}
+
+/// T-RED-1: the store drives a flash through the board's trait, without waiting.
+#[test]
+fn drives_a_board_flash() {
+    let board = BoardFlash {
+        flash: RefCell::new(Flash::new(128)),
+        running: RefCell::new(None),
+        left: Cell::new(0),
+    };
+    let geometry = Geometry {
+        first_sector: 1,
+        ..Geometry::of::<BoardFlash>()
+    };
+    let (mut store, _) = StateStore::load(geometry, |offset, into| board.read(offset, into));
+    for n in 0..20 {
+        store.request(state(n));
+        let mut calls = 0;
+        while !store.is_settled() {
+            store.drive(&board);
+            calls += 1;
+            assert!(calls < 20);
+        }
+        assert_eq!(read(&board.flash.borrow()), Some(state(n)));
+    }
+}
