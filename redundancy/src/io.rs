@@ -65,7 +65,10 @@ pub enum Input {
     StatusFrame(PeerReport),
     /// A report of the other system came over the link.
     LinkReport(PeerReport),
-    /// This system found a fault in itself.
+    /// The vehicle told the highest term that it has accepted. Optional: without it, a system that was off
+    /// while the other had very many masterships may drive in a term that the vehicle refuses.
+    VehicleTerm(Term),
+    /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
 }
 

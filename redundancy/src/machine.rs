@@ -9,9 +9,12 @@ use crate::{
 };
 use tandem_board::{Instant, ResetCause, ResetRequest, SystemId};
 
-/// How far the first term after a start lies above the stored one: more masterships than can have gone
-/// unwritten when the power failed.
+/// How far the first term after a start lies above the highest known one: more masterships than can have
+/// gone unwritten when the power failed.
 const TERM_STEP_AT_START: u32 = 8;
+/// The same if nobody has told the highest term since power-on: more masterships than the other is likely
+/// to have had while this system was off. A term that the vehicle refuses would leave nobody driving.
+const TERM_STEP_UNHEARD: u32 = 1024;
 
 /// The redundancy of one system.
 ///
@@ -27,6 +30,10 @@ pub struct Redundancy {
     written: Option<SystemState>,
     /// The term that this system drives in, once it drives.
     term: Term,
+    /// The highest term is known well enough: told since the start, or the system was not off before.
+    term_known: bool,
+    /// The vehicle was heard to obey a higher term than this master's.
+    outvoted: bool,
     beat_sender: BeatSender,
     beats: BeatReceiver,
     can: CanWatch,
@@ -46,6 +53,9 @@ pub struct Redundancy {
     level_broken: bool,
     /// The peer's last word over the link, and when.
     peer_link: Option<(PeerReport, Instant)>,
+    /// Since when the peer says over the link, without a pause, that it drives in a higher term and hears
+    /// the bus.
+    peer_claims_since: Option<Instant>,
     /// When the peer was last heard on CAN as standby.
     peer_standby_at: Option<Instant>,
     running_since: Option<Instant>,
@@ -88,6 +98,8 @@ impl Redundancy {
             state,
             written: None,
             term: Term::NONE,
+            term_known: cause != ResetCause::PowerOn,
+            outvoted: false,
             beat_sender: BeatSender::new(config.heartbeat_period),
             beats: BeatReceiver::new(config.silent_limit(), [0; 2], now),
             can: CanWatch::new(0, now),
@@ -102,6 +114,7 @@ impl Redundancy {
             peer_low_since: None,
             level_broken: false,
             peer_link: None,
+            peer_claims_since: None,
             peer_standby_at: None,
             running_since: None,
             thawed_at: now,
@@ -132,8 +145,10 @@ impl Redundancy {
             }
             Input::LinkReport(report) => {
                 self.peer_link = Some((report, now));
-                self.report(now, report, report.can_alive, &mut actions);
+                let reaches_bus = self.claim_holds(now, report);
+                self.report(now, report, reaches_bus, &mut actions);
             }
+            Input::VehicleTerm(term) => self.vehicle_term(now, term, &mut actions),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
         }
         if self.written != Some(self.state) {
@@ -470,6 +485,7 @@ impl Redundancy {
         }
         self.note_life(now);
         self.control_while_starting = true;
+        self.term_known = true;
         if frame.term < self.state.term {
             // Fenced off by the vehicle, so nobody is driven by it.
             if self.stale_told != frame.term {
@@ -490,32 +506,63 @@ impl Redundancy {
         }
     }
 
-    /// The other's word about itself. `effective`: it is also heard on CAN, so what it sends as a
-    /// master reaches the vehicle.
-    fn report(&mut self, now: Instant, report: PeerReport, effective: bool, actions: &mut Actions) {
+    /// Whether the other has said for long enough that it drives and hears the bus. One that is cut off
+    /// believes for a while that the bus is alive, and takes over because it hears nobody.
+    fn claim_holds(&mut self, now: Instant, report: PeerReport) -> bool {
+        let claims = report.role == Role::Master && report.can_alive && report.term > self.term;
+        if !claims {
+            self.peer_claims_since = None;
+            return false;
+        }
+        let since = *self.peer_claims_since.get_or_insert(now);
+        now.since(since) >= self.config.mute_limit()
+    }
+
+    /// The other's word about itself. `reaches_bus`: what it sends as a master reaches the vehicle.
+    /// Closing for a master that the vehicle cannot hear would leave nobody driving.
+    fn report(
+        &mut self,
+        now: Instant,
+        report: PeerReport,
+        reaches_bus: bool,
+        actions: &mut Actions,
+    ) {
         self.note_life(now);
-        if report.term <= self.state.term {
+        self.term_known = true;
+        self.state.term = self.state.term.max(report.term);
+        if report.term <= self.term {
             return;
         }
         if report.role == Role::Master && report.term.system() == self.system.peer() {
-            // Closing for a master that the vehicle cannot hear would leave nobody driving.
-            if effective {
-                self.state.term = report.term;
+            if reaches_bus {
                 self.apply(now, Evidence::HigherTerm, actions);
             }
-            return;
-        }
-        self.state.term = report.term;
-        if self.phase.is_driving() {
+        } else if self.phase.is_driving() {
             // The vehicle may know that higher term too and refuse this one.
-            match report.term.above(1, self.system) {
-                Some(term) => {
-                    self.term = term;
-                    self.state.term = term;
-                    actions.events.push(Event::TermRaised(term));
-                }
-                None => self.own_fault(now, FailureMode::TermsExhausted, actions),
+            self.raise_term(now, actions);
+        }
+    }
+
+    /// The highest term that the vehicle has accepted. If the other drove in it now, its control frames
+    /// would have deposed this master before; so the vehicle must say it twice before the term is raised.
+    fn vehicle_term(&mut self, now: Instant, term: Term, actions: &mut Actions) {
+        self.term_known = true;
+        self.state.term = self.state.term.max(term);
+        let higher = self.phase.is_driving() && term > self.term;
+        if higher && self.outvoted {
+            self.raise_term(now, actions);
+        }
+        self.outvoted = higher && term > self.term;
+    }
+
+    fn raise_term(&mut self, now: Instant, actions: &mut Actions) {
+        match self.state.term.above(1, self.system) {
+            Some(term) => {
+                self.term = term;
+                self.state.term = term;
+                actions.events.push(Event::TermRaised(term));
             }
+            None => self.own_fault(now, FailureMode::TermsExhausted, actions),
         }
     }
 
@@ -629,6 +676,7 @@ impl Redundancy {
     /// left.
     fn take_term(&mut self, from: Phase) -> bool {
         let step = match from {
+            Phase::Starting | Phase::Standby if !self.term_known => TERM_STEP_UNHEARD,
             Phase::Starting => TERM_STEP_AT_START,
             Phase::Standby => 1,
             // Between the driving phases, and after a stall: had the other taken over unheard, a new term

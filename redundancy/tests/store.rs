@@ -1,4 +1,5 @@
 //! The state store under loss of power at every byte of every operation, and on a flash that fails.
+#![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
@@ -99,8 +100,8 @@ impl Flash {
 
 fn state(n: u32) -> SystemState {
     SystemState {
-        is_master: n % 2 == 0,
-        cpsys_failure: n % 3 == 0,
+        is_master: n.is_multiple_of(2),
+        cpsys_failure: n.is_multiple_of(3),
         failure_mode: FailureMode::from_code((n % 8) as u8),
         total_resets: n,
         abn_resets: u32::MAX - n,

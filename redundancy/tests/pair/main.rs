@@ -1,5 +1,9 @@
 //! Two systems against each other: start, takeover, split brain, random faults, and the tables of the docs.
+#![allow(clippy::unwrap_used)]
 
+mod docs;
 mod faults;
 mod model;
+mod schedules;
 mod start;
+mod truth;

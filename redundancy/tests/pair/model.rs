@@ -28,6 +28,7 @@ enum Frame {
     Control(ControlFrame),
     Status(PeerReport),
     Vehicle,
+    VehicleTerm(Term),
 }
 
 /// A control frame as the vehicle saw it.
@@ -74,6 +75,8 @@ pub(crate) struct Pair {
     pub(crate) systems: [System; 2],
     bus: VecDeque<(u64, Option<SystemId>, Frame)>,
     next_vehicle: u64,
+    /// The vehicle tells every 100 ms which term it obeys.
+    pub(crate) vehicle_tells: bool,
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
@@ -119,6 +122,7 @@ impl Pair {
             systems: SystemId::ALL.map(system),
             bus: VecDeque::new(),
             next_vehicle: 0,
+            vehicle_tells: false,
             random: seed.wrapping_mul(2).wrapping_add(1),
             accepted: Vec::new(),
             fenced: Vec::new(),
@@ -257,8 +261,12 @@ impl Pair {
         self.now_us += STEP_US;
         self.deliver();
         if self.now_us >= self.next_vehicle {
-            self.next_vehicle = self.now_us + 10_000;
+            self.next_vehicle += 10_000;
             self.send(None, Frame::Vehicle);
+            let tells = self.vehicle_tells && self.now_us.is_multiple_of(100_000);
+            if let Some(last) = self.accepted.last().filter(|_| tells) {
+                self.send(None, Frame::VehicleTerm(last.term));
+            }
         }
         for id in SystemId::ALL {
             self.power_step(id);
@@ -343,6 +351,7 @@ impl Pair {
                 Frame::Control(control) => inputs.push(Input::ControlFrame(control)),
                 Frame::Status(report) => inputs.push(Input::StatusFrame(report)),
                 Frame::Vehicle => {}
+                Frame::VehicleTerm(term) => inputs.push(Input::VehicleTerm(term)),
             }
         }
         inputs.extend(system.link_inbox.drain(..).map(Input::LinkReport));
