@@ -1,9 +1,9 @@
 //! The start protocol: handshake, sync, time limits, and who leads. T-RED-2
 //!
-//! Each system repeats its handshake edge until the start is decided, and answers the first one that it
-//! hears at once; so it does not matter which was switched on first. The system that leads sends a
-//! handshake and the sync edge when it has heard the other; the other begins on the sync edge. A system
-//! that is already running answers a handshake in the same way, so a late one becomes its standby.
+//! Each system repeats its handshake edge until the start is decided, so it does not matter which was
+//! switched on first. The system that leads sends a handshake and the sync edge when it has heard the
+//! other; the other begins on the sync edge. A master that is already running answers a handshake in the
+//! same way, so a late system becomes its standby.
 
 use crate::Config;
 use tandem_board::{Duration, Instant, SystemId};
@@ -83,14 +83,12 @@ impl Start {
         now: Instant,
         seen: Seen,
     ) -> (bool, Option<Verdict>) {
-        let mut handshake = false;
-        if now >= self.next_handshake {
-            handshake = true;
+        let handshake = now >= self.next_handshake;
+        if handshake {
             self.next_handshake = now + config.handshake_period;
         }
         if seen.handshakes > 0 && self.heard_at.is_none() {
             self.heard_at = Some(now);
-            handshake = true;
         }
         self.beats = self.beats.saturating_add(seen.beats);
         self.control_frame |= seen.control_frame;

@@ -194,6 +194,11 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig {
+            failure_persistence: None,
+            ..ProptestConfig::default()
+        })]
+
         /// T-RED-1: what is written is what is read.
         #[test]
         fn a_record_round_trips(state in any_state(), sequence: u32) {

@@ -79,7 +79,7 @@ impl Flash {
     fn apply_torn(&mut self, op: &FlashOp, n: usize, torn: Torn) {
         let (at, new) = self.effect(op);
         let len = new.len();
-        for i in 0..len {
+        for (i, &byte) in new.iter().enumerate() {
             let is_new = match torn {
                 Torn::Front => i < n,
                 Torn::Back => i >= len - n,
@@ -87,7 +87,7 @@ impl Flash {
                 Torn::Scattered => (i * 7 + n * 3) % len < n,
             };
             if is_new {
-                self.bytes[at + i] = new[i];
+                self.bytes[at + i] = byte;
             }
         }
         if matches!(torn, Torn::Scattered) && n < len {

@@ -198,9 +198,14 @@ fn start_line_cut() {
 #[test]
 fn both_take_the_other_for_failed() {
     for config in PROFILES {
-        for offset in [0, 500, 5_000, 30_000] {
+        for (offset, start_cut) in [0, 500, 5_000, 30_000, 70_000]
+            .into_iter()
+            .flat_map(|offset| [(offset, false), (offset, true)])
+        {
             for first in [A, B] {
                 let mut pair = Pair::new(config, 11);
+                pair.cuts.start = [start_cut; 2];
+                pair.cuts.level = [start_cut; 2];
                 for id in [A, B] {
                     let factory = SystemState::factory(id);
                     let state = SystemState {

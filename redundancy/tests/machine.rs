@@ -1,0 +1,354 @@
+//! One machine, driven by hand: what the other side cannot provoke in the model of two.
+#![allow(clippy::unwrap_used)]
+
+use std::cell::RefCell;
+use tandem_board::{Duration, Edge, Instant, Line, Lines, ResetCause, ResetRequest, SystemId};
+use tandem_redundancy::{
+    Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, Mode, PeerReport, Phase,
+    Redundancy, Role, Snapshot, SystemState, Term,
+};
+
+const CONFIG: Config = Config::rt();
+const QUIET: Snapshot = Snapshot {
+    handshakes: 0,
+    syncs: 0,
+    beats: [0; 2],
+    peer_powered: true,
+    can_frames: 0,
+};
+
+struct Bench {
+    machine: Redundancy,
+    snapshot: Snapshot,
+    now: Instant,
+}
+
+impl Bench {
+    fn new(system: SystemId, state: SystemState) -> Self {
+        let now = Instant::from_ns(5_000_000_000);
+        let loaded = Loaded::State(state);
+        let machine = Redundancy::new(CONFIG, system, ResetCause::PowerOn, loaded, now);
+        Self {
+            machine,
+            snapshot: QUIET,
+            now,
+        }
+    }
+
+    /// System A, started by a handshake of B, some milliseconds into dual operation.
+    fn master() -> Self {
+        let mut bench = Self::new(SystemId::A, SystemState::factory(SystemId::A));
+        let _ = bench.poll();
+        bench.snapshot.handshakes += 1;
+        let actions = bench.poll();
+        assert!(actions.sync && actions.transmit_now);
+        bench.run_with_beats(20);
+        assert_eq!(bench.machine.phase(), Phase::Master);
+        bench
+    }
+
+    /// System B, started by the sync edge of A, with control frames every 10 ms.
+    fn standby() -> Self {
+        let mut bench = Self::new(SystemId::B, SystemState::factory(SystemId::B));
+        let _ = bench.poll();
+        bench.snapshot.syncs += 1;
+        assert!(bench.poll().synchronised);
+        for _ in 0..5 {
+            let _ = bench.control(16);
+            bench.run_with_beats(10);
+        }
+        assert_eq!(bench.machine.phase(), Phase::Standby);
+        bench
+    }
+
+    fn on(&mut self, input: Input) -> Actions {
+        self.machine.on(self.now, input)
+    }
+
+    fn poll(&mut self) -> Actions {
+        self.now += Duration::from_ms(1);
+        self.snapshot.can_frames = self.snapshot.can_frames.wrapping_add(1);
+        self.on(Input::Poll(self.snapshot))
+    }
+
+    fn run_with_beats(&mut self, ms: u64) {
+        for _ in 0..ms {
+            self.snapshot.beats = self.snapshot.beats.map(|count| count.wrapping_add(1));
+            let _ = self.poll();
+        }
+    }
+
+    /// A control frame of the system that the term belongs to.
+    fn control(&mut self, term: u32) -> Actions {
+        let term = Term::from_bits(term);
+        self.on(Input::ControlFrame(ControlFrame {
+            system: term.system(),
+            term,
+            role: Role::Master,
+            mode: Mode::L3,
+        }))
+    }
+}
+
+/// T-RED-9: a standby whose whole receive path stood still with it hears nothing new at its first looks.
+/// Its own absence is no evidence: it takes over only after it has listened for the limits again.
+#[test]
+fn own_absence_is_no_evidence() {
+    let mut bench = Bench::standby();
+    bench.now += Duration::from_ms(200);
+    let listened_from = bench.now;
+    while bench.machine.phase() == Phase::Standby {
+        let _ = bench.poll();
+        assert!(bench.now.since(listened_from) < Duration::from_ms(100));
+    }
+    assert!(bench.now.since(listened_from) > CONFIG.witness_limit());
+}
+
+/// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more, even if
+/// no control frame of the other has reached it yet.
+#[test]
+fn a_master_held_up_listens_first() {
+    for hears_other in [true, false] {
+        let mut bench = Bench::master();
+        let term = bench.machine.term();
+        assert!(bench.machine.may_transmit(bench.now));
+        bench.now += Duration::from_ms(30);
+        assert!(!bench.machine.may_transmit(bench.now));
+        bench.snapshot.beats = bench.snapshot.beats.map(|count| count + 30);
+        let actions = bench.poll();
+        assert_eq!(bench.machine.phase(), Phase::Thawed);
+        assert!(actions.output_closed && actions.beat.is_none());
+        assert!(!bench.machine.may_transmit(bench.now));
+        bench.run_with_beats(5);
+        if hears_other {
+            let higher = term.above(1, SystemId::B).unwrap();
+            let _ = bench.control(higher.bits());
+            assert_eq!(bench.machine.phase(), Phase::Standby);
+        } else {
+            bench.run_with_beats(30);
+            assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+            assert_eq!(
+                bench.machine.term(),
+                term,
+                "a new term might depose the other"
+            );
+        }
+    }
+}
+
+/// T-RED-9: alone, with the other off, a master that was held up goes on: nobody can have taken over.
+#[test]
+fn the_last_system_goes_on_after_a_stall() {
+    let mut bench = Bench::master();
+    bench.snapshot.peer_powered = false;
+    let _ = bench.poll();
+    bench.now += Duration::from_ms(100);
+    assert!(!bench.machine.may_transmit(bench.now));
+    let actions = bench.poll();
+    assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+    assert!(
+        actions.transmit_now,
+        "the frame that was refused is sent now"
+    );
+    assert!(bench.machine.may_transmit(bench.now));
+}
+
+/// T-RED-9: frames that no correct peer sends change nothing.
+#[test]
+fn implausible_frames_are_ignored() {
+    let mut bench = Bench::master();
+    let term = Term::from_bits(1_000_001);
+    let good = ControlFrame {
+        system: SystemId::B,
+        term,
+        role: Role::Master,
+        mode: Mode::L3,
+    };
+    for frame in [
+        ControlFrame {
+            system: SystemId::A,
+            ..good
+        },
+        ControlFrame {
+            term: Term::from_bits(1_000_000),
+            ..good
+        },
+        ControlFrame {
+            role: Role::Standby,
+            ..good
+        },
+    ] {
+        let actions = bench.on(Input::ControlFrame(frame));
+        assert!(actions.events.iter().eq([Event::Implausible]));
+        assert_eq!(bench.machine.phase(), Phase::Master);
+        assert!(bench.machine.highest_term() < term);
+    }
+    let actions = bench.on(Input::ControlFrame(good));
+    assert!(actions.output_closed);
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+    assert!(!bench.machine.may_transmit(bench.now));
+    assert!(
+        actions
+            .persist
+            .is_some_and(|state| !state.is_master && state.term == term)
+    );
+}
+
+/// T-RED-9: a lower term is fenced off by the vehicle, so nobody is driven by it: it is told once, and
+/// does not keep a standby from taking over.
+#[test]
+fn frames_of_a_lower_term_do_not_count() {
+    let mut bench = Bench::standby();
+    let _ = bench.control(100);
+    let told = (0..4).map(|_| {
+        bench.run_with_beats(10);
+        let stale = Event::StaleTerm(Term::from_bits(16));
+        bench
+            .control(16)
+            .events
+            .iter()
+            .filter(|&event| event == stale)
+            .count()
+    });
+    assert_eq!(told.sum::<usize>(), 1);
+    assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+    assert!(bench.machine.term() > Term::from_bits(100));
+}
+
+/// T-RED-9: a vehicle that obeys a higher term makes the master raise its own, but not at the first word,
+/// while the other's control frames may be on their way.
+#[test]
+fn the_vehicles_term_is_followed() {
+    let mut bench = Bench::master();
+    let term = Term::from_bits(bench.machine.term().bits() + 41);
+    let _ = bench.on(Input::VehicleTerm(term));
+    assert!(bench.machine.term() < term);
+    bench.run_with_beats(100);
+    let actions = bench.on(Input::VehicleTerm(term));
+    assert!(bench.machine.term() > term);
+    assert_eq!(bench.machine.term().system(), SystemId::A);
+    assert!(
+        actions
+            .events
+            .iter()
+            .any(|event| matches!(event, Event::TermRaised(_)))
+    );
+    assert!(actions.persist.is_some());
+}
+
+/// T-RED-9: without a term left a system suspends instead of driving in one that is not its own.
+#[test]
+fn terms_used_up() {
+    let term = Term::from_bits(u32::MAX - 1);
+    let mut bench = Bench::new(
+        SystemId::A,
+        SystemState {
+            term,
+            ..SystemState::factory(SystemId::A)
+        },
+    );
+    let _ = bench.poll();
+    bench.snapshot.handshakes += 1;
+    let actions = bench.poll();
+    assert_eq!(bench.machine.phase(), Phase::Suspended);
+    assert_eq!(actions.reset, Some(ResetRequest::Suspend));
+    assert_eq!(
+        bench.machine.state().failure_mode,
+        FailureMode::TermsExhausted
+    );
+    assert!(!bench.machine.may_transmit(bench.now));
+}
+
+/// T-RED-9: the other's claim over the link alone deposes a master only when it has held for long.
+#[test]
+fn a_claim_over_the_link_must_hold() {
+    let mut bench = Bench::master();
+    let term = bench.machine.term().above(1, SystemId::B).unwrap();
+    let claim = PeerReport {
+        role: Role::Master,
+        mode: Mode::DegradedL2,
+        term,
+        can_alive: true,
+    };
+    let _ = bench.on(Input::LinkReport(claim));
+    bench.run_with_beats(10);
+    let _ = bench.on(Input::LinkReport(PeerReport {
+        can_alive: false,
+        ..claim
+    }));
+    bench.run_with_beats(30);
+    let _ = bench.on(Input::LinkReport(claim));
+    assert_eq!(bench.machine.phase(), Phase::Master);
+    bench.run_with_beats(30);
+    let _ = bench.on(Input::LinkReport(claim));
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+}
+
+/// T-RED-3: one silent line is reported, and is no failure.
+#[test]
+fn one_line_silent() {
+    let mut bench = Bench::master();
+    let mut events = Vec::new();
+    for _ in 0..50 {
+        bench.snapshot.beats[1] += 1;
+        events.extend(bench.poll().events.iter());
+    }
+    assert_eq!(events, [Event::LineSilent(1)]);
+    assert_eq!(bench.machine.lines_silent(), [true, false]);
+    assert_eq!(bench.machine.phase(), Phase::Master);
+    let (sent, [line_1, line_2]) = bench.machine.heartbeat_counts();
+    assert!(sent >= 70 && line_2 >= line_1 + 50);
+}
+
+#[derive(Default)]
+struct FakeLines {
+    sent: RefCell<Vec<(Line, Edge)>>,
+}
+
+impl Lines for FakeLines {
+    fn send(&self, line: Line, edge: Edge) {
+        self.sent.borrow_mut().push((line, edge));
+    }
+
+    fn received(&self, line: Line, edge: Edge) -> u32 {
+        match (line, edge) {
+            (Line::Start, Edge::Rising) => 1,
+            (Line::Start, Edge::Falling) => 2,
+            (Line::Heartbeat1, Edge::Rising) => u32::MAX,
+            (Line::Heartbeat1, Edge::Falling) => 11,
+            (Line::Heartbeat2, _) => 20,
+        }
+    }
+
+    fn peer_powered(&self) -> bool {
+        true
+    }
+}
+
+/// T-RED-2, T-RED-3: which counts make a snapshot, and which edges an answer: a handshake goes before the
+/// sync, and heartbeats on both lines.
+#[test]
+fn lines_in_and_out() {
+    let lines = FakeLines::default();
+    let expected = Snapshot {
+        handshakes: 1,
+        syncs: 2,
+        beats: [10, 40],
+        ..QUIET
+    };
+    assert_eq!(Snapshot::read(&lines, 0), expected);
+
+    let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
+    let _ = bench.poll();
+    bench.snapshot.handshakes += 1;
+    for (line, edge) in bench.poll().edges() {
+        lines.send(line, edge);
+    }
+    let expected = [
+        (Line::Start, Edge::Rising),
+        (Line::Start, Edge::Falling),
+        (Line::Heartbeat1, Edge::Rising),
+        (Line::Heartbeat2, Edge::Rising),
+    ];
+    assert_eq!(*lines.sent.borrow(), expected);
+}
