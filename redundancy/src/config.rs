@@ -60,15 +60,16 @@ impl Config {
     pub const fn rt() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(1),
-            // Two in a row can be lost to one late wake-up on either side; three cannot.
-            heartbeat_misses: 3,
-            heartbeat_jitter: Duration::from_ms(1),
+            // Not a question of lost edges but of stalls: a virtual machine's CPU is taken away for some
+            // milliseconds now and then (seen: up to 6), and that is no failure. As lax as a takeover
+            // within two control periods permits; losing power is told at once by the level line.
+            heartbeat_misses: 6,
+            heartbeat_jitter: Duration::from_ms(2),
             poll_interval: Duration::from_ms(1),
-            standby_limit: Duration::from_ms(4),
+            standby_limit: Duration::from_ms(8),
             control_period: Duration::from_ms(10),
-            // 1 ms for the bus (arbitration behind a burst of sensor frames), 1 ms for the sender, and one
-            // poll of the receiver.
-            control_margin: Duration::from_ms(3),
+            // 1 ms for the bus, 1 ms for the poll of the receiver, and the same stalls.
+            control_margin: Duration::from_ms(7),
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: Duration::from_ms(5),
@@ -96,11 +97,11 @@ impl Config {
     pub const fn desktop() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(2),
-            heartbeat_jitter: Duration::from_ms(2),
+            // The same 8 ms of silence as in real time, at half the cost.
+            heartbeat_misses: 3,
             // Under load a standby process is held up for tens of milliseconds now and then; degrading
             // for that would be a false alarm, and nothing is lost by waiting.
             standby_limit: Duration::from_ms(50),
-            control_margin: Duration::from_ms(6),
             handshake_period: Duration::from_ms(10),
             start_limit: Duration::from_ms(2000),
             stagger: Duration::from_ms(60),
