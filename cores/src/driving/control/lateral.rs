@@ -34,7 +34,8 @@ pub(crate) struct PathError {
 /// The side slip angle without the noise of its measurement, which would shake the wheels.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct SlipFilter {
-    angle: f32,
+    /// `None` before the first measurement.
+    angle: Option<f32>,
 }
 
 /// Share of the newest measurement in each step of 10 ms: a time constant of 0.1 s.
@@ -43,11 +44,10 @@ const SLIP_SHARE: f32 = 0.1;
 impl SlipFilter {
     /// Takes a measurement, rad; the filtered angle.
     pub(crate) fn filter(&mut self, measured: f32) -> f32 {
-        self.angle += SLIP_SHARE * (measured - self.angle);
-        if !self.angle.is_finite() {
-            self.angle = 0.0;
-        }
-        self.angle
+        let last = self.angle.unwrap_or(measured);
+        let angle = last + SLIP_SHARE * (measured - last);
+        self.angle = angle.is_finite().then_some(angle);
+        self.angle.unwrap_or(0.0)
     }
 }
 

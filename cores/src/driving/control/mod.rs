@@ -147,11 +147,16 @@ fn wish(
             + SPEED_GAIN * (reference.speed - ego.speed)
             + WAY_GAIN * way_error
     };
-    let command = Command {
-        steering_angle: steer(&error, ego.speed, ego.acceleration),
+    // Limits would hide what is no number, so it is looked for before they apply.
+    let sums = reference.x + reference.y + reference.heading + reference.speed;
+    if !(sums + feed_forward.curvature + feed_forward.acceleration).is_finite() {
+        return None;
+    }
+    let steering_angle = steer(&error, ego.speed, ego.acceleration);
+    Some(Command {
+        steering_angle,
         acceleration,
-    };
-    (command.steering_angle.is_finite() && command.acceleration.is_finite()).then_some(command)
+    })
 }
 
 /// The trajectory `t` seconds after its begin, linear between samples.

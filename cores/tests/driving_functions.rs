@@ -1,0 +1,439 @@
+//! Each driving function by itself, against inputs made by hand.
+#![allow(clippy::unwrap_used)]
+
+use tandem_board::{Duration, Instant};
+use tandem_bus::{
+    CameraLanes, Class, DriverRequest, EgoMotion, Message, SensorHeader, SensorId, SensorObject,
+};
+use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX_AGE};
+use tandem_cores::driving::degraded::DegradedControl;
+use tandem_cores::driving::perception::Perception;
+use tandem_cores::driving::planning::Planner;
+use tandem_cores::driving::types::{
+    Command, Ego, Lanes, Maneuver, Object, ObjectClass, Scene, Trajectory,
+};
+
+const CYCLE: Duration = Duration::from_ms(50);
+
+fn at_ms(ms: u64) -> Instant {
+    Instant::ORIGIN + Duration::from_ms(1_000 + ms)
+}
+
+/// Feeds perception with a straight three-lane road and an ego that drives as told.
+struct Feed {
+    perception: Perception,
+    now: Instant,
+    speed: f32,
+    yaw_rate: f32,
+}
+
+impl Feed {
+    fn new(speed: f32) -> Self {
+        Self {
+            perception: Perception::new(),
+            now: at_ms(0),
+            speed,
+            yaw_rate: 0.0,
+        }
+    }
+
+    /// One cycle in which these sensors see these objects; `lanes` if the camera sees the road.
+    fn cycle(&mut self, seen: &[(SensorId, &[SensorObject])], lanes: bool) -> &Scene {
+        for step in 0..5 {
+            let motion = EgoMotion {
+                world_running: true,
+                speed: self.speed,
+                yaw_rate: self.yaw_rate,
+                ..EgoMotion::default()
+            };
+            let at = self.now + Duration::from_ms(10 * step);
+            self.perception.on_message(at, &Message::EgoMotion(motion));
+        }
+        self.now += CYCLE;
+        for (sensor, objects) in seen {
+            let header = SensorHeader {
+                object_count: objects.len() as u8,
+                ..SensorHeader::default()
+            };
+            self.perception
+                .on_message(self.now, &Message::SensorHeader(*sensor, header));
+            for object in *objects {
+                self.perception
+                    .on_message(self.now, &Message::SensorObject(*sensor, *object));
+            }
+        }
+        if lanes {
+            let lanes = CameraLanes {
+                valid: true,
+                left_exists: true,
+                right_exists: true,
+                view_range: 80,
+                width: 3.5,
+                left_width: 3.5,
+                right_width: 3.5,
+                own_end: CameraLanes::NO_END,
+                left_end: CameraLanes::NO_END,
+                right_end: CameraLanes::NO_END,
+                speed_limit: CameraLanes::NO_SPEED_LIMIT,
+                ..CameraLanes::default()
+            };
+            self.perception
+                .on_message(self.now, &Message::CameraLanes(lanes));
+        }
+        self.perception.cycle(self.now)
+    }
+}
+
+fn seen(x: f32, y: f32, vx: f32, vy: f32) -> SensorObject {
+    SensorObject {
+        x,
+        y,
+        vx,
+        vy,
+        class: Class::Unknown,
+        length: 4.5,
+        width: 1.8,
+        x_deviation: 0.2,
+        y_deviation: 0.2,
+        ..SensorObject::default()
+    }
+}
+
+/// T-CHIP-4: what two sensors see is one object at once, with its velocity over ground and its kind.
+#[test]
+fn two_sensors_confirm_one_object_at_once() {
+    let mut feed = Feed::new(20.0);
+    let radar = [seen(40.0, 0.2, -5.0, 0.0)];
+    let camera = [SensorObject {
+        class: Class::Truck,
+        ..seen(40.5, 0.1, -5.2, 0.0)
+    }];
+    let both: [(SensorId, &[SensorObject]); 2] = [
+        (SensorId::RadarFront, &radar),
+        (SensorId::CameraFront, &camera),
+    ];
+    let scene = feed.cycle(&both, true);
+    assert_eq!(scene.objects.len(), 1, "{scene:?}");
+    let object = scene.objects[0];
+    assert!(
+        (object.x - 40.0).abs() < 1.0 && (object.vx - 15.0).abs() < 0.5,
+        "{object:?}"
+    );
+    assert_eq!((object.class, object.lane), (ObjectClass::Truck, 0));
+}
+
+/// One sensor alone needs three cycles; the track keeps its identity, coasts over gaps, and ends.
+#[test]
+fn a_track_begins_coasts_and_ends() {
+    let mut feed = Feed::new(20.0);
+    let mut x = 50.0;
+    let mut id = None;
+    for cycle in 0..20 {
+        let radar = [seen(x, 3.4, -4.0, 0.0)];
+        // Missed in some cycles.
+        let seen: &[(SensorId, &[SensorObject])] = if cycle > 5 && cycle % 4 == 0 {
+            &[]
+        } else {
+            &[(SensorId::RadarFront, &radar)]
+        };
+        let scene = feed.cycle(seen, true);
+        assert_eq!(scene.objects.is_empty(), cycle < 2, "cycle {cycle}");
+        if let Some(object) = scene.objects.first() {
+            assert_eq!(*id.get_or_insert(object.id), object.id);
+            assert!((object.x - x).abs() < 0.5 && object.lane == 1, "{object:?}");
+        }
+        x -= 4.0 * 0.05;
+    }
+    for _ in 0..20 {
+        feed.cycle(&[], true);
+    }
+    assert!(feed.perception.scene().objects.is_empty());
+}
+
+/// The own turn is no motion of what stands beside the road.
+#[test]
+fn the_own_motion_is_compensated() {
+    let mut feed = Feed::new(10.0);
+    feed.yaw_rate = 0.3;
+    let (mut heading, mut ego) = (0.0_f32, (0.0_f32, 0.0_f32));
+    for _ in 0..30 {
+        // A thing at (60, 20) in the plane, seen from an ego on a circle.
+        let middle = heading + 0.5 * 0.3 * 0.05;
+        ego = (ego.0 + 0.5 * middle.cos(), ego.1 + 0.5 * middle.sin());
+        heading += 0.3 * 0.05;
+        let (dx, dy) = (60.0 - ego.0, 20.0 - ego.1);
+        let (sine, cosine) = heading.sin_cos();
+        let radar = [seen(
+            cosine * dx + sine * dy,
+            cosine * dy - sine * dx,
+            -10.0,
+            0.0,
+        )];
+        feed.cycle(&[(SensorId::RadarFront, &radar)], false);
+    }
+    let object = feed.perception.scene().objects[0];
+    assert!(object.vx.abs() < 0.6 && object.vy.abs() < 0.6, "{object:?}");
+}
+
+/// The camera may be blind for 300 ms; then there are no lanes, until it sees again.
+#[test]
+fn lanes_are_carried_along_and_then_given_up() {
+    let mut feed = Feed::new(20.0);
+    assert!(feed.cycle(&[], true).lanes.is_some());
+    for _ in 0..6 {
+        assert!(feed.cycle(&[], false).lanes.is_some());
+    }
+    assert!(feed.cycle(&[], false).lanes.is_none());
+    assert!(feed.cycle(&[], true).lanes.is_some());
+}
+
+/// A vehicle that comes over from the next lane is announced before it is in the own one.
+#[test]
+fn a_cut_in_is_foreseen() {
+    let mut feed = Feed::new(25.0);
+    let mut y = 3.5;
+    let mut foreseen_at = None;
+    for _ in 0..40 {
+        let radar = [seen(25.0, y, -1.0, -1.0)];
+        let both: [(SensorId, &[SensorObject]); 2] = [
+            (SensorId::RadarFront, &radar),
+            (SensorId::RadarFrontLeft, &radar),
+        ];
+        if feed.cycle(&both, true).objects[0].cuts_in {
+            foreseen_at.get_or_insert(y);
+        }
+        y -= 0.05;
+    }
+    assert!(foreseen_at.is_some_and(|y| y > 2.4), "{foreseen_at:?}");
+}
+
+/// The driver's request reaches the scene, and its end too.
+#[test]
+fn the_drivers_request_is_passed_on() {
+    let mut feed = Feed::new(25.0);
+    for engage in [true, false] {
+        let request = DriverRequest {
+            engage,
+            set_speed: 30.0,
+        };
+        feed.perception
+            .on_message(feed.now, &Message::DriverRequest(request));
+        let set = feed.cycle(&[], true).set_speed;
+        assert_eq!(set.is_some_and(|set| (set - 30.0).abs() < 0.01), engage);
+    }
+}
+
+fn lanes() -> Lanes {
+    Lanes {
+        c: [0.0; 4],
+        view_range: 80.0,
+        width: 3.5,
+        left: Some(3.5),
+        right: None,
+        own_end: f32::INFINITY,
+        left_end: f32::INFINITY,
+        right_end: f32::INFINITY,
+        speed_limit: f32::INFINITY,
+    }
+}
+
+fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
+    Scene {
+        at: at_ms(ms),
+        cycle: (ms / 50) as u32,
+        ego: Ego {
+            speed,
+            ..Ego::default()
+        },
+        lanes: Some(lanes()),
+        set_speed: Some(30.0),
+        objects: objects.iter().copied().collect(),
+    }
+}
+
+fn object(x: f32, y: f32, vx: f32) -> Object {
+    Object {
+        id: 1,
+        class: ObjectClass::Car,
+        x,
+        y,
+        vx,
+        vy: 0.0,
+        ax: 0.0,
+        length: 4.5,
+        width: 1.8,
+        lane: 0,
+        cuts_in: false,
+    }
+}
+
+fn is_finite(trajectory: &Trajectory) -> bool {
+    trajectory.points.iter().all(|p| {
+        [p.x, p.y, p.heading, p.curvature, p.speed, p.acceleration]
+            .iter()
+            .all(|v| v.is_finite())
+    })
+}
+
+/// A new plan begins where the old one is, although what was measured is noisy.
+#[test]
+fn plans_join_each_other() {
+    let mut planner = Planner::new();
+    let mut last: Option<Trajectory> = None;
+    for cycle in 0..60 {
+        let noise = if cycle % 2 == 0 { 0.15 } else { -0.15 };
+        let speed = last
+            .as_ref()
+            .map_or(25.0, |t| 0.5 * (t.points[0].speed + t.points[1].speed));
+        let mut scene = scene(
+            cycle * 50,
+            speed + noise,
+            &[object(70.0, noise, 24.0 + noise)],
+        );
+        scene.lanes.as_mut().unwrap().c[0] = 0.1 * noise;
+        let plan = planner.plan(&scene);
+        assert!(is_finite(&plan));
+        if let Some(last) = last {
+            let middle = |f: fn(&tandem_cores::driving::types::TrajectoryPoint) -> f32| {
+                0.5 * (f(&last.points[0]) + f(&last.points[1]))
+            };
+            let first = plan.points[0];
+            assert!(
+                (first.speed - middle(|p| p.speed)).abs() < 0.05,
+                "cycle {cycle}"
+            );
+            assert!(
+                (first.acceleration - middle(|p| p.acceleration)).abs() < 0.1,
+                "{cycle}"
+            );
+            assert!(
+                (first.curvature - middle(|p| p.curvature)).abs() < 5e-4,
+                "{cycle}"
+            );
+        }
+        last = Some(plan);
+    }
+}
+
+/// In front of a standing obstacle the plan stops; too near for comfort it brakes as hard as it can.
+#[test]
+fn brakes_for_a_standing_obstacle() {
+    let mut scene = scene(0, 20.0, &[object(45.0, 0.0, 0.0)]);
+    scene.lanes.as_mut().unwrap().left = None;
+    let plan = Planner::new().plan(&scene);
+    assert_eq!(plan.maneuver, Maneuver::Brake);
+    let last = plan.points[40];
+    assert!(last.speed < 0.5 && last.x < 45.0 - 4.5, "{last:?}");
+}
+
+/// Without lanes the plan goes on in the driven curve, slower and slower.
+#[test]
+fn without_lanes_the_plan_slows_down() {
+    let mut scene = scene(0, 20.0, &[]);
+    (scene.lanes, scene.ego.yaw_rate) = (None, 0.1);
+    let plan = Planner::new().plan(&scene);
+    let last = plan.points[40];
+    assert!(last.speed < 18.0 && last.y > 3.0, "{last:?}");
+}
+
+/// Whatever a scene says, the plan is made of numbers, and is a plan: it does not go back.
+#[test]
+fn every_scene_gives_a_plan() {
+    let mut seed = 9_u32;
+    let mut random = |from: f32, to: f32| {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        from + (to - from) * (seed >> 8) as f32 / 16_777_216.0
+    };
+    let mut planner = Planner::new();
+    for cycle in 0..500 {
+        let objects: Vec<_> = (0..24)
+            .map(|_| Object {
+                vy: random(-5.0, 5.0),
+                ax: random(-12.0, 5.0),
+                length: random(0.0, 25.0),
+                cuts_in: random(0.0, 1.0) > 0.5,
+                ..object(
+                    random(-300.0, 300.0),
+                    random(-40.0, 40.0),
+                    random(-40.0, 60.0),
+                )
+            })
+            .collect();
+        let mut scene = scene(cycle * 50, random(-1.0, 60.0), &objects);
+        scene.ego.yaw_rate = random(-1.0, 1.0);
+        let lanes = scene.lanes.as_mut().unwrap();
+        lanes.c = [
+            random(-5.0, 5.0),
+            random(-1.6, 1.6),
+            random(-0.03, 0.03),
+            random(-3e-4, 3e-4),
+        ];
+        (lanes.view_range, lanes.width) = (random(0.0, 255.0), random(1.0, 5.0));
+        lanes.own_end = random(-10.0, 400.0);
+        let plan = planner.plan(&scene);
+        assert!(is_finite(&plan), "cycle {cycle}: {plan:?}");
+        assert!(plan.points.iter().all(|p| p.speed >= 0.0), "cycle {cycle}");
+
+        let ego = scene.ego;
+        let command = DegradedControl::new().step(scene.at, &ego, &scene);
+        assert!(command.steering_angle.is_finite() && command.acceleration.is_finite());
+    }
+}
+
+/// A trajectory is followed for its time, and not longer; what is no trajectory is refused.
+#[test]
+fn control_refuses_old_and_broken_trajectories() {
+    let plan = Planner::new().plan(&scene(0, 20.0, &[]));
+    let ego = Ego {
+        speed: 20.0,
+        ..Ego::default()
+    };
+    let mut control = MotionControl::new();
+    control.on_ego(plan.at, &ego);
+    let last_moment = plan.at + TRAJECTORY_MAX_AGE;
+    assert!(control.step(last_moment, &ego, &plan).is_ok());
+    let late = control.step(last_moment + Duration::from_ms(1), &ego, &plan);
+    assert_eq!(late, Err(ControlError::TrajectoryTooOld));
+
+    let mut broken = plan.clone();
+    for point in &mut broken.points {
+        point.heading = f32::NAN;
+    }
+    let before = control.last();
+    assert_eq!(
+        control.step(plan.at, &ego, &broken),
+        Err(ControlError::TrajectoryInvalid)
+    );
+    assert_eq!(control.last(), before);
+}
+
+/// T-RED-4: whoever takes over begins with the command that acted last.
+#[test]
+fn every_function_goes_on_from_the_last_command() {
+    let last = Command {
+        steering_angle: 0.01,
+        acceleration: -1.8,
+    };
+    let world = scene(0, 25.0, &[]);
+    let ego = world.ego;
+    let mut control = MotionControl::new();
+    let mut degraded = DegradedControl::new();
+    control.on_ego(world.at, &ego);
+    control.resume(&last);
+    degraded.resume(&last);
+    let plan = Planner::new().plan(&world);
+    let first = [
+        control.step(world.at, &ego, &plan).unwrap(),
+        degraded.step(world.at, &ego, &world),
+    ];
+    for command in first {
+        assert!(
+            (command.steering_angle - last.steering_angle).abs() < 1e-3,
+            "{command:?}"
+        );
+        assert!(
+            (command.acceleration - last.acceleration).abs() < 0.1,
+            "{command:?}"
+        );
+    }
+}
