@@ -29,7 +29,7 @@ const MAX_TRACKS: usize = 32;
 /// Detections in one list; what the header can announce.
 const MAX_DETECTIONS: usize = 32;
 
-/// The perception function with all its memory; about 25 KiB, nothing allocated.
+/// The perception function with all its memory; about 14 KiB, nothing allocated.
 #[derive(Clone, Debug)]
 pub struct Perception {
     odometry: Odometry,
