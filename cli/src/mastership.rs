@@ -2,13 +2,15 @@
 //!
 //! The acceptance log is taken as it is: nothing here trusts that terms fence as they should.
 
-use crate::runlog::{ControlSeen, Role, RunLog, System, Verdict, What};
+use crate::runlog::{ControlSeen, CoreEvent, Role, RunLog, System, Verdict, What};
 
 /// A system whose control frames follow each other no later than this was not silent, ms: one and a
 /// half control periods.
 const NOT_SILENT_MS: f64 = 15.0;
 /// Likewise for its status frames, which come every 100 ms.
 const STATUS_NOT_SILENT_MS: f64 = 150.0;
+/// What a core reports within this time it found out in one cycle, ns.
+const SAME_CYCLE_NS: u64 = 5_000_000;
 /// How far the report of a takeover may lie from the first frame of the new master, ns.
 const REPORT_WINDOW_NS: u64 = 100_000_000;
 
@@ -29,6 +31,8 @@ pub(crate) struct Takeover {
     pub(crate) gap_ms: f64,
     /// The old master had not failed.
     pub(crate) is_false: bool,
+    /// The old master found later that it had been held up.
+    pub(crate) held_up: bool,
 }
 
 /// All changes of the accepted system, in order.
@@ -40,6 +44,7 @@ pub(crate) fn takeovers(log: &RunLog) -> Vec<Takeover> {
         .map(|pair| {
             let (last, first) = (pair[0], pair[1]);
             let report = report_of(log, first.system, first.at_ns);
+            let held_up = was_held_up(log, last.system, last.at_ns);
             Takeover {
                 from: last.system,
                 to: first.system,
@@ -47,7 +52,8 @@ pub(crate) fn takeovers(log: &RunLog) -> Vec<Takeover> {
                 cause: report.map(|(cause, _)| cause.to_owned()),
                 detected_ms: report.map(|(_, detected_ms)| detected_ms),
                 gap_ms: ms_between(last.at_ns, first.at_ns),
-                is_false: old_master_lived_on(log, last, first.at_ns),
+                is_false: !held_up && old_master_lived_on(log, last, first.at_ns),
+                held_up,
             }
         })
         .collect()
@@ -107,6 +113,24 @@ fn report_of(log: &RunLog, system: System, near_ns: u64) -> Option<(&str, f64)> 
         .map(|(_, cause, detected_ms)| (cause, detected_ms))
 }
 
+/// Whether the old master found, by the time at which it gave up its role, that it had been held up or
+/// had left out cycles. Then it was silent as a dead one is, and the takeover was right.
+fn was_held_up(log: &RunLog, system: System, last_ns: u64) -> bool {
+    let since = || {
+        let of_core_0 = |event: &&CoreEvent| event.system == system && event.core == 0;
+        log.events
+            .iter()
+            .filter(of_core_0)
+            .filter(|event| event.at_ns > last_ns)
+    };
+    let given_up = since().find(|event| matches!(event.what, What::RoleChanged { .. }));
+    given_up.is_some_and(|given_up| {
+        since()
+            .take_while(|event| event.at_ns <= given_up.at_ns + SAME_CYCLE_NS)
+            .any(|event| matches!(event.what, What::HeldUp | What::DeadlineMiss { .. }))
+    })
+}
+
 /// Whether the old master went on as if nothing had happened: it sent a further control frame in time,
 /// or its status frames went on without a break and without a restart, in a role that works.
 fn old_master_lived_on(log: &RunLog, last: &ControlSeen, takeover_ns: u64) -> bool {
@@ -154,7 +178,7 @@ pub(crate) fn ms_between(from_ns: u64, to_ns: u64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::runlog::{CoreEvent, Mode, StatusSeen};
+    use crate::runlog::{Mode, StatusSeen};
 
     fn frame(at_ms: u64, system: System, term: u32) -> ControlSeen {
         let at_ns = at_ms * 1_000_000;
@@ -264,6 +288,35 @@ mod tests {
             fenced,
         ]);
         assert!(!takeovers(&log)[0].is_false);
+    }
+
+    #[test]
+    fn a_master_that_says_it_was_held_up_had_failed() {
+        let mut fenced = frame(24, System::A, 2);
+        fenced.verdict = Verdict::Fenced;
+        let mut log = log(vec![
+            frame(0, System::A, 2),
+            frame(10, System::A, 2),
+            frame(23, System::B, 3),
+            fenced,
+        ]);
+        assert!(takeovers(&log)[0].is_false);
+        for what in [What::HeldUp, What::DeadlineMiss { missed: 5 }] {
+            let given_up = What::RoleChanged {
+                role: Role::Standby,
+                mode: Mode::None,
+                term: 3,
+            };
+            let event = |what| CoreEvent {
+                at_ns: 23_500_000,
+                system: System::A,
+                core: 0,
+                what,
+            };
+            log.events = vec![event(given_up), event(what)];
+            let found = &takeovers(&log)[0];
+            assert!(!found.is_false && found.held_up, "{found:?}");
+        }
     }
 
     #[test]

@@ -118,6 +118,8 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) gap_ms: f64,
     /// The old master had not failed.
     pub(crate) is_false: bool,
+    /// The old master found later that its core had been held up: frozen, or not scheduled.
+    pub(crate) held_up: bool,
 }
 
 /// Extremes of what passengers feel.
@@ -249,6 +251,7 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
                 detected_ms: takeover.detected_ms,
                 gap_ms: takeover.gap_ms,
                 is_false: takeover.is_false,
+                held_up: takeover.held_up,
             })
             .collect(),
         detection_bound_ms: around.detection_bound_ms,

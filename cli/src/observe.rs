@@ -3,7 +3,7 @@
 use tandem_board_host::Traced;
 use tandem_bus::Message;
 use tandem_cores::trace::Event;
-use tandem_redundancy::Evidence;
+use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
 use tandem_vehicle::{Acceptance, Metrics, VehicleSnapshot};
@@ -114,6 +114,9 @@ pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
         Event::Chain { latency_ns, .. } => What::ChainDone {
             latency_ms: f64::from(latency_ns) * 1e-6,
         },
+        Event::Phase {
+            to: Phase::Thawed, ..
+        } => What::HeldUp,
         Event::CoreSilent { core } => What::CoreSilent { core },
         Event::DeadlineMiss { missed } => What::DeadlineMiss { missed },
         other => What::Note { text: note(other)? },

@@ -53,14 +53,14 @@ impl OutDir {
                 path.display()
             )
         })?;
-        if path.exists() {
-            check_replaceable(&path)?;
-        }
         if std::env::current_dir().is_ok_and(|current| current.starts_with(&path)) {
             bail!(
                 "--out {}: the current folder would be replaced; name another one",
                 path.display()
             );
+        }
+        if path.exists() {
+            check_replaceable(&path)?;
         }
         // Permissions, read-only file systems and full disks: only trying it tells.
         TempDir::new_in(parent)

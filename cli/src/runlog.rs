@@ -233,6 +233,8 @@ pub(crate) enum What {
         /// From its last sign of life to the decision, ms.
         detected_ms: f64,
     },
+    /// This master found that it had been held up for so long that the other may have taken over.
+    HeldUp,
     /// A control command rests for the first time on one more measurement.
     ChainDone {
         /// From the measurement on core 1 over core 2 to the command on core 0, ms.

@@ -311,7 +311,10 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                             td.num { (optional_ms(bound)) }
                             td.num { (format!("{:.2} ms", takeover.gap_ms)) }
                             td.num { (optional_ms(metrics.gap_bound_ms)) }
-                            td.bad { @if takeover.is_false { "the old master had not failed" } }
+                            td.bad {
+                                @if takeover.is_false { "the old master had not failed" }
+                                @if takeover.held_up { "the old master had been held up" }
+                            }
                         }
                     }
                 }
@@ -445,6 +448,9 @@ fn describe(what: &What) -> Option<String> {
         }
         What::TookOver { cause, detected_ms } => {
             format!("takes over: {cause}, detected in {detected_ms:.2} ms")
+        }
+        What::HeldUp => {
+            "was held up, and listens whether the other system drives by now".to_owned()
         }
         What::CoreSilent { core } => format!("core {core} of its own system does not answer"),
         What::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),

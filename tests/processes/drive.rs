@@ -1,0 +1,115 @@
+//! Runs that nobody disturbs.
+
+use std::fs;
+
+use serde_json::Value;
+
+use crate::stage::Stage;
+
+fn takeovers(metrics: &Value) -> &[Value] {
+    metrics["takeovers"].as_array().unwrap()
+}
+
+/// T-CHIP-7, T-RED-2: both systems start in step, one drives, the vehicle comes to no harm; and the
+/// report is there.
+#[test]
+fn a_short_drive_ends_with_a_report() {
+    let stage = Stage::new();
+    let mut run = stage.run(&["--duration", "5", "--out", "report"]);
+    let metrics = run.metrics();
+    assert_eq!(metrics["scenario"], "cut-in");
+    assert_eq!(metrics["collisions"], 0);
+    assert_eq!(metrics["two_masters_ms"], 0.0);
+    assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
+    assert!(
+        metrics["control_frames"].as_u64().unwrap() > 400,
+        "{metrics:#}"
+    );
+    assert!(
+        (metrics["duration_s"].as_f64().unwrap() - 5.0).abs() < 0.5,
+        "{metrics:#}"
+    );
+    // A core of a busy machine may be held up; but nobody else gives a reason to take over.
+    assert!(
+        takeovers(&metrics)
+            .iter()
+            .all(|takeover| takeover["held_up"] == true),
+        "{metrics:#}"
+    );
+
+    let report = stage.folder().join("report");
+    let read = |name: &str| fs::read_to_string(report.join(name)).unwrap();
+    assert_eq!(
+        serde_json::from_str::<Value>(&read("metrics.json")).unwrap(),
+        metrics
+    );
+    assert!(read("report.html").contains("<svg"));
+    assert!(read("control-period.hgrm").contains("Total count"));
+    assert!(read("chain.hgrm").contains("Total count"));
+    let log = read("candump.log");
+    for line in log.lines() {
+        tandem_bus::candump::Record::parse(line).unwrap();
+    }
+    assert!(log.contains(" 0A0##"), "control frames of A");
+    assert!(log.contains(" 0B1##"), "status frames of B");
+    assert_eq!(stage.names(), ["report"]);
+    run.until_vanished();
+    assert_eq!(run.files(), Vec::<std::path::PathBuf>::new());
+}
+
+#[test]
+fn a_second_run_beside_the_first_is_none_of_its_business() {
+    let stage = Stage::new();
+    let mut first = stage.run(&["--duration", "6", "--out", "first", "--timing", "desktop"]);
+    first.until_dual();
+    let mut second = stage.run(&["--duration", "2", "--out", "second", "--timing", "desktop"]);
+    second.until_dual();
+    assert_eq!(first.processes().len(), 9);
+    assert_eq!(second.processes().len(), 9);
+    for metrics in [second.metrics(), first.metrics()] {
+        assert_eq!(metrics["collisions"], 0);
+        assert_eq!(metrics["two_masters_ms"], 0.0);
+        assert_eq!(
+            metrics["leftovers"].as_array().map(Vec::len),
+            Some(0),
+            "{metrics:#}"
+        );
+    }
+}
+
+#[test]
+fn the_processes_are_listed_with_exactly_the_promised_names() {
+    let stage = Stage::new();
+    let mut run = stage.run(&["--duration", "2"]);
+    run.until_dual();
+    let listed = stage.output(&["ps", "--json"]);
+    let listed: Vec<Value> = serde_json::from_slice(&listed.stdout).unwrap();
+    for process in &listed {
+        let mut names: Vec<&String> = process.as_object().unwrap().keys().collect();
+        names.sort();
+        assert_eq!(names, ["core", "cpu", "kind", "pid", "role", "system"]);
+    }
+    let of_kind = |kind: &str| run.processes().iter().filter(|p| p.kind == kind).count();
+    assert_eq!(
+        [of_kind("supply"), of_kind("core"), of_kind("vehicle")],
+        [2, 6, 1]
+    );
+    run.metrics();
+}
+
+#[test]
+fn data_flash_is_kept_from_run_to_run_if_it_has_a_folder() {
+    let stage = Stage::new();
+    fs::create_dir(stage.folder().join("flash")).unwrap();
+    stage
+        .run(&["--duration", "1", "--dflash", "flash"])
+        .metrics();
+    let written = fs::read(stage.folder().join("flash/A.dflash")).unwrap();
+    assert!(
+        written.iter().any(|byte| *byte != 0xFF),
+        "the state was never written"
+    );
+    stage
+        .run(&["--duration", "1", "--dflash", "flash"])
+        .metrics();
+}

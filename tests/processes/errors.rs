@@ -1,0 +1,108 @@
+//! What is wrong is said before anything starts, and nothing is changed.
+
+use std::fs;
+
+use crate::stage::Stage;
+
+/// The command must refuse these arguments and say all of `words`.
+fn refuses(stage: &Stage, args: &[&str], words: &[&str]) {
+    let before = stage.names();
+    let output = stage.output(args);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
+    for word in words {
+        assert!(
+            said.contains(word),
+            "{args:?} does not say {word:?}: {said}"
+        );
+    }
+    assert!(output.stdout.is_empty(), "{args:?}");
+    assert_eq!(stage.names(), before, "{args:?} has left something");
+}
+
+#[test]
+fn a_scenario_that_is_none() {
+    let stage = Stage::new();
+    refuses(
+        &stage,
+        &["run", "--scenario", "cutin"],
+        &["cutin", "did you mean", "cut-in"],
+    );
+    refuses(
+        &stage,
+        &["run", "--scenario", "no/such.xml"],
+        &["no/such.xml"],
+    );
+    for (name, text) in [
+        ("empty.xml", ""),
+        ("cut.xml", "<commonRoad><lanelet id=\"1\">"),
+        ("other.xml", "<html/>"),
+        ("binary.xml", "\0\u{1}\u{2}"),
+    ] {
+        fs::write(stage.folder().join(name), text).unwrap();
+        refuses(&stage, &["run", "--scenario", name], &[name]);
+    }
+    refuses(&stage, &["run", "--scenario", "."], &["."]);
+}
+
+#[test]
+fn a_duration_that_is_none() {
+    let stage = Stage::new();
+    for duration in ["0", "-5", "NaN", "inf", "soon", "0s", "1e99", ""] {
+        refuses(&stage, &["run", "--duration", duration], &["--duration"]);
+    }
+}
+
+#[test]
+fn a_folder_that_cannot_take_a_report() {
+    let stage = Stage::new();
+    fs::write(stage.folder().join("file"), "mine").unwrap();
+    fs::create_dir(stage.folder().join("full")).unwrap();
+    fs::write(stage.folder().join("full/thesis.txt"), "mine").unwrap();
+    fs::create_dir(stage.folder().join("folder")).unwrap();
+    for (out, words) in [
+        ("file", "it is a file"),
+        ("full", "thesis.txt"),
+        ("no/such/folder", "create it first"),
+        // Not even root can create a folder there.
+        ("/proc/report", "cannot write"),
+        (".", "current folder"),
+        ("/", "root folder"),
+    ] {
+        refuses(&stage, &["run", "--out", out], &["--out", words]);
+    }
+    assert_eq!(
+        fs::read_to_string(stage.folder().join("full/thesis.txt")).unwrap(),
+        "mine"
+    );
+}
+
+#[test]
+fn a_machine_that_is_not_there() {
+    let stage = Stage::new();
+    refuses(
+        &stage,
+        &["run", "--cpus", "4000"],
+        &["--cpus", "4000", "may use"],
+    );
+    refuses(&stage, &["run", "--cpus", "one"], &["--cpus"]);
+    refuses(
+        &stage,
+        &["run", "--dflash", "missing"],
+        &["--dflash", "missing"],
+    );
+    refuses(&stage, &["run", "--timing", "soon"], &["--timing"]);
+    refuses(&stage, &["drive"], &["drive"]);
+}
+
+#[test]
+fn a_reader_that_has_seen_enough_is_no_error() {
+    let stage = Stage::new();
+    let mut child = stage
+        .command(&["scenarios"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    assert!(child.wait().unwrap().success());
+}

@@ -1,0 +1,14 @@
+//! The `tandem` command as a person uses it: real processes, real kills.
+//!
+//! This is a test of the package `tandem`, so that cargo builds the command for it; the code lies in the
+//! room of the whole-process tests.
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test ends where something is not as it must be"
+)]
+
+mod deaths;
+mod drive;
+mod errors;
+mod stage;
+mod startup;

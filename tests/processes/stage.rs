@@ -1,0 +1,235 @@
+//! One `tandem` command under test, and everything that it started.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// No run of these tests takes longer than this, whatever the machine does meanwhile.
+const WATCHDOG: Duration = Duration::from_secs(120);
+const LOOK_AGAIN: Duration = Duration::from_millis(20);
+
+/// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only measure
+/// each other.
+pub(crate) struct Stage {
+    folder: TempDir,
+    _turn: File,
+}
+
+impl Stage {
+    pub(crate) fn new() -> Self {
+        let turn = File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap();
+        turn.lock().unwrap();
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            _turn: turn,
+        }
+    }
+
+    pub(crate) fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// The command with these arguments, in the stage's folder.
+    pub(crate) fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+        command
+            .args(args)
+            .current_dir(self.folder())
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// Runs the command to its end.
+    pub(crate) fn output(&self, args: &[&str]) -> Output {
+        self.command(args).output().unwrap()
+    }
+
+    /// Starts `tandem run --json` with these further arguments.
+    pub(crate) fn run(&self, args: &[&str]) -> Run {
+        let number = fs::read_dir(self.folder()).unwrap().count();
+        let stdout = self.folder().join(format!("{number}.stdout"));
+        let stderr = self.folder().join(format!("{number}.stderr"));
+        let mut command = self.command(&["run", "--json"]);
+        command.args(args);
+        command
+            .stdout(File::create(&stdout).unwrap())
+            .stderr(File::create(&stderr).unwrap());
+        let launcher = command.spawn().unwrap();
+        let name = format!("tandem-{}-", launcher.id());
+        Run {
+            launcher,
+            name,
+            stdout,
+            stderr,
+            since: Instant::now(),
+        }
+    }
+
+    /// What is in the stage's folder but the output of runs.
+    pub(crate) fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder()).unwrap();
+        let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        let mut names: Vec<String> = names.filter(|name| !name.contains(".std")).collect();
+        names.sort();
+        names
+    }
+}
+
+/// A run under way. Dropping it kills all of it.
+pub(crate) struct Run {
+    launcher: Child,
+    /// What the name of the run begins with.
+    name: String,
+    stdout: PathBuf,
+    stderr: PathBuf,
+    since: Instant,
+}
+
+/// One line of `tandem ps --json`.
+#[derive(Clone, Debug)]
+pub(crate) struct Process {
+    pub(crate) pid: i32,
+    pub(crate) kind: String,
+    pub(crate) system: Option<String>,
+    pub(crate) core: Option<u64>,
+    pub(crate) role: Option<String>,
+}
+
+impl Run {
+    /// Its processes as `tandem ps` lists them.
+    pub(crate) fn processes(&self) -> Vec<Process> {
+        let output = Command::new(env!("CARGO_BIN_EXE_tandem"))
+            .args(["ps", "--json"])
+            .output()
+            .unwrap();
+        let all: Vec<Value> = serde_json::from_slice(&output.stdout).unwrap();
+        let text = |value: &Value| value.as_str().map(str::to_owned);
+        let processes = all.iter().map(|process| Process {
+            pid: process["pid"].as_i64().unwrap() as i32,
+            kind: text(&process["kind"]).unwrap(),
+            system: text(&process["system"]),
+            core: process["core"].as_u64(),
+            role: text(&process["role"]),
+        });
+        // Other runs on this machine are none of this test's business.
+        processes
+            .filter(|process| self.is_mine(process.pid))
+            .collect()
+    }
+
+    fn is_mine(&self, pid: i32) -> bool {
+        let line = fs::read(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line.split(|byte| *byte == 0)
+            .any(|word| word.starts_with(self.name.as_bytes()))
+    }
+
+    /// Waits until `found` finds something among the processes.
+    pub(crate) fn until<T>(&self, what: &str, found: impl Fn(&[Process]) -> Option<T>) -> T {
+        loop {
+            let processes = self.processes();
+            if let Some(it) = found(&processes) {
+                return it;
+            }
+            assert!(
+                self.since.elapsed() < WATCHDOG,
+                "{what} never came: {processes:?}\n{}",
+                self.said()
+            );
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+
+    /// Waits until one system drives and the other one stands by.
+    pub(crate) fn until_dual(&self) {
+        self.until("dual operation", |processes| {
+            let roles = |role: &str| {
+                let with_role =
+                    |p: &&Process| p.kind == "supply" && p.role.as_deref() == Some(role);
+                processes.iter().filter(with_role).count()
+            };
+            (roles("master") == 1 && roles("standby") == 1).then_some(())
+        });
+    }
+
+    /// The supply of the system that drives.
+    pub(crate) fn master_supply(&self) -> Process {
+        self.until("a master", |processes| {
+            let is_it = |p: &&Process| p.kind == "supply" && p.role.as_deref() == Some("master");
+            processes.iter().find(is_it).cloned()
+        })
+    }
+
+    /// The process of `tandem run` itself.
+    pub(crate) fn launcher_pid(&self) -> i32 {
+        self.launcher.id() as i32
+    }
+
+    /// Waits for the end of `tandem run`.
+    pub(crate) fn end(&mut self) -> ExitStatus {
+        loop {
+            if let Some(status) = self.launcher.try_wait().unwrap() {
+                return status;
+            }
+            assert!(
+                self.since.elapsed() < WATCHDOG,
+                "the run does not end:\n{}",
+                self.said()
+            );
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+
+    /// Waits for the end; the figures of a run that was not objected to.
+    pub(crate) fn metrics(&mut self) -> Value {
+        let status = self.end();
+        assert!(status.success(), "{status}\n{}", self.said());
+        serde_json::from_str(&fs::read_to_string(&self.stdout).unwrap()).unwrap()
+    }
+
+    /// Waits until no process of the run is left.
+    pub(crate) fn until_vanished(&self) {
+        self.until("the end of all processes", |processes| {
+            processes.is_empty().then_some(())
+        });
+    }
+
+    /// What it said on stderr.
+    pub(crate) fn said(&self) -> String {
+        fs::read_to_string(&self.stderr).unwrap()
+    }
+
+    /// Files of this run on the machine.
+    pub(crate) fn files(&self) -> Vec<PathBuf> {
+        ["/dev/shm", "/tmp"]
+            .iter()
+            .flat_map(|folder| fs::read_dir(folder).unwrap())
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.to_string_lossy().contains(&self.name))
+            .collect()
+    }
+}
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = self.launcher.kill();
+        let _ = self.launcher.wait();
+        for process in self.processes() {
+            kill(process.pid);
+        }
+    }
+}
+
+/// Kills a process; it may have ended already.
+pub(crate) fn kill(pid: i32) {
+    send(pid, Signal::KILL);
+}
+
+/// Sends a signal; the process may have ended already.
+pub(crate) fn send(pid: i32, signal: Signal) {
+    let _ = kill_process(Pid::from_raw(pid).unwrap(), signal);
+}

@@ -1,0 +1,50 @@
+//! Starts that are killed half-way.
+
+use std::time::Duration;
+
+use crate::stage::{Stage, kill};
+
+/// How many starts are killed, unless `TANDEM_STARTUP_KILLS` says otherwise.
+const KILLS: u64 = 6;
+/// Within this time after the start something is killed, ms: longer than a start takes.
+const WITHIN_MS: u64 = 300;
+
+/// Numbers that look random and are the same every time (splitmix64).
+fn scattered(n: u64) -> u64 {
+    let mut z = n.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    z ^ (z >> 31)
+}
+
+/// A start that was killed at any moment, in whatever process, ends; the next one works; and in the end
+/// nothing is left.
+#[test]
+fn any_start_may_be_killed() {
+    let kills = std::env::var("TANDEM_STARTUP_KILLS")
+        .ok()
+        .and_then(|n| n.parse().ok());
+    let stage = Stage::new();
+    let mut killed = Vec::new();
+    for attempt in 0..kills.unwrap_or(KILLS) {
+        let mut run = stage.run(&["--duration", "0.2", "--quiet", "--out", "cut-short"]);
+        let at_us = scattered(2 * attempt) % (WITHIN_MS * 1_000);
+        std::thread::sleep(Duration::from_micros(at_us));
+        let processes = run.processes();
+        let choice = scattered(2 * attempt + 1) as usize % (processes.len() + 1);
+        // One of the processes, or `tandem run` itself.
+        let victim = processes
+            .get(choice)
+            .map_or(run.launcher_pid(), |process| process.pid);
+        kill(victim);
+        run.end();
+        // Without its launcher a run that drives goes on to its end.
+        run.until_vanished();
+        killed.push(run);
+    }
+    let metrics = stage.run(&["--duration", "1"]).metrics();
+    assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
+    for run in &killed {
+        assert!(run.files().is_empty(), "{:?}", run.files());
+    }
+}
