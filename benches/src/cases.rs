@@ -25,7 +25,8 @@ impl Group {
         }
     }
 
-    /// Round trips of one batch: some 10 ms, so that cases take turns while the machine's mood lasts.
+    /// Round trips of one batch: some 10 ms, so that cases take turns while the machine's mood
+    /// lasts.
     #[must_use]
     pub const fn rounds(self) -> usize {
         match self {

@@ -1,8 +1,9 @@
 //! Two ends that pass a stamp to each other, in two processes or two threads, and time every way.
 //!
-//! Each message carries the sender's time stamp as its 4 bytes of data; the receiver subtracts it from
-//! its own when the value has reached its code. Both directions of a ping-pong are samples of one-way
-//! latency. All cases of a run use this loop, so that floor, peers and Tandem differ in nothing else.
+//! Each message carries the sender's time stamp as its 4 bytes of data; the receiver subtracts it
+//! from its own when the value has reached its code. Both directions of a ping-pong are samples of
+//! one-way latency. All cases of a run use this loop, so that floor, peers and Tandem differ in
+//! nothing else.
 
 use crate::clock::ticks;
 use std::io;
@@ -58,8 +59,8 @@ impl Shared {
         if base == libc::MAP_FAILED {
             return Err(io::Error::last_os_error());
         }
-        // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped only
-        // by `free`, after which its batch uses no word of it any more.
+        // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped
+        // only by `free`, after which its batch uses no word of it any more.
         let words = unsafe { std::slice::from_raw_parts(base.cast(), TOTAL_WORDS) };
         Ok(Self { words })
     }
@@ -122,8 +123,8 @@ fn far_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
 
 /// Passes a stamp to and fro between two processes; returns all one-way times in ticks.
 ///
-/// Each end is made in a process of its own, which lives for this batch only: it inherits nothing from
-/// earlier batches but what the caller had opened before.
+/// Each end is made in a process of its own, which lives for this batch only: it inherits nothing
+/// from earlier batches but what the caller had opened before.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end died.

@@ -1,5 +1,5 @@
-//! Tandem itself: 4 bytes through a newest-value channel and a signal of the sync mailbox, on the host
-//! board, from the sender's call to the running handler. T-SYNC-4
+//! Tandem itself: 4 bytes through a newest-value channel and a signal of the sync mailbox, on the
+//! host board, from the sender's call to the running handler. T-SYNC-4
 
 use crate::harness::{End, Plan, Shared, between_processes};
 use std::io;

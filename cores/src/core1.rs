@@ -1,4 +1,5 @@
-//! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2. T-CHIP-3
+//! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2.
+//! T-CHIP-3
 
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;

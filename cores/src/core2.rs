@@ -8,7 +8,8 @@ use crate::{Core, RETRY};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
 
-/// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the drive.
+/// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the
+/// drive.
 const LOOK: Duration = Duration::from_ms(50);
 
 /// The planning task with all that it uses: what core 1's signal runs.

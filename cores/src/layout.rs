@@ -55,8 +55,8 @@ pub struct ControllerMap<'a> {
 }
 
 impl<'a> ControllerMap<'a> {
-    /// Attaches this core, and announces its life. Core 0 formats an LMU that is not formatted, as it is
-    /// after power-on, or that holds anything else.
+    /// Attaches this core, and announces its life. Core 0 formats an LMU that is not formatted, as
+    /// it is after power-on, or that holds anything else.
     ///
     /// # Errors
     /// [`AttachError`]: not formatted yet (try again), or formatted for another image.
@@ -74,7 +74,8 @@ impl<'a> ControllerMap<'a> {
             Err(error) => return Err(error),
         };
         if let Some(life) = Life::new(identity.core.index(), identity.generation.0) {
-            // A life that is announced as over cannot be this one: its supply gives out generations.
+            // A life that is announced as over cannot be this one: its supply gives out
+            // generations.
             let _outdated = map.lives().announce(life);
         }
         Ok(Self {
@@ -206,8 +207,8 @@ impl<'a, T: Words> Reader<'a, T> {
     }
 }
 
-/// Time as it crosses the LMU inside scene and trajectory is on the clock that all cores of a system
-/// share; the span since then, in ns, saturated.
+/// Time as it crosses the LMU inside scene and trajectory is on the clock that all cores of a
+/// system share; the span since then, in ns, saturated.
 #[must_use]
 pub fn age_ns(now: Instant, at: Instant) -> u32 {
     u32::try_from(now.since(at).as_ns()).unwrap_or(u32::MAX)

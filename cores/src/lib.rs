@@ -1,7 +1,8 @@
 //! What runs on the cores of one system: the driving functions and their wiring over one board.
 //!
-//! [`driving`] is pure computation (sensor frames in; scene, trajectory, command out), told the time.
-//! [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for all:
+//! [`driving`] is pure computation (sensor frames in; scene, trajectory, command out), told the
+//! time. [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for
+//! all:
 //!
 //! ```text
 //! loop { let deadline = core.poll(); board.wait(deadline); }
@@ -26,8 +27,8 @@ use tandem_bus::{Message, ReceiveError};
 
 /// The work of one core, in steps that end by themselves.
 pub trait Core {
-    /// Does all that is due and returns when to be called again at the latest; also to be called when an
-    /// interrupt has come. Task context; never blocks, never allocates.
+    /// Does all that is due and returns when to be called again at the latest; also to be called
+    /// when an interrupt has come. Task context; never blocks, never allocates.
     fn poll(&mut self) -> Instant;
 }
 
@@ -41,8 +42,8 @@ pub struct Config {
     pub redundancy: tandem_redundancy::Config,
     /// Core 1 or 2 is silent if it has not passed through a cycle for longer than this.
     pub alive_limit: Duration,
-    /// How long cores 1 and 2 may take from the start to their first cycle, and the sensors to show a
-    /// lane.
+    /// How long cores 1 and 2 may take from the start to their first cycle, and the sensors to
+    /// show a lane.
     pub boot_limit: Duration,
 }
 
@@ -69,8 +70,8 @@ impl Config {
     }
 }
 
-/// Hands every received frame of the DBC that passes its end-to-end check to `take`, with the time at
-/// which it was on the bus. Other frames are other people's traffic.
+/// Hands every received frame of the DBC that passes its end-to-end check to `take`, with the time
+/// at which it was on the bus. Other frames are other people's traffic.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::Receiver,

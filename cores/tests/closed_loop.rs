@@ -1,4 +1,5 @@
-//! The driving functions in a closed loop with the world: every scenario, several seeds, virtual time.
+//! The driving functions in a closed loop with the world: every scenario, several seeds, virtual
+//! time.
 
 mod drive;
 
@@ -31,7 +32,8 @@ fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
     assert!(m.gap_min_m > 2.0, "{run}");
 }
 
-/// T-CHIP-3: perception, planning and control drive every scenario without a collision and in comfort.
+/// T-CHIP-3: perception, planning and control drive every scenario without a collision and in
+/// comfort.
 #[test]
 fn l3_drives_every_scenario() {
     for scenario in drive::scenarios() {
@@ -64,7 +66,8 @@ fn l3_changes_lanes_where_it_helps() {
     }
 }
 
-/// T-CHIP-3: the L2 functions keep lane and distance in every scenario, and stop where the lane ends.
+/// T-CHIP-3: the L2 functions keep lane and distance in every scenario, and stop where the lane
+/// ends.
 #[test]
 fn l2_drives_every_scenario() {
     for scenario in drive::scenarios() {
@@ -134,7 +137,8 @@ fn a_takeover_is_not_felt() {
     }
 }
 
-/// Any one sensor may be missing for the whole drive; the camera's lanes may be missing for a while.
+/// Any one sensor may be missing for the whole drive; the camera's lanes may be missing for a
+/// while.
 #[test]
 fn drives_without_any_one_sensor() {
     for name in ["cut-in", "hard-braking"] {

@@ -99,7 +99,8 @@ fn seen(x: f32, y: f32, vx: f32, vy: f32) -> SensorObject {
     }
 }
 
-/// T-CHIP-4: what two sensors see is one object at once, with its velocity over ground and its kind.
+/// T-CHIP-4: what two sensors see is one object at once, with its velocity over ground and its
+/// kind.
 #[test]
 fn two_sensors_confirm_one_object_at_once() {
     let mut feed = Feed::new(20.0);
@@ -315,7 +316,8 @@ fn plans_join_each_other() {
     }
 }
 
-/// In front of a standing obstacle the plan stops; too near for comfort it brakes as hard as it can.
+/// In front of a standing obstacle the plan stops; too near for comfort it brakes as hard as it
+/// can.
 #[test]
 fn brakes_for_a_standing_obstacle() {
     let mut scene = scene(0, 20.0, &[object(45.0, 0.0, 0.0)]);

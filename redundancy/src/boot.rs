@@ -43,7 +43,8 @@ pub(crate) fn check(
     if state.sys_failure {
         return (state, Boot::Suspend);
     }
-    // 3. The other's failure flag? Then there is nobody to wait for. Neither is there after a reset: the
+    // 3. The other's failure flag? Then there is nobody to wait for. Neither is there after a
+    //    reset: the
     // other has taken over and runs. In both cases a running master must be looked for first.
     let power_on = cause == ResetCause::PowerOn;
     let kind = if power_on && !state.cpsys_failure {

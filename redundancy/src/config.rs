@@ -4,65 +4,70 @@ use tandem_board::{Duration, SystemId};
 
 /// Periods and limits of the redundancy. Both systems must use the same.
 ///
-/// [`Config::rt`] and [`Config::desktop`] are the two profiles; [`Config::check`] says whether changed
-/// values still fit together.
+/// [`Config::rt`] and [`Config::desktop`] are the two profiles; [`Config::check`] says whether
+/// changed values still fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Time between two heartbeats on each line.
     pub heartbeat_period: Duration,
     /// How many heartbeats in a row must be missing before a line counts as silent.
     pub heartbeat_misses: u32,
-    /// How much later than due a heartbeat may come on top of that: lateness of the sender's timer and
-    /// of the receiver's poll.
+    /// How much later than due a heartbeat may come on top of that: lateness of the sender's timer
+    /// and of the receiver's poll.
     pub heartbeat_jitter: Duration,
     /// Longest time between two polls while the system runs as it should.
     pub poll_interval: Duration,
-    /// After how long a silence of both lines the *master* gives up its standby. Losing the standby is
-    /// not urgent: nothing is missing on the bus. May be longer than [`Config::silent_limit`].
+    /// After how long a silence of both lines the *master* gives up its standby. Losing the
+    /// standby is not urgent: nothing is missing on the bus. May be longer than
+    /// [`Config::silent_limit`].
     pub standby_limit: Duration,
     /// Period of the control frames.
     pub control_period: Duration,
     /// How much later than due a control frame may come: lateness of its sender, time on the bus.
     pub control_margin: Duration,
-    /// How many control periods without a control frame make a master mute while its heartbeats go on
-    /// and other frames are heard.
+    /// How many control periods without a control frame make a master mute while its heartbeats go
+    /// on and other frames are heard.
     pub mute_periods: u32,
     /// Time between two handshake edges.
     pub handshake_period: Duration,
     /// How long a system waits at power-on for the other's handshake.
     pub start_limit: Duration,
-    /// How much longer B waits than A wherever both might act at once. Long enough to hear the other.
+    /// How much longer B waits than A wherever both might act at once. Long enough to hear the
+    /// other.
     pub stagger: Duration,
-    /// How much longer B waits before its sync edge, so that A's comes first if both claim to be master.
+    /// How much longer B waits before its sync edge, so that A's comes first if both claim to be
+    /// master.
     pub sync_stagger: Duration,
-    /// How long a standby that has heard a handshake waits for the sync edge before it takes the lead
-    /// itself. B waits twice as long.
+    /// How long a standby that has heard a handshake waits for the sync edge before it takes the
+    /// lead itself. B waits twice as long.
     pub promote_limit: Duration,
     /// How long heartbeats must have been back before the other system counts as recovered.
     pub recover_after: Duration,
-    /// Whether dual operation resumes at run time when the other system has recovered; else at the next
-    /// power cycle, as in the thesis.
+    /// Whether dual operation resumes at run time when the other system has recovered; else at the
+    /// next power cycle, as in the thesis.
     pub reintegrate: bool,
     /// How many abnormal resets in a row are tolerated.
     pub abnormal_limit: u8,
     /// Operation without a reset for this long ends a row of abnormal resets.
     pub healthy_after: Duration,
-    /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open circuit.
+    /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
+    /// circuit.
     pub can_open_limit: Duration,
     /// How long a report of the other system holds.
     pub report_limit: Duration,
 }
 
 impl Config {
-    /// For systems whose timers are late by far less than a millisecond: firmware, and processes under
-    /// SCHED_FIFO (p99.9 of lateness 0.2 ms).
+    /// For systems whose timers are late by far less than a millisecond: firmware, and processes
+    /// under SCHED_FIFO (p99.9 of lateness 0.2 ms).
     #[must_use]
     pub const fn rt() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(1),
-            // Not a question of lost edges but of stalls: a virtual machine's CPU is taken away for some
-            // milliseconds now and then (seen: up to 6), and that is no failure. As lax as a takeover
-            // within two control periods permits; losing power is told at once by the level line.
+            // Not a question of lost edges but of stalls: a virtual machine's CPU is taken away for
+            // some milliseconds now and then (seen: up to 6), and that is no failure. As lax as a
+            // takeover within two control periods permits; losing power is told at once by the
+            // level line.
             heartbeat_misses: 6,
             heartbeat_jitter: Duration::from_ms(2),
             poll_interval: Duration::from_ms(1),
@@ -91,16 +96,16 @@ impl Config {
     /// For ordinary processes on a desktop, whose timers are late by some milliseconds at p99.9.
     ///
     /// As lax as a takeover within two control periods permits: a heartbeat limit of 12 ms would be
-    /// calmer, but 10 ms (control period) + 12 ms misses the goal of 20 ms. It is safe all the same,
-    /// because a takeover on silence also needs the control frames to be missing.
+    /// calmer, but 10 ms (control period) + 12 ms misses the goal of 20 ms. It is safe all the
+    /// same, because a takeover on silence also needs the control frames to be missing.
     #[must_use]
     pub const fn desktop() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(2),
             // The same 8 ms of silence as in real time, at half the cost.
             heartbeat_misses: 3,
-            // Under load a standby process is held up for tens of milliseconds now and then; degrading
-            // for that would be a false alarm, and nothing is lost by waiting.
+            // Under load a standby process is held up for tens of milliseconds now and then;
+            // degrading for that would be a false alarm, and nothing is lost by waiting.
             standby_limit: Duration::from_ms(50),
             handshake_period: Duration::from_ms(10),
             start_limit: Duration::from_ms(2000),
@@ -129,8 +134,8 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
-    /// How long a new standby waits for the first control frame of its master: longer than any takeover
-    /// that may be under way, and B longer than A.
+    /// How long a new standby waits for the first control frame of its master: longer than any
+    /// takeover that may be under way, and B longer than A.
     #[must_use]
     pub fn no_master_limit(&self, system: SystemId) -> Duration {
         self.mute_limit().times(2) + self.stagger_of(system)
@@ -149,22 +154,22 @@ impl Config {
 
     /// The time after a poll for which a master may transmit without the next poll.
     ///
-    /// The other system takes over no earlier than [`Config::silent_limit`] after the last heartbeat,
-    /// and that was sent at most one period before the last poll.
+    /// The other system takes over no earlier than [`Config::silent_limit`] after the last
+    /// heartbeat, and that was sent at most one period before the last poll.
     #[must_use]
     pub fn lease(&self) -> Duration {
         self.silent_limit() - self.heartbeat_period
     }
 
-    /// The longest time between two polls that still counts as running; beyond it the system was held
-    /// up, and its own absence is no evidence against the other.
+    /// The longest time between two polls that still counts as running; beyond it the system was
+    /// held up, and its own absence is no evidence against the other.
     #[must_use]
     pub fn stall_limit(&self) -> Duration {
         self.poll_interval + self.heartbeat_jitter
     }
 
-    /// Detection bound: from the failure of the other system to the poll that sees both lines silent.
-    /// Misses × period + jitter + poll interval.
+    /// Detection bound: from the failure of the other system to the poll that sees both lines
+    /// silent. Misses × period + jitter + poll interval.
     #[must_use]
     pub fn detection_bound(&self) -> Duration {
         self.silent_limit() + self.poll_interval
@@ -178,8 +183,9 @@ impl Config {
         (if witness > silent { witness } else { silent }) + self.poll_interval
     }
 
-    /// From the last control frame of a failed master to the first one of its successor, as both leave
-    /// their systems, if the power level did not tell: the master fails just before a frame is due.
+    /// From the last control frame of a failed master to the first one of its successor, as both
+    /// leave their systems, if the power level did not tell: the master fails just before a frame
+    /// is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
         let after_frame = self.control_period + self.silent_limit();

@@ -42,8 +42,8 @@ impl BeatSender {
         self.next = None;
     }
 
-    /// The heartbeat that is due, if one is. The schedule does not drift; after a stall it goes on from
-    /// `now`, without a burst of what was missed.
+    /// The heartbeat that is due, if one is. The schedule does not drift; after a stall it goes on
+    /// from `now`, without a burst of what was missed.
     #[must_use]
     pub fn poll(&mut self, now: Instant) -> Option<Beat> {
         let due = self.next.filter(|&due| due <= now)?;
@@ -95,9 +95,9 @@ struct LineState {
 
 /// Watches the heartbeats of the other system on both lines.
 ///
-/// It works on the running counts of edges, which wrap around and which a reset of the core does not
-/// clear, so only differences matter; and on time limits, so that a drift between the two systems'
-/// periods is no false alarm, as it is when a count of sent heartbeats is compared.
+/// It works on the running counts of edges, which wrap around and which a reset of the core does
+/// not clear, so only differences matter; and on time limits, so that a drift between the two
+/// systems' periods is no false alarm, as it is when a count of sent heartbeats is compared.
 #[derive(Clone, Debug)]
 pub struct BeatReceiver {
     limit: Duration,
@@ -106,8 +106,8 @@ pub struct BeatReceiver {
 }
 
 impl BeatReceiver {
-    /// A receiver for lines that go silent after `limit` without an edge. `counts` are the counts at the
-    /// moment; both lines begin silent.
+    /// A receiver for lines that go silent after `limit` without an edge. `counts` are the counts
+    /// at the moment; both lines begin silent.
     #[must_use]
     pub fn new(limit: Duration, counts: [u32; 2], now: Instant) -> Self {
         let line = |counted| LineState {
@@ -148,8 +148,8 @@ impl BeatReceiver {
         changes
     }
 
-    /// Takes both lines for alive with an edge at `from`, which may lie in the future: the other system
-    /// is known to begin now, and gets that long for its first heartbeat.
+    /// Takes both lines for alive with an edge at `from`, which may lie in the future: the other
+    /// system is known to begin now, and gets that long for its first heartbeat.
     pub fn expect(&mut self, from: Instant) {
         for line in &mut self.lines {
             line.silent = false;
@@ -158,8 +158,8 @@ impl BeatReceiver {
         self.alive_since = Some(from);
     }
 
-    /// Restarts the time limits of the lines that are not silent: after a stall of the receiver itself,
-    /// whose absence is no evidence against the sender.
+    /// Restarts the time limits of the lines that are not silent: after a stall of the receiver
+    /// itself, whose absence is no evidence against the sender.
     pub fn forgive(&mut self, now: Instant) {
         for line in self.lines.iter_mut().filter(|line| !line.silent) {
             line.last_edge = line.last_edge.max(now);
@@ -172,7 +172,8 @@ impl BeatReceiver {
         self.lines.map(|line| line.silent)
     }
 
-    /// Looks at line 1, and only if that is silent at line 2: both silent means that the other failed.
+    /// Looks at line 1, and only if that is silent at line 2: both silent means that the other
+    /// failed.
     #[must_use]
     pub fn both_silent(&self) -> bool {
         self.lines[0].silent && self.lines[1].silent
@@ -238,8 +239,8 @@ mod tests {
         assert_eq!(sender.poll(at_us(30_000)), None);
     }
 
-    /// Feeds one edge per millisecond on the lines that are whole, from counts just below wrap-around,
-    /// and returns the receiver after `ms` milliseconds.
+    /// Feeds one edge per millisecond on the lines that are whole, from counts just below
+    /// wrap-around, and returns the receiver after `ms` milliseconds.
     fn fed(whole: [bool; 2], ms: u64) -> BeatReceiver {
         let mut counts = [u32::MAX - 5, u32::MAX];
         let mut receiver = BeatReceiver::new(LIMIT, counts, at_us(0));
@@ -290,8 +291,8 @@ mod tests {
         assert_eq!(receiver.alive_for(later), Duration::from_ms(3));
     }
 
-    /// T-RED-3: two clocks that drift apart by 1 % never raise a false alarm, though the counts of sent
-    /// and received heartbeats differ soon.
+    /// T-RED-3: two clocks that drift apart by 1 % never raise a false alarm, though the counts of
+    /// sent and received heartbeats differ soon.
     #[test]
     fn a_drift_of_phase_is_no_false_alarm() {
         let mut receiver = BeatReceiver::new(LIMIT, [0, 0], at_us(0));

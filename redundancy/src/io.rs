@@ -3,8 +3,8 @@
 use crate::{Beat, Evidence, FailureMode, Mode, PeerReport, Phase, Role, SystemState, Term};
 use tandem_board::{Duration, Edge, Instant, Line, Lines, ResetRequest, SystemId};
 
-/// The lines and the CAN receiver at one moment. Counts are running counts; they wrap around, and where
-/// they begin does not matter.
+/// The lines and the CAN receiver at one moment. Counts are running counts; they wrap around, and
+/// where they begin does not matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     /// Rising edges on [`Line::Start`].
@@ -22,8 +22,8 @@ pub struct Snapshot {
 impl Snapshot {
     /// Reads the lines. `can_frames`: running count of the valid frames received on CAN.
     ///
-    /// Fetch everything from the CAN receiver and hand it to the machine *before* this: else it would be
-    /// told of silence while evidence waits in a buffer.
+    /// Fetch everything from the CAN receiver and hand it to the machine *before* this: else it
+    /// would be told of silence while evidence waits in a buffer.
     #[must_use]
     pub fn read(lines: &impl Lines, can_frames: u32) -> Self {
         let both = |line| {
@@ -65,8 +65,9 @@ pub enum Input {
     StatusFrame(PeerReport),
     /// A report of the other system came over the link.
     LinkReport(PeerReport),
-    /// The vehicle told the highest term that it has accepted. Optional: without it, a system that was off
-    /// while the other had very many masterships may drive in a term that the vehicle refuses.
+    /// The vehicle told the highest term that it has accepted. Optional: without it, a system that
+    /// was off while the other had very many masterships may drive in a term that the vehicle
+    /// refuses.
     VehicleTerm(Term),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
@@ -79,8 +80,8 @@ pub struct Takeover {
     pub cause: Evidence,
     /// Time since the last heartbeat of the failed master.
     pub since_heartbeat: Duration,
-    /// Time since the last control frame of the failed master, or since this system became standby if
-    /// it heard none.
+    /// Time since the last control frame of the failed master, or since this system became standby
+    /// if it heard none.
     pub since_control: Duration,
     /// The new term.
     pub term: Term,
@@ -112,7 +113,8 @@ pub enum Event {
     Implausible,
     /// A control frame of a lower term was heard and ignored; the vehicle refuses it.
     StaleTerm(Term),
-    /// This system takes a higher term without a change of role, because the other knows a higher one.
+    /// This system takes a higher term without a change of role, because the other knows a higher
+    /// one.
     TermRaised(Term),
     /// Nothing is heard on CAN (`true`), or something again.
     CanSilent(bool),
@@ -179,17 +181,20 @@ pub struct Actions {
     pub sync: bool,
     /// Send this edge on both heartbeat lines.
     pub beat: Option<Beat>,
-    /// The output has just opened, or a frame was refused until this poll: send a control frame now (ask
-    /// [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)), do not wait for the next cycle.
+    /// The output has just opened, or a frame was refused until this poll: send a control frame
+    /// now (ask [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)), do not wait for
+    /// the next cycle.
     pub transmit_now: bool,
     /// The output just closed: discard control frames that wait in the transmit buffer.
     pub output_closed: bool,
     /// Dual operation begins now in both systems: the moment to align the control cycle to.
     pub synchronised: bool,
-    /// Write this state to the flash: hand it to [`StateStore::request`](crate::StateStore::request).
+    /// Write this state to the flash: hand it to
+    /// [`StateStore::request`](crate::StateStore::request).
     pub persist: Option<SystemState>,
-    /// Ask the supply for this reset, as soon as the store is settled (what led to the reset must be in
-    /// flash before it comes). Stays set in the actions of later calls; asking twice does no harm.
+    /// Ask the supply for this reset, as soon as the store is settled (what led to the reset must
+    /// be in flash before it comes). Stays set in the actions of later calls; asking twice does no
+    /// harm.
     pub reset: Option<ResetRequest>,
     /// For the trace.
     pub events: Events,

@@ -1,8 +1,8 @@
 //! Start protocol, heartbeat, roles and faults of a dual system: sans-IO (no_std).
 //!
-//! [`Redundancy`] is told the time and what was seen, and answers with [`Actions`]; it reads no clock and
-//! touches no board. [`StateStore`] keeps the [`SystemState`] in data flash over power loss. Tables,
-//! bounds and reasons stand in `docs/redundancy.md`.
+//! [`Redundancy`] is told the time and what was seen, and answers with [`Actions`]; it reads no
+//! clock and touches no board. [`StateStore`] keeps the [`SystemState`] in data flash over power
+//! loss. Tables, bounds and reasons stand in `docs/redundancy.md`.
 //!
 //! One cycle of core 0:
 //!

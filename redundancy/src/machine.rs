@@ -12,11 +12,12 @@ use crate::{
 };
 use tandem_board::{Instant, ResetCause, ResetRequest, SystemId};
 
-/// How far the first term after a start lies above the highest known one: more masterships than can have
-/// gone unwritten when the power failed.
+/// How far the first term after a start lies above the highest known one: more masterships than can
+/// have gone unwritten when the power failed.
 const TERM_STEP_AT_START: u32 = 8;
-/// The same if nobody has told the highest term since power-on: more masterships than the other is likely
-/// to have had while this system was off. A term that the vehicle refuses would leave nobody driving.
+/// The same if nobody has told the highest term since power-on: more masterships than the other is
+/// likely to have had while this system was off. A term that the vehicle refuses would leave nobody
+/// driving.
 const TERM_STEP_UNHEARD: u32 = 1024;
 
 /// The redundancy of one system.
@@ -33,7 +34,8 @@ pub struct Redundancy {
     written: Option<SystemState>,
     /// The term that this system drives in, once it drives.
     term: Term,
-    /// The highest term is known well enough: told since the start, or the system was not off before.
+    /// The highest term is known well enough: told since the start, or the system was not off
+    /// before.
     term_known: bool,
     /// The vehicle was heard to obey a higher term than this master's.
     outvoted: bool,
@@ -56,8 +58,8 @@ pub struct Redundancy {
     level_broken: bool,
     /// The peer's last word over the link, and when.
     peer_link: Option<(PeerReport, Instant)>,
-    /// Since when the peer says over the link, without a pause, that it drives in a higher term and hears
-    /// the bus.
+    /// Since when the peer says over the link, without a pause, that it drives in a higher term
+    /// and hears the bus.
     peer_claims_since: Option<Instant>,
     /// When the peer was last heard on CAN as standby.
     peer_standby_at: Option<Instant>,
@@ -74,8 +76,8 @@ pub struct Redundancy {
 }
 
 impl Redundancy {
-    /// A system after the checks of T-RED-7. `loaded` is what the store found in flash, `now` the time
-    /// of the start.
+    /// A system after the checks of T-RED-7. `loaded` is what the store found in flash, `now` the
+    /// time of the start.
     #[must_use]
     pub fn new(
         config: Config,
@@ -164,14 +166,14 @@ impl Redundancy {
         actions
     }
 
-    /// Whether a control frame may be sent now. Ask right before sending, for every frame, and send at
-    /// once if the answer is yes.
+    /// Whether a control frame may be sent now. Ask right before sending, for every frame, and send
+    /// at once if the answer is yes.
     ///
-    /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a core
-    /// that was held up must first look whether the other system has taken over meanwhile. If it has not,
-    /// the next poll says [`Actions::transmit_now`], so the frame that was refused is only late. A core that
-    /// is frozen between the answer and the transmission can still send one stale frame; no software can
-    /// prevent that, and the vehicle refuses it by its term.
+    /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a
+    /// core that was held up must first look whether the other system has taken over meanwhile. If
+    /// it has not, the next poll says [`Actions::transmit_now`], so the frame that was refused is
+    /// only late. A core that is frozen between the answer and the transmission can still send one
+    /// stale frame; no software can prevent that, and the vehicle refuses it by its term.
     #[must_use]
     pub fn may_transmit(&mut self, now: Instant) -> bool {
         let leased = now.since(self.last_poll) <= self.config.lease();
@@ -354,15 +356,15 @@ impl Redundancy {
         }
     }
 
-    /// A term to drive in: above all known ones, unless this system still has one. `false` if no term is
-    /// left.
+    /// A term to drive in: above all known ones, unless this system still has one. `false` if no
+    /// term is left.
     fn take_term(&mut self, from: Phase) -> bool {
         let step = match from {
             Phase::Starting | Phase::Standby if !self.term_known => TERM_STEP_UNHEARD,
             Phase::Starting => TERM_STEP_AT_START,
             Phase::Standby => 1,
-            // Between the driving phases, and after a stall: had the other taken over unheard, a new term
-            // would depose it.
+            // Between the driving phases, and after a stall: had the other taken over unheard, a
+            // new term would depose it.
             _ => return true,
         };
         let Some(term) = self.state.term.above(step, self.system) else {

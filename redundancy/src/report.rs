@@ -3,8 +3,8 @@
 use crate::state::CRC;
 use crate::{Mode, Role, Term};
 
-/// A system's word about itself. The same content goes over the data link (every control cycle) and,
-/// without `can_alive`, in the status frame on CAN.
+/// A system's word about itself. The same content goes over the data link (every control cycle)
+/// and, without `can_alive`, in the status frame on CAN.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerReport {
     /// Its role.

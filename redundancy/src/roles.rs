@@ -147,8 +147,8 @@ pub enum Evidence {
     NobodyThere = 3,
     /// The other system's power level is low: it cannot transmit.
     PeerOff = 4,
-    /// Both heartbeat lines are silent, or were since the master's last control frame, and no control
-    /// frame has come for the third witness's limit.
+    /// Both heartbeat lines are silent, or were since the master's last control frame, and no
+    /// control frame has come for the third witness's limit.
     PeerSilent = 5,
     /// Both heartbeat lines are silent, and nothing is known from control frames.
     BeatsSilent = 6,

@@ -1,9 +1,9 @@
 //! The start protocol: handshake, sync, time limits, and who leads. T-RED-2
 //!
-//! Each system repeats its handshake edge until the start is decided, so it does not matter which was
-//! switched on first. The system that leads sends a handshake and the sync edge when it has heard the
-//! other; the other begins on the sync edge. A master that is already running answers a handshake in the
-//! same way, so a late system becomes its standby.
+//! Each system repeats its handshake edge until the start is decided, so it does not matter which
+//! was switched on first. The system that leads sends a handshake and the sync edge when it has
+//! heard the other; the other begins on the sync edge. A master that is already running answers a
+//! handshake in the same way, so a late system becomes its standby.
 
 use crate::Config;
 use tandem_board::{Duration, Instant, SystemId};
@@ -112,8 +112,8 @@ impl Start {
         (now.since(self.since) >= self.alone_after(config)).then_some(Verdict::Alone)
     }
 
-    /// How long after the other's handshake this system takes the lead. A before B among equals, so that
-    /// two that claim (or do not claim) to be master agree: the first sync edge decides.
+    /// How long after the other's handshake this system takes the lead. A before B among equals, so
+    /// that two that claim (or do not claim) to be master agree: the first sync edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
             (true, SystemId::A) => Duration::ZERO,
@@ -123,8 +123,8 @@ impl Start {
         }
     }
 
-    /// How long this system waits for the other. Staggered, so that with the start line cut the first to
-    /// give up is running, and heard on other lines, before the second gives up.
+    /// How long this system waits for the other. Staggered, so that with the start line cut the
+    /// first to give up is running, and heard on other lines, before the second gives up.
     fn alone_after(&self, config: &Config) -> Duration {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),

@@ -8,7 +8,8 @@ pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// "TSS1": Tandem system state, layout 1.
 const MAGIC: u32 = u32::from_le_bytes(*b"TSS1");
 
-/// Which fault a system found in itself. The number is what stands in flash and in the status frame.
+/// Which fault a system found in itself. The number is what stands in flash and in the status
+/// frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
 pub enum FailureMode {
@@ -106,7 +107,8 @@ impl SystemState {
     /// Length of a record in flash: four pages of 8 bytes.
     pub const BYTES: usize = 32;
 
-    /// The state that a new system is initialised with: A is master, B is standby, the rest is zero.
+    /// The state that a new system is initialised with: A is master, B is standby, the rest is
+    /// zero.
     #[must_use]
     pub const fn factory(system: SystemId) -> Self {
         Self {
@@ -143,8 +145,8 @@ impl SystemState {
     /// The state and its sequence number, from a record.
     ///
     /// # Errors
-    /// [`DecodeError::Blank`] for erased flash, [`DecodeError::Invalid`] for everything else that is not
-    /// a record that [`SystemState::encode`] can have written.
+    /// [`DecodeError::Blank`] for erased flash, [`DecodeError::Invalid`] for everything else that
+    /// is not a record that [`SystemState::encode`] can have written.
     pub fn decode(bytes: &[u8; Self::BYTES]) -> Result<(Self, u32), DecodeError> {
         if bytes.iter().all(|&byte| byte == 0xFF) {
             return Err(DecodeError::Blank);
@@ -208,7 +210,9 @@ mod tests {
         /// T-RED-1: a record with up to three wrong bits is refused, never misread.
         #[test]
         fn flipped_bits_are_refused(
-            state in any_state(), sequence: u32, bits in prop::collection::btree_set(0usize..256, 1..=3),
+            state in any_state(),
+            sequence: u32,
+            bits in prop::collection::btree_set(0usize..256, 1..=3),
         ) {
             let mut bytes = state.encode(sequence);
             for bit in bits {

@@ -1,8 +1,10 @@
-//! The state in data flash: two sectors, a log of records in each, the newest valid one wins. T-RED-1
+//! The state in data flash: two sectors, a log of records in each, the newest valid one wins.
+//! T-RED-1
 //!
 //! Records are appended to the active sector until it is full; then the other sector is erased and
-//! becomes the active one. The newest record is never in the range of an operation, so a loss of power
-//! at any moment leaves it readable, and what is read afterwards is the old state or the new one.
+//! becomes the active one. The newest record is never in the range of an operation, so a loss of
+//! power at any moment leaves it readable, and what is read afterwards is the old state or the new
+//! one.
 
 use crate::{DecodeError, SystemState};
 use tandem_board::{DataFlash, FlashError, FlashStatus};
@@ -76,7 +78,8 @@ enum Running {
 
 /// Writes states to the flash, one operation at a time, without ever waiting.
 ///
-/// Sans-IO: [`StateStore::poll`] says what to start; [`StateStore::drive`] does it on a [`DataFlash`].
+/// Sans-IO: [`StateStore::poll`] says what to start; [`StateStore::drive`] does it on a
+/// [`DataFlash`].
 #[derive(Clone, Debug)]
 pub struct StateStore {
     geometry: Geometry,
@@ -100,8 +103,8 @@ struct Sector {
 }
 
 impl StateStore {
-    /// Reads both sectors. `read` copies bytes from an offset of the flash; what cannot be read counts as
-    /// not valid. Takes as long as the reading of two sectors; for the start of a system.
+    /// Reads both sectors. `read` copies bytes from an offset of the flash; what cannot be read
+    /// counts as not valid. Takes as long as the reading of two sectors; for the start of a system.
     pub fn load(
         geometry: Geometry,
         mut read: impl FnMut(u32, &mut [u8]) -> Result<(), FlashError>,
@@ -227,8 +230,8 @@ impl StateStore {
             Running::Erase if failed => self.step_back(),
             Running::Erase => {}
             Running::Program(state) => {
-                // The slot is used up either way, and so is the sequence number: a failed program may
-                // have written a whole record.
+                // The slot is used up either way, and so is the sequence number: a failed program
+                // may have written a whole record.
                 self.slot += 1;
                 self.sequence = self.sequence.wrapping_add(1);
                 if failed {

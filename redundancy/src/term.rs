@@ -4,12 +4,13 @@ use tandem_board::SystemId;
 
 /// The number of one mastership: `count << 1 | system`.
 ///
-/// A system that begins to drive takes a term above every term it knows. The lowest bit is the system, so
-/// no two systems ever drive in the same term, and "the higher term" always names one of them. The
-/// vehicle accepts no control frame of a term below the highest it has accepted (fencing).
+/// A system that begins to drive takes a term above every term it knows. The lowest bit is the
+/// system, so no two systems ever drive in the same term, and "the higher term" always names one of
+/// them. The vehicle accepts no control frame of a term below the highest it has accepted
+/// (fencing).
 ///
-/// Terms do not wrap around: 2^31 masterships last longer than the data flash that counts them, and an
-/// order that wraps could be turned round by one forged frame.
+/// Terms do not wrap around: 2^31 masterships last longer than the data flash that counts them, and
+/// an order that wraps could be turned round by one forged frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Term(u32);
 
@@ -39,8 +40,8 @@ impl Term {
         }
     }
 
-    /// The lowest term of `system` whose count is `step` (at least 1) above that of `self`; higher than
-    /// `self` whichever system that belongs to. `None` when the numbers are used up.
+    /// The lowest term of `system` whose count is `step` (at least 1) above that of `self`; higher
+    /// than `self` whichever system that belongs to. `None` when the numbers are used up.
     #[must_use]
     pub const fn above(self, step: u32, system: SystemId) -> Option<Self> {
         match (self.0 >> 1).checked_add(if step == 0 { 1 } else { step }) {

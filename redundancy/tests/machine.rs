@@ -90,8 +90,9 @@ impl Bench {
     }
 }
 
-/// T-RED-9: a standby whose whole receive path stood still with it hears nothing new at its first looks.
-/// Its own absence is no evidence: it takes over only after it has listened for the limits again.
+/// T-RED-9: a standby whose whole receive path stood still with it hears nothing new at its first
+/// looks. Its own absence is no evidence: it takes over only after it has listened for the limits
+/// again.
 #[test]
 fn own_absence_is_no_evidence() {
     let mut bench = Bench::standby();
@@ -104,8 +105,8 @@ fn own_absence_is_no_evidence() {
     assert!(bench.now.since(listened_from) > CONFIG.witness_limit());
 }
 
-/// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more, even if
-/// no control frame of the other has reached it yet.
+/// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more,
+/// even if no control frame of the other has reached it yet.
 #[test]
 fn a_master_held_up_listens_first() {
     for hears_other in [true, false] {
@@ -136,7 +137,8 @@ fn a_master_held_up_listens_first() {
     }
 }
 
-/// T-RED-9: alone, with the other off, a master that was held up goes on: nobody can have taken over.
+/// T-RED-9: alone, with the other off, a master that was held up goes on: nobody can have taken
+/// over.
 #[test]
 fn the_last_system_goes_on_after_a_stall() {
     let mut bench = Bench::master();
@@ -194,8 +196,8 @@ fn implausible_frames_are_ignored() {
     );
 }
 
-/// T-RED-9: a lower term is fenced off by the vehicle, so nobody is driven by it: it is told once, and
-/// does not keep a standby from taking over.
+/// T-RED-9: a lower term is fenced off by the vehicle, so nobody is driven by it: it is told once,
+/// and does not keep a standby from taking over.
 #[test]
 fn frames_of_a_lower_term_do_not_count() {
     let mut bench = Bench::standby();
@@ -215,8 +217,8 @@ fn frames_of_a_lower_term_do_not_count() {
     assert!(bench.machine.term() > Term::from_bits(100));
 }
 
-/// T-RED-9: a vehicle that obeys a higher term makes the master raise its own, but not at the first word,
-/// while the other's control frames may be on their way.
+/// T-RED-9: a vehicle that obeys a higher term makes the master raise its own, but not at the first
+/// word, while the other's control frames may be on their way.
 #[test]
 fn the_vehicles_term_is_followed() {
     let mut bench = Bench::master();
@@ -325,8 +327,8 @@ impl Lines for FakeLines {
     }
 }
 
-/// T-RED-2, T-RED-3: which counts make a snapshot, and which edges an answer: a handshake goes before the
-/// sync, and heartbeats on both lines.
+/// T-RED-2, T-RED-3: which counts make a snapshot, and which edges an answer: a handshake goes
+/// before the sync, and heartbeats on both lines.
 #[test]
 fn lines_in_and_out() {
     let lines = FakeLines::default();

@@ -138,9 +138,9 @@ fn steps(flash: &Flash, op: &FlashOp) -> usize {
     flash.effect(op).1.len()
 }
 
-/// T-RED-1: power lost at every byte of every operation of many writes (several changes of sector), in
-/// three ways of tearing; after the reboot the state is the old or the new one, and writing goes on.
-/// The loss repeats once more, at every byte of what follows the first.
+/// T-RED-1: power lost at every byte of every operation of many writes (several changes of sector),
+/// in three ways of tearing; after the reboot the state is the old or the new one, and writing goes
+/// on. The loss repeats once more, at every byte of what follows the first.
 #[test]
 fn power_loss_at_every_byte_leaves_the_old_or_the_new_state() {
     let mut flash = Flash::new(128);
@@ -195,8 +195,8 @@ fn go_on_after_loss(mut flash: Flash, old: Option<SystemState>) -> u64 {
     cuts
 }
 
-/// T-RED-1: the same with sectors of the real size, at every byte of one erase and the programs around
-/// it.
+/// T-RED-1: the same with sectors of the real size, at every byte of one erase and the programs
+/// around it.
 #[test]
 fn power_loss_with_sectors_of_real_size() {
     let mut flash = Flash::new(4096);
@@ -222,7 +222,8 @@ fn power_loss_with_sectors_of_real_size() {
     assert_eq!(erases, 1);
 }
 
-/// T-RED-1: without a single valid record the loss is told, and the next write is durable all the same.
+/// T-RED-1: without a single valid record the loss is told, and the next write is durable all the
+/// same.
 #[test]
 fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     let mut flash = Flash::new(128);
@@ -297,8 +298,8 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// T-RED-1: operations that fail or are refused now and then, and reboots, lose nothing that was
-    /// durable.
+    /// T-RED-1: operations that fail or are refused now and then, and reboots, lose nothing that
+    /// was durable.
     #[test]
     fn a_flash_that_fails_now_and_then(
         faults in prop::collection::vec((0u8..8, 0usize..128, 0usize..3), 1..80),
@@ -306,7 +307,7 @@ proptest! {
         let mut flash = Flash::new(128);
         let (mut store, _) = flash.load();
         let mut status = FlashStatus::Idle;
-        // What may be read: what is durable, and what a failed program may have written all the same.
+        // What may be read: what is durable, and what a failed program may have written.
         let mut readable = vec![None];
         let mut failed_in_a_row = 0;
         for (n, (kind, cut, torn)) in faults.into_iter().enumerate() {

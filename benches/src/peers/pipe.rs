@@ -1,11 +1,12 @@
-//! What the kernel offers to pass bytes: pipe, Unix socket, POSIX message queue. The receiver sleeps.
+//! What the kernel offers to pass bytes: pipe, Unix socket, POSIX message queue. The receiver
+//! sleeps.
 
 use crate::harness::{End, Plan, Shared, between_processes};
 use std::ffi::CString;
 use std::io;
 
-/// Two descriptors that pass 4 bytes by `read` and `write`; a message queue's understand these calls on
-/// Linux only with its own functions, hence the kind.
+/// Two descriptors that pass 4 bytes by `read` and `write`; a message queue's understand these
+/// calls on Linux only with its own functions, hence the kind.
 struct Descriptors {
     out: i32,
     inward: i32,
@@ -27,7 +28,8 @@ impl End for Descriptors {
 
     fn receive(&mut self) -> u32 {
         let mut bytes = [0u8; 4];
-        // SAFETY: receives up to 4 bytes into a valid buffer from a descriptor that both processes hold.
+        // SAFETY: receives up to 4 bytes into a valid buffer from a descriptor that both processes
+        // hold.
         unsafe {
             if self.is_queue {
                 let priority = std::ptr::null_mut();

@@ -18,8 +18,9 @@ pub(crate) struct Alive {
 }
 
 impl Alive {
-    /// `limit`: without a new cycle for longer than this a core is silent. `first`: so long may the first
-    /// cycle take after the start. `cycles`: the counters now; an earlier life may have left them.
+    /// `limit`: without a new cycle for longer than this a core is silent. `first`: so long may the
+    /// first cycle take after the start. `cycles`: the counters now; an earlier life may have left
+    /// them.
     pub(crate) fn new(now: Instant, first: Duration, cycles: impl Fn(CoreId) -> u32) -> Self {
         let watch = |core| Watched {
             core,
@@ -33,7 +34,8 @@ impl Alive {
         }
     }
 
-    /// Looks at the counters; the first core that is silent, and whether all have run at least once.
+    /// Looks at the counters; the first core that is silent, and whether all have run at least
+    /// once.
     ///
     /// Core 2 is woken by core 1, so with both silent the fault is core 1's.
     pub(crate) fn silent(

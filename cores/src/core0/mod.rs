@@ -1,8 +1,8 @@
 //! Core 0: control every 10 ms, and all that its system says to the other one. T-CHIP-3, T-CHIP-7
 //!
-//! After a reset it first lets cores 1 and 2 come up, silently; then the start protocol begins. From then
-//! on each poll hands what has come to the redundancy, does what that answers, and releases the tasks
-//! that are due.
+//! After a reset it first lets cores 1 and 2 come up, silently; then the start protocol begins.
+//! From then on each poll hands what has come to the redundancy, does what that answers, and
+//! releases the tasks that are due.
 
 mod alive;
 mod drive;
@@ -205,7 +205,8 @@ impl<'b, B: Board> Core0<'b, B> {
         let mut actions = heapless::Vec::<Actions, 8>::new();
         let mut tell = |input| {
             if let Some(redundancy) = redundancy {
-                // Room for eight: the oldest frames of a flood matter least, their actions are done.
+                // Room for eight: the oldest frames of a flood matter least, their actions are
+                // done.
                 let _full = actions.push(redundancy.on(board.now(), input));
             }
         };
@@ -349,7 +350,8 @@ impl<'b, B: Board> Core0<'b, B> {
         };
         let output = self.drive.cycle(begin, redundancy.mode());
         let report = redundancy.link_report();
-        // A full link means that the other does not fetch: it will miss this report and get the next.
+        // A full link means that the other does not fetch: it will miss this report and get the
+        // next.
         let _full = self.board.link().try_send(&report.to_words());
         let transmitted = redundancy.may_transmit(self.board.now()) && {
             let control = frames::control(redundancy, &output);
@@ -434,8 +436,8 @@ impl<B: Board> Core for Core0<'_, B> {
             self.attach();
         }
         self.read_lmu();
-        // Everything that has come is handed on before the lines are judged: else the redundancy would
-        // be told of silence while evidence waits in a buffer.
+        // Everything that has come is handed on before the lines are judged: else the redundancy
+        // would be told of silence while evidence waits in a buffer.
         self.read_bus();
         self.poll_redundancy();
         self.store.drive(self.board.flash());

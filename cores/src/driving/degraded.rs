@@ -1,7 +1,8 @@
-//! Degraded mode (core 0): L2 lane keeping and distance keeping straight from the scene, and safe stop.
+//! Degraded mode (core 0): L2 lane keeping and distance keeping straight from the scene, and safe
+//! stop.
 //!
-//! Needs no trajectory, so it lives on when core 2 or the other system is gone. It never changes lanes,
-//! drives no faster than a cap, and stops before its lane ends.
+//! Needs no trajectory, so it lives on when core 2 or the other system is gone. It never changes
+//! lanes, drives no faster than a cap, and stops before its lane ends.
 
 use tandem_board::{Duration, Instant};
 
@@ -74,8 +75,8 @@ impl DegradedControl {
         self.shaper.last()
     }
 
-    /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads to
-    /// [`DegradedControl::safe_stop`].
+    /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads
+    /// to [`DegradedControl::safe_stop`].
     pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
         let ego = &Ego {
             slip_angle: self.slip.filter(ego.slip_angle),
@@ -124,7 +125,8 @@ impl DegradedControl {
         )
     }
 
-    /// Stops with what the chassis alone tells: brakes moderately, lets the wheels go straight slowly.
+    /// Stops with what the chassis alone tells: brakes moderately, lets the wheels go straight
+    /// slowly.
     pub fn safe_stop(&mut self, ego: &Ego) -> Command {
         // The last curve is held for a while and left within some seconds: better than either going
         // straight at once or circling for ever.
@@ -209,8 +211,8 @@ fn concern(object: &Object, line: &CentreLine, lane_width: f32) -> Concern {
     }
 }
 
-/// Acceleration that all objects on the line allow, with the scene `age_s` old and the vehicle now at
-/// `pose`.
+/// Acceleration that all objects on the line allow, with the scene `age_s` old and the vehicle now
+/// at `pose`.
 fn keep_distance(
     driver: &Driver,
     ego: &Ego,

@@ -1,12 +1,12 @@
 //! Intelligent Driver Model: how a good driver keeps speed and distance.
 //!
 //! M. Treiber, A. Hennecke, D. Helbing, "Congested traffic states in empirical observations and
-//! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A. Kesting,
-//! "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): no shrinking of the steady gap near the
-//! desired speed, bounded reaction above the desired speed. [`adaptive`] is its extension to a cruise
-//! control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber, D. Helbing,
-//! "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on Traffic Capacity",
-//! Phil. Trans. R. Soc. A 368 (2010).
+//! microscopic simulations", Phys. Rev. E 62 (2000), in the improved form of M. Treiber, A.
+//! Kesting, "Traffic Flow Dynamics", 2nd ed., section 12.4 (IIDM): no shrinking of the steady gap
+//! near the desired speed, bounded reaction above the desired speed. [`adaptive`] is its extension
+//! to a cruise control that stays calm when a gap is short but no danger: A. Kesting, M. Treiber,
+//! D. Helbing, "Enhanced Intelligent Driver Model to Access the Impact of Driving Strategies on
+//! Traffic Capacity", Phil. Trans. R. Soc. A 368 (2010).
 
 use super::math::{clamp, exp, max, min, sqrt};
 

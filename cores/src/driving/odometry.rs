@@ -58,7 +58,8 @@ impl Pose {
     }
 }
 
-/// The pose after `dt` seconds of motion that goes evenly from `from` to `to`, as seen from the start.
+/// The pose after `dt` seconds of motion that goes evenly from `from` to `to`, as seen from the
+/// start.
 #[must_use]
 pub fn motion(from: &Ego, to: &Ego, dt: f32) -> Pose {
     let turn = 0.5 * (from.yaw_rate + to.yaw_rate) * dt;
@@ -151,9 +152,9 @@ impl Odometry {
         (self.count > 0).then(|| self.marks[self.newest].at)
     }
 
-    /// The pose at `to` as seen from the pose at `from`. Times before the memory count as its oldest
-    /// time; times after the newest motion are extrapolated for up to 0.5 s. No motion before the first
-    /// update.
+    /// The pose at `to` as seen from the pose at `from`. Times before the memory count as its
+    /// oldest time; times after the newest motion are extrapolated for up to 0.5 s. No motion
+    /// before the first update.
     #[must_use]
     pub fn between(&self, from: Instant, to: Instant) -> Pose {
         self.pose_at(to).seen_from(self.pose_at(from))

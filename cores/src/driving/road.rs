@@ -1,4 +1,5 @@
-//! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet frame.
+//! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet
+//! frame.
 
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
@@ -80,7 +81,8 @@ impl CentreLine {
         atan(self.slope(x))
     }
 
-    /// The foot of the perpendicular from a point, as its x, and the signed distance (left positive).
+    /// The foot of the perpendicular from a point, as its x, and the signed distance (left
+    /// positive).
     #[must_use]
     pub fn project(&self, x: f32, y: f32) -> (f32, f32) {
         let mut foot = x;

@@ -30,9 +30,9 @@ pub(crate) const MAX_STEERING_RATE: f32 = 0.4;
 
 /// Road wheel angle in rad that holds this curvature (1/m) in a steady turn.
 ///
-/// The single-track model understeers by `K(a) = m (l_r / C_f - l_f / C_r) / L`; the axle loads, and
-/// with them the stiffnesses, shift with the longitudinal acceleration. At constant speed the vehicle is
-/// neutral, as both axles have the same stiffness per load.
+/// The single-track model understeers by `K(a) = m (l_r / C_f - l_f / C_r) / L`; the axle loads,
+/// and with them the stiffnesses, shift with the longitudinal acceleration. At constant speed the
+/// vehicle is neutral, as both axles have the same stiffness per load.
 pub(crate) fn steering_for(curvature: f32, speed: f32, acceleration: f32) -> f32 {
     let shift = bound(acceleration, 8.0) * GRAVITY_CENTRE_HEIGHT_M;
     let front = GRAVITY * REAR_AXLE_M - shift;

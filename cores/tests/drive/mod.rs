@@ -1,5 +1,5 @@
-//! The driving functions around the world, in virtual time: what the wiring of the cores does, without
-//! cores.
+//! The driving functions around the world, in virtual time: what the wiring of the cores does,
+//! without cores.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use std::path::PathBuf;
@@ -263,7 +263,8 @@ pub(crate) fn scenarios() -> Vec<Scenario> {
     all
 }
 
-/// The recorded scenarios in `../shared/scenarios`, seen from the workspace, as far as they are there.
+/// The recorded scenarios in `../shared/scenarios`, seen from the workspace, as far as they are
+/// there.
 pub(crate) fn recorded() -> Vec<Scenario> {
     let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/scenarios");
     let Ok(entries) = std::fs::read_dir(folder) else {

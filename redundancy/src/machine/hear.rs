@@ -43,8 +43,8 @@ impl Redundancy {
         }
     }
 
-    /// Whether the other has said for long enough that it drives and hears the bus. One that is cut off
-    /// believes for a while that the bus is alive, and takes over because it hears nobody.
+    /// Whether the other has said for long enough that it drives and hears the bus. One that is cut
+    /// off believes for a while that the bus is alive, and takes over because it hears nobody.
     pub(super) fn claim_holds(&mut self, now: Instant, report: PeerReport) -> bool {
         let claims = report.role == Role::Master && report.can_alive && report.term > self.term;
         if !claims {
@@ -80,8 +80,9 @@ impl Redundancy {
         }
     }
 
-    /// The highest term that the vehicle has accepted. If the other drove in it now, its control frames
-    /// would have deposed this master before; so the vehicle must say it twice before the term is raised.
+    /// The highest term that the vehicle has accepted. If the other drove in it now, its control
+    /// frames would have deposed this master before; so the vehicle must say it twice before the
+    /// term is raised.
     pub(super) fn vehicle_term(&mut self, now: Instant, term: Term, actions: &mut Actions) {
         self.term_known = true;
         self.state.term = self.state.term.max(term);

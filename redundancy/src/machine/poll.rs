@@ -115,8 +115,9 @@ impl Redundancy {
             self.can_silent = silent;
             actions.events.push(Event::CanSilent(silent));
         }
-        // Nothing heard may also mean that the whole bus is dead, and then both systems would suspend.
-        // Only if the other hears what this one does not is the own connection open. T-RED-6
+        // Nothing heard may also mean that the whole bus is dead, and then both systems would
+        // suspend. Only if the other hears what this one does not is the own connection open.
+        // T-RED-6
         let limit = self.config.report_limit;
         let peer_hears = self
             .peer_link
@@ -165,8 +166,8 @@ impl Redundancy {
     pub(super) fn poll_standby(&mut self, now: Instant, actions: &mut Actions) {
         let control_age = now.since(self.last_control);
         let silent = self.beats.both_silent();
-        // A silence is remembered until control frames come again: a master that was reset may be back
-        // with its heartbeats, as a standby, before the third witness has spoken.
+        // A silence is remembered until control frames come again: a master that was reset may be
+        // back with its heartbeats, as a standby, before the third witness has spoken.
         self.suspected |= silent;
         if self.peer_off() {
             self.apply(now, Evidence::PeerOff, actions);
@@ -231,8 +232,8 @@ impl Redundancy {
         }
     }
 
-    /// Whether the other may have taken over since this master last showed a sign of life. It may not
-    /// have before the third witness was silent for its limit, nor if it is not there.
+    /// Whether the other may have taken over since this master last showed a sign of life. It may
+    /// not have before the third witness was silent for its limit, nor if it is not there.
     pub(super) fn may_be_deposed(&self, now: Instant, new_beats: u32) -> bool {
         let others = self.peer_is_there() || new_beats > 0 || self.peer_standby_at.is_some();
         let earliest = self.last_permit + self.config.witness_limit();

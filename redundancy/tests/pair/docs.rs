@@ -124,8 +124,8 @@ fn tables_in_the_docs_are_those_of_the_code() {
 #[test]
 fn the_table_as_a_whole() {
     for phase in Phase::ALL {
-        // Only evidence of the other's failure, silence or absence, or of a finished start, opens the
-        // output of a system; nothing opens that of a failed one.
+        // Only evidence of the other's failure, silence or absence, or of a finished start, opens
+        // the output of a system; nothing opens that of a failed one.
         for evidence in Evidence::ALL {
             let Some(to) = next(phase, evidence) else {
                 continue;

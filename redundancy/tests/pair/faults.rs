@@ -74,8 +74,9 @@ fn ms(us: u64) -> u64 {
     us / 1_000
 }
 
-/// T-RED-9: a frozen master that goes on never sends a frame of its own again without having looked: not
-/// for any length of the freeze, not at any phase, though its first act after the freeze is to try.
+/// T-RED-9: a frozen master that goes on never sends a frame of its own again without having
+/// looked: not for any length of the freeze, not at any phase, though its first act after the
+/// freeze is to try.
 #[test]
 fn a_thawed_master_stays_silent() {
     for config in [Config::rt(), Config::desktop()] {
@@ -95,8 +96,8 @@ fn a_thawed_master_stays_silent() {
                 match pair.phases() {
                     [Some(Phase::Standby), Some(Phase::DegradedMaster)] => taken_over += 1,
                     [Some(Phase::Master), Some(Phase::Standby)] => kept += 1,
-                    // The desktop profile is patient with a standby, and so is rt with a short freeze;
-                    // a master that lost its standby for a moment degrades.
+                    // The desktop profile is patient with a standby, and so is rt with a short
+                    // freeze; a master that lost its standby for a moment degrades.
                     other => panic!("{what}: {other:?}"),
                 }
                 assert_eq!(
@@ -131,8 +132,8 @@ fn no_transmission_on_a_stale_lease() {
     );
 }
 
-/// T-RED-3: a frozen standby is no failure of the master: nobody takes over, not even when it goes on
-/// and finds an old picture; the master degrades and recovers.
+/// T-RED-3: a frozen standby is no failure of the master: nobody takes over, not even when it goes
+/// on and finds an old picture; the master degrades and recovers.
 #[test]
 fn a_thawed_standby_does_not_take_over() {
     for config in [Config::rt(), Config::desktop()] {
@@ -156,8 +157,9 @@ fn a_thawed_standby_does_not_take_over() {
     }
 }
 
-/// T-RED-4: on failure of the other the flag is set and the master degrades at once; when its heartbeats
-/// come back the flag is cleared; with the option, dual operation resumes at run time, else not.
+/// T-RED-4: on failure of the other the flag is set and the master degrades at once; when its
+/// heartbeats come back the flag is cleared; with the option, dual operation resumes at run time,
+/// else not.
 #[test]
 fn failure_and_return_of_the_standby() {
     for reintegrate in [false, true] {
@@ -220,8 +222,8 @@ fn a_backup_without_can_is_not_reintegrated() {
     assert_eq!(pair.phase(A), Some(Phase::DegradedMaster));
 }
 
-/// T-RED-5: a system that resets abnormally again and again comes back as standby up to the limit, then
-/// suspends, and stays suspended over a power cycle. Time without a reset ends the row.
+/// T-RED-5: a system that resets abnormally again and again comes back as standby up to the limit,
+/// then suspends, and stays suspended over a power cycle. Time without a reset ends the row.
 #[test]
 fn too_many_abnormal_resets_suspend() {
     let config = Config::rt();
@@ -252,7 +254,8 @@ fn too_many_abnormal_resets_suspend() {
     assert_eq!(pair.changes_of_driver(), 0);
 }
 
-/// T-RED-6: an output fault of the master sets mode and flag, suspends it, and the other takes over.
+/// T-RED-6: an output fault of the master sets mode and flag, suspends it, and the other takes
+/// over.
 #[test]
 fn an_io_fault_suspends_and_the_other_takes_over() {
     let config = Config::rt();
@@ -334,7 +337,8 @@ fn can_open_circuit() {
     }
 }
 
-/// T-RED-9: a level line that is stuck low, against its contract, makes the systems change once at most.
+/// T-RED-9: a level line that is stuck low, against its contract, makes the systems change once at
+/// most.
 #[test]
 fn a_level_line_stuck_low_is_not_believed_for_ever() {
     let config = Config::rt();

@@ -1,4 +1,5 @@
-//! Two machines, their lines, a CAN bus and a vehicle that fences: small, deterministic, in 0.1 ms steps.
+//! Two machines, their lines, a CAN bus and a vehicle that fences: small, deterministic, in 0.1 ms
+//! steps.
 
 use std::collections::VecDeque;
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
@@ -82,8 +83,8 @@ pub(crate) struct Pair {
     pub(crate) fenced: Vec<Seen>,
     pub(crate) events: Vec<(u64, SystemId, Event)>,
     pub(crate) synchronised: Vec<(u64, SystemId)>,
-    /// Time in which both outputs were open and both systems connected to the bus, at present and the
-    /// longest.
+    /// Time in which both outputs were open and both systems connected to the bus, at present and
+    /// the longest.
     both_open_us: u64,
     pub(crate) both_open_max_us: u64,
 }
@@ -425,7 +426,8 @@ impl Pair {
         }
     }
 
-    /// One control cycle: a control frame if permitted, a report over the link, now and then a status.
+    /// One control cycle: a control frame if permitted, a report over the link, now and then a
+    /// status.
     fn control_cycle(&mut self, id: SystemId) {
         let now = self.now_us;
         let system = &mut self.systems[id.index()];

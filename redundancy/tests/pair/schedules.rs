@@ -50,8 +50,8 @@ fn inject(pair: &mut Pair, fault: Fault) {
     }
 }
 
-/// Never, whatever fails: the system that drives changes without a cause; frames of a deposed master go
-/// on; two outputs on one bus stay open.
+/// Never, whatever fails: the system that drives changes without a cause; frames of a deposed
+/// master go on; two outputs on one bus stay open.
 fn check_safety(pair: &Pair, faults: usize) {
     // A fault may change the driver twice: away, and back when its consequence shows.
     assert!(
@@ -74,8 +74,8 @@ fn check_safety(pair: &Pair, faults: usize) {
     }
 }
 
-/// After the faults: everything is whole again and powered; a system drives, alone on the bus, without
-/// gaps, and the other, if its supply does not hold it, is its standby.
+/// After the faults: everything is whole again and powered; a system drives, alone on the bus,
+/// without gaps, and the other, if its supply does not hold it, is its standby.
 fn heal_and_check(pair: &mut Pair) {
     pair.cuts = Default::default();
     pair.power_on(A);

@@ -80,8 +80,9 @@ fn starts_at_any_phase_within_the_time_limit() {
     println!("times differ by {worst} us at most after sync (thesis: 572 us)");
 }
 
-/// T-RED-2: nobody answers: cpsys_failure, and degraded. One that comes after that becomes its standby,
-/// and the failure is cleared (T-RED-4), though dual operation waits for the next power cycle.
+/// T-RED-2: nobody answers: cpsys_failure, and degraded. One that comes after that becomes its
+/// standby, and the failure is cleared (T-RED-4), though dual operation waits for the next power
+/// cycle.
 #[test]
 fn alone_after_the_time_limit_and_joined_by_a_late_one() {
     for config in PROFILES {
@@ -117,8 +118,8 @@ fn alone_after_the_time_limit_and_joined_by_a_late_one() {
     }
 }
 
-/// T-RED-2, T-RED-9: both records claim master, or neither does, or a flash is lost: one master all the
-/// same, and never a frame of the other.
+/// T-RED-2, T-RED-9: both records claim master, or neither does, or a flash is lost: one master all
+/// the same, and never a frame of the other.
 #[test]
 fn contradicting_records_lead_to_one_master() {
     for config in PROFILES {
@@ -193,8 +194,8 @@ fn start_line_cut() {
     }
 }
 
-/// T-RED-7: both take the other for failed (the last run ended in a quarrel): both listen, one drives,
-/// the other joins.
+/// T-RED-7: both take the other for failed (the last run ended in a quarrel): both listen, one
+/// drives, the other joins.
 #[test]
 fn both_take_the_other_for_failed() {
     for config in PROFILES {
@@ -229,8 +230,8 @@ fn both_take_the_other_for_failed() {
     }
 }
 
-/// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which ran on,
-/// refuses. The other knows the higher term and says so.
+/// T-RED-9: a system that lost its flash claims to be master in a term that the vehicle, which ran
+/// on, refuses. The other knows the higher term and says so.
 #[test]
 fn a_master_with_a_forgotten_term_is_told() {
     let config = Config::rt();

@@ -7,7 +7,8 @@ use tandem_redundancy::{Config, Phase};
 
 const SEEDS: std::ops::Range<u64> = 1..6;
 
-/// What is cut: heartbeat line 1, line 2, power level (each in both directions), CAN of A, CAN of B.
+/// What is cut: heartbeat line 1, line 2, power level (each in both directions), CAN of A, CAN of
+/// B.
 type Combination = [bool; 5];
 
 fn combinations() -> impl Iterator<Item = Combination> {
@@ -42,8 +43,8 @@ struct Outcome {
     phases: [&'static str; 2],
     obeyed: Option<SystemId>,
     gap_us: u64,
-    /// Whom the vehicle obeys and the gap after A, or B, has lost its supply 100 ms after the cut, before
-    /// anything suspends.
+    /// Whom the vehicle obeys and the gap after A, or B, has lost its supply 100 ms after the cut,
+    /// before anything suspends.
     then_off: [(Option<SystemId>, u64); 2],
 }
 
@@ -81,8 +82,8 @@ fn check_never_two(pair: &Pair, combination: Combination) {
 }
 
 /// T-RED-9: whatever is cut, frames of two masters are never on the bus; if a healthy system is
-/// connected, the vehicle obeys it, within the bound; and when the system that drives then loses its
-/// supply, the other one that is connected takes over, within the bound.
+/// connected, the vehicle obeys it, within the bound; and when the system that drives then loses
+/// its supply, the other one that is connected takes over, within the bound.
 #[test]
 fn every_combination_of_cut_links() {
     for config in [Config::rt(), Config::desktop()] {
@@ -134,8 +135,8 @@ fn every_combination_of_cut_links() {
     }
 }
 
-/// T-RED-9: the same with the link between the systems cut as well: nothing that keeps two masters apart
-/// depends on it.
+/// T-RED-9: the same with the link between the systems cut as well: nothing that keeps two masters
+/// apart depends on it.
 #[test]
 fn every_combination_without_the_link() {
     for combination in combinations() {

@@ -1,5 +1,9 @@
 //! Whole-controller tests in virtual time: both systems, six cores, one vehicle, no process.
-#![allow(clippy::expect_used, clippy::print_stdout, reason = "a test may panic and print")]
+#![allow(
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "a test may panic and print"
+)]
 
 mod drive;
 
@@ -36,7 +40,8 @@ fn print_story(drive: &Drive) {
     println!("{:?} gap max {:?}", drive.masters(), drive.gap_max());
 }
 
-/// T-CHIP-3, T-CHIP-4, T-CHIP-7: six cores drive a minute; one system transmits, and no frame is late.
+/// T-CHIP-3, T-CHIP-4, T-CHIP-7: six cores drive a minute; one system transmits, and no frame is
+/// late.
 #[test]
 fn both_systems_drive_and_only_the_master_transmits() {
     let mut drive = Drive::new("cut-in", 1);

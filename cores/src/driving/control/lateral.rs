@@ -1,10 +1,10 @@
 //! Steering by path errors: linear-quadratic feedback with feed-forward of the curvature.
 //!
-//! Kinematics by way instead of time, e″ = κ - κ_ref for the offset e, as in J. M. Snider, "Automatic
-//! Steering Methods for Autonomous Automobile Path Tracking", CMU-RI-TR-09-08, 2009. For this double
-//! integrator the quadratic cost ∫ e²/ℓ⁴ + 2 e′²/ℓ² + κ² ds is minimal with κ = -e/ℓ² - 2 e′/ℓ (the
-//! Riccati equation solved by hand): both poles at -1/ℓ, no overshoot. ℓ grows with the speed, so that
-//! the reaction stays slower than the yaw dynamics.
+//! Kinematics by way instead of time, e″ = κ - κ_ref for the offset e, as in J. M. Snider,
+//! "Automatic Steering Methods for Autonomous Automobile Path Tracking", CMU-RI-TR-09-08, 2009. For
+//! this double integrator the quadratic cost ∫ e²/ℓ⁴ + 2 e′²/ℓ² + κ² ds is minimal with κ = -e/ℓ² -
+//! 2 e′/ℓ (the Riccati equation solved by hand): both poles at -1/ℓ, no overshoot. ℓ grows with the
+//! speed, so that the reaction stays slower than the yaw dynamics.
 
 use crate::driving::math::{bound, max, sin};
 use crate::driving::vehicle::steering_for;

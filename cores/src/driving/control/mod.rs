@@ -40,8 +40,9 @@ pub enum ControlError {
 /// Follows a trajectory by lateral and longitudinal feedback around its own feed-forward.
 ///
 /// Lateral: linear-quadratic feedback of offset and course, curvature feed-forward (see `steer`).
-/// Longitudinal: the trajectory's acceleration plus feedback of speed and way. Both are limited in rate,
-/// so that the command never jumps, not even when another system's last command was taken over.
+/// Longitudinal: the trajectory's acceleration plus feedback of speed and way. Both are limited in
+/// rate, so that the command never jumps, not even when another system's last command was taken
+/// over.
 #[derive(Clone, Debug)]
 pub struct MotionControl {
     odometry: Odometry,

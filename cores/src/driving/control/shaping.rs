@@ -50,8 +50,8 @@ impl Shaper {
         self.last
     }
 
-    /// The command nearest to the wish that limits allow one period after the last command. `urgent`
-    /// allows the jerk of hard braking for any braking.
+    /// The command nearest to the wish that limits allow one period after the last command.
+    /// `urgent` allows the jerk of hard braking for any braking.
     pub(crate) fn shape(&mut self, wish: &Command, ego: &Ego, urgent: bool) -> Command {
         let speed = max(ego.speed, 3.0);
         let lateral_rate = LATERAL_JERK * WHEELBASE_M / (speed * speed);
@@ -68,7 +68,8 @@ impl Shaper {
         let wished = clamp(wish.acceleration, -MAX_BRAKING, MAX_ACCELERATION);
         let hard = wished < self.last.acceleration && (urgent || wished < HARD_BRAKING);
         let down = if hard { BRAKING_JERK } else { COMFORT_JERK };
-        // Brakes are let go quickly: holding them longer than needed only costs way to the follower.
+        // Brakes are let go quickly: holding them longer than needed only costs way to the
+        // follower.
         let up = if self.last.acceleration < HARD_BRAKING {
             3.0 * COMFORT_JERK
         } else {

@@ -1,7 +1,7 @@
 //! Assignment of detections to tracks with the least total cost.
 //!
-//! Shortest augmenting paths with potentials, O(n² m): R. Jonker, A. Volgenant, "A Shortest Augmenting
-//! Path Algorithm for Dense and Sparse Linear Assignment Problems", Computing 38 (1987).
+//! Shortest augmenting paths with potentials, O(n² m): R. Jonker, A. Volgenant, "A Shortest
+//! Augmenting Path Algorithm for Dense and Sparse Linear Assignment Problems", Computing 38 (1987).
 
 use super::{MAX_DETECTIONS, MAX_TRACKS};
 

@@ -1,8 +1,8 @@
 //! The lanes as the camera sees them, filtered over time and carried along with the own motion.
 //!
 //! The coefficients of the centre line are the state of a Kalman filter whose transition is the
-//! Taylor shift of the polynomial by the way driven: E. D. Dickmanns, B. D. Mysliwetz, "Recursive 3-D
-//! Road and Relative Ego-State Recognition", IEEE PAMI 14 (1992).
+//! Taylor shift of the polynomial by the way driven: E. D. Dickmanns, B. D. Mysliwetz, "Recursive
+//! 3-D Road and Relative Ego-State Recognition", IEEE PAMI 14 (1992).
 
 use nalgebra::{Matrix4, Vector4};
 use tandem_board::{Duration, Instant};
@@ -131,7 +131,8 @@ impl LaneFilter {
         };
     }
 
-    /// One scalar update for each coefficient: their noises are independent, so no matrix is inverted.
+    /// One scalar update for each coefficient: their noises are independent, so no matrix is
+    /// inverted.
     fn correct(&mut self, measured: &Vector4<f32>) {
         for (index, deviation) in MEASUREMENT.iter().enumerate() {
             let column = self.covariance.column(index).into_owned();

@@ -1,8 +1,10 @@
-//! Perception (core 1, every 50 ms): fuses five radars and a camera into one scene. T-CHIP-3, T-CHIP-4
+//! Perception (core 1, every 50 ms): fuses five radars and a camera into one scene. T-CHIP-3,
+//! T-CHIP-4
 //!
-//! Bus frames come in by [`Perception::on_message`] at any time; [`Perception::cycle`] does the work:
-//! predict the tracks to each list's time, assign, update, begin and end tracks, then analyse motion
-//! and scene. Everything stands in the frame of the vehicle and is carried along with its motion.
+//! Bus frames come in by [`Perception::on_message`] at any time; [`Perception::cycle`] does the
+//! work: predict the tracks to each list's time, assign, update, begin and end tracks, then analyse
+//! motion and scene. Everything stands in the frame of the vehicle and is carried along with its
+//! motion.
 
 mod assignment;
 mod kalman;

@@ -73,8 +73,9 @@ impl Detection {
     }
 }
 
-/// Variances of the measured velocities along x and y, (m/s)²: a radar measures the velocity along the
-/// line of sight by Doppler and guesses the one across it; for a camera it is the other way round.
+/// Variances of the measured velocities along x and y, (m/s)²: a radar measures the velocity along
+/// the line of sight by Doppler and guesses the one across it; for a camera it is the other way
+/// round.
 fn velocity_variances(sensor: SensorId, x: f32, y: f32) -> (f32, f32) {
     let (radial, tangential) = match sensor {
         SensorId::RadarFront => (0.12, 0.6),

@@ -1,8 +1,9 @@
 //! Behaviour decision: keep the lane or change it, with the criteria of MOBIL and a way back.
 //!
-//! A. Kesting, M. Treiber, D. Helbing, "General Lane-Changing Model MOBIL for Car-Following Models",
-//! Transportation Research Record 1999 (2007): a change must be safe for the new follower and must gain
-//! acceleration for oneself, less what it costs the follower. Accelerations come from the IDM.
+//! A. Kesting, M. Treiber, D. Helbing, "General Lane-Changing Model MOBIL for Car-Following
+//! Models", Transportation Research Record 1999 (2007): a change must be safe for the new follower
+//! and must gain acceleration for oneself, less what it costs the follower. Accelerations come from
+//! the IDM.
 
 use super::prediction::Predicted;
 use crate::driving::idm::{self, Driver, Leader};
@@ -341,8 +342,8 @@ impl Situation<'_> {
         )
     }
 
-    /// Whether the lane with this centre has a gap that neither follower nor own vehicle would have to
-    /// brake for harder than `braking`; `share` of the usual distances is demanded.
+    /// Whether the lane with this centre has a gap that neither follower nor own vehicle would have
+    /// to brake for harder than `braking`; `share` of the usual distances is demanded.
     fn is_safe(&self, centre: f32, braking: f32, share: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
         if let Some(leader) = leader {

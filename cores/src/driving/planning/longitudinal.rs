@@ -1,9 +1,10 @@
 //! Candidates for the motion along the road, and what they cost.
 //!
-//! Velocity-keeping quartics of Werling et al. (see `polynomial`) plus braking ramps. The target speed
-//! is that of a distance keeper whose deceleration towards the leader stays bounded; gaps below the
-//! safe distance of S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a Formal Model of Safe and Scalable
-//! Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort does not count.
+//! Velocity-keeping quartics of Werling et al. (see `polynomial`) plus braking ramps. The target
+//! speed is that of a distance keeper whose deceleration towards the leader stays bounded; gaps
+//! below the safe distance of S. Shalev-Shwartz, S. Shammah, A. Shashua, "On a Formal Model of Safe
+//! and Scalable Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort does
+//! not count.
 
 use super::polynomial::{Jet, Polynomial};
 use crate::driving::math::{abs, clamp, max, min, sqrt};
@@ -54,7 +55,8 @@ pub(crate) struct Corridor {
     pub(crate) bound: [f32; STEPS],
     /// Speed of what is ahead, m/s.
     pub(crate) bound_speed: [f32; STEPS],
-    /// The same for a vehicle of the next lane behind which a gap is sought: no danger, only a wish.
+    /// The same for a vehicle of the next lane behind which a gap is sought: no danger, only a
+    /// wish.
     sought: [(f32, f32); STEPS],
     /// Where the own centre has to stand at the latest, m.
     pub(crate) stop: [f32; STEPS],
@@ -142,8 +144,8 @@ impl Corridor {
     }
 }
 
-/// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and far
-/// from it such that a constant deceleration closes it.
+/// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and
+/// far from it such that a constant deceleration closes it.
 fn closing(spare: f32, braking: f32, time_constant: f32) -> f32 {
     if spare <= 0.0 {
         return spare / time_constant;

@@ -1,10 +1,10 @@
 //! Decision and planning (core 2): from the scene to a trajectory. T-CHIP-3
 //!
 //! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
-//! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one after
-//! the other: a path towards the goal of the behaviour decision, then the cheapest motion along it.
-//! Every plan begins where the last one is at that time, not at what was measured, so that consecutive
-//! plans join smoothly; it is only drawn towards the measured state slowly.
+//! Scenarios in a Frenét Frame", ICRA 2010. The motion along and across the road are chosen one
+//! after the other: a path towards the goal of the behaviour decision, then the cheapest motion
+//! along it. Every plan begins where the last one is at that time, not at what was measured, so
+//! that consecutive plans join smoothly; it is only drawn towards the measured state slowly.
 
 mod behaviour;
 mod lateral;
@@ -31,7 +31,8 @@ use prediction::Predicted;
 
 /// A plan that is older than this is not continued, s.
 const MAX_PLAN_AGE_S: f32 = 0.3;
-/// When the vehicle is this far from its plan, planning starts anew from what was measured, m, m, m/s.
+/// When the vehicle is this far from its plan, planning starts anew from what was measured, m, m,
+/// m/s.
 const MAX_ASIDE_M: f32 = 0.8;
 const MAX_BEHIND_M: f32 = 4.0;
 const MAX_SPEED_ERROR: f32 = 2.5;
@@ -41,7 +42,8 @@ const DRAW: f32 = 0.04;
 const CURVE_ACCELERATION: f32 = 2.2;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
 const END_MARGIN_M: f32 = 15.0;
-/// While a gap is sought, the end of the lane is met by braking as late and as hard as this, s, m/s².
+/// While a gap is sought, the end of the lane is met by braking as late and as hard as this, s,
+/// m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
 /// Room aside that counts as free, m.
@@ -259,8 +261,8 @@ impl Planner {
     }
 }
 
-/// What driver, signs and curves allow, m/s. Without lanes or a request of the driver: to a stop, and
-/// as it is.
+/// What driver, signs and curves allow, m/s. Without lanes or a request of the driver: to a stop,
+/// and as it is.
 fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     let Some(lanes) = &scene.lanes else {
         return 0.0;

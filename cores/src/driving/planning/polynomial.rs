@@ -1,8 +1,8 @@
 //! Quartic and quintic polynomials between boundary states: the shapes of least jerk.
 //!
 //! M. Werling, J. Ziegler, S. Kammel, S. Thrun, "Optimal Trajectory Generation for Dynamic Street
-//! Scenarios in a Frenét Frame", ICRA 2010: quintics where the end position is given, quartics where
-//! only the end velocity is.
+//! Scenarios in a Frenét Frame", ICRA 2010: quintics where the end position is given, quartics
+//! where only the end velocity is.
 
 /// A value and its first three derivatives.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
