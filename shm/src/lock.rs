@@ -480,7 +480,8 @@ mod tests {
             drop(guard);
             // Before anyone knows of the death: patience.
             assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
-            assert!(a.try_lock().is_some(), "its bit is struck");
+            assert!(a.try_lock().is_some());
+            assert!(c.try_lock().is_some(), "its bit is struck");
             if done.is_some() {
                 break;
             }

@@ -53,18 +53,10 @@ impl<'a> Ring<'a> {
         self.head.load(Ordering::Acquire)
     }
 
-    /// The number of the value that a writer has to write next, after the end of an earlier writer. One
-    /// that ended between the two stores of `complete` has its last value published here: its number
-    /// may have been seen, and must not be given to another value.
+    /// The number of the value that a writer has to write next, after the end of an earlier writer. That
+    /// one may have begun or even completed it; as long as the head does not say so, nobody has seen it.
     pub(crate) fn resume(&self) -> u32 {
-        let mut next = self.head.load(Ordering::Relaxed);
-        // Acquire pairs with the Release of the stamp in `complete`: the value is passed on with the head.
-        if self.stamp(next).load(Ordering::Acquire) == complete(next) {
-            next = next.wrapping_add(1);
-            // Release pairs with the Acquire in `head`.
-            self.head.store(next, Ordering::Release);
-        }
-        next
+        self.head.load(Ordering::Relaxed)
     }
 
     #[inline]
@@ -96,9 +88,8 @@ impl<'a> Ring<'a> {
     /// Writer: value k is complete.
     #[inline]
     pub(crate) fn complete(&self, k: u32) {
-        // Release pairs with the Acquire in `resume`.
-        self.stamp(k).store(complete(k), Ordering::Release);
-        // Release pairs with the Acquire in `head`.
+        self.stamp(k).store(complete(k), Ordering::Relaxed);
+        // Release pairs with the Acquire in `head`: who sees the head sees the stamp and the words.
         self.head.store(k.wrapping_add(1), Ordering::Release);
     }
 
