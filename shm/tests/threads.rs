@@ -1,0 +1,201 @@
+//! The primitives between threads, without a model: for Miri's weak memory, and at full speed.
+#![cfg(not(loom))]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+use std::thread;
+
+use tandem_shm::broadcast::{self, Lost};
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::mailbox::{self, Ring, TaskId};
+use tandem_shm::newest::{self, ReadError};
+use tandem_shm::pool::{self, Handle, Pool};
+use tandem_shm::sync::{AtomicU32, Ordering, spin};
+use tandem_shm::{LINE_WORDS, Shape, fifo};
+
+/// How often a thread does its work.
+const TIMES: u32 = if cfg!(miri) { 60 } else { 20_000 };
+
+const SHAPE: Shape = Shape::new(4, 3);
+
+/// Calls `f` with zeroed words from a line boundary on.
+fn with_words(words: usize, f: impl FnOnce(&[AtomicU32])) {
+    let memory: Vec<AtomicU32> = (0..words + LINE_WORDS).map(|_| AtomicU32::new(0)).collect();
+    let skip = memory.as_ptr().align_offset(64);
+    f(&memory[skip..skip + words]);
+}
+
+#[test]
+fn newest_values_are_whole_and_never_older() {
+    with_words(newest::words(SHAPE), |words| {
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut writer = newest::Writer::attach(words, SHAPE).unwrap();
+                for k in 1..=TIMES {
+                    writer.publish(&[k; 3]);
+                    if k.is_multiple_of(16) {
+                        thread::yield_now();
+                    }
+                }
+            });
+            for _ in 0..2 {
+                scope.spawn(|| {
+                    let reader = newest::Reader::attach(words, SHAPE).unwrap();
+                    let mut last = 0;
+                    while last < TIMES {
+                        match reader.read(|words| [0, 1, 2].map(|i| words.get(i))) {
+                            Ok((stamp, value)) => {
+                                assert_eq!(value, [stamp.0 + 1; 3]);
+                                assert!(value[0] >= last);
+                                last = value[0];
+                            }
+                            Err(ReadError::Empty | ReadError::Overrun) => thread::yield_now(),
+                        }
+                    }
+                });
+            }
+        });
+    });
+}
+
+#[test]
+fn broadcast_values_are_received_or_counted() {
+    with_words(broadcast::words(SHAPE), |words| {
+        let receivers = [(); 2].map(|()| broadcast::Receiver::attach(words, SHAPE).unwrap());
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut sender = broadcast::Sender::attach(words, SHAPE).unwrap();
+                for k in 0..TIMES {
+                    sender.send(&[k; 3]);
+                    if k.is_multiple_of(3) {
+                        thread::yield_now();
+                    }
+                }
+            });
+            for mut receiver in receivers {
+                scope.spawn(move || {
+                    let mut next = 0;
+                    let mut value = [0; 3];
+                    while next < TIMES {
+                        match receiver.receive_into(&mut value) {
+                            Ok(None) => thread::yield_now(),
+                            Ok(Some(number)) => {
+                                assert_eq!((number, value), (next, [next; 3]));
+                                next += 1;
+                            }
+                            Err(Lost { count }) => next += count,
+                        }
+                    }
+                    assert_eq!(next, TIMES);
+                });
+            }
+        });
+    });
+}
+
+#[test]
+fn fifo_values_arrive_once_and_in_order() {
+    with_words(fifo::words(SHAPE), |words| {
+        thread::scope(|scope| {
+            scope.spawn(|| {
+                let mut producer = fifo::Producer::attach(words, SHAPE).unwrap();
+                for k in 0..TIMES {
+                    while producer.send(&[k; 3]).is_err() {
+                        thread::yield_now();
+                    }
+                }
+            });
+            let mut consumer = fifo::Consumer::attach(words, SHAPE).unwrap();
+            let mut value = [0; 3];
+            for k in 0..TIMES {
+                while !consumer.receive_into(&mut value) {
+                    thread::yield_now();
+                }
+                assert_eq!(value, [k; 3]);
+            }
+        });
+    });
+}
+
+/// T-SYNC-3: a receiver that sleeps whenever it may handles every signal.
+#[test]
+fn signals_wake_a_sleeping_receiver() {
+    with_words(mailbox::WORDS, |words| {
+        thread::scope(|scope| {
+            let receiving = scope.spawn(|| {
+                let mut receiver = mailbox::Receiver::attach(words).unwrap();
+                let mut handled = 0;
+                while handled < TIMES {
+                    handled += receiver.poll(|task, _| assert_eq!(task.index(), 7));
+                    if handled < TIMES && receiver.prepare_sleep() {
+                        thread::park();
+                        receiver.awake();
+                    }
+                }
+            });
+            let sender = mailbox::Sender::attach(words).unwrap();
+            for _ in 0..TIMES {
+                if sender.signal(TaskId::new(7).unwrap()) == Ring::Needed {
+                    receiving.thread().unpark();
+                }
+            }
+        });
+    });
+}
+
+/// T-LOCK-1, T-SHM-3: two cores work on the words of the pool that they hand to each other, under the lock.
+#[test]
+fn words_go_round_and_the_lock_guards_a_counter() {
+    const BLOCKS: usize = 3;
+    const POOL_AT: usize = Lives::WORDS + lock::WORDS;
+    const QUEUES_AT: usize = POOL_AT + pool::words(BLOCKS);
+    const HANDLES: Shape = Shape::new(8, 4);
+    const QUEUE_WORDS: usize = fifo::words(HANDLES);
+    const WORDS: usize = QUEUES_AT + 2 * QUEUE_WORDS + LINE_WORDS;
+    with_words(WORDS, |words| {
+        let lives = Lives::attach(words).unwrap();
+        let identities = [0, 1].map(|core| Life::new(core, 1).unwrap());
+        for life in identities {
+            lives.announce(life).unwrap();
+        }
+        let queue = |from: usize| &words[QUEUES_AT + from * QUEUE_WORDS..];
+        let counter = &words[WORDS - 1];
+        let core = |life: Life| {
+            let other = 1 - life.core();
+            let mut lock = Lock::attach(&words[Lives::WORDS..], life, lives).unwrap();
+            let mut pool = Pool::attach(&words[POOL_AT..], BLOCKS, life, lives).unwrap();
+            let mut to = fifo::Producer::attach(queue(life.core()), HANDLES).unwrap();
+            let mut from = fifo::Consumer::attach(queue(other), HANDLES).unwrap();
+            let handle = pool.get(2).unwrap();
+            pool.hand_over(handle, other).unwrap();
+            to.send(&handle.to_words()).unwrap();
+            for k in 0..TIMES {
+                let mut sent = [0; 2];
+                while !from.receive_into(&mut sent) {
+                    thread::yield_now();
+                }
+                let handle = Handle::from_words(sent);
+                let words = pool.open(handle).unwrap();
+                let seen = [0, 1].map(|i| words[i].load(Ordering::Relaxed));
+                assert_eq!(seen, [k; 2], "what the other core wrote");
+                words
+                    .iter()
+                    .for_each(|word| word.store(k + 1, Ordering::Relaxed));
+                pool.hand_over(handle, other).unwrap();
+                to.send(&sent).unwrap();
+                let guard = lock.lock(u32::MAX, |pause| {
+                    spin(pause);
+                    thread::yield_now();
+                });
+                assert!(!guard.as_ref().unwrap().is_recovered());
+                counter.store(counter.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+            }
+        };
+        thread::scope(|scope| {
+            for life in identities {
+                scope.spawn(move || core(life));
+            }
+        });
+        assert_eq!(counter.load(Ordering::Relaxed), 2 * TIMES);
+    });
+}
