@@ -61,9 +61,9 @@ pub(crate) fn takeovers(log: &RunLog) -> Vec<Takeover> {
 
 /// Time in which frames of both systems were accepted, ms.
 ///
-/// A mastership, one system with one term, lasts from its first to its last accepted frame. Where two
-/// masterships of different systems overlap in the order of the bus, there were two masters, up to the
-/// frame that follows.
+/// A mastership, one system with one term, lasts from its first to its last accepted frame. Where
+/// two masterships of different systems overlap in the order of the bus, there were two masters, up
+/// to the frame that follows.
 pub(crate) fn two_masters_ms(log: &RunLog) -> f64 {
     let accepted: Vec<&ControlSeen> = log.accepted().collect();
     let mut spans: Vec<(System, u32, usize, usize)> = Vec::new();
@@ -113,8 +113,8 @@ fn report_of(log: &RunLog, system: System, near_ns: u64) -> Option<(&str, f64)> 
         .map(|(_, cause, detected_ms)| (cause, detected_ms))
 }
 
-/// Whether the old master found, by the time at which it gave up its role, that it had been held up or
-/// had left out cycles. Then it was silent as a dead one is, and the takeover was right.
+/// Whether the old master found, by the time at which it gave up its role, that it had been held up
+/// or had left out cycles. Then it was silent as a dead one is, and the takeover was right.
 fn was_held_up(log: &RunLog, system: System, last_ns: u64) -> bool {
     let since = || {
         let of_core_0 = |event: &&CoreEvent| event.system == system && event.core == 0;
@@ -131,8 +131,8 @@ fn was_held_up(log: &RunLog, system: System, last_ns: u64) -> bool {
     })
 }
 
-/// Whether the old master went on as if nothing had happened: it sent a further control frame in time,
-/// or its status frames went on without a break and without a restart, in a role that works.
+/// Whether the old master went on as if nothing had happened: it sent a further control frame in
+/// time, or its status frames went on without a break and without a restart, in a role that works.
 fn old_master_lived_on(log: &RunLog, last: &ControlSeen, takeover_ns: u64) -> bool {
     let restarted = |until_ns: u64| {
         log.events.iter().any(|event| {

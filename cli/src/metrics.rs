@@ -135,7 +135,8 @@ pub(crate) struct Comfort {
     pub(crate) jerk_p99: f64,
 }
 
-/// Times between two control frames that follow each other in one mastership, by the sender's clock, ms.
+/// Times between two control frames that follow each other in one mastership, by the sender's
+/// clock, ms.
 pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
     let accepted: Vec<_> = log.accepted().collect();
     accepted
@@ -179,8 +180,8 @@ pub(crate) fn jerk(log: &RunLog) -> Vec<(f64, f64)> {
     points
 }
 
-/// Longest time without an accepted control frame, ms: between two of them, or from the last one to the
-/// end of the run.
+/// Longest time without an accepted control frame, ms: between two of them, or from the last one to
+/// the end of the run.
 fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
     let accepted: Vec<_> = log.accepted().collect();
     let to_end = log

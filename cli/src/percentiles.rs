@@ -36,8 +36,8 @@ impl Spans {
         self.percentile_ms(100.0)
     }
 
-    /// Points of the curve over percentiles: (1 / (1 − p), ms). The last one is the maximum, drawn at
-    /// the percentile of one in all.
+    /// Points of the curve over percentiles: (1 / (1 − p), ms). The last one is the maximum, drawn
+    /// at the percentile of one in all.
     pub(crate) fn curve(&self) -> Vec<(f64, f64)> {
         if self.count() == 0 {
             return Vec::new();

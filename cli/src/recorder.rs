@@ -84,7 +84,8 @@ impl Recorder {
         self.batch.live = Some(live);
     }
 
-    /// Hands everything to the writer. If that has failed it is forgotten; [`Recorder::close`] tells.
+    /// Hands everything to the writer. If that has failed it is forgotten; [`Recorder::close`]
+    /// tells.
     pub(crate) fn hand_over(&mut self) {
         let (frames, records) = (self.batch.frames.len(), self.batch.records.len());
         // The next batch will be about as large.

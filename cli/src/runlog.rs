@@ -1,8 +1,8 @@
 //! What is known of one run: the records that the vehicle process writes, and their collection.
 //!
-//! The vehicle sees everything that the controller does on the bus, so its log is the one witness of a
-//! run. It is a file with one JSON record a line: a run that was cut short leaves a log that can be read
-//! up to its last whole line.
+//! The vehicle sees everything that the controller does on the bus, so its log is the one witness
+//! of a run. It is a file with one JSON record a line: a run that was cut short leaves a log that
+//! can be read up to its last whole line.
 
 use std::io::BufRead;
 use std::path::Path;

@@ -16,7 +16,8 @@ use crate::recorder::Recorder;
 use crate::runlog::{Header, PowerSeen, Record, RoadSeen, Sample, System};
 
 const TICK: Duration = Duration::from_ms(1);
-/// The log gets the state of the world every so many ticks, the other vehicles and the road more seldom.
+/// The log gets the state of the world every so many ticks, the other vehicles and the road more
+/// seldom.
 const SAMPLE_TICKS: u64 = 20;
 const OTHERS_TICKS: u64 = 100;
 const ROAD_TICKS: u64 = 5_000;

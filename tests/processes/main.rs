@@ -1,7 +1,7 @@
 //! The `tandem` command as a person uses it: real processes, real kills.
 //!
-//! This is a test of the package `tandem`, so that cargo builds the command for it; the code lies in the
-//! room of the whole-process tests.
+//! This is a test of the package `tandem`, so that cargo builds the command for it; the code lies
+//! in the room of the whole-process tests.
 #![allow(
     clippy::unwrap_used,
     reason = "a test ends where something is not as it must be"

@@ -13,8 +13,8 @@ use tempfile::TempDir;
 const WATCHDOG: Duration = Duration::from_secs(120);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
-/// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only measure
-/// each other.
+/// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only
+/// measure each other.
 pub(crate) struct Stage {
     folder: TempDir,
     _turn: File,

@@ -17,8 +17,8 @@ fn scattered(n: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A start that was killed at any moment, in whatever process, ends; the next one works; and in the end
-/// nothing is left.
+/// A start that was killed at any moment, in whatever process, ends; the next one works; and in the
+/// end nothing is left.
 #[test]
 fn any_start_may_be_killed() {
     let kills = std::env::var("TANDEM_STARTUP_KILLS")

@@ -172,7 +172,8 @@ fn unshare() -> Result<(), String> {
     let failed = |errno: Errno| format!("mount: {errno}");
     let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
     mount_change("/", private).map_err(failed)?;
-    let options = c"mode=1777,size=256m";
+    // By default it may grow to half of the memory: the logs of a long run need some of that.
+    let options = c"mode=1777";
     mount(
         "tmpfs",
         SHM,

@@ -1,7 +1,7 @@
 //! Charts as inline SVG: axes, lines, dots, bars.
 //!
-//! Colours are written into the SVG as for a light page; `style.css` maps the same values to others in
-//! the dark, by attribute.
+//! Colours are written into the SVG as for a light page; `style.css` maps the same values to others
+//! in the dark, by attribute.
 
 use anyhow::anyhow;
 use plotters::coord::ranged1d::{DefaultFormatting, KeyPointHint, Ranged};

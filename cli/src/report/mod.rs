@@ -35,7 +35,7 @@ pub(crate) fn page(log: &RunLog, metrics: &Metrics) -> anyhow::Result<String> {
             (events(log))
             footer {
                 "Files beside this page: " code { "metrics.json" } " (all figures), "
-                code { "candump.log" } " (every CAN frame, readable with the repository's DBC file), "
+                code { "candump.log" } " (every CAN frame; the repository's DBC file reads it), "
                 code { "control-period.hgrm" } " and " code { "chain.hgrm" }
                 " (distributions, for HdrHistogram plotters)."
             }
@@ -96,7 +96,8 @@ fn header(metrics: &Metrics) -> Markup {
     html! {
         h1 { "Scenario " (metrics.scenario) }
         p.sub {
-            (format!("{:.1} s driven of {:.1} s asked for", metrics.duration_s, metrics.duration_asked_s))
+            (format!("{:.1} s", metrics.duration_s)) " driven of "
+            (format!("{:.1} s", metrics.duration_asked_s)) " asked for"
             " · seed " (metrics.seed) " · " (metrics.control_frames) " control frames"
         }
         @if objections.is_empty() {
@@ -139,7 +140,8 @@ fn tiles(metrics: &Metrics) -> Markup {
     };
     html! {
         div.tiles {
-            (tile("Collisions", Some(metrics.collisions == 0), &metrics.collisions.to_string(), "", ""))
+            (tile("Collisions", Some(metrics.collisions == 0), &metrics.collisions.to_string(),
+                "", ""))
             (tile("Takeovers", (metrics.false_takeovers > 0).then_some(false),
                 &metrics.takeovers.len().to_string(), "", &takeover_remark))
             (tile("Largest control gap", None, &ms(metrics.control_gap_max_ms), "ms",
@@ -267,16 +269,19 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::R
     ];
     Ok(html! {
         (card("Gaps between accepted control frames",
-            "As the vehicle saw them on the bus: each dot is the time since the accepted frame before.",
+            "As the vehicle saw them: each dot is the time since the accepted frame before.",
             &sections::gaps(log, takeovers))?)
         (card("Control period and chain latency by percentile",
-            "Control period: by the sender's clock, within one mastership. Chain: from the measurement \
-             on core 1 over core 2 to the command of core 0.",
+            "Control period: by the sender's clock, within one mastership. Chain: from the \
+             measurement on core 1 over core 2 to the command of core 0.",
             &sections::percentiles(log))?)
         section {
             h2 { "Distributions" }
             table {
-                tr { th { "ms" } th.num { "p50" } th.num { "p99" } th.num { "p99.9" } th.num { "max" } }
+                tr {
+                    th { "ms" }
+                    @for name in ["p50", "p99", "p99.9", "max"] { th.num { (name) } }
+                }
                 (figures("Control period", period))
                 (figures("Chain core 1 → 2 → 0", chain))
             }
@@ -354,7 +359,8 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Smallest time to collision", unit(metrics.ttc_min_s, "s")))
                     (row("Strongest acceleration", unit(Some(comfort.accel_max), "m/s²")))
                     (row("Strongest braking", unit(Some(comfort.brake_max), "m/s²")))
-                    (row("Strongest lateral acceleration", unit(Some(comfort.lat_accel_max), "m/s²")))
+                    (row("Strongest lateral acceleration",
+                        unit(Some(comfort.lat_accel_max), "m/s²")))
                     (row("Jerk, 99 % of the time below", unit(Some(comfort.jerk_p99), "m/s³")))
                     (row("Lane changes", metrics.lane_changes.to_string()))
                     (row("Distance driven", format!("{:.0} m", metrics.distance_m)))
