@@ -1,11 +1,11 @@
 //! The broadcast ring: one sender, any number of receivers, each with a private cursor.
 //!
-//! Value number k lies in slot k mod n, with a stamp `k << 1` while it is written and `k << 1 | 1` when
-//! it is complete. The sender waits for nobody and overwrites the oldest slot; receivers write
+//! Value number k lies in slot k mod n, with a stamp `k << 1` while it is written and `k << 1 | 1`
+//! when it is complete. The sender waits for nobody and overwrites the oldest slot; receivers write
 //! nothing. A receiver checks the stamp before and after it reads in place; when the sender has
-//! overtaken it, it is told how many values it lost and goes on half a ring behind the newest, so that
-//! it does not lose the very next one. A sender that dies leaves all complete values, and its successor
-//! goes on with the next number.
+//! overtaken it, it is told how many values it lost and goes on half a ring behind the newest, so
+//! that it does not lose the very next one. A sender that dies leaves all complete values, and its
+//! successor goes on with the next number.
 
 use crate::region::{FitError, Shape};
 use crate::ring::Ring;
@@ -43,8 +43,8 @@ impl<'a> Sender<'a> {
         })
     }
 
-    /// Lends the slot of the next value, to be filled in place. Its words hold an old value. Without
-    /// [`Loan::send`] nothing is sent. Never blocks.
+    /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
+    /// Without [`Loan::send`] nothing is sent. Never blocks.
     #[inline]
     pub fn loan(&mut self) -> Loan<'_, 'a> {
         self.ring.begin(self.next);
@@ -54,8 +54,8 @@ impl<'a> Sender<'a> {
         }
     }
 
-    /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too much is
-    /// cut off. Returns the value's number. Never blocks.
+    /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too
+    /// much is cut off. Returns the value's number. Never blocks.
     #[inline]
     pub fn send(&mut self, value: &[u32]) -> u32 {
         let mut loan = self.loan();
@@ -143,7 +143,8 @@ impl<'a> Receiver<'a> {
     /// counts, and the cursor goes on, only with [`Item::finish`].
     ///
     /// # Errors
-    /// [`Lost`] if values were overwritten before they were received; the next call goes on behind them.
+    /// [`Lost`] if values were overwritten before they were received; the next call goes on behind
+    /// them.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<Item<'_, 'a>>, Lost> {
         if self.cursor == self.head {
@@ -159,8 +160,8 @@ impl<'a> Receiver<'a> {
         }
     }
 
-    /// Copies the next value, as many words as both have, and returns its number; `None` if there is
-    /// none yet. Never blocks.
+    /// Copies the next value, as many words as both have, and returns its number; `None` if there
+    /// is none yet. Never blocks.
     ///
     /// # Errors
     /// [`Lost`] as [`Receiver::receive`]; the content of `into` is void.
@@ -206,7 +207,8 @@ impl<'a> Item<'_, 'a> {
         WordsRef::new(self.receiver.ring.payload(self.receiver.cursor))
     }
 
-    /// Ends the reading and returns the number of the value. Without this the same value comes again.
+    /// Ends the reading and returns the number of the value. Without this the same value comes
+    /// again.
     ///
     /// # Errors
     /// [`Lost`] if the sender overtook: forget what was read.

@@ -1,17 +1,17 @@
 //! The FIFO channel: one producer, one consumer, every value in order, or full.
 //!
-//! L. Lamport's queue ("Specifying concurrent program modules", 1983) with free-running indices, each
-//! written by one end only and standing on a cache line of its own. Each end keeps a copy of the other's
-//! index and looks again only when that copy says full or empty, as in J. Giacomoni et al.,
-//! "FastForward for efficient pipeline parallelism" (PPoPP 2008), and the crate `rtrb`.
+//! L. Lamport's queue ("Specifying concurrent program modules", 1983) with free-running indices,
+//! each written by one end only and standing on a cache line of its own. Each end keeps a copy of
+//! the other's index and looks again only when that copy says full or empty, as in J. Giacomoni et
+//! al., "FastForward for efficient pipeline parallelism" (PPoPP 2008), and the crate `rtrb`.
 //!
-//! Each end trusts only its private copy of its own index; the shared word is for the other end and for
-//! the successor. The other's index is an allegation: a distance greater than the number of slots is
-//! no state of this queue; the producer then says full and the consumer drops everything, which
-//! makes the queue whole again.
+//! Each end trusts only its private copy of its own index; the shared word is for the other end and
+//! for the successor. The other's index is an allegation: a distance greater than the number of
+//! slots is no state of this queue; the producer then says full and the consumer drops everything,
+//! which makes the queue whole again.
 //!
-//! A producer that dies loses what it had not sent. A consumer that dies before [`Item::release`] leaves
-//! the value to its successor: each value is received at least once.
+//! A producer that dies loses what it had not sent. A consumer that dies before [`Item::release`]
+//! leaves the value to its successor: each value is received at least once.
 
 use crate::region::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering};
@@ -99,8 +99,8 @@ impl<'a> Producer<'a> {
             .saturating_sub(self.tail.wrapping_sub(self.head)) as usize
     }
 
-    /// Lends the next slot, to be filled in place. Its words hold an old value. Without [`Loan::send`]
-    /// nothing is sent. Never blocks.
+    /// Lends the next slot, to be filled in place. Its words hold an old value. Without
+    /// [`Loan::send`] nothing is sent. Never blocks.
     ///
     /// # Errors
     /// [`Full`]
@@ -115,8 +115,8 @@ impl<'a> Producer<'a> {
         })
     }
 
-    /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too much is
-    /// cut off. Never blocks.
+    /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too
+    /// much is cut off. Never blocks.
     ///
     /// # Errors
     /// [`Full`]; the value was not sent.
@@ -179,8 +179,8 @@ impl<'a> Consumer<'a> {
         })
     }
 
-    /// How many values are there to receive, at least. Looks at the producer only if its last look says
-    /// none.
+    /// How many values are there to receive, at least. Looks at the producer only if its last look
+    /// says none.
     #[inline]
     pub fn available(&mut self) -> usize {
         if self.tail == self.head {
@@ -195,8 +195,8 @@ impl<'a> Consumer<'a> {
         self.tail.wrapping_sub(self.head) as usize
     }
 
-    /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays the
-    /// next one until [`Item::release`].
+    /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
+    /// the next one until [`Item::release`].
     #[inline]
     pub fn receive(&mut self) -> Option<Item<'_, 'a>> {
         if self.available() == 0 {
@@ -218,7 +218,8 @@ impl<'a> Consumer<'a> {
 
     #[inline]
     fn publish(&self) {
-        // Release pairs with the Acquire in `Producer::free`: the slot is read before it is refilled.
+        // Release pairs with the Acquire in `Producer::free`: the slot is read before it is
+        // refilled.
         self.queue.head.store(self.head, Ordering::Release);
     }
 }

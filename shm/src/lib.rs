@@ -1,9 +1,9 @@
 //! The LMU: map, lock, sync mailbox, pool, channels (no_std).
 //!
-//! The LMU is a slice of 32-bit atomic words that every core maps, each at an address of its own. All
-//! primitives are built on sub-slices of it by word-wise atomics, so this crate has no `unsafe` code,
-//! needs no atomic wider than 32 bit, and Miri and loom have something to prove. Only indices with
-//! stamps cross between cores, never addresses.
+//! The LMU is a slice of 32-bit atomic words that every core maps, each at an address of its own.
+//! All primitives are built on sub-slices of it by word-wise atomics, so this crate has no `unsafe`
+//! code, needs no atomic wider than 32 bit, and Miri and loom have something to prove. Only indices
+//! with stamps cross between cores, never addresses.
 //!
 //! | module | what it is | who writes |
 //! |---|---|---|
@@ -19,11 +19,12 @@
 //!
 //! # What every module holds to
 //!
-//! - **All zero is a valid initial state**: the LMU is zero at power-on, and [`map::Map::format`] zeroes it.
+//! - **All zero is a valid initial state**: the LMU is zero at power-on, and [`map::Map::format`]
+//!   zeroes it.
 //! - **Another core may die, freeze or scribble between any two instructions.** Whatever the words
 //!   hold, nothing here panics, indexes out of bounds or loops without bound.
-//! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is a
-//!   copy of words that it alone writes.
+//! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is
+//!   a copy of words that it alone writes.
 //! - **Two lives of one core do not run at once**: a reset ends a life before the next one begins.
 //!   [`lock`] and [`pool`] additionally bear a *straggler*, an old life that was declared dead and
 //!   runs on.

@@ -1,9 +1,9 @@
 //! The life table: which life of each core is the current one, and whether it still runs.
 //!
-//! One word a core: `generation << 1 | dead`, 0 before the first life. A core announces its generation
-//! when it starts; a supervisor that has seen it die marks it dead. A life is alive while it is the
-//! announced one and not marked. Whoever finds words in the LMU that belong to a life which is not
-//! alive may take them over.
+//! One word a core: `generation << 1 | dead`, 0 before the first life. A core announces its
+//! generation when it starts; a supervisor that has seen it die marks it dead. A life is alive
+//! while it is the announced one and not marked. Whoever finds words in the LMU that belong to a
+//! life which is not alive may take them over.
 
 use crate::region::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering};
@@ -24,8 +24,8 @@ pub struct Life {
 }
 
 impl Life {
-    /// Life number `generation` (1 ..= [`MAX_GENERATION`]) of core `core` (below [`CORES`]); `None` if
-    /// a number is out of its range.
+    /// Life number `generation` (1 ..= [`MAX_GENERATION`]) of core `core` (below [`CORES`]); `None`
+    /// if a number is out of its range.
     #[must_use]
     pub const fn new(core: usize, generation: u32) -> Option<Self> {
         if core < CORES && generation >= 1 && generation <= MAX_GENERATION {
@@ -83,8 +83,9 @@ impl<'a> Lives<'a> {
         Self { words }
     }
 
-    /// Announces a life at its start. Whatever an earlier life of this core owned is free to be taken
-    /// over from here on. Announcing the same life again changes nothing, unless it was marked dead.
+    /// Announces a life at its start. Whatever an earlier life of this core owned is free to be
+    /// taken over from here on. Announcing the same life again changes nothing, unless it was
+    /// marked dead.
     ///
     /// # Errors
     /// [`Outdated`] if this life is not the latest, or was marked dead: it must not go on.

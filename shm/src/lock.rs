@@ -1,29 +1,31 @@
-//! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, bounded starvation.
+//! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, fair turns.
 //!
-//! One cache line. Word 0 is the *token* of the last acquisition: who took the lock, in which of its
-//! lives, in which turn (one more with each acquisition), and which cores wait. The other words are
-//! one *released* word for each core and life (by its generation mod 4): the owner gives the lock back
-//! by storing its token there. So the lock is free if the token's owner has released that very token,
-//! and taking it is one compare-and-swap from that token to one's own. T-LOCK-1, T-LOCK-3
+//! One cache line. Word 0 is the *token* of the last acquisition: who took the lock, in which of
+//! its lives, in which turn (one more with each acquisition), and which cores wait. The other words
+//! are one *released* word for each core and life (by its generation mod 4): the owner gives the
+//! lock back by storing its token there. So the lock is free if the token's owner has released that
+//! very token, and taking it is one compare-and-swap from that token to one's own. T-LOCK-1,
+//! T-LOCK-3
 //!
 //! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
 //!   token into a word of its own life. The next three lives of its core use other words.
-//! - **Recovery**: a token that is not released and whose life is not alive is an orphan. Any core may
-//!   take over from it by the same compare-and-swap, and is told so by [`Acquired::Recovered`].
+//! - **Recovery**: a token that is not released and whose life is not alive is an orphan. Any core
+//!   may take over from it by the same compare-and-swap, and is told so by [`Acquired::Recovered`].
 //! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
-//!   performance of spin lock alternatives", 1990): waiting cores read, and end after the given number
-//!   of looks.
-//! - **Turns**: a waiting core sets its bit in the token. Of the waiting cores the next one after the
-//!   last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so whoever takes
-//!   the lock has seen the bit, and the cyclic distance from the last owner to a waiting core shrinks
-//!   with each turn: **a waiting core is passed at most [`MAX_WAITED_TURNS`] = 2 times**.
-//! - A waiting core that does not look (frozen, pre-empted, dead) would stop the others: who has looked
-//!   [`PATIENCE`] times at a free lock that is another's turn takes it and strikes the other's bit. The
-//!   bound above holds for cores that look at least once in that time.
+//!   performance of spin lock alternatives", 1990): waiting cores read, and end after the given
+//!   number of looks.
+//! - **Turns**: a waiting core sets its bit in the token. Of the waiting cores the next one after
+//!   the last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so
+//!   whoever takes the lock has seen the bit, and the cyclic distance from the last owner to a
+//!   waiting core shrinks with each turn: **a waiting core is passed at most [`MAX_WAITED_TURNS`] =
+//!   2 times**.
+//! - A waiting core that does not look (frozen, pre-empted, dead) would stop the others: who has
+//!   looked [`PATIENCE`] times at a free lock that is another's turn takes it and strikes the
+//!   other's bit. The bound above holds for cores that look at least once in that time.
 //!
 //! Limit: the turn has 23 bits. A core that is stopped between its look at the token and its
-//! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's, would
-//! take a lock that is held. At 100 ns a turn that is 0.8 s, the watchdog's business.
+//! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's,
+//! would take a lock that is held. At 100 ns a turn that is 0.8 s, the watchdog's business.
 
 use crate::life::{CORES, Life, Lives};
 use crate::region::{FitError, LINE_WORDS, fit};
@@ -35,13 +37,13 @@ pub const WORDS: usize = LINE_WORDS;
 /// How many turns others take at most while a core waits and looks.
 pub const MAX_WAITED_TURNS: u32 = CORES as u32 - 1;
 
-/// Looks at a free lock that is another's turn before a waiting core takes it nevertheless. With the
-/// back-off below some 2000 spins, tens of microseconds; longer than any core in step needs.
+/// Looks at a free lock that is another's turn before a waiting core takes it nevertheless. With
+/// the back-off below some 2000 spins, tens of microseconds; longer than any core in step needs.
 #[cfg(not(loom))]
 pub const PATIENCE: u32 = 32;
-/// loom proves the bound for cores that look.
+/// loom proves the bound for cores that look: more looks than a model has.
 #[cfg(loom)]
-pub const PATIENCE: u32 = u32::MAX;
+pub const PATIENCE: u32 = 1_000;
 
 /// The longest pause between two looks, in spins.
 const MAX_PAUSE: u32 = 64;
@@ -121,7 +123,8 @@ impl<'a> Lock<'a> {
     /// [`FitError`] if the words are too few or not at a line boundary.
     pub fn attach(words: &'a [AtomicU32], life: Life, lives: Lives<'a>) -> Result<Self, FitError> {
         let words = fit(words, WORDS)?;
-        // An earlier life may have died waiting. Another waiting task of this core sets the bit again.
+        // An earlier life may have died waiting. Another waiting task of this core sets the bit
+        // again.
         words[TOKEN_AT].fetch_and(!waiting_bit(life.core()), Ordering::Relaxed);
         let generation = life.generation() & GENERATION_MASK;
         let identity = (life.core() as u32 + 1) | generation << GENERATION_SHIFT;
@@ -137,8 +140,8 @@ impl<'a> Lock<'a> {
         })
     }
 
-    /// Takes the lock if it is free and no waiting core comes before this one. Never blocks. `None` if
-    /// not.
+    /// Takes the lock if it is free and no waiting core comes before this one. Never blocks. `None`
+    /// if not.
     #[inline]
     #[must_use]
     pub fn try_lock(&mut self) -> Option<Acquired<'_, 'a>> {
@@ -149,9 +152,9 @@ impl<'a> Lock<'a> {
         self.look(false).ok().map(|orphan| self.acquired(orphan))
     }
 
-    /// Takes the lock, waiting for at most `looks` looks at it. `relax(n)` is called between two looks
-    /// to pass the time of n spins (1 ..= 64): [`spin`](crate::sync::spin) on a core of its own, something that gives the
-    /// CPU away on a shared one. Task context.
+    /// Takes the lock, waiting for at most `looks` looks at it. `relax(n)` is called between two
+    /// looks to pass the time of n spins (1 ..= 64): [`spin`](crate::sync::spin) on a core of its
+    /// own, something that gives the CPU away on a shared one. Task context.
     ///
     /// # Errors
     /// [`TimedOut`] after so many looks.
@@ -179,7 +182,8 @@ impl<'a> Lock<'a> {
         }
     }
 
-    /// The quick way: if the token is still this end's own (or none was ever taken), the lock is free.
+    /// The quick way: if the token is still this end's own (or none was ever taken), the lock is
+    /// free.
     #[inline]
     fn retake(&mut self) -> bool {
         // Another task of this core may hold the lock by the same token, 2^23 turns later.
@@ -233,8 +237,8 @@ impl<'a> Lock<'a> {
         Err(TimedOut)
     }
 
-    /// Looks once and takes the lock if that is possible, with `impatient` also out of turn. Returns
-    /// whether it was an orphan's.
+    /// Looks once and takes the lock if that is possible, with `impatient` also out of turn.
+    /// Returns whether it was an orphan's.
     fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
         let token = self.token.load(Ordering::Relaxed);
         let free = self.is_released(token);
@@ -257,8 +261,8 @@ impl<'a> Lock<'a> {
             mine = mine.wrapping_add(ONE_TURN);
         }
         let still_waiting = token & WAITING & !before & !waiting_bit(self.core);
-        // Relaxed: what the last owner did was acquired by `is_released`, and since the token is still
-        // the same, nobody had the lock after it.
+        // Relaxed: what the last owner did was acquired by `is_released`, and since the token is
+        // still the same, nobody had the lock after it.
         self.token
             .compare_exchange(
                 token,
@@ -414,8 +418,8 @@ mod tests {
         assert!(one.try_lock().is_some());
     }
 
-    /// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so; whoever takes
-    /// it from one that died in the middle of the repair is told again.
+    /// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so; whoever
+    /// takes it from one that died in the middle of the repair is told again.
     #[test]
     fn a_dead_owner_is_replaced_and_the_taker_is_told() {
         let bench = Bench::new();
@@ -540,7 +544,8 @@ mod tests {
         }
     }
 
-    /// T-LOCK-3: starvation is bounded. The lock goes round; a waiting core is passed twice at most.
+    /// T-LOCK-3: starvation is bounded. The lock goes round; a waiting core is passed twice at
+    /// most.
     #[test]
     fn the_lock_goes_round_among_waiting_cores() {
         let bench = Bench::new();
@@ -578,8 +583,8 @@ mod tests {
         drop(guard);
     }
 
-    /// The number of turns wraps around; a core that comes back exactly then does not hold a lock that
-    /// its last release has released already.
+    /// The number of turns wraps around; a core that comes back exactly then does not hold a lock
+    /// that its last release has released already.
     #[test]
     fn turns_wrap_around() {
         let bench = Bench::new();

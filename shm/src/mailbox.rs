@@ -1,20 +1,23 @@
 //! The sync mailbox: one core names tasks of another core by id; no signal is lost. T-SYNC-1..3
 //!
-//! One for each ordered pair of cores. For each id (1 ..= 15; 0 is none) the sender counts the signals
-//! it has sent and the receiver those it has handled; the difference is what is open. A word with one
-//! *pending* bit for each id tells the receiver where to look. The sender counts first and then sets
-//! the bit; the receiver takes all bits at once and then reads the counters: whatever it does not see,
-//! it finds with a later bit.
+//! One for each ordered pair of cores. For each id (1 ..= 15; 0 is none) the sender counts the
+//! signals it has sent and the receiver those it has handled; the difference is what is open. A
+//! word with one *pending* bit for each id tells the receiver where to look. The sender counts
+//! first and then sets the bit; the receiver takes all bits at once and then reads the counters:
+//! whatever it does not see, it finds with a later bit.
 //!
-//! Order: signals with the same id are handled together, with their number. Of different ids that are
-//! open at one look the lower is handled first: the id is a priority; the order of sending is not kept.
+//! Order: signals with the same id are handled together, with their number. Of different ids that
+//! are open at one look the lower is handled first: the id is a priority; the order of sending is
+//! not kept.
 //!
-//! The doorbell need be rung only when the receiver may be asleep. Sender: set the bit, fence, look at
-//! `asleep`. Receiver: set `asleep`, fence, look at the bits. With sequentially consistent fences at
-//! least one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes", 1965, section 2.1).
+//! The doorbell need be rung only when the receiver may be asleep. Sender: set the bit, fence, look
+//! at `asleep`. Receiver: set `asleep`, fence, look at the bits. With sequentially consistent
+//! fences at least one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes",
+//! 1965, section 2.1).
 //!
-//! A successor of either end goes on with the counters: a signal that was sent and whose handler had not
-//! returned when the receiver died is handled by its successor, so handlers run at least once a signal.
+//! A successor of either end goes on with the counters: a signal that was sent and whose handler
+//! had not returned when the receiver died is handled by its successor, so handlers run at least
+//! once a signal.
 
 use crate::region::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
@@ -31,8 +34,8 @@ const IDS: usize = MAX_TASK as usize + 1;
 const SENT_AT: usize = 0;
 /// Line 1, written by both: the pending bits.
 const PENDING_AT: usize = LINE_WORDS;
-/// Line 2, written by the receiver: word 0 says whether it may be asleep, word i counts the signals to
-/// task i that were handled.
+/// Line 2, written by the receiver: word 0 says whether it may be asleep, word i counts the signals
+/// to task i that were handled.
 const RECEIVER_AT: usize = 2 * LINE_WORDS;
 
 /// A task of the receiving core: 1 ..= 15. T-SYNC-1
@@ -74,8 +77,9 @@ pub struct Sender<'a> {
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the mailbox. What an earlier life of the sending core had counted but not yet shown
-    /// is shown; ring the receiver's doorbell once afterwards, that life may not have come so far.
+    /// Attaches to the mailbox. What an earlier life of the sending core had counted but not yet
+    /// shown is shown; ring the receiver's doorbell once afterwards, that life may not have come so
+    /// far.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -86,15 +90,16 @@ impl<'a> Sender<'a> {
         Ok(Self { words })
     }
 
-    /// Signals a task of the receiving core (`task_sync`). What was written to the LMU before is visible
-    /// to the task. Never blocks; task or handler context.
+    /// Signals a task of the receiving core (`task_sync`). What was written to the LMU before is
+    /// visible to the task. Never blocks; task or handler context.
     #[inline]
     pub fn signal(&self, task: TaskId) -> Ring {
         // Release pairs with the Acquire of the count in `poll`: who counts it sees the payload.
         self.words[SENT_AT + task.index()].fetch_add(1, Ordering::Release);
         // Release pairs with the Acquire of the bits in `poll`: who sees the bit sees the count.
         self.words[PENDING_AT].fetch_or(1 << task.index(), Ordering::Release);
-        // SeqCst pairs with the fence in `prepare_sleep`: either this sees `asleep`, or that the bit.
+        // SeqCst pairs with the fence in `prepare_sleep`: either this sees `asleep`, or that the
+        // bit.
         fence(Ordering::SeqCst);
         if self.words[RECEIVER_AT].load(Ordering::Relaxed) == 0 {
             Ring::NotNeeded
@@ -125,8 +130,8 @@ pub struct Receiver<'a> {
 }
 
 impl<'a> Receiver<'a> {
-    /// Attaches to the mailbox (`init_sync_mailbox`). Signals that an earlier life of the receiving core
-    /// left open come with the first [`Receiver::poll`].
+    /// Attaches to the mailbox (`init_sync_mailbox`). Signals that an earlier life of the receiving
+    /// core left open come with the first [`Receiver::poll`].
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -145,8 +150,9 @@ impl<'a> Receiver<'a> {
     }
 
     /// Hands each task with open signals, and their number (at least 1), to `handle`, the lowest id
-    /// first, and counts them as handled when it returns. Returns how many signals there were (wrapping).
-    /// One look and bounded: what comes meanwhile is left to the next call. Never blocks.
+    /// first, and counts them as handled when it returns. Returns how many signals there were
+    /// (wrapping). One look and bounded: what comes meanwhile is left to the next call. Never
+    /// blocks.
     pub fn poll(&mut self, mut handle: impl FnMut(TaskId, u32)) -> u32 {
         let pending = &self.words[PENDING_AT];
         // A plain look first: while nothing comes, the line stays shared and is not written.
@@ -171,8 +177,8 @@ impl<'a> Receiver<'a> {
         signals
     }
 
-    /// Says that this core is going to sleep: from now on signals want the doorbell. `false` if signals
-    /// are there already: do not sleep, poll. After the sleep call [`Receiver::awake`].
+    /// Says that this core is going to sleep: from now on signals want the doorbell. `false` if
+    /// signals are there already: do not sleep, poll. After the sleep call [`Receiver::awake`].
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
@@ -211,8 +217,8 @@ pub type Task<C> = fn(&mut C, Call);
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken;
 
-/// The receiver's table of tasks. It holds function pointers, so it lives in private memory; only ids
-/// cross the LMU. T-SYNC-3
+/// The receiver's table of tasks. It holds function pointers, so it lives in private memory; only
+/// ids cross the LMU. T-SYNC-3
 #[derive(Debug)]
 pub struct TaskTable<C> {
     tasks: [Option<(Task<C>, u32)>; IDS],
@@ -249,7 +255,8 @@ impl<C> TaskTable<C> {
         }
     }
 
-    /// Polls the mailbox and runs the tasks that were signalled. Returns how many signals there were.
+    /// Polls the mailbox and runs the tasks that were signalled. Returns how many signals there
+    /// were.
     pub fn run(&mut self, receiver: &mut Receiver<'_>, context: &mut C) -> u32 {
         receiver.poll(|task, count| match self.tasks[task.index()] {
             Some((run, arg)) => run(context, Call { task, arg, count }),
@@ -352,7 +359,8 @@ mod tests {
         assert_eq!(table.unknown(), 1);
     }
 
-    /// T-SYNC-3: killed at any step, what `signal` has counted is handled when the successor is there.
+    /// T-SYNC-3: killed at any step, what `signal` has counted is handled when the successor is
+    /// there.
     #[test]
     fn a_sender_killed_at_every_step_loses_nothing_that_it_has_counted() {
         for at in 0.. {

@@ -1,10 +1,10 @@
 //! The map of the LMU: a header that says what lies where, and the regions.
 //!
-//! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [life table](crate::life).
-//! Then the regions in the order of the [`Layout`], each from a line boundary on. The boot core (or the
-//! supply) formats once at power-on: it zeroes everything, writes the header, and publishes `ready`
-//! last; if it dies on the way, its successor formats again. The others attach, which checks that they
-//! were built with the same layout.
+//! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [life
+//! table](crate::life). Then the regions in the order of the [`Layout`], each from a line boundary
+//! on. The boot core (or the supply) formats once at power-on: it zeroes everything, writes the
+//! header, and publishes `ready` last; if it dies on the way, its successor formats again. The
+//! others attach, which checks that they were built with the same layout.
 
 use crate::life::Lives;
 use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
@@ -169,8 +169,9 @@ pub struct Map<'a> {
 }
 
 impl<'a> Map<'a> {
-    /// Formats an LMU: zeroes it and publishes the layout. For the boot core or the supply, at power-on,
-    /// before any other core uses it; a boot core that is reset alone must [attach](Map::attach) instead.
+    /// Formats an LMU: zeroes it and publishes the layout. For the boot core or the supply, at
+    /// power-on, before any other core uses it; a boot core that is reset alone must
+    /// [attach](Map::attach) instead.
     ///
     /// # Errors
     /// [`FitError`] if the LMU is too small for the layout or not at a line boundary.

@@ -1,11 +1,11 @@
 //! The newest-value channel: one writer, any number of readers, in place, never torn.
 //!
-//! A ring of stamped slots (the stamps are those of [`broadcast`](crate::broadcast)). The
-//! writer fills the slot after the newest one and then publishes it; it waits for nobody, its cost does
-//! not depend on readers, and readers write nothing, so a dead reader leaves no trace. A reader reads
-//! the newest slot in place and checks afterwards that it was not overwritten meanwhile: with n slots
-//! that takes n - 1 new values during one read. A writer that dies while it fills a slot leaves the
-//! newest value as it was; its successor goes on with the next number.
+//! A ring of stamped slots (the stamps are those of [`broadcast`](crate::broadcast)). The writer
+//! fills the slot after the newest one and then publishes it; it waits for nobody, its cost does
+//! not depend on readers, and readers write nothing, so a dead reader leaves no trace. A reader
+//! reads the newest slot in place and checks afterwards that it was not overwritten meanwhile: with
+//! n slots that takes n - 1 new values during one read. A writer that dies while it fills a slot
+//! leaves the newest value as it was; its successor goes on with the next number.
 
 use crate::region::{FitError, Shape, whole_lines};
 use crate::ring::Ring;
@@ -58,8 +58,8 @@ impl<'a> Writer<'a> {
         })
     }
 
-    /// Lends the slot of the next value, to be filled in place. Its words hold an old value. Without
-    /// [`Loan::send`] nothing is published. Never blocks.
+    /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
+    /// Without [`Loan::send`] nothing is published. Never blocks.
     #[inline]
     pub fn loan(&mut self) -> Loan<'_, 'a> {
         self.ring.begin(self.next);
@@ -69,8 +69,8 @@ impl<'a> Writer<'a> {
         }
     }
 
-    /// Publishes a copy of `value`; what it lacks of the slot is filled with zeros, what it has too much
-    /// is cut off. Never blocks.
+    /// Publishes a copy of `value`; what it lacks of the slot is filled with zeros, what it has too
+    /// much is cut off. Never blocks.
     #[inline]
     pub fn publish(&mut self, value: &[u32]) -> Stamp {
         let mut loan = self.loan();
@@ -110,8 +110,8 @@ impl<'a> Loan<'_, 'a> {
 pub enum ReadError {
     /// Nothing was ever published.
     Empty,
-    /// The writer overtook the reader every time, or the channel's words were scribbled on: what was
-    /// read is void. The next read may succeed.
+    /// The writer overtook the reader every time, or the channel's words were scribbled on: what
+    /// was read is void. The next read may succeed.
     Overrun,
 }
 
@@ -132,7 +132,8 @@ impl<'a> Reader<'a> {
         })
     }
 
-    /// The stamp of the newest value; `None` if there is none yet. For a look whether something is new.
+    /// The stamp of the newest value; `None` if there is none yet. For a look whether something is
+    /// new.
     #[inline]
     #[must_use]
     pub fn newest(&self) -> Option<Stamp> {
@@ -157,9 +158,9 @@ impl<'a> Reader<'a> {
         }
     }
 
-    /// Reads the newest value in place by `f`. Its result is returned only if what it saw was one whole
-    /// value; `f` may run up to four times and, in a run that does not count, see parts of different
-    /// values. Bounded.
+    /// Reads the newest value in place by `f`. Its result is returned only if what it saw was one
+    /// whole value; `f` may run up to four times and, in a run that does not count, see parts of
+    /// different values. Bounded.
     ///
     /// # Errors
     /// [`ReadError`]

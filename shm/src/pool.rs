@@ -1,15 +1,16 @@
 //! The pool: words of the LMU to borrow, hand over and give back. T-SHM-1..4
 //!
-//! A lock, then one *head* word for each block of 16 words, then the blocks. An allocation is a run of
-//! blocks; the head word of its first block says who owns it (core and generation) and how many blocks
-//! it has, and carries a stamp that counts the block's allocations. The head words of the other blocks
-//! of a run are free. Head words are the only truth: one compare-and-swap on one of them makes an
-//! allocation, gives it back, or hands it over, and the walk that looks for free blocks steps over the
-//! runs whose owner is alive.
+//! A lock, then one *head* word for each block of 16 words, then the blocks. An allocation is a run
+//! of blocks; the head word of its first block says who owns it (core and generation) and how many
+//! blocks it has, and carries a stamp that counts the block's allocations. The head words of the
+//! other blocks of a run are free. Head words are the only truth: one compare-and-swap on one of
+//! them makes an allocation, gives it back, or hands it over, and the walk that looks for free
+//! blocks steps over the runs whose owner is alive.
 //!
-//! Only allocating takes the lock, so that two walks do not find the same blocks. It changes nothing
-//! before its one compare-and-swap: an owner of the lock that dies leaves nothing to repair, and a
-//! straggler that was declared dead finds the head word changed. What a dead life owns is free: the next walk takes it, or [`Pool::reclaim_dead`].
+//! Only allocating takes the lock, so that two walks do not find the same blocks. It changes
+//! nothing before its one compare-and-swap: an owner of the lock that dies leaves nothing to
+//! repair, and a straggler that was declared dead finds the head word changed. What a dead life
+//! owns is free: the next walk takes it, or [`Pool::reclaim_dead`].
 //!
 //! First fit; neighbouring free blocks are one free space by themselves.
 
@@ -85,7 +86,8 @@ pub struct Handle {
 
 #[allow(clippy::len_without_is_empty, reason = "an allocation is never empty")]
 impl Handle {
-    /// How many words were asked for, 1 or more; of a handle that came from elsewhere an allegation.
+    /// How many words were asked for, 1 or more; of a handle that came from elsewhere an
+    /// allegation.
     #[must_use]
     pub const fn len(self) -> usize {
         self.words as usize
@@ -183,8 +185,8 @@ impl<'a> Pool<'a> {
         })
     }
 
-    /// Borrows `n_words` words (`shdmem_get`). They hold whatever an earlier owner left. Blocks for a
-    /// bounded, short time; task context.
+    /// Borrows `n_words` words (`shdmem_get`). They hold whatever an earlier owner left. Blocks for
+    /// a bounded, short time; task context.
     ///
     /// # Errors
     /// [`GetError`]
@@ -222,8 +224,8 @@ impl<'a> Pool<'a> {
         })
     }
 
-    /// The words of an allocation that this life owns. The slice outlives the ownership, but what is in
-    /// it is one's own only until it is given back or handed over.
+    /// The words of an allocation that this life owns. The slice outlives the ownership, but what
+    /// is in it is one's own only until it is given back or handed over.
     ///
     /// # Errors
     /// [`HandleError`]
@@ -243,7 +245,8 @@ impl<'a> Pool<'a> {
     }
 
     /// Makes another core the owner. What this core wrote into the words is visible to whoever
-    /// [opens](Pool::open) them with the same handle; sending it there is the caller's business. T-SHM-3
+    /// [opens](Pool::open) them with the same handle; sending it there is the caller's business.
+    /// T-SHM-3
     ///
     /// # Errors
     /// [`HandOverError`]
@@ -258,9 +261,9 @@ impl<'a> Pool<'a> {
     }
 
     /// Frees everything that lives which are not alive own, and returns how many words that were.
-    /// [`Pool::get`] does the same where it needs the words. Each life should do it at its start: the
-    /// pool keeps 5 bits of a generation, and 32 lives later a dead owner would look alive. Any context;
-    /// bounded.
+    /// [`Pool::get`] does the same where it needs the words. Each life should do it at its start:
+    /// the pool keeps 5 bits of a generation, and 32 lives later a dead owner would look alive. Any
+    /// context; bounded.
     pub fn reclaim_dead(&self) -> usize {
         let shared = Shared {
             heads: self.heads,
@@ -310,8 +313,8 @@ impl<'a> Pool<'a> {
     }
 
     fn change(&self, handle: Handle, from: u32, to: u32) -> Result<(), HandleError> {
-        // Release pairs with the Acquire in `checked` and `find_free`: what this life did to the words
-        // comes before what the next owner does.
+        // Release pairs with the Acquire in `checked` and `find_free`: what this life did to the
+        // words comes before what the next owner does.
         self.heads[handle.block as usize]
             .compare_exchange(from, to, Ordering::Release, Ordering::Relaxed)
             .map(|_| ())
@@ -328,8 +331,8 @@ struct Shared<'a> {
 }
 
 impl Shared<'_> {
-    /// The first of `need` free blocks in a row, and its head word, after taking from the dead what is
-    /// in the way.
+    /// The first of `need` free blocks in a row, and its head word, after taking from the dead what
+    /// is in the way.
     fn find_free(&self, need: usize) -> Option<(usize, u32)> {
         let mut first = None;
         let mut block = 0;
@@ -352,8 +355,8 @@ impl Shared<'_> {
         None
     }
 
-    /// Blocks of the run that begins at `block` with this head word; 0 if the block is free. Never more
-    /// than there are.
+    /// Blocks of the run that begins at `block` with this head word; 0 if the block is free. Never
+    /// more than there are.
     fn run_of(&self, block: usize, head: u32) -> usize {
         if is_free(head) {
             0
@@ -503,7 +506,8 @@ mod tests {
         assert!(other.get(48).is_ok());
     }
 
-    /// Killed at any step of get, hand over and give back: nothing stays lost, nothing is given twice.
+    /// Killed at any step of get, hand over and give back: nothing stays lost, nothing is given
+    /// twice.
     #[test]
     fn killed_at_every_step_everything_comes_back() {
         for at in 0.. {
@@ -594,7 +598,8 @@ mod tests {
         let core = 0..3usize;
         prop_oneof![
             4 => (core.clone(), 0..70usize).prop_map(|(core, words)| Op::Get { core, words }),
-            3 => (core.clone(), any::<usize>()).prop_map(|(core, pick)| Op::GiveBack { core, pick }),
+            3 => (core.clone(), any::<usize>())
+                .prop_map(|(core, pick)| Op::GiveBack { core, pick }),
             2 => (core.clone(), any::<usize>(), core.clone())
                 .prop_map(|(core, pick, to)| Op::HandOver { core, pick, to }),
             1 => core.clone().prop_map(|core| Op::Respawn { core }),

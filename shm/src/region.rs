@@ -28,8 +28,8 @@ pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], Fi
     words.get(..needed).ok_or(FitError::TooSmall)
 }
 
-/// How many slots a channel has and how many words each carries. All ends of a channel must be given
-/// the same shape; it is part of the build, not of the shared memory.
+/// How many slots a channel has and how many words each carries. All ends of a channel must be
+/// given the same shape; it is part of the build, not of the shared memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     slots: usize,

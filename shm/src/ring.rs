@@ -1,14 +1,14 @@
 //! A ring of stamped slots with one writer: what newest-value and broadcast channels stand on.
 //!
-//! Value number k (from 0, wrapping) lies in slot k mod n. The slot's stamp is `k << 1` while the value
-//! is written and `k << 1 | 1` when it is complete; `head` counts the complete values. A reader checks
-//! the stamp, reads the words, and checks the stamp again: a sequence lock for each slot, after
-//! H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC 2012), fig. 6.
-//! In zeroed memory no stamp is one of a complete value.
+//! Value number k (from 0, wrapping) lies in slot k mod n. The slot's stamp is `k << 1` while the
+//! value is written and `k << 1 | 1` when it is complete; `head` counts the complete values. A
+//! reader checks the stamp, reads the words, and checks the stamp again: a sequence lock for each
+//! slot, after H.-J. Boehm, "Can seqlocks get along with programming language memory models?" (MSPC
+//! 2012), fig. 6. In zeroed memory no stamp is one of a complete value.
 //!
-//! Limit: a reader that is stopped between its two checks for exactly a multiple of 2^31 values would
-//! not notice. At one value a microsecond that is 36 minutes; a core that stands still for that long has
-//! been reset by its watchdog.
+//! Limit: a reader that is stopped between its two checks for exactly a multiple of 2^31 values
+//! would not notice. At one value a microsecond that is 36 minutes; a core that stands still for
+//! that long has been reset by its watchdog.
 
 use crate::region::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
@@ -53,8 +53,9 @@ impl<'a> Ring<'a> {
         self.head.load(Ordering::Acquire)
     }
 
-    /// The number of the value that a writer has to write next, after the end of an earlier writer. That
-    /// one may have begun or even completed it; as long as the head does not say so, nobody has seen it.
+    /// The number of the value that a writer has to write next, after the end of an earlier writer.
+    /// That one may have begun or even completed it; as long as the head does not say so, nobody
+    /// has seen it.
     pub(crate) fn resume(&self) -> u32 {
         self.head.load(Ordering::Relaxed)
     }
@@ -93,7 +94,8 @@ impl<'a> Ring<'a> {
         self.head.store(k.wrapping_add(1), Ordering::Release);
     }
 
-    /// Reader, before it reads: whether value k, which is below a head that it has seen, lies in its slot.
+    /// Reader, before it reads: whether value k, which is below a head that it has seen, lies in
+    /// its slot.
     #[inline]
     pub(crate) fn is_complete(&self, k: u32) -> bool {
         // Relaxed: the head was acquired, so the words are those of value k or later ones.

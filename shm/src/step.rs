@@ -1,4 +1,4 @@
-//! Unit tests only: atomics that count their accesses, so that a test can kill or freeze at every step.
+//! Unit tests only: atomics that count accesses, so that a test can kill or freeze at each step.
 
 use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32 as Word, Ordering};
@@ -51,8 +51,8 @@ fn step() -> bool {
 /// Payload of the unwinding that stands for `kill -9`.
 struct Killed;
 
-/// Runs `operation` and kills it just before its access number `at` (from 0). `None` if it was killed,
-/// `Some` if it ended before.
+/// Runs `operation` and kills it just before its access number `at` (from 0). `None` if it was
+/// killed, `Some` if it ended before.
 pub(crate) fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     let kill: Event = Box::new(|| {
         MODE.set(Mode::Dead);
@@ -68,8 +68,8 @@ pub(crate) fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> 
     }
 }
 
-/// Runs `operation`, freezes it just before its access number `at` for as long as `meanwhile` takes,
-/// then thaws it. The flag says whether it came that far.
+/// Runs `operation`, freezes it just before its access number `at` for as long as `meanwhile`
+/// takes, then thaws it. The flag says whether it came that far.
 pub(crate) fn freeze_at<T>(
     at: usize,
     meanwhile: impl FnOnce() + 'static,
@@ -152,8 +152,8 @@ impl AtomicU32 {
     }
 }
 
-/// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may keep
-/// them.
+/// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may
+/// keep them.
 pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
     /// Where Miri finds them, so that it sees no leak.
     static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());

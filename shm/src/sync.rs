@@ -1,4 +1,4 @@
-//! The one switch point between the machine's atomics, loom's model and the unit tests' step injector.
+//! The one switch point between the atomics of the machine, of loom and of the step injector.
 
 pub use core::sync::atomic::Ordering;
 

@@ -80,7 +80,8 @@ impl<'a> WordsMut<'a> {
         self.0[index].store(value, Ordering::Relaxed);
     }
 
-    /// Copies `from` to the first words, as many as both have, and returns how many. The rest stays.
+    /// Copies `from` to the first words, as many as both have, and returns how many. The rest
+    /// stays.
     #[inline]
     pub fn copy_from(&mut self, from: &[u32]) -> usize {
         for (to, from) in self.0.iter().zip(from) {

@@ -1,8 +1,8 @@
 //! The waiting policy: spin, spin and then sleep, or sleep.
 //!
-//! With a CPU of its own a core waits at the cost of a cache line when it spins; on a shared CPU it must
-//! sleep, or it keeps the one that it waits for from running. The policy decides when to look and when to
-//! sleep; what to look for and how to sleep is the caller's, as an [`Event`].
+//! With a CPU of its own a core waits at the cost of a cache line when it spins; on a shared CPU it
+//! must sleep, or it keeps the one that it waits for from running. The policy decides when to look
+//! and when to sleep; what to look for and how to sleep is the caller's, as an [`Event`].
 
 use crate::sync::spin;
 
@@ -11,13 +11,13 @@ pub trait Event {
     /// What has come.
     type Output;
 
-    /// Looks once, without blocking. A caller with a deadline returns here that it has passed: this is
-    /// what ends the waiting.
+    /// Looks once, without blocking. A caller with a deadline returns here that it has passed: this
+    /// is what ends the waiting.
     fn check(&mut self) -> Option<Self::Output>;
 
     /// Tells those who may wake this core that it is going to sleep (see
-    /// [`Receiver::prepare_sleep`](crate::mailbox::Receiver::prepare_sleep)). `false` if something came
-    /// meanwhile; then all that was told is taken back.
+    /// [`Receiver::prepare_sleep`](crate::mailbox::Receiver::prepare_sleep)). `false` if something
+    /// came meanwhile; then all that was told is taken back.
     fn prepare_sleep(&mut self) -> bool;
 
     /// Sleeps until someone wakes this core or the deadline has passed; may end early.

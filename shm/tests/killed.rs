@@ -67,8 +67,8 @@ fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Chil
     })
 }
 
-/// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced. Nobody
-/// is ever inside with another, a half-done change is never taken for whole, and all go on.
+/// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced.
+/// Nobody is ever inside with another, a half-done change is never taken for whole, and all go on.
 #[test]
 fn a_lock_whose_owner_is_killed_is_recovered() {
     const KILLS: u64 = 120;
@@ -84,7 +84,8 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
         if let Some(child) = children[core].take() {
             child.kill();
         }
-        // Every second time the supervisor marks the death, else the successor's announcement tells it.
+        // Every second time the supervisor marks the death, else the successor's announcement tells
+        // it.
         if i.is_multiple_of(2) {
             lives.mark_dead(Life::new(core, generations[core]).unwrap());
         }
@@ -110,8 +111,8 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
     );
 }
 
-/// T-LOCK-3: an owner that is frozen (SIGSTOP), declared dead, replaced, and thawed does not release
-/// the lock of its successor.
+/// T-LOCK-3: an owner that is frozen (SIGSTOP), declared dead, replaced, and thawed does not
+/// release the lock of its successor.
 #[test]
 fn a_thawed_owner_does_not_release_anothers_lock() {
     let words = shared(WORDS);
@@ -137,8 +138,8 @@ fn a_thawed_owner_does_not_release_anothers_lock() {
     assert!(!two.try_lock().unwrap().is_recovered());
 }
 
-/// The writer is killed (-9) and replaced again and again; a reader gets whole values only, and never an
-/// older one after a newer one.
+/// The writer is killed (-9) and replaced again and again; a reader gets whole values only, and
+/// never an older one after a newer one.
 #[test]
 fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
     const SHAPE: Shape = Shape::new(4, 64);
@@ -185,8 +186,8 @@ fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
     assert!(seen > 0);
 }
 
-/// Producer and consumer are killed (-9) in turn; no value is lost, none comes out of order, and only the
-/// one that a killed consumer had in hand comes twice.
+/// Producer and consumer are killed (-9) in turn; no value is lost, none comes out of order, and
+/// only the one that a killed consumer had in hand comes twice.
 #[test]
 fn a_queue_whose_ends_are_killed_loses_nothing() {
     const SHAPE: Shape = Shape::new(8, 4);

@@ -1,5 +1,6 @@
 //! loom models of the channels: newest value, broadcast, FIFO; and of formatting the map.
 #![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
 
 mod common;
 
@@ -85,8 +86,8 @@ fn broadcast_values_are_received_or_counted() {
     });
 }
 
-/// Every value is received once, whole and in order. (That the producer does not refill a slot before the
-/// consumer has read it is beyond loom: it lets no load see a store that comes later.)
+/// Every value is received once, whole and in order. (That the producer does not refill a slot
+/// before the consumer has read it is beyond loom: it lets no load see a store that comes later.)
 #[test]
 fn fifo_values_arrive_in_order() {
     model(4, || {

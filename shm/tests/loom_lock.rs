@@ -1,5 +1,6 @@
 //! loom models of the lock and of the pool.
 #![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
 
 mod common;
 
@@ -34,8 +35,8 @@ fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
     words
 }
 
-/// As many cores as `times` has numbers take the lock so many times, or give up. loom sees whether two
-/// are inside at once and whether the one inside sees what the last one did.
+/// As many cores as `times` has numbers take the lock so many times, or give up. loom sees whether
+/// two are inside at once and whether the one inside sees what the last one did.
 fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
     model(preemptions, move || {
         let words = lock_words(CORES);
@@ -77,7 +78,8 @@ fn three_cores_exclude_each_other() {
     contend([1, 1, 1], 3);
 }
 
-/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often the others come back.
+/// T-LOCK-3: three cores; whoever waits is passed twice at most, however often the others come
+/// back.
 #[test]
 fn three_cores_wait_two_turns_at_most() {
     contend([1, 2, 2], 2);
@@ -162,7 +164,8 @@ fn two_cores_get_different_blocks() {
     });
 }
 
-/// T-SHM-3: who can open what was handed over sees what the last owner wrote, also after it came back.
+/// T-SHM-3: who can open what was handed over sees what the last owner wrote, also after it came
+/// back.
 #[test]
 fn handing_over_carries_the_words() {
     model(3, || {

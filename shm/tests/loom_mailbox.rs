@@ -1,5 +1,6 @@
 //! loom models of the sync mailbox: no signal and no wake-up is lost.
 #![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
 
 mod common;
 
@@ -9,8 +10,8 @@ use loom::thread;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId, WORDS};
 use tandem_shm::sync::Ordering;
 
-/// T-SYNC-3: a receiver that goes to sleep is rung for each signal that it has not seen. A lost wake-up
-/// is a deadlock of the model. The payload that was written before the signal is visible.
+/// T-SYNC-3: a receiver that goes to sleep is rung for each signal that it has not seen. A lost
+/// wake-up is a deadlock of the model. The payload that was written before the signal is visible.
 #[test]
 fn no_wake_up_is_lost() {
     model(3, || {

@@ -1,4 +1,4 @@
-//! Three processes increment one counter: without the lock increments get lost, with it none. T-LOCK-2
+//! Three processes increment one counter: without the lock some get lost, with it none. T-LOCK-2
 #![cfg(all(target_os = "linux", not(loom), not(miri)))]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -13,8 +13,8 @@ use tandem_shm::sync::{AtomicU32, Ordering};
 const CORES: u32 = 3;
 /// Increments of each process.
 const INCREMENTS: u32 = 20_000;
-/// Every so many increments the process gives its CPU away between load and store, so that the control
-/// group shows its loss on a single CPU, too.
+/// Every so many increments the process gives its CPU away between load and store, so that the
+/// control group shows its loss on a single CPU, too.
 const GIVE_WAY_EVERY: u32 = 64;
 
 const LIVES_AT: usize = 0;
@@ -32,7 +32,8 @@ fn increment(counter: &AtomicU32, i: u32) {
     counter.store(value + 1, Ordering::Relaxed);
 }
 
-/// Three processes, each with `work(words, core, i)` for i up to [`INCREMENTS`]; returns the counter.
+/// Three processes, each with `work(words, core, i)` for i up to [`INCREMENTS`]; returns the
+/// counter.
 fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) -> u32 {
     let words = shared(WORDS);
     let children: Vec<_> = (0..CORES as usize)

@@ -143,7 +143,8 @@ fn signals_wake_a_sleeping_receiver() {
     });
 }
 
-/// T-LOCK-1, T-SHM-3: two cores work on the words of the pool that they hand to each other, under the lock.
+/// T-LOCK-1, T-SHM-3: two cores work on the words of the pool that they hand to each other, under
+/// the lock.
 #[test]
 fn words_go_round_and_the_lock_guards_a_counter() {
     const BLOCKS: usize = 3;

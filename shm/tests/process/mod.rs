@@ -13,8 +13,8 @@ const WATCHDOG_S: u32 = 120;
 /// Zeroed words that all children share; there until the test process ends.
 pub(crate) fn shared(words: usize) -> &'static [AtomicU32] {
     let bytes = words * 4;
-    // SAFETY: a new anonymous mapping, page-aligned and zeroed, never unmapped; atomics have interior
-    // mutability, so that other processes may write it.
+    // SAFETY: a new anonymous mapping, page-aligned and zeroed, never unmapped; atomics have
+    // interior mutability, so that other processes may write it.
     unsafe {
         let at = libc::mmap(
             core::ptr::null_mut(),
@@ -33,11 +33,11 @@ pub(crate) fn shared(words: usize) -> &'static [AtomicU32] {
 pub(crate) struct Child(libc::pid_t);
 
 impl Child {
-    /// Runs `f` in a child, which ends with it. `f` must not allocate: another thread of the parent may
-    /// have held the allocator's lock.
+    /// Runs `f` in a child, which ends with it. `f` must not allocate: another thread of the parent
+    /// may have held the allocator's lock.
     pub(crate) fn start(f: impl FnOnce()) -> Self {
-        // SAFETY: the child calls `f`, which keeps to what a child of a process with threads may do,
-        // and ends without running the parent's destructors.
+        // SAFETY: the child calls `f`, which keeps to what a child of a process with threads may
+        // do, and ends without running the parent's destructors.
         unsafe {
             let parent = libc::getpid();
             match libc::fork() {
@@ -74,7 +74,8 @@ impl Child {
 
     /// Whether the child has not ended.
     pub(crate) fn is_running(&self) -> bool {
-        // SAFETY: an all-zero `siginfo_t` is valid; `waitid` fills it and leaves the child to be waited for.
+        // SAFETY: an all-zero `siginfo_t` is valid; `waitid` fills it and leaves the child to be
+        // waited for.
         unsafe {
             let mut info: libc::siginfo_t = core::mem::zeroed();
             let options = libc::WEXITED | libc::WNOHANG | libc::WNOWAIT;
