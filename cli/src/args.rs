@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use tandem_benches::command::BenchArgs;
 
 const EXAMPLES: &str = "\
 The three jobs:
@@ -45,6 +46,8 @@ pub(crate) enum Command {
     Ps(PsArgs),
     /// List the scenarios that are built in
     Scenarios,
+    /// Measure the time from one core to another, beside the floor and what else one would use
+    Bench(BenchArgs),
 }
 
 /// Arguments of `tandem run`.

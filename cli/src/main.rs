@@ -32,6 +32,7 @@ use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 
 use args::{Cli, Command};
 use failure::Failure;
+use tandem_benches::command::BenchArgs;
 
 fn main() -> ExitCode {
     // The processes of a run are this program with hidden arguments.
@@ -58,6 +59,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Run(args) => run::run(&args),
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
+        Command::Bench(args) => bench(&args),
     }
 }
 
@@ -74,6 +76,12 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
         }
         ProcessArgs::Vehicle(args) => vehicle::run(&args).context("vehicle"),
     }
+}
+
+fn bench(args: &BenchArgs) -> Result<(), Failure> {
+    let results = tandem_benches::command::run(args).map_err(|error| Failure::Run(error.into()))?;
+    let table = io::stdout().lock().write_all(results.table().as_bytes());
+    table.context("cannot print").map_err(Failure::Run)
 }
 
 fn scenarios() -> anyhow::Result<()> {

@@ -6,14 +6,24 @@ use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
+use iceoryx2_bb_container::semantic_string::SemanticString as _;
+use iceoryx2_bb_system_types::path::Path;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-/// A node with default settings, but for signals: Ctrl-C is the benchmark's.
+/// Where its files go: the benchmark's own `/dev/shm`, so that nothing is left behind.
+const ROOT: &[u8] = b"/dev/shm/iceoryx2";
+
+/// A node with default settings, but for the place of its files and for signals: Ctrl-C is the
+/// benchmark's.
 pub(super) fn node() -> Result<Node<ipc::Service>, NodeCreationFailure> {
     set_log_level(LogLevel::Fatal);
+    let mut config = Config::default();
+    if let Ok(root) = Path::new(ROOT) {
+        config.global.set_root_path(&root);
+    }
     NodeBuilder::new()
-        .config(&Config::default())
+        .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
         .create::<ipc::Service>()
 }
