@@ -69,15 +69,9 @@ impl<'b, B: Board> Core1<'b, B> {
     }
 
     fn cycle(&mut self) {
-        let Self {
-            board,
-            frames,
-            perception,
-            ..
-        } = self;
-        read_can(*board, frames, |at, message| {
-            perception.on_message(at, &message)
-        });
+        while let Some((at, message)) = read_can(self.board, &mut self.frames) {
+            self.perception.on_message(at, &message);
+        }
         let Some(attached) = &mut self.attached else {
             return;
         };

@@ -70,19 +70,19 @@ impl Config {
     }
 }
 
-/// Hands every received frame of the DBC that passes its end-to-end check to `take`, with the time
-/// at which it was on the bus. Other frames are other people's traffic.
+/// The next received frame of the DBC that passes its end-to-end check, with the time at which it was on
+/// the bus. Other frames are other people's traffic.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::Receiver,
-    mut take: impl FnMut(Instant, Message),
-) {
-    while let Some(received) = board.can().try_receive() {
+) -> Option<(Instant, Message)> {
+    loop {
+        let received = board.can().try_receive()?;
         let CanId::Standard(id) = received.frame.id() else {
             continue;
         };
         match receiver.receive(id.into(), received.frame.data()) {
-            Ok(message) => take(received.at, message),
+            Ok(message) => return Some((received.at, message)),
             Err(ReceiveError::Protection(_)) => {
                 board.trace(trace::Event::Refused { id: id.into() }.encode());
             }

@@ -22,8 +22,8 @@ use tandem_board::{
 };
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
-    Actions, FailureMode, Geometry, Input, Loaded, Mode, PeerReport, Phase, Redundancy, Snapshot,
-    StateStore,
+    Actions, ControlFrame, FailureMode, Geometry, Input, Loaded, Mode, PeerReport, Phase,
+    Redundancy, Snapshot, StateStore,
 };
 use tandem_shm::mailbox::Receiver;
 
@@ -193,58 +193,63 @@ impl<'b, B: Board> Core0<'b, B> {
 
     /// Fetches all that came over CAN and the link, and hands it on.
     fn read_bus(&mut self) {
-        let Self {
-            board,
-            receiver,
-            drive,
-            redundancy,
-            can_frames,
-            system,
-            ..
-        } = self;
-        let mut actions = heapless::Vec::<Actions, 8>::new();
-        let mut tell = |input| {
-            if let Some(redundancy) = redundancy {
-                // Room for eight: the oldest frames of a flood matter least, their actions are
-                // done.
-                let _full = actions.push(redundancy.on(board.now(), input));
-            }
-        };
-        read_can(*board, receiver, |at, message| {
-            *can_frames = can_frames.wrapping_add(1);
-            match message {
-                Message::EgoMotion(motion) => drive.on_ego(at, ego_of(&motion)),
-                Message::Control {
-                    system: from,
-                    control,
-                } if usize::from(from) != system.index() => {
-                    if let Some(frame) = frames::heard_control(from, &control) {
-                        drive.on_command_of_master(Command {
-                            steering_angle: control.steering_angle,
-                            acceleration: control.acceleration,
-                        });
-                        tell(Input::ControlFrame(frame));
-                    }
-                }
-                Message::Status {
-                    system: from,
-                    status,
-                } if usize::from(from) != system.index() => {
-                    if let Some(report) = frames::heard_status(&status) {
-                        tell(Input::StatusFrame(report));
-                    }
-                }
-                _ => {}
-            }
-        });
+        while let Some((at, message)) = read_can(self.board, &mut self.receiver) {
+            self.can_frames = self.can_frames.wrapping_add(1);
+            self.hear(at, message);
+        }
         let mut words = [0; PeerReport::WORDS];
-        while let Some(length) = board.link().try_receive(&mut words) {
+        while let Some(length) = self.board.link().try_receive(&mut words) {
             let report = words.get(..length).and_then(PeerReport::from_words);
             if let Some(report) = report {
-                tell(Input::LinkReport(report));
+                self.tell(Input::LinkReport(report));
             }
         }
-        for actions in actions {
+    }
+
+    fn hear(&mut self, at: Instant, message: Message) {
+        match message {
+            Message::EgoMotion(motion) => self.drive.on_ego(at, ego_of(&motion)),
+            Message::Control {
+                system: from,
+                control,
+            } if usize::from(from) != self.system.index() => {
+                let Some(frame) = frames::heard_control(from, &control) else {
+                    return;
+                };
+                self.tell(Input::ControlFrame(frame));
+                if self.is_of_master(frame) {
+                    self.drive.on_command_of_master(Command {
+                        steering_angle: control.steering_angle,
+                        acceleration: control.acceleration,
+                    });
+                }
+            }
+            Message::Status {
+                system: from,
+                status,
+            } if usize::from(from) != self.system.index() => {
+                if let Some(report) = frames::heard_status(&status) {
+                    self.tell(Input::StatusFrame(report));
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy. A stale
+    /// frame of a master that was held up is none to go on from.
+    fn is_of_master(&self, frame: ControlFrame) -> bool {
+        self.redundancy.as_ref().is_none_or(|redundancy| {
+            !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
+        })
+    }
+
+    /// Tells the redundancy what has come, and does what it answers. Each by itself: of a flood, the last
+    /// frame counts as much as the first.
+    fn tell(&mut self, input: Input) {
+        let now = self.board.now();
+        if let Some(redundancy) = &mut self.redundancy {
+            let actions = redundancy.on(now, input);
             self.act(actions);
         }
     }

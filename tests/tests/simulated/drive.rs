@@ -16,6 +16,8 @@ pub(crate) struct Seen {
     pub(crate) world: World,
     /// Times in ns at which control frames were accepted, and from which system.
     pub(crate) accepted: Vec<(u64, SystemId)>,
+    /// Frames that somebody else sends with the next tick.
+    pub(crate) forged: Vec<CanFrame>,
 }
 
 /// Both systems and one vehicle in virtual time.
@@ -56,6 +58,7 @@ fn tick(seen: &mut Seen, tick: &mut WorldTick) {
     seen.world.step(now, &mut |id, data| {
         frames.push(CanFrame::new(CanId::Standard(id), true, data).expect("a frame of the DBC"));
     });
+    frames.append(&mut seen.forged);
     frames.into_iter().for_each(|frame| tick.send(frame));
     for acceptance in seen.world.gate_mut().drain_log() {
         if acceptance.verdict == tandem_vehicle::gate::Verdict::Accepted {
@@ -77,6 +80,7 @@ impl Drive {
         let seen = Rc::new(RefCell::new(Seen {
             world,
             accepted: vec![],
+            forged: vec![],
         }));
         let board_config = Config {
             seed,

@@ -6,6 +6,7 @@
 )]
 
 mod drive;
+mod stale;
 
 use drive::Drive;
 use tandem_board::{CoreId, Duration, SystemId};

@@ -1,0 +1,121 @@
+//! Control frames that come late, in the name of a system that no longer drives, or many at once.
+
+use crate::drive::Drive;
+use tandem_board::{CanFrame, CanId, CoreId, Duration, FlashError, SystemId};
+use tandem_board_sim::SimBoard;
+use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_redundancy::{Geometry, Loaded, StateStore, Term};
+
+const MS: fn(u64) -> Duration = Duration::from_ms;
+
+fn control(frame: &CanFrame, of: SystemId) -> Option<Control> {
+    let CanId::Standard(id) = frame.id() else {
+        return None;
+    };
+    match Message::decode(id.into(), frame.data()) {
+        Ok(Message::Control { system, control }) if usize::from(system) == of.index() => {
+            Some(control)
+        }
+        _ => None,
+    }
+}
+
+/// What this system has sent on the bus since the last call.
+fn sent_by(drive: &mut Drive, system: SystemId) -> Vec<Control> {
+    let log = drive.pair.take_bus_log();
+    log.iter()
+        .filter_map(|on_bus| control(&on_bus.frame, system))
+        .collect()
+}
+
+fn forge(drive: &Drive, transmitter: &mut Transmitter, control: Control) {
+    let message = Message::Control { system: 0, control };
+    let encoded = transmitter.encode(&message);
+    let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
+    let frame = frame.expect("a frame of the DBC");
+    drive.seen.borrow_mut().forged.push(frame);
+}
+
+/// The newest term in the flash of a system.
+fn term_in_flash(drive: &Drive, system: SystemId) -> Term {
+    let bytes = drive.pair.flash(system);
+    let read = |offset: u32, into: &mut [u8]| {
+        let from = bytes
+            .get(offset as usize..)
+            .and_then(|from| from.get(..into.len()));
+        into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
+        Ok(())
+    };
+    match StateStore::load(
+        Geometry::of::<<SimBoard as tandem_board::Board>::Flash>(),
+        read,
+    )
+    .1
+    {
+        Loaded::State(state) => state.term,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle refuses
+/// that, and its successor does not go on from it either.
+#[test]
+fn a_stale_control_frame_does_not_jerk_the_new_master() {
+    let mut drive = Drive::new("free-lane", 6);
+    drive.run_for(MS(10_000));
+    let stale = *sent_in(&mut drive, SystemId::A).last().expect("A drives");
+    drive.pair.power_off(SystemId::A);
+    drive.run_for(MS(2_000));
+    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
+    let mut transmitter = Transmitter::new();
+    let mut steering = vec![];
+    for _ in 0..20 {
+        forge(
+            &drive,
+            &mut transmitter,
+            Control {
+                steering_angle: 0.3,
+                acceleration: -6.0,
+                ..stale
+            },
+        );
+        steering.extend(sent_in(&mut drive, SystemId::B));
+    }
+    assert!(steering.len() >= 19, "B drives on");
+    let most = steering
+        .iter()
+        .map(|control| control.steering_angle.abs())
+        .fold(0.0, f32::max);
+    assert!(most < 0.05, "steers by {most} rad on a straight road");
+}
+
+/// What this system sends within 10 ms.
+fn sent_in(drive: &mut Drive, system: SystemId) -> Vec<Control> {
+    drive.pair.take_bus_log();
+    drive.pair.run_for(MS(10));
+    sent_by(drive, system)
+}
+
+/// T-RED-1: the state is written at every change, also if the changes come faster than they are read.
+#[test]
+fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
+    let mut drive = Drive::new("free-lane", 7);
+    drive.run_for(MS(10_000));
+    let first = *sent_in(&mut drive, SystemId::A).last().expect("A drives");
+    let mut term = Term::from_bits(first.term);
+    let mut transmitter = Transmitter::new();
+    drive.pair.freeze_core(SystemId::B, CoreId::CONTROL, MS(12));
+    for _ in 0..16 {
+        term = term.above(1, SystemId::A).expect("terms are left");
+        let control = Control {
+            role: Role::Master,
+            mode: Mode::L3,
+            term: term.bits(),
+            ..first
+        };
+        forge(&drive, &mut transmitter, control);
+    }
+    // Long enough to write, and too short for A, which hears of these terms, to answer with a higher one.
+    drive.run_for(MS(15));
+    assert_eq!(term_in_flash(&drive, SystemId::B), term);
+}
