@@ -175,11 +175,6 @@ impl Supply<'_> {
             self.sleep(vehicle.fd(), next);
             let now = clock::now();
             let late = now.since(next);
-            if let State::On { watchdog, .. } = &mut self.state
-                && late > HELD_UP
-            {
-                watchdog.excuse(late);
-            }
             if now >= next {
                 // Ticks that were missed carry nothing.
                 next = now + PERIOD;
@@ -191,7 +186,7 @@ impl Supply<'_> {
             }
             self.look_at_peer();
             self.look_at_cores(now);
-            self.look_at_registers(now);
+            self.look_at_registers(now, late);
             self.release_if_due(now);
         }
     }
@@ -233,10 +228,10 @@ impl Supply<'_> {
         }
     }
 
-    fn look_at_registers(&mut self, now: Instant) {
+    fn look_at_registers(&mut self, now: Instant, late: Duration) {
         let request = self.backplane.take_reset_request(self.args.system);
         let State::On { .. } = self.state else { return };
-        if self.watchdog(now).is_err() {
+        if self.watchdog(now, late).is_err() {
             self.reset(now, ResetCause::Watchdog);
         }
         match request {
@@ -252,7 +247,7 @@ impl Supply<'_> {
         }
     }
 
-    fn watchdog(&mut self, now: Instant) -> Result<(), WatchdogFault> {
+    fn watchdog(&mut self, now: Instant, late: Duration) -> Result<(), WatchdogFault> {
         let State::On { watchdog, .. } = &mut self.state else {
             return Ok(());
         };
@@ -262,6 +257,11 @@ impl Supply<'_> {
             // An answer is a byte; what is more is wrong.
             let answer = u8::try_from(words[2]).map_err(|_| WatchdogFault::WrongAnswer)?;
             watchdog.on_service(now, at, answer)?;
+        }
+        // Only now: the ring keeps the first services of a long time, and each ends what was excused
+        // before it.
+        if late > HELD_UP {
+            watchdog.excuse(late);
         }
         watchdog.check(now)
     }

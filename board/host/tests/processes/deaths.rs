@@ -42,6 +42,11 @@ pub(crate) const CASES: &[Case] = &[
         vehicle: freeze,
     },
     Case {
+        name: "a_frozen_supply_blames_nobody_when_it_thaws",
+        core: live,
+        vehicle: freeze_supply,
+    },
+    Case {
         name: "a_core_that_never_serves_is_reset",
         core: never_serve,
         vehicle: reset_by_dog,
@@ -232,6 +237,23 @@ fn freeze(script: &mut Script) {
     await_start(script, B, 1);
     script.signal(B, CONTROL, Signal::STOP);
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
+}
+
+/// T-CHIP-6: while the supply is held up it watches nobody. It finds what it has missed, as far as that
+/// was kept, and nothing of the rest: that is not the core's fault.
+fn freeze_supply(script: &mut Script) {
+    script.await_life(A, 1);
+    script.rest(50);
+    let supply = script.world.backplane().supply_pid(A);
+    signal(supply, Signal::STOP);
+    script.rest(1_000);
+    signal(supply, Signal::CONT);
+    script.rest(300);
+    assert_eq!(script.generation(A, CONTROL).0, 1, "it was always served");
+    script.signal(A, CONTROL, Signal::STOP);
+    script.until("watched again", |script| {
+        script.generation(A, CONTROL).0 > 1
+    });
 }
 
 fn report_once(board: &HostBoard) {
