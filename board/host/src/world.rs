@@ -58,6 +58,8 @@ pub struct WorldPort {
     bus: broadcast::Sender<'static>,
     /// Empty between calls; kept for its memory.
     sent: Vec<(SystemId, CoreId, Received)>,
+    /// When the transmit buffers were last emptied.
+    emptied: Instant,
     /// Frames were put on the bus that some core has not been told of.
     news: bool,
 }
@@ -100,6 +102,7 @@ impl WorldPort {
             from_cores,
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
             sent: vec![],
+            emptied: clock::now(),
             news: false,
         })
     }
@@ -127,13 +130,19 @@ impl WorldPort {
     pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         let now = clock::now();
         let reaches = self.reaches();
+        // What is found now was not there the last time. A core that was frozen between looking at the
+        // clock and sending would say otherwise, and hide the gap.
+        let emptied = core::mem::replace(&mut self.emptied, now);
         let mut words = [0; FRAME_WORDS];
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             while node.frames.receive_into(&mut words) {
                 if let Some(sent) = Wired::decode(&words).filter(|_| !silent) {
+                    let at = sent.received.at.clamp(emptied, now);
+                    let frame = sent.received.frame;
                     // Who sent it is known from the ring, whatever the words say.
-                    self.sent.push((node.system, node.core, sent.received));
+                    let sent = (node.system, node.core, Received { frame, at });
+                    self.sent.push(sent);
                 }
             }
         }
@@ -246,4 +255,58 @@ fn wait_until_assembled(backplane: Backplane) -> Result<(), WorldError> {
         clock::sleep_until(clock::now() + Duration::from_ms(1));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::args::{Common, Schedule};
+    use crate::name::RunName;
+    use tandem_board::CanId;
+
+    /// A run without processes, of which this one is launcher and vehicle.
+    fn world() -> (RunName, WorldPort) {
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        let own = std::process::id();
+        backplane.set_launcher(own);
+        backplane.assemble([own; 2], own);
+        let common = Common {
+            run: run.clone(),
+            schedule: Schedule::default(),
+            extra: vec![],
+        };
+        let world = WorldPort::attach(&VehicleArgs { common }).unwrap();
+        (run, world)
+    }
+
+    /// T-RED-8: a frame is logged when it was on the bus, whatever its sender says: one that was frozen
+    /// between looking at the clock and sending hides no gap, and none lies ahead.
+    #[test]
+    fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
+        let (run, mut world) = world();
+        let ring = RINGS.transmit[core_index(SystemId::A, CoreId::CONTROL)];
+        let words = world.backplane.ring(ring);
+        let mut transmit = fifo::Producer::attach(words, ring.shape).unwrap();
+        let mut sent = |world: &mut WorldPort, at: Instant| {
+            let frame = CanFrame::new(CanId::Standard(1), true, &[]).unwrap();
+            let wired = Wired {
+                received: Received { frame, at },
+                origin: Origin::Core(SystemId::A, CoreId::CONTROL),
+                reaches: [false; 2],
+            };
+            transmit.send(&wired.encode()).unwrap();
+            let mut seen = vec![];
+            world.transmitted(&mut |_, _, received| seen.push(received.at));
+            seen
+        };
+        let begin = clock::now();
+        assert!(sent(&mut world, begin)[0] >= begin);
+        assert!(sent(&mut world, Instant::ORIGIN)[0] >= begin, "in the past");
+        let [ahead] = sent(&mut world, Instant::NEVER)[..] else {
+            panic!("one frame was sent");
+        };
+        assert!(ahead <= clock::now(), "in the future");
+        Backplane::remove(&run);
+    }
 }
