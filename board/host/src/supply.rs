@@ -121,9 +121,10 @@ fn wait_for_ignition(
     args: &SupplyArgs,
     backplane: Backplane,
 ) -> Option<(Watched, Option<Watched>)> {
-    let launcher = Watched::new(backplane.launcher_pid())?;
+    let launcher = Watched::new(backplane.launcher_pid());
     while !backplane.is_assembled() {
-        if launcher.has_ended() && !backplane.is_assembled() {
+        let ended = launcher.as_ref().is_none_or(Watched::has_ended);
+        if ended && !backplane.is_assembled() {
             return None;
         }
         clock::sleep_until(clock::now() + PERIOD);
@@ -358,5 +359,42 @@ impl Supply<'_> {
         self.backplane.set_level(of, high);
         self.ringers
             .ring(self.backplane, of.peer(), CoreId::CONTROL);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::args::{Common, Schedule};
+    use crate::name::RunName;
+
+    /// T-CHIP-6: a supply that starts slowly, while the launcher has done its part and died, is needed
+    /// all the same: the vehicle drives.
+    #[test]
+    fn a_launcher_that_died_after_the_start_is_not_missed() {
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        let mut launcher = Command::new("true").spawn().unwrap();
+        backplane.set_launcher(launcher.id());
+        let args = SupplyArgs {
+            common: Common {
+                run: run.clone(),
+                schedule: Schedule::default(),
+                extra: vec![],
+            },
+            system: SystemId::A,
+            flash: std::path::PathBuf::new(),
+        };
+        launcher.wait().unwrap();
+        assert!(
+            wait_for_ignition(&args, backplane).is_none(),
+            "not assembled"
+        );
+
+        let own = std::process::id();
+        backplane.assemble([own; 2], own);
+        backplane.set_ignition(true);
+        assert!(wait_for_ignition(&args, backplane).is_some());
+        Backplane::remove(&run);
     }
 }
