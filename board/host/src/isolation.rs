@@ -227,8 +227,11 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
     loop {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
         let file = openat(shm, name.as_str(), flags, Mode::RUSR | Mode::WUSR).map_err(failed)?;
-        flock(&file, FlockOperation::NonBlockingLockExclusive).map_err(failed)?;
-        // A sweep may have locked and removed it in between.
+        // A sweep may have locked it in between, and removes it then: that is waited for.
+        match flock(&file, FlockOperation::LockExclusive) {
+            Err(Errno::INTR) => continue,
+            locked => locked.map_err(failed)?,
+        }
         let mine = fstat(&file).map_err(failed)?;
         let there = statat(shm, name.as_str(), AtFlags::SYMLINK_NOFOLLOW);
         if there.is_ok_and(|there| there.st_ino == mine.st_ino) {
@@ -277,4 +280,31 @@ fn names(folder: &OwnedFd) -> impl Iterator<Item = String> {
         let name = OsStr::from_bytes(entry.file_name().to_bytes());
         name.to_string_lossy().into_owned()
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A run that starts beside this one sweeps, and finds the lock file before it is locked.
+    #[test]
+    fn a_sweep_beside_a_start_is_waited_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let shm = open_folder(folder.path().to_str().unwrap()).unwrap();
+        let run = RunName::unique();
+        let path = folder.path().join(format!("{run}{LOCK_SUFFIX}"));
+        let other = fs::File::create(&path).unwrap();
+        flock(&other, FlockOperation::NonBlockingLockExclusive).unwrap();
+        let sweep = std::thread::spawn(move || {
+            std::thread::sleep(std::time::Duration::from_millis(100));
+            fs::remove_file(&path).unwrap();
+            drop(other);
+            path
+        });
+        let _lock = lock(&shm, &run).unwrap();
+        assert!(
+            sweep.join().unwrap().exists(),
+            "the lock is held on a file that is there"
+        );
+    }
 }
