@@ -70,8 +70,8 @@ impl Config {
     }
 }
 
-/// The next received frame of the DBC that passes its end-to-end check, with the time at which it was on
-/// the bus. Other frames are other people's traffic.
+/// The next received frame of the DBC that passes its end-to-end check, with the time at which it
+/// was on the bus. Other frames are other people's traffic.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::Receiver,

@@ -259,8 +259,8 @@ impl Supply<'_> {
             let answer = u8::try_from(words[2]).map_err(|_| WatchdogFault::WrongAnswer)?;
             watchdog.on_service(now, at, answer)?;
         }
-        // Only now: the ring keeps the first services of a long time, and each ends what was excused
-        // before it.
+        // Only now: the ring keeps the first services of a long time, and each ends what was
+        // excused before it.
         if late > HELD_UP {
             watchdog.excuse(late);
         }
@@ -368,8 +368,8 @@ mod tests {
     use crate::args::{Common, Schedule};
     use crate::name::RunName;
 
-    /// T-CHIP-6: a supply that starts slowly, while the launcher has done its part and died, is needed
-    /// all the same: the vehicle drives.
+    /// T-CHIP-6: a supply that starts slowly, while the launcher has done its part and died, is
+    /// needed all the same: the vehicle drives.
     #[test]
     fn a_launcher_that_died_after_the_start_is_not_missed() {
         let run = RunName::unique();

@@ -130,8 +130,8 @@ impl WorldPort {
     pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         let now = clock::now();
         let reaches = self.reaches();
-        // What is found now was not there the last time. A core that was frozen between looking at the
-        // clock and sending would say otherwise, and hide the gap.
+        // What is found now was not there the last time. A core that was frozen between looking at
+        // the clock and sending would say otherwise, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
         let mut words = [0; FRAME_WORDS];
         for node in &mut self.from_cores {
@@ -280,8 +280,8 @@ mod tests {
         (run, world)
     }
 
-    /// T-RED-8: a frame is logged when it was on the bus, whatever its sender says: one that was frozen
-    /// between looking at the clock and sending hides no gap, and none lies ahead.
+    /// T-RED-8: a frame is logged when it was on the bus, whatever its sender says: one that was
+    /// frozen between looking at the clock and sending hides no gap, and none lies ahead.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (run, mut world) = world();

@@ -12,10 +12,11 @@ struct Watched {
     seen: bool,
 }
 
-/// Looks are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely cores 1
-/// and 2 with it: what nobody looked at is no silence.
+/// Looks are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
+/// cores 1 and 2 with it: what nobody looked at is no silence.
 const HELD_UP: Duration = Duration::from_ms(20);
-/// So much of such a time counts all the same: a core 0 that is always late must find a dead core too.
+/// So much of such a time counts all the same: a core 0 that is always late must find a dead core
+/// too.
 const COUNTS: Duration = Duration::from_ms(5);
 
 /// Watches the cycle counters of cores 1 and 2.
@@ -122,8 +123,8 @@ mod tests {
         ms.find_map(|ms| Some((ms, alive.silent(at(ms), LIMIT, cycles)?)))
     }
 
-    /// T-CHIP-3: cores that were held up together with core 0 get their turn before they are judged; one
-    /// that is dead is found then, and also by a core 0 that is always late.
+    /// T-CHIP-3: cores that were held up together with core 0 get their turn before they are
+    /// judged; one that is dead is found then, and also by a core 0 that is always late.
     #[test]
     fn what_nobody_looked_at_is_no_silence() {
         let mut alive = Alive::new(at(0), FIRST, |_| 0);

@@ -236,16 +236,16 @@ impl<'b, B: Board> Core0<'b, B> {
         }
     }
 
-    /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy. A stale
-    /// frame of a master that was held up is none to go on from.
+    /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy.
+    /// A stale frame of a master that was held up is none to go on from.
     fn is_of_master(&self, frame: ControlFrame) -> bool {
         self.redundancy.as_ref().is_none_or(|redundancy| {
             !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
         })
     }
 
-    /// Tells the redundancy what has come, and does what it answers. Each by itself: of a flood, the last
-    /// frame counts as much as the first.
+    /// Tells the redundancy what has come, and does what it answers. Each by itself: of a flood,
+    /// the last frame counts as much as the first.
     fn tell(&mut self, input: Input) {
         let now = self.board.now();
         if let Some(redundancy) = &mut self.redundancy {

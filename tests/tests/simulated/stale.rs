@@ -57,8 +57,8 @@ fn term_in_flash(drive: &Drive, system: SystemId) -> Term {
     }
 }
 
-/// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle refuses
-/// that, and its successor does not go on from it either.
+/// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle
+/// refuses that, and its successor does not go on from it either.
 #[test]
 fn a_stale_control_frame_does_not_jerk_the_new_master() {
     let mut drive = Drive::new("free-lane", 6);
@@ -96,7 +96,8 @@ fn sent_in(drive: &mut Drive, system: SystemId) -> Vec<Control> {
     sent_by(drive, system)
 }
 
-/// T-RED-1: the state is written at every change, also if the changes come faster than they are read.
+/// T-RED-1: the state is written at every change, also if the changes come faster than they are
+/// read.
 #[test]
 fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
     let mut drive = Drive::new("free-lane", 7);
@@ -115,7 +116,8 @@ fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
         };
         forge(&drive, &mut transmitter, control);
     }
-    // Long enough to write, and too short for A, which hears of these terms, to answer with a higher one.
+    // Long enough to write, and too short for A, which hears of these terms, to answer with a
+    // higher one.
     drive.run_for(MS(15));
     assert_eq!(term_in_flash(&drive, SystemId::B), term);
 }

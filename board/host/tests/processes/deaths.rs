@@ -239,8 +239,8 @@ fn freeze(script: &mut Script) {
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
 }
 
-/// T-CHIP-6: while the supply is held up it watches nobody. It finds what it has missed, as far as that
-/// was kept, and nothing of the rest: that is not the core's fault.
+/// T-CHIP-6: while the supply is held up it watches nobody. It finds what it has missed, as far as
+/// that was kept, and nothing of the rest: that is not the core's fault.
 fn freeze_supply(script: &mut Script) {
     script.await_life(A, 1);
     script.rest(50);
