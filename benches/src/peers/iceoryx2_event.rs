@@ -6,7 +6,6 @@ use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
-use iceoryx2_bb_container::semantic_string::SemanticString as _;
 use iceoryx2_bb_system_types::path::Path;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
