@@ -27,7 +27,10 @@ pub(crate) struct Drive {
     pub(crate) events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
-fn poller(board: &SimBoard, config: tandem_cores::Config) -> Box<dyn FnMut(&SimBoard) -> Instant> {
+pub(crate) fn poller(
+    board: &SimBoard,
+    config: tandem_cores::Config,
+) -> Box<dyn FnMut(&SimBoard) -> Instant> {
     // A core's life ends with its reset, which this process outlives: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match board.identity().core {

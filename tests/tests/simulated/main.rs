@@ -6,6 +6,7 @@
 )]
 
 mod drive;
+mod held_up;
 mod stale;
 
 use drive::Drive;
