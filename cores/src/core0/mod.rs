@@ -415,8 +415,8 @@ impl<'b, B: Board> Core0<'b, B> {
         }
         let supply = self.board.supply();
         supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
-        // Looked at anew: had this core been held up since the look above, the next service would seem
-        // to be due while the window is still closed.
+        // Looked at anew: had this core been held up since the look above, the next service would
+        // seem to be due while the window is still closed.
         self.last_service = Some(self.board.now());
     }
 

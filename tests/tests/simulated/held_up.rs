@@ -118,8 +118,8 @@ impl Board for HeldUp {
     }
 }
 
-/// T-CHIP-6: a service that came late, after core 0 had looked at the clock for it, is not followed by
-/// one before the window opens again.
+/// T-CHIP-6: a service that came late, after core 0 had looked at the clock for it, is not followed
+/// by one before the window opens again.
 #[test]
 fn a_core_held_up_before_its_service_does_not_serve_early_after_it() {
     let services = Rc::new(RefCell::new(vec![]));
