@@ -9,6 +9,8 @@ use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread;
 
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use tandem_board::{DataFlash, FlashError, FlashStatus};
 
 const PAGE: u64 = HostFlash::PAGE_BYTES as u64;
@@ -39,6 +41,19 @@ pub enum FlashFileError {
         /// Its size in bytes.
         found: u64,
     },
+    /// Another system has it.
+    #[error("data flash {path} is in use by another system; end that run or name another file")]
+    InUse {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// The data flash of one system, for as long as this or any process started meanwhile lives: two
+/// systems that write one flash would each destroy what the other has written.
+#[derive(Debug)]
+pub(crate) struct Claimed {
+    _lock: File,
 }
 
 /// The data flash of a system in a file.
@@ -78,6 +93,33 @@ impl HostFlash {
             Err(error) if error.kind() == io::ErrorKind::NotFound => create(path).map_err(failed),
             Err(error) => Err(failed(error)),
         }
+    }
+
+    /// Prepares the file and takes it for one system of the calling process's run.
+    ///
+    /// # Errors
+    /// [`FlashFileError`], among them that it is taken.
+    pub(crate) fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
+        Self::prepare(path)?;
+        let failed = |source| FlashFileError::Io {
+            path: path.to_owned(),
+            source,
+        };
+        let file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .open(path)
+            .map_err(failed)?;
+        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+            Err(Errno::WOULDBLOCK) => {
+                let path = path.to_owned();
+                return Err(FlashFileError::InUse { path });
+            }
+            locked => locked.map_err(|errno| failed(errno.into()))?,
+        }
+        // The children inherit it, and with it the lock: a launcher may die before its run.
+        fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;
+        Ok(Claimed { _lock: file })
     }
 
     /// Opens the data flash and starts its background thread.
@@ -308,5 +350,17 @@ mod tests {
         let error = HostFlash::open(&path).unwrap_err();
         assert!(error.to_string().contains("has 4 bytes"), "{error}");
         assert_eq!(fs::read(&path).unwrap(), b"mine");
+    }
+
+    /// T-RED-1: a run beside another does not write over its state.
+    #[test]
+    fn a_data_flash_belongs_to_one_system() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("A.dflash");
+        let _claimed = HostFlash::claim(&path).unwrap();
+        let error = HostFlash::claim(&path).unwrap_err();
+        assert!(matches!(error, FlashFileError::InUse { .. }), "{error}");
+        // Its cores open it all the same.
+        HostFlash::open(&path).unwrap();
     }
 }

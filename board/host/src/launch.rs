@@ -17,6 +17,7 @@ use tandem_board::SystemId;
 
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::{Backplane, BackplaneError};
+use crate::flash::{Claimed, FlashFileError, HostFlash};
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::processes::{self, Process};
 use crate::spawn;
@@ -38,6 +39,9 @@ pub enum LaunchError {
     /// The backplane cannot be created.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
+    /// The data flash of a system cannot be used.
+    #[error(transparent)]
+    Flash(#[from] FlashFileError),
     /// A process cannot be started.
     #[error("cannot start the {what}: {source}")]
     Spawn {
@@ -95,6 +99,8 @@ pub struct Launcher {
     backplane: Backplane,
     /// Supply A, supply B, vehicle.
     children: Vec<Child>,
+    /// Nobody else's as long as a process of the run lives.
+    flash: Vec<Claimed>,
     /// A signal that asks to end came and was not yet looked at.
     signalled: Arc<AtomicBool>,
     is_over: bool,
@@ -129,6 +135,7 @@ impl Launcher {
             isolation,
             backplane,
             children: vec![],
+            flash: vec![],
             signalled,
             is_over: false,
         })
@@ -150,12 +157,16 @@ impl Launcher {
     /// with these arguments; it may set standard streams and environment.
     ///
     /// # Errors
-    /// [`LaunchError::Spawn`]; what was started is killed when the launcher is dropped.
+    /// [`LaunchError::Flash`], also if a data flash belongs to another run; [`LaunchError::Spawn`];
+    /// what was started is killed when the launcher is dropped.
     pub fn start(
         &mut self,
         plan: &Plan,
         command: &dyn Fn(&ProcessArgs) -> Command,
     ) -> Result<(), LaunchError> {
+        for path in &plan.flash {
+            self.flash.push(HostFlash::claim(path)?);
+        }
         let common = Common {
             run: self.isolation.run().clone(),
             schedule: plan.schedule.clone(),
