@@ -63,6 +63,8 @@ pub(crate) struct Metrics {
     pub(crate) chain_p50_ms: Option<f64>,
     /// 99 of 100 are not longer, ms.
     pub(crate) chain_p99_ms: Option<f64>,
+    /// 999 of 1000 are not longer, ms.
+    pub(crate) chain_p99_9_ms: Option<f64>,
     /// The longest, ms.
     pub(crate) chain_max_ms: Option<f64>,
     /// Time in which frames of both systems were accepted, ms.
@@ -236,6 +238,7 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
         control_period_max_ms: period.max_ms(),
         chain_p50_ms: chain.percentile_ms(50.0),
         chain_p99_ms: chain.percentile_ms(99.0),
+        chain_p99_9_ms: chain.percentile_ms(99.9),
         chain_max_ms: chain.max_ms(),
         two_masters_ms: mastership::two_masters_ms(log),
         false_takeovers: takeovers

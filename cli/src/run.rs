@@ -79,8 +79,9 @@ struct Checked {
 
 impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
-        Scenario::load(&args.scenario)?;
+        check_scenario(&args.scenario)?;
         let out = OutDir::check(&args.out)?;
+        outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
         let (pinning, cpus) = match &args.cpus {
             None => (Pinning::Auto, available),
@@ -94,6 +95,30 @@ impl Checked {
             dflash,
         })
     }
+}
+
+/// Whether the vehicle's process will be able to read the scenario.
+fn check_scenario(scenario: &str) -> anyhow::Result<()> {
+    let path = Path::new(scenario);
+    // A pipe can only be read once, and not by another process.
+    let is_special = fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir());
+    if is_special && !Scenario::names().any(|name| name == scenario) {
+        bail!("--scenario {scenario}: it is no regular file; save it as one first");
+    }
+    Scenario::load(scenario)?;
+    fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
+}
+
+/// A run has a `/dev/shm` of its own: what lies in the machine's is out of reach for it.
+fn outside_shared_memory(option: &str, path: &Path) -> anyhow::Result<()> {
+    if path.starts_with("/dev/shm") {
+        bail!(
+            "{option} {}: a run cannot reach this place, as it has a /dev/shm of its own; \
+             name another one",
+            path.display()
+        );
+    }
+    Ok(())
 }
 
 fn available_cpus() -> anyhow::Result<Vec<usize>> {
@@ -123,6 +148,7 @@ fn check_dflash(folder: &Path) -> anyhow::Result<PathBuf> {
     if !folder.is_dir() {
         bail!("--dflash {shown}: it is a file; name a folder");
     }
+    outside_shared_memory("--dflash", &folder)?;
     tempfile::tempfile_in(&folder)
         .with_context(|| format!("--dflash {shown}: cannot write in this folder"))?;
     Ok(folder)

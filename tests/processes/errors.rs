@@ -43,6 +43,11 @@ fn a_scenario_that_is_none() {
         refuses(&stage, &["run", "--scenario", name], &[name]);
     }
     refuses(&stage, &["run", "--scenario", "."], &["."]);
+    refuses(
+        &stage,
+        &["run", "--scenario", "/dev/null"],
+        &["no regular file"],
+    );
 }
 
 #[test]
@@ -68,6 +73,7 @@ fn a_folder_that_cannot_take_a_report() {
         ("/proc/report", "cannot write"),
         (".", "current folder"),
         ("/", "root folder"),
+        ("/dev/shm/report", "of its own"),
     ] {
         refuses(&stage, &["run", "--out", out], &["--out", words]);
     }

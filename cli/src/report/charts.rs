@@ -74,6 +74,8 @@ impl Axis {
 
     /// Scenario time from 0 to `end_s`.
     pub(crate) fn time(end_s: f64) -> Self {
+        // The last tick of a run is some milliseconds short of the whole second.
+        let end_s = (end_s * 10.0).round() / 10.0;
         Self::linear("", (0.0, end_s.max(0.1)), 12)
     }
 

@@ -264,7 +264,7 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::R
     let chain = [
         metrics.chain_p50_ms,
         metrics.chain_p99_ms,
-        None,
+        metrics.chain_p99_9_ms,
         metrics.chain_max_ms,
     ];
     Ok(html! {
@@ -414,7 +414,7 @@ fn events(log: &RunLog) -> Markup {
             table {
                 tr { th { "at" } th { "who" } th { "what" } }
                 @for (at_s, who, what) in rows.iter().take(EVENT_ROWS) {
-                    tr { td.time { (format!("{at_s:.4} s")) } td { (who) } td { (what) } }
+                    tr { td.time { (format!("{:.4} s", (at_s * 1e4).round() / 1e4 + 0.0)) } td { (who) } td { (what) } }
                 }
             }
             @if more > 0 { p.note { "and " (more) " more" } }

@@ -14,6 +14,9 @@ const LINE_POINTS: usize = 1_500;
 /// More dots than this only make the file large.
 const DOTS: usize = 3_000;
 
+/// Spans below this are drawn at this: a logarithmic axis has no zero, ms.
+const SHORTEST_MS: f64 = 0.001;
+
 /// The colour of a system.
 pub(super) const fn system_color(system: System) -> RGBColor {
     match system {
@@ -252,15 +255,17 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
             style: Style::Line,
             points: curve
                 .iter()
-                .map(|(rarity, ms)| (rarity.log10(), *ms))
+                .map(|(rarity, ms)| (rarity.log10(), ms.max(SHORTEST_MS).log10()))
                 .collect(),
         })
         .collect();
     let all = || series.iter().flat_map(|series| &series.points);
     let rarest = all().map(|point| point.0.ceil() as i32).fold(1, i32::max);
-    let top = all().map(|point| point.1).fold(1.0, f64::max);
+    let low = all().map(|point| point.1.floor() as i32).fold(0, i32::min);
+    let top = all().map(|point| point.1.ceil() as i32).fold(1, i32::max);
     let x = Axis::decades("percentile", (0, rarest), percentile_label);
-    let mut chart = Chart::new(260, x, Axis::linear("ms", (0.0, top * 1.1), 6));
+    let y = Axis::decades("ms", (low, top), |power| plain(10.0_f64.powf(power)));
+    let mut chart = Chart::new(260, x, y);
     chart.series = series;
     chart
 }
