@@ -257,7 +257,9 @@ impl Supply<'_> {
             let at = Instant::from_words([words[0], words[1]]);
             // An answer is a byte; what is more is wrong.
             let answer = u8::try_from(words[2]).map_err(|_| WatchdogFault::WrongAnswer)?;
-            watchdog.on_service(now, at, answer)?;
+            // Looked at anew: had this process been held up since `now`, all that came meanwhile
+            // would lie ahead, and at one time.
+            watchdog.on_service(clock::now(), at, answer)?;
         }
         // Only now: the ring keeps the first services of a long time, and each ends what was
         // excused before it.
@@ -367,6 +369,57 @@ mod tests {
     use super::*;
     use crate::args::{Common, Schedule};
     use crate::name::RunName;
+    use crate::watchdog;
+    use tandem_board::watchdog_answer;
+
+    fn args(run: &RunName) -> SupplyArgs {
+        SupplyArgs {
+            common: Common {
+                run: run.clone(),
+                schedule: Schedule::default(),
+                extra: vec![],
+            },
+            system: SystemId::A,
+            flash: std::path::PathBuf::new(),
+        }
+    }
+
+    /// T-CHIP-6: services that came while the supply was held up, after it had looked at the clock,
+    /// are as far apart as they were sent.
+    #[test]
+    fn services_after_the_look_at_the_clock_are_not_early() {
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        let args = args(&run);
+        let ring = RINGS.service[args.system.index()];
+        let words = backplane.ring(ring);
+        let mut core = fifo::Producer::attach(words, ring.shape).unwrap();
+        let looked = clock::now();
+        let mut supply = Supply {
+            args: &args,
+            command: &|_| Command::new("false"),
+            backplane,
+            lmu: &[],
+            ringers: Ringers::new(&run),
+            services: fifo::Consumer::attach(words, ring.shape).unwrap(),
+            link: RINGS.link[args.system.peer().index()],
+            cores: [None, None, None],
+            state: State::On {
+                since: looked,
+                watchdog: Watchdog::new(looked),
+            },
+            pause: SHORTEST_PAUSE,
+            peer: None,
+        };
+        for count in 0..3 {
+            clock::sleep_until(clock::now() + Duration::from_ms(5));
+            let [low, high] = clock::now().to_words();
+            let answer = watchdog_answer(watchdog::question(count));
+            core.send(&[low, high, answer.into()]).unwrap();
+        }
+        assert_eq!(supply.watchdog(looked, Duration::ZERO), Ok(()));
+        Backplane::remove(&run);
+    }
 
     /// T-CHIP-6: a supply that starts slowly, while the launcher has done its part and died, is
     /// needed all the same: the vehicle drives.
@@ -376,15 +429,7 @@ mod tests {
         let backplane = Backplane::create(&run).unwrap();
         let mut launcher = Command::new("true").spawn().unwrap();
         backplane.set_launcher(launcher.id());
-        let args = SupplyArgs {
-            common: Common {
-                run: run.clone(),
-                schedule: Schedule::default(),
-                extra: vec![],
-            },
-            system: SystemId::A,
-            flash: std::path::PathBuf::new(),
-        };
+        let args = args(&run);
         launcher.wait().unwrap();
         assert!(
             wait_for_ignition(&args, backplane).is_none(),

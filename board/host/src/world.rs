@@ -138,7 +138,8 @@ impl WorldPort {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             while node.frames.receive_into(&mut words) {
                 if let Some(sent) = Wired::decode(&words).filter(|_| !silent) {
-                    let at = sent.received.at.clamp(emptied, now);
+                    // The clock anew: the vehicle itself may have been held up since it looked.
+                    let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
                     // Who sent it is known from the ring, whatever the words say.
                     let sent = (node.system, node.core, Received { frame, at });
