@@ -5,6 +5,7 @@ use std::os::fd::OwnedFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Child, Command};
 
+use rustix::io::Errno;
 use rustix::process::{
     Pid, PidfdFlags, Signal, getpid, getppid, kill_process, pidfd_open,
     set_parent_process_death_signal,
@@ -21,7 +22,8 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
             Ok(())
         } else {
             // It died between the fork and here; nobody would ever be told.
-            Err(io::Error::other("the parent died"))
+            // An error number: a text would be allocated.
+            Err(Errno::SRCH.into())
         }
     };
     // SAFETY: between fork and exec only system calls are made: no allocation, no lock.
