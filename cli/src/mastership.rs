@@ -127,7 +127,10 @@ fn was_held_up(log: &RunLog, system: System, last_ns: u64) -> bool {
     given_up.is_some_and(|given_up| {
         since()
             .take_while(|event| event.at_ns <= given_up.at_ns + SAME_CYCLE_NS)
-            .any(|event| matches!(event.what, What::HeldUp | What::DeadlineMiss { .. }))
+            .any(|event| {
+                use What::{DeadlineMiss, HeldUp, LateCycle};
+                matches!(event.what, HeldUp | DeadlineMiss { .. } | LateCycle { .. })
+            })
     })
 }
 
@@ -301,7 +304,8 @@ mod tests {
             fenced,
         ]);
         assert!(takeovers(&log)[0].is_false);
-        for what in [What::HeldUp, What::DeadlineMiss { missed: 5 }] {
+        let late = What::LateCycle { late_ms: 9.0 };
+        for what in [What::HeldUp, What::DeadlineMiss { missed: 5 }, late] {
             let given_up = What::RoleChanged {
                 role: Role::Standby,
                 mode: Mode::None,

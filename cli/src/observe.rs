@@ -78,6 +78,10 @@ pub(crate) fn status(at_ns: u64, message: &Message) -> Option<StatusSeen> {
     }
 }
 
+/// A control cycle that begins later than this has missed its slot: half a control period. Punctual
+/// timers are late by tens of microseconds; this much is a CPU that was taken away.
+const LATE_NS: u32 = 5_000_000;
+
 /// A core's trace record; `None` if it has no meaning or comes in every cycle without a use here.
 pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
     let what = match Event::decode(traced.record)? {
@@ -117,6 +121,9 @@ pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
         Event::Phase {
             to: Phase::Thawed, ..
         } => What::HeldUp,
+        Event::ControlCycle { lateness_ns, .. } if lateness_ns > LATE_NS => What::LateCycle {
+            late_ms: f64::from(lateness_ns) * 1e-6,
+        },
         Event::CoreSilent { core } => What::CoreSilent { core },
         Event::DeadlineMiss { missed } => What::DeadlineMiss { missed },
         other => What::Note { text: note(other)? },

@@ -235,6 +235,11 @@ pub(crate) enum What {
     },
     /// This master found that it had been held up for so long that the other may have taken over.
     HeldUp,
+    /// A control cycle began so late that its frame came out of time.
+    LateCycle {
+        /// After its release, ms.
+        late_ms: f64,
+    },
     /// A control command rests for the first time on one more measurement.
     ChainDone {
         /// From the measurement on core 1 over core 2 to the command on core 0, ms.

@@ -458,6 +458,7 @@ fn describe(what: &What) -> Option<String> {
         What::HeldUp => {
             "was held up, and listens whether the other system drives by now".to_owned()
         }
+        What::LateCycle { late_ms } => format!("began a control cycle {late_ms:.1} ms late"),
         What::CoreSilent { core } => format!("core {core} of its own system does not answer"),
         What::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
         What::Note { text } => text.clone(),
