@@ -47,6 +47,19 @@ enum Task {
     Loom,
     /// Run the tests of shm under Miri, on 64 and on 32 bit
     Miri,
+    /// Long trials that a person starts; CI runs short ones of each
+    #[command(subcommand)]
+    Campaign(Campaign),
+}
+
+#[derive(Subcommand)]
+enum Campaign {
+    /// Kill a process of a run that is just starting, again and again; then start normally
+    StartupKills {
+        /// How many starts are killed
+        #[arg(long, default_value_t = 200)]
+        count: u32,
+    },
 }
 
 fn main() -> ExitCode {
@@ -70,6 +83,7 @@ fn execute() -> Result<()> {
         Task::BareMetal => bare_metal(root),
         Task::Loom => loom(root),
         Task::Miri => miri(root),
+        Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
     }
 }
 
@@ -149,6 +163,21 @@ fn miri(root: &Path) -> Result<()> {
         run(command)?;
     }
     Ok(())
+}
+
+fn startup_kills(root: &Path, count: u32) -> Result<()> {
+    let test = [
+        "test",
+        "--release",
+        "-p",
+        "tandem",
+        "--test",
+        "processes",
+        "any_start",
+    ];
+    let mut command = cargo(root, &test);
+    command.env("TANDEM_STARTUP_KILLS", count.to_string());
+    run(command)
 }
 
 fn target_dir(root: &Path) -> PathBuf {
