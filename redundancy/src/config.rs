@@ -78,8 +78,9 @@ impl Config {
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: Duration::from_ms(5),
-            // Two supplies switched on by one key differ by less.
-            start_limit: Duration::from_ms(500),
+            // As long as the other may take to bring up its cores 1 and 2 and its sensors (2 s), which it
+            // does before its first handshake. One that has no power is known at once by its level.
+            start_limit: Duration::from_ms(2500),
             stagger: Duration::from_ms(20),
             sync_stagger: Duration::from_ms(5),
             promote_limit: Duration::from_ms(20),
@@ -108,7 +109,7 @@ impl Config {
             // degrading for that would be a false alarm, and nothing is lost by waiting.
             standby_limit: Duration::from_ms(50),
             handshake_period: Duration::from_ms(10),
-            start_limit: Duration::from_ms(2000),
+            start_limit: Duration::from_ms(4500),
             stagger: Duration::from_ms(60),
             sync_stagger: Duration::from_ms(20),
             promote_limit: Duration::from_ms(60),
