@@ -1,1 +1,5 @@
-//! Whole-process tests of the `tandem` command live in `tests/`.
+//! What the tests of the whole have in common.
+#![forbid(unsafe_code)]
+#![allow(clippy::expect_used, reason = "a test may panic")]
+
+pub mod drive;

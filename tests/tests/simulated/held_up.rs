@@ -1,6 +1,5 @@
 //! A core that is held up between looking at the clock and acting.
 
-use crate::drive::poller;
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::sync::atomic::AtomicU32;
@@ -11,6 +10,7 @@ use tandem_board::{
 use tandem_board_sim::{Config, SimBoard, SimPair};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
+use tandem_tests::drive::poller;
 
 /// How long the core is held up.
 const SPAN: Duration = Duration::from_ms(8);

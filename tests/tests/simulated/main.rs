@@ -5,13 +5,12 @@
     reason = "a test may panic and print"
 )]
 
-mod drive;
 mod held_up;
 mod stale;
 
-use drive::Drive;
 use tandem_board::{CoreId, Duration, SystemId};
 use tandem_cores::trace::Event;
+use tandem_tests::drive::Drive;
 
 const S: fn(u64) -> Duration = |seconds| Duration::from_ms(seconds * 1000);
 

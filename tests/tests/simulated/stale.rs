@@ -1,10 +1,10 @@
 //! Control frames that come late, in the name of a system that no longer drives, or many at once.
 
-use crate::drive::Drive;
 use tandem_board::{CanFrame, CanId, CoreId, Duration, FlashError, SystemId};
 use tandem_board_sim::SimBoard;
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 use tandem_redundancy::{Geometry, Loaded, StateStore, Term};
+use tandem_tests::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 

@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId};
-use tandem_board_sim::{Config, SimBoard, SimPair, WorldTick};
+use tandem_board_sim::{Config, Poller, SimBoard, SimPair, WorldTick};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
@@ -12,25 +12,28 @@ use tandem_cores::trace::Event;
 use tandem_vehicle::{Scenario, World};
 
 /// What the vehicle saw during a drive.
-pub(crate) struct Seen {
-    pub(crate) world: World,
+pub struct Seen {
+    /// The vehicle, its traffic and its gate for control frames.
+    pub world: World,
     /// Times in ns at which control frames were accepted, and from which system.
-    pub(crate) accepted: Vec<(u64, SystemId)>,
+    pub accepted: Vec<(u64, SystemId)>,
     /// Frames that somebody else sends with the next tick.
-    pub(crate) forged: Vec<CanFrame>,
+    pub forged: Vec<CanFrame>,
 }
 
 /// Both systems and one vehicle in virtual time.
-pub(crate) struct Drive {
-    pub(crate) pair: SimPair,
-    pub(crate) seen: Rc<RefCell<Seen>>,
-    pub(crate) events: Vec<(Instant, SystemId, CoreId, Event)>,
+pub struct Drive {
+    /// The machine.
+    pub pair: SimPair,
+    /// What the vehicle saw until now.
+    pub seen: Rc<RefCell<Seen>>,
+    /// What the cores traced until now, in order.
+    pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
-pub(crate) fn poller(
-    board: &SimBoard,
-    config: tandem_cores::Config,
-) -> Box<dyn FnMut(&SimBoard) -> Instant> {
+/// A new life of the core that this board belongs to.
+#[must_use]
+pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
     // A core's life ends with its reset, which this process outlives: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match board.identity().core {
@@ -73,11 +76,24 @@ fn tick(seen: &mut Seen, tick: &mut WorldTick) {
 
 impl Drive {
     /// Both systems are switched on and a vehicle waits in the named scenario.
-    pub(crate) fn new(scenario: &str, seed: u64) -> Self {
-        Self::with(scenario, seed, tandem_cores::Config::rt())
+    ///
+    /// # Panics
+    /// If there is no embedded scenario of this name.
+    #[must_use]
+    pub fn new(scenario: &str, seed: u64) -> Self {
+        let config = tandem_cores::Config::rt();
+        Self::with(scenario, seed, move |board| poller(board, config))
     }
 
-    pub(crate) fn with(scenario: &str, seed: u64, config: tandem_cores::Config) -> Self {
+    /// As [`Drive::new`], with cores that `core` makes: one for each life.
+    ///
+    /// # Panics
+    /// If there is no embedded scenario of this name.
+    pub fn with(
+        scenario: &str,
+        seed: u64,
+        core: impl FnMut(&SimBoard) -> Poller + 'static,
+    ) -> Self {
         let scenario = Scenario::load(scenario).expect("an embedded scenario");
         let world = World::new(&scenario, tandem_vehicle::Config { seed });
         let seen = Rc::new(RefCell::new(Seen {
@@ -89,7 +105,7 @@ impl Drive {
             seed,
             ..Config::default()
         };
-        let mut pair = SimPair::new(board_config, move |board| poller(board, config));
+        let mut pair = SimPair::new(board_config, core);
         let shared = Rc::clone(&seen);
         pair.set_world(move |now| tick(&mut shared.borrow_mut(), now));
         for system in SystemId::ALL {
@@ -103,7 +119,10 @@ impl Drive {
     }
 
     /// Drives on for so long, and keeps what the cores traced.
-    pub(crate) fn run_for(&mut self, span: Duration) {
+    ///
+    /// # Panics
+    /// If the cores trace more than the machine keeps for a second.
+    pub fn run_for(&mut self, span: Duration) {
         let until = self.pair.now() + span;
         while self.pair.now() < until {
             // In steps, so that the trace does not run over.
@@ -124,7 +143,8 @@ impl Drive {
     }
 
     /// Takeovers in the trace: when, by whom, the event.
-    pub(crate) fn takeovers(&self) -> Vec<(Instant, SystemId, Event)> {
+    #[must_use]
+    pub fn takeovers(&self) -> Vec<(Instant, SystemId, Event)> {
         let takeover = |event: &Event| matches!(event, Event::TookOver { .. });
         let events = self.events.iter().filter(|(.., event)| takeover(event));
         events
@@ -133,14 +153,16 @@ impl Drive {
     }
 
     /// The largest time between two accepted control frames.
-    pub(crate) fn gap_max(&self) -> Duration {
+    #[must_use]
+    pub fn gap_max(&self) -> Duration {
         let seen = self.seen.borrow();
         let gaps = seen.accepted.windows(2).map(|pair| pair[1].0 - pair[0].0);
         Duration::from_ns(gaps.max().unwrap_or(u64::MAX))
     }
 
     /// Systems in the order in which they drove, without repetition.
-    pub(crate) fn masters(&self) -> Vec<SystemId> {
+    #[must_use]
+    pub fn masters(&self) -> Vec<SystemId> {
         let mut masters: Vec<_> = self
             .seen
             .borrow()
@@ -152,7 +174,9 @@ impl Drive {
         masters
     }
 
-    pub(crate) fn collisions(&self) -> u32 {
+    /// How often the vehicle has hit another.
+    #[must_use]
+    pub fn collisions(&self) -> u32 {
         self.seen.borrow().world.metrics().collisions
     }
 }
