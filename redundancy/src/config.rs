@@ -78,8 +78,8 @@ impl Config {
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: Duration::from_ms(5),
-            // As long as the other may take to bring up its cores 1 and 2 and its sensors (2 s), which it
-            // does before its first handshake. One that has no power is known at once by its level.
+            // As long as the other may take to bring up its cores 1 and 2 and its sensors (2 s),
+            // before its first handshake. One without power is known at once by its level.
             start_limit: Duration::from_ms(2500),
             stagger: Duration::from_ms(20),
             sync_stagger: Duration::from_ms(5),
