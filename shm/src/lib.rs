@@ -30,6 +30,39 @@
 //!   runs on.
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
+//!
+//! # Example
+//!
+//! Two cores hand over a value: one publishes and signals, the other reads when it is called.
+//!
+//! ```
+//! use core::sync::atomic::AtomicU32;
+//! use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
+//! use tandem_shm::{Shape, newest};
+//!
+//! fn hand_over(mailbox: &[AtomicU32], channel: &[AtomicU32]) -> Option<u32> {
+//!     let shape = Shape::new(4, 1); // four slots of one word
+//!     let mut writer = newest::Writer::attach(channel, shape).ok()?;
+//!     let reader = newest::Reader::attach(channel, shape).ok()?;
+//!     let (to, mut from) = (Sender::attach(mailbox).ok()?, Receiver::attach(mailbox).ok()?);
+//!
+//!     writer.publish(&[42]);
+//!     if to.signal(TaskId::new(1)?) == Ring::Needed {
+//!         // The receiver sleeps: ring its doorbell, board.ring(core).
+//!     }
+//!
+//!     let mut value = [0];
+//!     from.poll(|_task, _count| drop(reader.read_into(&mut value)));
+//!     Some(value[0])
+//! }
+//!
+//! // Regions begin on a cache line; on a chip the linker or the board sees to that.
+//! #[repr(align(64))]
+//! struct Lmu([AtomicU32; 1024]);
+//! let lmu = Lmu([const { AtomicU32::new(0) }; 1024]);
+//! let (mailbox, channel) = lmu.0.split_at(512);
+//! assert_eq!(hand_over(mailbox, channel), Some(42));
+//! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
