@@ -3,6 +3,7 @@
 use crate::driving::types::{Scene, Trajectory};
 use crate::words::{Corrupt, Words};
 use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant};
 use tandem_shm::life::Life;
 use tandem_shm::mailbox::{self, TaskId};
@@ -100,13 +101,13 @@ impl<'a> ControllerMap<'a> {
     pub fn count_cycle(&self) {
         // Relaxed: the count itself is the message.
         let word = &self.map.region(ALIVE)[self.core.index() * LINE_WORDS];
-        word.store(word.load(relaxed()).wrapping_add(1), relaxed());
+        word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
     /// Cycles of a core so far; wraps around.
     #[must_use]
     pub fn cycles(&self, core: CoreId) -> u32 {
-        self.map.region(ALIVE)[core.index() * LINE_WORDS].load(relaxed())
+        self.map.region(ALIVE)[core.index() * LINE_WORDS].load(Relaxed)
     }
 
     /// The scene channel's writing end, for core 1.
@@ -132,10 +133,6 @@ impl<'a> ControllerMap<'a> {
     pub fn trajectory_reader(&self) -> Option<Reader<'a, Trajectory>> {
         Reader::attach(self.map.region(TRAJECTORY_AT), TRAJECTORY)
     }
-}
-
-const fn relaxed() -> core::sync::atomic::Ordering {
-    core::sync::atomic::Ordering::Relaxed
 }
 
 /// Publishes values of one type in a newest-value channel, written in place.
