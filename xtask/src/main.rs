@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
+mod firmware;
 mod tidy;
 mod trace;
 
@@ -47,6 +48,9 @@ enum Task {
     Loom,
     /// Run the tests of shm under Miri, on 64 and on 32 bit
     Miri,
+    /// Build, run and measure the bare-metal images under QEMU
+    #[command(subcommand)]
+    Firmware(firmware::Firmware),
     /// Long trials that a person starts; CI runs short ones of each
     #[command(subcommand)]
     Campaign(Campaign),
@@ -83,6 +87,7 @@ fn execute() -> Result<()> {
         Task::BareMetal => bare_metal(root),
         Task::Loom => loom(root),
         Task::Miri => miri(root),
+        Task::Firmware(task) => firmware::run(root, task),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
     }
 }

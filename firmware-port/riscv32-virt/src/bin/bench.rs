@@ -1,0 +1,286 @@
+//! What the paths between cores cost, counted in instructions.
+//!
+//! Hart 0 measures, hart 1 answers, hart 2 contends. Under `-icount shift=0` the cycle counter is
+//! one for all harts and counts the instructions of whichever runs, so a span from one hart to
+//! another is the length of the path between them. Prints `bench NAME MIN MAX` for each.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::SystemId;
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
+use tandem_shm::life::Life;
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map, Region};
+use tandem_shm::pool::{self, Pool};
+use tandem_shm::{Shape, fifo, newest};
+
+entry!(main);
+
+const ROUNDS: u32 = 1000;
+/// Rounds before the first one that counts.
+const WARM_UP: u32 = 5;
+const POOL_BLOCKS: usize = 64;
+const CHANNEL: Shape = Shape::new(4, 1);
+const LAYOUT: Layout = Layout::new(&[
+    Region::new("mailbox 0 to 1", mailbox::WORDS),
+    Region::new("fifo 0 to 1", fifo::words(CHANNEL)),
+    Region::new("newest value 0 to 1", newest::words(CHANNEL)),
+    Region::new("lock", lock::WORDS),
+    Region::new("pool", pool::words(POOL_BLOCKS)),
+]);
+const PLAIN: TaskId = task(1);
+const NEWEST: TaskId = task(2);
+const FIFO: TaskId = task(3);
+
+const fn task(number: u8) -> TaskId {
+    match TaskId::new(number) {
+        Some(task) => task,
+        None => panic!("not a task number"),
+    }
+}
+
+/// When the answering side was reached, and how often.
+static SEEN_AT: AtomicU32 = AtomicU32::new(0);
+static SEEN: AtomicU32 = AtomicU32::new(0);
+/// What hart 1 and 2 do.
+static PART: AtomicU32 = AtomicU32::new(0);
+const MAILBOX: u32 = 1;
+const CONTEND: u32 = 2;
+/// Rounds of the contended lock that may begin, and that each hart has ended.
+static GO: AtomicU32 = AtomicU32::new(0);
+static ENDED: AtomicU32 = AtomicU32::new(0);
+static LAST_AT: AtomicU32 = AtomicU32::new(0);
+
+fn main(hart: usize) -> ! {
+    match hart {
+        0 => measure(),
+        1 => answer(),
+        2 => contend(2),
+        _ => loop {
+            hart::sleep();
+        },
+    }
+    if hart == 0 {
+        exit::exit(0)
+    }
+    loop {
+        hart::sleep();
+    }
+}
+
+#[track_caller]
+fn must<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => panic!("the benchmark is not laid out as it should be"),
+    }
+}
+
+fn life(core: usize) -> Life {
+    match Life::new(core, 1) {
+        Some(life) => life,
+        None => panic!("a first life"),
+    }
+}
+
+/// The LMU as this hart sees it, when hart 0 has formatted it.
+fn attach(core: usize) -> Map<'static> {
+    loop {
+        if let Ok(map) = Map::attach(memory::lmu(SystemId::A), LAYOUT) {
+            must(map.lives().announce(life(core)));
+            return map;
+        }
+        hart::yield_turn();
+    }
+}
+
+fn lock_of(map: &Map<'static>, core: usize) -> Lock<'static> {
+    must(Lock::attach(map.region(3), life(core), map.lives()))
+}
+
+/// Lets everyone else come to rest.
+fn settle() {
+    (0..8).for_each(|_| hart::yield_turn());
+}
+
+/// Yields until `holds`.
+fn until(mut holds: impl FnMut() -> bool) {
+    while !holds() {
+        hart::yield_turn();
+    }
+}
+
+/// Repeats a round that returns how long it took, and prints the shortest and the longest.
+fn bench(name: &str, mut round: impl FnMut(u32) -> u32) {
+    let (mut min, mut max) = (u32::MAX, 0);
+    for number in 0..WARM_UP + ROUNDS {
+        settle();
+        let took = round(number);
+        if number >= WARM_UP {
+            min = min.min(took);
+            max = max.max(took);
+        }
+    }
+    log!("bench {name} {min} {max}");
+}
+
+/// How long until hart 1 was reached, when `act` reaches for it.
+fn reach(act: impl FnOnce()) -> u32 {
+    let before = SEEN.load(Ordering::Relaxed);
+    let begin = hart::cycles();
+    act();
+    until(|| SEEN.load(Ordering::Acquire) != before);
+    SEEN_AT.load(Ordering::Relaxed).wrapping_sub(begin)
+}
+
+/// Hart 1 was reached.
+#[inline(always)]
+fn reached() {
+    let at = hart::cycles();
+    SEEN_AT.store(at, Ordering::Relaxed);
+    SEEN.store(SEEN.load(Ordering::Relaxed) + 1, Ordering::Release);
+}
+
+fn signal(to: &Sender<'_>, task: TaskId) {
+    if to.signal(task) == Ring::Needed {
+        clint::post(1);
+    }
+}
+
+fn measure() {
+    must(Map::format(memory::lmu(SystemId::A), LAYOUT));
+    let map = attach(0);
+    let to = must(Sender::attach(map.region(0)));
+    let mut queue = must(fifo::Producer::attach(map.region(1), CHANNEL));
+    let mut newest = must(newest::Writer::attach(map.region(2), CHANNEL));
+    let mut lock = lock_of(&map, 0);
+    let mut pool = must(Pool::attach(
+        map.region(4),
+        POOL_BLOCKS,
+        life(0),
+        map.lives(),
+    ));
+
+    bench("clock/two-readings", |_| {
+        let begin = hart::cycles();
+        hart::cycles().wrapping_sub(begin)
+    });
+    bench("interrupt/floor", |_| reach(|| clint::post(1)));
+
+    PART.store(MAILBOX, Ordering::Release);
+    clint::post(1);
+    bench("mailbox/signal-to-handler", |_| {
+        reach(|| signal(&to, PLAIN))
+    });
+    bench("channel/4-bytes", |number| {
+        reach(|| {
+            newest.publish(&[number]);
+            signal(&to, NEWEST);
+        })
+    });
+    // Not always the same: each end looks at the other's index only when its copy says so.
+    bench("fifo/4-bytes", |number| {
+        reach(|| {
+            must(queue.send(&[number]));
+            signal(&to, FIFO);
+        })
+    });
+
+    bench("lock/free", |_| {
+        let begin = hart::cycles();
+        drop(must(lock.lock(1, |_| ())));
+        hart::cycles().wrapping_sub(begin)
+    });
+    PART.store(CONTEND, Ordering::Release);
+    clint::post(1);
+    clint::post(2);
+    bench("lock/contended-3", |number| {
+        ENDED.store(0, Ordering::Relaxed);
+        let begin = hart::cycles();
+        GO.store(number + 1, Ordering::Release);
+        take(&mut lock);
+        until(|| ENDED.load(Ordering::Acquire) == 3);
+        LAST_AT.load(Ordering::Relaxed).wrapping_sub(begin)
+    });
+    bench("pool/get-give", |_| {
+        let begin = hart::cycles();
+        let handle = must(pool.get(16));
+        must(pool.give_back(handle));
+        hart::cycles().wrapping_sub(begin)
+    });
+}
+
+/// Takes the lock, lets the others find it taken, and gives it back.
+fn take(lock: &mut Lock<'_>) {
+    let guard = must(lock.lock(10_000, |_| hart::yield_turn()));
+    hart::yield_turn();
+    drop(guard);
+    LAST_AT.store(hart::cycles(), Ordering::Relaxed);
+    ENDED.fetch_add(1, Ordering::Release);
+}
+
+/// Hart 1: first the bare interrupt, then the mailbox, then it contends.
+fn answer() {
+    let map = attach(1);
+    trap::on_doorbell(reached);
+    hart::interrupts_on();
+    while PART.load(Ordering::Acquire) != MAILBOX {
+        hart::sleep();
+    }
+    trap::on_doorbell(|| ());
+    let mut from = must(Receiver::attach(map.region(0)));
+    let mut values = Values {
+        queue: must(fifo::Consumer::attach(map.region(1), CHANNEL)),
+        newest: must(newest::Reader::attach(map.region(2), CHANNEL)),
+    };
+    let mut tasks = TaskTable::new();
+    must(tasks.add(PLAIN, |_, _| reached(), 0));
+    must(tasks.add(NEWEST, Values::newest, 0));
+    must(tasks.add(FIFO, Values::first, 0));
+    while PART.load(Ordering::Acquire) == MAILBOX {
+        tasks.run(&mut from, &mut values);
+        if from.prepare_sleep() {
+            doorbell::wait(None);
+            from.awake();
+        }
+    }
+    contend(1);
+}
+
+/// The receiving ends of the channels; their tasks are reached when they have the value.
+struct Values {
+    queue: fifo::Consumer<'static>,
+    newest: newest::Reader<'static>,
+}
+
+impl Values {
+    fn newest(&mut self, _: Call) {
+        if self.newest.read_into(&mut [0]).is_some() {
+            reached();
+        }
+    }
+
+    fn first(&mut self, _: Call) {
+        if self.queue.receive_into(&mut [0]) {
+            reached();
+        }
+    }
+}
+
+/// Hart 1 and 2: take the lock once in each round.
+fn contend(hart: usize) -> ! {
+    let map = attach(hart);
+    let mut lock = lock_of(&map, hart);
+    while PART.load(Ordering::Acquire) != CONTEND {
+        doorbell::wait(None);
+    }
+    let mut round = 0;
+    loop {
+        until(|| GO.load(Ordering::Acquire) != round);
+        round = GO.load(Ordering::Relaxed);
+        take(&mut lock);
+    }
+}

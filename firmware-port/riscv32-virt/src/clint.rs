@@ -1,0 +1,50 @@
+//! The CLINT: a software interrupt for each hart, which is the doorbell, and a timer for each.
+
+use crate::hart::HARTS;
+use core::ptr::{read_volatile, write_volatile};
+
+const MSIP: usize = 0x0200_0000;
+const MTIMECMP: usize = 0x0200_4000;
+
+/// Nanoseconds of one tick.
+pub const TICK_NS: u64 = 100;
+
+/// Raises the software interrupt of a hart. What this hart wrote before is seen by whoever takes
+/// it.
+#[inline]
+pub fn post(hart: usize) {
+    // Release pairs with the Acquire in `clear`: memory first, then the device.
+    core::sync::atomic::fence(core::sync::atomic::Ordering::Release);
+    // SAFETY: one word a hart; the machine ignores those of harts that it does not have.
+    unsafe { write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 1) };
+}
+
+/// Takes the software interrupt of this hart back.
+#[inline]
+pub fn clear(hart: usize) {
+    // SAFETY: as in `post`.
+    unsafe { write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 0) };
+    // Acquire pairs with the Release in `post`.
+    core::sync::atomic::fence(core::sync::atomic::Ordering::Acquire);
+}
+
+/// Sets when the timer of this hart comes, in ticks of [`time`](crate::hart::time).
+#[inline]
+pub fn set_timer(hart: usize, ticks: u64) {
+    let register = (MTIMECMP + 8 * (hart % HARTS)) as *mut u32;
+    // SAFETY: the two words of this hart's register. The high word is made the latest first, so
+    // that no value in between is in the past.
+    unsafe {
+        write_volatile(register.add(1), u32::MAX);
+        write_volatile(register, ticks as u32);
+        write_volatile(register.add(1), (ticks >> 32) as u32);
+    }
+}
+
+/// When the timer of this hart comes.
+#[must_use]
+pub fn timer(hart: usize) -> u64 {
+    let register = (MTIMECMP + 8 * (hart % HARTS)) as *const u32;
+    // SAFETY: the two words of this hart's register, which only this hart changes.
+    unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
+}

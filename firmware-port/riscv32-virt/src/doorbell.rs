@@ -1,0 +1,71 @@
+//! Sleeping until the doorbell or a deadline: race-free, and without taking the interrupt.
+
+use crate::clint;
+use crate::hart::{self, HARTS, MSI, MTI};
+use crate::trap::{self, HartState};
+use core::sync::atomic::Ordering::Relaxed;
+
+/// Sleeps until this hart's doorbell has rung or `deadline` (in ticks) has come, and consumes the
+/// ring. Whether it was the doorbell. Task context, interrupts on.
+///
+/// Interrupts are switched off before it looks, so what comes between the look and the sleep ends
+/// the sleep: `wfi` wakes for what is enabled, switched on or not. A ring that ends the sleep is
+/// consumed right here, which is cheaper than to take the interrupt.
+#[inline]
+pub fn wait(deadline: Option<u64>) -> bool {
+    let number = hart::number() % HARTS;
+    let state = &trap::STATES[number];
+    hart::interrupts_off();
+    hart::enable(MSI);
+    let rung = loop {
+        if hart::pending() & MSI != 0 {
+            if state.is_held() {
+                // A reset: it is taken here, and does not come back.
+                hart::interrupts_on();
+            }
+            clint::clear(number);
+            state.rung.store(false, Relaxed);
+            break true;
+        }
+        if state.rung.load(Relaxed) {
+            state.rung.store(false, Relaxed);
+            break true;
+        }
+        match deadline {
+            Some(deadline) if hart::time() >= deadline => break false,
+            Some(deadline) => {
+                clint::set_timer(number, deadline);
+                hart::enable(MTI);
+            }
+            // A slicing timer need not wake who sleeps.
+            None => hart::disable(MTI),
+        }
+        hart::sleep();
+    };
+    rearm(number, state);
+    hart::interrupts_on();
+    rung
+}
+
+/// The timer is the slicing timer's again, if there is one.
+#[inline]
+fn rearm(number: usize, state: &HartState) {
+    match state.slice.load(Relaxed) {
+        0 => hart::disable(MTI),
+        ticks => {
+            clint::set_timer(number, hart::time() + u64::from(ticks));
+            hart::enable(MTI);
+        }
+    }
+}
+
+/// From now on this hart's turn ends after so many ticks wherever it is; 0: no more. See
+/// [`hart::yield_turn`].
+pub fn set_slice(ticks: u32) {
+    let number = hart::number() % HARTS;
+    let state = &trap::STATES[number];
+    hart::without_interrupts(|| {
+        state.slice.store(ticks, Relaxed);
+        rearm(number, state);
+    });
+}

@@ -1,0 +1,42 @@
+//! The end: the emulator's test device, and what a panic or an exception comes to.
+
+use crate::uart::print_now;
+use core::panic::PanicInfo;
+use core::ptr::write_volatile;
+
+const FINISHER: *mut u32 = 0x0010_0000 as *mut u32;
+const PASS: u32 = 0x5555;
+const FAIL: u32 = 0x3333;
+
+/// Ends the emulator with this status.
+pub fn exit(status: u16) -> ! {
+    let value = match status {
+        0 => PASS,
+        code => u32::from(code) << 16 | FAIL,
+    };
+    // SAFETY: the one register of the test device; the emulator ends with the store.
+    unsafe { write_volatile(FINISHER, value) };
+    loop {
+        crate::hart::sleep();
+    }
+}
+
+/// The status of an emulator that ended because a hart panicked.
+pub const PANICKED: u16 = 101;
+/// The status of an emulator that ended because of an exception.
+pub const EXCEPTION: u16 = 102;
+
+#[panic_handler]
+fn on_panic(info: &PanicInfo<'_>) -> ! {
+    print_now(format_args!("hart {}: {info}", crate::hart::number()));
+    exit(PANICKED)
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn tandem_on_exception(cause: usize, at: usize, value: usize) -> ! {
+    let hart = crate::hart::number();
+    print_now(format_args!(
+        "hart {hart}: exception {cause:#x} at {at:#x}, value {value:#x}"
+    ));
+    exit(EXCEPTION)
+}

@@ -1,0 +1,129 @@
+//! One hart: its number, its interrupt switches, its counters, and giving the emulator's turn away.
+
+use core::arch::{asm, global_asm};
+
+global_asm!(include_str!("start.S"));
+
+/// Room for the harts of an image: three for each system, the carrier, and one more, so that a
+/// number is brought into range by a mask.
+pub const HARTS: usize = 8;
+
+/// The hart that plays the hardware outside the chips.
+pub const CARRIER: usize = 6;
+
+const MSTATUS_MIE: usize = 1 << 3;
+pub(crate) const MSI: usize = 1 << 3;
+pub(crate) const MTI: usize = 1 << 7;
+
+/// The number of this hart.
+#[inline]
+#[must_use]
+pub fn number() -> usize {
+    let hart: usize;
+    // SAFETY: reads a constant register; no memory, no side effect.
+    unsafe { asm!("csrr {}, mhartid", out(reg) hart, options(nomem, nostack, preserves_flags)) };
+    hart
+}
+
+/// The cycle counter. Under `-icount shift=0` one cycle is one instruction, of whichever hart.
+#[inline]
+#[must_use]
+pub fn cycles() -> u32 {
+    let cycles: u32;
+    // Not `nomem`: what is measured must not move across the reading.
+    // SAFETY: reads a counter.
+    unsafe { asm!("csrr {}, mcycle", out(reg) cycles, options(nostack, preserves_flags)) };
+    cycles
+}
+
+/// The time of the CLINT, in its ticks of 100 ns.
+#[inline]
+#[must_use]
+pub fn time() -> u64 {
+    loop {
+        let (high, low, again): (u32, u32, u32);
+        // SAFETY: reads counters.
+        unsafe {
+            asm!("rdtimeh {}", "rdtime {}", "rdtimeh {}",
+                out(reg) high, out(reg) low, out(reg) again,
+                options(nomem, nostack, preserves_flags));
+        }
+        if high == again {
+            return u64::from(high) << 32 | u64::from(low);
+        }
+    }
+}
+
+/// Switches the interrupts of this hart on.
+#[inline]
+pub fn interrupts_on() {
+    // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere. Not
+    // `nomem`: what must be seen by a handler is written before.
+    unsafe { asm!("csrs mstatus, {}", in(reg) MSTATUS_MIE, options(nostack)) };
+}
+
+/// Switches the interrupts of this hart off; whether they were on.
+#[inline]
+pub fn interrupts_off() -> bool {
+    let before: usize;
+    // SAFETY: no handler runs from here on; see `interrupts_on` for the memory.
+    unsafe {
+        asm!("csrrc {}, mstatus, {}", out(reg) before, in(reg) MSTATUS_MIE, options(nostack));
+    }
+    before & MSTATUS_MIE != 0
+}
+
+/// Runs `work` with interrupts off.
+#[inline]
+pub fn without_interrupts<R>(work: impl FnOnce() -> R) -> R {
+    let were_on = interrupts_off();
+    let result = work();
+    if were_on {
+        interrupts_on();
+    }
+    result
+}
+
+/// Lets these interrupts reach this hart.
+#[inline]
+pub(crate) fn enable(which: usize) {
+    // SAFETY: as `interrupts_on`.
+    unsafe { asm!("csrs mie, {}", in(reg) which, options(nostack)) };
+}
+
+/// Keeps these interrupts from this hart.
+#[inline]
+pub(crate) fn disable(which: usize) {
+    // SAFETY: as `interrupts_off`.
+    unsafe { asm!("csrc mie, {}", in(reg) which, options(nostack)) };
+}
+
+/// The interrupts that are pending, enabled or not.
+#[inline]
+pub(crate) fn pending() -> usize {
+    let pending: usize;
+    // SAFETY: reads a register that devices change.
+    unsafe { asm!("csrr {}, mip", out(reg) pending, options(nostack, preserves_flags)) };
+    pending
+}
+
+/// Sleeps until an enabled interrupt is pending; whether it is then taken depends on the switch.
+#[inline]
+pub fn sleep() {
+    // SAFETY: stops this hart until an interrupt; memory may have changed meanwhile.
+    unsafe { asm!("wfi", options(nostack)) };
+}
+
+/// Gives the emulator's turn to the next hart, and goes on when all others had theirs.
+///
+/// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
+/// when it interrupts another, or when a timer comes, so whoever spins must say so, or the one it
+/// waits for does not run. This is a sleep that does not last: the supervisor's software interrupt
+/// is always pending (see start.S) and enabled just here. On a chip with real cores it would be
+/// `spin_loop`.
+#[inline]
+pub fn yield_turn() {
+    // SAFETY: the interrupt is delegated to supervisor mode, which nothing runs in: it ends the
+    // sleep and is never taken.
+    unsafe { asm!("csrsi mie, 2", "wfi", "csrci mie, 2", options(nostack)) };
+}

@@ -1,0 +1,28 @@
+//! Bare metal: QEMU's riscv32 `virt` machine. A hart is a core, the CLINT's software interrupt is
+//! the doorbell, and a section at a fixed address is the LMU.
+//!
+//! One image runs on all harts (decision 0008): 0 to 2 are the cores of system A, 3 to 5 those of
+//! system B, 6 is the carrier. A program gives one main, [`entry!`], which every hart calls with
+//! its number.
+#![no_std]
+
+pub mod clint;
+pub mod doorbell;
+pub mod exit;
+pub mod hart;
+pub mod memory;
+pub mod trap;
+pub mod uart;
+
+/// Names the function that each hart calls after the start, and after each reset of its own.
+#[macro_export]
+macro_rules! entry {
+    ($main:path) => {
+        #[allow(unsafe_code, reason = "the start-up code finds it by its name")]
+        #[unsafe(no_mangle)]
+        extern "C" fn tandem_hart_main(hart: usize) -> ! {
+            let main: fn(usize) -> ! = $main;
+            main(hart)
+        }
+    };
+}

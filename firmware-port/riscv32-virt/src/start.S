@@ -1,0 +1,158 @@
+# Start-up and trap entry. All harts begin here at once; hart 0 prepares the memory, and the others
+# sleep until its software interrupt says that it is done.
+
+    .equ CLINT_MSIP, 0x02000000
+    .equ HARTS, 8
+    .equ STACK_SHIFT, 18     # 256 KiB for each hart, as in link.x
+    .equ MIE_BIT, 8          # mstatus.MIE
+    .equ MSI, 8              # mie.MSIE, mip.MSIP
+    .equ SSI, 2              # mideleg, mip, mie: supervisor software interrupt
+
+    .section .init, "ax"
+    .globl _start
+_start:
+    csrw mie, zero
+    csrci mstatus, MIE_BIT
+    csrr s0, mhartid
+    li t0, HARTS
+    bgeu s0, t0, park
+    la t0, trap_vector
+    ori t0, t0, 1            # vectored
+    csrw mtvec, t0
+    # The interrupt that never sleeps: always pending, delegated so that machine mode never takes it,
+    # enabled only in `yield_turn`.
+    csrsi mideleg, SSI
+    csrsi mip, SSI
+    addi t0, s0, 1
+    slli t0, t0, STACK_SHIFT
+    la sp, __stacks
+    add sp, sp, t0
+    bnez s0, wait_for_memory
+
+    la t0, __bss_start
+    la t1, __bss_end
+1:  bgeu t0, t1, 2f
+    sw zero, 0(t0)
+    addi t0, t0, 4
+    j 1b
+2:  fence rw, rw
+    # Wake the others. A store to the register of a hart that does not exist is ignored.
+    li t0, CLINT_MSIP
+    li t1, 1
+    li t2, 1
+    li t3, HARTS
+3:  slli t4, t1, 2
+    add t4, t4, t0
+    sw t2, 0(t4)
+    addi t1, t1, 1
+    bltu t1, t3, 3b
+    j run
+
+wait_for_memory:
+    csrsi mie, MSI
+4:  wfi
+    csrr t0, mip
+    andi t0, t0, MSI
+    beqz t0, 4b
+    slli t0, s0, 2
+    li t1, CLINT_MSIP
+    add t0, t0, t1
+    sw zero, 0(t0)
+    fence rw, rw
+run:
+    mv a0, s0
+    call tandem_hart_main
+park:
+    csrw mie, zero
+5:  wfi
+    j 5b
+
+# A new life of this hart: a0 = hart. The stack is thrown away.
+    .globl tandem_restart_hart
+tandem_restart_hart:
+    csrci mstatus, MIE_BIT
+    mv s0, a0
+    addi t0, s0, 1
+    slli t0, t0, STACK_SHIFT
+    la sp, __stacks
+    add sp, sp, t0
+    j run
+
+    .section .text.trap, "ax"
+    .align 6
+trap_vector:
+    .option push
+    .option norvc            # four bytes an entry
+    j on_exception           # 0
+    j on_exception
+    j on_exception
+    j on_software_interrupt  # 3: a doorbell
+    j on_exception
+    j on_exception
+    j on_exception
+    j on_timer_interrupt     # 7
+    j on_exception
+    j on_exception
+    j on_exception
+    j on_exception           # 11: external, not used
+    .option pop
+
+    .macro SAVE
+    addi sp, sp, -64
+    sw ra, 0(sp)
+    sw t0, 4(sp)
+    sw t1, 8(sp)
+    sw t2, 12(sp)
+    sw a0, 16(sp)
+    sw a1, 20(sp)
+    sw a2, 24(sp)
+    sw a3, 28(sp)
+    sw a4, 32(sp)
+    sw a5, 36(sp)
+    sw a6, 40(sp)
+    sw a7, 44(sp)
+    sw t3, 48(sp)
+    sw t4, 52(sp)
+    sw t5, 56(sp)
+    sw t6, 60(sp)
+    .endm
+
+    .macro RESTORE
+    lw ra, 0(sp)
+    lw t0, 4(sp)
+    lw t1, 8(sp)
+    lw t2, 12(sp)
+    lw a0, 16(sp)
+    lw a1, 20(sp)
+    lw a2, 24(sp)
+    lw a3, 28(sp)
+    lw a4, 32(sp)
+    lw a5, 36(sp)
+    lw a6, 40(sp)
+    lw a7, 44(sp)
+    lw t3, 48(sp)
+    lw t4, 52(sp)
+    lw t5, 56(sp)
+    lw t6, 60(sp)
+    addi sp, sp, 64
+    .endm
+
+on_software_interrupt:
+    SAVE
+    call tandem_on_doorbell
+    RESTORE
+    mret
+
+on_timer_interrupt:
+    SAVE
+    call tandem_on_timer
+    RESTORE
+    mret
+
+on_exception:
+    csrr a0, mcause
+    csrr a1, mepc
+    csrr a2, mtval
+    call tandem_on_exception
+6:  wfi
+    j 6b

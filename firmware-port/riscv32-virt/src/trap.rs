@@ -1,0 +1,83 @@
+//! What interrupts do: a doorbell becomes a flag, or calls the handler that a program gave; a timer
+//! ends the hart's turn.
+
+use crate::hart::{HARTS, MSI, MTI};
+use crate::{clint, hart};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
+
+/// A handler: runs in interrupt context and never blocks.
+pub type Handler = fn();
+
+/// What the handlers of one hart know. On a cache line of its own.
+#[repr(align(64))]
+pub(crate) struct HartState {
+    /// A doorbell came while this hart was awake.
+    pub(crate) rung: AtomicBool,
+    /// Length of a turn in ticks; 0: no limit.
+    pub(crate) slice: AtomicU32,
+    /// The carrier wants this hart to stand still.
+    pub(crate) held: AtomicBool,
+    on_doorbell: AtomicPtr<()>,
+}
+
+impl HartState {
+    #[inline]
+    pub(crate) fn is_held(&self) -> bool {
+        // Acquire pairs with the Release of the carrier.
+        self.held.load(Ordering::Acquire)
+    }
+}
+
+/// Of each hart.
+pub(crate) static STATES: [HartState; HARTS] = [const {
+    HartState {
+        rung: AtomicBool::new(false),
+        slice: AtomicU32::new(0),
+        held: AtomicBool::new(false),
+        on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
+    }
+}; HARTS];
+
+unsafe extern "C" {
+    fn tandem_restart_hart(hart: usize) -> !;
+}
+
+/// What this hart does at its doorbell, beside noting that it has rung.
+pub fn on_doorbell(handler: Handler) {
+    STATES[hart::number() % HARTS]
+        .on_doorbell
+        .store(handler as *mut (), Ordering::Relaxed);
+    hart::enable(MSI);
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn tandem_on_doorbell() {
+    let number = hart::number() % HARTS;
+    let state = &STATES[number];
+    clint::clear(number);
+    if state.is_held() {
+        // SAFETY: the life that was interrupted is over: nothing of its stack is used again, and
+        // what it shares with other harts are atomics.
+        unsafe { tandem_restart_hart(number) };
+    }
+    state.rung.store(true, Ordering::Relaxed);
+    let handler = state.on_doorbell.load(Ordering::Relaxed);
+    if !handler.is_null() {
+        // SAFETY: only `on_doorbell` stores here, and it stores a `Handler`.
+        let handler: Handler = unsafe { core::mem::transmute(handler) };
+        handler();
+    }
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn tandem_on_timer() {
+    let number = hart::number() % HARTS;
+    match STATES[number].slice.load(Ordering::Relaxed) {
+        // It was only to end a sleep.
+        0 => hart::disable(MTI),
+        ticks => {
+            hart::yield_turn();
+            clint::set_timer(number, hart::time() + u64::from(ticks));
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! The log: QEMU's 16550, written by polling.
+
+use core::fmt::{self, Write};
+use core::ptr::{read_volatile, write_volatile};
+use core::sync::atomic::{AtomicBool, Ordering};
+
+const UART: usize = 0x1000_0000;
+const LINE_STATUS: usize = 5;
+const TRANSMITTER_EMPTY: u8 = 1 << 5;
+
+/// One line at a time, of whichever hart.
+static BUSY: AtomicBool = AtomicBool::new(false);
+
+struct Uart;
+
+impl Write for Uart {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for byte in text.bytes() {
+            // SAFETY: the registers of the 16550; `BUSY` keeps other harts out.
+            unsafe {
+                while read_volatile((UART + LINE_STATUS) as *const u8) & TRANSMITTER_EMPTY == 0 {}
+                write_volatile(UART as *mut u8, byte);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes a line. Blocks; task context.
+pub fn print(line: fmt::Arguments<'_>) {
+    // Acquire pairs with the Release below: lines come whole.
+    while BUSY.swap(true, Ordering::Acquire) {
+        crate::hart::yield_turn();
+    }
+    // Writing to the UART cannot fail.
+    let _ = writeln!(Uart, "{line}");
+    BUSY.store(false, Ordering::Release);
+}
+
+/// Writes a line although another hart may be about to: for a hart that ends everything.
+pub(crate) fn print_now(line: fmt::Arguments<'_>) {
+    let _ = writeln!(Uart, "{line}");
+}
+
+/// Writes a line to the log.
+#[macro_export]
+macro_rules! log {
+    ($($argument:tt)*) => {
+        $crate::uart::print(::core::format_args!($($argument)*))
+    };
+}

@@ -1,0 +1,224 @@
+//! The bare-metal images: build, run and measure them under QEMU.
+
+use crate::target_dir;
+use anyhow::{Context, Result, bail, ensure};
+use clap::{Subcommand, ValueEnum};
+use serde_json::{Value, json};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+const TARGET: &str = "riscv32imac-unknown-none-elf";
+const QEMU: &str = "qemu-system-riscv32";
+/// Longer than any image here runs on a busy machine; an image that hangs is ended then.
+const LIMIT: Duration = Duration::from_secs(300);
+/// How much worse than the baseline a measurement may be, in percent.
+const TOLERANCE_PERCENT: u64 = 5;
+/// How many times the bare interrupt a mailbox signal may take.
+const MAILBOX_PER_FLOOR: u64 = 2;
+
+#[derive(Subcommand)]
+pub(crate) enum Firmware {
+    /// Build all images
+    Build,
+    /// Run an image under QEMU; its log is printed
+    Run {
+        /// Which image
+        image: Image,
+    },
+    /// Count the instructions of the paths between cores, and compare them with the baseline
+    Bench {
+        /// Write the figures here, as a list of {name, min, max}
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Make these figures the baseline
+        #[arg(long)]
+        save: bool,
+    },
+}
+
+/// An image of firmware-port/riscv32-virt.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Image {
+    /// The paths between cores, in instructions
+    Bench,
+}
+
+impl Image {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Bench => "bench",
+        }
+    }
+}
+
+pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
+    build(root)?;
+    match task {
+        Firmware::Build => Ok(()),
+        Firmware::Run { image } => run_image(root, image, true).map(drop),
+        Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
+    }
+}
+
+fn port(root: &Path) -> PathBuf {
+    root.join("firmware-port")
+}
+
+fn build_dir(root: &Path) -> PathBuf {
+    target_dir(root).join("firmware")
+}
+
+fn build(root: &Path) -> Result<()> {
+    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
+    command
+        .current_dir(port(root))
+        .args(["build", "--quiet", "--release", "--target", TARGET])
+        .args(["-p", "tandem-board-riscv32-virt"])
+        .env("CARGO_TARGET_DIR", build_dir(root));
+    crate::run(command)
+}
+
+/// Runs an image to its end, and returns its log. Deterministic: one instruction is one
+/// nanosecond, and time jumps when all harts sleep.
+fn run_image(root: &Path, image: Image, echo: bool) -> Result<String> {
+    let elf = build_dir(root)
+        .join(TARGET)
+        .join("release")
+        .join(image.name());
+    let mut command = Command::new(QEMU);
+    command
+        .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
+        .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
+        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg(elf);
+    let log = finish(&mut command)?;
+    if echo {
+        print!("{log}");
+    }
+    Ok(log)
+}
+
+/// Runs a command that ends by itself, and returns what it printed.
+fn finish(command: &mut Command) -> Result<String> {
+    let mut child = command
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .with_context(|| {
+            format!("cannot start {QEMU}: apt-get install --no-install-recommends qemu-system-misc")
+        })?;
+    let mut output = child.stdout.take().context("the log is piped")?;
+    let reader = std::thread::spawn(move || {
+        let mut log = String::new();
+        std::io::Read::read_to_string(&mut output, &mut log).map(|_| log)
+    });
+    let begin = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if begin.elapsed() > LIMIT {
+            child.kill()?;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    let log = match reader.join() {
+        Ok(log) => log.context("the log is text")?,
+        Err(_) => bail!("the log could not be read"),
+    };
+    ensure!(status.success(), "{command:?} ended with {status}:\n{log}");
+    Ok(log)
+}
+
+/// What was measured, in the order of the log.
+struct Figure {
+    name: String,
+    min: u64,
+    max: u64,
+}
+
+fn figures(log: &str) -> Result<Vec<Figure>> {
+    let lines = log.lines().filter_map(|line| line.strip_prefix("bench "));
+    let figure = |line: &str| {
+        let mut words = line.split(' ');
+        Some(Figure {
+            name: words.next()?.to_owned(),
+            min: words.next()?.parse().ok()?,
+            max: words.next()?.parse().ok()?,
+        })
+    };
+    lines
+        .map(|line| figure(line).with_context(|| format!("no figure: {line}")))
+        .collect()
+}
+
+fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
+    let log = run_image(root, Image::Bench, false)?;
+    let figures = figures(&log)?;
+    ensure!(!figures.is_empty(), "the image measured nothing:\n{log}");
+    let again = run_image(root, Image::Bench, false)?;
+    ensure!(log == again, "two runs differ:\n{log}\n{again}");
+    let list: Vec<Value> = figures
+        .iter()
+        .map(|Figure { name, min, max }| json!({ "name": name, "min": min, "max": max }))
+        .collect();
+    let text = serde_json::to_string_pretty(&list)? + "\n";
+    let baseline_file = port(root).join("baseline.json");
+    if let Some(file) = json {
+        fs::write(file, &text).with_context(|| file.display().to_string())?;
+    }
+    if save {
+        fs::write(&baseline_file, &text)?;
+    }
+    let baseline = fs::read_to_string(&baseline_file)
+        .with_context(|| format!("{}: make one with --save", baseline_file.display()))?;
+    let baseline: Vec<Value> = serde_json::from_str(&baseline)?;
+    let before = |name: &str| {
+        let entry = baseline.iter().find(|entry| entry["name"] == name)?;
+        entry["max"].as_u64()
+    };
+    println!("instructions, over 1000 rounds of one deterministic run (icount, shift 0)");
+    println!("{:<28} {:>7} {:>7} {:>9}", "", "min", "max", "baseline");
+    let mut worse = Vec::new();
+    for Figure { name, min, max } in &figures {
+        let known = before(name);
+        let shown = known.map_or_else(|| "new".to_owned(), |known| known.to_string());
+        println!("{name:<28} {min:>7} {max:>7} {shown:>9}");
+        if known.is_some_and(|known| max * 100 > known * (100 + TOLERANCE_PERCENT)) {
+            worse.push(name.as_str());
+        }
+    }
+    for entry in &baseline {
+        let name = entry["name"].as_str().unwrap_or_default();
+        let measured = figures.iter().any(|figure| figure.name == name);
+        ensure!(measured, "{name} is in the baseline and was not measured");
+    }
+    ensure!(
+        worse.is_empty(),
+        "worse than the baseline by more than {TOLERANCE_PERCENT} %: {}",
+        worse.join(", ")
+    );
+    floor_holds(&figures)
+}
+
+/// A mailbox signal with all that makes it safe takes at most twice the bare interrupt.
+fn floor_holds(figures: &[Figure]) -> Result<()> {
+    let max = |name: &str| {
+        let figure = figures.iter().find(|figure| figure.name == name);
+        figure
+            .map(|figure| figure.max)
+            .with_context(|| format!("{name} was not measured"))
+    };
+    let (floor, signal) = (max("interrupt/floor")?, max("mailbox/signal-to-handler")?);
+    println!(
+        "mailbox signal : bare interrupt = {:.2}",
+        signal as f64 / floor as f64
+    );
+    ensure!(
+        signal <= MAILBOX_PER_FLOOR * floor,
+        "a mailbox signal takes more than {MAILBOX_PER_FLOOR} times the bare interrupt"
+    );
+    Ok(())
+}
