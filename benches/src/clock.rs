@@ -1,5 +1,7 @@
 //! A clock that two CPUs agree on, cheap enough to stamp every message.
 
+use std::sync::OnceLock;
+
 /// Ticks of the clock, truncated to 32 bits: differences up to about a second are exact.
 #[inline(always)]
 pub fn ticks() -> u32 {
@@ -20,21 +22,43 @@ pub fn ticks() -> u32 {
 
 /// `CLOCK_MONOTONIC` in nanoseconds.
 pub fn monotonic_ns() -> u64 {
+    read_ns(libc::CLOCK_MONOTONIC)
+}
+
+/// CPU time that the calling thread has used, user and system, in nanoseconds.
+pub fn cpu_ns() -> u64 {
+    read_ns(libc::CLOCK_THREAD_CPUTIME_ID)
+}
+
+fn read_ns(clock: libc::clockid_t) -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,
         tv_nsec: 0,
     };
-    // SAFETY: `now` is a valid place for the result; this clock always exists.
-    unsafe { libc::clock_gettime(libc::CLOCK_MONOTONIC, &mut now) };
+    // SAFETY: `now` is a valid place for the result; the clocks above always exist.
+    unsafe { libc::clock_gettime(clock, &mut now) };
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Nanoseconds of one tick, measured against `CLOCK_MONOTONIC` over 50 ms.
-pub fn ns_per_tick() -> f64 {
-    let (from_ns, from) = (monotonic_ns(), ticks());
-    while monotonic_ns() - from_ns < 50_000_000 {
-        core::hint::spin_loop();
-    }
-    let (to_ns, to) = (monotonic_ns(), ticks());
-    (to_ns - from_ns) as f64 / f64::from(to.wrapping_sub(from))
+/// Picoseconds of one tick, measured against `CLOCK_MONOTONIC` over 50 ms, once.
+pub fn ps_per_tick() -> f64 {
+    static MEASURED: OnceLock<f64> = OnceLock::new();
+    *MEASURED.get_or_init(|| {
+        let (from_ns, from) = (monotonic_ns(), ticks());
+        while monotonic_ns() - from_ns < 50_000_000 {
+            core::hint::spin_loop();
+        }
+        let (to_ns, to) = (monotonic_ns(), ticks());
+        (to_ns - from_ns) as f64 * 1000.0 / f64::from(to.wrapping_sub(from))
+    })
+}
+
+/// A span of ticks in picoseconds.
+pub fn to_ps(ticks: u32) -> u64 {
+    (f64::from(ticks) * ps_per_tick()) as u64
+}
+
+/// So many nanoseconds as ticks; at most what 32 bits hold, about a second.
+pub fn from_ns(ns: u64) -> u32 {
+    (ns as f64 * 1000.0 / ps_per_tick()) as u32
 }

@@ -1,9 +1,13 @@
 //! The floors: what the hardware and the kernel alone need.
 
-use crate::harness::{End, Plan, Shared, between_processes};
+use crate::harness::{Batch, End, Plan, between_processes};
+use crate::shared::Shared;
 use std::hint::spin_loop;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
+
+/// Bytes of two cache lines.
+const LINES: u64 = 2 * 64;
 
 /// Two cache lines, one in each direction; the receiver spins on the value itself.
 struct Line {
@@ -34,7 +38,7 @@ impl End for Line {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn cache_line(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn cache_line(plan: &Plan) -> io::Result<Batch> {
     let end = |out, inward| {
         move |shared: &Shared| Line {
             out: shared.line(out),
@@ -42,7 +46,7 @@ pub fn cache_line(plan: &Plan) -> io::Result<Vec<u32>> {
             last: 0,
         }
     };
-    between_processes(plan, end(0, 2), end(2, 0))
+    between_processes(plan, LINES, end(0, 2), end(2, 0))
 }
 
 /// The same two lines; the receiver sleeps in the kernel until the word changes.
@@ -74,7 +78,7 @@ impl End for Futex {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn futex(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn futex(plan: &Plan) -> io::Result<Batch> {
     let end = |out, inward| {
         move |shared: &Shared| {
             Futex(Line {
@@ -84,7 +88,7 @@ pub fn futex(plan: &Plan) -> io::Result<Vec<u32>> {
             })
         }
     };
-    between_processes(plan, end(0, 2), end(2, 0))
+    between_processes(plan, LINES, end(0, 2), end(2, 0))
 }
 
 /// A pair of file descriptors that carry a wake-up, with the stamp in shared memory beside it.
@@ -115,7 +119,7 @@ impl End for EventFd {
 ///
 /// # Errors
 /// As [`between_processes`], and if no eventfd can be had.
-pub fn eventfd(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn eventfd(plan: &Plan) -> io::Result<Batch> {
     // SAFETY: takes no pointer.
     let [near, far] = [0, 0].map(|_| unsafe { libc::eventfd(0, libc::EFD_CLOEXEC) });
     if near < 0 || far < 0 {
@@ -129,7 +133,7 @@ pub fn eventfd(plan: &Plan) -> io::Result<Vec<u32>> {
             stamp_in: shared.line(word_in),
         }
     };
-    let samples = between_processes(plan, end(far, near, 0, 2), end(near, far, 2, 0));
+    let samples = between_processes(plan, LINES, end(far, near, 0, 2), end(near, far, 2, 0));
     // SAFETY: both descriptors are ours and not used after this.
     unsafe {
         libc::close(near);

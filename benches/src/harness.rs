@@ -5,9 +5,77 @@
 //! one-way latency. All cases of a run use this loop, so that floor, peers and Tandem differ in
 //! nothing else.
 
-use crate::clock::ticks;
+use crate::clock::{ticks, to_ps};
+use crate::shared::{Log, Shared, note};
+use crate::stage::{Part, Role, perform, pin};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
+
+/// What a batch is to do.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// Round trips, or what a case calls a round, that count.
+    pub rounds: usize,
+    /// Rounds before them that do not.
+    pub warm_up: usize,
+    /// CPUs of the near and the far end.
+    pub cpus: [usize; 2],
+}
+
+impl Plan {
+    /// The same with both ends on the near end's CPU.
+    #[must_use]
+    pub const fn on_one_cpu(self) -> Self {
+        Self {
+            cpus: [self.cpus[0]; 2],
+            ..self
+        }
+    }
+}
+
+/// One batch of a case: what some 10 to 50 ms have shown.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Batch {
+    /// One sample each: one-way time, or time per operation or per message, in picoseconds.
+    pub samples_ps: Vec<u64>,
+    /// Round trips in picoseconds, where the case is a ping-pong; else empty.
+    pub round_trips_ps: Vec<u64>,
+    /// CPU time (user and system, all ends) per message in ns, where it means something.
+    pub cpu_ns_per_message: Option<f64>,
+    /// Memory that the ends used: shared segments and growth of private resident memory, bytes.
+    pub memory_bytes: Option<u64>,
+    /// Bytes of payload per message.
+    pub payload_bytes: u64,
+    /// Further facts by name. Of those whose name begins with `longest` the largest of all batches
+    /// counts, of the others the median.
+    pub facts: Vec<(&'static str, f64)>,
+}
+
+impl Batch {
+    /// What the parts of a batch of `messages` messages have written down: samples from track 0,
+    /// round trips from track 1, CPU time and memory. The case itself uses `own_bytes` of the
+    /// words that the harness shares.
+    #[must_use]
+    pub fn collect(shared: &Shared, parts: usize, messages: usize, own_bytes: u64) -> Self {
+        let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
+        let all = |track| {
+            let samples = logs.iter().flat_map(move |log| log.samples(track));
+            samples.map(to_ps).collect()
+        };
+        let sum = |at| logs.iter().map(|log| log.get(at)).sum::<f64>();
+        // The parts map the same segments.
+        let segments = logs.iter().map(|log| log.get(note::SHARED));
+        let segments = segments.fold(0.0, f64::max);
+        Self {
+            samples_ps: all(0),
+            round_trips_ps: all(1),
+            cpu_ns_per_message: Some(sum(note::CPU_NS) / messages.max(1) as f64),
+            memory_bytes: Some((sum(note::PRIVATE) + segments) as u64 + own_bytes),
+            payload_bytes: 4,
+            facts: vec![],
+        }
+    }
+}
 
 /// One end of a way of passing 4 bytes in both directions.
 pub trait End {
@@ -17,218 +85,95 @@ pub trait End {
     fn receive(&mut self) -> u32;
 }
 
-/// What a batch is to do.
-#[derive(Clone, Copy, Debug)]
-pub struct Plan {
-    /// Round trips that count.
-    pub rounds: usize,
-    /// Round trips before them that do not.
-    pub warm_up: usize,
-    /// CPUs of the near and the far end.
-    pub cpus: [usize; 2],
-}
-
-/// Memory that the two ends share, zero at first. A batch has its own.
-#[derive(Clone, Copy)]
-pub struct Shared {
-    words: &'static [AtomicU32],
-}
-
-/// Words before the samples that belong to the case.
-const CASE_WORDS: usize = 1 << 16;
-/// Words for the samples of one end; more rounds overwrite the first ones.
-const SAMPLE_WORDS: usize = 1 << 19;
-const TOTAL_WORDS: usize = CASE_WORDS + 2 * SAMPLE_WORDS;
-/// Words in a cache line.
-const LINE: usize = 16;
-
-impl Shared {
-    fn new() -> io::Result<Self> {
-        let bytes = TOTAL_WORDS * 4;
-        // SAFETY: a fresh anonymous mapping, not at a fixed address, touches no other memory.
-        let base = unsafe {
-            libc::mmap(
-                std::ptr::null_mut(),
-                bytes,
-                libc::PROT_READ | libc::PROT_WRITE,
-                libc::MAP_SHARED | libc::MAP_ANONYMOUS | libc::MAP_POPULATE,
-                -1,
-                0,
-            )
-        };
-        if base == libc::MAP_FAILED {
-            return Err(io::Error::last_os_error());
-        }
-        // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped
-        // only by `free`, after which its batch uses no word of it any more.
-        let words = unsafe { std::slice::from_raw_parts(base.cast(), TOTAL_WORDS) };
-        Ok(Self { words })
-    }
-
-    fn free(self) {
-        let base = self.words.as_ptr().cast_mut().cast();
-        // SAFETY: `base` and the length are those of the mapping made in `new`; the batch is over.
-        unsafe { libc::munmap(base, size_of_val(self.words)) };
-    }
-
-    /// The words that belong to the case, aligned to a page.
-    pub fn case(&self) -> &'static [AtomicU32] {
-        &self.words[LINE..CASE_WORDS]
-    }
-
-    /// One word on a cache line of its own.
-    pub fn line(&self, number: usize) -> &'static AtomicU32 {
-        &self.case()[number * LINE]
-    }
-
-    fn meet(&self, ends: u32) {
-        // Release pairs with the Acquire below: what an end prepared is visible to the other.
-        self.words[0].fetch_add(1, Ordering::AcqRel);
-        while self.words[0].load(Ordering::Acquire) < ends {
-            std::thread::yield_now();
-        }
-    }
-
-    fn samples(&self, end: usize) -> &'static [AtomicU32] {
-        &self.words[CASE_WORDS + end * SAMPLE_WORDS..][..SAMPLE_WORDS]
-    }
-}
-
-/// Pins the calling thread to a CPU.
-pub fn pin(cpu: usize) {
-    core_affinity::set_for_current(core_affinity::CoreId { id: cpu });
-}
-
-fn near_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
+fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
     for round in 0..plan.warm_up + plan.rounds {
-        end.send(ticks());
+        if round == plan.warm_up {
+            role.begin();
+        }
+        let sent = ticks();
+        end.send(sent);
+        let stamp = end.receive();
+        let now = ticks();
+        if round >= plan.warm_up {
+            role.log.push(0, now.wrapping_sub(stamp));
+            role.log.push(1, now.wrapping_sub(sent));
+        }
+    }
+    role.end();
+}
+
+fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
+    for round in 0..plan.warm_up + plan.rounds {
+        if round == plan.warm_up {
+            role.begin();
+        }
         let stamp = end.receive();
         let way = ticks().wrapping_sub(stamp);
-        if let Some(place) = round.checked_sub(plan.warm_up) {
-            samples[place % samples.len()].store(way, Ordering::Relaxed);
-        }
-    }
-}
-
-fn far_end(end: &mut impl End, plan: &Plan, samples: &[AtomicU32]) {
-    for round in 0..plan.warm_up + plan.rounds {
-        let stamp = end.receive();
-        let way = ticks().wrapping_sub(stamp);
-        if let Some(place) = round.checked_sub(plan.warm_up) {
-            samples[place % samples.len()].store(way, Ordering::Relaxed);
+        if round >= plan.warm_up {
+            role.log.push(0, way);
         }
         end.send(ticks());
     }
+    role.end();
 }
 
-/// Passes a stamp to and fro between two processes; returns all one-way times in ticks.
+/// Passes a stamp to and fro between two processes. `own_bytes` of the words that the harness
+/// shares belong to the case.
 ///
 /// Each end is made in a process of its own, which lives for this batch only: it inherits nothing
 /// from earlier batches but what the caller had opened before.
 ///
 /// # Errors
-/// If the processes or the shared memory cannot be had, or an end died.
+/// If the processes or the shared memory cannot be had, or an end failed.
 pub fn between_processes<N: End, F: End>(
     plan: &Plan,
+    own_bytes: u64,
     near: impl FnOnce(&Shared) -> N,
     far: impl FnOnce(&Shared) -> F,
-) -> io::Result<Vec<u32>> {
+) -> io::Result<Batch> {
     let shared = Shared::new()?;
-    let near = fork(plan.cpus[0], || {
-        let mut end = near(&shared);
-        shared.meet(2);
-        near_end(&mut end, plan, shared.samples(0));
-    })?;
-    let far = fork(plan.cpus[1], || {
-        let mut end = far(&shared);
-        shared.meet(2);
-        far_end(&mut end, plan, shared.samples(1));
+    let near = Part::on(plan.cpus[0], |role| {
+        let mut end = near(role.shared);
+        role.shared.meet(2);
+        near_end(&mut end, plan, role);
+        Ok(())
     });
-    let far = far.inspect_err(|_| kill(near))?;
-    let outcome = wait_for_both([near, far]);
-    let samples = collect(&shared, plan);
-    shared.free();
-    outcome.map(|()| samples)
+    let far = Part::on(plan.cpus[1], |role| {
+        let mut end = far(role.shared);
+        role.shared.meet(2);
+        far_end(&mut end, plan, role);
+        Ok(())
+    });
+    perform(&shared, vec![near, far])?;
+    Ok(Batch::collect(&shared, 2, 2 * plan.rounds, own_bytes))
 }
 
-/// Runs `end` in a child process on this CPU.
-fn fork(cpu: usize, end: impl FnOnce()) -> io::Result<libc::pid_t> {
-    // SAFETY: this program has no other thread at this point that could hold a lock; the child runs
-    // only its end and leaves by `_exit`.
-    let child = unsafe { libc::fork() };
-    if child < 0 {
-        return Err(io::Error::last_os_error());
-    }
-    if child == 0 {
-        // SAFETY: only sets this process's own death signal: it dies with its parent.
-        unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
-        pin(cpu);
-        let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(end));
-        // SAFETY: ends the child without running the parent's exit handlers.
-        unsafe { libc::_exit(i32::from(ended.is_err())) };
-    }
-    Ok(child)
-}
-
-fn kill(child: libc::pid_t) {
-    // SAFETY: `child` is our child and not yet waited for.
-    unsafe {
-        libc::kill(child, libc::SIGKILL);
-        libc::waitpid(child, std::ptr::null_mut(), 0);
-    }
-}
-
-/// Waits until both have ended; if one dies, the other would wait for it for ever and is killed.
-fn wait_for_both(mut children: [libc::pid_t; 2]) -> io::Result<()> {
-    for _ in 0..2 {
-        let mut status = 0;
-        // SAFETY: waits for any child, of which there are just these; `status` is a valid place.
-        let ended = unsafe { libc::waitpid(-1, &mut status, 0) };
-        children = children.map(|child| if child == ended { 0 } else { child });
-        if status != 0 {
-            children
-                .into_iter()
-                .filter(|child| *child != 0)
-                .for_each(kill);
-            return Err(io::Error::other("one end of the measurement died"));
-        }
-    }
-    Ok(())
-}
-
-/// The same between two threads of this process, for peers that only work there.
+/// The same between two threads of one process, for peers that only work there.
 ///
 /// # Errors
-/// If the shared memory cannot be had.
+/// As [`between_processes`].
 pub fn between_threads<N: End + Send, F: End + Send>(
     plan: &Plan,
-    mut near: N,
-    mut far: F,
-) -> io::Result<Vec<u32>> {
+    ends: impl FnOnce() -> (N, F),
+) -> io::Result<Batch> {
     let shared = Shared::new()?;
-    std::thread::scope(|scope| {
-        scope.spawn(|| {
-            pin(plan.cpus[1]);
-            shared.meet(2);
-            far_end(&mut far, plan, shared.samples(1));
+    let part = Part::on(plan.cpus[0], |role| {
+        let (mut near, mut far) = ends();
+        let mut far_role = role.beside(1);
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                pin(plan.cpus[1]);
+                far_role.shared.meet(2);
+                far_end(&mut far, plan, &mut far_role);
+                far_role.log.close();
+            });
+            role.shared.meet(2);
+            near_end(&mut near, plan, role);
         });
-        scope.spawn(|| {
-            pin(plan.cpus[0]);
-            shared.meet(2);
-            near_end(&mut near, plan, shared.samples(0));
-        });
+        Ok(())
     });
-    let samples = collect(&shared, plan);
-    shared.free();
-    Ok(samples)
-}
-
-fn collect(shared: &Shared, plan: &Plan) -> Vec<u32> {
-    let of = |end| shared.samples(end).iter().take(plan.rounds);
-    of(0)
-        .chain(of(1))
-        .map(|way| way.load(Ordering::Relaxed))
-        .collect()
+    perform(&shared, vec![part])?;
+    Ok(Batch::collect(&shared, 2, 2 * plan.rounds, 0))
 }
 
 /// A number for names that no other batch of this machine uses at the same time.

@@ -1,8 +1,8 @@
 //! Percentiles, ratios to the floor, and the machine that they were measured on.
 
-use crate::cases::Case;
-use hdrhistogram::Histogram;
+use crate::measure::{BatchSummary, Measurement};
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::fs;
 
 /// One measured case. Times in nanoseconds.
@@ -15,21 +15,33 @@ pub struct Measured {
     /// What it is.
     pub what: &'static str,
     /// Median.
-    pub p50_ns: u64,
+    pub p50_ns: f64,
     /// 90th percentile.
-    pub p90_ns: u64,
+    pub p90_ns: f64,
     /// 99th percentile.
-    pub p99_ns: u64,
+    pub p99_ns: f64,
     /// 99.9th percentile.
-    pub p99_9_ns: u64,
+    pub p99_9_ns: f64,
     /// Largest.
-    pub max_ns: u64,
-    /// Number of one-way times.
+    pub max_ns: f64,
+    /// Number of samples.
     pub samples: u64,
     /// Median over the floor's median; `None` if the group's floor was not measured.
     pub ratio_to_floor_p50: Option<f64>,
     /// 99.9th percentile over the floor's.
     pub ratio_to_floor_p99_9: Option<f64>,
+    /// Bytes of payload per message.
+    pub payload_bytes: u64,
+    /// CPU time per message, all ends.
+    pub cpu_ns_per_message: Option<f64>,
+    /// Memory that the ends used.
+    pub memory_bytes: Option<u64>,
+    /// Median of each batch, in order.
+    pub batch_p50_ns: Vec<f64>,
+    /// 99th percentile of each batch.
+    pub batch_p99_ns: Vec<f64>,
+    /// Further facts by name.
+    pub facts: BTreeMap<&'static str, f64>,
 }
 
 /// What was measured on.
@@ -43,8 +55,6 @@ pub struct Machine {
     pub pinned_to: [usize; 2],
     /// `release` or `debug`.
     pub build: &'static str,
-    /// Size of a message.
-    pub payload_bytes: u32,
 }
 
 /// A whole run.
@@ -78,37 +88,90 @@ impl Machine {
             } else {
                 "release"
             },
-            payload_bytes: 4,
         }
     }
+}
+
+/// Picoseconds as nanoseconds, to a tenth.
+fn ns(ps: u64) -> f64 {
+    (ps as f64 / 100.0).round() / 10.0
 }
 
 impl Measured {
     /// The figures of one case, beside those of its group's floor.
     #[must_use]
-    pub fn new(case: &Case, times: &Histogram<u64>, floor: Option<&Histogram<u64>>) -> Self {
-        let at = |quantile| times.value_at_quantile(quantile);
+    pub fn new(measurement: &Measurement, floor: Option<&Measurement>) -> Self {
+        let (case, times) = (measurement.case, &measurement.times);
+        let at = |quantile| ns(times.value_at_quantile(quantile));
         let ratio = |quantile| {
-            let floor = floor?.value_at_quantile(quantile);
-            (floor > 0).then(|| at(quantile) as f64 / floor as f64)
+            let floor = floor?.times.value_at_quantile(quantile);
+            (floor > 0).then(|| times.value_at_quantile(quantile) as f64 / floor as f64)
         };
+        let batches = &measurement.batches;
+        let middle =
+            |of: fn(&BatchSummary) -> Option<f64>| median(batches.iter().filter_map(of).collect());
+        let mut facts = BTreeMap::<_, Vec<f64>>::new();
+        for (name, value) in batches.iter().flat_map(|batch| &batch.facts) {
+            facts.entry(*name).or_default().push(*value);
+        }
+        let facts = facts.into_iter().filter_map(|(name, values)| {
+            let value = if name.starts_with("longest") {
+                values.into_iter().reduce(f64::max)
+            } else {
+                median(values)
+            };
+            Some((name, value?))
+        });
         Self {
-            name: format!("{}/{}", case.group.name(), case.name),
+            name: case.full_name(),
             group: case.group.name(),
             what: case.what,
             p50_ns: at(0.5),
             p90_ns: at(0.9),
             p99_ns: at(0.99),
             p99_9_ns: at(0.999),
-            max_ns: times.max(),
+            max_ns: ns(times.max()),
             samples: times.len(),
             ratio_to_floor_p50: ratio(0.5),
             ratio_to_floor_p99_9: ratio(0.999),
+            payload_bytes: batches.first().map_or(0, |batch| batch.payload_bytes),
+            cpu_ns_per_message: middle(|batch| batch.cpu_ns_per_message),
+            memory_bytes: middle(|batch| batch.memory_bytes.map(|bytes| bytes as f64))
+                .map(|bytes| bytes as u64),
+            batch_p50_ns: batches.iter().map(|batch| ns(batch.p50_ps)).collect(),
+            batch_p99_ns: batches.iter().map(|batch| ns(batch.p99_ps)).collect(),
+            facts: facts.collect(),
         }
     }
 }
 
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_unstable_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
 impl Results {
+    /// The rows of all cases that were measured.
+    #[must_use]
+    pub fn new(all: &[Measurement], cpus: [usize; 2], interrupted: bool) -> Self {
+        let floor = |of: &Measurement| {
+            let is_floor =
+                |one: &&Measurement| one.case.group == of.case.group && one.case.is_floor();
+            all.iter().find(is_floor)
+        };
+        let measured = all.iter().filter(|one| !one.times.is_empty());
+        let skipped = all.iter().filter_map(|one| {
+            let why = one.skipped.as_ref()?;
+            Some(format!("{}: {why}", one.case.full_name()))
+        });
+        Self {
+            machine: Machine::this(cpus),
+            interrupted,
+            results: measured.map(|one| Measured::new(one, floor(one))).collect(),
+            skipped: skipped.collect(),
+        }
+    }
+
     /// The table for the terminal.
     #[must_use]
     pub fn table(&self) -> String {
@@ -126,10 +189,7 @@ impl Results {
             text,
             "{cpu}, Linux {kernel}, CPUs {near} and {far}, {build} build"
         );
-        let _ = writeln!(
-            text,
-            "One way, 4 bytes, in ns; ratios to the floor of the same run."
-        );
+        let _ = writeln!(text, "Times in ns; ratios to the floor of the same run.");
         let mut group = "";
         for row in &self.results {
             if row.group != group {

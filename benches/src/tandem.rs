@@ -1,7 +1,8 @@
 //! Tandem itself: 4 bytes through a newest-value channel and a signal of the sync mailbox, on the
 //! host board, from the sender's call to the running handler. T-SYNC-4
 
-use crate::harness::{End, Plan, Shared, between_processes};
+use crate::harness::{Batch, End, Plan, between_processes};
+use crate::shared::Shared;
 use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
@@ -127,11 +128,11 @@ impl End for Core {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Vec<u32>> {
+pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
     let life = next_life();
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy);
-    between_processes(plan, start(a, b), start(b, a))
+    between_processes(plan, 0, start(a, b), start(b, a))
 }
 
 /// Lives rise from batch to batch, as those of a core that is reset.

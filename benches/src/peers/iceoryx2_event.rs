@@ -1,6 +1,7 @@
 //! iceoryx2 events: the receiver sleeps until it is notified.
 
-use crate::harness::{End, Plan, Shared, between_processes};
+use crate::harness::{Batch, End, Plan, between_processes};
+use crate::shared::Shared;
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
@@ -75,13 +76,14 @@ impl End for Event {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn iceoryx2_event(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn iceoryx2_event(plan: &Plan) -> io::Result<Batch> {
     let run = crate::harness::next_run();
     let end = |ways, words: [usize; 2]| {
         move |shared: &Shared| Event::open(run, ways, words.map(|word| shared.line(word)))
     };
     between_processes(
         plan,
+        128,
         end(["there", "back"], [0, 2]),
         end(["back", "there"], [2, 0]),
     )

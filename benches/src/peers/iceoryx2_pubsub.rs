@@ -1,7 +1,8 @@
 //! iceoryx2 publish–subscribe, polled.
 
-use crate::harness::{End, Plan, Shared, between_processes};
+use crate::harness::{Batch, End, Plan, between_processes};
 use crate::peers::iceoryx2_event::node;
+use crate::shared::Shared;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::*;
@@ -55,8 +56,8 @@ impl End for PublishSubscribe {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn iceoryx2_pubsub(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn iceoryx2_pubsub(plan: &Plan) -> io::Result<Batch> {
     let run = crate::harness::next_run();
     let end = |out, inward| move |_: &Shared| PublishSubscribe::open(run, out, inward);
-    between_processes(plan, end("there", "back"), end("back", "there"))
+    between_processes(plan, 0, end("there", "back"), end("back", "there"))
 }

@@ -1,7 +1,8 @@
 //! What the kernel offers to pass bytes: pipe, Unix socket, POSIX message queue. The receiver
 //! sleeps.
 
-use crate::harness::{End, Plan, Shared, between_processes};
+use crate::harness::{Batch, End, Plan, between_processes};
+use crate::shared::Shared;
 use std::ffi::CString;
 use std::io;
 
@@ -47,7 +48,7 @@ impl End for Descriptors {
     }
 }
 
-fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result<Vec<u32>> {
+fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result<Batch> {
     let end = |[out, inward]: [i32; 2]| {
         move |_: &Shared| Descriptors {
             out,
@@ -55,7 +56,7 @@ fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result
             is_queue,
         }
     };
-    let samples = between_processes(plan, end(near), end(far));
+    let samples = between_processes(plan, 0, end(near), end(far));
     let mut all = [near, far].concat();
     all.sort_unstable();
     all.dedup();
@@ -70,7 +71,7 @@ fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result
 ///
 /// # Errors
 /// As [`between_processes`], and if no pipe can be had.
-pub fn pipe(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn pipe(plan: &Plan) -> io::Result<Batch> {
     let mut pipes = [[0i32; 2]; 2];
     for pipe in &mut pipes {
         // SAFETY: `pipe` is a valid place for two descriptors.
@@ -91,7 +92,7 @@ pub fn pipe(plan: &Plan) -> io::Result<Vec<u32>> {
 ///
 /// # Errors
 /// As [`between_processes`], and if no socket can be had.
-pub fn unix_socket(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn unix_socket(plan: &Plan) -> io::Result<Batch> {
     let mut pair = [0i32; 2];
     let kind = libc::SOCK_SEQPACKET | libc::SOCK_CLOEXEC;
     // SAFETY: `pair` is a valid place for two descriptors.
@@ -105,7 +106,7 @@ pub fn unix_socket(plan: &Plan) -> io::Result<Vec<u32>> {
 ///
 /// # Errors
 /// As [`between_processes`], and if no queue can be had.
-pub fn message_queue(plan: &Plan) -> io::Result<Vec<u32>> {
+pub fn message_queue(plan: &Plan) -> io::Result<Batch> {
     let mut queues = [0i32; 2];
     for (number, queue) in queues.iter_mut().enumerate() {
         let name = format!("/tandem-bench-{}-{number}", std::process::id());

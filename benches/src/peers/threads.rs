@@ -1,6 +1,6 @@
 //! Channels between the threads of one process: crossbeam's and rtrb's.
 
-use crate::harness::{End, Plan, between_threads};
+use crate::harness::{Batch, End, Plan, between_threads};
 use std::hint::spin_loop;
 use std::io;
 use std::sync::Arc;
@@ -29,20 +29,19 @@ impl End for Crossbeam {
 ///
 /// # Errors
 /// As [`between_threads`].
-pub fn crossbeam_channel(plan: &Plan) -> io::Result<Vec<u32>> {
-    let [there, back] = [0, 0].map(|_| Arc::new(crossbeam::queue::ArrayQueue::new(16)));
-    let near = Crossbeam {
-        out: there.clone(),
-        inward: back.clone(),
-    };
-    between_threads(
-        plan,
-        near,
-        Crossbeam {
+pub fn crossbeam_channel(plan: &Plan) -> io::Result<Batch> {
+    between_threads(plan, || {
+        let [there, back] = [0, 0].map(|_| Arc::new(crossbeam::queue::ArrayQueue::new(16)));
+        let near = Crossbeam {
+            out: there.clone(),
+            inward: back.clone(),
+        };
+        let far = Crossbeam {
             out: back,
             inward: there,
-        },
-    )
+        };
+        (near, far)
+    })
 }
 
 struct Rtrb {
@@ -71,19 +70,18 @@ impl End for Rtrb {
 ///
 /// # Errors
 /// As [`between_threads`].
-pub fn rtrb(plan: &Plan) -> io::Result<Vec<u32>> {
-    let (there, there_in) = rtrb::RingBuffer::new(16);
-    let (back, back_in) = rtrb::RingBuffer::new(16);
-    let near = Rtrb {
-        out: there,
-        inward: back_in,
-    };
-    between_threads(
-        plan,
-        near,
-        Rtrb {
+pub fn rtrb(plan: &Plan) -> io::Result<Batch> {
+    between_threads(plan, || {
+        let (there, there_in) = rtrb::RingBuffer::new(16);
+        let (back, back_in) = rtrb::RingBuffer::new(16);
+        let near = Rtrb {
+            out: there,
+            inward: back_in,
+        };
+        let far = Rtrb {
             out: back,
             inward: there_in,
-        },
-    )
+        };
+        (near, far)
+    })
 }

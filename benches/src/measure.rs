@@ -1,0 +1,184 @@
+//! The cases in turn, batch by batch, so that each sees the same of the machine's moods.
+
+use crate::cases::Case;
+use crate::harness::{Batch, Plan};
+use hdrhistogram::Histogram;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tandem_board_host::BareSystem;
+
+/// What was measured of one case so far.
+pub struct Measurement {
+    /// The case.
+    pub case: &'static Case,
+    /// All samples, in picoseconds.
+    pub times: Histogram<u64>,
+    /// All round trips, in picoseconds; empty if the case is no ping-pong.
+    pub round_trips: Histogram<u64>,
+    /// What each batch has shown, in order.
+    pub batches: Vec<BatchSummary>,
+    /// Why the case could not be measured; it is not tried again.
+    pub skipped: Option<String>,
+}
+
+/// What one batch has shown, without its samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BatchSummary {
+    /// Number of samples.
+    pub samples: usize,
+    /// Median, picoseconds.
+    pub p50_ps: u64,
+    /// 99th percentile, picoseconds.
+    pub p99_ps: u64,
+    /// As [`Batch::cpu_ns_per_message`].
+    pub cpu_ns_per_message: Option<f64>,
+    /// As [`Batch::memory_bytes`].
+    pub memory_bytes: Option<u64>,
+    /// As [`Batch::payload_bytes`].
+    pub payload_bytes: u64,
+    /// As [`Batch::facts`].
+    pub facts: Vec<(&'static str, f64)>,
+}
+
+impl Measurement {
+    /// Nothing yet.
+    ///
+    /// # Panics
+    /// Never: 3 significant digits make a histogram.
+    #[must_use]
+    pub fn new(case: &'static Case) -> Self {
+        let histogram = || Histogram::new(3).expect("3 digits are allowed");
+        Self {
+            case,
+            times: histogram(),
+            round_trips: histogram(),
+            batches: vec![],
+            skipped: None,
+        }
+    }
+
+    /// Adds a batch.
+    pub fn add(&mut self, mut batch: Batch) {
+        for (into, samples) in [
+            (&mut self.times, &batch.samples_ps),
+            (&mut self.round_trips, &batch.round_trips_ps),
+        ] {
+            for sample in samples {
+                // The histogram grows as needed; only memory could refuse.
+                let _ = into.record(*sample);
+            }
+        }
+        let samples = &mut batch.samples_ps;
+        samples.sort_unstable();
+        let at = |quantile: f64| {
+            let place = (samples.len() as f64 * quantile) as usize;
+            samples.get(place).or(samples.last()).copied().unwrap_or(0)
+        };
+        self.batches.push(BatchSummary {
+            samples: samples.len(),
+            p50_ps: at(0.5),
+            p99_ps: at(0.99),
+            cpu_ns_per_message: batch.cpu_ns_per_message,
+            memory_bytes: batch.memory_bytes,
+            payload_bytes: batch.payload_bytes,
+            facts: batch.facts,
+        });
+    }
+}
+
+/// How long to measure.
+#[derive(Clone, Copy, Debug)]
+pub struct Span {
+    /// Turns go on until this has passed,
+    pub at_least: Duration,
+    /// and each case has had so many,
+    pub turns: usize,
+    /// but never longer than this.
+    pub at_most: Duration,
+}
+
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+
+extern "C" fn interrupt(_signal: libc::c_int) {
+    INTERRUPTED.store(true, Ordering::Relaxed);
+}
+
+/// Whether Ctrl-C was pressed since [`run`] began.
+#[must_use]
+pub fn was_interrupted() -> bool {
+    INTERRUPTED.load(Ordering::Relaxed)
+}
+
+/// Measures the cases in turn on these two CPUs. `progress` is told before each batch which part
+/// of the span (0 to 1) has passed, and the case. Ctrl-C ends it early with what there is.
+///
+/// To be called while the process has one thread.
+pub fn run(
+    system: &BareSystem,
+    cases: impl IntoIterator<Item = &'static Case>,
+    cpus: [usize; 2],
+    span: Span,
+    mut progress: impl FnMut(f64, &Case),
+) -> Vec<Measurement> {
+    // SAFETY: the handler only stores to an atomic.
+    unsafe {
+        let handler: extern "C" fn(libc::c_int) = interrupt;
+        libc::signal(libc::SIGINT, handler as libc::sighandler_t);
+    }
+    let mut all: Vec<Measurement> = cases.into_iter().map(Measurement::new).collect();
+    let begin = Instant::now();
+    let mut turns = 0;
+    loop {
+        let mut tried = false;
+        for measurement in all.iter_mut().filter(|one| one.skipped.is_none()) {
+            if was_interrupted() || begin.elapsed() >= span.at_most {
+                return all;
+            }
+            let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
+            progress(passed.min(1.0), measurement.case);
+            tried = true;
+            turn(system, measurement, cpus);
+        }
+        turns += 1;
+        if !tried || (turns >= span.turns && begin.elapsed() >= span.at_least) {
+            return all;
+        }
+    }
+}
+
+fn turn(system: &BareSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
+    let case = measurement.case;
+    let plan = Plan {
+        rounds: case.rounds,
+        warm_up: case.rounds / 10,
+        cpus,
+    };
+    match (case.run)(system, &plan) {
+        Ok(batch) => measurement.add(batch),
+        Err(_) if was_interrupted() => {}
+        Err(error) => measurement.skipped = Some(error.to_string()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cases;
+
+    #[test]
+    fn a_measurement_keeps_all_samples_and_each_batch() {
+        let mut measurement = Measurement::new(cases::all().next().unwrap());
+        for k in 1..=3 {
+            measurement.add(Batch {
+                samples_ps: (1..=100).rev().map(|sample| k * sample * 1000).collect(),
+                facts: vec![("k", k as f64)],
+                ..Batch::default()
+            });
+        }
+        assert_eq!(measurement.times.len(), 300);
+        let medians: Vec<_> = measurement.batches.iter().map(|b| b.p50_ps).collect();
+        assert_eq!(medians, [51_000, 102_000, 153_000]);
+        assert_eq!(measurement.batches[2].p99_ps, 300_000);
+        assert_eq!(measurement.batches[1].facts, [("k", 2.0)]);
+    }
+}

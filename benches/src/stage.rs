@@ -1,0 +1,348 @@
+//! The processes of one batch: started pinned, watched, and ended, whatever happens.
+//!
+//! Each part is forked for one batch only and inherits nothing from earlier batches. If one dies or
+//! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang. Each
+//! dies with the benchmark itself.
+
+use crate::clock::{cpu_ns, monotonic_ns};
+use crate::shared::{Log, PARTS, Shared, note};
+use std::fs;
+use std::io;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
+
+/// The longest that a batch may take.
+pub const LIMIT: Duration = Duration::from_secs(20);
+
+/// One process of a batch.
+pub struct Part<'a> {
+    cpu: usize,
+    run: Run<'a>,
+}
+
+/// What a part does.
+type Run<'a> = Box<dyn FnOnce(&mut Role<'_>) -> io::Result<()> + 'a>;
+
+impl<'a> Part<'a> {
+    /// A process that runs `run` on this CPU.
+    pub fn on(cpu: usize, run: impl FnOnce(&mut Role<'_>) -> io::Result<()> + 'a) -> Self {
+        Self {
+            cpu,
+            run: Box::new(run),
+        }
+    }
+}
+
+/// What a part knows of its batch.
+pub struct Role<'a> {
+    /// The memory that it shares with the other parts.
+    pub shared: &'a Shared,
+    /// Where it writes its samples.
+    pub log: Log,
+    cpu_at_begin: u64,
+}
+
+impl Role<'_> {
+    /// The role of a second thread of this part, which writes as part `number`.
+    #[must_use]
+    pub fn beside(&self, number: usize) -> Self {
+        Self {
+            log: self.shared.log(number),
+            ..*self
+        }
+    }
+
+    /// The span whose CPU time counts begins: after warm-up.
+    pub fn begin(&mut self) {
+        self.cpu_at_begin = cpu_ns();
+    }
+
+    /// It ends.
+    pub fn end(&mut self) {
+        self.log
+            .set(note::CPU_NS, (cpu_ns() - self.cpu_at_begin) as f64);
+    }
+}
+
+/// Runs the parts to their ends.
+///
+/// # Errors
+/// If a process cannot be had, a part failed or died, or all took longer than [`LIMIT`].
+pub fn perform(shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
+    perform_within(LIMIT, shared, parts)
+}
+
+fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
+    assert!(parts.len() <= PARTS);
+    let mut children = Vec::with_capacity(parts.len());
+    for (number, part) in parts.into_iter().enumerate() {
+        // On an error those that run already are killed when `children` is dropped.
+        children.push(Child::start(part.cpu, || play(shared, number, part.run))?);
+    }
+    let outcome = watch(&mut children, limit);
+    drop(children);
+    outcome.map_err(|error| {
+        let said = (0..PARTS).map(|number| shared.log(number).said());
+        said.into_iter()
+            .find(|text| !text.is_empty())
+            .map_or(error, io::Error::other)
+    })
+}
+
+/// The life of a part, in its own process. Whether it came to its end.
+fn play(shared: &Shared, number: usize, run: Run<'_>) -> bool {
+    // The message goes to the parent, not to the terminal.
+    std::panic::set_hook(Box::new(|_| {}));
+    shared.touch();
+    let mut role = Role {
+        shared,
+        log: shared.log(number),
+        cpu_at_begin: 0,
+    };
+    let before = Resident::now();
+    let outcome = catch_unwind(AssertUnwindSafe(|| run(&mut role)));
+    let after = Resident::now();
+    let grown = |before: u64, after: u64| after.saturating_sub(before) as f64;
+    let log = shared.log(number);
+    log.set(note::PRIVATE, grown(before.private, after.private));
+    log.set(note::SHARED, grown(before.shared, after.shared));
+    role.log.close();
+    match outcome {
+        Ok(Ok(())) => return true,
+        Ok(Err(error)) => log.say(&error.to_string()),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or(panic.downcast_ref::<&str>().copied());
+            log.say(text.unwrap_or("an end of the measurement panicked"));
+        }
+    }
+    false
+}
+
+/// Waits until all have ended well.
+fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
+    let until = monotonic_ns() + limit.as_nanos() as u64;
+    while children.iter().any(Child::is_running) {
+        let mut fds: Vec<_> = children
+            .iter()
+            .filter(|child| child.is_running())
+            .map(|child| libc::pollfd {
+                fd: child.pidfd,
+                events: libc::POLLIN,
+                revents: 0,
+            })
+            .collect();
+        let left_ms = until.saturating_sub(monotonic_ns()) / 1_000_000;
+        if left_ms == 0 {
+            let seconds = limit.as_secs_f32();
+            let text = format!("it did not come to an end within {seconds} s");
+            return Err(io::Error::new(io::ErrorKind::TimedOut, text));
+        }
+        // SAFETY: `fds` is a valid array of this length. A signal (Ctrl-C) only ends the wait early.
+        unsafe { libc::poll(fds.as_mut_ptr(), fds.len() as libc::nfds_t, left_ms as i32) };
+        for child in children.iter_mut() {
+            child.look()?;
+        }
+    }
+    Ok(())
+}
+
+/// A process of our own; it is killed when this is dropped.
+pub struct Child {
+    pid: libc::pid_t,
+    pidfd: i32,
+    running: bool,
+}
+
+impl Child {
+    /// Runs `body` in a child process on this CPU; it ends with status 0 if that returns true.
+    ///
+    /// # Errors
+    /// If there is no process to be had.
+    pub fn start(cpu: usize, body: impl FnOnce() -> bool) -> io::Result<Self> {
+        // SAFETY: takes no pointer.
+        let parent = unsafe { libc::getpid() };
+        // SAFETY: this program has no other thread at this point that could hold a lock; the child
+        // runs only its body and leaves by `_exit`.
+        let pid = unsafe { libc::fork() };
+        if pid < 0 {
+            return Err(io::Error::last_os_error());
+        }
+        if pid == 0 {
+            // SAFETY: only sets this process's own death signal and its own answer to Ctrl-C: the
+            // parent ends the batch. A parent that died before would never be told.
+            unsafe {
+                libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
+                libc::signal(libc::SIGINT, libc::SIG_IGN);
+                if libc::getppid() != parent {
+                    libc::_exit(1);
+                }
+            }
+            pin(cpu);
+            let done = catch_unwind(AssertUnwindSafe(body)).unwrap_or(false);
+            // SAFETY: ends the child without running the parent's exit handlers.
+            unsafe { libc::_exit(i32::from(!done)) };
+        }
+        // SAFETY: takes no pointer; `pid` is our child and not waited for yet.
+        let pidfd = unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) } as i32;
+        let child = Self {
+            pid,
+            pidfd,
+            running: true,
+        };
+        if pidfd < 0 {
+            return Err(io::Error::last_os_error());
+        }
+        Ok(child)
+    }
+
+    /// Whether it was running when it was last looked at.
+    #[must_use]
+    pub const fn is_running(&self) -> bool {
+        self.running
+    }
+
+    /// Looks whether it has ended. Never blocks.
+    fn look(&mut self) -> io::Result<()> {
+        self.reap(libc::WNOHANG)
+    }
+
+    /// Waits until it has ended.
+    ///
+    /// # Errors
+    /// If it did not end well.
+    pub fn join(mut self) -> io::Result<()> {
+        self.reap(0)
+    }
+
+    /// Kills it (-9) and waits until it is gone.
+    pub fn kill(self) {
+        drop(self);
+    }
+
+    fn reap(&mut self, options: i32) -> io::Result<()> {
+        let mut status = 0;
+        // SAFETY: `status` is a valid place; the child is ours and not waited for yet.
+        if self.running && unsafe { libc::waitpid(self.pid, &mut status, options) } == self.pid {
+            self.running = false;
+            if status != 0 {
+                return Err(io::Error::other("one end of the measurement died"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Drop for Child {
+    fn drop(&mut self) {
+        if self.running {
+            // SAFETY: the child is ours and not waited for yet.
+            unsafe { libc::kill(self.pid, libc::SIGKILL) };
+            let _ = self.reap(0);
+        }
+        if self.pidfd >= 0 {
+            // SAFETY: the descriptor is ours and not used after this.
+            unsafe { libc::close(self.pidfd) };
+        }
+    }
+}
+
+/// Pins the calling thread to a CPU.
+pub fn pin(cpu: usize) {
+    core_affinity::set_for_current(core_affinity::CoreId { id: cpu });
+}
+
+/// Memory of this process that is in use, in bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Resident {
+    private: u64,
+    shared: u64,
+}
+
+impl Resident {
+    fn now() -> Self {
+        fs::read_to_string("/proc/self/smaps").map_or(Self::default(), |text| Self::parse(&text))
+    }
+
+    /// Sums the anonymous memory, and what is resident of shared mappings (their permissions end in
+    /// `s`): see proc_pid_smaps(5).
+    fn parse(smaps: &str) -> Self {
+        let mut sum = Self::default();
+        let mut is_shared = false;
+        for line in smaps.lines() {
+            let mut fields = line.split_whitespace();
+            let (Some(key), Some(value)) = (fields.next(), fields.next()) else {
+                continue;
+            };
+            let bytes = || value.parse::<u64>().map_or(0, |kib| kib * 1024);
+            match key {
+                "Rss:" if is_shared => sum.shared += bytes(),
+                "Anonymous:" if !is_shared => sum.private += bytes(),
+                _ if !key.ends_with(':') => is_shared = value.ends_with('s'),
+                _ => {}
+            }
+        }
+        sum
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shared_and_private_memory_are_told_apart() {
+        let smaps = "\
+55e0-55f0 r-xp 00000000 08:01 17 /bin/x
+Rss:                 100 kB
+Anonymous:             0 kB
+7f00-7f10 rw-p 00000000 00:00 0
+Rss:                  12 kB
+Anonymous:             8 kB
+VmFlags: rd wr
+7f20-7f30 rw-s 00000000 00:01 5 /dev/shm/lmu
+Rss:                  32 kB
+Anonymous:             0 kB
+";
+        let expected = Resident {
+            private: 8 << 10,
+            shared: 32 << 10,
+        };
+        assert_eq!(Resident::parse(smaps), expected);
+    }
+
+    #[test]
+    fn a_part_that_fails_says_why_and_the_others_are_ended() {
+        let shared = Shared::new().unwrap();
+        let parts = vec![
+            Part::on(0, |_| {
+                loop {
+                    std::thread::sleep(Duration::from_secs(60));
+                }
+            }),
+            Part::on(0, |_| Err(io::Error::other("no line"))),
+        ];
+        let error = perform(&shared, parts).unwrap_err();
+        assert_eq!(error.to_string(), "no line");
+    }
+
+    #[test]
+    fn a_part_that_panics_says_so() {
+        let shared = Shared::new().unwrap();
+        let parts = vec![Part::on(0, |_| panic!("cannot start: {}", 7))];
+        let error = perform(&shared, parts).unwrap_err();
+        assert_eq!(error.to_string(), "cannot start: 7");
+    }
+
+    #[test]
+    fn a_dead_end_ends() {
+        let shared = Shared::new().unwrap();
+        let parts = vec![Part::on(0, |_| {
+            loop {
+                std::thread::sleep(Duration::from_secs(60));
+            }
+        })];
+        let error = perform_within(Duration::from_millis(50), &shared, parts).unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+    }
+}
