@@ -1,8 +1,8 @@
 //! The processes of one batch: started pinned, watched, and ended, whatever happens.
 //!
 //! Each part is forked for one batch only and inherits nothing from earlier batches. If one dies or
-//! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang. Each
-//! dies with the benchmark itself.
+//! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang.
+//! Each dies with the benchmark itself.
 
 use crate::clock::{cpu_ns, monotonic_ns};
 use crate::shared::{Log, PARTS, Shared, note};
@@ -138,7 +138,7 @@ fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
             let text = format!("it did not come to an end within {seconds} s");
             return Err(io::Error::new(io::ErrorKind::TimedOut, text));
         }
-        // SAFETY: `fds` is a valid array of this length. A signal (Ctrl-C) only ends the wait early.
+        // SAFETY: `fds` is a valid array of this length. A signal (Ctrl-C) only ends the wait.
         unsafe { libc::poll(fds.as_mut_ptr(), fds.len() as libc::nfds_t, left_ms as i32) };
         for child in children.iter_mut() {
             child.look()?;
