@@ -43,12 +43,15 @@ pub(crate) enum Firmware {
 pub(crate) enum Image {
     /// The paths between cores, in instructions
     Bench,
+    /// The conformance suite, each case on two freshly powered systems
+    Conformance,
 }
 
 impl Image {
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
+            Self::Conformance => "conformance",
         }
     }
 }

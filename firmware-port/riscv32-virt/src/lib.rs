@@ -6,6 +6,8 @@
 //! its number.
 #![no_std]
 
+pub mod board;
+pub mod carrier;
 pub mod clint;
 pub mod doorbell;
 pub mod exit;

@@ -35,7 +35,13 @@ _start:
     sw zero, 0(t0)
     addi t0, t0, 4
     j 1b
-2:  fence rw, rw
+2:  la t0, __carrier_start
+    la t1, __carrier_end
+6:  bgeu t0, t1, 7f
+    sw zero, 0(t0)
+    addi t0, t0, 4
+    j 6b
+7:  fence rw, rw
     # Wake the others. A store to the register of a hart that does not exist is ignored.
     li t0, CLINT_MSIP
     li t1, 1

@@ -50,6 +50,44 @@ pub fn on_doorbell(handler: Handler) {
     hart::enable(MSI);
 }
 
+/// Ends the life of another hart at its next doorbell, which is rung here.
+pub(crate) fn hold(hart: usize) {
+    // Release pairs with the Acquire in `is_held`.
+    STATES[hart % HARTS].held.store(true, Ordering::Release);
+    clint::post(hart);
+}
+
+/// Lets a held hart go on.
+pub(crate) fn release(hart: usize) {
+    // Release pairs with the Acquire in `sleep_while_held`.
+    STATES[hart % HARTS].held.store(false, Ordering::Release);
+    clint::post(hart);
+}
+
+/// This hart's life begins held, with nothing of its last one. Interrupts are off.
+pub(crate) fn begin_held(hart: usize) {
+    let state = &STATES[hart % HARTS];
+    state.held.store(true, Ordering::Relaxed);
+    state.rung.store(false, Ordering::Relaxed);
+    state.slice.store(0, Ordering::Relaxed);
+    state
+        .on_doorbell
+        .store(core::ptr::null_mut(), Ordering::Relaxed);
+    hart::disable(MTI);
+    hart::enable(MSI);
+}
+
+/// Sleeps until this hart is released. Interrupts are off.
+pub(crate) fn sleep_while_held(hart: usize) {
+    loop {
+        clint::clear(hart);
+        if !STATES[hart % HARTS].is_held() {
+            return;
+        }
+        hart::sleep();
+    }
+}
+
 #[unsafe(no_mangle)]
 extern "C" fn tandem_on_doorbell() {
     let number = hart::number() % HARTS;

@@ -28,6 +28,11 @@ impl Write for Uart {
 
 /// Writes a line. Blocks; task context.
 pub fn print(line: fmt::Arguments<'_>) {
+    // Off: a reset must not come while this hart has the UART.
+    crate::hart::without_interrupts(|| print_whole(line));
+}
+
+fn print_whole(line: fmt::Arguments<'_>) {
     // Acquire pairs with the Release below: lines come whole.
     while BUSY.swap(true, Ordering::Acquire) {
         crate::hart::yield_turn();

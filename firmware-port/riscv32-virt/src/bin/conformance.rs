@@ -1,0 +1,153 @@
+//! The conformance suite on this board: each case on two freshly powered systems.
+//!
+//! The carrier's hart is the rig. Prints a line for each case, and one at the end; the status is
+//! the number of cases that failed.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::fmt;
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::{Board, SystemId};
+use tandem_board_conformance::{Case, Outcome, Place, Rig, Setting, run_all, run_role};
+use tandem_board_riscv32_virt::board::{VirtBoard, run};
+use tandem_board_riscv32_virt::carrier::{Carrier, Event, hart_of};
+use tandem_board_riscv32_virt::{entry, exit, hart, log};
+
+entry!(main);
+
+/// Turns of 100 us: roles that spin must not keep the others from their turn.
+const SLICE_TICKS: u32 = 1_000;
+/// After this time a case hangs: longer than a role's patience.
+const HANGS_AFTER_TICKS: u64 = 60 * 10_000_000;
+
+/// The case that is played.
+static CASE: AtomicU32 = AtomicU32::new(0);
+/// How the role of each hart ended.
+static RESULTS: [AtomicU32; 6] = [const { AtomicU32::new(0) }; 6];
+const RUNS: u32 = 0;
+const PASSED: u32 = 1;
+const FAILED: u32 = 2;
+
+fn main(hart: usize) -> ! {
+    run(hart, SLICE_TICKS, play_role, play_all)
+}
+
+fn result_of(place: Place) -> &'static AtomicU32 {
+    &RESULTS[hart_of(place.system, place.core)]
+}
+
+/// What each core does in each of its lives.
+fn play_role(board: &VirtBoard) {
+    let case = CASE.load(Ordering::Relaxed) as usize;
+    let identity = board.identity();
+    let cases = tandem_board_conformance::cases::<VirtBoard>();
+    let own = |place: Place| place.system == identity.system && place.core == identity.core;
+    let Some(part) = cases[case].parts.iter().position(|part| own(part.place)) else {
+        return;
+    };
+    let place = cases[case].parts[part].place;
+    let result = match run_role(case, part, board) {
+        Ok(()) => PASSED,
+        Err(failure) => {
+            log!("{place}: {failure}");
+            FAILED
+        }
+    };
+    // Release pairs with the Acquire of the rig.
+    result_of(place).store(result, Ordering::Release);
+}
+
+/// How a case did not pass; what its role saw is in the log above.
+enum Fault {
+    Failed(Place),
+    Hung,
+    Reset(SystemId),
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Failed(place) => write!(f, "{place} failed"),
+            Self::Hung => f.write_str("a role does not end"),
+            Self::Reset(system) => write!(f, "system {system} was reset"),
+        }
+    }
+}
+
+struct VirtRig<'c> {
+    carrier: &'c mut Carrier,
+}
+
+impl VirtRig<'_> {
+    fn outcome(&mut self, case: &Case<VirtBoard>) -> Result<(), Fault> {
+        let until = hart::time() + HANGS_AFTER_TICKS;
+        let awaited = |place: Place| {
+            result_of(place).load(Ordering::Acquire) != PASSED
+                && !(case.setting == Setting::Suspends && place.system == SystemId::A)
+        };
+        while case.parts.iter().any(|part| awaited(part.place)) {
+            let failed = |place: Place| result_of(place).load(Ordering::Acquire) == FAILED;
+            if let Some(part) = case.parts.iter().find(|part| failed(part.place)) {
+                return Err(Fault::Failed(part.place));
+            }
+            // It looks at least every millisecond.
+            match self.carrier.step(hart::time() + 10_000) {
+                Some(Event::Reset(system, _))
+                    if case.setting != Setting::Restarts
+                        && case.parts.iter().any(|part| part.place.system == system) =>
+                {
+                    return Err(Fault::Reset(system));
+                }
+                _ if hart::time() > until => return Err(Fault::Hung),
+                _ => {}
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Rig for VirtRig<'_> {
+    type Board = VirtBoard;
+    type Fault = Fault;
+
+    fn takes(&self, _: &Case<VirtBoard>) -> bool {
+        true
+    }
+
+    fn play(&mut self, index: usize, case: &Case<VirtBoard>) -> Result<(), Fault> {
+        CASE.store(index as u32, Ordering::Relaxed);
+        for result in &RESULTS {
+            result.store(RUNS, Ordering::Relaxed);
+        }
+        let watch = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
+        self.carrier.set_watchdogs(watch);
+        for system in SystemId::ALL {
+            self.carrier.new_flash(system);
+            self.carrier.power_on(system);
+        }
+        let outcome = self.outcome(case);
+        for system in SystemId::ALL {
+            self.carrier.power_off(system);
+        }
+        outcome
+    }
+}
+
+fn play_all(carrier: &mut Carrier) -> ! {
+    for system in SystemId::ALL {
+        carrier.power_off(system);
+    }
+    let summary = run_all(&mut VirtRig { carrier }, |case, outcome| match outcome {
+        Outcome::Passed => log!("ok      {}", case.name),
+        Outcome::Skipped => log!("skipped {}", case.name),
+        Outcome::Failed(fault) => log!("FAILED  {}: {fault}", case.name),
+    });
+    log!(
+        "{} passed, {} failed, {} skipped",
+        summary.passed,
+        summary.failed,
+        summary.skipped
+    );
+    exit::exit(summary.failed as u16)
+}

@@ -1,0 +1,143 @@
+//! The board as one core sees it, for one life of the core.
+
+mod parts;
+
+pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtSupply};
+
+use crate::carrier::{self, Carrier, hart_of, system};
+use crate::hart::CARRIER;
+use crate::{clint, doorbell, hart, memory, trap};
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use parts::Place;
+use tandem_board::{Board, CoreId, Generation, Identity, Instant, SystemId, TraceRecord, Wake};
+
+/// QEMU's `virt` machine as a core of one of the systems.
+///
+/// Made by [`run`] at the beginning of each life. Programming the flash and serving the watchdog
+/// is core 0's; on another core they panic.
+pub struct VirtBoard {
+    identity: Identity,
+    can: VirtCan,
+    lines: VirtLines,
+    link: VirtLink,
+    flash: VirtFlash,
+    supply: VirtSupply,
+}
+
+impl VirtBoard {
+    fn new(system_id: SystemId, core: CoreId) -> Self {
+        let place = Place {
+            system: system_id,
+            core,
+        };
+        Self {
+            identity: Identity {
+                system: system_id,
+                core,
+                generation: Generation(system(system_id).generation.load(Relaxed)),
+            },
+            can: VirtCan(place),
+            lines: VirtLines(place),
+            link: VirtLink(place),
+            flash: VirtFlash(place),
+            supply: VirtSupply(place),
+        }
+    }
+}
+
+/// Ticks of the clock at an instant, rounded up; `None` for one that never comes.
+fn ticks(at: Instant) -> Option<u64> {
+    (at != Instant::NEVER).then(|| at.as_ns().div_ceil(clint::TICK_NS))
+}
+
+impl Board for VirtBoard {
+    type Can = VirtCan;
+    type Lines = VirtLines;
+    type Link = VirtLink;
+    type Flash = VirtFlash;
+    type Supply = VirtSupply;
+
+    fn identity(&self) -> Identity {
+        self.identity
+    }
+
+    fn now(&self) -> Instant {
+        Instant::from_ns(hart::time() * clint::TICK_NS)
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        memory::lmu(self.identity.system)
+    }
+
+    fn ring(&self, to: CoreId) {
+        clint::post(hart_of(self.identity.system, to));
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        match doorbell::wait(ticks(deadline)) {
+            true => Wake::Interrupt,
+            false => Wake::Deadline,
+        }
+    }
+
+    fn can(&self) -> &VirtCan {
+        &self.can
+    }
+
+    fn lines(&self) -> &VirtLines {
+        &self.lines
+    }
+
+    fn link(&self) -> &VirtLink {
+        &self.link
+    }
+
+    fn flash(&self) -> &VirtFlash {
+        &self.flash
+    }
+
+    fn supply(&self) -> &VirtSupply {
+        &self.supply
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        let registers = &system(self.identity.system).cores[self.identity.core.index()];
+        let [low, high] = self.now().to_words();
+        let [a, b, c, d] = record;
+        if !registers.trace.put(&[low, high, a, b, c, d]) {
+            registers.trace_lost.fetch_add(1, Relaxed);
+        }
+    }
+}
+
+/// Runs a program on all harts: `core` for each life of each core, `outside` once on the carrier.
+/// Every hart's main calls it.
+///
+/// A core begins when the carrier switches its system on; when `core` returns it stays asleep until
+/// a reset. `slice` is the length of its turns in ticks (see [`hart::yield_turn`]).
+pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Carrier) -> !) -> ! {
+    if hart == CARRIER {
+        outside(&mut Carrier::new());
+    }
+    let Some((system_id, core_id)) = carrier::core_of(hart) else {
+        loop {
+            hart::sleep();
+        }
+    };
+    let stands = &system(system_id).cores[core_id.index()].stands;
+    trap::begin_held(hart);
+    // Release pairs with the Acquire in `hold`: the carrier does nothing to a core that runs.
+    stands.store(true, Release);
+    trap::sleep_while_held(hart);
+    // Acquire pairs with the Release in `release`.
+    while stands.load(Acquire) {
+        hart::yield_turn();
+    }
+    doorbell::set_slice(slice);
+    hart::interrupts_on();
+    core(&VirtBoard::new(system_id, core_id));
+    loop {
+        doorbell::wait(None);
+    }
+}

@@ -1,0 +1,185 @@
+//! The parts of the board: each a window on the carrier's registers.
+
+use crate::carrier::run::{BY_WATCHDOG, cause_from, request_word};
+use crate::carrier::{
+    self, CoreRegisters, LINK_WORDS, SystemRegisters, flash, frame_from, frame_words, watchdog,
+};
+use crate::{clint, hart};
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use tandem_board::{
+    Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Line, Lines, Link, LinkFull,
+    Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TransmitFull,
+};
+
+/// Whose part it is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Place {
+    pub(super) system: SystemId,
+    pub(super) core: CoreId,
+}
+
+impl Place {
+    fn system(self) -> &'static SystemRegisters {
+        carrier::system(self.system)
+    }
+
+    fn core(self) -> &'static CoreRegisters {
+        &self.system().cores[self.core.index()]
+    }
+
+    fn must_be_control(self, what: &str) {
+        assert!(self.core == CoreId::CONTROL, "only core 0 {what}");
+    }
+}
+
+/// The CAN controller of a core.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtCan(pub(super) Place);
+/// A system's ends of the lines.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtLines(pub(super) Place);
+/// A system's end of the data link.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtLink(pub(super) Place);
+/// The data flash of a system.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtFlash(pub(super) Place);
+/// The supply of a system.
+#[derive(Clone, Copy, Debug)]
+pub struct VirtSupply(pub(super) Place);
+
+impl Can for VirtCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        if !self.0.core().transmit.put(&frame_words(frame)) {
+            return Err(TransmitFull);
+        }
+        carrier::call();
+        Ok(())
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        frame_from(&self.0.core().receive.take()?)
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        let registers = self.0.core();
+        // Release pairs with the Acquire of the bus.
+        registers.wake_on_receive.store(on, Release);
+        if on && !registers.receive.is_empty() {
+            clint::post(hart::number());
+        }
+    }
+
+    fn overruns(&self) -> u32 {
+        self.0.core().overruns.load(Relaxed)
+    }
+}
+
+impl Lines for VirtLines {
+    fn send(&self, line: Line, edge: Edge) {
+        let peer = self.0.system.peer();
+        carrier::system(peer).edges[line.index()][edge as usize].fetch_add(1, Relaxed);
+        if line == Line::Start {
+            carrier::interrupt(peer);
+        }
+    }
+
+    fn received(&self, line: Line, edge: Edge) -> u32 {
+        self.0.system().edges[line.index()][edge as usize].load(Relaxed)
+    }
+
+    fn peer_powered(&self) -> bool {
+        carrier::system(self.0.system.peer()).powered.load(Relaxed)
+    }
+}
+
+impl Link for VirtLink {
+    const MAX_WORDS: usize = LINK_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        let mut record = [0; LINK_WORDS + 1];
+        assert!(
+            words.len() <= LINK_WORDS,
+            "a datagram has at most {LINK_WORDS} words"
+        );
+        record[0] = words.len() as u32;
+        record[1..=words.len()].copy_from_slice(words);
+        let to = carrier::system(self.0.system.peer());
+        match to.link.put(&record[..=words.len()]) {
+            true => Ok(()),
+            false => Err(LinkFull),
+        }
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        let record = self.0.system().link.take()?;
+        let len = (record[0] as usize).min(LINK_WORDS).min(words.len());
+        words[..len].copy_from_slice(&record[1..=len]);
+        Some(len)
+    }
+}
+
+impl DataFlash for VirtFlash {
+    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
+    const SECTORS: u32 = flash::SECTORS;
+
+    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
+        self.0.system().flash.read(offset, into)
+    }
+
+    fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
+        self.0.must_be_control("erases the flash");
+        self.0.system().flash.erase(sector)
+    }
+
+    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
+        self.0.must_be_control("programs the flash");
+        self.0.system().flash.program(offset, data)
+    }
+
+    fn status(&self) -> FlashStatus {
+        match self.0.system().flash.is_busy() {
+            true => FlashStatus::Busy,
+            false => FlashStatus::Idle,
+        }
+    }
+}
+
+impl VirtSupply {
+    fn ask(&self, request: u32) {
+        // Release pairs with the Acquire of the carrier: what came before is done.
+        self.0.system().request.store(request, Release);
+        carrier::call();
+    }
+}
+
+impl Supply for VirtSupply {
+    const WINDOW_OPENS_US: u32 = watchdog::OPENS_US;
+    const WINDOW_CLOSES_US: u32 = watchdog::CLOSES_US;
+    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+
+    fn reset_cause(&self) -> ResetCause {
+        cause_from(self.0.system().cause.load(Acquire))
+    }
+
+    fn watchdog_question(&self) -> u8 {
+        self.0.system().watchdog.question()
+    }
+
+    fn service_watchdog(&self, answer: u8) {
+        self.0.must_be_control("serves the watchdog");
+        let watchdog = &self.0.system().watchdog;
+        if !watchdog.serve(answer, hart::time() as u32) && watchdog.watches.load(Relaxed) {
+            self.ask(BY_WATCHDOG);
+        }
+    }
+
+    fn request_reset(&self, request: ResetRequest) {
+        self.ask(request_word(request));
+    }
+
+    fn show_role(&self, lamp: RoleLamp) {
+        self.0.system().lamp.store(lamp as u32, Relaxed);
+    }
+}

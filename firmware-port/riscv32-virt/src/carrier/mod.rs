@@ -1,0 +1,171 @@
+//! The hardware outside the chips: CAN bus, lines, link, data flash, and the two supplies.
+//!
+//! The machine has none of it, so a hart of its own plays it: the *carrier*, as the carrier board
+//! of a TC297 does. Cores see registers, which are atomics in memory of the carrier's, and are
+//! interrupted by their doorbell. What needs no time of its own (edges, flash, the watchdog's
+//! answer) happens where the core touches the register; what needs a third party (the bus, resets,
+//! a watchdog that nobody serves) happens on the carrier's hart.
+
+pub(crate) mod flash;
+pub(crate) mod ring;
+pub(crate) mod run;
+pub(crate) mod watchdog;
+
+pub use run::{Carrier, Event};
+
+use crate::clint;
+use crate::hart::CARRIER;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use ring::Ring;
+use tandem_board::{CanFrame, CanId, CoreId, Instant, Line, Received, SystemId};
+
+/// Words of a CAN frame in a ring: head, length, time (2), data (16).
+pub(crate) const FRAME_WORDS: usize = 20;
+/// Words of a link's datagram.
+pub(crate) const LINK_WORDS: usize = 64;
+const EXTENDED: u32 = 1 << 31;
+const FD: u32 = 1 << 30;
+
+/// What the carrier has for one core.
+pub(crate) struct CoreRegisters {
+    /// Frames on their way to the bus.
+    pub(crate) transmit: Ring<32, FRAME_WORDS>,
+    /// Frames that came over the bus.
+    pub(crate) receive: Ring<256, FRAME_WORDS>,
+    pub(crate) overruns: AtomicU32,
+    pub(crate) wake_on_receive: AtomicBool,
+    /// Time (2) and record (4).
+    pub(crate) trace: Ring<512, 6>,
+    pub(crate) trace_lost: AtomicU32,
+    /// It stands still, and its life is over.
+    pub(crate) stands: AtomicBool,
+}
+
+/// What the carrier has for one system.
+pub(crate) struct SystemRegisters {
+    pub(crate) cores: [CoreRegisters; CoreId::COUNT],
+    /// Edges that came, by line and kind.
+    pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
+    /// Datagrams that came over the link, each with its length.
+    pub(crate) link: Ring<32, { LINK_WORDS + 1 }>,
+    pub(crate) flash: flash::Registers,
+    pub(crate) watchdog: watchdog::Registers,
+    /// The supply is on and holds the system out of reset.
+    pub(crate) powered: AtomicBool,
+    pub(crate) generation: AtomicU32,
+    pub(crate) cause: AtomicU32,
+    /// What the system asks of its reset generator.
+    pub(crate) request: AtomicU32,
+    pub(crate) lamp: AtomicU32,
+}
+
+impl CoreRegisters {
+    const fn new() -> Self {
+        Self {
+            transmit: Ring::new(),
+            receive: Ring::new(),
+            overruns: AtomicU32::new(0),
+            wake_on_receive: AtomicBool::new(false),
+            trace: Ring::new(),
+            trace_lost: AtomicU32::new(0),
+            stands: AtomicBool::new(false),
+        }
+    }
+
+    /// As at power-on. The core stands still.
+    fn clear(&self) {
+        self.transmit.clear();
+        self.receive.clear();
+        self.overruns.store(0, Ordering::Relaxed);
+        self.wake_on_receive.store(false, Ordering::Relaxed);
+    }
+}
+
+impl SystemRegisters {
+    const fn new() -> Self {
+        Self {
+            cores: [const { CoreRegisters::new() }; CoreId::COUNT],
+            edges: [const { [const { AtomicU32::new(0) }; 2] }; Line::ALL.len()],
+            link: Ring::new(),
+            flash: flash::Registers::new(),
+            watchdog: watchdog::Registers::new(),
+            powered: AtomicBool::new(false),
+            generation: AtomicU32::new(0),
+            cause: AtomicU32::new(0),
+            request: AtomicU32::new(0),
+            lamp: AtomicU32::new(0),
+        }
+    }
+}
+
+// The linker script keeps it apart from the RAM of the cores.
+#[unsafe(link_section = ".bss.carrier")]
+static SYSTEMS: [SystemRegisters; 2] = [const { SystemRegisters::new() }; 2];
+
+/// The registers of a system.
+pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {
+    &SYSTEMS[system.index()]
+}
+
+/// The hart of a core.
+#[must_use]
+pub const fn hart_of(system: SystemId, core: CoreId) -> usize {
+    system.index() * CoreId::COUNT + core.index()
+}
+
+/// The core of a hart; `None` for the carrier's and those beyond.
+#[must_use]
+pub const fn core_of(hart: usize) -> Option<(SystemId, CoreId)> {
+    match (
+        SystemId::from_index(hart / CoreId::COUNT),
+        CoreId::new((hart % CoreId::COUNT) as u8),
+    ) {
+        (Some(system), Some(core)) => Some((system, core)),
+        _ => None,
+    }
+}
+
+/// Tells the carrier that there is something to do.
+pub(crate) fn call() {
+    clint::post(CARRIER);
+}
+
+/// Interrupts core 0 of a system.
+pub(crate) fn interrupt(system: SystemId) {
+    clint::post(hart_of(system, CoreId::CONTROL));
+}
+
+/// A frame as a ring's record; the time is the bus's to fill in.
+pub(crate) fn frame_words(frame: &CanFrame) -> [u32; FRAME_WORDS] {
+    let mut words = [0; FRAME_WORDS];
+    let head = match frame.id() {
+        CanId::Standard(id) => u32::from(id),
+        CanId::Extended(id) => id | EXTENDED,
+    };
+    words[0] = head | if frame.is_fd() { FD } else { 0 };
+    words[1] = frame.data().len() as u32;
+    for (word, bytes) in words[4..].iter_mut().zip(frame.data().chunks(4)) {
+        let mut four = [0; 4];
+        four[..bytes.len()].copy_from_slice(bytes);
+        *word = u32::from_le_bytes(four);
+    }
+    words
+}
+
+/// The inverse of [`frame_words`]; `None` if it is no frame.
+pub(crate) fn frame_from(words: &[u32; FRAME_WORDS]) -> Option<Received> {
+    let id = words[0] & !(EXTENDED | FD);
+    let id = match words[0] & EXTENDED {
+        0 => CanId::Standard(u16::try_from(id).ok()?),
+        _ => CanId::Extended(id),
+    };
+    let mut data = [0; 64];
+    for (bytes, word) in data.chunks_mut(4).zip(&words[4..]) {
+        bytes.copy_from_slice(&word.to_le_bytes());
+    }
+    let data = data.get(..words[1] as usize)?;
+    Some(Received {
+        frame: CanFrame::new(id, words[0] & FD != 0, data).ok()?,
+        at: Instant::from_words([words[2], words[3]]),
+    })
+}

@@ -1,0 +1,60 @@
+//! A queue of records between two harts: one puts, the other takes.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+/// Up to `SLOTS` records (a power of two) of `WORDS` words, or one less word and its length.
+pub(crate) struct Ring<const SLOTS: usize, const WORDS: usize> {
+    /// Records put so far; the putting hart's. Wraps around.
+    put: AtomicU32,
+    /// Records taken so far; the taking hart's. Wraps around.
+    taken: AtomicU32,
+    slots: [[AtomicU32; WORDS]; SLOTS],
+}
+
+impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
+    pub(crate) const fn new() -> Self {
+        assert!(SLOTS.is_power_of_two());
+        Self {
+            put: AtomicU32::new(0),
+            taken: AtomicU32::new(0),
+            slots: [const { [const { AtomicU32::new(0) }; WORDS] }; SLOTS],
+        }
+    }
+
+    /// Puts a record of at most `WORDS` words; whether there was room.
+    pub(crate) fn put(&self, record: &[u32]) -> bool {
+        let put = self.put.load(Ordering::Relaxed);
+        // Acquire pairs with the Release in `take`: the slot has been read.
+        if put.wrapping_sub(self.taken.load(Ordering::Acquire)) as usize >= SLOTS {
+            return false;
+        }
+        for (word, value) in self.slots[put as usize % SLOTS].iter().zip(record) {
+            word.store(*value, Ordering::Relaxed);
+        }
+        // Release pairs with the Acquire in `take`: the slot has been written.
+        self.put.store(put.wrapping_add(1), Ordering::Release);
+        true
+    }
+
+    /// Takes the oldest record.
+    pub(crate) fn take(&self) -> Option<[u32; WORDS]> {
+        let taken = self.taken.load(Ordering::Relaxed);
+        if self.put.load(Ordering::Acquire) == taken {
+            return None;
+        }
+        let slot = &self.slots[taken as usize % SLOTS];
+        let record = core::array::from_fn(|index| slot[index].load(Ordering::Relaxed));
+        self.taken.store(taken.wrapping_add(1), Ordering::Release);
+        Some(record)
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        self.put.load(Ordering::Acquire) == self.taken.load(Ordering::Relaxed)
+    }
+
+    /// Forgets all records, while the hart at the other end stands still.
+    pub(crate) fn clear(&self) {
+        self.put.store(0, Ordering::Relaxed);
+        self.taken.store(0, Ordering::Relaxed);
+    }
+}

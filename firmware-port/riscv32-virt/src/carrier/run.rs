@@ -1,0 +1,216 @@
+//! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
+
+use super::{FRAME_WORDS, core_of, hart_of, system};
+use crate::hart::{self, time};
+use crate::{clint, doorbell, memory, trap};
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use tandem_board::{CoreId, Instant, ResetCause, ResetRequest, SystemId};
+
+/// What the carrier has to tell.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// A system was reset, for this cause.
+    Reset(SystemId, ResetCause),
+    /// A system is held in reset for good: it asked for it.
+    Suspended(SystemId),
+}
+
+/// A request of the watchdog's, beside those of [`ResetRequest`].
+pub(crate) const BY_WATCHDOG: u32 = 4;
+
+/// The word of a request in the register.
+pub(crate) const fn request_word(request: ResetRequest) -> u32 {
+    match request {
+        ResetRequest::Software => 1,
+        ResetRequest::CoreDead => 2,
+        ResetRequest::Suspend => 3,
+    }
+}
+
+/// The cause in the register.
+pub(crate) const fn cause_from(word: u32) -> ResetCause {
+    match word {
+        1 => ResetCause::Software,
+        2 => ResetCause::Watchdog,
+        3 => ResetCause::Trap,
+        _ => ResetCause::PowerOn,
+    }
+}
+
+const fn cause_word(cause: ResetCause) -> u32 {
+    match cause {
+        ResetCause::PowerOn => 0,
+        ResetCause::Software => 1,
+        ResetCause::Watchdog => 2,
+        ResetCause::Trap => 3,
+    }
+}
+
+/// The carrier, on its own hart.
+pub struct Carrier {
+    watchdogs: bool,
+}
+
+impl Carrier {
+    pub(crate) const fn new() -> Self {
+        Self { watchdogs: false }
+    }
+
+    /// Whether the watchdogs reset systems that are switched on from now on.
+    pub const fn set_watchdogs(&mut self, watch: bool) {
+        self.watchdogs = watch;
+    }
+
+    /// Switches a system on: LMU zero, no edges, generation 1. It must be off.
+    pub fn power_on(&mut self, which: SystemId) {
+        for word in memory::lmu(which) {
+            word.store(0, Relaxed);
+        }
+        let registers = system(which);
+        for edges in registers.edges.iter().flatten() {
+            edges.store(0, Relaxed);
+        }
+        registers.link.clear();
+        registers.generation.store(0, Relaxed);
+        self.release(which, ResetCause::PowerOn);
+    }
+
+    /// Switches a system off, wherever it is.
+    pub fn power_off(&mut self, which: SystemId) {
+        self.hold(which);
+    }
+
+    /// Makes the data flash of a system as it comes from the factory. The system must be off.
+    pub fn new_flash(&mut self, which: SystemId) {
+        system(which).flash.erase_all();
+    }
+
+    /// Does what there is to do, and sleeps until there is more, at most until `deadline` (in
+    /// ticks). The event that ended the sleep, if there was one.
+    pub fn step(&mut self, deadline: u64) -> Option<Event> {
+        self.move_frames();
+        for which in SystemId::ALL {
+            let event = self.look_after(which);
+            if event.is_some() {
+                return event;
+            }
+        }
+        let now = time();
+        let next = SystemId::ALL
+            .into_iter()
+            .filter_map(|which| self.watchdog_left(which, now).and_then(Result::ok))
+            .map(|left| now + u64::from(left) + 1)
+            .fold(deadline, u64::min);
+        doorbell::wait(Some(next));
+        None
+    }
+
+    fn watchdog_left(&self, which: SystemId, now: u64) -> Option<Result<u32, u32>> {
+        let registers = system(which);
+        let watches = registers.powered.load(Relaxed) && registers.watchdog.watches.load(Relaxed);
+        watches.then(|| registers.watchdog.left(now as u32))
+    }
+
+    /// A reset that the system asked for, or that its watchdog wants.
+    fn look_after(&mut self, which: SystemId) -> Option<Event> {
+        // Acquire pairs with the Release of the core that asks.
+        let mut request = system(which).request.load(Acquire);
+        if matches!(self.watchdog_left(which, time()), Some(Err(_))) {
+            request = BY_WATCHDOG;
+        }
+        let cause = match request {
+            0 => return None,
+            1 => ResetCause::Software,
+            2 => ResetCause::Trap,
+            BY_WATCHDOG => ResetCause::Watchdog,
+            _ => {
+                self.hold(which);
+                return Some(Event::Suspended(which));
+            }
+        };
+        self.hold(which);
+        self.release(which, cause);
+        Some(Event::Reset(which, cause))
+    }
+
+    /// Stops a system and lets its level line fall.
+    fn hold(&mut self, which: SystemId) {
+        let registers = system(which);
+        for core in CoreId::ALL {
+            trap::hold(hart_of(which, core));
+        }
+        for core in CoreId::ALL {
+            // Acquire pairs with the Release of the core when its life is over.
+            while !registers.cores[core.index()].stands.load(Acquire) {
+                hart::yield_turn();
+            }
+        }
+        registers.request.store(0, Relaxed);
+        self.set_power(which, false);
+    }
+
+    fn set_power(&self, which: SystemId, on: bool) {
+        if system(which).powered.swap(on, Relaxed) != on {
+            super::interrupt(which.peer());
+        }
+    }
+
+    /// Begins the next life of a system that is held.
+    fn release(&mut self, which: SystemId, cause: ResetCause) {
+        let registers = system(which);
+        registers.cores.iter().for_each(super::CoreRegisters::clear);
+        registers.request.store(0, Relaxed);
+        registers.cause.store(cause_word(cause), Relaxed);
+        let generation = registers.generation.load(Relaxed).wrapping_add(1);
+        registers.generation.store(generation, Relaxed);
+        registers.watchdog.start(self.watchdogs, time() as u32);
+        self.set_power(which, true);
+        for core in CoreId::ALL {
+            // Release pairs with the Acquire of the core that begins: it sees all of the above.
+            registers.cores[core.index()].stands.store(false, Release);
+            trap::release(hart_of(which, core));
+        }
+    }
+
+    /// The bus: every frame goes to all cores but its sender, in one order.
+    fn move_frames(&self) {
+        loop {
+            let mut moved = false;
+            for sender in 0..2 * CoreId::COUNT {
+                let Some((from, core)) = core_of(sender) else {
+                    continue;
+                };
+                let ring = &system(from).cores[core.index()].transmit;
+                if let Some(frame) = ring.take() {
+                    moved = true;
+                    self.broadcast(sender, frame);
+                }
+            }
+            if !moved {
+                return;
+            }
+        }
+    }
+
+    /// Gives a frame to all cores but the one of hart `sender`.
+    pub(crate) fn broadcast(&self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
+        let now = Instant::from_ns(time() * clint::TICK_NS);
+        [frame[2], frame[3]] = now.to_words();
+        for receiver in (0..2 * CoreId::COUNT).filter(|receiver| *receiver != sender) {
+            let Some((to, core)) = core_of(receiver) else {
+                continue;
+            };
+            if !system(to).powered.load(Relaxed) {
+                continue;
+            }
+            let registers = &system(to).cores[core.index()];
+            if !registers.receive.put(&frame) {
+                registers.overruns.fetch_add(1, Relaxed);
+            }
+            // Acquire pairs with the Release in `wake_on_receive`.
+            if registers.wake_on_receive.load(Acquire) {
+                clint::post(receiver);
+            }
+        }
+    }
+}
