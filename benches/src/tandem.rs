@@ -1,5 +1,5 @@
-//! Tandem itself: 4 bytes through a newest-value channel and a signal of the sync mailbox, on the
-//! host board, from the sender's call to the running handler. T-SYNC-4
+//! Tandem itself: 4 bytes with a signal of the sync mailbox, or through a newest-value channel and a
+//! signal, on the host board, from the sender's call to the running handler. T-SYNC-4
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
@@ -27,9 +27,22 @@ struct Inbox {
     received: Option<u32>,
 }
 
-fn handle(inbox: &mut Inbox, _call: Call) {
+fn handle(inbox: &mut Inbox, call: Call) {
+    inbox.received = Some(call.value);
+}
+
+fn handle_channel(inbox: &mut Inbox, _call: Call) {
     let value = inbox.value.read(|words| words.get(0));
     inbox.received = value.ok().map(|(_, value)| value);
+}
+
+/// By which way the 4 bytes go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Way {
+    /// As the value of the signal.
+    Signal,
+    /// Through a newest-value channel, with a signal.
+    Channel,
 }
 
 /// What a core waits for: a signal that its handler has taken.
@@ -66,6 +79,7 @@ struct Core {
     board: &'static HostBoard,
     peer: CoreId,
     policy: WaitPolicy,
+    way: Way,
     value: newest::Writer<'static>,
     signal: Sender<'static>,
     waiting: Waiting,
@@ -78,17 +92,22 @@ impl Core {
         peer: CoreId,
         life: u32,
         policy: WaitPolicy,
+        way: Way,
     ) -> Self {
         let board = system
             .attach(core, Generation(life))
             .expect("the bare system is powered");
         let board: &'static HostBoard = Box::leak(Box::new(board));
-        let way = |to: CoreId| -> &'static [AtomicU32] {
+        let words_to = |to: CoreId| -> &'static [AtomicU32] {
             &board.lmu()[to.index() * WAY_WORDS..][..WAY_WORDS]
         };
-        let (out, inward) = (way(peer), way(core));
+        let (out, inward) = (words_to(peer), words_to(core));
         let mut tasks = TaskTable::new();
-        tasks.add(task(), handle, 0).expect("the table is empty");
+        let handler = match way {
+            Way::Signal => handle,
+            Way::Channel => handle_channel,
+        };
+        tasks.add(task(), handler, 0).expect("the table is empty");
         let value = newest::Reader::attach(&inward[CHANNEL_AT..], VALUE).expect("it fits");
         let signals = Receiver::attach(&inward[..mailbox::WORDS]).expect("it fits");
         let inbox = Inbox {
@@ -99,6 +118,7 @@ impl Core {
             board,
             peer,
             policy,
+            way,
             value: newest::Writer::attach(&out[CHANNEL_AT..], VALUE).expect("it fits"),
             signal: Sender::attach(&out[..mailbox::WORDS]).expect("it fits"),
             waiting: Waiting {
@@ -113,8 +133,14 @@ impl Core {
 
 impl End for Core {
     fn send(&mut self, stamp: u32) {
-        self.value.publish(&[stamp]);
-        if self.signal.signal(task()) == Ring::Needed {
+        let ring = match self.way {
+            Way::Signal => self.signal.signal_with(task(), stamp),
+            Way::Channel => {
+                self.value.publish(&[stamp]);
+                self.signal.signal(task())
+            }
+        };
+        if ring == Ring::Needed {
             self.board.ring(self.peer);
         }
     }
@@ -128,10 +154,10 @@ impl End for Core {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
     let life = next_life();
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy);
+    let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, way);
     between_processes(plan, 0, start(a, b), start(b, a))
 }
 

@@ -44,7 +44,7 @@
 //!     let shape = Shape::new(4, 1); // four slots of one word
 //!     let mut writer = newest::Writer::attach(channel, shape).ok()?;
 //!     let reader = newest::Reader::attach(channel, shape).ok()?;
-//!     let (to, mut from) = (Sender::attach(mailbox).ok()?, Receiver::attach(mailbox).ok()?);
+//!     let (mut to, mut from) = (Sender::attach(mailbox).ok()?, Receiver::attach(mailbox).ok()?);
 //!
 //!     writer.publish(&[42]);
 //!     if to.signal(TaskId::new(1)?) == Ring::Needed {
@@ -52,7 +52,7 @@
 //!     }
 //!
 //!     let mut value = [0];
-//!     from.poll(|_task, _count| drop(reader.read_into(&mut value)));
+//!     from.poll(|_signals| drop(reader.read_into(&mut value)));
 //!     Some(value[0])
 //! }
 //!

@@ -1,19 +1,27 @@
 //! The sync mailbox: one core names tasks of another core by id; no signal is lost. T-SYNC-1..3
 //!
-//! One for each ordered pair of cores. For each id (1 ..= 15; 0 is none) the sender counts the
-//! signals it has sent and the receiver those it has handled; the difference is what is open. A
-//! word with one *pending* bit for each id tells the receiver where to look. The sender counts
-//! first and then sets the bit; the receiver takes all bits at once and then reads the counters:
-//! whatever it does not see, it finds with a later bit.
+//! One for each ordered pair of cores, so each word has one writer and no operation is a
+//! read-modify-write. For each id (1 ..= 15; 0 is none) the sender counts the signals it has sent
+//! and the receiver those it has handled; the difference is what is open. One word, *posted*, tells
+//! the receiver that something is new and what it was: a number that rises with each signal, and
+//! the signal's id. If the number has risen by one, the receiver looks at that id, otherwise at all
+//! of them. The sender counts first and posts then: what the receiver does not see it finds with a
+//! later post.
+//!
+//! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
+//! task gets the newest one. Count and value of the ids 1 ..= 7 lie in the same cache line as the
+//! posted word, so such a signal with its value is *one* line that moves from core to core, which
+//! is as little as the hardware can do.
 //!
 //! Order: signals with the same id are handled together, with their number. Of different ids that
 //! are open at one look the lower is handled first: the id is a priority; the order of sending is
 //! not kept.
 //!
-//! The doorbell need be rung only when the receiver may be asleep. Sender: set the bit, fence, look
-//! at `asleep`. Receiver: set `asleep`, fence, look at the bits. With sequentially consistent
+//! The doorbell need be rung only when the receiver may be asleep. Sender: post, fence, look at
+//! `asleep`. Receiver: set `asleep`, fence, look at what is posted. With sequentially consistent
 //! fences at least one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes",
-//! 1965, section 2.1).
+//! 1965, section 2.1). While the receiver is awake its flag does not change, so the sender's look
+//! stays in its own cache.
 //!
 //! A successor of either end goes on with the counters: a signal that was sent and whose handler
 //! had not returned when the receiver died is handled by its successor, so handlers run at least
@@ -23,20 +31,43 @@ use crate::region::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
 
 /// Words of a mailbox.
-pub const WORDS: usize = 3 * LINE_WORDS;
+pub const WORDS: usize = 4 * LINE_WORDS;
 
 /// The largest task id.
 pub const MAX_TASK: u8 = 15;
 
 const IDS: usize = MAX_TASK as usize + 1;
 
-/// Line 0, written by the sender: word i counts the signals to task i.
-const SENT_AT: usize = 0;
-/// Line 1, written by both: the pending bits.
-const PENDING_AT: usize = LINE_WORDS;
-/// Line 2, written by the receiver: word 0 says whether it may be asleep, word i counts the signals
-/// to task i that were handled.
-const RECEIVER_AT: usize = 2 * LINE_WORDS;
+/// Lines 0 and 1, written by the sender: word 0 is the posted word, word 2 i counts the signals to
+/// task i, and word 2 i + 1 is their newest value.
+const POSTED_AT: usize = 0;
+/// Line 2, written by the receiver: whether it may be asleep.
+const ASLEEP_AT: usize = 2 * LINE_WORDS;
+/// Line 3, written by the receiver: word i counts the signals to task i that were handled.
+const HANDLED_AT: usize = 3 * LINE_WORDS;
+
+const fn sent_at(id: usize) -> usize {
+    2 * id
+}
+
+const fn value_at(id: usize) -> usize {
+    2 * id + 1
+}
+
+/// The posted word: the id in the low bits (0: look at all of them), above it the number.
+const ID_MASK: u32 = 0xF;
+const ONE_POST: u32 = ID_MASK + 1;
+
+/// Bits 1 ..= 15.
+const ALL_TASKS: u32 = (1 << IDS) - 2;
+
+/// After so many looks that found nothing posted, the receiver compares all counts nevertheless: a
+/// receiver that was stopped for exactly a multiple of 2^28 signals finds the posted word unchanged.
+#[cfg(not(loom))]
+const LOOKS_UNTIL_SURE: u32 = 1 << 16;
+/// A loom model polls a handful of times and shall not find by this what a post should have told.
+#[cfg(loom)]
+const LOOKS_UNTIL_SURE: u32 = u32::MAX;
 
 /// A task of the receiving core: 1 ..= 15. T-SYNC-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -70,38 +101,78 @@ pub enum Ring {
     NotNeeded,
 }
 
-/// The sending end. Several tasks and handlers of the one sending core may share it.
-#[derive(Clone, Copy, Debug)]
+/// The sending end. There is one at a time; tasks and handlers that share it take turns, for
+/// example in a critical section of their kernel.
+#[derive(Debug)]
 pub struct Sender<'a> {
     words: &'a [AtomicU32],
+    posted: u32,
+    /// How many signals were sent to each task.
+    sent: [u32; IDS],
 }
 
 impl<'a> Sender<'a> {
     /// Attaches to the mailbox. What an earlier life of the sending core had counted but not yet
-    /// shown is shown; ring the receiver's doorbell once afterwards, that life may not have come so
-    /// far.
+    /// posted is posted; ring the receiver's doorbell once afterwards, that life may not have come
+    /// so far.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
     pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
         let words = fit(words, WORDS)?;
-        // Release pairs with the Acquire in `poll`.
-        words[PENDING_AT].fetch_or(ALL_TASKS, Ordering::Release);
-        Ok(Self { words })
+        let mut sent = [0; IDS];
+        for (id, copy) in sent.iter_mut().enumerate().skip(1) {
+            *copy = words[sent_at(id)].load(Ordering::Relaxed);
+        }
+        let posted = words[POSTED_AT].load(Ordering::Relaxed);
+        let mut sender = Self {
+            words,
+            posted,
+            sent,
+        };
+        sender.post(0);
+        Ok(sender)
     }
 
     /// Signals a task of the receiving core (`task_sync`). What was written to the LMU before is
     /// visible to the task. Never blocks; task or handler context.
     #[inline]
-    pub fn signal(&self, task: TaskId) -> Ring {
+    pub fn signal(&mut self, task: TaskId) -> Ring {
+        self.count(task.index());
+        self.look_for_sleeper()
+    }
+
+    /// Signals a task and hands it a value. Of several values the task gets the newest. Never
+    /// blocks; task or handler context.
+    #[inline]
+    pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
+        // Before the count: who sees this count sees this value or a newer one.
+        self.words[value_at(task.index())].store(value, Ordering::Relaxed);
+        self.count(task.index());
+        self.look_for_sleeper()
+    }
+
+    #[inline]
+    fn count(&mut self, id: usize) {
+        self.sent[id] = self.sent[id].wrapping_add(1);
         // Release pairs with the Acquire of the count in `poll`: who counts it sees the payload.
-        self.words[SENT_AT + task.index()].fetch_add(1, Ordering::Release);
-        // Release pairs with the Acquire of the bits in `poll`: who sees the bit sees the count.
-        self.words[PENDING_AT].fetch_or(1 << task.index(), Ordering::Release);
+        self.words[sent_at(id)].store(self.sent[id], Ordering::Release);
+        self.post(id as u32);
+    }
+
+    #[inline]
+    fn post(&mut self, id: u32) {
+        self.posted = (self.posted & !ID_MASK).wrapping_add(ONE_POST) | id;
+        // Release pairs with the Acquire in `poll`: who sees the post sees the count.
+        self.words[POSTED_AT].store(self.posted, Ordering::Release);
+    }
+
+    #[inline]
+    fn look_for_sleeper(&self) -> Ring {
         // SeqCst pairs with the fence in `prepare_sleep`: either this sees `asleep`, or that the
-        // bit.
+        // post.
         fence(Ordering::SeqCst);
-        if self.words[RECEIVER_AT].load(Ordering::Relaxed) == 0 {
+        if self.words[ASLEEP_AT].load(Ordering::Relaxed) == 0 {
             Ring::NotNeeded
         } else {
             Ring::Needed
@@ -111,22 +182,34 @@ impl<'a> Sender<'a> {
     /// How many signals to this task are not handled yet.
     #[must_use]
     pub fn open(&self, task: TaskId) -> u32 {
-        let sent = self.words[SENT_AT + task.index()].load(Ordering::Relaxed);
-        sent.wrapping_sub(self.words[RECEIVER_AT + task.index()].load(Ordering::Relaxed))
+        let handled = self.words[HANDLED_AT + task.index()].load(Ordering::Relaxed);
+        self.sent[task.index()].wrapping_sub(handled)
     }
 }
 
-/// Bits 1 ..= 15.
-const ALL_TASKS: u32 = (1 << IDS) - 2;
+/// What is open of one task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Signals {
+    /// The task.
+    pub task: TaskId,
+    /// How many signals; at least 1.
+    pub count: u32,
+    /// The newest value that was sent to the task; 0 if there never was one.
+    pub value: u32,
+}
 
 /// The receiving end. There is one at a time.
 #[derive(Debug)]
 pub struct Receiver<'a> {
     words: &'a [AtomicU32],
+    /// The posted word when it was last looked at.
+    posted: u32,
+    /// Looks since then that found nothing new.
+    unchanged: u32,
+    /// Tasks to look at besides what is posted.
+    look: u32,
     /// How many signals to each task were handled.
     handled: [u32; IDS],
-    /// Tasks to look at besides the pending ones.
-    look: u32,
 }
 
 impl<'a> Receiver<'a> {
@@ -137,39 +220,64 @@ impl<'a> Receiver<'a> {
     /// [`FitError`] if the words are too few or not at a line boundary.
     pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
         let words = fit(words, WORDS)?;
-        words[RECEIVER_AT].store(0, Ordering::Relaxed);
+        words[ASLEEP_AT].store(0, Ordering::Relaxed);
         let mut handled = [0; IDS];
-        for (copy, word) in handled.iter_mut().zip(&words[RECEIVER_AT..]) {
+        for (copy, word) in handled.iter_mut().zip(&words[HANDLED_AT..]) {
             *copy = word.load(Ordering::Relaxed);
         }
         Ok(Self {
             words,
-            handled,
+            posted: words[POSTED_AT].load(Ordering::Relaxed),
+            unchanged: 0,
             look: ALL_TASKS,
+            handled,
         })
     }
 
-    /// Hands each task with open signals, and their number (at least 1), to `handle`, the lowest id
-    /// first, and counts them as handled when it returns. Returns how many signals there were
-    /// (wrapping). One look and bounded: what comes meanwhile is left to the next call. Never
-    /// blocks.
-    pub fn poll(&mut self, mut handle: impl FnMut(TaskId, u32)) -> u32 {
-        let pending = &self.words[PENDING_AT];
-        // A plain look first: while nothing comes, the line stays shared and is not written.
-        if pending.load(Ordering::Relaxed) != 0 {
-            // Acquire pairs with the Release of the bit in `signal`.
-            self.look |= pending.swap(0, Ordering::Acquire) & ALL_TASKS;
+    /// Hands the open signals of each task to `handle`, the lowest id first, and counts them as
+    /// handled when it returns. Returns how many signals there were (wrapping). One look and
+    /// bounded: what comes meanwhile is left to the next call. Never blocks.
+    #[inline]
+    pub fn poll(&mut self, handle: impl FnMut(Signals)) -> u32 {
+        // Acquire pairs with the Release in `post`.
+        let posted = self.words[POSTED_AT].load(Ordering::Acquire);
+        if posted != self.posted {
+            let next = (self.posted & !ID_MASK).wrapping_add(ONE_POST) | posted & ID_MASK;
+            let one = 1 << (posted & ID_MASK) & ALL_TASKS;
+            self.look |= if posted == next && one != 0 {
+                one
+            } else {
+                ALL_TASKS
+            };
+            self.posted = posted;
+            self.unchanged = 0;
+        } else if self.look == 0 {
+            self.unchanged += 1;
+            if self.unchanged < LOOKS_UNTIL_SURE {
+                return 0;
+            }
+            self.unchanged = 0;
+            self.look = ALL_TASKS;
         }
+        self.look_at_tasks(handle)
+    }
+
+    #[inline]
+    fn look_at_tasks(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         let mut signals = 0u32;
         while self.look != 0 {
             let id = self.look.trailing_zeros() as usize;
-            // Acquire pairs with the Release of the count in `signal`: it may be ahead of the bit.
-            let sent = self.words[SENT_AT + id].load(Ordering::Acquire);
+            // Acquire pairs with the Release of the count in `count`: it may be ahead of the post.
+            let sent = self.words[sent_at(id)].load(Ordering::Acquire);
             let count = sent.wrapping_sub(self.handled[id]);
             if count != 0 {
-                handle(TaskId(id as u8), count);
+                handle(Signals {
+                    task: TaskId(id as u8),
+                    count,
+                    value: self.words[value_at(id)].load(Ordering::Relaxed),
+                });
                 self.handled[id] = sent;
-                self.words[RECEIVER_AT + id].store(sent, Ordering::Relaxed);
+                self.words[HANDLED_AT + id].store(sent, Ordering::Relaxed);
                 signals = signals.wrapping_add(count);
             }
             self.look &= !(1 << id);
@@ -182,20 +290,30 @@ impl<'a> Receiver<'a> {
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
-        self.words[RECEIVER_AT].store(1, Ordering::Relaxed);
-        // SeqCst pairs with the fence in `signal`.
+        self.words[ASLEEP_AT].store(1, Ordering::Relaxed);
+        // SeqCst pairs with the fence in `look_for_sleeper`.
         fence(Ordering::SeqCst);
-        if self.look == 0 && self.words[PENDING_AT].load(Ordering::Relaxed) == 0 {
-            return true;
+        let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
+        if self.look == 0 && posted == self.posted {
+            // A sleep may last: be sure. loom shall not find by this what a post should have told.
+            if cfg!(loom) || !self.is_any_open() {
+                return true;
+            }
+            self.look = ALL_TASKS;
         }
         self.awake();
         false
     }
 
+    fn is_any_open(&self) -> bool {
+        let sent = |id| self.words[sent_at(id)].load(Ordering::Relaxed);
+        (1..IDS).any(|id| sent(id) != self.handled[id])
+    }
+
     /// Says that this core is awake: signals need no doorbell.
     #[inline]
     pub fn awake(&mut self) {
-        self.words[RECEIVER_AT].store(0, Ordering::Relaxed);
+        self.words[ASLEEP_AT].store(0, Ordering::Relaxed);
     }
 }
 
@@ -208,6 +326,8 @@ pub struct Call {
     pub arg: u32,
     /// How many signals this call handles; at least 1.
     pub count: u32,
+    /// The newest value that was sent to the task; 0 if there never was one.
+    pub value: u32,
 }
 
 /// A task: runs to completion in the receiver's context `C`.
@@ -257,11 +377,22 @@ impl<C> TaskTable<C> {
 
     /// Polls the mailbox and runs the tasks that were signalled. Returns how many signals there
     /// were.
+    #[inline]
     pub fn run(&mut self, receiver: &mut Receiver<'_>, context: &mut C) -> u32 {
-        receiver.poll(|task, count| match self.tasks[task.index()] {
-            Some((run, arg)) => run(context, Call { task, arg, count }),
-            None => self.unknown = self.unknown.wrapping_add(count),
-        })
+        receiver.poll(
+            |Signals { task, count, value }| match self.tasks[task.index()] {
+                Some((run, arg)) => run(
+                    context,
+                    Call {
+                        task,
+                        arg,
+                        count,
+                        value,
+                    },
+                ),
+                None => self.unknown = self.unknown.wrapping_add(count),
+            },
+        )
     }
 
     /// How many signals named an id without a task.
@@ -284,7 +415,7 @@ mod tests {
 
     fn poll(receiver: &mut Receiver<'_>) -> Vec<(u8, u32)> {
         let mut all = Vec::new();
-        receiver.poll(|task, count| all.push((task.0, count)));
+        receiver.poll(|signals| all.push((signals.task.0, signals.count)));
         all
     }
 
@@ -300,7 +431,7 @@ mod tests {
     #[test]
     fn signals_are_counted_and_come_in_order_of_their_ids() {
         let words = zeroed(WORDS);
-        let sender = Sender::attach(words).unwrap();
+        let mut sender = Sender::attach(words).unwrap();
         let mut receiver = Receiver::attach(words).unwrap();
         assert_eq!(poll(&mut receiver), []);
         for number in [15, 2, 15, 1, 15] {
@@ -315,7 +446,7 @@ mod tests {
     #[test]
     fn the_doorbell_is_needed_only_while_the_receiver_may_be_asleep() {
         let words = zeroed(WORDS);
-        let sender = Sender::attach(words).unwrap();
+        let mut sender = Sender::attach(words).unwrap();
         let mut receiver = Receiver::attach(words).unwrap();
         assert!(!receiver.prepare_sleep(), "not before the first poll");
         poll(&mut receiver);
@@ -336,15 +467,15 @@ mod tests {
     #[test]
     fn the_table_runs_the_named_task_with_its_argument() {
         let words = zeroed(WORDS);
-        let sender = Sender::attach(words).unwrap();
+        let mut sender = Sender::attach(words).unwrap();
         let mut receiver = Receiver::attach(words).unwrap();
         let mut table = TaskTable::<Vec<Call>>::new();
         table
             .add(task(3), |calls, call| calls.push(call), 77)
             .unwrap();
         assert_eq!(table.add(task(3), |_, _| (), 0), Err(Taken));
-        for number in [3, 4, 3] {
-            let _ = sender.signal(task(number));
+        for (number, value) in [(3, 4), (4, 7), (3, 5)] {
+            let _ = sender.signal_with(task(number), value);
         }
         let mut calls = Vec::new();
         assert_eq!(table.run(&mut receiver, &mut calls), 3);
@@ -353,10 +484,63 @@ mod tests {
             [Call {
                 task: task(3),
                 arg: 77,
-                count: 2
+                count: 2,
+                value: 5
             }]
         );
         assert_eq!(table.unknown(), 1);
+    }
+
+    #[test]
+    fn a_task_gets_the_newest_value() {
+        let words = zeroed(WORDS);
+        let mut sender = Sender::attach(words).unwrap();
+        let mut receiver = Receiver::attach(words).unwrap();
+        let mut values = |sender: &mut Sender<'_>, sent: &[(u8, Option<u32>)]| {
+            for &(number, value) in sent {
+                let _ = match value {
+                    Some(value) => sender.signal_with(task(number), value),
+                    None => sender.signal(task(number)),
+                };
+            }
+            let mut all = Vec::new();
+            receiver.poll(|open| all.push((open.task.0, open.count, open.value)));
+            all
+        };
+        assert_eq!(values(&mut sender, &[(9, None)]), [(9, 1, 0)]);
+        let sent = [(9, Some(5)), (1, Some(u32::MAX)), (9, Some(6))];
+        assert_eq!(values(&mut sender, &sent), [(1, 1, u32::MAX), (9, 2, 6)]);
+        assert_eq!(values(&mut sender, &[(1, None)]), [(1, 1, u32::MAX)]);
+        let mut successor = Sender::attach(words).unwrap();
+        assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
+    }
+
+    /// T-SYNC-3: a receiver that was stopped for exactly 2^28 signals finds the posted word as it
+    /// was.
+    #[test]
+    fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_looking_on() {
+        let words = zeroed(WORDS);
+        let mut sender = Sender::attach(words).unwrap();
+        let mut receiver = Receiver::attach(words).unwrap();
+        let _ = sender.signal(task(3));
+        assert_eq!(poll(&mut receiver), [(3, 1)]);
+        let round = |sender: &mut Sender<'_>, id| {
+            let before = words[POSTED_AT].load(Ordering::Relaxed);
+            let _ = sender.signal(task(id));
+            words[POSTED_AT].store(before, Ordering::Relaxed);
+        };
+        round(&mut sender, 5);
+        assert_eq!(poll(&mut receiver), []);
+        assert!(!receiver.prepare_sleep());
+        assert_eq!(poll(&mut receiver), [(5, 1)]);
+        assert!(receiver.prepare_sleep());
+        receiver.awake();
+        round(&mut sender, 6);
+        let mut looks = 0;
+        while poll(&mut receiver).is_empty() {
+            looks += 1;
+        }
+        assert!((1..LOOKS_UNTIL_SURE).contains(&looks));
     }
 
     /// T-SYNC-3: killed at any step, what `signal` has counted is handled when the successor is
@@ -365,14 +549,14 @@ mod tests {
     fn a_sender_killed_at_every_step_loses_nothing_that_it_has_counted() {
         for at in 0.. {
             let words = zeroed(WORDS);
-            let sender = Sender::attach(words).unwrap();
+            let mut sender = Sender::attach(words).unwrap();
             let mut receiver = Receiver::attach(words).unwrap();
             assert_eq!(poll(&mut receiver), []);
             let done = kill_at(at, || sender.signal(task(5))).is_some();
             let sender = Sender::attach(words).unwrap();
             let counted = sender.open(task(5));
             assert!(counted == 1 || at == 0);
-            let handled = receiver.poll(|task, _| assert_eq!(task.0, 5));
+            let handled = receiver.poll(|signals| assert_eq!(signals.task.0, 5));
             assert_eq!(handled, counted, "killed at {at}");
             if done {
                 break;
@@ -385,14 +569,14 @@ mod tests {
     fn a_receiver_killed_at_every_step_leaves_the_open_signals_to_its_successor() {
         for at in 0.. {
             let words = zeroed(WORDS);
-            let sender = Sender::attach(words).unwrap();
+            let mut sender = Sender::attach(words).unwrap();
             let mut receiver = Receiver::attach(words).unwrap();
             for number in [1, 2, 2] {
                 let _ = sender.signal(task(number));
             }
             let mut seen = Vec::new();
             let done = kill_at(at, || {
-                receiver.poll(|task, count| seen.push((task.0, count)));
+                receiver.poll(|signals| seen.push((signals.task.0, signals.count)));
                 receiver.prepare_sleep()
             });
             seen.extend(poll(&mut Receiver::attach(words).unwrap()));

@@ -7,7 +7,7 @@
 //! n slots that takes n - 1 new values during one read. A writer that dies while it fills a slot
 //! leaves the newest value as it was; its successor goes on with the next number.
 
-use crate::region::{FitError, Shape, whole_lines};
+use crate::region::{FitError, LINE_WORDS, Shape, whole_lines};
 use crate::ring::Ring;
 use crate::sync::AtomicU32;
 use crate::view::{WordsMut, WordsRef};
@@ -15,7 +15,8 @@ use crate::view::{WordsMut, WordsRef};
 /// How often [`Reader::read`] begins again when the writer overtakes it.
 const ATTEMPTS: u32 = 4;
 
-/// Words of a channel of this shape. Each slot has its own cache lines; 4 slots are a good number.
+/// Words of a channel of this shape. A small channel, as 4 slots of 2 words, is one cache line;
+/// otherwise each slot has its own lines. 4 slots are a good number.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
@@ -23,7 +24,12 @@ pub const fn words(shape: Shape) -> usize {
 }
 
 const fn stride(shape: Shape) -> usize {
-    whole_lines(1 + shape.slot_words())
+    let slot = 1 + shape.slot_words();
+    if 1 + shape.slots() * slot <= LINE_WORDS {
+        slot
+    } else {
+        whole_lines(slot)
+    }
 }
 
 /// Which value it was: the writer counts them, wrapping around, over all its lives.
@@ -262,6 +268,24 @@ mod tests {
         loan.send();
         assert_eq!(read(&reader).unwrap().1[2], 99);
         assert_eq!(reader.newest().unwrap().since(Stamp(19)), 1);
+    }
+
+    /// A small channel is one line, a larger one has a line for the head and lines for each slot.
+    #[test]
+    fn small_values_share_the_line_of_the_head() {
+        assert_eq!(words(Shape::new(4, 2)), 4 * 3 + 1);
+        assert_eq!(words(Shape::new(4, 3)), 5 * LINE_WORDS);
+        assert_eq!(words(Shape::new(2, 16)), 5 * LINE_WORDS);
+        let words = zeroed(LINE_WORDS);
+        let shape = Shape::new(4, 2);
+        let mut writer = Writer::attach(words, shape).unwrap();
+        let reader = Reader::attach(words, shape).unwrap();
+        for k in 0..9 {
+            writer.publish(&[k, !k]);
+            let mut value = [0; 2];
+            assert_eq!(reader.read_into(&mut value), Some(Stamp(k)));
+            assert_eq!(value, [k, !k]);
+        }
     }
 
     #[test]

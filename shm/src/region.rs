@@ -37,14 +37,15 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words (1 ..= 65536) each.
+    /// `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words (at least 1) each, 2^28
+    /// words in all at most.
     ///
     /// # Panics
     /// If a number is out of its range; in a constant that is a compile error.
     #[must_use]
     pub const fn new(slots: usize, slot_words: usize) -> Self {
         assert!(slots >= 2 && slots <= 1 << 16 && slots.is_power_of_two());
-        assert!(slot_words >= 1 && slot_words <= 1 << 16);
+        assert!(slot_words >= 1 && slot_words <= (1 << 28) / slots);
         Self { slots, slot_words }
     }
 

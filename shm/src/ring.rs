@@ -25,7 +25,16 @@ pub(crate) struct Ring<'a> {
 
 impl<'a> Ring<'a> {
     pub(crate) const fn words(shape: Shape, stride: usize) -> usize {
-        LINE_WORDS + shape.slots() * stride
+        Self::first_slot(shape, stride) + shape.slots() * stride
+    }
+
+    /// Slots that fit stand in the line of the head: then a value is one line that moves.
+    const fn first_slot(shape: Shape, stride: usize) -> usize {
+        if 1 + shape.slots() * stride <= LINE_WORDS {
+            1
+        } else {
+            LINE_WORDS
+        }
     }
 
     pub(crate) fn attach(
@@ -36,7 +45,7 @@ impl<'a> Ring<'a> {
         let words = fit(words, Self::words(shape, stride))?;
         Ok(Self {
             head: &words[0],
-            slots: &words[LINE_WORDS..],
+            slots: &words[Self::first_slot(shape, stride)..],
             shape,
             stride,
         })

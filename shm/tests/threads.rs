@@ -126,14 +126,14 @@ fn signals_wake_a_sleeping_receiver() {
                 let mut receiver = mailbox::Receiver::attach(words).unwrap();
                 let mut handled = 0;
                 while handled < TIMES {
-                    handled += receiver.poll(|task, _| assert_eq!(task.index(), 7));
+                    handled += receiver.poll(|open| assert_eq!(open.task.index(), 7));
                     if handled < TIMES && receiver.prepare_sleep() {
                         thread::park();
                         receiver.awake();
                     }
                 }
             });
-            let sender = mailbox::Sender::attach(words).unwrap();
+            let mut sender = mailbox::Sender::attach(words).unwrap();
             for _ in 0..TIMES {
                 if sender.signal(TaskId::new(7).unwrap()) == Ring::Needed {
                     receiving.thread().unpark();

@@ -1,6 +1,7 @@
 //! 4 bytes one way; the receiver sleeps in the kernel until it is woken.
 
 use super::{Case, Group};
+use crate::tandem::Way;
 use crate::{floor, peers, tandem};
 use tandem_shm::wait::WaitPolicy;
 
@@ -21,13 +22,20 @@ pub(super) const CASES: [Case; 8] = [
     }),
     case(
         "tandem",
-        "channel, mailbox signal, doorbell, running handler",
-        |system, plan| tandem::sync(system, plan, WaitPolicy::Sleep),
+        "mailbox signal with its value, doorbell, running handler",
+        |system, plan| tandem::sync(system, plan, WaitPolicy::Sleep, Way::Signal),
     ),
     case(
         "tandem-adaptive",
         "the same, looking 2000 times before it sleeps",
-        |system, plan| tandem::sync(system, plan, WaitPolicy::SpinThenSleep { spins: 2000 }),
+        |system, plan| {
+            tandem::sync(
+                system,
+                plan,
+                WaitPolicy::SpinThenSleep { spins: 2000 },
+                Way::Signal,
+            )
+        },
     ),
     case("eventfd", "eventfd beside shared memory", |_, plan| {
         floor::eventfd(plan)

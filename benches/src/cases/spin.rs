@@ -1,6 +1,7 @@
 //! 4 bytes one way; the receiver looks again and again, on a CPU of its own.
 
 use super::{Case, Group};
+use crate::tandem::Way;
 use crate::{floor, peers, tandem};
 use tandem_shm::wait::WaitPolicy;
 
@@ -15,14 +16,19 @@ const fn case(name: &'static str, what: &'static str, run: super::Run) -> Case {
 }
 
 /// The cases.
-pub(super) const CASES: [Case; 5] = [
+pub(super) const CASES: [Case; 6] = [
     case("floor", "a cache line between two processes", |_, plan| {
         floor::cache_line(plan)
     }),
     case(
         "tandem",
-        "channel, mailbox signal, running handler",
-        |system, plan| tandem::sync(system, plan, WaitPolicy::Spin),
+        "mailbox signal with its value, running handler",
+        |system, plan| tandem::sync(system, plan, WaitPolicy::Spin, Way::Signal),
+    ),
+    case(
+        "tandem-channel",
+        "newest-value channel, mailbox signal, running handler",
+        |system, plan| tandem::sync(system, plan, WaitPolicy::Spin, Way::Channel),
     ),
     case(
         "iceoryx2-pubsub",

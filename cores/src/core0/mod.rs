@@ -164,7 +164,7 @@ impl<'b, B: Board> Core0<'b, B> {
         lmu.from_planning.awake();
         let mut signalled = false;
         lmu.from_planning
-            .poll(|task, _| signalled |= task == FOLLOW);
+            .poll(|open| signalled |= open.task == FOLLOW);
         let (scene, trajectory) = (lmu.scenes.fetch(), lmu.trajectories.fetch());
         let now = self.board.now();
         match trajectory {
