@@ -1,5 +1,5 @@
-//! Tandem itself: 4 bytes with a signal of the sync mailbox, or through a newest-value channel and a
-//! signal, on the host board, from the sender's call to the running handler. T-SYNC-4
+//! Tandem itself: 4 bytes with a signal of the sync mailbox, or through a newest-value channel and
+//! a signal, on the host board, from the sender's call to the running handler. T-SYNC-4
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;

@@ -62,7 +62,8 @@ const ONE_POST: u32 = ID_MASK + 1;
 const ALL_TASKS: u32 = (1 << IDS) - 2;
 
 /// After so many looks that found nothing posted, the receiver compares all counts nevertheless: a
-/// receiver that was stopped for exactly a multiple of 2^28 signals finds the posted word unchanged.
+/// receiver that was stopped for exactly a multiple of 2^28 signals finds the posted word
+/// unchanged.
 #[cfg(not(loom))]
 const LOOKS_UNTIL_SURE: u32 = 1 << 16;
 /// A loom model polls a handful of times and shall not find by this what a post should have told.

@@ -25,7 +25,7 @@ pub const fn words(shape: Shape) -> usize {
 
 const fn stride(shape: Shape) -> usize {
     let slot = 1 + shape.slot_words();
-    if 1 + shape.slots() * slot <= LINE_WORDS {
+    if shape.slots() * slot < LINE_WORDS {
         slot
     } else {
         whole_lines(slot)

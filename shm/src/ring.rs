@@ -30,7 +30,7 @@ impl<'a> Ring<'a> {
 
     /// Slots that fit stand in the line of the head: then a value is one line that moves.
     const fn first_slot(shape: Shape, stride: usize) -> usize {
-        if 1 + shape.slots() * stride <= LINE_WORDS {
+        if shape.slots() * stride < LINE_WORDS {
             1
         } else {
             LINE_WORDS
