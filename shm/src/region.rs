@@ -28,6 +28,13 @@ pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], Fi
     words.get(..needed).ok_or(FitError::TooSmall)
 }
 
+/// The first `WORDS` words, as [`fit`]; their number is known when they are indexed.
+pub(crate) fn fit_exactly<const WORDS: usize>(
+    words: &[AtomicU32],
+) -> Result<&[AtomicU32; WORDS], FitError> {
+    fit(words, WORDS)?.first_chunk().ok_or(FitError::TooSmall)
+}
+
 /// How many slots a channel has and how many words each carries. All ends of a channel must be
 /// given the same shape; it is part of the build, not of the shared memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

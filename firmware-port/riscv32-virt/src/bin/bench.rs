@@ -144,7 +144,7 @@ fn reached() {
     SEEN.store(SEEN.load(Ordering::Relaxed) + 1, Ordering::Release);
 }
 
-fn signal(to: &Sender<'_>, task: TaskId) {
+fn signal(to: &mut Sender<'_>, task: TaskId) {
     if to.signal(task) == Ring::Needed {
         clint::post(1);
     }
@@ -153,7 +153,7 @@ fn signal(to: &Sender<'_>, task: TaskId) {
 fn measure() {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let map = attach(0);
-    let to = must(Sender::attach(map.region(0)));
+    let mut to = must(Sender::attach(map.region(0)));
     let mut queue = must(fifo::Producer::attach(map.region(1), CHANNEL));
     let mut newest = must(newest::Writer::attach(map.region(2), CHANNEL));
     let mut lock = lock_of(&map, 0);
@@ -173,19 +173,19 @@ fn measure() {
     PART.store(MAILBOX, Ordering::Release);
     clint::post(1);
     bench("mailbox/signal-to-handler", |_| {
-        reach(|| signal(&to, PLAIN))
+        reach(|| signal(&mut to, PLAIN))
     });
     bench("channel/4-bytes", |number| {
         reach(|| {
             newest.publish(&[number]);
-            signal(&to, NEWEST);
+            signal(&mut to, NEWEST);
         })
     });
     // Not always the same: each end looks at the other's index only when its copy says so.
     bench("fifo/4-bytes", |number| {
         reach(|| {
             must(queue.send(&[number]));
-            signal(&to, FIFO);
+            signal(&mut to, FIFO);
         })
     });
 
