@@ -19,6 +19,8 @@ const PORTABLE: [&str; 5] = [
     "tandem-redundancy",
     "tandem-cores",
 ];
+/// The RTOS room and the one bare-metal target that it has a port for.
+const RTOS: (&str, &str) = ("tandem-rtos", "riscv32imac-unknown-none-elf");
 /// Bare-metal targets that every portable crate builds for.
 const BARE_METAL: [&str; 2] = ["riscv32imac-unknown-none-elf", "thumbv7em-none-eabihf"];
 
@@ -123,14 +125,13 @@ fn test(root: &Path) -> Result<()> {
 }
 
 fn bare_metal(root: &Path) -> Result<()> {
-    for target in BARE_METAL {
-        for package in PORTABLE {
-            run(cargo(
-                root,
-                &["build", "--quiet", "--target", target, "-p", package],
-            ))?;
-            println!("{package} builds for {target}");
-        }
+    let portable = BARE_METAL.map(|target| PORTABLE.map(|package| (package, target)));
+    for (package, target) in portable.into_iter().flatten().chain([RTOS]) {
+        run(cargo(
+            root,
+            &["build", "--quiet", "--target", target, "-p", package],
+        ))?;
+        println!("{package} builds for {target}");
     }
     Ok(())
 }

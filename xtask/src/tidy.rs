@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 /// Who may depend on which of our crates, at run time. Crates that are not listed may depend on
 /// all.
-const MAY_DEPEND_ON: [(&str, &[&str]); 8] = [
+const MAY_DEPEND_ON: [(&str, &[&str]); 9] = [
     ("tandem-shm", &[]),
     ("tandem-bus", &[]),
     ("tandem-board", &[]),
@@ -25,6 +25,7 @@ const MAY_DEPEND_ON: [(&str, &[&str]); 8] = [
             "tandem-redundancy",
         ],
     ),
+    ("tandem-rtos", &[]),
     ("tandem-vehicle", &["tandem-bus"]),
     ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
     ("tandem-board-sim", &["tandem-board", "tandem-shm"]),
@@ -33,8 +34,9 @@ const MAY_DEPEND_ON: [(&str, &[&str]); 8] = [
 /// peer.
 const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];
 /// Folders whose code may be unsafe; everything else forbids it.
-const MAY_BE_UNSAFE: [&str; 4] = [
+const MAY_BE_UNSAFE: [&str; 5] = [
     "board/host",
+    "rtos",
     "benches",
     "tests",
     "firmware-port/riscv32-virt",

@@ -1,0 +1,126 @@
+//! Compiles the FreeRTOS kernel with our configuration and the port of the target.
+
+use std::env;
+use std::error::Error;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// Sources of the kernel that every target needs.
+const KERNEL: [&str; 5] = ["tasks.c", "queue.c", "list.c", "timers.c", "event_groups.c"];
+/// Sizes of the kernel's objects in words; `kernel/shim.c` checks them against the C types.
+const SIZES: [(&str, usize); 4] = [
+    ("TASK_WORDS", 32),
+    ("QUEUE_WORDS", 24),
+    ("TIMER_WORDS", 12),
+    ("EVENTS_WORDS", 8),
+];
+
+fn main() -> Result<(), Box<dyn Error>> {
+    println!("cargo::rerun-if-changed=build.rs");
+    println!("cargo::rerun-if-changed=kernel");
+    let kernel = PathBuf::from(env::var("DEP_FREERTOS_KERNEL").map_err(
+        |_| "DEP_FREERTOS_KERNEL is not set: freertos-next does not say where its sources are",
+    )?);
+    write_sizes()?;
+    let os = env::var("CARGO_CFG_TARGET_OS")?;
+    let arch = env::var("CARGO_CFG_TARGET_ARCH")?;
+    let mut build = cc::Build::new();
+    match (os.as_str(), arch.as_str()) {
+        ("linux", "x86_64" | "aarch64") => host(&mut build),
+        ("none", "riscv32") => riscv32(&mut build, &kernel)?,
+        _ => {
+            let targets = "Linux on x86_64 or aarch64, riscv32 without an operating system";
+            return Err(format!("no port for {os} on {arch}, only for {targets}").into());
+        }
+    }
+    build.include("kernel").include(kernel.join("include"));
+    for (name, words) in SIZES {
+        build.define(&format!("TANDEM_{name}"), words.to_string().as_str());
+    }
+    for source in KERNEL {
+        build.file(kernel.join(source));
+    }
+    build.file("kernel/shim.c");
+    // The kernel's own code; warnings in it are not ours to mend.
+    build.warnings(false).opt_level(2).debug(true);
+    // All of it: the handlers of traps in shim.c take the place of weak ones.
+    build.link_lib_modifier("+whole-archive");
+    build.try_compile("tandem_freertos")?;
+    // For a benchmark that builds the kernel with another port.
+    println!("cargo::metadata=KERNEL={}", kernel.display());
+    Ok(())
+}
+
+fn write_sizes() -> Result<(), Box<dyn Error>> {
+    let mut text = String::new();
+    for (name, words) in SIZES {
+        text += &format!("pub(crate) const {name}: usize = {words};\n");
+    }
+    let out = PathBuf::from(env::var("OUT_DIR")?).join("sizes.rs");
+    Ok(fs::write(out, text)?)
+}
+
+fn host(build: &mut cc::Build) {
+    build.include("kernel/host");
+}
+
+fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
+    let port = kernel.join("portable/GCC/RISC-V");
+    let chip = port.join("chip_specific_extensions/RISCV_MTIME_CLINT_no_extensions");
+    let (compiler, flags) = riscv_compiler()?;
+    build.compiler(compiler).no_default_flags(true);
+    for flag in flags {
+        build.flag(flag);
+    }
+    for flag in [
+        "-mcmodel=medany",
+        "-ffreestanding",
+        "-ffunction-sections",
+        "-fdata-sections",
+        "-fno-common",
+    ] {
+        build.flag(flag);
+    }
+    // Headers of a C library that may not be there: the kernel needs four functions of it.
+    build
+        .include("kernel/riscv32/libc")
+        .include("kernel/riscv32");
+    build.include(&port).include(chip);
+    build.file(port.join("port.c")).file(port.join("portASM.S"));
+    Ok(())
+}
+
+/// The C compiler for riscv32 and the flags that name its target.
+fn riscv_compiler() -> Result<(String, Vec<&'static str>), Box<dyn Error>> {
+    println!("cargo::rerun-if-env-changed=TANDEM_RISCV_CC");
+    let machine = ["-march=rv32imac_zicsr", "-mabi=ilp32"];
+    if let Ok(chosen) = env::var("TANDEM_RISCV_CC") {
+        return Ok((chosen, machine.to_vec()));
+    }
+    let candidates: [(&str, &[&'static str]); 3] = [
+        ("riscv64-unknown-elf-gcc", &[]),
+        ("riscv32-unknown-elf-gcc", &[]),
+        ("clang", &["--target=riscv32-unknown-elf"]),
+    ];
+    for (name, flags) in candidates {
+        let flags = [flags, &machine].concat();
+        let mut command = Command::new(name);
+        command
+            .args(&flags)
+            .args(["-x", "c", "-c", "-", "-o", "/dev/null"]);
+        command
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        if command.status().is_ok_and(|status| status.success()) {
+            return Ok((name.to_string(), flags));
+        }
+    }
+    Err(
+        "no C compiler for riscv32: the FreeRTOS kernel needs riscv64-unknown-elf-gcc \
+         (apt-get install gcc-riscv64-unknown-elf) or clang; \
+         TANDEM_RISCV_CC names another one"
+            .into(),
+    )
+}

@@ -1,0 +1,9 @@
+/* What the kernel uses of string.h; compiler_builtins of Rust has the functions. */
+#ifndef TANDEM_STRING_H
+#define TANDEM_STRING_H
+#include <stddef.h>
+void * memcpy( void * to, const void * from, size_t bytes );
+void * memset( void * to, int value, size_t bytes );
+int memcmp( const void * left, const void * right, size_t bytes );
+size_t strlen( const char * text );
+#endif

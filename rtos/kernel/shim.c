@@ -1,0 +1,60 @@
+/* Macros of the kernel as functions for the Rust side, and checks of sizes. */
+#include "FreeRTOS.h"
+#include "task.h"
+#include "queue.h"
+#include "timers.h"
+#include "event_groups.h"
+
+#define WORDS( bytes )    ( ( ( bytes ) + sizeof( void * ) - 1 ) / sizeof( void * ) )
+_Static_assert( WORDS( sizeof( StaticTask_t ) ) <= TANDEM_TASK_WORDS, "TASK_WORDS in build.rs" );
+_Static_assert( WORDS( sizeof( StaticQueue_t ) ) <= TANDEM_QUEUE_WORDS, "QUEUE_WORDS in build.rs" );
+_Static_assert( WORDS( sizeof( StaticTimer_t ) ) <= TANDEM_TIMER_WORDS, "TIMER_WORDS in build.rs" );
+_Static_assert( WORDS( sizeof( StaticEventGroup_t ) ) <= TANDEM_EVENTS_WORDS, "EVENTS_WORDS in build.rs" );
+/* The Rust side declares these types by their width. */
+_Static_assert( sizeof( BaseType_t ) == sizeof( void * ), "BaseType_t is isize" );
+_Static_assert( sizeof( UBaseType_t ) == sizeof( void * ), "UBaseType_t is usize" );
+_Static_assert( sizeof( TickType_t ) == 4, "TickType_t is u32" );
+_Static_assert( sizeof( StackType_t ) == sizeof( void * ), "StackType_t is usize" );
+_Static_assert( sizeof( EventBits_t ) == 4, "EventBits_t is u32" );
+_Static_assert( sizeof( configSTACK_DEPTH_TYPE ) == sizeof( void * ), "stack depth is usize" );
+
+void tandem_enter_critical( void )
+{
+    taskENTER_CRITICAL();
+}
+
+void tandem_exit_critical( void )
+{
+    taskEXIT_CRITICAL();
+}
+
+void tandem_yield( void )
+{
+    taskYIELD();
+}
+
+void tandem_yield_from_interrupt( BaseType_t woken )
+{
+    portYIELD_FROM_ISR( woken );
+}
+
+UBaseType_t tandem_minimal_stack_words( void )
+{
+    return configMINIMAL_STACK_SIZE;
+}
+
+#if defined( __riscv )
+extern void tandem_riscv_interrupt( uint32_t cause );
+extern void tandem_riscv_exception( uint32_t cause );
+
+/* Strong definitions in place of the port's weak ones. */
+void freertos_risc_v_application_interrupt_handler( uint32_t cause )
+{
+    tandem_riscv_interrupt( cause );
+}
+
+void freertos_risc_v_application_exception_handler( uint32_t cause )
+{
+    tandem_riscv_exception( cause );
+}
+#endif

@@ -1,0 +1,119 @@
+//! Where code runs: in a task, or in a handler of an interrupt.
+
+use crate::sys;
+use crate::time::Ticks;
+use core::marker::PhantomData;
+
+mod sealed {
+    pub trait Sealed {
+        /// Whether the kernel's functions for interrupts are to be used.
+        const IN_INTERRUPT: bool;
+        /// A task of higher priority than the interrupted one was woken.
+        fn woken(&self, woken: bool);
+    }
+}
+pub(crate) use sealed::Sealed;
+
+/// A task or an interrupt: what calls that never block want to see.
+pub trait Context: Sealed {}
+
+/// Proof that the caller is a task. Not to be sent anywhere: it belongs to its task.
+#[derive(Debug)]
+pub struct TaskContext {
+    _of_one_task: PhantomData<*mut ()>,
+}
+
+/// Proof that the caller is a handler of an interrupt. It cannot block.
+#[derive(Debug)]
+pub struct InterruptContext {
+    woken: core::cell::Cell<bool>,
+    _of_one_handler: PhantomData<*mut ()>,
+}
+
+impl Sealed for TaskContext {
+    const IN_INTERRUPT: bool = false;
+    fn woken(&self, _woken: bool) {}
+}
+impl Context for TaskContext {}
+
+impl Sealed for InterruptContext {
+    const IN_INTERRUPT: bool = true;
+    fn woken(&self, woken: bool) {
+        self.woken.set(self.woken.get() | woken);
+    }
+}
+impl Context for InterruptContext {}
+
+impl InterruptContext {
+    pub(crate) fn new() -> Self {
+        Self {
+            woken: core::cell::Cell::new(false),
+            _of_one_handler: PhantomData,
+        }
+    }
+
+    /// The current tick.
+    #[must_use]
+    pub fn now(&self) -> Ticks {
+        sys::task::now(true)
+    }
+
+    /// Asks for a reschedule when the last interrupt has ended (T-RTOS-2), as waking a task does by
+    /// itself.
+    pub fn yield_after(&self) {
+        self.woken.set(true);
+    }
+
+    pub(crate) fn has_woken(&self) -> bool {
+        self.woken.get()
+    }
+}
+
+impl TaskContext {
+    pub(crate) fn new() -> Self {
+        Self {
+            _of_one_task: PhantomData,
+        }
+    }
+
+    /// The current tick.
+    #[must_use]
+    pub fn now(&self) -> Ticks {
+        sys::task::now(false)
+    }
+
+    /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).
+    pub fn yield_now(&self) {
+        sys::task::yield_now();
+    }
+
+    /// Blocks for a span, counted from now.
+    ///
+    /// # Panics
+    /// In a critical section or with pre-emption deferred.
+    pub fn delay(&self, span: impl Into<Ticks>) {
+        sys::task::delay(span.into());
+    }
+
+    /// Blocks until `period` after `last_wake`, and moves `last_wake` there: without drift, however
+    /// long the work took. Returns at once with `false` if that point has passed already.
+    ///
+    /// # Panics
+    /// If the period is zero; in a critical section or with pre-emption deferred.
+    pub fn delay_until(&self, last_wake: &mut Ticks, period: impl Into<Ticks>) -> bool {
+        sys::task::delay_until(last_wake, period.into())
+    }
+
+    /// Runs `body` with interrupts masked: neither handlers nor other tasks run meanwhile. Keep it
+    /// short.
+    pub fn critical<R>(&self, body: impl FnOnce() -> R) -> R {
+        sys::critical(body)
+    }
+
+    /// Ends the scheduler: [`Kernel::start`](crate::Kernel::start) returns. The other tasks are
+    /// abandoned where they are: what they own is not dropped.
+    #[cfg(target_os = "linux")]
+    pub fn stop(&self) -> ! {
+        crate::port::host::stop()
+    }
+}

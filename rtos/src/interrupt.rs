@@ -1,0 +1,85 @@
+//! Interrupts by number and priority, as the interrupt router of the TC297 has them.
+
+use core::fmt;
+
+/// A source of interrupts of this core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Interrupt(u8);
+
+impl Interrupt {
+    /// The inter-core interrupt. On riscv32 the machine software interrupt.
+    pub const DOORBELL: Self = Self(0);
+    /// On riscv32 the machine external interrupt; on the host one of many.
+    pub const EXTERNAL: Self = Self(1);
+    /// The highest number of a source; the tick has the one above.
+    pub const LAST: Self = Self(62);
+
+    /// Source 0 to 62. The target has [`Interrupt::DOORBELL`] and [`Interrupt::EXTERNAL`] only.
+    ///
+    /// # Panics
+    /// Above 62; in a constant that is an error of the compiler.
+    #[must_use]
+    pub const fn new(number: u8) -> Self {
+        assert!(number <= Self::LAST.0, "interrupts end at 62");
+        Self(number)
+    }
+
+    /// The number.
+    #[must_use]
+    pub const fn number(self) -> u8 {
+        self.0
+    }
+}
+
+/// How urgent an interrupt is: a more urgent one interrupts the handler of a less urgent one. As on
+/// the chip the numbers are 1 to 255; 1 is the reschedule's (T-RTOS-2) and 2 the tick's.
+///
+/// On riscv32 handlers do not nest, and the number does not count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct InterruptPriority(u8);
+
+impl InterruptPriority {
+    /// One above the tick.
+    pub const LOWEST: Self = Self(3);
+    /// The most urgent.
+    pub const HIGHEST: Self = Self(255);
+
+    /// A priority of 3 to 255.
+    ///
+    /// # Panics
+    /// Below 3; in a constant that is an error of the compiler.
+    #[must_use]
+    pub const fn new(level: u8) -> Self {
+        assert!(
+            level >= Self::LOWEST.0,
+            "priorities 0 to 2 are the kernel's"
+        );
+        Self(level)
+    }
+
+    /// The number.
+    #[must_use]
+    pub const fn level(self) -> u8 {
+        self.0
+    }
+}
+
+/// A handler cannot be registered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AttachError {
+    /// The source has a handler already; handlers stay until the scheduler stops.
+    HasHandler,
+    /// This machine has no such source.
+    NoSuchSource,
+}
+
+impl fmt::Display for AttachError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::HasHandler => "the interrupt has a handler already",
+            Self::NoSuchSource => "this machine has no such interrupt",
+        })
+    }
+}
+
+impl core::error::Error for AttachError {}

@@ -1,0 +1,136 @@
+//! What the tasks' one thread holds for all of them: the allocator, standard output.
+//!
+//! A lock of the standard library belongs to a thread, and all tasks are one thread: a task that
+//! was pre-empted while it held one would give the next task a lock that cannot be had (a
+//! dead-lock), or, where locks are re-entrant, half-changed data. So a task is not pre-empted
+//! there: an allocation is a critical section, and what may take longer defers the switch and lets
+//! interrupts run.
+
+use super::state;
+use core::alloc::{GlobalAlloc, Layout};
+use core::fmt;
+use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::io::Write;
+
+/// An allocator that tasks can share. A program with tasks declares it:
+///
+/// ```
+/// use std::alloc::System;
+/// use tandem_rtos::host::TaskAllocator;
+///
+/// #[global_allocator]
+/// static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
+/// ```
+///
+/// Costs a critical section on the core's thread and one thread-local load on every other.
+pub struct TaskAllocator<A> {
+    inner: A,
+}
+
+/// Whether `is_installed` asks.
+static PROBING: AtomicBool = AtomicBool::new(false);
+static PROBED: AtomicBool = AtomicBool::new(false);
+
+impl<A> TaskAllocator<A> {
+    /// Around another allocator.
+    #[must_use]
+    pub const fn new(inner: A) -> Self {
+        Self { inner }
+    }
+
+    fn guarded<R>(body: impl FnOnce() -> R) -> R {
+        if !state::on_core() {
+            return body();
+        }
+        state::mask();
+        let result = body();
+        state::unmask();
+        result
+    }
+}
+
+// SAFETY: every call is passed on as it is. Interrupts are masked meanwhile, so that on the core's
+// thread no other task and no handler comes between; the inner allocator takes care of other
+// threads.
+unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        if PROBING.load(Relaxed) {
+            PROBED.store(true, Relaxed);
+        }
+        // SAFETY: the caller's promise.
+        Self::guarded(|| unsafe { self.inner.alloc(layout) })
+    }
+
+    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise.
+        Self::guarded(|| unsafe { self.inner.dealloc(place, layout) });
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: the caller's promise.
+        Self::guarded(|| unsafe { self.inner.alloc_zeroed(layout) })
+    }
+
+    unsafe fn realloc(&self, place: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
+        // SAFETY: the caller's promise.
+        Self::guarded(|| unsafe { self.inner.realloc(place, layout, bytes) })
+    }
+}
+
+/// Whether the program's allocator is a [`TaskAllocator`].
+pub(super) fn is_installed() -> bool {
+    PROBED.store(false, Relaxed);
+    PROBING.store(true, Relaxed);
+    drop(core::hint::black_box(alloc::boxed::Box::new(0u8)));
+    PROBING.store(false, Relaxed);
+    PROBED.load(Relaxed)
+}
+
+/// Runs `body` while no other task of the core runs; interrupts do, and a task that they wake
+/// waits. For what all tasks share without knowing: locks and thread-locals of libraries. Costs as
+/// much as a critical section. On threads without tasks `body` is just called.
+///
+/// # Panics
+/// A call in `body` that may block the task panics.
+pub fn deferred<R>(body: impl FnOnce() -> R) -> R {
+    state::deferred(body)
+}
+
+/// Where [`print`] writes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// Standard output.
+    Out,
+    /// Standard error.
+    Error,
+}
+
+/// What `println!` and `eprintln!` of this crate do. Not interrupted by other tasks; in a handler
+/// of an interrupt it goes past the buffers, cut at 255 bytes. Output that cannot be written is
+/// lost.
+pub fn print(to: Output, text: fmt::Arguments<'_>) {
+    if state::on_core() && state::in_interrupt() {
+        let descriptor = if to == Output::Out { 1 } else { 2 };
+        return super::print_raw(descriptor, text);
+    }
+    let _ = deferred(|| match to {
+        Output::Out => writeln!(std::io::stdout().lock(), "{text}"),
+        Output::Error => writeln!(std::io::stderr().lock(), "{text}"),
+    });
+}
+
+/// As the standard library's, for tasks and handlers; see [`host::print`](crate::host::print).
+#[macro_export]
+macro_rules! println {
+    ($($text:tt)*) => {
+        $crate::host::print($crate::host::Output::Out, ::core::format_args!($($text)*))
+    };
+}
+
+/// As the standard library's, for tasks and handlers; see [`host::print`](crate::host::print).
+#[macro_export]
+macro_rules! eprintln {
+    ($($text:tt)*) => {
+        $crate::host::print($crate::host::Output::Error, ::core::format_args!($($text)*))
+    };
+}

@@ -1,0 +1,129 @@
+//! The ends of a process that name a task: an overflowed stack, a panic.
+
+use super::stack::PAGE;
+use super::{fatal, state};
+use crate::sys::task;
+use core::mem::MaybeUninit;
+use core::ptr;
+use std::boxed::Box;
+use std::sync::Once;
+
+/// The stack of the handler of faults: the task's own has no room.
+const HANDLER_BYTES: usize = 64 << 10;
+/// A frame of a signal did not fit if the stack pointer is closer to the end than this.
+const FRAME_BYTES: usize = 16 << 10;
+
+/// What this thread had before.
+pub(super) struct Before {
+    stack: libc::stack_t,
+    actions: [(i32, libc::sigaction); 2],
+    memory: *mut libc::c_void,
+}
+
+static mut PREVIOUS: [MaybeUninit<libc::sigaction>; 2] = [const { MaybeUninit::uninit() }; 2];
+
+/// Sets the handler of faults for this thread's tasks.
+pub(super) fn begin() -> Result<Before, i32> {
+    let handler: extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::c_void) = on_fault;
+    let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_STACK;
+    let access = libc::PROT_READ | libc::PROT_WRITE;
+    // SAFETY: a fresh mapping becomes the alternate stack; all places are valid. The handler only
+    // looks, writes and ends the process.
+    unsafe {
+        let memory = libc::mmap(ptr::null_mut(), HANDLER_BYTES, access, flags, -1, 0);
+        if memory == libc::MAP_FAILED {
+            return Err(super::errno());
+        }
+        let stack = libc::stack_t {
+            ss_sp: memory,
+            ss_flags: 0,
+            ss_size: HANDLER_BYTES,
+        };
+        let mut before: libc::stack_t = core::mem::zeroed();
+        libc::sigaltstack(&stack, &mut before);
+        let mut action: libc::sigaction = core::mem::zeroed();
+        action.sa_sigaction = handler as *const () as usize;
+        action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
+        // Nothing comes between: a switch of tasks must not happen on the alternate stack.
+        libc::sigfillset(&mut action.sa_mask);
+        let actions = [libc::SIGSEGV, libc::SIGBUS].map(|signal| {
+            let mut old: libc::sigaction = core::mem::zeroed();
+            libc::sigaction(signal, &action, &mut old);
+            (signal, old)
+        });
+        for (place, (_, old)) in (0..).zip(actions) {
+            (&raw mut PREVIOUS[place]).write(MaybeUninit::new(old));
+        }
+        Ok(Before {
+            stack: before,
+            actions,
+            memory,
+        })
+    }
+}
+
+/// Puts back what was there before.
+pub(super) fn end(before: &Before) {
+    // SAFETY: the values that `begin` got; the alternate stack is not in use.
+    unsafe {
+        for (signal, action) in &before.actions {
+            libc::sigaction(*signal, action, ptr::null_mut());
+        }
+        libc::sigaltstack(&before.stack, ptr::null_mut());
+        libc::munmap(before.memory, HANDLER_BYTES);
+    }
+}
+
+extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut libc::c_void) {
+    if state::on_core()
+        && let Some((low, _)) = task::current_stack()
+    {
+        // SAFETY: the operating system passes both to a handler with SA_SIGINFO.
+        let (address, pointer) = unsafe { ((*info).si_addr() as usize, stack_pointer(context)) };
+        let guard = low - PAGE..low;
+        // Either the task touched the guard, or a signal found no room for its frame.
+        let no_room = (low - PAGE..low + FRAME_BYTES).contains(&pointer) && !on_stack(address, low);
+        if guard.contains(&address) || no_room {
+            let name = task::current_name();
+            fatal(format_args!("task '{name}' has overflowed its stack"));
+        }
+    }
+    // Not ours: as if we were not there. The instruction faults again, or the sender's signal is
+    // lost.
+    let place = usize::from(signal == libc::SIGBUS);
+    // SAFETY: `begin` wrote it before this handler was there.
+    unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
+}
+
+/// Whether a fault's address lies in the stack itself, where no fault is.
+fn on_stack(address: usize, low: usize) -> bool {
+    (low..low + FRAME_BYTES).contains(&address)
+}
+
+/// # Safety
+/// `context` is what a handler of signals was given.
+unsafe fn stack_pointer(context: *mut libc::c_void) -> usize {
+    let context = context.cast::<libc::ucontext_t>();
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: the caller's promise.
+    return unsafe { (*context).uc_mcontext.gregs[libc::REG_RSP as usize] as usize };
+    #[cfg(target_arch = "aarch64")]
+    // SAFETY: the caller's promise.
+    return unsafe { (*context).uc_mcontext.sp as usize };
+}
+
+/// A panic in a task ends the process, with the task's name after the usual message.
+pub(super) fn name_panics() {
+    static ONCE: Once = Once::new();
+    ONCE.call_once(|| {
+        let usual = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !state::on_core() {
+                return usual(panic);
+            }
+            state::mask_for_good();
+            usual(panic);
+            fatal(format_args!("panic in task '{}'", task::current_name()));
+        }));
+    });
+}

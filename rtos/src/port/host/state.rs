@@ -1,0 +1,321 @@
+//! The state of the simulated processor: masking, pending interrupts, and when to switch.
+//!
+//! Everything here belongs to the core's thread: its tasks, and the handlers of signals that
+//! interrupt them on the same thread. Between these two the order of the program is enough, so that
+//! loads and stores are relaxed and a fence of the compiler keeps them in place. Other threads
+//! touch [`PENDING`] only.
+//!
+//! The one rule: whoever finds `masked` at zero may run interrupts, and raises it first. A signal
+//! that comes while it is above zero notes its interrupt in [`PENDING`] and sets `attention`;
+//! whoever brings it back to zero looks at `attention` *after* that. A signal before this look is
+//! seen by it, and a signal after it finds zero and serves itself. So none is lost, and no system
+//! call is needed.
+
+use super::switch::{first_frame, tandem_switch};
+use super::{interrupts, tick};
+use crate::sys::ffi::{self, Base, Tcb};
+use core::ffi::c_void;
+use core::ptr;
+use core::sync::atomic::Ordering::Relaxed;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering, compiler_fence};
+use std::cell::Cell;
+
+/// Same layout as `struct TandemPort` in `kernel/host/portmacro.h`.
+#[repr(C)]
+struct Shared {
+    /// How often interrupts are masked. Above zero always while no scheduler runs.
+    masked: AtomicU32,
+    /// Something is to be done as soon as interrupts are not masked any more.
+    attention: AtomicU32,
+}
+
+#[unsafe(no_mangle)]
+static tandem_port: Shared = Shared {
+    masked: AtomicU32::new(1),
+    attention: AtomicU32::new(0),
+};
+
+/// Interrupts that were raised and did not run yet, by number.
+pub(super) static PENDING: AtomicU64 = AtomicU64::new(0);
+/// Priority of the running interrupt; zero in a task.
+static LEVEL: AtomicU32 = AtomicU32::new(0);
+/// How many handlers are nested.
+static DEPTH: AtomicU32 = AtomicU32::new(0);
+/// How often pre-emption is deferred: interrupts run, and the switch waits.
+static DEFERRED: AtomicU32 = AtomicU32::new(0);
+/// A reschedule is due.
+static YIELD: AtomicBool = AtomicBool::new(false);
+/// Where the thread was when it started the scheduler.
+static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
+/// Counts the lives of the kernel: what was made for an earlier one is of no use to it.
+static EPOCH: AtomicU32 = AtomicU32::new(1);
+
+std::thread_local! {
+    /// Whether the scheduler runs on this thread. Without a destructor and constant: a handler of
+    /// signals may read it.
+    static ON_CORE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether the caller is on the thread that the tasks share.
+pub(crate) fn on_core() -> bool {
+    ON_CORE.get()
+}
+
+pub(super) fn set_on_core(on: bool) {
+    ON_CORE.set(on);
+}
+
+#[allow(dead_code, reason = "the objects of the next step look at it")]
+pub(crate) fn epoch() -> u32 {
+    EPOCH.load(Relaxed)
+}
+
+/// Masks interrupts; nests.
+pub(super) fn mask() {
+    let masked = &tandem_port.masked;
+    masked.store(masked.load(Relaxed) + 1, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+}
+
+/// Ends one masking.
+pub(super) fn unmask() {
+    compiler_fence(Ordering::SeqCst);
+    let masked = &tandem_port.masked;
+    masked.store(masked.load(Relaxed) - 1, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+    if masked.load(Relaxed) == 0 && tandem_port.attention.load(Relaxed) != 0 {
+        tandem_port_attend();
+    }
+}
+
+/// Interrupts are not masked, and something asked for attention.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_port_attend() {
+    tandem_port.masked.store(1, Relaxed);
+    serve_and_unmask();
+}
+
+/// Entered with interrupts masked once; serves what is pending and returns with them unmasked.
+fn serve_and_unmask() {
+    loop {
+        compiler_fence(Ordering::SeqCst);
+        tandem_port.attention.store(0, Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        serve();
+        compiler_fence(Ordering::SeqCst);
+        tandem_port.masked.store(0, Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        if tandem_port.attention.load(Relaxed) == 0 {
+            return;
+        }
+        tandem_port.masked.store(1, Relaxed);
+    }
+}
+
+/// Runs every pending interrupt above the current level, then switches if that is due and no
+/// interrupt is left. Entered and left with interrupts masked once.
+fn serve() {
+    while let Some((number, priority)) = interrupts::most_urgent(LEVEL.load(Relaxed)) {
+        // Acquire pairs with the Release of who raised it.
+        PENDING.fetch_and(!(1 << number), Ordering::Acquire);
+        let level = LEVEL.load(Relaxed);
+        LEVEL.store(priority, Relaxed);
+        DEPTH.store(DEPTH.load(Relaxed) + 1, Relaxed);
+        interrupts::run(number);
+        DEPTH.store(DEPTH.load(Relaxed) - 1, Relaxed);
+        LEVEL.store(level, Relaxed);
+    }
+    // T-RTOS-2: the switch waits until the last interrupt has ended.
+    if DEPTH.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0 && YIELD.load(Relaxed) {
+        switch();
+    }
+}
+
+/// Lets more urgent interrupts in while a handler runs.
+pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
+    unmask();
+    let result = handler();
+    mask();
+    result
+}
+
+/// Lets the kernel choose, and goes on with its choice. Returns when this task is chosen again,
+/// with interrupts masked once as on entry.
+fn switch() {
+    YIELD.store(false, Relaxed);
+    // SAFETY: interrupts are masked and none runs; the kernel's pointer to the current task is its
+    // own, and both control blocks are alive: one is running, the other was chosen.
+    unsafe {
+        let from = ffi::pxCurrentTCB;
+        ffi::vTaskSwitchContext();
+        let to = ffi::pxCurrentTCB;
+        if from != to {
+            tandem_switch(&raw mut (*from).top_of_stack, (*to).top_of_stack);
+        }
+    }
+}
+
+/// `portYIELD`: at once, or as soon as interrupts are unmasked and pre-emption is not deferred.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_port_yield() {
+    let now = tandem_port.masked.load(Relaxed) == 0
+        && DEPTH.load(Relaxed) == 0
+        && DEFERRED.load(Relaxed) == 0;
+    if now {
+        tandem_port.masked.store(1, Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        switch();
+        serve_if_asked_and_unmask();
+    } else {
+        tandem_port_yield_from_interrupt();
+    }
+}
+
+/// The way back from a switch: interrupts that came meanwhile are served.
+fn serve_if_asked_and_unmask() {
+    compiler_fence(Ordering::SeqCst);
+    tandem_port.masked.store(0, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+    if tandem_port.attention.load(Relaxed) != 0 {
+        tandem_port_attend();
+    }
+}
+
+/// `portYIELD_FROM_ISR`: when the last interrupt has ended.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_port_yield_from_interrupt() {
+    YIELD.store(true, Relaxed);
+    tandem_port.attention.store(1, Relaxed);
+}
+
+/// A signal has come. The handler has checked that this is the core's thread.
+pub(super) fn interrupt() {
+    if tandem_port.masked.load(Relaxed) == 0 {
+        tandem_port.masked.store(1, Relaxed);
+        serve_and_unmask();
+    } else {
+        tandem_port.attention.store(1, Relaxed);
+    }
+}
+
+/// As `portYIELD_FROM_ISR`, for the port's own interrupts.
+pub(super) fn yield_from_interrupt() {
+    tandem_port_yield_from_interrupt();
+}
+
+/// Something was made pending on the core's own thread.
+pub(super) fn poll() {
+    interrupt();
+}
+
+/// The process ends: nothing interrupts its last words.
+pub(super) fn mask_for_good() {
+    if on_core() {
+        mask();
+    }
+}
+
+/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads it is
+/// just called.
+pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
+    struct End;
+    impl Drop for End {
+        fn drop(&mut self) {
+            compiler_fence(Ordering::SeqCst);
+            let deferred = DEFERRED.load(Relaxed) - 1;
+            DEFERRED.store(deferred, Relaxed);
+            compiler_fence(Ordering::SeqCst);
+            let due = deferred == 0 && YIELD.load(Relaxed);
+            if due && DEPTH.load(Relaxed) == 0 {
+                tandem_port_yield();
+            }
+        }
+    }
+    if !on_core() {
+        return body();
+    }
+    DEFERRED.store(DEFERRED.load(Relaxed) + 1, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+    let _end = End;
+    body()
+}
+
+/// The caller is about to block.
+pub(crate) fn assert_may_block() {
+    let may = tandem_port.masked.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0;
+    assert!(
+        may,
+        "a call that may block, in a critical section or with pre-emption deferred"
+    );
+}
+
+/// Whether a handler of an interrupt runs.
+pub(super) fn in_interrupt() -> bool {
+    DEPTH.load(Relaxed) != 0
+}
+
+/// The first code of every task, called on its own stack by the first switch to it.
+pub(super) extern "C" fn begin(code: extern "C" fn(*mut c_void), argument: *mut c_void) -> ! {
+    serve_if_asked_and_unmask();
+    code(argument);
+    super::fatal(format_args!("a task returned"))
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn pxPortInitialiseStack(
+    top: *mut usize,
+    code: extern "C" fn(*mut c_void),
+    argument: *mut c_void,
+) -> *mut usize {
+    // SAFETY: the kernel passes the top of the stack that `create` gave it.
+    unsafe { first_frame(top, code, argument) }
+}
+
+/// Called by the kernel when it has chosen the first task; returns when the scheduler has stopped.
+#[unsafe(no_mangle)]
+extern "C" fn xPortStartScheduler() -> Base {
+    tandem_port.masked.store(1, Relaxed);
+    YIELD.store(false, Relaxed);
+    // What was raised before is served by the first task.
+    tandem_port.attention.store(1, Relaxed);
+    tick::begin();
+    // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context goes to
+    // STARTER, whence `leave` takes it.
+    unsafe {
+        let first: *mut Tcb = ffi::pxCurrentTCB;
+        tandem_switch(STARTER.as_ptr(), (*first).top_of_stack);
+    }
+    0
+}
+
+/// Leaves the running task for good and goes on after the start of the scheduler.
+pub(super) fn leave() -> ! {
+    mask();
+    let mut abandoned = ptr::null_mut();
+    // SAFETY: `xPortStartScheduler` saved this context on the thread's own stack, and has not
+    // returned.
+    unsafe { tandem_switch(&raw mut abandoned, STARTER.load(Relaxed)) };
+    unreachable!("the abandoned task ran");
+}
+
+/// As before the first task: everything masked, nothing pending, no task known.
+pub(super) fn reset() {
+    tandem_port.masked.store(1, Relaxed);
+    compiler_fence(Ordering::SeqCst);
+    tandem_port.attention.store(0, Relaxed);
+    PENDING.store(0, Relaxed);
+    LEVEL.store(0, Relaxed);
+    DEPTH.store(0, Relaxed);
+    DEFERRED.store(0, Relaxed);
+    YIELD.store(false, Relaxed);
+    EPOCH.store(EPOCH.load(Relaxed) + 1, Relaxed);
+    // SAFETY: no scheduler runs, and no task will run again.
+    unsafe {
+        ffi::vTaskResetState();
+        ffi::vTimerResetState();
+    }
+}
+
+/// The kernel asks for it to be implemented; our way to stop is `leave`.
+#[unsafe(no_mangle)]
+extern "C" fn vPortEndScheduler() {}

@@ -1,0 +1,157 @@
+//! The switch between two tasks: what a C function must preserve, and the stack pointer.
+//!
+//! A task that was pre-empted lies in the frame of a signal, which holds its remaining registers,
+//! the vector unit among them; it goes on when the handler returns. A task that yielded called a
+//! function, which need not preserve more than is saved here. Nothing lies below the stack pointer:
+//! callers are functions, and the kernel of the operating system leaves the red zone of what it
+//! interrupts alone.
+
+use core::ffi::c_void;
+
+unsafe extern "C" {
+    /// Saves the caller's context on its stack and the stack pointer at `save`, and goes on where
+    /// the context at `resume` was saved.
+    pub(super) fn tandem_switch(save: *mut *mut usize, resume: *mut usize);
+    fn tandem_first();
+}
+
+#[cfg(target_arch = "x86_64")]
+core::arch::global_asm!(
+    ".global tandem_switch",
+    ".type tandem_switch, @function",
+    "tandem_switch:",
+    "push rbp",
+    "push rbx",
+    "push r12",
+    "push r13",
+    "push r14",
+    "push r15",
+    "sub rsp, 8",
+    "stmxcsr dword ptr [rsp]",
+    "fnstcw word ptr [rsp + 4]",
+    "mov [rdi], rsp",
+    "mov rsp, rsi",
+    "ldmxcsr dword ptr [rsp]",
+    "fldcw word ptr [rsp + 4]",
+    "add rsp, 8",
+    "pop r15",
+    "pop r14",
+    "pop r13",
+    "pop r12",
+    "pop rbx",
+    "pop rbp",
+    "ret",
+    ".size tandem_switch, . - tandem_switch",
+    // A new task: its code in r12, the argument in r13. The outermost frame of its stack.
+    ".global tandem_first",
+    ".type tandem_first, @function",
+    "tandem_first:",
+    "xor ebp, ebp",
+    "mov rdi, r12",
+    "mov rsi, r13",
+    "call {begin}",
+    "ud2",
+    ".size tandem_first, . - tandem_first",
+    begin = sym super::state::begin,
+);
+
+#[cfg(target_arch = "aarch64")]
+core::arch::global_asm!(
+    ".global tandem_switch",
+    ".type tandem_switch, %function",
+    "tandem_switch:",
+    "sub sp, sp, #176",
+    "stp x19, x20, [sp, #0]",
+    "stp x21, x22, [sp, #16]",
+    "stp x23, x24, [sp, #32]",
+    "stp x25, x26, [sp, #48]",
+    "stp x27, x28, [sp, #64]",
+    "stp x29, x30, [sp, #80]",
+    "stp d8, d9, [sp, #96]",
+    "stp d10, d11, [sp, #112]",
+    "stp d12, d13, [sp, #128]",
+    "stp d14, d15, [sp, #144]",
+    "mrs x9, fpcr",
+    "str x9, [sp, #160]",
+    "mov x9, sp",
+    "str x9, [x0]",
+    "mov sp, x1",
+    "ldp x19, x20, [sp, #0]",
+    "ldp x21, x22, [sp, #16]",
+    "ldp x23, x24, [sp, #32]",
+    "ldp x25, x26, [sp, #48]",
+    "ldp x27, x28, [sp, #64]",
+    "ldp x29, x30, [sp, #80]",
+    "ldp d8, d9, [sp, #96]",
+    "ldp d10, d11, [sp, #112]",
+    "ldp d12, d13, [sp, #128]",
+    "ldp d14, d15, [sp, #144]",
+    "ldr x9, [sp, #160]",
+    "msr fpcr, x9",
+    "add sp, sp, #176",
+    "ret",
+    ".size tandem_switch, . - tandem_switch",
+    ".global tandem_first",
+    ".type tandem_first, %function",
+    "tandem_first:",
+    "mov x29, xzr",
+    "mov x30, xzr",
+    "mov x0, x19",
+    "mov x1, x20",
+    "bl {begin}",
+    "brk #1",
+    ".size tandem_first, . - tandem_first",
+    begin = sym super::state::begin,
+);
+
+/// Prepares the stack of a new task such that [`tandem_switch`] to the result begins it.
+///
+/// # Safety
+/// `top` is the highest word of a stack that has room and that nobody else uses.
+pub(super) unsafe fn first_frame(
+    top: *mut usize,
+    code: extern "C" fn(*mut c_void),
+    argument: *mut c_void,
+) -> *mut usize {
+    // SAFETY: `top` is in the stack by the caller's promise; all writes are below it.
+    unsafe {
+        let aligned = (top as usize & !15) as *mut usize;
+        frame(
+            aligned,
+            code as usize,
+            argument as usize,
+            tandem_first as *const () as usize,
+        )
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+unsafe fn frame(top: *mut usize, code: usize, argument: usize, first: usize) -> *mut usize {
+    // Default control words: all floating-point exceptions masked, round to nearest; the x87 unit
+    // with extended precision.
+    let control = 0x1F80 | (0x037F << 32);
+    // mxcsr and x87 control word, r15, r14, r13, r12, rbx, rbp, return address. Two words above
+    // stay free: the return leaves the stack pointer at a multiple of 16, as before a call.
+    let words = [control, 0, 0, argument, code, 0, 0, first];
+    // SAFETY: `first_frame`.
+    unsafe {
+        let bottom = top.sub(2 + words.len());
+        core::ptr::copy_nonoverlapping(words.as_ptr(), bottom, words.len());
+        bottom
+    }
+}
+
+#[cfg(target_arch = "aarch64")]
+unsafe fn frame(top: *mut usize, code: usize, argument: usize, first: usize) -> *mut usize {
+    let mut words = [0usize; 22];
+    // x19, x20, and x30 as above; the floating-point control register is zero by default.
+    words[0] = code;
+    words[1] = argument;
+    words[11] = first;
+    // SAFETY: `first_frame`.
+    unsafe {
+        let bottom = top.sub(2 + words.len());
+        core::ptr::copy_nonoverlapping(words.as_ptr(), bottom, words.len());
+        bottom
+    }
+}

@@ -1,0 +1,217 @@
+//! The tick: 1 kHz on absolute time, or driven by work.
+//!
+//! The timer's expirations lie on a grid that begins with the scheduler, and how many ticks are due
+//! is computed from the clock at each signal: nothing adds up, and ticks that the machine was too
+//! late for are made up at once and counted.
+
+use super::interrupts;
+use super::state;
+use crate::kernel::Clock;
+use crate::sys::ffi;
+use crate::time::TICK_RATE_HZ;
+use core::mem::MaybeUninit;
+use core::ptr;
+use core::sync::atomic::Ordering::Relaxed;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64};
+
+/// Nanoseconds of a tick.
+pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
+
+static VIRTUAL: AtomicBool = AtomicBool::new(false);
+static TIMER: AtomicPtr<libc::c_void> = AtomicPtr::new(ptr::null_mut());
+/// Nanoseconds of CLOCK_MONOTONIC at tick 0; 0 in virtual time.
+static START_NS: AtomicU64 = AtomicU64::new(0);
+/// Nanoseconds of virtual time since tick 0.
+static VIRTUAL_NS: AtomicU64 = AtomicU64::new(0);
+/// Ticks that the kernel was given.
+static DONE: AtomicU64 = AtomicU64::new(0);
+static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
+static LATEST_NS: AtomicU64 = AtomicU64::new(0);
+/// Given the lateness of each tick interrupt in nanoseconds.
+static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
+
+/// What the tick did since the scheduler started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TickStatistics {
+    /// Ticks so far.
+    pub ticks: u64,
+    /// Ticks among them that came together with a later one, because the machine was late by more
+    /// than a tick.
+    pub caught_up: u64,
+    /// The longest time from a tick's point to its interrupt, in nanoseconds.
+    pub latest_ns: u64,
+}
+
+/// Statistics of this run, or of the last one.
+#[must_use]
+pub fn statistics() -> TickStatistics {
+    TickStatistics {
+        ticks: DONE.load(Relaxed),
+        caught_up: CAUGHT_UP.load(Relaxed),
+        latest_ns: LATEST_NS.load(Relaxed),
+    }
+}
+
+/// Has `observer` called in each tick interrupt with its lateness in nanoseconds, measured when the
+/// handler runs. In interrupt context: it must not allocate, print or block. `None` ends it.
+pub fn observe(observer: Option<fn(u64)>) {
+    let pointer = observer.map_or(ptr::null_mut(), |it| it as *mut ());
+    OBSERVER.store(pointer, Relaxed);
+}
+
+/// Nanoseconds since tick 0 of the clock that drives the tick.
+#[must_use]
+pub fn elapsed_ns() -> u64 {
+    if VIRTUAL.load(Relaxed) {
+        VIRTUAL_NS.load(Relaxed)
+    } else {
+        now_ns() - START_NS.load(Relaxed)
+    }
+}
+
+/// Nanoseconds of CLOCK_MONOTONIC.
+#[must_use]
+pub fn now_ns() -> u64 {
+    let mut now = MaybeUninit::<libc::timespec>::uninit();
+    // SAFETY: writes the time to a valid place; this clock always exists.
+    let now = unsafe {
+        libc::clock_gettime(libc::CLOCK_MONOTONIC, now.as_mut_ptr());
+        now.assume_init()
+    };
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+/// Makes the timer; it stands still until `begin`.
+pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
+    VIRTUAL.store(clock == Clock::Virtual, Relaxed);
+    VIRTUAL_NS.store(0, Relaxed);
+    for count in [&DONE, &CAUGHT_UP, &LATEST_NS, &START_NS] {
+        count.store(0, Relaxed);
+    }
+    if clock == Clock::Virtual {
+        return Ok(());
+    }
+    let mut timer: libc::timer_t = ptr::null_mut();
+    // SAFETY: an event of zeroes is valid and is then filled; the timer's signal goes to this
+    // thread.
+    unsafe {
+        let mut event: libc::sigevent = core::mem::zeroed();
+        event.sigev_notify = libc::SIGEV_THREAD_ID;
+        event.sigev_signo = interrupts::tick_signal();
+        event.sigev_notify_thread_id = interrupts::this_thread();
+        if libc::timer_create(libc::CLOCK_MONOTONIC, &mut event, &mut timer) != 0 {
+            return Err(super::errno());
+        }
+    }
+    TIMER.store(timer, Relaxed);
+    Ok(())
+}
+
+/// Tick 0 is now.
+pub(super) fn begin() {
+    if VIRTUAL.load(Relaxed) {
+        return;
+    }
+    let start = now_ns();
+    START_NS.store(start, Relaxed);
+    let time = |ns: u64| libc::timespec {
+        tv_sec: (ns / 1_000_000_000) as libc::time_t,
+        tv_nsec: (ns % 1_000_000_000) as libc::c_long,
+    };
+    let setting = libc::itimerspec {
+        it_interval: time(TICK_NS),
+        it_value: time(start + TICK_NS),
+    };
+    let timer = TIMER.load(Relaxed);
+    // SAFETY: the timer was made by `prepare`; the setting is valid, so this cannot fail.
+    unsafe { libc::timer_settime(timer, libc::TIMER_ABSTIME, &setting, ptr::null_mut()) };
+}
+
+/// No more ticks.
+pub(super) fn end() {
+    let timer = TIMER.swap(ptr::null_mut(), Relaxed);
+    if !VIRTUAL.load(Relaxed) {
+        // SAFETY: the timer was made by `prepare` and is deleted once.
+        unsafe { libc::timer_delete(timer) };
+    }
+}
+
+/// The interrupt of the tick, with interrupts masked.
+pub(super) fn interrupt() {
+    let elapsed = elapsed_ns();
+    let done = DONE.load(Relaxed);
+    let due = (elapsed / TICK_NS).saturating_sub(done);
+    if due == 0 {
+        return;
+    }
+    let late = elapsed - (done + 1) * TICK_NS;
+    if late > LATEST_NS.load(Relaxed) {
+        LATEST_NS.store(late, Relaxed);
+    }
+    let observer = OBSERVER.load(Relaxed);
+    if !observer.is_null() {
+        // SAFETY: `observe` stored a function of this type.
+        let observer: fn(u64) = unsafe { core::mem::transmute(observer) };
+        observer(late);
+    }
+    CAUGHT_UP.store(CAUGHT_UP.load(Relaxed) + due - 1, Relaxed);
+    DONE.store(done + due, Relaxed);
+    for _ in 0..due {
+        // SAFETY: interrupts are masked; called once for each tick.
+        if unsafe { ffi::xTaskIncrementTick() } != 0 {
+            state::yield_from_interrupt();
+        }
+    }
+}
+
+/// Lets this much virtual time pass as the caller's work; ticks interrupt it where they fall.
+pub(super) fn consume_virtual(mut span_ns: u64) {
+    while span_ns > 0 {
+        let now = VIRTUAL_NS.load(Relaxed);
+        let step = span_ns.min(TICK_NS - now % TICK_NS);
+        span_ns -= step;
+        VIRTUAL_NS.store(now + step, Relaxed);
+        if (now + step).is_multiple_of(TICK_NS) {
+            signal_tick();
+        }
+    }
+}
+
+/// The tick comes as a real signal also in virtual time: pre-emption takes the same way.
+fn signal_tick() {
+    // SAFETY: a signal to the calling thread is handled before the call returns.
+    unsafe {
+        libc::syscall(
+            libc::SYS_tgkill,
+            libc::getpid(),
+            interrupts::this_thread(),
+            interrupts::tick_signal(),
+        )
+    };
+}
+
+pub(super) fn is_virtual() -> bool {
+    VIRTUAL.load(Relaxed)
+}
+
+/// In virtual time nothing happens before the next tick.
+pub(super) fn skip_to_next() {
+    let now = VIRTUAL_NS.load(Relaxed);
+    consume_virtual(TICK_NS - now % TICK_NS);
+}
+
+/// A fine counter for the time that tasks run: the processor's own, which costs no call.
+pub(crate) fn run_time() -> u64 {
+    #[cfg(target_arch = "x86_64")]
+    // SAFETY: reads a counter that every x86_64 has.
+    unsafe {
+        core::arch::x86_64::_rdtsc()
+    }
+    #[cfg(target_arch = "aarch64")]
+    {
+        let count: u64;
+        // SAFETY: reads a counter that Linux lets programs read.
+        unsafe { core::arch::asm!("mrs {}, cntvct_el0", out(reg) count) };
+        count
+    }
+}

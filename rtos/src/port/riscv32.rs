@@ -1,0 +1,280 @@
+//! The target: the kernel's own RISC-V port on one hart, with a CLINT.
+//!
+//! The tick is the machine timer interrupt, the doorbell the machine software interrupt (bit 0 of
+//! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
+//! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
+
+use crate::context::InterruptContext;
+use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
+use crate::kernel::{Clock, StartError};
+use crate::sys::{self, ffi};
+use crate::trace;
+use core::cell::UnsafeCell;
+use core::fmt;
+use core::ptr;
+use core::sync::atomic::{AtomicPtr, Ordering};
+
+/// The smallest stack in words: a context and some calls.
+pub(crate) const MIN_STACK_WORDS: usize = 128;
+/// Words of the stacks of the idle task and of the timers' task.
+const SERVICE_WORDS: usize = 1024;
+/// The CLINT's software interrupt registers, one word for each hart. As in QEMU's `virt`.
+const MSIP: usize = 0x0200_0000;
+/// The CLINT's counter, as configMTIME_BASE_ADDRESS.
+const MTIME: usize = 0x0200_BFF8;
+const CAUSE_SOFTWARE: u32 = 3;
+const CAUSE_EXTERNAL: u32 = 11;
+/// Enables of these two in `mie`; the kernel's port enables timer and external.
+const MIE_SOFTWARE: usize = 1 << 3;
+
+type Handler = dyn FnMut(&InterruptContext) + Send;
+
+struct Source(UnsafeCell<Option<&'static mut Handler>>);
+
+// SAFETY: written with interrupts masked, called with interrupts masked, on the one hart of the
+// kernel.
+unsafe impl Sync for Source {}
+
+static SOURCES: [Source; 2] = [const { Source(UnsafeCell::new(None)) }; 2];
+/// Told of exceptions and of fatal errors; does not return.
+static ON_FATAL: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
+
+unsafe extern "C" {
+    fn freertos_risc_v_trap_handler();
+}
+
+/// A stack of a task.
+pub(crate) struct Stack {
+    /// Its lowest word.
+    pub(crate) low: *mut usize,
+    /// How many words it has.
+    pub(crate) words: usize,
+    #[cfg(feature = "alloc")]
+    on_heap: bool,
+}
+
+impl Stack {
+    /// Memory of somebody else.
+    ///
+    /// # Safety
+    /// It is used by nobody else as long as this stack is.
+    pub(crate) unsafe fn borrowed(low: *mut usize, words: usize) -> Self {
+        Self {
+            low,
+            words,
+            #[cfg(feature = "alloc")]
+            on_heap: false,
+        }
+    }
+
+    #[cfg(feature = "alloc")]
+    fn layout(words: usize) -> Option<core::alloc::Layout> {
+        let bytes = words.checked_mul(size_of::<usize>())?;
+        core::alloc::Layout::from_size_align(bytes, 16).ok()
+    }
+
+    /// From the heap.
+    #[cfg(feature = "alloc")]
+    pub(crate) fn allocate(bytes: usize) -> Option<Self> {
+        let words = (bytes / size_of::<usize>()).max(MIN_STACK_WORDS);
+        // SAFETY: the size is not zero.
+        let low = unsafe { alloc::alloc::alloc(Self::layout(words)?) };
+        (!low.is_null()).then_some(Self {
+            low: low.cast(),
+            words,
+            on_heap: true,
+        })
+    }
+
+    /// For a task of the kernel itself: one of two statics.
+    pub(crate) fn for_service() -> Self {
+        struct Memory(UnsafeCell<[[usize; SERVICE_WORDS]; 2]>, UnsafeCell<usize>);
+        // SAFETY: used by the kernel's hart alone, before the scheduler runs.
+        unsafe impl Sync for Memory {}
+        static MEMORY: Memory =
+            Memory(UnsafeCell::new([[0; SERVICE_WORDS]; 2]), UnsafeCell::new(0));
+        // SAFETY: called twice, for the idle task and for the timers' task, each taking its own.
+        unsafe {
+            let taken = *MEMORY.1.get();
+            *MEMORY.1.get() = taken + 1;
+            assert!(taken < 2, "the kernel has two tasks of its own");
+            Self::borrowed(
+                MEMORY.0.get().cast::<usize>().add(taken * SERVICE_WORDS),
+                SERVICE_WORDS,
+            )
+        }
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl Drop for Stack {
+    fn drop(&mut self) {
+        if let (true, Some(layout)) = (self.on_heap, Self::layout(self.words)) {
+            // SAFETY: allocated with this layout; its task is gone.
+            unsafe { alloc::alloc::dealloc(self.low.cast(), layout) };
+        }
+    }
+}
+
+/// Before the first task is made.
+pub(crate) fn prepare() {}
+
+/// Sets the trap vector and runs the scheduler. Returns only if the kernel could not start.
+pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
+    let vector = freertos_risc_v_trap_handler as *const () as usize;
+    // SAFETY: the vector is the kernel's, aligned, in direct mode. The software interrupt is
+    // enabled here; interrupts as a whole are by the first task.
+    unsafe {
+        core::arch::asm!("csrci mstatus, 8");
+        core::arch::asm!("csrw mtvec, {}", in(reg) vector);
+        core::arch::asm!("csrs mie, {}", in(reg) MIE_SOFTWARE);
+        ffi::vTaskStartScheduler();
+    }
+    Ok(())
+}
+
+/// The kernel was taken and not started: nothing to give back.
+pub(crate) fn tear_down() {}
+
+/// Waits for an interrupt.
+pub(crate) fn idle() {
+    // SAFETY: no effect but waiting.
+    unsafe { core::arch::asm!("wfi") };
+}
+
+/// A fine counter for the time that tasks run: `mtime`.
+pub(crate) fn run_time() -> u64 {
+    let low = ptr::with_exposed_provenance::<u32>(MTIME);
+    let high = ptr::with_exposed_provenance::<u32>(MTIME + 4);
+    loop {
+        // SAFETY: the CLINT's registers, read as words.
+        let (before, count, after) = unsafe {
+            (
+                high.read_volatile(),
+                low.read_volatile(),
+                high.read_volatile(),
+            )
+        };
+        if before == after {
+            return u64::from(after) << 32 | u64::from(count);
+        }
+    }
+}
+
+/// The caller is about to block.
+pub(crate) fn assert_may_block() {
+    let status: usize;
+    // SAFETY: reads a register.
+    unsafe { core::arch::asm!("csrr {}, mstatus", out(reg) status) };
+    assert!(
+        status & 8 != 0,
+        "a call that may block, in a critical section"
+    );
+}
+
+pub(crate) fn attach(
+    interrupt: Interrupt,
+    _priority: InterruptPriority,
+    handler: &'static mut Handler,
+) -> Result<(), AttachError> {
+    let source = SOURCES
+        .get(usize::from(interrupt.number()))
+        .ok_or(AttachError::NoSuchSource)?;
+    sys::critical(|| {
+        // SAFETY: interrupts are masked, so no handler runs.
+        let place = unsafe { &mut *source.0.get() };
+        if place.is_some() {
+            return Err(AttachError::HasHandler);
+        }
+        *place = Some(handler);
+        Ok(())
+    })
+}
+
+/// Rings the doorbell of a hart. What the caller wrote before is visible to the handler.
+pub fn ring(hart: usize) {
+    let register = ptr::with_exposed_provenance_mut::<u32>(MSIP + 4 * hart);
+    // SAFETY: a register of the CLINT; the fence orders the caller's writes to memory before it.
+    unsafe {
+        core::arch::asm!("fence rw, ow");
+        register.write_volatile(1);
+    }
+}
+
+/// Has `report` called for exceptions and fatal errors, instead of halting the hart.
+pub fn on_fatal(report: fn(fmt::Arguments<'_>) -> !) {
+    ON_FATAL.store(report as *mut (), Ordering::Relaxed);
+}
+
+/// Ends all work with a message.
+pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
+    // SAFETY: nothing interrupts the last words.
+    unsafe { core::arch::asm!("csrci mstatus, 8") };
+    let report = ON_FATAL.load(Ordering::Relaxed);
+    if !report.is_null() {
+        // SAFETY: `on_fatal` stored a function of this type.
+        let report: fn(fmt::Arguments<'_>) -> ! = unsafe { core::mem::transmute(report) };
+        report(message);
+    }
+    loop {
+        idle();
+    }
+}
+
+fn hart() -> usize {
+    let hart: usize;
+    // SAFETY: reads a register.
+    unsafe { core::arch::asm!("csrr {}, mhartid", out(reg) hart) };
+    hart
+}
+
+/// An interrupt other than the timer's, from the kernel's trap handler, on the interrupt stack.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_riscv_interrupt(cause: u32) {
+    let number = match cause & 0x7FFF_FFFF {
+        CAUSE_SOFTWARE => {
+            let register = ptr::with_exposed_provenance_mut::<u32>(MSIP + 4 * hart());
+            // SAFETY: acknowledges before the handler looks, so a later ring interrupts again.
+            unsafe {
+                register.write_volatile(0);
+                core::arch::asm!("fence iorw, iorw");
+            }
+            Interrupt::DOORBELL
+        }
+        CAUSE_EXTERNAL => Interrupt::EXTERNAL,
+        other => fatal(format_args!("interrupt {other} has no source here")),
+    };
+    // SAFETY: interrupts are masked in a trap, and `attach` masks them.
+    let handler = unsafe { &mut *SOURCES[usize::from(number.number())].0.get() };
+    let Some(handler) = handler else {
+        if number == Interrupt::DOORBELL {
+            return;
+        }
+        fatal(format_args!(
+            "an external interrupt came, and nobody handles it"
+        ));
+    };
+    let context = InterruptContext::new();
+    trace::interrupt_entered(u32::from(number.number()));
+    handler(&context);
+    trace::interrupt_left(u32::from(number.number()));
+    if context.has_woken() {
+        // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
+        unsafe { ffi::tandem_yield_from_interrupt(1) };
+    }
+}
+
+/// An exception other than the call that yields.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_riscv_exception(cause: u32) {
+    let (place, value): (usize, usize);
+    // SAFETY: reads registers.
+    unsafe {
+        core::arch::asm!("csrr {}, mepc", out(reg) place);
+        core::arch::asm!("csrr {}, mtval", out(reg) value);
+    }
+    let task = sys::task::current_name();
+    fatal(format_args!(
+        "exception {cause} at {place:#010x}, value {value:#x}, in task '{task}'"
+    ));
+}

@@ -1,0 +1,518 @@
+//! Tasks: their memory, their life, and the calls that they make about themselves.
+
+use super::ffi::{self, Base, Tcb};
+use super::shared::Shared;
+use crate::context::TaskContext;
+use crate::port;
+use crate::task::{SpawnError, TaskOptions};
+use crate::time::Ticks;
+#[cfg(feature = "alloc")]
+use alloc::{boxed::Box, sync::Arc};
+use core::cell::UnsafeCell;
+use core::ffi::{CStr, c_char, c_void};
+use core::ptr;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU8, Ordering};
+
+/// Bytes of a task's name with the closing zero; as configMAX_TASK_NAME_LEN.
+pub(crate) const NAME_BYTES: usize = 16;
+
+/// What a task runs.
+enum Entry {
+    None,
+    Function(fn(&TaskContext)),
+    #[cfg(feature = "alloc")]
+    Closure(Box<dyn FnOnce(&TaskContext) + Send>),
+}
+
+/// No task: the memory may be used.
+const FREE: u8 = 0;
+/// The kernel knows the task.
+const ALIVE: u8 = 1;
+/// The task has returned; the idle task has yet to free its memory.
+const ENDED: u8 = 2;
+/// The scheduler was stopped while the task was somewhere in its work. Something may still borrow
+/// from its stack, which therefore is never used again.
+#[cfg(target_os = "linux")]
+const ABANDONED: u8 = 3;
+
+/// A task's place in memory. The control block comes first: a kernel's handle is a pointer to it.
+#[repr(C)]
+pub(crate) struct Record {
+    tcb: UnsafeCell<[usize; ffi::TASK_WORDS]>,
+    stack: UnsafeCell<Option<port::Stack>>,
+    entry: UnsafeCell<Entry>,
+    state: AtomicU8,
+    next: AtomicPtr<Record>,
+    /// Where this is counted, for the count that the list holds.
+    on_heap: AtomicBool,
+}
+
+// SAFETY: the cells are written before the task starts and after it is gone, by the one thread of
+// the core; the closure in between is taken by the task itself and is `Send`.
+unsafe impl Send for Record {}
+// SAFETY: as above; what others reach through a handle is `state`, which is atomic, and the control
+// block, which only the kernel touches, on the core's thread.
+unsafe impl Sync for Record {}
+
+/// All tasks that the kernel knows. Changed with interrupts masked, read also by the handler of
+/// faults.
+static TASKS: AtomicPtr<Record> = AtomicPtr::new(ptr::null_mut());
+
+impl Record {
+    pub(crate) const fn new() -> Self {
+        Self {
+            tcb: UnsafeCell::new([0; ffi::TASK_WORDS]),
+            stack: UnsafeCell::new(None),
+            entry: UnsafeCell::new(Entry::None),
+            state: AtomicU8::new(FREE),
+            next: AtomicPtr::new(ptr::null_mut()),
+            on_heap: AtomicBool::new(false),
+        }
+    }
+
+    fn handle(&self) -> *mut Tcb {
+        self.tcb.get().cast()
+    }
+
+    /// Puts this into the list of tasks. The caller has made it [`ALIVE`].
+    fn link(&self) {
+        super::critical(|| {
+            self.next
+                .store(TASKS.load(Ordering::Relaxed), Ordering::Relaxed);
+            TASKS.store(ptr::from_ref(self).cast_mut(), Ordering::Relaxed);
+        });
+    }
+
+    fn unlink(&self) {
+        super::critical(|| {
+            let mut link = &TASKS;
+            loop {
+                let at = link.load(Ordering::Relaxed);
+                if at.is_null() {
+                    return;
+                }
+                if ptr::eq(at, self) {
+                    link.store(self.next.load(Ordering::Relaxed), Ordering::Relaxed);
+                    return;
+                }
+                // SAFETY: what is in the list is a static or counted for the list, so it lives.
+                link = unsafe { &(*at).next };
+            }
+        });
+    }
+
+    /// Gives back the count that the list held.
+    ///
+    /// # Safety
+    /// To be called once, after `unlink`; no reference to the record is used afterwards.
+    unsafe fn release(record: *const Self) {
+        #[cfg(feature = "alloc")]
+        // SAFETY: the list's count still holds the record.
+        if unsafe { (*record).on_heap.load(Ordering::Relaxed) } {
+            // SAFETY: `create` turned a count of this Arc into the list's.
+            drop(unsafe { Arc::from_raw(record) });
+        }
+        #[cfg(not(feature = "alloc"))]
+        let _ = record;
+    }
+}
+
+/// A place for a task in a static, with a stack of `WORDS` machine words.
+///
+/// On the host such a stack has no guard page; the kernel's check of the stack's end remains.
+#[repr(C, align(16))]
+pub struct TaskMemory<const WORDS: usize> {
+    stack: UnsafeCell<[usize; WORDS]>,
+    record: Record,
+}
+
+// SAFETY: the stack is touched by its task alone, and by the kernel.
+unsafe impl<const WORDS: usize> Sync for TaskMemory<WORDS> {}
+
+impl<const WORDS: usize> TaskMemory<WORDS> {
+    /// Memory for one task at a time.
+    #[must_use]
+    #[allow(
+        clippy::new_without_default,
+        reason = "for statics, where a default is of no use"
+    )]
+    pub const fn new() -> Self {
+        Self {
+            stack: UnsafeCell::new([0; WORDS]),
+            record: Record::new(),
+        }
+    }
+}
+
+/// Names a task to others. Outlives it: calls say [`TaskError::Ended`] then.
+#[derive(Clone)]
+pub struct TaskHandle {
+    record: Shared<Record>,
+}
+
+/// A task cannot be reached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TaskError {
+    /// It has returned, or the scheduler was stopped.
+    Ended,
+}
+
+impl core::fmt::Display for TaskError {
+    fn fmt(&self, out: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Ended => out.write_str("the task has ended"),
+        }
+    }
+}
+
+impl core::error::Error for TaskError {}
+
+impl TaskHandle {
+    /// Whether the task has neither returned nor been stopped.
+    #[must_use]
+    pub fn is_alive(&self) -> bool {
+        self.record.state.load(Ordering::Relaxed) == ALIVE
+    }
+
+    /// Runs `body` on the kernel's handle while the task cannot end: in an interrupt no task runs,
+    /// and otherwise interrupts are masked.
+    pub(crate) fn with<R>(
+        &self,
+        in_interrupt: bool,
+        body: impl FnOnce(*mut Tcb) -> R,
+    ) -> Result<R, TaskError> {
+        let checked = || match self.is_alive() {
+            true => Ok(body(self.record.handle())),
+            false => Err(TaskError::Ended),
+        };
+        if in_interrupt {
+            checked()
+        } else {
+            super::critical(checked)
+        }
+    }
+}
+
+/// Makes a task from memory in a static.
+pub(crate) fn spawn_static<const WORDS: usize>(
+    memory: &'static TaskMemory<WORDS>,
+    options: &TaskOptions<'_>,
+    function: fn(&TaskContext),
+) -> Result<TaskHandle, SpawnError> {
+    let record = Shared::Static(&memory.record);
+    // SAFETY: `create` takes the record first, so nobody else uses this stack.
+    let stack = unsafe { port::Stack::borrowed(memory.stack.get().cast(), WORDS) };
+    create(record, Some(stack), options, Entry::Function(function))
+}
+
+/// Makes a task from memory of the heap.
+#[cfg(feature = "alloc")]
+pub(crate) fn spawn(
+    options: &TaskOptions<'_>,
+    closure: Box<dyn FnOnce(&TaskContext) + Send>,
+) -> Result<TaskHandle, SpawnError> {
+    let stack = port::Stack::allocate(options.stack_bytes).ok_or(SpawnError::NoMemory)?;
+    let record = Shared::Heap(Arc::new(Record::new()));
+    create(record, Some(stack), options, Entry::Closure(closure))
+}
+
+fn create(
+    record: Shared<Record>,
+    stack: Option<port::Stack>,
+    options: &TaskOptions<'_>,
+    entry: Entry,
+) -> Result<TaskHandle, SpawnError> {
+    let mut name = [0u8; NAME_BYTES];
+    let given = options.name.as_bytes();
+    if given.is_empty() || given.len() >= NAME_BYTES || given.contains(&0) {
+        return Err(SpawnError::BadName);
+    }
+    name[..given.len()].copy_from_slice(given);
+    let Some(stack) = stack.filter(|stack| stack.words >= port::MIN_STACK_WORDS) else {
+        return Err(SpawnError::StackTooSmall);
+    };
+    // Nobody else is on this thread: the exchange only has to be undivided against handlers.
+    let taken = record
+        .state
+        .compare_exchange(FREE, ALIVE, Ordering::Relaxed, Ordering::Relaxed);
+    taken.map_err(|_| SpawnError::InUse)?;
+    let (low, words) = (stack.low, stack.words);
+    // SAFETY: the record is ours by the exchange, and no task runs on it yet.
+    unsafe {
+        *record.stack.get() = Some(stack);
+        *record.entry.get() = entry;
+    }
+    record.link();
+    #[cfg(feature = "alloc")]
+    if let Shared::Heap(counted) = &record {
+        record.on_heap.store(true, Ordering::Relaxed);
+        // The list's count, given back by `release`.
+        let _ = Arc::into_raw(Arc::clone(counted));
+    }
+    let parameters = ptr::from_ref::<Record>(&record).cast_mut().cast();
+    // SAFETY: the control block and the stack live until the kernel says that the task is gone; the
+    // name is copied.
+    let handle = unsafe {
+        ffi::xTaskCreateStatic(
+            task_main,
+            name.as_ptr().cast(),
+            words,
+            parameters,
+            usize::from(options.priority.level()),
+            low,
+            record.handle().cast(),
+        )
+    };
+    assert_eq!(
+        handle,
+        record.handle(),
+        "the handle is the control block's address"
+    );
+    Ok(TaskHandle { record })
+}
+
+/// Where every task begins, on its own stack.
+extern "C" fn task_main(parameters: *mut c_void) {
+    // SAFETY: `create` passed the record, which lives until the task is gone.
+    let record = unsafe { &*parameters.cast::<Record>() };
+    // SAFETY: nobody but the task itself touches its entry once it runs.
+    let entry = unsafe { core::mem::replace(&mut *record.entry.get(), Entry::None) };
+    let context = TaskContext::new();
+    match entry {
+        Entry::None => {}
+        Entry::Function(function) => function(&context),
+        #[cfg(feature = "alloc")]
+        Entry::Closure(closure) => closure(&context),
+    }
+    record.state.store(ENDED, Ordering::Relaxed);
+    // SAFETY: null means the caller; nothing on this stack is needed any more.
+    unsafe { ffi::vTaskDelete(ptr::null_mut()) };
+    unreachable!("a deleted task ran");
+}
+
+/// The idle task has taken the last pointer to this task out of the kernel.
+///
+/// # Safety
+/// Called by the kernel with the control block of a task made by [`create`].
+#[unsafe(no_mangle)]
+unsafe extern "C" fn tandem_task_gone(tcb: *mut c_void) {
+    let record = tcb.cast::<Record>().cast_const();
+    // SAFETY: the control block is the first field of a record in the list, which holds it.
+    unsafe { retire(&*record) };
+    // SAFETY: unlinked by `retire`, and not used below.
+    unsafe { Record::release(record) };
+}
+
+/// Takes a task that has left its stack for good out of the list.
+///
+/// # Safety
+/// It will never run again.
+unsafe fn retire(record: &Record) {
+    record.unlink();
+    // SAFETY: the task has left its stack for good.
+    drop(unsafe { (*record.stack.get()).take() });
+    record.state.store(FREE, Ordering::Relaxed);
+}
+
+/// After the scheduler has stopped: no task runs any more. What they had is never freed.
+#[cfg(target_os = "linux")]
+pub(crate) fn abandon_all() {
+    loop {
+        let first = TASKS.load(Ordering::Relaxed);
+        if first.is_null() {
+            return;
+        }
+        // SAFETY: what is in the list lives. A task that has returned uses nothing on its stack,
+        // and it never runs again.
+        unsafe {
+            if (*first).state.load(Ordering::Relaxed) == ENDED {
+                retire(&*first);
+            } else {
+                (*first).state.store(ABANDONED, Ordering::Relaxed);
+                (*first).unlink();
+                core::mem::forget((*(*first).stack.get()).take());
+            }
+        }
+        // SAFETY: unlinked above, and not used below.
+        unsafe { Record::release(first) };
+    }
+}
+
+/// The stack of the running task, from its lowest word on.
+#[cfg(target_os = "linux")]
+pub(crate) fn current_stack() -> Option<(usize, usize)> {
+    // SAFETY: reads a pointer that only this thread changes.
+    let current = unsafe { ffi::pxCurrentTCB };
+    if current.is_null() {
+        return None;
+    }
+    // SAFETY: every task of the kernel was made from a record, whose first field is the control
+    // block; its stack is set before it runs.
+    let stack = unsafe { &*(*current.cast::<Record>()).stack.get() };
+    stack
+        .as_ref()
+        .map(|stack| (stack.low as usize, stack.words))
+}
+
+/// The name of the running task, for messages.
+pub(crate) fn current_name() -> &'static str {
+    // SAFETY: reads a pointer that only this thread changes.
+    let current = unsafe { ffi::pxCurrentTCB };
+    if current.is_null() {
+        "none"
+    } else {
+        name_of(current)
+    }
+}
+
+fn name_of(tcb: *mut Tcb) -> &'static str {
+    // SAFETY: a live task's control block holds its name, closed with a zero; a name is read at
+    // once and not kept.
+    let name = unsafe { CStr::from_ptr(ffi::pcTaskGetName(tcb)) };
+    name.to_str().unwrap_or("not UTF-8")
+}
+
+pub(crate) fn now(in_interrupt: bool) -> Ticks {
+    // SAFETY: both only read the count of ticks.
+    Ticks(unsafe {
+        if in_interrupt {
+            ffi::xTaskGetTickCountFromISR()
+        } else {
+            ffi::xTaskGetTickCount()
+        }
+    })
+}
+
+pub(crate) fn yield_now() {
+    // SAFETY: called by a task.
+    unsafe { ffi::tandem_yield() };
+}
+
+pub(crate) fn delay(span: Ticks) {
+    port::assert_may_block();
+    // SAFETY: called by a task that may block.
+    unsafe { ffi::vTaskDelay(span.0.min(Ticks::FOREVER.0 - 1)) };
+}
+
+pub(crate) fn delay_until(last_wake: &mut Ticks, period: Ticks) -> bool {
+    port::assert_may_block();
+    assert!(period.0 > 0, "a period of zero ticks");
+    // SAFETY: called by a task that may block; the place is written during the call only.
+    unsafe { ffi::xTaskDelayUntil(&mut last_wake.0, period.0) != 0 }
+}
+
+/// A task of the kernel itself: its memory, for the two calls below.
+struct Service {
+    record: Record,
+}
+
+static IDLE: Service = Service {
+    record: Record::new(),
+};
+static TIMERS: Service = Service {
+    record: Record::new(),
+};
+
+impl Service {
+    /// Gives the memory to the kernel, and the stack that it was given first.
+    fn give(&'static self, tcb: *mut *mut c_void, stack: *mut *mut usize, words: *mut usize) {
+        // SAFETY: the kernel calls before the task exists, on the core's thread.
+        let slot = unsafe { &mut *self.record.stack.get() };
+        let memory = slot.get_or_insert_with(port::Stack::for_service);
+        self.record.state.store(ALIVE, Ordering::Relaxed);
+        // SAFETY: the kernel's call passes three valid places.
+        unsafe {
+            *tcb = self.record.tcb.get().cast();
+            *stack = memory.low;
+            *words = memory.words;
+        }
+    }
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn vApplicationGetIdleTaskMemory(
+    tcb: *mut *mut c_void,
+    stack: *mut *mut usize,
+    words: *mut usize,
+) {
+    IDLE.give(tcb, stack, words);
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn vApplicationGetTimerTaskMemory(
+    tcb: *mut *mut c_void,
+    stack: *mut *mut usize,
+    words: *mut usize,
+) {
+    TIMERS.give(tcb, stack, words);
+}
+
+#[unsafe(no_mangle)]
+extern "C" fn vApplicationIdleHook() {
+    port::idle();
+}
+
+/// The kernel saw at a switch that the end of this task's stack was overwritten.
+#[unsafe(no_mangle)]
+extern "C" fn vApplicationStackOverflowHook(task: *mut Tcb, _name: *const c_char) {
+    port::fatal(format_args!(
+        "task '{}' has overflowed its stack",
+        name_of(task)
+    ));
+}
+
+/// A failed assertion of the kernel.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_assert(file: *const c_char, line: i32) -> ! {
+    // SAFETY: the compiler's name of the file, closed with a zero.
+    let file = unsafe { CStr::from_ptr(file) }.to_str().unwrap_or("?");
+    let task = current_name();
+    port::fatal(format_args!(
+        "the kernel's assertion at {file}:{line} failed in task '{task}'"
+    ))
+}
+
+/// What a notification does to the task's word.
+pub(crate) enum Change {
+    Increment,
+    SetBits(u32),
+}
+
+/// Notifies a task; says whether it is more urgent than the interrupted one.
+pub(crate) fn notify(
+    task: &TaskHandle,
+    change: Change,
+    in_interrupt: bool,
+) -> Result<bool, TaskError> {
+    let (value, action) = match change {
+        Change::Increment => (0, ffi::NOTIFY_INCREMENT),
+        Change::SetBits(bits) => (bits, ffi::NOTIFY_SET_BITS),
+    };
+    let none = ptr::null_mut();
+    let mut woken = 0;
+    task.with(in_interrupt, |handle| {
+        // SAFETY: the task is alive; only word 0 exists; the place is written during the call.
+        unsafe {
+            if in_interrupt {
+                ffi::xTaskGenericNotifyFromISR(handle, 0, value, action, none, &mut woken);
+            } else {
+                ffi::xTaskGenericNotify(handle, 0, value, action, none);
+            }
+        }
+    })?;
+    Ok(woken != 0)
+}
+
+pub(crate) fn take_notification(all: bool, timeout: Ticks) -> u32 {
+    port::assert_may_block();
+    // SAFETY: called by a task that may block, about its own word 0.
+    unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
+}
+
+pub(crate) fn wait_bits(timeout: Ticks) -> Option<u32> {
+    port::assert_may_block();
+    let mut bits = 0;
+    // SAFETY: as above; the place is written during the call.
+    let got = unsafe { ffi::xTaskGenericNotifyWait(0, 0, u32::MAX, &mut bits, timeout.0) };
+    (got != 0).then_some(bits)
+}

@@ -1,0 +1,97 @@
+//! What a task is to be: name, priority, stack.
+
+use core::fmt;
+
+/// How urgent a task is; more is more urgent. Equals share the processor tick by tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Priority(u8);
+
+impl Priority {
+    /// One above the idle task.
+    pub const LOWEST: Self = Self(1);
+    /// One below the service task of the software timers.
+    pub const HIGHEST: Self = Self(30);
+
+    /// A priority of 1 to 30.
+    ///
+    /// # Panics
+    /// At 0, which is the idle task's, and above 30; in a constant that is an error of the
+    /// compiler.
+    #[must_use]
+    pub const fn new(level: u8) -> Self {
+        assert!(
+            level >= Self::LOWEST.0 && level <= Self::HIGHEST.0,
+            "priorities go from 1 to 30"
+        );
+        Self(level)
+    }
+
+    /// The number.
+    #[must_use]
+    pub const fn level(self) -> u8 {
+        self.0
+    }
+}
+
+/// What a task is to be.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskOptions<'a> {
+    /// 1 to 15 bytes, for messages and traces.
+    pub name: &'a str,
+    /// How urgent it is.
+    pub priority: Priority,
+    /// Bytes of the stack, if it comes from the heap; rounded up to whole pages on the host.
+    pub stack_bytes: usize,
+}
+
+impl<'a> TaskOptions<'a> {
+    /// A task with the usual stack: 64 KiB on the host, 4 KiB on the target.
+    #[must_use]
+    pub const fn new(name: &'a str, priority: Priority) -> Self {
+        let stack_bytes = if cfg!(target_os = "linux") {
+            64 << 10
+        } else {
+            4 << 10
+        };
+        Self {
+            name,
+            priority,
+            stack_bytes,
+        }
+    }
+
+    /// With a stack of this many bytes.
+    #[must_use]
+    pub const fn stack_bytes(self, stack_bytes: usize) -> Self {
+        Self {
+            stack_bytes,
+            ..self
+        }
+    }
+}
+
+/// Why there is no task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SpawnError {
+    /// The name is empty, longer than 15 bytes, or contains a zero.
+    BadName,
+    /// The stack would not even hold an interrupt.
+    StackTooSmall,
+    /// There is no memory for the stack.
+    NoMemory,
+    /// The static memory has a task already, or had one when the scheduler was stopped.
+    InUse,
+}
+
+impl fmt::Display for SpawnError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::BadName => "a task's name has 1 to 15 bytes, none of them zero",
+            Self::StackTooSmall => "the stack is too small for an interrupt",
+            Self::NoMemory => "no memory for the stack",
+            Self::InUse => "the static memory belongs to another task",
+        })
+    }
+}
+
+impl core::error::Error for SpawnError {}

@@ -1,0 +1,68 @@
+//! Time in ticks of the kernel.
+
+use core::time::Duration;
+
+/// Ticks in a second.
+pub(crate) const TICK_RATE_HZ: u32 = 1000;
+
+/// A time span or a point in time, in ticks of 1 ms. Points wrap after 49 days.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Ticks(pub u32);
+
+impl Ticks {
+    /// Does not wait.
+    pub const NONE: Self = Self(0);
+    /// Waits without a limit.
+    pub const FOREVER: Self = Self(u32::MAX);
+
+    /// A span in milliseconds.
+    #[must_use]
+    pub const fn from_millis(ms: u32) -> Self {
+        Self(ms)
+    }
+
+    /// The ticks from `earlier` to this point, over the wrap.
+    #[must_use]
+    pub const fn since(self, earlier: Self) -> Self {
+        Self(self.0.wrapping_sub(earlier.0))
+    }
+
+    /// The point `span` after this one, over the wrap.
+    #[must_use]
+    pub const fn after(self, span: Self) -> Self {
+        Self(self.0.wrapping_add(span.0))
+    }
+}
+
+/// Rounded up: a wait is never shorter than was asked for but by the part of the tick that has
+/// passed. Too long for 32 bits is the longest wait that ends, some 49 days.
+impl From<Duration> for Ticks {
+    fn from(span: Duration) -> Self {
+        let ticks = span
+            .as_nanos()
+            .div_ceil(1_000_000_000 / u128::from(TICK_RATE_HZ));
+        let longest = Self::FOREVER.0 - 1;
+        Self(u32::try_from(ticks).map_or(longest, |ticks| ticks.min(longest)))
+    }
+}
+
+impl From<Ticks> for Duration {
+    fn from(span: Ticks) -> Self {
+        Self::from_millis(u64::from(span.0) * 1000 / u64::from(TICK_RATE_HZ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_become_ticks_rounded_up_and_never_forever() {
+        assert_eq!(Ticks::from(Duration::ZERO), Ticks::NONE);
+        assert_eq!(Ticks::from(Duration::from_nanos(1)), Ticks(1));
+        assert_eq!(Ticks::from(Duration::from_micros(2001)), Ticks(3));
+        assert_eq!(Ticks::from(Duration::MAX), Ticks(u32::MAX - 1));
+        assert_eq!(Duration::from(Ticks(7)), Duration::from_millis(7));
+        assert_eq!(Ticks(2).since(Ticks(u32::MAX)), Ticks(3));
+    }
+}
