@@ -27,6 +27,13 @@ pub(crate) enum Firmware {
         /// Which image
         image: Image,
     },
+    /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
+    /// broken lock caught
+    Explore {
+        /// How many lengths of turns; each with four offsets between the harts
+        #[arg(long, default_value_t = 100)]
+        lengths: u32,
+    },
     /// Count the instructions of the paths between cores, and compare them with the baseline
     Bench {
         /// Write the figures here, as a list of {name, min, max}
@@ -45,6 +52,8 @@ pub(crate) enum Image {
     Bench,
     /// The conformance suite, each case on two freshly powered systems
     Conformance,
+    /// The primitives of the LMU under hundreds of schedules
+    Schedules,
 }
 
 impl Image {
@@ -52,6 +61,7 @@ impl Image {
         match self {
             Self::Bench => "bench",
             Self::Conformance => "conformance",
+            Self::Schedules => "schedules",
         }
     }
 }
@@ -60,7 +70,11 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
     build(root)?;
     match task {
         Firmware::Build => Ok(()),
-        Firmware::Run { image } => run_image(root, image, true).map(drop),
+        Firmware::Run { image } => {
+            print!("{}", run_image(root, image, 0, &[])?);
+            Ok(())
+        }
+        Firmware::Explore { lengths } => explore(root, lengths),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
     }
 }
@@ -83,9 +97,12 @@ fn build(root: &Path) -> Result<()> {
     crate::run(command)
 }
 
-/// Runs an image to its end, and returns its log. Deterministic: one instruction is one
-/// nanosecond, and time jumps when all harts sleep.
-fn run_image(root: &Path, image: Image, echo: bool) -> Result<String> {
+/// Where the images look for straps; see link.x.
+const STRAPS_AT: u32 = 0x8090_0000;
+
+/// Runs an image to its end, and returns its log. Deterministic: one instruction is 2^`shift`
+/// nanoseconds, and time jumps when all harts sleep.
+fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<String> {
     let elf = build_dir(root)
         .join(TARGET)
         .join("release")
@@ -94,13 +111,32 @@ fn run_image(root: &Path, image: Image, echo: bool) -> Result<String> {
     command
         .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
-        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg("-icount")
+        .arg(format!("shift={shift},sleep=off"))
+        .arg("-kernel")
         .arg(elf);
-    let log = finish(&mut command)?;
-    if echo {
-        print!("{log}");
+    for (at, value) in (STRAPS_AT..).step_by(4).zip(straps) {
+        command
+            .arg("-device")
+            .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
     }
-    Ok(log)
+    finish(&mut command)
+}
+
+/// Strap `Mode` of the schedules: the lock is broken.
+const BROKEN_LOCK: u32 = 1;
+/// A tick of the timer is 25 instructions: fine enough for turns that end in all places.
+const SCHEDULES_SHIFT: u32 = 2;
+
+fn explore(root: &Path, lengths: u32) -> Result<()> {
+    for mode in [0, BROKEN_LOCK] {
+        let straps = [mode, lengths];
+        print!(
+            "{}",
+            run_image(root, Image::Schedules, SCHEDULES_SHIFT, &straps)?
+        );
+    }
+    Ok(())
 }
 
 /// Runs a command that ends by itself, and returns what it printed.
@@ -158,10 +194,10 @@ fn figures(log: &str) -> Result<Vec<Figure>> {
 }
 
 fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
-    let log = run_image(root, Image::Bench, false)?;
+    let log = run_image(root, Image::Bench, 0, &[])?;
     let figures = figures(&log)?;
     ensure!(!figures.is_empty(), "the image measured nothing:\n{log}");
-    let again = run_image(root, Image::Bench, false)?;
+    let again = run_image(root, Image::Bench, 0, &[])?;
     ensure!(log == again, "two runs differ:\n{log}\n{again}");
     let list: Vec<Value> = figures
         .iter()

@@ -69,3 +69,9 @@ pub fn set_slice(ticks: u32) {
         rearm(number, state);
     });
 }
+
+/// A hash of the places where the turns of a hart have ended since the last call, which begins a
+/// new one. The hart must not be slicing.
+pub fn take_places(hart: usize) -> u32 {
+    trap::STATES[hart % HARTS].places.swap(0, Relaxed)
+}

@@ -107,6 +107,15 @@ pub(crate) fn pending() -> usize {
     pending
 }
 
+/// Where this hart was when the interrupt came that is being handled.
+#[inline]
+pub(crate) fn interrupted_at() -> usize {
+    let at: usize;
+    // SAFETY: reads a register.
+    unsafe { asm!("csrr {}, mepc", out(reg) at, options(nomem, nostack, preserves_flags)) };
+    at
+}
+
 /// Sleeps until an enabled interrupt is pending; whether it is then taken depends on the switch.
 #[inline]
 pub fn sleep() {

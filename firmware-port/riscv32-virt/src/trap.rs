@@ -15,6 +15,8 @@ pub(crate) struct HartState {
     pub(crate) rung: AtomicBool,
     /// Length of a turn in ticks; 0: no limit.
     pub(crate) slice: AtomicU32,
+    /// A hash of the places where this hart's turns ended.
+    pub(crate) places: AtomicU32,
     /// The carrier wants this hart to stand still.
     pub(crate) held: AtomicBool,
     on_doorbell: AtomicPtr<()>,
@@ -33,6 +35,7 @@ pub(crate) static STATES: [HartState; HARTS] = [const {
     HartState {
         rung: AtomicBool::new(false),
         slice: AtomicU32::new(0),
+        places: AtomicU32::new(0),
         held: AtomicBool::new(false),
         on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
     }
@@ -114,6 +117,10 @@ extern "C" fn tandem_on_timer() {
         // It was only to end a sleep.
         0 => hart::disable(MTI),
         ticks => {
+            let places = &STATES[number].places;
+            let hash = places.load(Ordering::Relaxed) ^ hart::interrupted_at() as u32;
+            // FNV-1a, by words.
+            places.store(hash.wrapping_mul(0x0100_0193), Ordering::Relaxed);
             hart::yield_turn();
             clint::set_timer(number, hart::time() + u64::from(ticks));
         }

@@ -1,0 +1,420 @@
+//! The primitives of the LMU under hundreds of schedules: each a pattern of turns of three harts.
+//!
+//! Under icount a timer that ends a hart's turn every so many instructions makes one particular
+//! interleaving, the same in each run. Hart 6 sweeps the length of the turns and the offset between
+//! the harts, and has them pass the tests of lock, mailbox, pool and channels in each. Schedules
+//! are told apart by the places in the code where the turns of each hart ended, and by the order in
+//! which the harts got the lock.
+//!
+//! Strap `Mode`: 0, the tests must pass in every schedule; 1, a lock that is broken on purpose must
+//! be caught by at least one. Strap `First`: how many lengths of turns.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use core::sync::atomic::{AtomicBool, AtomicU32};
+use tandem_board::SystemId;
+use tandem_board_riscv32_virt::hart::{self, CARRIER};
+use tandem_board_riscv32_virt::memory::{Strap, strap};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, log, memory};
+use tandem_shm::life::Life;
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId};
+use tandem_shm::map::{Layout, Map, Region};
+use tandem_shm::pool::{self, Pool};
+use tandem_shm::{Shape, fifo, newest};
+
+entry!(main);
+
+/// The shortest turn, in ticks: shorter ones end before the handler has returned.
+const SHORTEST: u32 = 8;
+/// Lengths of turns, if no strap says how many.
+const LENGTHS: u32 = 100;
+/// Offsets of hart 1 and 2, in spins; prime to each other, so that no two harts keep step.
+const OFFSETS: [[u32; 2]; 4] = [[0, 0], [7, 0], [3, 11], [13, 5]];
+/// After so many ticks a test hangs: a wake-up was lost, or the lock.
+const HANGS_AFTER: u64 = 2_000_000;
+
+const CORES: usize = 3;
+const POOL_BLOCKS: usize = 8;
+const QUEUE: Shape = Shape::new(4, 2);
+const VALUE_WORDS: usize = 6;
+const NEWEST: Shape = Shape::new(4, VALUE_WORDS);
+const LAYOUT: Layout = Layout::new(&[
+    Region::new("lock", lock::WORDS),
+    Region::new("counter, and the order of its owners", 16),
+    Region::new("mailbox 0 to 1", mailbox::WORDS),
+    Region::new("mailbox 2 to 1", mailbox::WORDS),
+    Region::new("pool", pool::words(POOL_BLOCKS)),
+    Region::new("queue 2 to 0", fifo::words(QUEUE)),
+    Region::new("newest value 1 to 0 and 2", newest::words(NEWEST)),
+]);
+const LOCK: usize = 0;
+const COUNTER: usize = 1;
+const MAILBOXES: [usize; 2] = [2, 3];
+const POOL: usize = 4;
+const FIFO: usize = 5;
+const LATEST: usize = 6;
+
+/// Rounds of each test: several turns long, so that turns end in all its places.
+const ROUNDS: u32 = 40;
+
+/// The schedule: its number (0: none yet), the length of turns, the offsets.
+static SCHEDULE: AtomicU32 = AtomicU32::new(0);
+static LENGTH: AtomicU32 = AtomicU32::new(0);
+static OFFSET: [AtomicU32; CORES] = [const { AtomicU32::new(0) }; CORES];
+/// Harts that have passed all tests of the schedule.
+static PASSED: AtomicU32 = AtomicU32::new(0);
+/// A test failed: its number.
+static FAILED: AtomicU32 = AtomicU32::new(0);
+/// Harts that have come to a test.
+static ARRIVED: AtomicU32 = AtomicU32::new(0);
+/// The newest value's writer is done.
+static WRITTEN: AtomicBool = AtomicBool::new(false);
+
+const TESTS: [&str; 5] = ["", "lock", "mailbox", "pool", "channels"];
+
+fn main(hart: usize) -> ! {
+    match hart {
+        CARRIER => sweep(),
+        0..CORES => player(hart),
+        _ => loop {
+            hart::sleep();
+        },
+    }
+}
+
+/// A number that names a failure of a test.
+type Checked = Result<(), u32>;
+
+fn check(holds: bool, test: u32) -> Checked {
+    if holds { Ok(()) } else { Err(test) }
+}
+
+fn is_broken() -> bool {
+    strap(Strap::Mode) == 1
+}
+
+/// Hart 6: every schedule, one after the other.
+fn sweep() -> ! {
+    hart::interrupts_on();
+    let lengths = match strap(Strap::First) {
+        0 => LENGTHS,
+        some => some,
+    };
+    let (mut orders, mut places) = (Distinct::new(), Distinct::new());
+    let (mut schedules, mut failed) = (0, 0);
+    for length in SHORTEST..SHORTEST + lengths {
+        for offsets in OFFSETS {
+            schedules += 1;
+            let result = play(schedules, length, offsets);
+            let of_harts = [0, 1, 2].map(doorbell::take_places);
+            places.insert(of_harts[0] ^ of_harts[1].rotate_left(8) ^ of_harts[2].rotate_left(16));
+            match result {
+                Ok(order) => orders.insert(order),
+                Err(test) => {
+                    failed += 1;
+                    if !is_broken() {
+                        let name = TESTS.get(test as usize).unwrap_or(&"a test that hangs");
+                        log!("FAILED  turns of {length} ticks, offsets {offsets:?}: {name}");
+                        exit::exit(1);
+                    }
+                }
+            }
+        }
+    }
+    log!(
+        "{schedules} schedules, {} different, with {} orders of the lock; {failed} failed",
+        places.count,
+        orders.count
+    );
+    match is_broken() {
+        true if failed == 0 => {
+            log!("FAILED  no schedule caught the broken lock");
+            exit::exit(1)
+        }
+        true => log!("the broken lock was caught by {failed} of {schedules} schedules"),
+        false => {}
+    }
+    exit::exit(0)
+}
+
+/// One schedule: the order in which the harts got the lock, or the test that failed.
+fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
+    let Ok(map) = Map::format(memory::lmu(SystemId::A), LAYOUT) else {
+        return Err(0);
+    };
+    for counter in [&PASSED, &FAILED, &ARRIVED] {
+        counter.store(0, Relaxed);
+    }
+    WRITTEN.store(false, Relaxed);
+    LENGTH.store(length, Relaxed);
+    OFFSET[1].store(offsets[0], Relaxed);
+    OFFSET[2].store(offsets[1], Relaxed);
+    // Release pairs with the Acquire of the players: they see all of the above.
+    SCHEDULE.store(number, Release);
+    (0..CORES).for_each(clint::post);
+    let limit = hart::time() + HANGS_AFTER;
+    while PASSED.load(Acquire) < CORES as u32 {
+        let failed = FAILED.load(Relaxed);
+        if failed != 0 {
+            // The others may wait for the one that failed: they are told to give up.
+            let limit = hart::time() + HANGS_AFTER;
+            while PASSED.load(Acquire) < CORES as u32 && hart::time() < limit {
+                doorbell::wait(Some(hart::time() + 100));
+            }
+            return Err(failed);
+        }
+        if hart::time() >= limit {
+            log!("FAILED  turns of {length} ticks, offsets {offsets:?}: a test hangs");
+            exit::exit(1);
+        }
+        doorbell::wait(Some(limit));
+    }
+    Ok(map.region(COUNTER)[1].load(Relaxed))
+}
+
+/// Different numbers that were seen.
+struct Distinct {
+    seen: [u32; 1024],
+    count: usize,
+}
+
+impl Distinct {
+    const fn new() -> Self {
+        Self {
+            seen: [0; 1024],
+            count: 0,
+        }
+    }
+
+    fn insert(&mut self, order: u32) {
+        let known = self.seen[..self.count].contains(&order);
+        if !known && self.count < self.seen.len() {
+            self.seen[self.count] = order;
+            self.count += 1;
+        }
+    }
+}
+
+/// Hart 0 to 2: every schedule when it is set.
+fn player(hart: usize) -> ! {
+    hart::interrupts_on();
+    let mut number = 0;
+    loop {
+        while SCHEDULE.load(Acquire) == number {
+            doorbell::wait(None);
+        }
+        number = SCHEDULE.load(Acquire);
+        for _ in 0..OFFSET[hart].load(Relaxed) {
+            core::hint::spin_loop();
+        }
+        doorbell::set_slice(LENGTH.load(Relaxed) + hart as u32);
+        match all_tests(hart, number) {
+            Ok(()) => {}
+            // Another one has failed.
+            Err(0) => {}
+            Err(test) => FAILED.store(test, Relaxed),
+        }
+        doorbell::set_slice(0);
+        PASSED.fetch_add(1, Release);
+        clint::post(CARRIER);
+    }
+}
+
+/// The harts meet for the time number `time`, from 1 on; `Err` if another one has failed.
+fn meet(time: u32) -> Checked {
+    ARRIVED.fetch_add(1, Release);
+    until(|| ARRIVED.load(Acquire) >= time * CORES as u32)
+}
+
+/// Spins until `holds`; the slicing timer lets the others run. `Err` if another hart has failed.
+fn until(mut holds: impl FnMut() -> bool) -> Checked {
+    while !holds() {
+        check(FAILED.load(Relaxed) == 0, 0)?;
+    }
+    Ok(())
+}
+
+fn all_tests(hart: usize, generation: u32) -> Checked {
+    let map = Map::attach(memory::lmu(SystemId::A), LAYOUT).map_err(|_| 1u32)?;
+    let life = Life::new(hart, generation).ok_or(1u32)?;
+    map.lives().announce(life).map_err(|_| 1u32)?;
+    meet(1)?;
+    if is_broken() {
+        return test_broken_lock(&map, hart);
+    }
+    test_lock(&map, hart, life)?;
+    meet(2)?;
+    check(
+        map.region(COUNTER)[0].load(Relaxed) == CORES as u32 * ROUNDS,
+        1,
+    )?;
+    test_mailbox(&map, hart)?;
+    meet(3)?;
+    test_pool(&map, hart, life)?;
+    meet(5)?;
+    test_channels(&map, hart)
+}
+
+/// A read, and a write of what follows from it: whoever comes between loses an increment.
+fn count(map: &Map<'_>, hart: usize) {
+    let [counter, order] = [0, 1].map(|index| &map.region(COUNTER)[index]);
+    let (count, hash) = (counter.load(Relaxed), order.load(Relaxed));
+    (0..4).for_each(|_| core::hint::spin_loop());
+    counter.store(count + 1, Relaxed);
+    // FNV-1a over the owners, in order.
+    let hash = if hash == 0 { 0x811C_9DC5 } else { hash };
+    order.store((hash ^ hart as u32).wrapping_mul(0x0100_0193), Relaxed);
+}
+
+/// T-LOCK-1: no increment is lost.
+fn test_lock(map: &Map<'static>, hart: usize, life: Life) -> Checked {
+    let mut lock = Lock::attach(map.region(LOCK), life, map.lives()).map_err(|_| 1u32)?;
+    for _ in 0..ROUNDS {
+        let acquired = lock
+            .lock(1_000_000, tandem_shm::sync::spin)
+            .map_err(|_| 1u32)?;
+        check(!acquired.is_recovered(), 1)?;
+        let guard = acquired.into_guard();
+        count(map, hart);
+        drop(guard);
+    }
+    Ok(())
+}
+
+/// The same with a lock that looks and then takes, in two steps: the mistake that the schedules
+/// must find.
+fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
+    let word = &map.region(LOCK)[0];
+    for _ in 0..ROUNDS {
+        until(|| word.load(Acquire) == 0)?;
+        word.store(1, Relaxed);
+        count(map, hart);
+        word.store(0, Release);
+    }
+    meet(2)?;
+    let counted = map.region(COUNTER)[0].load(Relaxed);
+    check(counted == CORES as u32 * ROUNDS, 1)
+}
+
+/// T-SYNC-3: hart 0 and 2 signal hart 1, which sleeps whenever it may; every signal comes.
+fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
+    let task = |number| TaskId::new(number).ok_or(2u32);
+    if hart != 1 {
+        let to = Sender::attach(map.region(MAILBOXES[hart / 2])).map_err(|_| 2u32)?;
+        clint::post(1);
+        for round in 0..ROUNDS {
+            if to.signal(task(1 + (round % 3) as u8)?) == Ring::Needed {
+                clint::post(1);
+            }
+        }
+        return Ok(());
+    }
+    let mut receivers = [0, 1].map(|index| Receiver::attach(map.region(MAILBOXES[index])).ok());
+    let mut signals = [0; 2];
+    while signals != [ROUNDS; 2] {
+        check(FAILED.load(Relaxed) == 0, 0)?;
+        let mut asleep = true;
+        for (receiver, signals) in receivers.iter_mut().zip(&mut signals) {
+            let receiver = receiver.as_mut().ok_or(2u32)?;
+            *signals += receiver.poll(|_, _| ());
+            check(*signals <= ROUNDS, 2)?;
+            asleep &= receiver.prepare_sleep();
+        }
+        if asleep && signals != [ROUNDS; 2] {
+            doorbell::wait(None);
+        }
+        for receiver in receivers.iter_mut().flatten() {
+            receiver.awake();
+        }
+    }
+    Ok(())
+}
+
+/// T-SHM-1: nobody gets words that another one has, and all come back.
+fn test_pool(map: &Map<'static>, hart: usize, life: Life) -> Checked {
+    let mut pool =
+        Pool::attach(map.region(POOL), POOL_BLOCKS, life, map.lives()).map_err(|_| 3u32)?;
+    for round in 0..ROUNDS {
+        let words = 1 + (round as usize * 7 + hart * 5) % 40;
+        let Ok(handle) = pool.get(words) else {
+            // Two others may have all that is left.
+            continue;
+        };
+        let mine = pool.open(handle).map_err(|_| 3u32)?;
+        let mark = 1 + hart as u32 + round * 4;
+        mine.iter().for_each(|word| word.store(mark, Relaxed));
+        let whole = mine.iter().all(|word| word.load(Relaxed) == mark);
+        check(whole, 3)?;
+        pool.give_back(handle).map_err(|_| 3u32)?;
+        check(pool.give_back(handle).is_err(), 3)?;
+    }
+    // Everyone has given back before anyone looks.
+    meet(4)?;
+    check(pool.free_words() == POOL_BLOCKS * pool::BLOCK_WORDS, 3)?;
+    Ok(())
+}
+
+/// T-CHAN-1..3: a queue from 2 to 0 in order; newest values of 1 at 0 and 2, whole and never older.
+fn test_channels(map: &Map<'static>, hart: usize) -> Checked {
+    match hart {
+        0 => {
+            let mut queue = fifo::Consumer::attach(map.region(FIFO), QUEUE).map_err(|_| 4u32)?;
+            let mut last = 0;
+            for number in 0..ROUNDS {
+                let mut item = [0; 2];
+                until(|| queue.receive_into(&mut item))?;
+                check(item == [number, !number], 4)?;
+                read_newest(map, &mut last)?;
+            }
+            follow_newest(map, last)
+        }
+        1 => {
+            let mut writer =
+                newest::Writer::attach(map.region(LATEST), NEWEST).map_err(|_| 4u32)?;
+            for number in 1..=2 * ROUNDS {
+                writer.publish(&core::array::from_fn::<u32, VALUE_WORDS, _>(|index| {
+                    number << 8 | index as u32
+                }));
+            }
+            WRITTEN.store(true, Release);
+            Ok(())
+        }
+        _ => {
+            let mut queue = fifo::Producer::attach(map.region(FIFO), QUEUE).map_err(|_| 4u32)?;
+            let mut last = 0;
+            for number in 0..ROUNDS {
+                until(|| queue.send(&[number, !number]).is_ok())?;
+                read_newest(map, &mut last)?;
+            }
+            follow_newest(map, last)
+        }
+    }
+}
+
+/// Reads the newest value, if there is one that is whole.
+fn read_newest(map: &Map<'static>, last: &mut u32) -> Checked {
+    let reader = newest::Reader::attach(map.region(LATEST), NEWEST).map_err(|_| 4u32)?;
+    let mut value = [0; VALUE_WORDS];
+    if reader.read_into(&mut value).is_some() {
+        let number = value[0] >> 8;
+        let whole =
+            (0..VALUE_WORDS as u32).all(|index| value[index as usize] == number << 8 | index);
+        check(whole && number >= *last, 4)?;
+        *last = number;
+    }
+    Ok(())
+}
+
+/// Reads until the last value has been read.
+fn follow_newest(map: &Map<'static>, mut last: u32) -> Checked {
+    let mut result = Ok(());
+    until(|| {
+        let written = WRITTEN.load(Acquire);
+        result = read_newest(map, &mut last);
+        result.is_err() || (written && last == 2 * ROUNDS)
+    })?;
+    result
+}
