@@ -34,6 +34,7 @@ const LAYOUT: Layout = Layout::new(&[
 const PLAIN: TaskId = task(1);
 const NEWEST: TaskId = task(2);
 const FIFO: TaskId = task(3);
+const VALUE: TaskId = task(4);
 
 const fn task(number: u8) -> TaskId {
     match TaskId::new(number) {
@@ -175,6 +176,13 @@ fn measure() {
     bench("mailbox/signal-to-handler", |_| {
         reach(|| signal(&mut to, PLAIN))
     });
+    bench("mailbox/4-bytes", |number| {
+        reach(|| {
+            if to.signal_with(VALUE, number) == Ring::Needed {
+                clint::post(1);
+            }
+        })
+    });
     bench("channel/4-bytes", |number| {
         reach(|| {
             newest.publish(&[number]);
@@ -238,6 +246,7 @@ fn answer() {
     };
     let mut tasks = TaskTable::new();
     must(tasks.add(PLAIN, |_, _| reached(), 0));
+    must(tasks.add(VALUE, Values::signalled, 0));
     must(tasks.add(NEWEST, Values::newest, 0));
     must(tasks.add(FIFO, Values::first, 0));
     while PART.load(Ordering::Acquire) == MAILBOX {
@@ -257,6 +266,11 @@ struct Values {
 }
 
 impl Values {
+    fn signalled(&mut self, call: Call) {
+        core::hint::black_box(call.value);
+        reached();
+    }
+
     fn newest(&mut self, _: Call) {
         if self.newest.read_into(&mut [0]).is_some() {
             reached();

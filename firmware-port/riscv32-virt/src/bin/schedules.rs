@@ -303,7 +303,7 @@ fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
 fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
     let task = |number| TaskId::new(number).ok_or(2u32);
     if hart != 1 {
-        let to = Sender::attach(map.region(MAILBOXES[hart / 2])).map_err(|_| 2u32)?;
+        let mut to = Sender::attach(map.region(MAILBOXES[hart / 2])).map_err(|_| 2u32)?;
         clint::post(1);
         for round in 0..ROUNDS {
             if to.signal(task(1 + (round % 3) as u8)?) == Ring::Needed {
@@ -319,7 +319,7 @@ fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
         let mut asleep = true;
         for (receiver, signals) in receivers.iter_mut().zip(&mut signals) {
             let receiver = receiver.as_mut().ok_or(2u32)?;
-            *signals += receiver.poll(|_, _| ());
+            *signals += receiver.poll(|_| ());
             check(*signals <= ROUNDS, 2)?;
             asleep &= receiver.prepare_sleep();
         }
