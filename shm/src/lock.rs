@@ -334,11 +334,39 @@ pub struct Guard<'l, 'a> {
     lock: &'l mut Lock<'a>,
 }
 
-impl Guard<'_, '_> {
+impl<'a> Guard<'_, 'a> {
     /// How many turns others took between this core's announcement that it waits and its own turn.
     #[must_use]
     pub const fn waited_turns(&self) -> u32 {
         self.lock.waited
+    }
+
+    /// Keeps the lock beyond the borrow of this end: for a caller that cannot hold a guard, such as
+    /// C. Until the result is dropped this end gets the lock no second time.
+    #[inline]
+    pub fn detach(self) -> Held<'a> {
+        let guard = core::mem::ManuallyDrop::new(self);
+        Held {
+            released: guard.lock.own_released,
+            token: guard.lock.mine,
+        }
+    }
+}
+
+/// Holds the lock as a [`Guard`] does, without borrowing the end that took it; dropping it
+/// releases.
+#[derive(Debug)]
+#[must_use = "dropping it releases the lock"]
+pub struct Held<'a> {
+    released: &'a AtomicU32,
+    token: u32,
+}
+
+impl Drop for Held<'_> {
+    #[inline]
+    fn drop(&mut self) {
+        // Release pairs with the Acquire in `is_released`.
+        self.released.store(self.token, Ordering::Release);
     }
 }
 
@@ -402,6 +430,22 @@ mod tests {
             assert!(b.lock(1, |_| ()).is_ok());
             assert!(c.try_lock().is_some());
         }
+    }
+
+    #[test]
+    fn a_detached_guard_holds_the_lock_until_it_is_dropped() {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        for _ in 0..3 {
+            let held = a.try_lock().unwrap().into_guard().detach();
+            assert!(b.try_lock().is_none());
+            assert!(a.try_lock().is_none(), "not a second time by the same end");
+            drop(held);
+            assert!(b.try_lock().is_some());
+        }
+        let _lost = a.try_lock().unwrap().into_guard().detach();
+        bench.kill(0, 1);
+        assert!(b.try_lock().unwrap().is_recovered());
     }
 
     /// Two tasks of one core exclude each other as two cores do.

@@ -42,6 +42,14 @@ impl<'a> WordsRef<'a> {
         into.len().min(self.0.len())
     }
 
+    /// The words themselves, for a caller that cannot keep a view, such as C. They stay mapped, but
+    /// what is in them is this value only as long as the view says so.
+    #[inline]
+    #[must_use]
+    pub const fn as_slice(&self) -> &'a [AtomicU32] {
+        self.0
+    }
+
     /// All words in order.
     pub fn iter(&self) -> impl ExactSizeIterator<Item = u32> + use<'a> {
         self.0.iter().map(|word| word.load(Ordering::Relaxed))
@@ -78,6 +86,14 @@ impl<'a> WordsMut<'a> {
     #[inline]
     pub fn set(&mut self, index: usize, value: u32) {
         self.0[index].store(value, Ordering::Relaxed);
+    }
+
+    /// The words themselves, for a caller that cannot keep a view, such as C. They are the caller's
+    /// to write only until the value is sent.
+    #[inline]
+    #[must_use]
+    pub const fn as_slice(&self) -> &'a [AtomicU32] {
+        self.0
     }
 
     /// Copies `from` to the first words, as many as both have, and returns how many. The rest

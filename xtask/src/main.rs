@@ -12,17 +12,22 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 /// Crates that run in firmware: no_std, and free of boards.
-const PORTABLE: [&str; 5] = [
+const PORTABLE: [&str; 6] = [
     "tandem-shm",
     "tandem-bus",
     "tandem-board",
     "tandem-redundancy",
     "tandem-cores",
+    "tandem-capi",
 ];
 /// The RTOS room and the one bare-metal target that it has a port for.
 const RTOS: (&str, &str) = ("tandem-rtos", "riscv32imac-unknown-none-elf");
 /// Bare-metal targets that every portable crate builds for.
-const BARE_METAL: [&str; 2] = ["riscv32imac-unknown-none-elf", "thumbv7em-none-eabihf"];
+const BARE_METAL: [&str; 3] = [
+    "riscv32imac-unknown-none-elf",
+    "thumbv7em-none-eabihf",
+    "thumbv8m.main-none-eabi",
+];
 
 #[derive(Parser)]
 #[command(about = "Developer tasks of Tandem")]
@@ -46,6 +51,12 @@ enum Task {
     },
     /// Build every portable crate for the bare-metal targets
     BareMetal,
+    /// Write the header for firmware in C from the crate `tandem-capi`
+    CHeader {
+        /// Only say whether the header is stale
+        #[arg(long)]
+        check: bool,
+    },
     /// Model-check the primitives of shm with loom
     Loom,
     /// Run the tests of shm under Miri, on 64 and on 32 bit
@@ -87,6 +98,7 @@ fn execute() -> Result<()> {
         Task::Tidy => tidy::run(root),
         Task::Trace { require } => trace::run(root, &require),
         Task::BareMetal => bare_metal(root),
+        Task::CHeader { check } => c_header(root, check),
         Task::Loom => loom(root),
         Task::Miri => miri(root),
         Task::Firmware(task) => firmware::run(root, task),
@@ -134,6 +146,17 @@ fn bare_metal(root: &Path) -> Result<()> {
         println!("{package} builds for {target}");
     }
     Ok(())
+}
+
+fn c_header(root: &Path, check: bool) -> Result<()> {
+    let mut command = cargo(
+        root,
+        &["test", "--quiet", "-p", "tandem-capi", "--test", "header"],
+    );
+    if !check {
+        command.env("TANDEM_WRITE_HEADER", "1");
+    }
+    run(command)
 }
 
 fn loom(root: &Path) -> Result<()> {

@@ -1,0 +1,197 @@
+//! Memory that C gives: objects in it, values read from it, results written to it.
+//!
+//! All unsafe code that follows a pointer from C is here. The numbers in the `SAFETY` comments are
+//! those of the caller's contract at the head of the crate.
+
+use crate::TandemStatus;
+use core::mem::MaybeUninit;
+
+/// A type of C whose memory holds a value of Rust.
+///
+/// # Safety
+/// [`fits`] holds for the two, and every bit pattern is a value of the implementing type.
+pub(crate) unsafe trait Opaque {
+    /// What is in it.
+    type Inner;
+    /// The mark of an attached object of this type; not 0, and no other type's.
+    const MARK: u32;
+}
+
+/// How a value of Rust lies in memory of C.
+#[repr(C)]
+pub(crate) struct Cell<T> {
+    /// [`Opaque::MARK`], [`IN_USE`], or anything else: not attached.
+    mark: u32,
+    value: MaybeUninit<T>,
+}
+
+/// The mark while a handler of C runs inside a call.
+const IN_USE: u32 = 0x7D00_FFFF;
+
+/// Whether a [`Cell`] with `T` has room in `O`.
+pub(crate) const fn fits<O, T>() -> bool {
+    size_of::<Cell<T>>() <= size_of::<O>() && align_of::<Cell<T>>() <= align_of::<O>()
+}
+
+/// Gives a type of C its content, and checks at compile time that it has room.
+macro_rules! opaque {
+    ($outer:ty, $inner:ty, $mark:literal) => {
+        const _: () = assert!(
+            $crate::cell::fits::<$outer, $inner>(),
+            "the opaque type is too small"
+        );
+        // SAFETY: checked by the line above; the type is an array of integers.
+        unsafe impl $crate::cell::Opaque for $outer {
+            type Inner = $inner;
+            const MARK: u32 = 0x7D00_0000 | $mark;
+        }
+    };
+}
+pub(crate) use opaque;
+
+fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
+    if pointer.is_null() || !pointer.is_aligned() {
+        return Err(TandemStatus::BadPointer);
+    }
+    Ok(pointer)
+}
+
+/// Puts a value into the memory of an object, whatever was there. An earlier value is forgotten,
+/// not dropped: the memory may hold anything.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn put<O: Opaque>(
+    object: *mut O,
+    value: O::Inner,
+) -> Result<TandemStatus, TandemStatus> {
+    let cell = checked(object)?.cast::<Cell<O::Inner>>();
+    // SAFETY: not null and aligned; room by `Opaque`; ours alone for the call by 1 and 3.
+    unsafe {
+        (&raw mut (*cell).value).write(MaybeUninit::new(value));
+        (&raw mut (*cell).mark).write(O::MARK);
+    }
+    Ok(TandemStatus::Ok)
+}
+
+/// The cell of an attached object.
+///
+/// # Safety
+/// 1 of the caller's contract.
+unsafe fn attached<O: Opaque>(object: *mut O) -> Result<*mut Cell<O::Inner>, TandemStatus> {
+    let cell = checked(object)?.cast::<Cell<O::Inner>>();
+    // SAFETY: not null and aligned, memory of the type by 1; any bits are a mark.
+    match unsafe { (&raw const (*cell).mark).read() } {
+        mark if mark == O::MARK => Ok(cell),
+        IN_USE => Err(TandemStatus::Busy),
+        _ => Err(TandemStatus::NotAttached),
+    }
+}
+
+/// The value in an attached object, for one call that runs no code of C.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract; the reference ends with the call.
+pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inner, TandemStatus> {
+    // SAFETY: 1 is passed on.
+    let cell = unsafe { attached(object) }?;
+    // SAFETY: the mark says that `put` has been here; ours alone for the call by 3.
+    Ok(unsafe { (*cell).value.assume_init_mut() })
+}
+
+/// The value in an attached object that several contexts of a core share.
+///
+/// # Safety
+/// 1 of the caller's contract; nobody attaches the object anew meanwhile.
+pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inner, TandemStatus> {
+    // SAFETY: 1 is passed on; nothing is written through the pointer.
+    let cell = unsafe { attached(object.cast_mut()) }?;
+    // SAFETY: the mark says that `put` has been here, and all others only read.
+    Ok(unsafe { (*cell).value.assume_init_ref() })
+}
+
+/// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C, and
+/// that may come back to the same object.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn occupy<O: Opaque, R>(
+    object: *mut O,
+    call: impl FnOnce(&mut O::Inner) -> R,
+) -> Result<R, TandemStatus> {
+    // SAFETY: 1 is passed on.
+    let cell = unsafe { attached(object) }?;
+    // SAFETY: as in `get`; the mark keeps calls out that come while `call` runs, so the reference
+    // to the value is the only one. The mark is no part of the value.
+    unsafe {
+        (&raw mut (*cell).mark).write(IN_USE);
+        let result = call((*cell).value.assume_init_mut());
+        (&raw mut (*cell).mark).write(O::MARK);
+        Ok(result)
+    }
+}
+
+/// A plain value from memory of C. `T` is made of integers and pointers only.
+///
+/// # Safety
+/// 1 of the caller's contract; the memory is initialised.
+pub(crate) unsafe fn read<T: Copy>(from: *const T) -> Result<T, TandemStatus> {
+    let from = checked(from.cast_mut())?;
+    // SAFETY: not null and aligned; initialised by the contract.
+    Ok(unsafe { from.read() })
+}
+
+/// Writes a result to memory of C, which need not be initialised.
+///
+/// # Safety
+/// 1 of the caller's contract.
+pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> {
+    let to = checked(to)?;
+    // SAFETY: not null and aligned, memory of the type by 1.
+    unsafe { to.write(value) };
+    Ok(())
+}
+
+/// Whether a result could be written there: to be asked before something is done that a bad pointer
+/// must not leave half-done.
+pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
+    checked(to).map(|_| ())
+}
+
+/// Plain words of C. `count` of 0 gives an empty slice, whatever the pointer.
+///
+/// # Safety
+/// 1 of the caller's contract, for `count` words that nobody writes meanwhile.
+pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u32], TandemStatus> {
+    if count == 0 {
+        return Ok(&[]);
+    }
+    if count > MAX_COUNT {
+        return Err(TandemStatus::OutOfRange);
+    }
+    let first = checked(first.cast_mut())?;
+    // SAFETY: not null and aligned; so many words by the contract.
+    Ok(unsafe { core::slice::from_raw_parts(first, count) })
+}
+
+/// Plain words of C to write to. `count` of 0 gives an empty slice, whatever the pointer.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract, for `count` initialised words.
+pub(crate) unsafe fn words_mut<'c>(
+    first: *mut u32,
+    count: usize,
+) -> Result<&'c mut [u32], TandemStatus> {
+    if count == 0 {
+        return Ok(&mut []);
+    }
+    if count > MAX_COUNT {
+        return Err(TandemStatus::OutOfRange);
+    }
+    let first = checked(first)?;
+    // SAFETY: not null and aligned; so many words, ours for the call, by the contract.
+    Ok(unsafe { core::slice::from_raw_parts_mut(first, count) })
+}
+
+/// More words than any slot or pool has.
+const MAX_COUNT: usize = 1 << 16;

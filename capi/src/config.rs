@@ -1,0 +1,153 @@
+//! The configuration of the redundancy.
+
+use crate::cell;
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use tandem_board::Duration;
+use tandem_redundancy::Config;
+
+/// Periods and limits of the redundancy; both systems must use the same. Times in microseconds.
+/// Begin with `tandem_config_rt`, change what must be, and let `tandem_config_check` say whether
+/// the values still fit together. What each means, and why it has its value, stands in
+/// `docs/redundancy.md`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemConfig {
+    /// Time between two heartbeats on each line.
+    pub heartbeat_period_us: u32,
+    /// How many heartbeats in a row must be missing before a line counts as silent.
+    pub heartbeat_misses: u32,
+    /// How much later than due a heartbeat may come on top of that.
+    pub heartbeat_jitter_us: u32,
+    /// Longest time between two polls.
+    pub poll_interval_us: u32,
+    /// After how long a silence of both lines the master gives up its standby.
+    pub standby_limit_us: u32,
+    /// Period of the control frames.
+    pub control_period_us: u32,
+    /// How much later than due a control frame may come.
+    pub control_margin_us: u32,
+    /// How many periods without a control frame make a master mute.
+    pub mute_periods: u32,
+    /// Time between two handshake edges.
+    pub handshake_period_us: u32,
+    /// How long a system waits at power-on for the other's handshake.
+    pub start_limit_us: u32,
+    /// How much longer B waits than A wherever both might act at once.
+    pub stagger_us: u32,
+    /// How much longer B waits before its sync edge.
+    pub sync_stagger_us: u32,
+    /// How long a standby that has heard a handshake waits for the sync edge.
+    pub promote_limit_us: u32,
+    /// How long heartbeats must have been back before the other system counts as recovered.
+    pub recover_after_us: u32,
+    /// Not 0: dual operation resumes at run time when the other system has recovered.
+    pub reintegrate: u32,
+    /// How many abnormal resets in a row are tolerated, 1 ..= 255.
+    pub abnormal_limit: u32,
+    /// Operation without a reset for this long ends a row of abnormal resets.
+    pub healthy_after_us: u32,
+    /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
+    /// circuit.
+    pub can_open_limit_us: u32,
+    /// How long a report of the other system holds.
+    pub report_limit_us: u32,
+}
+
+impl From<Config> for TandemConfig {
+    fn from(config: Config) -> Self {
+        let us = |span: Duration| span.as_us() as u32;
+        Self {
+            heartbeat_period_us: us(config.heartbeat_period),
+            heartbeat_misses: config.heartbeat_misses,
+            heartbeat_jitter_us: us(config.heartbeat_jitter),
+            poll_interval_us: us(config.poll_interval),
+            standby_limit_us: us(config.standby_limit),
+            control_period_us: us(config.control_period),
+            control_margin_us: us(config.control_margin),
+            mute_periods: config.mute_periods,
+            handshake_period_us: us(config.handshake_period),
+            start_limit_us: us(config.start_limit),
+            stagger_us: us(config.stagger),
+            sync_stagger_us: us(config.sync_stagger),
+            promote_limit_us: us(config.promote_limit),
+            recover_after_us: us(config.recover_after),
+            reintegrate: config.reintegrate.into(),
+            abnormal_limit: config.abnormal_limit.into(),
+            healthy_after_us: us(config.healthy_after),
+            can_open_limit_us: us(config.can_open_limit),
+            report_limit_us: us(config.report_limit),
+        }
+    }
+}
+
+impl TandemConfig {
+    /// The configuration, if its values fit together.
+    pub(crate) fn checked(&self) -> Result<Config, S> {
+        let span = |us: u32| Duration::from_us(us.into());
+        let config = Config {
+            heartbeat_period: span(self.heartbeat_period_us),
+            heartbeat_misses: self.heartbeat_misses,
+            heartbeat_jitter: span(self.heartbeat_jitter_us),
+            poll_interval: span(self.poll_interval_us),
+            standby_limit: span(self.standby_limit_us),
+            control_period: span(self.control_period_us),
+            control_margin: span(self.control_margin_us),
+            mute_periods: self.mute_periods,
+            handshake_period: span(self.handshake_period_us),
+            start_limit: span(self.start_limit_us),
+            stagger: span(self.stagger_us),
+            sync_stagger: span(self.sync_stagger_us),
+            promote_limit: span(self.promote_limit_us),
+            recover_after: span(self.recover_after_us),
+            reintegrate: self.reintegrate != 0,
+            abnormal_limit: u8::try_from(self.abnormal_limit).map_err(|_| S::OutOfRange)?,
+            healthy_after: span(self.healthy_after_us),
+            can_open_limit: span(self.can_open_limit_us),
+            report_limit: span(self.report_limit_us),
+        };
+        if config.check() {
+            Ok(config)
+        } else {
+            Err(S::OutOfRange)
+        }
+    }
+}
+
+/// The profile for firmware: systems whose timers are late by far less than a millisecond.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::write(config, Config::rt().into()) }?;
+        Ok(S::Ok)
+    })
+}
+
+/// The profile for ordinary processes on a desktop.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_config_desktop(config: *mut TandemConfig) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::write(config, Config::desktop().into()) }?;
+        Ok(S::Ok)
+    })
+}
+
+/// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_config_check(config: *const TandemConfig) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::read(config) }?.checked()?;
+        Ok(S::Ok)
+    })
+}

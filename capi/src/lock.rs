@@ -1,0 +1,139 @@
+//! The lock.
+
+use crate::cell::{self, opaque};
+use crate::map::{self, TandemMap};
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use core::ffi::c_void;
+use tandem_shm::lock::{Acquired, Held, Lock, WORDS};
+use tandem_shm::sync::spin;
+
+/// Words of a lock.
+pub const TANDEM_LOCK_WORDS: usize = 16;
+
+const _: () = assert!(TANDEM_LOCK_WORDS == WORDS);
+
+/// One end of a lock: one for each task that takes it. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemLock {
+    /// Private.
+    pub opaque: [usize; 13],
+}
+
+pub(crate) struct End {
+    lock: Lock<'static>,
+    held: Option<Held<'static>>,
+}
+
+opaque!(TandemLock, End, 0x03);
+
+/// Passes the time of `spins` spins (1 ..= 64) between two looks at a lock: yields or sleeps.
+pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
+
+/// Attaches to the lock in region `region`, as life `generation` of core `core`, which was
+/// announced. A lock that an earlier life held is not released by this, but recovered by the next
+/// taker. Task; does not block.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_lock_attach(
+    lock: *mut TandemLock,
+    map: *const TandemMap,
+    region: usize,
+    core: u32,
+    generation: u32,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let (words, lives) = (map::region(map, region)?, map::lives(map)?);
+            let lock_end = Lock::attach(words, map::life(core, generation)?, lives)?;
+            let end = End {
+                lock: lock_end,
+                held: None,
+            };
+            cell::put(lock, end)
+        }
+    })
+}
+
+/// Takes the lock, after at most `looks` looks at it (at least 1). `relax` passes the time between
+/// two looks; null spins. Task; blocks for no longer than the looks take.
+///
+/// `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
+/// from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
+/// `TANDEM_STATUS_BUSY`: this end holds it already.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_lock_acquire(
+    lock: *mut TandemLock,
+    looks: u32,
+    relax: TandemRelax,
+    context: *mut c_void,
+) -> TandemStatus {
+    let relax = |spins| match relax {
+        // SAFETY: a function of C with this signature, called with the context that it came with.
+        Some(relax) => unsafe { relax(context, spins) },
+        None => spin(spins),
+    };
+    let take = |end: &mut End| match end.held {
+        Some(_) => Err(S::Busy),
+        None => {
+            let acquired = end.lock.lock(looks.max(1), relax);
+            acquired
+                .map(|acquired| keep(&mut end.held, acquired))
+                .map_err(|_| S::TimedOut)
+        }
+    };
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::occupy(lock, take) }?)
+}
+
+fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S {
+    let recovered = acquired.is_recovered();
+    *held = Some(acquired.into_guard().detach());
+    if recovered { S::Recovered } else { S::Ok }
+}
+
+/// Takes the lock if it is free and no waiting core comes before this one. Any context; does not
+/// block.
+///
+/// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if it is not to be had.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let end = unsafe { cell::get(lock) }?;
+        if end.held.is_some() {
+            return Err(S::Busy);
+        }
+        let acquired = end.lock.try_lock().ok_or(S::Busy)?;
+        Ok(keep(&mut end.held, acquired))
+    })
+}
+
+/// Gives the lock back. Any context; does not block.
+///
+/// `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_lock_release(lock: *mut TandemLock) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        match unsafe { cell::get(lock) }?.held.take() {
+            Some(held) => {
+                drop(held);
+                Ok(S::Ok)
+            }
+            None => Err(S::NothingToEnd),
+        }
+    })
+}

@@ -1,0 +1,254 @@
+//! The sync mailbox, with handlers of C.
+
+use crate::cell::{self, opaque};
+use crate::map::{self, TandemMap};
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use core::ffi::c_void;
+use tandem_shm::mailbox::{MAX_TASK, Receiver, Ring, Sender, TaskId, WORDS};
+
+/// Words of a mailbox.
+pub const TANDEM_MAILBOX_WORDS: usize = 48;
+/// Tasks are numbered from 1 to this; 0 is none.
+pub const TANDEM_MAX_TASK: u32 = 15;
+
+const _: () = assert!(TANDEM_MAILBOX_WORDS == WORDS && TANDEM_MAX_TASK == MAX_TASK as u32);
+
+/// The sending end of a mailbox; all tasks and handlers of the sending core may share it. Static,
+/// zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemMailboxSender {
+    /// Private.
+    pub opaque: [usize; 3],
+}
+
+/// The receiving end of a mailbox with the handlers of its tasks. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemMailboxReceiver {
+    /// Private.
+    pub opaque: [usize; 56],
+}
+
+/// What a task does when it is signalled: `count` signals (at least 1) at once. Runs inside
+/// `tandem_mailbox_poll`.
+pub type TandemTask = Option<unsafe extern "C" fn(context: *mut c_void, task: u32, count: u32)>;
+
+#[derive(Clone, Copy)]
+struct Entry {
+    run: TandemTask,
+    context: *mut c_void,
+}
+
+pub(crate) struct Table {
+    receiver: Receiver<'static>,
+    tasks: [Entry; TANDEM_MAX_TASK as usize + 1],
+    unknown: u32,
+}
+
+opaque!(TandemMailboxSender, Sender<'static>, 0x04);
+opaque!(TandemMailboxReceiver, Table, 0x05);
+
+fn task_id(task: u32) -> Result<TaskId, S> {
+    u8::try_from(task)
+        .ok()
+        .and_then(TaskId::new)
+        .ok_or(S::OutOfRange)
+}
+
+/// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
+/// once afterwards: an earlier life may not have come so far. Task; does not block.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_sender_attach(
+    sender: *mut TandemMailboxSender,
+    map: *const TandemMap,
+    region: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::put(sender, Sender::attach(map::region(map, region)?)?) })
+}
+
+/// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
+/// visible to its handler; no signal is lost. Any context; does not block.
+///
+/// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
+///
+/// # Safety
+/// 1 and 2 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_signal(
+    sender: *const TandemMailboxSender,
+    task: u32,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on; attached once, then only read.
+        let sender = unsafe { cell::share(sender) }?;
+        Ok(match sender.signal(task_id(task)?) {
+            Ring::Needed => S::RingNeeded,
+            Ring::NotNeeded => S::Ok,
+        })
+    })
+}
+
+/// How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
+/// does not block.
+///
+/// # Safety
+/// 1 and 2 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_open(sender: *const TandemMailboxSender, task: u32) -> u32 {
+    // SAFETY: the caller's contract is passed on; attached once, then only read.
+    let sender = unsafe { cell::share(sender) };
+    match (sender, task_id(task)) {
+        (Ok(sender), Ok(task)) => sender.open(task),
+        _ => 0,
+    }
+}
+
+/// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
+/// an earlier life of this core left open come with the first poll. Task; does not block.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
+    receiver: *mut TandemMailboxReceiver,
+    map: *const TandemMap,
+    region: usize,
+) -> TandemStatus {
+    status(|| {
+        const NONE: Entry = Entry {
+            run: None,
+            context: core::ptr::null_mut(),
+        };
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let table = Table {
+                receiver: Receiver::attach(map::region(map, region)?)?,
+                tasks: [NONE; TANDEM_MAX_TASK as usize + 1],
+                unknown: 0,
+            };
+            cell::put(receiver, table)
+        }
+    })
+}
+
+/// Gives task `task` (1 ..= 15) a handler, which is called with `context`. Task; does not block.
+///
+/// `TANDEM_STATUS_TAKEN` if it has one, `TANDEM_STATUS_BAD_POINTER` without a handler.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract; `run` may be called with `context` as long as the receiver is
+/// polled.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_add_task(
+    receiver: *mut TandemMailboxReceiver,
+    task: u32,
+    run: TandemTask,
+    context: *mut c_void,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let table = unsafe { cell::get(receiver) }?;
+        let entry = &mut table.tasks[task_id(task)?.index()];
+        match (run, entry.run) {
+            (None, _) => Err(S::BadPointer),
+            (_, Some(_)) => Err(S::Taken),
+            _ => {
+                *entry = Entry { run, context };
+                Ok(S::Ok)
+            }
+        }
+    })
+}
+
+/// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
+/// signals there were to `signals` (null: nobody wants to know). One look and bounded; what comes
+/// meanwhile is left to the next call. Task or handler, always the same; does not block.
+///
+/// `TANDEM_STATUS_EMPTY` if there was none.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_poll(
+    receiver: *mut TandemMailboxReceiver,
+    signals: *mut u32,
+) -> TandemStatus {
+    let poll = |table: &mut Table| {
+        let Table {
+            receiver,
+            tasks,
+            unknown,
+        } = table;
+        receiver.poll(|task, count| match tasks[task.index()] {
+            Entry {
+                run: Some(run),
+                context,
+            } => {
+                let number = task.index() as u32;
+                // SAFETY: a function of C with this signature, and the context it came with.
+                unsafe { run(context, number, count) }
+            }
+            Entry { run: None, .. } => *unknown = unknown.wrapping_add(count),
+        })
+    };
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let count = unsafe { cell::occupy(receiver, poll) }?;
+        if !signals.is_null() {
+            // SAFETY: 1 of the caller's contract.
+            unsafe { cell::write(signals, count) }?;
+        }
+        if count == 0 { Err(S::Empty) } else { Ok(S::Ok) }
+    })
+}
+
+/// How many signals named a task without a handler; they count as handled. Task; does not block.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxReceiver) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(receiver) }.map_or(0, |table| table.unknown)
+}
+
+/// Says that this core is going to sleep: from now on signals want the doorbell. Disable
+/// interrupts, call this, sleep on `TANDEM_STATUS_OK`, enable them, call `tandem_mailbox_awake`.
+/// Does not block.
+///
+/// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are there: poll instead.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
+    receiver: *mut TandemMailboxReceiver,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        match unsafe { cell::get(receiver) }?.receiver.prepare_sleep() {
+            true => Ok(S::Ok),
+            false => Err(S::DoNotSleep),
+        }
+    })
+}
+
+/// Says that this core is awake: signals need no doorbell. Does not block.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_awake(
+    receiver: *mut TandemMailboxReceiver,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::get(receiver) }?.receiver.awake();
+        Ok(S::Ok)
+    })
+}

@@ -1,0 +1,340 @@
+//! The LMU: layout, map, lives.
+
+use crate::cell::{self, opaque};
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use core::ffi::{CStr, c_char, c_void};
+use core::sync::atomic::AtomicU32;
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::map::{AttachError, Layout, Map, Region};
+
+/// Cores that share an LMU; they are numbered from 0.
+pub const TANDEM_CORES: usize = 3;
+/// The most regions of a layout.
+pub const TANDEM_MAX_REGIONS: usize = 32;
+/// The longest name of a region, in bytes.
+pub const TANDEM_MAX_NAME: usize = 31;
+
+const _: () = assert!(TANDEM_CORES == tandem_shm::life::CORES);
+
+/// One region of a layout. Names and sizes, in order, are the same in every image of a system,
+/// whether in C or in Rust.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemRegion {
+    /// The name: UTF-8, at most `TANDEM_MAX_NAME` bytes, in memory that stays.
+    pub name: *const c_char,
+    /// How many words of 4 bytes are asked for: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
+    pub words: usize,
+}
+
+/// A layout of an LMU. Static, zero at first; `tandem_layout_init` makes it one.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemLayout {
+    /// Private.
+    pub opaque: [usize; 98],
+}
+
+/// An LMU that this core is attached to. Static, zero at first; `tandem_map_format` or
+/// `tandem_map_attach` makes it one.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemMap {
+    /// Private.
+    pub opaque: [usize; 6],
+}
+
+/// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read
+/// and written whole.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemWords {
+    /// The first word.
+    pub first: *mut TandemWord,
+    /// How many words.
+    pub count: usize,
+}
+
+/// A word of the LMU: `volatile uint32_t` in C.
+#[repr(transparent)]
+#[derive(Debug)]
+pub struct TandemWord(AtomicU32);
+
+impl TandemWords {
+    pub(crate) fn of(words: &[AtomicU32]) -> Self {
+        Self {
+            first: words.as_ptr().cast::<TandemWord>().cast_mut(),
+            count: words.len(),
+        }
+    }
+}
+
+/// Regions with room for the largest layout, and how many there are.
+pub(crate) struct Regions {
+    list: [Region; TANDEM_MAX_REGIONS],
+    count: usize,
+}
+
+pub(crate) struct Attached {
+    map: Map<'static>,
+    regions: usize,
+}
+
+opaque!(TandemLayout, Regions, 0x01);
+opaque!(TandemMap, Attached, 0x02);
+
+/// Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`). `layout` must stay where it is
+/// as long as a map uses it. Task; does not block.
+///
+/// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or no UTF-8, or a
+/// size is 0 or above 2^24 words.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_layout_init(
+    layout: *mut TandemLayout,
+    regions: *const TandemRegion,
+    count: usize,
+) -> TandemStatus {
+    status(|| {
+        if count == 0 || count > TANDEM_MAX_REGIONS {
+            return Err(S::OutOfRange);
+        }
+        let mut list = [Region::new("", 0); TANDEM_MAX_REGIONS];
+        for (index, region) in list[..count].iter_mut().enumerate() {
+            // SAFETY: 1 of the caller's contract, for `count` regions.
+            let given = unsafe { cell::read(regions.wrapping_add(index)) }?;
+            if given.words == 0 || given.words > 1 << 24 {
+                return Err(S::OutOfRange);
+            }
+            // SAFETY: the name stays, as the documentation of the field demands.
+            *region = Region::new(unsafe { name(given.name) }?, given.words);
+        }
+        // SAFETY: 1 and 3 of the caller's contract.
+        unsafe { cell::put(layout, Regions { list, count }) }
+    })
+}
+
+/// A string of C, of at most [`TANDEM_MAX_NAME`] bytes.
+///
+/// # Safety
+/// Null, or a string that ends with 0, or memory of so many bytes; it stays.
+unsafe fn name(first: *const c_char) -> Result<&'static str, S> {
+    if first.is_null() {
+        return Err(S::BadPointer);
+    }
+    // SAFETY: reads no further than the end of the string.
+    let len = (0..=TANDEM_MAX_NAME).find(|&at| unsafe { first.add(at).read() } == 0);
+    if len.is_none() {
+        return Err(S::OutOfRange);
+    }
+    // SAFETY: the end was found.
+    let name = unsafe { CStr::from_ptr(first) };
+    name.to_str().map_err(|_| S::OutOfRange)
+}
+
+/// Formats an LMU of `bytes` bytes at `base` (a boundary of 64): zeroes it and writes the layout.
+/// For the boot core or the supply, at power-on, before any other core uses it; a core that is
+/// reset alone attaches instead. Task; takes as long as writing the LMU.
+///
+/// `TANDEM_STATUS_TOO_SMALL`, `TANDEM_STATUS_MISALIGNED`
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_map_format(
+    map: *mut TandemMap,
+    layout: *const TandemLayout,
+    base: *mut c_void,
+    bytes: usize,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let (layout, regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let attached = Attached {
+            map: Map::format(words, layout)?,
+            regions,
+        };
+        // SAFETY: 1 and 3 of the caller's contract.
+        unsafe { cell::put(map, attached) }
+    })
+}
+
+/// Attaches to an LMU that was formatted with the same layout. Task; does not block.
+///
+/// `TANDEM_STATUS_NOT_READY` (try again), `TANDEM_STATUS_WRONG_MAGIC`, `_WRONG_VERSION`,
+/// `_WRONG_LAYOUT`, `_TOO_SMALL`, `_MISALIGNED`
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract; `layout` stays where it is.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_map_attach(
+    map: *mut TandemMap,
+    layout: *const TandemLayout,
+    base: *mut c_void,
+    bytes: usize,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let (layout, regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let found = Map::attach(words, layout).map_err(|error| match error {
+            AttachError::TooSmall => S::TooSmall,
+            AttachError::Misaligned => S::Misaligned,
+            AttachError::NotReady => S::NotReady,
+            AttachError::WrongMagic => S::WrongMagic,
+            AttachError::WrongVersion => S::WrongVersion,
+            AttachError::WrongLayout => S::WrongLayout,
+        })?;
+        let attached = Attached {
+            map: found,
+            regions,
+        };
+        // SAFETY: 1 and 3 of the caller's contract.
+        unsafe { cell::put(map, attached) }
+    })
+}
+
+/// # Safety
+/// 1 and 2 of the caller's contract; `layout` stays where it is.
+unsafe fn parts(
+    layout: *const TandemLayout,
+    base: *mut c_void,
+    bytes: usize,
+) -> Result<(Layout, usize, &'static [AtomicU32]), S> {
+    // SAFETY: 1; a layout is written once and then only read.
+    let regions: &'static Regions = unsafe { cell::share(layout) }?;
+    let first = base.cast::<AtomicU32>();
+    if first.is_null() {
+        return Err(S::BadPointer);
+    }
+    if !first.addr().is_multiple_of(64) {
+        return Err(S::Misaligned);
+    }
+    if bytes > isize::MAX as usize {
+        return Err(S::OutOfRange);
+    }
+    // SAFETY: aligned; by 2 so many bytes are there and stay. Words are atomics, so that other
+    // cores may write them.
+    let words = unsafe { core::slice::from_raw_parts(first, bytes / 4) };
+    Ok((
+        Layout::new(&regions.list[..regions.count]),
+        regions.count,
+        words,
+    ))
+}
+
+/// The words of a region.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn region(
+    map: *const TandemMap,
+    index: usize,
+) -> Result<&'static [AtomicU32], S> {
+    // SAFETY: 1 is passed on; a map is written once and then only read.
+    let attached = unsafe { cell::share(map) }?;
+    if index >= attached.regions {
+        return Err(S::OutOfRange);
+    }
+    Ok(attached.map.region(index))
+}
+
+/// The life table.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn lives(map: *const TandemMap) -> Result<Lives<'static>, S> {
+    // SAFETY: 1 is passed on; a map is written once and then only read.
+    Ok(unsafe { cell::share(map) }?.map.lives())
+}
+
+pub(crate) fn life(core: u32, generation: u32) -> Result<Life, S> {
+    Life::new(core as usize, generation).ok_or(S::OutOfRange)
+}
+
+/// The words of region `index` of the layout, rounded up to whole cache lines: for what this
+/// library does not know. Any context; does not block.
+///
+/// `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_map_region(
+    map: *const TandemMap,
+    index: usize,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let found = region(map, index)?;
+            cell::write(words, TandemWords::of(found))?;
+        }
+        Ok(S::Ok)
+    })
+}
+
+/// Announces life number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an earlier
+/// life of this core owned is free to be taken over from here on. Task; does not block.
+///
+/// `TANDEM_STATUS_OUTDATED` if this life is not the latest, or was marked dead: it must stop.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_life_announce(
+    map: *const TandemMap,
+    core: u32,
+    generation: u32,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let lives = unsafe { lives(map) }?;
+        match lives.announce(life(core, generation)?) {
+            Ok(()) => Ok(S::Ok),
+            Err(_) => Err(S::Outdated),
+        }
+    })
+}
+
+/// Marks a life as dead: it was seen to end and will not run again. For the supervisor of the
+/// cores. Any context; does not block.
+///
+/// `TANDEM_STATUS_OUTDATED` if it is not the announced life: there is nothing to mark.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_life_mark_dead(
+    map: *const TandemMap,
+    core: u32,
+    generation: u32,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let lives = unsafe { lives(map) }?;
+        match lives.mark_dead(life(core, generation)?) {
+            true => Ok(S::Ok),
+            false => Err(S::Outdated),
+        }
+    })
+}
+
+/// The generation of the living life of a core; 0 if it has not begun, is dead, or the arguments
+/// are no good. Any context; does not block.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_life_current(map: *const TandemMap, core: u32) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    let lives = unsafe { lives(map) };
+    match (lives, core as usize) {
+        (Ok(lives), core) if core < TANDEM_CORES => {
+            lives.current(core).map_or(0, |life| life.generation())
+        }
+        _ => 0,
+    }
+}

@@ -1,0 +1,500 @@
+//! The redundancy machine: told the time and what was seen, answers what to do.
+
+use crate::cell::{self, opaque};
+use crate::config::TandemConfig;
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use crate::store::{TandemLoaded, TandemState, failure_mode};
+use tandem_board::{Edge, Instant, ResetCause, ResetRequest, SystemId};
+use tandem_redundancy::{
+    Actions, ControlFrame, Input, Mode, PeerReport, Redundancy, Role, Snapshot, Term,
+};
+
+/// System A.
+pub const TANDEM_SYSTEM_A: u32 = 0;
+/// System B.
+pub const TANDEM_SYSTEM_B: u32 = 1;
+
+/// Power came on.
+pub const TANDEM_CAUSE_POWER_ON: u32 = 0;
+/// The software asked for the reset.
+pub const TANDEM_CAUSE_SOFTWARE: u32 = 1;
+/// A watchdog was not serviced as it must be.
+pub const TANDEM_CAUSE_WATCHDOG: u32 = 2;
+/// A core trapped or died.
+pub const TANDEM_CAUSE_TRAP: u32 = 3;
+
+/// Role: not yet in one.
+pub const TANDEM_ROLE_STARTING: u32 = 0;
+/// Role: drives the vehicle.
+pub const TANDEM_ROLE_MASTER: u32 = 1;
+/// Role: computes silently.
+pub const TANDEM_ROLE_STANDBY: u32 = 2;
+/// Role: has failed and stays silent.
+pub const TANDEM_ROLE_SUSPENDED: u32 = 3;
+
+/// Mode: no driving function.
+pub const TANDEM_MODE_NONE: u32 = 0;
+/// Mode: automated driving with both systems healthy.
+pub const TANDEM_MODE_L3: u32 = 1;
+/// Mode: lane and distance keeping by the system that is left.
+pub const TANDEM_MODE_DEGRADED_L2: u32 = 2;
+/// Mode: bringing the vehicle to a stop.
+pub const TANDEM_MODE_SAFE_STOP: u32 = 3;
+
+const _: () = {
+    assert!(Role::Starting.code() as u32 == TANDEM_ROLE_STARTING);
+    assert!(Role::Master.code() as u32 == TANDEM_ROLE_MASTER);
+    assert!(Role::Standby.code() as u32 == TANDEM_ROLE_STANDBY);
+    assert!(Role::Suspended.code() as u32 == TANDEM_ROLE_SUSPENDED);
+    assert!(Mode::None.code() as u32 == TANDEM_MODE_NONE);
+    assert!(Mode::L3.code() as u32 == TANDEM_MODE_L3);
+    assert!(Mode::DegradedL2.code() as u32 == TANDEM_MODE_DEGRADED_L2);
+    assert!(Mode::SafeStop.code() as u32 == TANDEM_MODE_SAFE_STOP);
+};
+
+/// No edge.
+pub const TANDEM_EDGE_NONE: u32 = 0;
+/// A rising edge.
+pub const TANDEM_EDGE_RISING: u32 = 1;
+/// A falling edge.
+pub const TANDEM_EDGE_FALLING: u32 = 2;
+
+/// No reset.
+pub const TANDEM_RESET_NONE: u32 = 0;
+/// An orderly restart.
+pub const TANDEM_RESET_SOFTWARE: u32 = 1;
+/// A core of this system does not answer.
+pub const TANDEM_RESET_CORE_DEAD: u32 = 2;
+/// Hold the system in reset for good.
+pub const TANDEM_RESET_SUSPEND: u32 = 3;
+
+/// Room for the events of one call.
+pub const TANDEM_MAX_EVENTS: usize = 8;
+
+/// The redundancy of one system. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemRedundancy {
+    /// Private.
+    pub opaque: [u64; 96],
+}
+
+opaque!(TandemRedundancy, Redundancy, 0x0E);
+
+/// The lines and the CAN receiver at one moment. Counts run on and wrap around; where they begin
+/// does not matter.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemSnapshot {
+    /// Rising edges on the start line.
+    pub handshakes: u32,
+    /// Falling edges on the start line.
+    pub syncs: u32,
+    /// Edges of either type on heartbeat line 1 and 2.
+    pub beats: [u32; 2],
+    /// Not 0: the other system's power level is high.
+    pub peer_powered: u32,
+    /// Valid frames received on CAN, from whomever.
+    pub can_frames: u32,
+}
+
+/// What stands in a control frame that passed its end-to-end protection.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemControlFrame {
+    /// `TANDEM_SYSTEM_A` or `TANDEM_SYSTEM_B`: the sender.
+    pub system: u32,
+    /// Its mastership term.
+    pub term: u32,
+    /// Its `TANDEM_ROLE_…`.
+    pub role: u32,
+    /// The `TANDEM_MODE_…` that produced the command.
+    pub mode: u32,
+}
+
+/// A system's word about itself: over the link every control cycle, and in its status frame.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemReport {
+    /// Its `TANDEM_ROLE_…`.
+    pub role: u32,
+    /// The `TANDEM_MODE_…` that it runs.
+    pub mode: u32,
+    /// The highest term that it knows.
+    pub term: u32,
+    /// Not 0: it hears frames on CAN.
+    pub can_alive: u32,
+}
+
+/// Words of a report on the link.
+pub const TANDEM_REPORT_WORDS: usize = 3;
+
+const _: () = assert!(TANDEM_REPORT_WORDS == PeerReport::WORDS);
+
+/// What the core must do now. Flags are 0 or 1.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemActions {
+    /// Send a rising edge on the start line.
+    pub handshake: u32,
+    /// Send a falling edge on the start line, after the handshake if both.
+    pub sync: u32,
+    /// A `TANDEM_EDGE_…` to send on both heartbeat lines.
+    pub beat: u32,
+    /// The output has just opened, or a frame was refused until this poll: send a control frame now
+    /// (ask `tandem_redundancy_may_transmit`), do not wait for the next cycle.
+    pub transmit_now: u32,
+    /// The output just closed: discard control frames that wait in the transmit buffer.
+    pub output_closed: u32,
+    /// Dual operation begins now in both systems: align the control cycle to it.
+    pub synchronised: u32,
+    /// Write `state` to the flash: hand it to `tandem_store_request`.
+    pub persist: u32,
+    /// The state, if `persist`.
+    pub state: TandemState,
+    /// A `TANDEM_RESET_…` to ask the supply for, as soon as the store is settled.
+    pub reset: u32,
+    /// How many of `events` there are.
+    pub event_count: u32,
+    /// For the trace: kind and two details each.
+    pub events: [[u32; 3]; TANDEM_MAX_EVENTS],
+    /// Poll again no later than this, in nanoseconds on the clock of the calls.
+    pub deadline_ns: u64,
+}
+
+impl From<Actions> for TandemActions {
+    fn from(actions: Actions) -> Self {
+        let mut events = [[0; 3]; TANDEM_MAX_EVENTS];
+        let mut event_count = 0;
+        for (place, event) in events.iter_mut().zip(actions.events.iter()) {
+            *place = event.to_words();
+            event_count += 1;
+        }
+        let factory = tandem_redundancy::SystemState::factory(SystemId::A);
+        Self {
+            handshake: actions.handshake.into(),
+            sync: actions.sync.into(),
+            beat: match actions.beat.map(|beat| beat.edge) {
+                None => TANDEM_EDGE_NONE,
+                Some(Edge::Rising) => TANDEM_EDGE_RISING,
+                Some(Edge::Falling) => TANDEM_EDGE_FALLING,
+            },
+            transmit_now: actions.transmit_now.into(),
+            output_closed: actions.output_closed.into(),
+            synchronised: actions.synchronised.into(),
+            persist: actions.persist.is_some().into(),
+            state: actions.persist.unwrap_or(factory).into(),
+            reset: match actions.reset {
+                None => TANDEM_RESET_NONE,
+                Some(ResetRequest::Software) => TANDEM_RESET_SOFTWARE,
+                Some(ResetRequest::CoreDead) => TANDEM_RESET_CORE_DEAD,
+                Some(ResetRequest::Suspend) => TANDEM_RESET_SUSPEND,
+            },
+            event_count,
+            events,
+            deadline_ns: actions.deadline.as_ns(),
+        }
+    }
+}
+
+pub(crate) fn system_id(number: u32) -> Result<SystemId, S> {
+    match number {
+        TANDEM_SYSTEM_A => Ok(SystemId::A),
+        TANDEM_SYSTEM_B => Ok(SystemId::B),
+        _ => Err(S::OutOfRange),
+    }
+}
+
+fn role(number: u32) -> Result<Role, S> {
+    let code = u8::try_from(number).ok();
+    code.and_then(Role::from_code).ok_or(S::OutOfRange)
+}
+
+fn mode(number: u32) -> Result<Mode, S> {
+    let code = u8::try_from(number).ok();
+    code.and_then(Mode::from_code).ok_or(S::OutOfRange)
+}
+
+impl TandemReport {
+    fn checked(&self) -> Result<PeerReport, S> {
+        Ok(PeerReport {
+            role: role(self.role)?,
+            mode: mode(self.mode)?,
+            term: Term::from_bits(self.term),
+            can_alive: self.can_alive != 0,
+        })
+    }
+}
+
+impl From<PeerReport> for TandemReport {
+    fn from(report: PeerReport) -> Self {
+        Self {
+            role: report.role.code().into(),
+            mode: report.mode.code().into(),
+            term: report.term.bits(),
+            can_alive: report.can_alive.into(),
+        }
+    }
+}
+
+/// Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
+/// `loaded` what the store found in the flash, `now_ns` the time of the start. Task; does not
+/// block.
+///
+/// `TANDEM_STATUS_OUT_OF_RANGE` if a number is none, or the configuration does not fit together.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_init(
+    machine: *mut TandemRedundancy,
+    config: *const TandemConfig,
+    system: u32,
+    cause: u32,
+    loaded: *const TandemLoaded,
+    now_ns: u64,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let (config, loaded) = unsafe { (cell::read(config)?, cell::read(loaded)?) };
+        let cause = match cause {
+            TANDEM_CAUSE_POWER_ON => ResetCause::PowerOn,
+            TANDEM_CAUSE_SOFTWARE => ResetCause::Software,
+            TANDEM_CAUSE_WATCHDOG => ResetCause::Watchdog,
+            TANDEM_CAUSE_TRAP => ResetCause::Trap,
+            _ => return Err(S::OutOfRange),
+        };
+        let made = Redundancy::new(
+            config.checked()?,
+            system_id(system)?,
+            cause,
+            loaded.checked()?,
+            Instant::from_ns(now_ns),
+        );
+        // SAFETY: 1 and 3 of the caller's contract.
+        unsafe { cell::put(machine, made) }
+    })
+}
+
+/// # Safety
+/// 1 and 3 of the caller's contract.
+unsafe fn tell(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    input: Input,
+    actions: *mut TandemActions,
+) -> Result<S, S> {
+    cell::writable(actions)?;
+    // SAFETY: the caller's contract is passed on.
+    let machine = unsafe { cell::get(machine) }?;
+    let answer = machine.on(Instant::from_ns(now_ns), input);
+    // SAFETY: 1 of the caller's contract.
+    unsafe { cell::write(actions, answer.into()) }?;
+    Ok(S::Ok)
+}
+
+/// The periodic look at the lines; also at once when an edge or the power level interrupts. Hand
+/// over everything from the CAN receiver *before* this. Times must not go back. Any context; does
+/// not block. The actions are to be carried out.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_poll(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    snapshot: *const TandemSnapshot,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let seen = unsafe { cell::read(snapshot) }?;
+        let input = Input::Poll(Snapshot {
+            handshakes: seen.handshakes,
+            syncs: seen.syncs,
+            beats: seen.beats,
+            peer_powered: seen.peer_powered != 0,
+            can_frames: seen.can_frames,
+        });
+        // SAFETY: the caller's contract is passed on.
+        unsafe { tell(machine, now_ns, input, actions) }
+    })
+}
+
+/// A control frame was received on CAN. Any context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_control_frame(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    frame: *const TandemControlFrame,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let frame = unsafe { cell::read(frame) }?;
+        let input = Input::ControlFrame(ControlFrame {
+            system: system_id(frame.system)?,
+            term: Term::from_bits(frame.term),
+            role: role(frame.role)?,
+            mode: mode(frame.mode)?,
+        });
+        // SAFETY: the caller's contract is passed on.
+        unsafe { tell(machine, now_ns, input, actions) }
+    })
+}
+
+/// A status frame of the other system was received on CAN. Any context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_status_frame(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    report: *const TandemReport,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let report = cell::read(report)?.checked()?;
+            tell(machine, now_ns, Input::StatusFrame(report), actions)
+        }
+    })
+}
+
+/// A datagram of the other system came over the link: `words` of `count` words. Any context; does
+/// not block.
+///
+/// `TANDEM_STATUS_INVALID` if it is no report.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract, for `count` words.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_link_report(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    words: *const u32,
+    count: usize,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let report = PeerReport::from_words(cell::words(words, count)?);
+            let input = Input::LinkReport(report.ok_or(S::Invalid)?);
+            tell(machine, now_ns, input, actions)
+        }
+    })
+}
+
+/// The vehicle told the highest term that it has accepted. Any context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    term: u32,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    let input = Input::VehicleTerm(Term::from_bits(term));
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { tell(machine, now_ns, input, actions) })
+}
+
+/// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
+/// context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_own_fault(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    failure: u32,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        let input = Input::OwnFault(failure_mode(failure)?);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { tell(machine, now_ns, input, actions) }
+    })
+}
+
+/// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
+/// send at once. Any context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_may_transmit(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+) -> u32 {
+    let now = Instant::from_ns(now_ns);
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(machine) }.map_or(0, |machine| machine.may_transmit(now).into())
+}
+
+/// The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(machine) }
+        .map_or(TANDEM_ROLE_STARTING, |machine| machine.role().code().into())
+}
+
+/// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(machine) }.map_or(TANDEM_MODE_NONE, |machine| machine.mode().code().into())
+}
+
+/// The term for control frames; meaningful while the system drives. Any context.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(machine) }.map_or(0, |machine| machine.term().bits())
+}
+
+/// What to tell the other system: the datagram for the link goes to `words`
+/// (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
+/// null. Any context; does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract; `words` has room.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_report(
+    machine: *mut TandemRedundancy,
+    words: *mut u32,
+    report: *mut TandemReport,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let said = cell::get(machine)?.link_report();
+            if !words.is_null() {
+                cell::write(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
+            }
+            if !report.is_null() {
+                cell::write(report, said.into())?;
+            }
+        }
+        Ok(S::Ok)
+    })
+}

@@ -1,0 +1,79 @@
+//! What a call came to.
+
+/// What a call came to. Below 16 it did what its name says; from 16 on it did nothing.
+///
+/// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are what another core did. 48
+/// and above are mistakes of the caller.
+#[repr(i32)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TandemStatus {
+    /// Done.
+    Ok = 0,
+    /// The lock is taken, from an owner that died with it: what it guards may be half-changed.
+    Recovered = 1,
+    /// Signalled, and the receiver may be asleep: ring its doorbell.
+    RingNeeded = 2,
+
+    /// Every slot or block is in use.
+    Full = 16,
+    /// There is nothing to receive or to read.
+    Empty = 17,
+    /// Another core is at it, or the object is in use by the call that runs this handler.
+    Busy = 18,
+    /// The lock was not to be had within so many looks.
+    TimedOut = 19,
+    /// The LMU is not formatted yet.
+    NotReady = 20,
+    /// The other end was faster: what was read is void, or values are lost.
+    Overrun = 21,
+    /// There is something to handle: do not sleep.
+    DoNotSleep = 22,
+
+    /// This is no LMU of this project.
+    WrongMagic = 32,
+    /// The LMU was formatted by another version of this library.
+    WrongVersion = 33,
+    /// The LMU was formatted by an image with another layout.
+    WrongLayout = 34,
+    /// A later life of this core is announced, or this one was marked dead: it must stop.
+    Outdated = 35,
+    /// The words were given back, or reclaimed from a dead owner, since.
+    Stale = 36,
+    /// The words belong to another core, or to an earlier life of this one.
+    NotOwner = 37,
+    /// The handle or the datagram is none: forged or scribbled on.
+    Invalid = 38,
+    /// The other core is not alive.
+    ReceiverDead = 39,
+
+    /// A pointer is null or not aligned.
+    BadPointer = 48,
+    /// A number is out of its range.
+    OutOfRange = 49,
+    /// The object was not attached.
+    NotAttached = 50,
+    /// The memory is smaller than the layout, or the region than what is to live in it.
+    TooSmall = 51,
+    /// The memory does not begin at a boundary of 64 bytes.
+    Misaligned = 52,
+    /// Nothing is lent, held or under way that this call could end.
+    NothingToEnd = 53,
+    /// The task id has a handler already.
+    Taken = 54,
+}
+
+impl From<tandem_shm::FitError> for TandemStatus {
+    fn from(error: tandem_shm::FitError) -> Self {
+        match error {
+            tandem_shm::FitError::TooSmall => Self::TooSmall,
+            tandem_shm::FitError::Misaligned => Self::Misaligned,
+        }
+    }
+}
+
+/// The status of a call, whichever way it ended.
+pub(crate) fn status(call: impl FnOnce() -> Result<TandemStatus, TandemStatus>) -> TandemStatus {
+    match call() {
+        Ok(status) | Err(status) => status,
+    }
+}

@@ -1,0 +1,323 @@
+//! The state of the redundancy in data flash.
+
+use crate::cell::{self, opaque};
+use crate::redundancy::system_id;
+use crate::status::{TandemStatus, TandemStatus as S, status};
+use core::ffi::c_void;
+use tandem_board::{FlashError, FlashStatus};
+use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
+
+/// Bytes of a record in the flash.
+pub const TANDEM_RECORD_BYTES: usize = 32;
+
+const _: () = assert!(TANDEM_RECORD_BYTES == SystemState::BYTES);
+
+/// What a system knows about itself and the other beyond its own life.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TandemState {
+    /// Not 0: it was master last, or was initialised as master.
+    pub is_master: u32,
+    /// Not 0: this system has failed and stays suspended.
+    pub sys_failure: u32,
+    /// What failed in this system: a `TANDEM_FAILURE_…`.
+    pub failure_mode: u32,
+    /// Not 0: the other system is taken for failed.
+    pub cpsys_failure: u32,
+    /// Abnormal resets so far.
+    pub abn_resets: u32,
+    /// Starts so far.
+    pub total_resets: u32,
+    /// Abnormal resets since the last time that this system ran well for long enough, 0 ..= 255.
+    pub abn_in_a_row: u32,
+    /// The highest mastership term seen or used.
+    pub term: u32,
+}
+
+/// No fault.
+pub const TANDEM_FAILURE_NONE: u32 = 0;
+/// Too many abnormal resets in a row.
+pub const TANDEM_FAILURE_ABNORMAL_RESETS: u32 = 1;
+/// Nothing is heard on a CAN bus that is alive.
+pub const TANDEM_FAILURE_CAN_OPEN_CIRCUIT: u32 = 2;
+/// The output driver's diagnosis register reports a fault.
+pub const TANDEM_FAILURE_IO_MODULE: u32 = 3;
+/// Core 1 does not answer.
+pub const TANDEM_FAILURE_PERCEPTION_CORE: u32 = 4;
+/// Core 2 does not answer.
+pub const TANDEM_FAILURE_PLANNING_CORE: u32 = 5;
+/// Control cycles are late again and again.
+pub const TANDEM_FAILURE_DEADLINE: u32 = 6;
+/// No mastership term is left.
+pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
+
+const _: () = {
+    use FailureMode as F;
+    assert!(F::AbnormalResets.code() as u32 == TANDEM_FAILURE_ABNORMAL_RESETS);
+    assert!(F::CanOpenCircuit.code() as u32 == TANDEM_FAILURE_CAN_OPEN_CIRCUIT);
+    assert!(F::IoModule.code() as u32 == TANDEM_FAILURE_IO_MODULE);
+    assert!(F::PerceptionCore.code() as u32 == TANDEM_FAILURE_PERCEPTION_CORE);
+    assert!(F::PlanningCore.code() as u32 == TANDEM_FAILURE_PLANNING_CORE);
+    assert!(F::Deadline.code() as u32 == TANDEM_FAILURE_DEADLINE);
+    assert!(F::TermsExhausted.code() as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
+};
+
+/// A state was found in the flash.
+pub const TANDEM_LOADED_STATE: u32 = 0;
+/// The flash was never written.
+pub const TANDEM_LOADED_BLANK: u32 = 1;
+/// There is something in the flash, but no valid record.
+pub const TANDEM_LOADED_LOST: u32 = 2;
+
+/// What was found in the flash.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemLoaded {
+    /// A `TANDEM_LOADED_…`.
+    pub kind: u32,
+    /// The state, if `kind` is `TANDEM_LOADED_STATE`.
+    pub state: TandemState,
+}
+
+/// Nothing is to be started.
+pub const TANDEM_FLASH_NOTHING: u32 = 0;
+/// Erase sector `sector`.
+pub const TANDEM_FLASH_ERASE: u32 = 1;
+/// Program `data` at `offset`.
+pub const TANDEM_FLASH_PROGRAM: u32 = 2;
+
+/// The next operation on the flash.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemFlashOp {
+    /// `TANDEM_FLASH_NOTHING`, `TANDEM_FLASH_ERASE` or `TANDEM_FLASH_PROGRAM`.
+    pub kind: u32,
+    /// The number of the sector in the flash.
+    pub sector: u32,
+    /// Bytes from the begin of the flash.
+    pub offset: u32,
+    /// One record.
+    pub data: [u8; TANDEM_RECORD_BYTES],
+}
+
+/// The flash is ready; its last operation is durable.
+pub const TANDEM_FLASH_IDLE: u32 = 0;
+/// An operation is under way.
+pub const TANDEM_FLASH_BUSY: u32 = 1;
+/// The last operation failed.
+pub const TANDEM_FLASH_FAILED: u32 = 2;
+
+/// Writes states to two sectors of the flash, one operation at a time, without waiting. Static,
+/// zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemStore {
+    /// Private.
+    pub opaque: [u64; 16],
+}
+
+opaque!(TandemStore, StateStore, 0x0D);
+
+/// Copies `count` bytes from `offset` of the flash to `into`; returns 0 on success.
+pub type TandemFlashRead = Option<
+    unsafe extern "C" fn(context: *mut c_void, offset: u32, into: *mut u8, count: u32) -> i32,
+>;
+
+impl From<SystemState> for TandemState {
+    fn from(state: SystemState) -> Self {
+        Self {
+            is_master: state.is_master.into(),
+            sys_failure: state.sys_failure.into(),
+            failure_mode: state.failure_mode.code().into(),
+            cpsys_failure: state.cpsys_failure.into(),
+            abn_resets: state.abn_resets,
+            total_resets: state.total_resets,
+            abn_in_a_row: state.abn_in_a_row.into(),
+            term: state.term.bits(),
+        }
+    }
+}
+
+pub(crate) fn failure_mode(number: u32) -> Result<FailureMode, S> {
+    let number = u8::try_from(number).map_err(|_| S::OutOfRange)?;
+    Ok(FailureMode::from_code(number))
+}
+
+impl TandemState {
+    pub(crate) fn checked(&self) -> Result<SystemState, S> {
+        Ok(SystemState {
+            is_master: self.is_master != 0,
+            sys_failure: self.sys_failure != 0,
+            failure_mode: failure_mode(self.failure_mode)?,
+            cpsys_failure: self.cpsys_failure != 0,
+            abn_resets: self.abn_resets,
+            total_resets: self.total_resets,
+            abn_in_a_row: u8::try_from(self.abn_in_a_row).map_err(|_| S::OutOfRange)?,
+            term: Term::from_bits(self.term),
+        })
+    }
+}
+
+impl TandemLoaded {
+    pub(crate) fn checked(&self) -> Result<Loaded, S> {
+        match self.kind {
+            TANDEM_LOADED_STATE => Ok(Loaded::State(self.state.checked()?)),
+            TANDEM_LOADED_BLANK => Ok(Loaded::Blank),
+            TANDEM_LOADED_LOST => Ok(Loaded::Lost),
+            _ => Err(S::OutOfRange),
+        }
+    }
+}
+
+/// The state that a new system is initialised with: A (0) is master, B (1) is standby.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_state_factory(
+    state: *mut TandemState,
+    system: u32,
+) -> TandemStatus {
+    status(|| {
+        let factory = SystemState::factory(system_id(system)?);
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::write(state, factory.into()) }?;
+        Ok(S::Ok)
+    })
+}
+
+/// Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
+/// `TANDEM_RECORD_BYTES`). At the start of a system; takes as long as reading them.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract; `read` may be called with `context`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_store_load(
+    store: *mut TandemStore,
+    sector_bytes: u32,
+    first_sector: u32,
+    read: TandemFlashRead,
+    context: *mut c_void,
+    loaded: *mut TandemLoaded,
+) -> TandemStatus {
+    status(|| {
+        cell::writable(loaded)?;
+        let read = read.ok_or(S::BadPointer)?;
+        let in_range = |end: u64| {
+            end.checked_mul(sector_bytes.into())
+                .is_some_and(|end| end <= u64::from(u32::MAX))
+        };
+        let records = sector_bytes != 0 && sector_bytes.is_multiple_of(TANDEM_RECORD_BYTES as u32);
+        if !records || !in_range(u64::from(first_sector) + 2) {
+            return Err(S::OutOfRange);
+        }
+        let geometry = Geometry {
+            sector_bytes,
+            first_sector,
+        };
+        let (found, what) = StateStore::load(geometry, |offset, into| {
+            let (first, count) = (into.as_mut_ptr(), into.len() as u32);
+            // SAFETY: a function of C with this signature, its context, and room for the bytes.
+            match unsafe { read(context, offset, first, count) } {
+                0 => Ok(()),
+                _ => Err(FlashError::Failed),
+            }
+        });
+        let blank = SystemState::factory(tandem_board::SystemId::A);
+        let (kind, state) = match what {
+            Loaded::State(state) => (TANDEM_LOADED_STATE, state),
+            Loaded::Blank => (TANDEM_LOADED_BLANK, blank),
+            Loaded::Lost => (TANDEM_LOADED_LOST, blank),
+        };
+        let state = state.into();
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            cell::write(loaded, TandemLoaded { kind, state })?;
+            cell::put(store, found)
+        }
+    })
+}
+
+/// Asks for a state to be written: the one that the actions of the redundancy name. Does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_store_request(
+    store: *mut TandemStore,
+    state: *const TandemState,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let (store, state) = unsafe { (cell::get(store)?, cell::read(state)?) };
+        store.request(state.checked()?);
+        Ok(S::Ok)
+    })
+}
+
+/// The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
+/// `_FAILED`). Start it before the next call, or say `tandem_store_refused`. Does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_store_poll(
+    store: *mut TandemStore,
+    flash: u32,
+    op: *mut TandemFlashOp,
+) -> TandemStatus {
+    status(|| {
+        cell::writable(op)?;
+        let flash = match flash {
+            TANDEM_FLASH_IDLE => FlashStatus::Idle,
+            TANDEM_FLASH_BUSY => FlashStatus::Busy,
+            TANDEM_FLASH_FAILED => FlashStatus::Failed,
+            _ => return Err(S::OutOfRange),
+        };
+        let mut next = TandemFlashOp {
+            kind: TANDEM_FLASH_NOTHING,
+            sector: 0,
+            offset: 0,
+            data: [0; TANDEM_RECORD_BYTES],
+        };
+        // SAFETY: the caller's contract is passed on.
+        match unsafe { cell::get(store) }?.poll(flash) {
+            None => {}
+            Some(FlashOp::Erase { sector }) => {
+                next.kind = TANDEM_FLASH_ERASE;
+                next.sector = sector;
+            }
+            Some(FlashOp::Program { offset, data }) => {
+                next.kind = TANDEM_FLASH_PROGRAM;
+                next.offset = offset;
+                next.data = data;
+            }
+        }
+        // SAFETY: 1 of the caller's contract.
+        unsafe { cell::write(op, next) }?;
+        Ok(S::Ok)
+    })
+}
+
+/// The operation of the last poll was not started; it comes again. Does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::get(store) }?.refused();
+        Ok(S::Ok)
+    })
+}
+
+/// 1 if all that was requested is durable, or never will be; else 0. Does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_store_is_settled(store: *mut TandemStore) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::get(store) }.map_or(0, |store| store.is_settled().into())
+}
