@@ -1,0 +1,66 @@
+//! Compiles the peer in C, as its user would: header, static library, the system's compiler.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+use tempfile::TempDir;
+
+const STRICT: [&str; 4] = ["-Wall", "-Wextra", "-Werror", "-pedantic"];
+
+fn room() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The static library that cargo built together with this test: the newest beside it.
+fn library() -> PathBuf {
+    let exe = std::env::current_exe().unwrap();
+    let beside = std::fs::read_dir(exe.parent().unwrap()).unwrap();
+    let of_ours = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy();
+        name.starts_with("libtandem_capi") && name.ends_with(".a")
+    };
+    let mut found: Vec<PathBuf> = beside.map(|entry| entry.unwrap().path()).collect();
+    found.retain(of_ours);
+    let age = |path: &PathBuf| path.metadata().and_then(|data| data.modified()).unwrap();
+    found.into_iter().max_by_key(age).unwrap()
+}
+
+fn compiled(compiler: &str, arguments: &[&str], paths: &[&Path]) {
+    let mut command = Command::new(compiler);
+    command
+        .args(arguments)
+        .args(STRICT)
+        .arg("-I")
+        .arg(room().join("include"))
+        .args(paths);
+    let output = command.output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}\n{said}");
+}
+
+/// The peer, compiled once for each test process.
+pub(crate) fn peer() -> &'static Path {
+    static PEER: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
+        let folder = TempDir::with_prefix("tandem-capi-").unwrap();
+        let program = folder.path().join("peer");
+        let source = room().join("tests/peer/peer.c");
+        let libraries = ["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(Path::new);
+        let mut paths: Vec<&Path> = vec![&source, Path::new("-o"), &program];
+        let library = library();
+        paths.push(&library);
+        paths.extend(libraries);
+        compiled("cc", &["-std=c99", "-O2"], &paths);
+        (folder, program)
+    });
+    &PEER.1
+}
+
+/// The header is good for C++, too.
+pub(crate) fn compiles_as_cpp() {
+    let header = room().join("tests/peer/layout.h");
+    compiled(
+        "c++",
+        &["-std=c++11", "-fsyntax-only", "-x", "c++"],
+        &[&header],
+    );
+}

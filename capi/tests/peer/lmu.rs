@@ -1,0 +1,212 @@
+//! The LMU of the test: a file that both processes map, and the Rust ends of core 0.
+
+use crate::build::peer;
+use core::sync::atomic::{AtomicU32, Ordering};
+use std::fs::File;
+use std::os::fd::AsRawFd;
+use std::process::{Child, Command, ExitStatus};
+use std::time::{Duration, Instant};
+use tandem_shm::life::Life;
+use tandem_shm::lock::Lock;
+use tandem_shm::map::{Layout, Map, Region};
+use tandem_shm::pool::Pool;
+use tandem_shm::{Shape, broadcast, fifo, lock, mailbox, newest, pool};
+use tempfile::NamedTempFile;
+
+pub(crate) const ORDER_WORDS: usize = 12;
+pub(crate) const ANSWER_WORDS: usize = 48;
+pub(crate) const NEWEST_WORDS: usize = 8;
+pub(crate) const RING_WORDS: usize = 5;
+const ORDER_SHAPE: Shape = Shape::new(4, ORDER_WORDS);
+const ANSWER_SHAPE: Shape = Shape::new(4, ANSWER_WORDS);
+pub(crate) const NEWEST_SHAPE: Shape = Shape::new(4, NEWEST_WORDS);
+pub(crate) const RING_SHAPE: Shape = Shape::new(4, RING_WORDS);
+const BLOCKS: usize = 8;
+
+/// The same as in layout.h.
+const LAYOUT: Layout = Layout::new(&[
+    Region::new("to c", mailbox::WORDS),
+    Region::new("from c", mailbox::WORDS),
+    Region::new("lock", lock::WORDS),
+    Region::new("guarded", 2),
+    Region::new("orders", fifo::words(ORDER_SHAPE)),
+    Region::new("answers", fifo::words(ANSWER_SHAPE)),
+    Region::new("newest", newest::words(NEWEST_SHAPE)),
+    Region::new("ring", broadcast::words(RING_SHAPE)),
+    Region::new("pool", pool::words(BLOCKS)),
+]);
+const TO_C: usize = 0;
+const FROM_C: usize = 1;
+const LOCK: usize = 2;
+const GUARDED: usize = 3;
+const ORDERS: usize = 4;
+const ANSWERS: usize = 5;
+pub(crate) const NEWEST: usize = 6;
+pub(crate) const RING: usize = 7;
+const POOL: usize = 8;
+
+const LMU_WORDS: usize = 8192;
+const TASK_ORDERS: u8 = 1;
+const TASK_ANSWERS: u8 = 2;
+/// Far beyond what an answer takes: it decides only how late a failure is seen.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// What core 1 can be told; the same as in layout.h.
+#[derive(Clone, Copy)]
+pub(crate) enum Order {
+    Echo = 1,
+    Count,
+    Publish,
+    Broadcast,
+    PoolSwap,
+    DieLocked,
+    Recover,
+    Redundancy,
+    Stop,
+}
+
+/// A process that does not outlive the test.
+pub(crate) struct Peer(Child);
+
+impl Peer {
+    pub(crate) fn wait(&mut self) -> ExitStatus {
+        self.0.wait().unwrap()
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Maps the file for as long as the test runs.
+fn shared(file: &File) -> &'static [AtomicU32] {
+    file.set_len(4 * LMU_WORDS as u64).unwrap();
+    // SAFETY: a new mapping of a file of this size, which is never unmapped; only atomics view it.
+    unsafe {
+        let (protection, flags) = (libc::PROT_READ | libc::PROT_WRITE, libc::MAP_SHARED);
+        let base = libc::mmap(
+            core::ptr::null_mut(),
+            4 * LMU_WORDS,
+            protection,
+            flags,
+            file.as_raw_fd(),
+            0,
+        );
+        assert_ne!(base, libc::MAP_FAILED);
+        core::slice::from_raw_parts(base.cast(), LMU_WORDS)
+    }
+}
+
+/// Core 0.
+pub(crate) struct Bench {
+    file: NamedTempFile,
+    map: Map<'static>,
+    to: mailbox::Sender<'static>,
+    from: mailbox::Receiver<'static>,
+    orders: fifo::Producer<'static>,
+    answers: fifo::Consumer<'static>,
+    since: Instant,
+}
+
+impl Bench {
+    pub(crate) fn new() -> Self {
+        let file = NamedTempFile::with_prefix("tandem-capi-lmu-").unwrap();
+        let map = Map::format(shared(file.as_file()), LAYOUT).unwrap();
+        map.lives().announce(Life::new(0, 1).unwrap()).unwrap();
+        Self {
+            file,
+            map,
+            to: mailbox::Sender::attach(map.region(TO_C)).unwrap(),
+            from: mailbox::Receiver::attach(map.region(FROM_C)).unwrap(),
+            orders: fifo::Producer::attach(map.region(ORDERS), ORDER_SHAPE).unwrap(),
+            answers: fifo::Consumer::attach(map.region(ANSWERS), ANSWER_SHAPE).unwrap(),
+            since: Instant::now(),
+        }
+    }
+
+    /// Starts a life of core 1.
+    pub(crate) fn start(&mut self, generation: u32) -> Peer {
+        self.since = Instant::now();
+        let mut command = Command::new(peer());
+        command.arg(self.file.path()).arg(generation.to_string());
+        Peer(command.spawn().unwrap())
+    }
+
+    pub(crate) fn map(&self) -> Map<'static> {
+        self.map
+    }
+
+    pub(crate) fn lock(&self, core: usize, generation: u32) -> Lock<'static> {
+        let life = Life::new(core, generation).unwrap();
+        self.map.lives().announce(life).unwrap();
+        Lock::attach(self.map.region(LOCK), life, self.map.lives()).unwrap()
+    }
+
+    pub(crate) fn pool(&self, core: usize, generation: u32) -> Pool<'static> {
+        let life = Life::new(core, generation).unwrap();
+        Pool::attach(self.map.region(POOL), BLOCKS, life, self.map.lives()).unwrap()
+    }
+
+    pub(crate) fn guarded(&self) -> [u32; 2] {
+        let words = self.map.region(GUARDED);
+        [0, 1].map(|at: usize| words[at].load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn set_guarded(&self, values: [u32; 2]) {
+        for (word, value) in self.map.region(GUARDED).iter().zip(values) {
+            word.store(value, Ordering::Relaxed);
+        }
+    }
+
+    pub(crate) fn send(&mut self, order: &[u32]) {
+        self.since = Instant::now();
+        self.orders.send(order).unwrap();
+        // C polls; on a chip its doorbell would be rung if need be.
+        let _ = self.to.signal(mailbox::TaskId::new(TASK_ORDERS).unwrap());
+    }
+
+    /// Lets others run, and ends a test that hangs.
+    pub(crate) fn watch(&self) {
+        assert!(self.since.elapsed() < PATIENCE, "C does not answer");
+        std::thread::yield_now();
+    }
+
+    pub(crate) fn answer(&mut self) -> [u32; ANSWER_WORDS] {
+        let mut answer = [0; ANSWER_WORDS];
+        while !self.answers.receive_into(&mut answer) {
+            self.watch();
+        }
+        // The signal comes after the answer.
+        loop {
+            let mut tasks = Vec::new();
+            self.from.poll(|task, count| tasks.push((task, count)));
+            if let [(task, 1)] = tasks[..] {
+                assert_eq!(task, mailbox::TaskId::new(TASK_ANSWERS).unwrap());
+                return answer;
+            }
+            assert!(tasks.is_empty(), "one signal an answer");
+            self.watch();
+        }
+    }
+
+    pub(crate) fn ask(&mut self, order: &[u32]) -> [u32; ANSWER_WORDS] {
+        self.send(order);
+        let answer = self.answer();
+        assert_eq!(answer[0], order[0]);
+        answer
+    }
+
+    /// Takes the next order back, in the place of the core that died with it.
+    pub(crate) fn drop_order(&self) {
+        let mut consumer = fifo::Consumer::attach(self.map.region(ORDERS), ORDER_SHAPE).unwrap();
+        consumer.receive().unwrap().release();
+    }
+
+    pub(crate) fn stop(mut self, mut child: Peer) {
+        self.ask(&[Order::Stop as u32]);
+        assert!(child.wait().success());
+    }
+}
