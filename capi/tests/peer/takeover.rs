@@ -131,7 +131,7 @@ fn new(system: SystemId, now: Instant) -> Redundancy {
     )
 }
 
-/// A drives for `cycles` of a millisecond and dies in silence; B, in C, takes over within the bound.
+/// A drives for a while and dies in silence; B, in C, takes over within the bound.
 #[test]
 fn system_b_in_c_takes_over() {
     const CYCLES: u32 = 200;
