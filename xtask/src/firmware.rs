@@ -1,5 +1,7 @@
 //! The bare-metal images: build, run and measure them under QEMU.
 
+mod size;
+
 use crate::target_dir;
 use anyhow::{Context, Result, bail, ensure};
 use clap::{Subcommand, ValueEnum};
@@ -27,6 +29,8 @@ pub(crate) enum Firmware {
         /// Which image
         image: Image,
     },
+    /// Text and RAM of `shm` alone and of each image
+    Size,
     /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
     /// broken lock caught
     Explore {
@@ -57,6 +61,8 @@ pub(crate) enum Image {
 }
 
 impl Image {
+    const ALL: [Self; 3] = [Self::Bench, Self::Conformance, Self::Schedules];
+
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
@@ -74,6 +80,7 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
             print!("{}", run_image(root, image, 0, &[])?);
             Ok(())
         }
+        Firmware::Size => size::run(root),
         Firmware::Explore { lengths } => explore(root, lengths),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
     }
@@ -87,14 +94,28 @@ fn build_dir(root: &Path) -> PathBuf {
     target_dir(root).join("firmware")
 }
 
+/// Builds all images.
 fn build(root: &Path) -> Result<()> {
+    let mut arguments = vec!["--release"];
+    for image in Image::ALL {
+        arguments.extend(["--bin", image.name()]);
+    }
+    cargo_build(root, &arguments)
+}
+
+fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
     let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
     command
         .current_dir(port(root))
-        .args(["build", "--quiet", "--release", "--target", TARGET])
+        .args(["build", "--quiet", "--target", TARGET])
         .args(["-p", "tandem-board-riscv32-virt"])
+        .args(arguments)
         .env("CARGO_TARGET_DIR", build_dir(root));
-    crate::run(command)
+    let status = command
+        .status()
+        .with_context(|| format!("cannot start {command:?}"))?;
+    ensure!(status.success(), "{command:?} ended with {status}");
+    Ok(())
 }
 
 /// Where the images look for straps; see link.x.

@@ -1,0 +1,61 @@
+//! One core sends messages to another, which is called for them: mailbox and FIFO, both ends, and
+//! nothing else. As much as a message library such as RPMsg-Lite does.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::hint::black_box;
+use tandem_board::SystemId;
+use tandem_board_riscv32_virt::{clint, entry, hart, memory};
+use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::{Shape, fifo};
+
+entry!(main);
+
+const SHAPE: Shape = Shape::new(8, 16);
+
+fn main(hart: usize) -> ! {
+    let (mailbox, rest) = memory::lmu(SystemId::A).split_at(mailbox::WORDS);
+    let queue = &rest[..fifo::words(SHAPE)];
+    if hart == 0 {
+        send(mailbox, queue);
+    } else {
+        receive(mailbox, queue);
+    }
+    loop {
+        hart::sleep();
+    }
+}
+
+type Words = [core::sync::atomic::AtomicU32];
+
+fn send(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
+    let mut to = Sender::attach(mailbox).ok()?;
+    let mut queue = fifo::Producer::attach(queue, SHAPE).ok()?;
+    loop {
+        let message: [u32; 16] = black_box([1; 16]);
+        if queue.send(&message).is_ok() && to.signal(TaskId::new(1)?) == Ring::Needed {
+            clint::post(1);
+        }
+    }
+}
+
+fn receive(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
+    let mut from = Receiver::attach(mailbox).ok()?;
+    let mut queue = fifo::Consumer::attach(queue, SHAPE).ok()?;
+    let mut tasks = TaskTable::new();
+    let take = |queue: &mut fifo::Consumer<'static>, _| {
+        let mut message = [0; 16];
+        while queue.receive_into(&mut message) {
+            black_box(&message);
+        }
+    };
+    tasks.add(TaskId::new(1)?, take, 0).ok()?;
+    loop {
+        tasks.run(&mut from, &mut queue);
+        if from.prepare_sleep() {
+            hart::sleep();
+            from.awake();
+        }
+    }
+}

@@ -1,0 +1,103 @@
+//! Text and RAM of images, from the sections of their ELF files.
+
+use super::{Image, TARGET, build_dir, cargo_build};
+use anyhow::{Context, Result};
+use std::fs;
+use std::path::Path;
+
+/// RPMsg-Lite's published footprint: text of the library, in bytes.
+const RPMSG_LITE_TEXT: u32 = 2_926;
+
+/// What an image takes, in bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Size {
+    /// Code.
+    text: u32,
+    /// Constants, and the initial values of variables.
+    constants: u32,
+    /// Variables of all harts, without stacks, LMU, and the carrier's memory.
+    ram: u32,
+}
+
+/// Prints a table of all images, and of `shm` alone.
+pub(super) fn run(root: &Path) -> Result<()> {
+    let mut arguments = vec!["--profile", "size"];
+    for image in ["size-none", "size-messages", "size-shm"] {
+        arguments.extend(["--bin", image]);
+    }
+    cargo_build(root, &arguments)?;
+    let alone = |name| of(&build_dir(root).join(TARGET).join("size").join(name));
+    let none = alone("size-none")?;
+    println!(
+        "{:<44} {:>7} {:>9} {:>7}",
+        "bytes", "text", "constants", "RAM"
+    );
+    let line = |name: &str, size: Size| {
+        let Size {
+            text,
+            constants,
+            ram,
+        } = size;
+        println!("{name:<44} {text:>7} {constants:>9} {ram:>7}");
+    };
+    for (name, image) in [
+        ("shm: mailbox and FIFO, both ends (opt s)", "size-messages"),
+        ("shm: every primitive once (opt s)", "size-shm"),
+    ] {
+        let with = alone(image)?;
+        line(
+            name,
+            Size {
+                text: with.text.saturating_sub(none.text),
+                constants: with.constants.saturating_sub(none.constants),
+                ram: with.ram.saturating_sub(none.ram),
+            },
+        );
+    }
+    println!("{:<44} {RPMSG_LITE_TEXT:>7}", "RPMsg-Lite, as published");
+    for image in Image::ALL {
+        let size = of(&build_dir(root)
+            .join(TARGET)
+            .join("release")
+            .join(image.name()))?;
+        line(&format!("image {}", image.name()), size);
+    }
+    Ok(())
+}
+
+fn of(elf: &Path) -> Result<Size> {
+    let bytes = fs::read(elf).with_context(|| elf.display().to_string())?;
+    size_of(&bytes).with_context(|| format!("{}: no 32-bit ELF file", elf.display()))
+}
+
+/// Reads the section headers of a little-endian 32-bit ELF file (TIS ELF 1.2, figure 1-8).
+fn size_of(elf: &[u8]) -> Option<Size> {
+    const ALLOCATED: u32 = 2;
+    const EXECUTABLE: u32 = 4;
+    const NO_BITS: u32 = 8;
+    let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    let half = |at: usize| Some(u16::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    (elf.get(..5)? == b"\x7fELF\x01").then_some(())?;
+    let (table, each) = (word(0x20)? as usize, usize::from(half(0x2E)?));
+    let (count, names) = (usize::from(half(0x30)?), usize::from(half(0x32)?));
+    let names_at = word(table + names * each + 0x10)? as usize;
+    let mut size = Size::default();
+    for header in (0..count).map(|index| table + index * each) {
+        let (kind, flags) = (word(header + 4)?, word(header + 8)?);
+        let bytes = word(header + 0x14)?;
+        let name = elf.get(names_at + word(header)? as usize..)?;
+        let is = |wanted: &[u8]| name.starts_with(wanted) && name.get(wanted.len()) == Some(&0);
+        if flags & ALLOCATED == 0 {
+            continue;
+        }
+        if flags & EXECUTABLE != 0 {
+            size.text += bytes;
+        } else if kind != NO_BITS {
+            size.constants += bytes;
+        }
+        if is(b".data") || is(b".bss") {
+            size.ram += bytes;
+        }
+    }
+    Some(size)
+}
