@@ -14,8 +14,7 @@
  * The caller's contract:
  *  1. A pointer is null or points to memory of its type that stays where it is.
  *  2. The LMU stays mapped as long as any object attached to it is used.
- *  3. One object is used by one context of one core at a time. Mailbox senders excepted: tasks and
- *     handlers of their core may share one.
+ *  3. One object is used by one context of one core at a time.
  *  4. The firmware defines `void tandem_on_panic(void)`, which does not return: it resets the core.
  *
  * Sections named "Safety" refer to the numbers of this list.
@@ -53,7 +52,7 @@ extern void tandem_on_panic(void);
 #define TANDEM_LOCK_WORDS 16
 
 // Words of a mailbox.
-#define TANDEM_MAILBOX_WORDS 48
+#define TANDEM_MAILBOX_WORDS 64
 
 // Tasks are numbered from 1 to this; 0 is none.
 #define TANDEM_MAX_TASK 15
@@ -360,8 +359,8 @@ typedef struct tandem_lock_t {
 // Passes the time of `spins` spins (1 ..= 64) between two looks at a lock: yields or sleeps.
 typedef void (*tandem_relax_t)(void *context, uint32_t spins);
 
-// The sending end of a mailbox; all tasks and handlers of the sending core may share it. Static,
-// zero at first.
+// The sending end of a mailbox. There is one at a time; tasks and handlers of the sending core
+// that share it take turns, for example with interrupts disabled. Static, zero at first.
 typedef struct tandem_mailbox_sender_t {
   // Private.
   size_t opaque[3];
@@ -373,9 +372,9 @@ typedef struct tandem_mailbox_receiver_t {
   size_t opaque[56];
 } tandem_mailbox_receiver_t;
 
-// What a task does when it is signalled: `count` signals (at least 1) at once. Runs inside
-// `tandem_mailbox_poll`.
-typedef void (*tandem_task_t)(void *context, uint32_t task, uint32_t count);
+// What a task does when it is signalled: `count` signals (at least 1) at once, `value` the newest
+// that was sent to it (0 if there never was one). Runs inside `tandem_mailbox_poll`.
+typedef void (*tandem_task_t)(void *context, uint32_t task, uint32_t count, uint32_t value);
 
 // A layout of an LMU. Static, zero at first; `tandem_layout_init` makes it one.
 typedef struct tandem_layout_t {
@@ -753,15 +752,24 @@ tandem_status_t tandem_mailbox_sender_attach(struct tandem_mailbox_sender_t *sen
 // `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 //
 // # Safety
-// 1 and 2 of the caller's contract.
-tandem_status_t tandem_mailbox_signal(const struct tandem_mailbox_sender_t *sender, uint32_t task);
+// 1, 2 and 3 of the caller's contract.
+tandem_status_t tandem_mailbox_signal(struct tandem_mailbox_sender_t *sender, uint32_t task);
+
+// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
+// `tandem_mailbox_signal`.
+//
+// # Safety
+// 1, 2 and 3 of the caller's contract.
+tandem_status_t tandem_mailbox_signal_with(struct tandem_mailbox_sender_t *sender,
+                                           uint32_t task,
+                                           uint32_t value);
 
 // How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
 // does not block.
 //
 // # Safety
-// 1 and 2 of the caller's contract.
-uint32_t tandem_mailbox_open(const struct tandem_mailbox_sender_t *sender, uint32_t task);
+// 1, 2 and 3 of the caller's contract.
+uint32_t tandem_mailbox_open(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
 // Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
 // an earlier life of this core left open come with the first poll. Task; does not block.

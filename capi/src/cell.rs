@@ -99,7 +99,7 @@ pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inn
     Ok(unsafe { (*cell).value.assume_init_mut() })
 }
 
-/// The value in an attached object that several contexts of a core share.
+/// The value in an attached object that is only read.
 ///
 /// # Safety
 /// 1 of the caller's contract; nobody attaches the object anew meanwhile.

@@ -19,8 +19,7 @@
 //! 1. A pointer is null or points to memory of its type that stays where it is.
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is
 //!    used.
-//! 3. One object is used by one context of one core at a time. Mailbox senders excepted: tasks and
-//!    handlers of their core may share one.
+//! 3. One object is used by one context of one core at a time.
 #![no_std]
 
 #[cfg(not(target_os = "none"))]

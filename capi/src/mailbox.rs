@@ -4,17 +4,17 @@ use crate::cell::{self, opaque};
 use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::c_void;
-use tandem_shm::mailbox::{MAX_TASK, Receiver, Ring, Sender, TaskId, WORDS};
+use tandem_shm::mailbox::{MAX_TASK, Receiver, Ring, Sender, Signals, TaskId, WORDS};
 
 /// Words of a mailbox.
-pub const TANDEM_MAILBOX_WORDS: usize = 48;
+pub const TANDEM_MAILBOX_WORDS: usize = 64;
 /// Tasks are numbered from 1 to this; 0 is none.
 pub const TANDEM_MAX_TASK: u32 = 15;
 
 const _: () = assert!(TANDEM_MAILBOX_WORDS == WORDS && TANDEM_MAX_TASK == MAX_TASK as u32);
 
-/// The sending end of a mailbox; all tasks and handlers of the sending core may share it. Static,
-/// zero at first.
+/// The sending end of a mailbox. There is one at a time; tasks and handlers of the sending core
+/// that share it take turns, for example with interrupts disabled. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemMailboxSender {
@@ -30,9 +30,10 @@ pub struct TandemMailboxReceiver {
     pub opaque: [usize; 56],
 }
 
-/// What a task does when it is signalled: `count` signals (at least 1) at once. Runs inside
-/// `tandem_mailbox_poll`.
-pub type TandemTask = Option<unsafe extern "C" fn(context: *mut c_void, task: u32, count: u32)>;
+/// What a task does when it is signalled: `count` signals (at least 1) at once, `value` the newest
+/// that was sent to it (0 if there never was one). Runs inside `tandem_mailbox_poll`.
+pub type TandemTask =
+    Option<unsafe extern "C" fn(context: *mut c_void, task: u32, count: u32, value: u32)>;
 
 #[derive(Clone, Copy)]
 struct Entry {
@@ -77,31 +78,53 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
 /// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 ///
 /// # Safety
-/// 1 and 2 of the caller's contract.
+/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_signal(
-    sender: *const TandemMailboxSender,
+    sender: *mut TandemMailboxSender,
     task: u32,
 ) -> TandemStatus {
     status(|| {
-        // SAFETY: the caller's contract is passed on; attached once, then only read.
-        let sender = unsafe { cell::share(sender) }?;
-        Ok(match sender.signal(task_id(task)?) {
-            Ring::Needed => S::RingNeeded,
-            Ring::NotNeeded => S::Ok,
-        })
+        // SAFETY: the caller's contract is passed on.
+        let sender = unsafe { cell::get(sender) }?;
+        Ok(ring(sender.signal(task_id(task)?)))
     })
+}
+
+/// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
+/// `tandem_mailbox_signal`.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_mailbox_signal_with(
+    sender: *mut TandemMailboxSender,
+    task: u32,
+    value: u32,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        let sender = unsafe { cell::get(sender) }?;
+        Ok(ring(sender.signal_with(task_id(task)?, value)))
+    })
+}
+
+const fn ring(ring: Ring) -> S {
+    match ring {
+        Ring::Needed => S::RingNeeded,
+        Ring::NotNeeded => S::Ok,
+    }
 }
 
 /// How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
 /// does not block.
 ///
 /// # Safety
-/// 1 and 2 of the caller's contract.
+/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn tandem_mailbox_open(sender: *const TandemMailboxSender, task: u32) -> u32 {
-    // SAFETY: the caller's contract is passed on; attached once, then only read.
-    let sender = unsafe { cell::share(sender) };
+pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
+    // SAFETY: the caller's contract is passed on.
+    let sender = unsafe { cell::get(sender) };
     match (sender, task_id(task)) {
         (Ok(sender), Ok(task)) => sender.open(task),
         _ => 0,
@@ -184,14 +207,14 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
             tasks,
             unknown,
         } = table;
-        receiver.poll(|task, count| match tasks[task.index()] {
+        receiver.poll(|Signals { task, count, value }| match tasks[task.index()] {
             Entry {
                 run: Some(run),
                 context,
             } => {
                 let number = task.index() as u32;
                 // SAFETY: a function of C with this signature, and the context it came with.
-                unsafe { run(context, number, count) }
+                unsafe { run(context, number, count, value) }
             }
             Entry { run: None, .. } => *unknown = unknown.wrapping_add(count),
         })

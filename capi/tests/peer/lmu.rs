@@ -108,6 +108,8 @@ pub(crate) struct Bench {
     from: mailbox::Receiver<'static>,
     orders: fifo::Producer<'static>,
     answers: fifo::Consumer<'static>,
+    /// How many orders were sent: the value that goes with each signal, and comes back.
+    sent: u32,
     since: Instant,
 }
 
@@ -123,6 +125,7 @@ impl Bench {
             from: mailbox::Receiver::attach(map.region(FROM_C)).unwrap(),
             orders: fifo::Producer::attach(map.region(ORDERS), ORDER_SHAPE).unwrap(),
             answers: fifo::Consumer::attach(map.region(ANSWERS), ANSWER_SHAPE).unwrap(),
+            sent: 0,
             since: Instant::now(),
         }
     }
@@ -165,7 +168,9 @@ impl Bench {
         self.since = Instant::now();
         self.orders.send(order).unwrap();
         // C polls; on a chip its doorbell would be rung if need be.
-        let _ = self.to.signal(mailbox::TaskId::new(TASK_ORDERS).unwrap());
+        self.sent += 1;
+        let task = mailbox::TaskId::new(TASK_ORDERS).unwrap();
+        let _ = self.to.signal_with(task, self.sent);
     }
 
     /// Lets others run, and ends a test that hangs.
@@ -181,13 +186,15 @@ impl Bench {
         }
         // The signal comes after the answer.
         loop {
-            let mut tasks = Vec::new();
-            self.from.poll(|task, count| tasks.push((task, count)));
-            if let [(task, 1)] = tasks[..] {
-                assert_eq!(task, mailbox::TaskId::new(TASK_ANSWERS).unwrap());
+            let mut came = Vec::new();
+            self.from.poll(|signals| came.push(signals));
+            if let [signals] = came[..] {
+                let task = mailbox::TaskId::new(TASK_ANSWERS).unwrap();
+                let (count, value) = (1, self.sent);
+                assert_eq!(signals, mailbox::Signals { task, count, value });
                 return answer;
             }
-            assert!(tasks.is_empty(), "one signal an answer");
+            assert!(came.is_empty(), "one signal an answer");
             self.watch();
         }
     }

@@ -225,14 +225,14 @@ static void carry_out(const uint32_t *order, tandem_word_t *answer)
 }
 
 /* The handler of TASK_ORDERS: every order in its slot, its answer into a slot, no copy. */
-static void on_orders(void *context, uint32_t task, uint32_t count)
+static void on_orders(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     tandem_words_t from, to;
     uint32_t order[ORDER_WORDS];
     size_t at;
     unsigned *calls = context;
     *calls += 1;
-    MUST(task == TASK_ORDERS && count >= 1);
+    MUST(task == TASK_ORDERS && count >= 1 && value != 0);
     MUST(tandem_mailbox_poll(&receiver, NULL) == TANDEM_STATUS_BUSY);
     while (tandem_fifo_receive(&orders, &from) == TANDEM_STATUS_OK) {
         MUST(from.count == ORDER_WORDS);
@@ -249,7 +249,7 @@ static void on_orders(void *context, uint32_t task, uint32_t count)
         carry_out(order, to.first);
         OK(tandem_fifo_release(&orders));
         OK(tandem_fifo_send(&answers));
-        MUST(TANDEM_DONE(tandem_mailbox_signal(&sender, TASK_ANSWERS)));
+        MUST(TANDEM_DONE(tandem_mailbox_signal_with(&sender, TASK_ANSWERS, value)));
     }
 }
 
