@@ -44,8 +44,12 @@ extern void tandem_on_panic(void);
 /* Words for a region, as constants. `slots` is a power of two, 2 to 65536. */
 #define TANDEM_LINES(words) (((words) + 15u) / 16u * 16u)
 #define TANDEM_FIFO_WORDS(slots, slot_words) (32u + (slots) * (slot_words))
-#define TANDEM_NEWEST_WORDS(slots, slot_words) (16u + (slots) * TANDEM_LINES(1u + (slot_words)))
-#define TANDEM_BROADCAST_WORDS(slots, slot_words) (16u + (slots) * (1u + (slot_words)))
+#define TANDEM_NEWEST_WORDS(slots, slot_words)                  \
+    ((slots) * (1u + (slot_words)) < 16u                        \
+         ? 1u + (slots) * (1u + (slot_words))                   \
+         : 16u + (slots) * TANDEM_LINES(1u + (slot_words)))
+#define TANDEM_BROADCAST_WORDS(slots, slot_words)               \
+    (((slots) * (1u + (slot_words)) < 16u ? 1u : 16u) + (slots) * (1u + (slot_words)))
 #define TANDEM_POOL_WORDS(blocks) (16u + TANDEM_LINES(blocks) + (blocks) * 16u)
 
 // Words of a lock.
