@@ -66,7 +66,7 @@
 #define INCLUDE_xTaskGetIdleTaskHandle             1
 #define INCLUDE_xTaskGetSchedulerState             1
 #define INCLUDE_xSemaphoreGetMutexHolder           1
-#define INCLUDE_xTimerPendFunctionCall             0
+#define INCLUDE_xTimerPendFunctionCall             1
 #define INCLUDE_eTaskGetState                      1
 
 /* Trace: one test of a pointer when nobody listens. The numbers are those of `trace::Kind`. */

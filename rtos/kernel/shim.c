@@ -38,9 +38,24 @@ void tandem_yield_from_interrupt( BaseType_t woken )
     portYIELD_FROM_ISR( woken );
 }
 
-UBaseType_t tandem_minimal_stack_words( void )
+/* Same fields as `ffi::TaskInfo`. */
+struct TandemTaskInfo {
+    UBaseType_t number;
+    UBaseType_t priority;
+    UBaseType_t base_priority;
+    UBaseType_t unused_stack_words;
+    uint64_t run_time;
+};
+
+void tandem_task_info( TaskHandle_t task, struct TandemTaskInfo * info )
 {
-    return configMINIMAL_STACK_SIZE;
+    TaskStatus_t status;
+    vTaskGetInfo( task, &status, pdFALSE, eReady );
+    info->number = status.xTaskNumber;
+    info->priority = status.uxCurrentPriority;
+    info->base_priority = status.uxBasePriority;
+    info->unused_stack_words = uxTaskGetStackHighWaterMark( task );
+    info->run_time = status.ulRunTimeCounter;
 }
 
 #if defined( __riscv )

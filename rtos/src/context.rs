@@ -1,8 +1,12 @@
 //! Where code runs: in a task, or in a handler of an interrupt.
 
+use crate::kernel::Kernel;
+use crate::port;
 use crate::sys;
+use crate::sys::task::TaskStatistics;
 use crate::time::Ticks;
 use core::marker::PhantomData;
+use core::time::Duration;
 
 mod sealed {
     pub trait Sealed {
@@ -14,8 +18,12 @@ mod sealed {
 }
 pub(crate) use sealed::Sealed;
 
-/// A task or an interrupt: what calls that never block want to see.
+/// Whoever may make calls that never block: a task, a handler, or the owner of a kernel that does
+/// not run yet.
 pub trait Context: Sealed {}
+
+/// Whoever may make objects: a task, or the owner of a kernel that does not run yet.
+pub trait TaskLevel: Context {}
 
 /// Proof that the caller is a task. Not to be sent anywhere: it belongs to its task.
 #[derive(Debug)]
@@ -35,6 +43,41 @@ impl Sealed for TaskContext {
     fn woken(&self, _woken: bool) {}
 }
 impl Context for TaskContext {}
+impl TaskLevel for TaskContext {}
+
+impl Sealed for Kernel {
+    const IN_INTERRUPT: bool = false;
+    fn woken(&self, _woken: bool) {}
+}
+impl Context for Kernel {}
+impl TaskLevel for Kernel {}
+
+/// Proof that the caller is the callback of a software timer. It runs in the task that serves all
+/// timers, and must not block.
+#[derive(Debug)]
+pub struct TimerContext {
+    _of_one_task: PhantomData<*mut ()>,
+}
+
+impl Sealed for TimerContext {
+    const IN_INTERRUPT: bool = false;
+    fn woken(&self, _woken: bool) {}
+}
+impl Context for TimerContext {}
+
+impl TimerContext {
+    pub(crate) fn new() -> Self {
+        Self {
+            _of_one_task: PhantomData,
+        }
+    }
+
+    /// The current tick.
+    #[must_use]
+    pub fn now(&self) -> Ticks {
+        sys::task::now(false)
+    }
+}
 
 impl Sealed for InterruptContext {
     const IN_INTERRUPT: bool = true;
@@ -102,6 +145,18 @@ impl TaskContext {
     /// If the period is zero; in a critical section or with pre-emption deferred.
     pub fn delay_until(&self, last_wake: &mut Ticks, period: impl Into<Ticks>) -> bool {
         sys::task::delay_until(last_wake, period.into())
+    }
+
+    /// Works for a span of this task's own time: while others run it does not pass. In virtual time
+    /// the span passes at once. For tests and models.
+    pub fn burn(&self, span: Duration) {
+        port::burn(span);
+    }
+
+    /// Shows every task that is alive to `look`, which must not block; no other task runs
+    /// meanwhile.
+    pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {
+        port::without_others(|| sys::task::each(look));
     }
 
     /// Runs `body` with interrupts masked: neither handlers nor other tasks run meanwhile. Keep it

@@ -7,6 +7,7 @@ use crate::port;
 use crate::sys;
 use crate::sys::task::{TaskHandle, TaskMemory};
 use crate::task::{SpawnError, TaskOptions};
+use crate::trace::TraceSink;
 use core::fmt;
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -143,6 +144,11 @@ impl Kernel {
         port::attach(interrupt, priority, handler)
     }
 
+    /// Has every event told to a sink, until the scheduler stops.
+    pub fn trace(&self, sink: &'static dyn TraceSink) {
+        sys::sink::listen(Some(sink));
+    }
+
     /// Runs the tasks until one calls `TaskContext::stop` (host), or for ever (target).
     ///
     /// # Errors
@@ -155,6 +161,7 @@ impl Kernel {
 impl Drop for Kernel {
     fn drop(&mut self) {
         port::tear_down();
+        sys::sink::listen(None);
         // Release pairs with the Acquire in `take`.
         TAKEN.store(false, Ordering::Release);
     }

@@ -2,8 +2,8 @@
 //!
 //! The kernel is FreeRTOS V11 in C, compiled by the build script with the configuration in
 //! `kernel/FreeRTOSConfig.h`. On Linux it runs on the port of this crate, in one thread of a
-//! process; on riscv32 on the kernel's own port. See the README for how the host port works and what a task
-//! may do.
+//! process; on riscv32 on the kernel's own port. See the README for how the host port works and
+//! what a task may do.
 //!
 //! [`Kernel::take`] gives the kernel, [`Kernel::spawn`] makes tasks, [`Kernel::start`] runs them. A
 //! task is given a [`TaskContext`], a handler of interrupts an [`InterruptContext`]; what blocks
@@ -17,22 +17,60 @@ extern crate alloc;
 extern crate std;
 
 mod context;
+mod event;
 mod interrupt;
 mod kernel;
 mod notification;
 mod port;
+mod queue;
+mod semaphore;
+mod set;
 mod sys;
 mod task;
 mod time;
+mod timer;
 mod trace;
 
-pub use context::{Context, InterruptContext, TaskContext};
+pub use context::{Context, InterruptContext, TaskContext, TaskLevel, TimerContext};
+pub use event::{EventGroup, EventGroupMemory, Events, EventsFull};
 pub use interrupt::{AttachError, Interrupt, InterruptPriority};
 pub use kernel::{Clock, Kernel, KernelError, StartError};
 #[cfg(target_os = "linux")]
 pub use port::host;
 #[cfg(target_arch = "riscv32")]
 pub use port::riscv32;
-pub use sys::task::{TaskError, TaskHandle, TaskMemory};
+pub use queue::{Full, Queue, QueueMemory};
+pub use semaphore::{Semaphore, SemaphoreFull, SemaphoreMemory};
+pub use set::{AddError, Member, QueueSet, QueueSetMemory};
+pub use sys::mutex::{Mutex, MutexGuard, MutexMemory};
+pub use sys::task::{TaskError, TaskHandle, TaskMemory, TaskStatistics};
 pub use task::{Priority, SpawnError, TaskOptions};
 pub use time::Ticks;
+pub use timer::{CommandsFull, Timer, TimerMemory};
+pub use trace::{Event, EventKind, TraceReader, TraceRing, TraceSink};
+
+use core::fmt;
+
+/// The time was over before what was waited for came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TimedOut;
+
+impl fmt::Display for TimedOut {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("the time was over")
+    }
+}
+
+impl core::error::Error for TimedOut {}
+
+/// The static memory has an object already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InUse;
+
+impl fmt::Display for InUse {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("the static memory is in use")
+    }
+}
+
+impl core::error::Error for InUse {}

@@ -7,12 +7,12 @@
 use crate::context::InterruptContext;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
 use crate::kernel::{Clock, StartError};
-use crate::sys::{self, ffi};
-use crate::trace;
+use crate::sys::{self, ffi, sink};
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ptr;
-use core::sync::atomic::{AtomicPtr, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, Ordering};
+use core::time::Duration;
 
 /// The smallest stack in words: a context and some calls.
 pub(crate) const MIN_STACK_WORDS: usize = 128;
@@ -136,6 +136,19 @@ pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
 /// The kernel was taken and not started: nothing to give back.
 pub(crate) fn tear_down() {}
 
+/// There is one life of the kernel.
+pub(crate) fn epoch() -> u32 {
+    1
+}
+
+static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
+
+/// Whether the caller is a task of the kernel's hart, and no handler. Other harts have no context,
+/// and so no way to an object.
+pub(crate) fn in_task() -> bool {
+    !IN_INTERRUPT.load(Ordering::Relaxed)
+}
+
 /// Waits for an interrupt.
 pub(crate) fn idle() {
     // SAFETY: no effect but waiting.
@@ -159,6 +172,29 @@ pub(crate) fn run_time() -> u64 {
             return u64::from(after) << 32 | u64::from(count);
         }
     }
+}
+
+/// Nanoseconds of a count of `mtime`: 10 MHz, as configCPU_CLOCK_HZ.
+const MTIME_NS: u64 = 100;
+
+/// A span of [`run_time`].
+pub(crate) fn run_time_span(counts: u64) -> Duration {
+    Duration::from_nanos(counts * MTIME_NS)
+}
+
+/// The time of an event, in nanoseconds of `mtime`.
+pub(crate) fn timestamp_ns() -> u64 {
+    run_time() * MTIME_NS
+}
+
+/// There is no virtual time.
+pub(crate) fn virtual_work(_span: Duration) -> bool {
+    false
+}
+
+/// Nothing but the tasks is shared.
+pub(crate) fn without_others<R>(body: impl FnOnce() -> R) -> R {
+    body()
 }
 
 /// The caller is about to block.
@@ -255,9 +291,11 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
         ));
     };
     let context = InterruptContext::new();
-    trace::interrupt_entered(u32::from(number.number()));
+    sink::interrupt_entered(u32::from(number.number()));
+    IN_INTERRUPT.store(true, Ordering::Relaxed);
     handler(&context);
-    trace::interrupt_left(u32::from(number.number()));
+    IN_INTERRUPT.store(false, Ordering::Relaxed);
+    sink::interrupt_left(u32::from(number.number()));
     if context.has_woken() {
         // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
         unsafe { ffi::tandem_yield_from_interrupt(1) };

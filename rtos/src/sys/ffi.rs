@@ -24,6 +24,17 @@ pub(crate) struct Tcb {
     _opaque: [u8; 0],
 }
 
+/// What the kernel says about a task; filled by `kernel/shim.c`.
+#[repr(C)]
+#[derive(Default)]
+pub(crate) struct TaskInfo {
+    pub(crate) number: UBase,
+    pub(crate) priority: UBase,
+    pub(crate) base_priority: UBase,
+    pub(crate) unused_stack_words: UBase,
+    pub(crate) run_time: u64,
+}
+
 unsafe extern "C" {
     pub(crate) static pxCurrentTCB: *mut Tcb;
 
@@ -31,7 +42,7 @@ unsafe extern "C" {
     pub(crate) fn tandem_exit_critical();
     pub(crate) fn tandem_yield();
     pub(crate) fn tandem_yield_from_interrupt(woken: Base);
-    pub(crate) fn tandem_minimal_stack_words() -> UBase;
+    pub(crate) fn tandem_task_info(task: *mut Tcb, info: *mut TaskInfo);
 
     pub(crate) fn vTaskStartScheduler();
     pub(crate) fn vTaskResetState();
@@ -76,4 +87,99 @@ unsafe extern "C" {
         value: *mut u32,
         timeout: Tick,
     ) -> Base;
+
+    pub(crate) fn xQueueGenericCreateStatic(
+        length: UBase,
+        item_bytes: UBase,
+        storage: *mut u8,
+        queue: *mut c_void,
+        kind: u8,
+    ) -> *mut c_void;
+    pub(crate) fn xQueueCreateCountingSemaphoreStatic(
+        max: UBase,
+        initial: UBase,
+        queue: *mut c_void,
+    ) -> *mut c_void;
+    pub(crate) fn xQueueCreateMutexStatic(kind: u8, queue: *mut c_void) -> *mut c_void;
+    pub(crate) fn xQueueCreateSetStatic(
+        length: UBase,
+        storage: *mut u8,
+        queue: *mut c_void,
+    ) -> *mut c_void;
+    pub(crate) fn xQueueGenericSend(
+        queue: *mut c_void,
+        item: *const c_void,
+        timeout: Tick,
+        place: Base,
+    ) -> Base;
+    pub(crate) fn xQueueGenericSendFromISR(
+        queue: *mut c_void,
+        item: *const c_void,
+        woken: *mut Base,
+        place: Base,
+    ) -> Base;
+    pub(crate) fn xQueueGiveFromISR(queue: *mut c_void, woken: *mut Base) -> Base;
+    pub(crate) fn xQueueReceive(queue: *mut c_void, item: *mut c_void, timeout: Tick) -> Base;
+    pub(crate) fn xQueueReceiveFromISR(
+        queue: *mut c_void,
+        item: *mut c_void,
+        woken: *mut Base,
+    ) -> Base;
+    pub(crate) fn xQueuePeek(queue: *mut c_void, item: *mut c_void, timeout: Tick) -> Base;
+    pub(crate) fn xQueueSemaphoreTake(queue: *mut c_void, timeout: Tick) -> Base;
+    pub(crate) fn uxQueueMessagesWaiting(queue: *mut c_void) -> UBase;
+    pub(crate) fn uxQueueMessagesWaitingFromISR(queue: *mut c_void) -> UBase;
+    pub(crate) fn xQueueGetMutexHolder(queue: *mut c_void) -> *mut Tcb;
+    pub(crate) fn xQueueAddToSet(member: *mut c_void, set: *mut c_void) -> Base;
+    pub(crate) fn xQueueSelectFromSet(set: *mut c_void, timeout: Tick) -> *mut c_void;
+
+    pub(crate) fn xEventGroupCreateStatic(group: *mut c_void) -> *mut c_void;
+    pub(crate) fn xEventGroupWaitBits(
+        group: *mut c_void,
+        bits: u32,
+        clear: Base,
+        all: Base,
+        timeout: Tick,
+    ) -> u32;
+    pub(crate) fn xEventGroupSetBits(group: *mut c_void, bits: u32) -> u32;
+    pub(crate) fn xEventGroupSetBitsFromISR(
+        group: *mut c_void,
+        bits: u32,
+        woken: *mut Base,
+    ) -> Base;
+    pub(crate) fn xEventGroupClearBits(group: *mut c_void, bits: u32) -> u32;
+    pub(crate) fn xEventGroupGetBitsFromISR(group: *mut c_void) -> u32;
+    pub(crate) fn xEventGroupSync(group: *mut c_void, set: u32, wait: u32, timeout: Tick) -> u32;
+
+    pub(crate) fn xTimerCreateStatic(
+        name: *const c_char,
+        period: Tick,
+        reload: UBase,
+        id: *mut c_void,
+        callback: extern "C" fn(*mut c_void),
+        timer: *mut c_void,
+    ) -> *mut c_void;
+    pub(crate) fn pvTimerGetTimerID(timer: *const c_void) -> *mut c_void;
+    pub(crate) fn xTimerIsTimerActive(timer: *mut c_void) -> Base;
+    pub(crate) fn xTimerGenericCommandFromTask(
+        timer: *mut c_void,
+        command: Base,
+        value: Tick,
+        woken: *mut Base,
+        timeout: Tick,
+    ) -> Base;
+    pub(crate) fn xTimerGenericCommandFromISR(
+        timer: *mut c_void,
+        command: Base,
+        value: Tick,
+        woken: *mut Base,
+        timeout: Tick,
+    ) -> Base;
+
+    pub(crate) fn vTaskPrioritySet(task: *mut Tcb, priority: UBase);
+    pub(crate) fn vTaskSuspend(task: *mut Tcb);
+    pub(crate) fn vTaskResume(task: *mut Tcb);
+    pub(crate) fn vTaskSuspendAll();
+    pub(crate) fn xTaskResumeAll() -> Base;
+    pub(crate) fn ulTaskGetRunTimeCounter(task: *const Tcb) -> u64;
 }

@@ -2,16 +2,17 @@
 
 use super::ffi::{self, Base, Tcb};
 use super::shared::Shared;
-use crate::context::TaskContext;
+use crate::context::{Context, TaskContext, TaskLevel};
 use crate::port;
-use crate::task::{SpawnError, TaskOptions};
+use crate::task::{Priority, SpawnError, TaskOptions};
 use crate::time::Ticks;
 #[cfg(feature = "alloc")]
 use alloc::{boxed::Box, sync::Arc};
 use core::cell::UnsafeCell;
 use core::ffi::{CStr, c_char, c_void};
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU8, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU8, AtomicU32, Ordering};
+use core::time::Duration;
 
 /// Bytes of a task's name with the closing zero; as configMAX_TASK_NAME_LEN.
 pub(crate) const NAME_BYTES: usize = 16;
@@ -45,6 +46,8 @@ pub(crate) struct Record {
     next: AtomicPtr<Record>,
     /// Where this is counted, for the count that the list holds.
     on_heap: AtomicBool,
+    /// Mutexes that the task holds.
+    mutexes: AtomicU32,
 }
 
 // SAFETY: the cells are written before the task starts and after it is gone, by the one thread of
@@ -67,6 +70,7 @@ impl Record {
             state: AtomicU8::new(FREE),
             next: AtomicPtr::new(ptr::null_mut()),
             on_heap: AtomicBool::new(false),
+            mutexes: AtomicU32::new(0),
         }
     }
 
@@ -284,6 +288,13 @@ extern "C" fn task_main(parameters: *mut c_void) {
         #[cfg(feature = "alloc")]
         Entry::Closure(closure) => closure(&context),
     }
+    if record.mutexes.load(Ordering::Relaxed) != 0 {
+        // Who waits for it would lend its priority to a task that is no more.
+        port::fatal(format_args!(
+            "task '{}' has ended with a locked mutex",
+            current_name()
+        ));
+    }
     record.state.store(ENDED, Ordering::Relaxed);
     // SAFETY: null means the caller; nothing on this stack is needed any more.
     unsafe { ffi::vTaskDelete(ptr::null_mut()) };
@@ -338,17 +349,31 @@ pub(crate) fn abandon_all() {
     }
 }
 
+fn current() -> Option<&'static Record> {
+    // SAFETY: reads a pointer that only this thread changes. Every task of the kernel was made from
+    // a record, whose first field is the control block; the running one's is not given back.
+    unsafe { ffi::pxCurrentTCB.cast::<Record>().as_ref() }
+}
+
+/// The running task has locked a mutex.
+pub(crate) fn mutex_taken() {
+    if let Some(record) = current() {
+        record.mutexes.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+/// The running task unlocks a mutex.
+pub(crate) fn mutex_given() {
+    if let Some(record) = current() {
+        record.mutexes.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
 /// The stack of the running task, from its lowest word on.
 #[cfg(target_os = "linux")]
 pub(crate) fn current_stack() -> Option<(usize, usize)> {
-    // SAFETY: reads a pointer that only this thread changes.
-    let current = unsafe { ffi::pxCurrentTCB };
-    if current.is_null() {
-        return None;
-    }
-    // SAFETY: every task of the kernel was made from a record, whose first field is the control
-    // block; its stack is set before it runs.
-    let stack = unsafe { &*(*current.cast::<Record>()).stack.get() };
+    // SAFETY: set before the task runs, and taken after it has left.
+    let stack = unsafe { &*current()?.stack.get() };
     stack
         .as_ref()
         .map(|stack| (stack.low as usize, stack.words))
@@ -515,4 +540,116 @@ pub(crate) fn wait_bits(timeout: Ticks) -> Option<u32> {
     // SAFETY: as above; the place is written during the call.
     let got = unsafe { ffi::xTaskGenericNotifyWait(0, 0, u32::MAX, &mut bits, timeout.0) };
     (got != 0).then_some(bits)
+}
+
+/// What the kernel knows about a task.
+#[derive(Clone, Copy, Debug)]
+pub struct TaskStatistics<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its number, by which traces call it: the order in which tasks were made, from 1 on.
+    pub number: u32,
+    /// Its priority, with what it inherits from tasks that wait for its mutexes. 0 is the idle
+    /// task's, 31 the timers'.
+    pub priority: u8,
+    /// How long it has run, with the interrupts that came meanwhile.
+    pub run_time: Duration,
+    /// Bytes of its stack.
+    pub stack_bytes: usize,
+    /// Bytes of its stack that it never used.
+    pub unused_stack_bytes: usize,
+}
+
+fn statistics(record: &Record) -> TaskStatistics<'_> {
+    let mut info = ffi::TaskInfo::default();
+    // SAFETY: the task is alive, and cannot end meanwhile: no other task runs.
+    let (name, words) = unsafe {
+        ffi::tandem_task_info(record.handle(), &mut info);
+        let stack = &*record.stack.get();
+        (
+            name_of(record.handle()),
+            stack.as_ref().map_or(0, |stack| stack.words),
+        )
+    };
+    TaskStatistics {
+        name,
+        number: info.number as u32,
+        priority: info.priority as u8,
+        run_time: port::run_time_span(info.run_time),
+        stack_bytes: words * size_of::<usize>(),
+        unused_stack_bytes: info.unused_stack_words * size_of::<usize>(),
+    }
+}
+
+/// Shows every task that is alive, the kernel's own ones first, while no other task runs.
+pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
+    // SAFETY: called by a task; ended below. Interrupts go on.
+    unsafe { ffi::vTaskSuspendAll() };
+    look(&statistics(&IDLE.record));
+    look(&statistics(&TIMERS.record));
+    let mut at = TASKS.load(Ordering::Relaxed);
+    // SAFETY: what is in the list lives, and only tasks change the list.
+    while let Some(record) = unsafe { at.as_ref() } {
+        if record.state.load(Ordering::Relaxed) == ALIVE {
+            look(&statistics(record));
+        }
+        at = record.next.load(Ordering::Relaxed);
+    }
+    // SAFETY: pairs with the call above.
+    unsafe { ffi::xTaskResumeAll() };
+}
+
+/// The time that the running task has run, in the port's units.
+pub(crate) fn own_run_time() -> u64 {
+    // SAFETY: null means the caller, a task.
+    unsafe { ffi::ulTaskGetRunTimeCounter(ptr::null()) }
+}
+
+impl TaskHandle {
+    /// The task's number, by which traces call it.
+    ///
+    /// # Errors
+    /// [`TaskError::Ended`]
+    pub fn number<C: Context>(&self, _ctx: &C) -> Result<u32, TaskError> {
+        self.with(C::IN_INTERRUPT, |handle| {
+            let mut info = ffi::TaskInfo::default();
+            // SAFETY: the task is alive.
+            unsafe { ffi::tandem_task_info(handle, &mut info) };
+            info.number as u32
+        })
+    }
+
+    /// Gives the task another priority.
+    ///
+    /// # Errors
+    /// [`TaskError::Ended`]
+    pub fn set_priority(&self, _ctx: &impl TaskLevel, priority: Priority) -> Result<(), TaskError> {
+        self.with(false, |handle| {
+            // SAFETY: the task is alive.
+            unsafe { ffi::vTaskPrioritySet(handle, usize::from(priority.level())) };
+        })
+    }
+
+    /// Keeps the task from running until it is resumed, whatever else it waits for.
+    ///
+    /// # Errors
+    /// [`TaskError::Ended`]
+    pub fn suspend(&self, _ctx: &TaskContext) -> Result<(), TaskError> {
+        port::assert_may_block();
+        self.with(false, |handle| {
+            // SAFETY: the task is alive.
+            unsafe { ffi::vTaskSuspend(handle) };
+        })
+    }
+
+    /// Lets a suspended task run again.
+    ///
+    /// # Errors
+    /// [`TaskError::Ended`]
+    pub fn resume(&self, _ctx: &TaskContext) -> Result<(), TaskError> {
+        self.with(false, |handle| {
+            // SAFETY: the task is alive.
+            unsafe { ffi::vTaskResume(handle) };
+        })
+    }
 }

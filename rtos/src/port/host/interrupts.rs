@@ -11,7 +11,7 @@ use super::state::{self, PENDING};
 use super::tick;
 use crate::context::InterruptContext;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::{sys, trace};
+use crate::sys::{self, sink};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
@@ -131,7 +131,7 @@ pub(super) fn most_urgent(level: u32) -> Option<(u32, u32)> {
 
 /// Runs the handler of a source. Entered with interrupts masked once and the source's level taken.
 pub(super) fn run(number: u32) {
-    trace::interrupt_entered(number);
+    sink::interrupt_entered(number);
     match SOURCES.get(number as usize) {
         // The tick works on the kernel's lists, so nothing may interrupt it.
         None => tick::interrupt(),
@@ -146,7 +146,7 @@ pub(super) fn run(number: u32) {
             }
         }
     }
-    trace::interrupt_left(number);
+    sink::interrupt_left(number);
 }
 
 /// The handler of both signals. It may interrupt a task anywhere, also in a call of the operating

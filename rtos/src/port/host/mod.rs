@@ -10,12 +10,12 @@ mod tick;
 
 pub use exclusive::{Output, TaskAllocator, deferred, print};
 pub use interrupts::raise;
-pub(crate) use tick::run_time;
 pub use tick::{TickStatistics, elapsed_ns, now_ns, observe as observe_ticks, statistics};
+pub(crate) use tick::{run_time, run_time_span, timestamp_ns, virtual_work};
 
 pub(crate) use interrupts::attach;
 pub(crate) use stack::{MIN_STACK_WORDS, Stack, idle};
-pub(crate) use state::assert_may_block;
+pub(crate) use state::{assert_may_block, epoch, in_task};
 
 use crate::kernel::{Clock, StartError};
 use crate::sys::{self, ffi};

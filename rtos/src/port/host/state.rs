@@ -57,7 +57,7 @@ std::thread_local! {
 }
 
 /// Whether the caller is on the thread that the tasks share.
-pub(crate) fn on_core() -> bool {
+pub(super) fn on_core() -> bool {
     ON_CORE.get()
 }
 
@@ -65,7 +65,6 @@ pub(super) fn set_on_core(on: bool) {
     ON_CORE.set(on);
 }
 
-#[allow(dead_code, reason = "the objects of the next step look at it")]
 pub(crate) fn epoch() -> u32 {
     EPOCH.load(Relaxed)
 }
@@ -247,6 +246,11 @@ pub(crate) fn assert_may_block() {
         may,
         "a call that may block, in a critical section or with pre-emption deferred"
     );
+}
+
+/// Whether the caller is a task: on the core's thread, and no handler.
+pub(crate) fn in_task() -> bool {
+    on_core() && !in_interrupt()
 }
 
 /// Whether a handler of an interrupt runs.

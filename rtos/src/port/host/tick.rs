@@ -13,6 +13,7 @@ use core::mem::MaybeUninit;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64};
+use core::time::Duration;
 
 /// Nanoseconds of a tick.
 pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
@@ -84,6 +85,7 @@ pub fn now_ns() -> u64 {
 /// Makes the timer; it stands still until `begin`.
 pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
     VIRTUAL.store(clock == Clock::Virtual, Relaxed);
+    origin();
     VIRTUAL_NS.store(0, Relaxed);
     for count in [&DONE, &CAUGHT_UP, &LATEST_NS, &START_NS] {
         count.store(0, Relaxed);
@@ -192,6 +194,42 @@ fn signal_tick() {
 
 pub(super) fn is_virtual() -> bool {
     VIRTUAL.load(Relaxed)
+}
+
+/// Lets work pass in virtual time, if time is virtual.
+pub(crate) fn virtual_work(span: Duration) -> bool {
+    if is_virtual() {
+        consume_virtual(span.as_nanos() as u64);
+    }
+    is_virtual()
+}
+
+/// The time of an event, in nanoseconds: of CLOCK_MONOTONIC, or of virtual time.
+pub(crate) fn timestamp_ns() -> u64 {
+    if is_virtual() {
+        VIRTUAL_NS.load(Relaxed)
+    } else {
+        now_ns()
+    }
+}
+
+/// A span of [`run_time`], by how that counter and the clock have moved since the process began to
+/// use them.
+pub(crate) fn run_time_span(counts: u64) -> Duration {
+    let (origin_count, origin_ns) = origin();
+    let counted = u128::from((run_time() - origin_count).max(1));
+    let ns = u128::from(counts) * u128::from(now_ns() - origin_ns) / counted;
+    Duration::from_nanos(ns as u64)
+}
+
+/// Count and clock at one moment: the first call's.
+fn origin() -> (u64, u64) {
+    static ORIGIN: [AtomicU64; 2] = [const { AtomicU64::new(0) }; 2];
+    if ORIGIN[0].load(Relaxed) == 0 {
+        ORIGIN[1].store(now_ns(), Relaxed);
+        ORIGIN[0].store(run_time(), Relaxed);
+    }
+    (ORIGIN[0].load(Relaxed), ORIGIN[1].load(Relaxed))
 }
 
 /// In virtual time nothing happens before the next tick.
