@@ -1,31 +1,95 @@
 //! `tandem bench`: its arguments, and what it writes.
 
 use crate::cases::{self, Case, Group};
-use crate::measure;
+use crate::compare::{self, CompareError, Comparison};
+use crate::hgrm;
+use crate::measure::{self, Measurement};
+use crate::places::{self, Folder, Place, PlaceError};
 use crate::result::Results;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::io;
 use std::path::PathBuf;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tandem_board_host::{AttachError, BareSystem, IsolationError, isolation};
+
+const EXAMPLES: &str = "\
+Examples:
+  tandem bench --quick                        all groups, roughly; the table alone
+  tandem bench spin sleep --json a.json --html a.html
+                                              two groups in full, with the page of curves
+Every group has a floor: the bare mechanism, such as a cache line or a futex, between the same
+CPUs in the same run. Read the ratios to it (x p50 and x p99.9); the times are the machine's.
+Ctrl-C ends the measurement: what was measured so far is shown and written.
+After a change of the code, `tandem bench compare a.json b.json` says what became slower.
+
+Exit status: 0 all well; 1 nothing could be measured; 2 the command line was wrong or an output
+cannot be written, and nothing was started; 130 ended by Ctrl-C.";
+
+const COMPARE_EXAMPLES: &str = "\
+Examples:
+  tandem bench --json a.json; git switch my-change; tandem bench --json b.json
+  tandem bench compare a.json b.json          exits with 1 if Tandem became slower
+  tandem bench compare a.json b.json --json - | jq .slower
+A change counts if the times and their ratios to the floor agree on it, and if it is larger than
+what either run drifted by itself. Measure both on the same machine, in full, without other work.
+Floors and peers are shown, and do not count: their code is the same.
+
+Exit status: 0 nothing of Tandem became slower; 1 something did; 2 a file is missing or no result,
+or the files have no case in common.";
 
 /// Arguments of `tandem bench`.
 #[derive(Clone, Debug, clap::Args)]
+#[command(args_conflicts_with_subcommands = true, after_help = EXAMPLES)]
 pub struct BenchArgs {
+    /// Something else than measuring.
+    #[command(subcommand)]
+    pub command: Option<BenchCommand>,
+
     /// Take some 15 seconds instead of 90: fewer samples, the same cases
     #[arg(long)]
     pub quick: bool,
 
-    /// Write the figures and a description of the machine to this file
+    /// Write all figures and a description of the machine to this file
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+
+    /// Write a page with percentile curves and tables to this file
+    #[arg(long, value_name = "FILE")]
+    pub html: Option<PathBuf>,
+
+    /// Write a distribution for each case, in ns, to this folder: for HdrHistogram plotters
+    #[arg(long, value_name = "DIR")]
+    pub hgrm: Option<PathBuf>,
 
     /// Which groups to measure [default: all]
     #[arg(value_enum, value_name = "GROUP")]
     pub groups: Vec<Group>,
 }
 
-/// Why nothing could be measured.
+/// What `tandem bench` can do besides measuring.
+#[derive(Clone, Debug, clap::Subcommand)]
+pub enum BenchCommand {
+    /// Say what changed between two runs, beyond noise
+    Compare(CompareArgs),
+}
+
+/// Arguments of `tandem bench compare`.
+#[derive(Clone, Debug, clap::Args)]
+#[command(after_help = COMPARE_EXAMPLES)]
+pub struct CompareArgs {
+    /// Figures of the run before, by `tandem bench --json`
+    #[arg(value_name = "A.json")]
+    pub a: PathBuf,
+
+    /// Figures of the run after
+    #[arg(value_name = "B.json")]
+    pub b: PathBuf,
+
+    /// Write the comparison to this file; `-` is stdout, instead of the table
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
+/// Why nothing could be measured, shown or compared.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// No place for the shared memory.
@@ -37,35 +101,92 @@ pub enum BenchError {
     /// The ends need a CPU each.
     #[error("the benchmark needs two CPUs, and this process may use {0}")]
     TooFewCpus(usize),
-    /// The file of the figures cannot be written.
-    #[error("cannot write {path}: {source}")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
+    /// An output cannot be written.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// Ctrl-C came before the first figure.
+    #[error("interrupted before anything was measured; nothing was written")]
+    Interrupted,
+    /// Every case failed.
+    #[error("nothing could be measured: {0}")]
+    NothingMeasured(String),
+    /// The results, checked when the outputs were opened, cannot be written now.
+    #[error("measured, but not written: {0}")]
+    NotWritten(PlaceError),
+    /// The figures hold what JSON cannot.
+    #[error("the figures cannot be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// The files cannot be compared.
+    #[error(transparent)]
+    Compare(#[from] CompareError),
 }
 
-/// Measures, prints the table, and returns the results. Ctrl-C ends the measurement early; what was
-/// measured so far is printed all the same.
+impl BenchError {
+    /// Whether the command line, an input or the machine did not permit it, and nothing was
+    /// started.
+    #[must_use]
+    pub const fn is_usage(&self) -> bool {
+        matches!(
+            self,
+            Self::TooFewCpus(_) | Self::Place(_) | Self::Compare(_)
+        )
+    }
+}
+
+/// Where results go, checked.
+struct Outputs {
+    json: Option<Place>,
+    html: Option<Place>,
+    hgrm: Option<Folder>,
+}
+
+impl Outputs {
+    fn check(args: &BenchArgs) -> Result<Self, PlaceError> {
+        let file = |option, path: &Option<PathBuf>| {
+            let path = path.as_deref();
+            path.map(|path| Place::check(option, path)).transpose()
+        };
+        let folder = args.hgrm.as_deref();
+        let outputs = Self {
+            json: file("--json", &args.json)?,
+            html: file("--html", &args.html)?,
+            hgrm: folder
+                .map(|path| Folder::check("--hgrm", path))
+                .transpose()?,
+        };
+        let files: Vec<&Place> = outputs.json.iter().chain(&outputs.html).collect();
+        places::distinct(&files)?;
+        Ok(outputs)
+    }
+
+    fn write(self, results: &Results, all: &[Measurement]) -> Result<(), BenchError> {
+        if let Some(place) = self.json {
+            let text = serde_json::to_string_pretty(results)? + "\n";
+            place.write(&text).map_err(BenchError::NotWritten)?;
+        }
+        if let Some(folder) = self.hgrm {
+            let measured = all.iter().filter(|one| !one.times.is_empty());
+            let file = |one: &Measurement| {
+                let name = one.case.full_name().replace('/', "-") + ".hgrm";
+                // Picoseconds, shown in nanoseconds.
+                (name, hgrm::text(&one.times, 1e-3))
+            };
+            let files: Vec<(String, String)> = measured.map(file).collect();
+            folder.fill(&files).map_err(BenchError::NotWritten)?;
+        }
+        Ok(())
+    }
+}
+
+/// Measures, writes what `args` asks for, and returns the results. Ctrl-C ends the measurement
+/// early; what was measured so far is written all the same.
 ///
 /// To be called before the process has threads.
 ///
 /// # Errors
-/// [`BenchError`]
+/// [`BenchError`]; nothing is written then, unless it is [`BenchError::NotWritten`].
 pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
-    if let Some(path) = &args.json {
-        // Before the measuring, not after it.
-        let touched = std::fs::OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(path);
-        touched.map_err(|source| BenchError::Write {
-            path: path.clone(),
-            source,
-        })?;
-    }
+    let outputs = Outputs::check(args)?;
     let cpus = core_affinity::get_core_ids().unwrap_or_default();
     let [near, far, ..] = cpus.as_slice() else {
         return Err(BenchError::TooFewCpus(cpus.len()));
@@ -73,40 +194,153 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     let cpus = [near.id, far.id];
     let isolation = isolation::enter()?;
     let system = BareSystem::power_on(&isolation)?;
-    let results = measure(&system, args, cpus);
+    let begin = Instant::now();
+    let all = measure(&system, args, cpus);
+    let duration_s = begin.elapsed().as_secs_f64();
     isolation.wipe();
-    if let Some(path) = &args.json {
-        let text = serde_json::to_string_pretty(&results).map_err(io::Error::from);
-        let written = text.and_then(|text| std::fs::write(path, text + "\n"));
-        written.map_err(|source| BenchError::Write {
-            path: path.clone(),
-            source,
-        })?;
+    let results = Results::new(&all, &cpus, duration_s, measure::was_interrupted());
+    if results.results.is_empty() && results.noise.is_empty() {
+        return Err(nothing(&results));
     }
+    outputs.write(&results, &all)?;
     Ok(results)
 }
 
-fn measure(system: &BareSystem, args: &BenchArgs, cpus: [usize; 2]) -> Results {
+fn nothing(results: &Results) -> BenchError {
+    if results.interrupted {
+        return BenchError::Interrupted;
+    }
+    let skipped = results.skipped.iter();
+    let why: Vec<String> = skipped
+        .map(|case| format!("{}: {}", case.name, case.why))
+        .collect();
+    BenchError::NothingMeasured(why.join("; "))
+}
+
+fn measure(system: &BareSystem, args: &BenchArgs, cpus: [usize; 2]) -> Vec<Measurement> {
     let wanted = |case: &&Case| args.groups.is_empty() || args.groups.contains(&case.group);
     let span = measure::Span {
         at_least: Duration::from_secs(if args.quick { 12 } else { 90 }),
         turns: 3,
         at_most: Duration::from_secs(if args.quick { 30 } else { 240 }),
     };
-    let bar = ProgressBar::new(1000);
-    if let Ok(style) = ProgressStyle::with_template("{bar:30} {msg}") {
-        bar.set_style(style);
-    }
+    let bar = progress_bar();
     let all = measure::run(
         system,
         cases::all().filter(wanted),
         cpus,
         span,
         |passed, case| {
-            bar.set_position((passed * 1000.0) as u64);
+            bar.set_position((passed * STEPS) as u64);
+            bar.set_prefix(time_left(span.at_least, passed));
             bar.set_message(case.full_name());
         },
     );
     bar.finish_and_clear();
-    Results::new(&all, cpus, measure::was_interrupted())
+    all
+}
+
+/// Steps of the progress bar.
+const STEPS: f64 = 1000.0;
+
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::new(STEPS as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {prefix:>11}  {msg}") {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn time_left(span: Duration, passed: f64) -> String {
+    let left = span.as_secs_f64() * (1.0 - passed);
+    if left >= 1.0 {
+        format!("{left:.0} s left")
+    } else {
+        "almost done".to_owned()
+    }
+}
+
+/// What a comparison came to, and whether its JSON goes to stdout in place of the table.
+pub struct Outcome {
+    /// The comparison.
+    pub comparison: Comparison,
+    /// What goes to stdout.
+    pub shown: String,
+}
+
+/// Compares two files.
+///
+/// # Errors
+/// [`BenchError::Compare`] and [`BenchError::Place`]; nothing is written then.
+pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
+    let to_stdout = args
+        .json
+        .as_ref()
+        .is_some_and(|path| path.as_os_str() == "-");
+    let file = args.json.as_deref().filter(|_| !to_stdout);
+    let place = file.map(|path| Place::check("--json", path)).transpose()?;
+    let comparison = compare::files(&args.a, &args.b)?;
+    let json = serde_json::to_string_pretty(&comparison)? + "\n";
+    if let Some(place) = place {
+        place.write(&json).map_err(BenchError::NotWritten)?;
+    }
+    let shown = if to_stdout { json } else { comparison.table() };
+    Ok(Outcome { comparison, shown })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser as _;
+
+    #[derive(Debug, clap::Parser)]
+    struct Line {
+        #[command(flatten)]
+        args: BenchArgs,
+    }
+
+    fn parse(line: &str) -> Result<BenchArgs, String> {
+        let words = std::iter::once("bench").chain(line.split_whitespace());
+        let parsed = Line::try_parse_from(words);
+        parsed
+            .map(|line| line.args)
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn groups_and_the_comparison_do_not_get_in_each_others_way() {
+        let args = parse("--quick sleep spin").unwrap();
+        assert_eq!(args.groups, [Group::Sleep, Group::Spin]);
+        let args = parse("compare a.json b.json").unwrap();
+        let Some(BenchCommand::Compare(args)) = args.command else {
+            panic!("{args:?}");
+        };
+        assert_eq!((args.a, args.b), ("a.json".into(), "b.json".into()));
+        assert!(parse("--quick compare a.json b.json").is_err());
+        assert!(parse("compare a.json").is_err());
+    }
+
+    #[test]
+    fn an_unknown_group_is_answered_with_the_known_ones() {
+        let error = parse("spni").unwrap_err();
+        for known in ["spin", "sleep", "noise"] {
+            assert!(error.contains(known), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_time_left_is_told_in_seconds() {
+        let span = Duration::from_secs(90);
+        assert_eq!(time_left(span, 0.5), "45 s left");
+        assert_eq!(time_left(span, 0.999), "almost done");
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_refused_before_measuring() {
+        let error = run(&parse("--json /no/such/folder/a.json").unwrap()).unwrap_err();
+        assert!(
+            error.is_usage() && error.to_string().contains("create it first"),
+            "{error}"
+        );
+    }
 }

@@ -9,11 +9,21 @@
 pub mod cases;
 pub mod clock;
 pub mod command;
+pub mod compare;
+pub mod family;
+pub mod figures;
 pub mod floor;
 pub mod harness;
+pub mod hgrm;
+pub mod machine;
 pub mod measure;
 pub mod peers;
+pub mod places;
 pub mod result;
 pub mod shared;
 pub mod stage;
+pub mod stats;
+#[cfg(test)]
+mod synthetic;
+pub mod table;
 pub mod tandem;

@@ -1,19 +1,66 @@
-//! Percentiles, ratios to the floor, and the machine that they were measured on.
+//! The results: percentiles, ratios to the floor, and what `tandem bench compare` tests.
+//!
+//! Times are collected in picoseconds, so that an operation of 8 ns keeps its decimals, and stored
+//! in nanoseconds. `Results` is the JSON file, field by field.
 
-use crate::measure::{BatchSummary, Measurement};
-use serde::Serialize;
+use crate::machine::Machine;
+use crate::measure::Measurement;
+use hdrhistogram::Histogram;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fs;
 
-/// One measured case. Times in nanoseconds.
-#[derive(Clone, Debug, Serialize)]
-pub struct Measured {
+/// First field of the file; its version rises when a reader must know.
+pub const SCHEMA: &str = "tandem-bench/1";
+/// Name of the case, in each group, that the others are compared with.
+const FLOOR: &str = "floor";
+/// The group whose rows are the machine's own noise.
+pub const NOISE: &str = "noise";
+/// The group that is about messages per second.
+const THROUGHPUT: &str = "throughput";
+/// Points of a percentile curve, at most.
+const CURVE_POINTS: usize = 100;
+/// A curve ends where fewer samples than this lie beyond it: less would be chance.
+const SAMPLES_BEYOND: f64 = 10.0;
+
+/// A whole run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Results {
+    /// [`SCHEMA`].
+    pub schema: String,
+    /// Where.
+    pub machine: Machine,
+    /// How long the measurement took, s.
+    pub duration_s: f64,
+    /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
+    pub interrupted: bool,
+    /// What the machine does to a program that does nothing: the rows of the group `noise`.
+    pub noise: Vec<Row>,
+    /// What was measured, in the order of the cases.
+    pub results: Vec<Row>,
+    /// What could not be measured.
+    pub skipped: Vec<Skipped>,
+}
+
+/// A case that could not be measured.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Skipped {
+    /// Group and case.
+    pub name: String,
+    /// Why.
+    pub why: String,
+}
+
+/// One measured case. Times in nanoseconds, rounded to a tenth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Row {
     /// Group and case, as `spin/tandem`.
     pub name: String,
     /// The group.
-    pub group: &'static str,
+    pub group: String,
     /// What it is.
-    pub what: &'static str,
+    pub what: String,
+    /// Bytes of payload per message.
+    pub payload_bytes: u64,
     /// Median.
     pub p50_ns: f64,
     /// 90th percentile.
@@ -24,204 +71,204 @@ pub struct Measured {
     pub p99_9_ns: f64,
     /// Largest.
     pub max_ns: f64,
-    /// Number of samples.
+    /// Number of times measured.
     pub samples: u64,
-    /// Median over the floor's median; `None` if the group's floor was not measured.
+    /// Median over the floor's median; `None` without a floor in this group.
     pub ratio_to_floor_p50: Option<f64>,
     /// 99.9th percentile over the floor's.
     pub ratio_to_floor_p99_9: Option<f64>,
-    /// Bytes of payload per message.
-    pub payload_bytes: u64,
-    /// CPU time per message, all ends.
+    /// There and back, where the case is a ping-pong.
+    pub round_trip: Option<RoundTrip>,
+    /// CPU time of all ends per message, where it means something.
     pub cpu_ns_per_message: Option<f64>,
-    /// Memory that the ends used.
+    /// Memory used by the ends.
     pub memory_bytes: Option<u64>,
-    /// Median of each batch, in order.
+    /// At the median time per message; throughput only.
+    pub messages_per_second: Option<f64>,
+    /// Payload at the median time per message; throughput only.
+    pub bytes_per_second: Option<f64>,
+    /// Median of each batch, in the order of measuring.
     pub batch_p50_ns: Vec<f64>,
-    /// 99th percentile of each batch.
+    /// 99th percentile of each batch, in the order of measuring.
     pub batch_p99_ns: Vec<f64>,
+    /// Points (quantile, ns) of the distribution, up to the last nines that the samples carry.
+    pub curve: Vec<(f64, f64)>,
     /// Further facts by name.
-    pub facts: BTreeMap<&'static str, f64>,
+    pub facts: BTreeMap<String, f64>,
 }
 
-/// What was measured on.
-#[derive(Clone, Debug, Serialize)]
-pub struct Machine {
-    /// Processor, as it names itself.
-    pub cpu: String,
-    /// Version of the kernel.
-    pub kernel: String,
-    /// CPUs that the two ends were pinned to.
-    pub pinned_to: [usize; 2],
-    /// `release` or `debug`.
-    pub build: &'static str,
+/// Percentiles of the way there and back.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RoundTrip {
+    /// Median.
+    pub p50_ns: f64,
+    /// 99th percentile.
+    pub p99_ns: f64,
+    /// 99.9th percentile.
+    pub p99_9_ns: f64,
 }
 
-/// A whole run.
-#[derive(Clone, Debug, Serialize)]
-pub struct Results {
-    /// Where.
-    pub machine: Machine,
-    /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
-    pub interrupted: bool,
-    /// What was measured, in the order of the cases.
-    pub results: Vec<Measured>,
-    /// Cases that could not be measured, and why.
-    pub skipped: Vec<String>,
-}
-
-impl Machine {
-    /// This machine.
+impl Row {
+    /// The name within the group.
     #[must_use]
-    pub fn this(pinned_to: [usize; 2]) -> Self {
-        let read = |path| fs::read_to_string(path).unwrap_or_default();
-        let cpu = read("/proc/cpuinfo");
-        let cpu = cpu
-            .lines()
-            .find_map(|line| line.strip_prefix("model name")?.split(": ").nth(1));
-        Self {
-            cpu: cpu.unwrap_or("unknown").to_owned(),
-            kernel: read("/proc/sys/kernel/osrelease").trim().to_owned(),
-            pinned_to,
-            build: if cfg!(debug_assertions) {
-                "debug"
-            } else {
-                "release"
-            },
-        }
+    pub fn case(&self) -> &str {
+        let case = self.name.split_once('/').map(|(_, case)| case);
+        case.unwrap_or(&self.name)
     }
-}
 
-/// Picoseconds as nanoseconds, to a tenth.
-fn ns(ps: u64) -> f64 {
-    (ps as f64 / 100.0).round() / 10.0
-}
-
-impl Measured {
-    /// The figures of one case, beside those of its group's floor.
+    /// Whether the others of the group are compared with this one.
     #[must_use]
-    pub fn new(measurement: &Measurement, floor: Option<&Measurement>) -> Self {
-        let (case, times) = (measurement.case, &measurement.times);
-        let at = |quantile| ns(times.value_at_quantile(quantile));
-        let ratio = |quantile| {
-            let floor = floor?.times.value_at_quantile(quantile);
-            (floor > 0).then(|| times.value_at_quantile(quantile) as f64 / floor as f64)
-        };
-        let batches = &measurement.batches;
-        let middle =
-            |of: fn(&BatchSummary) -> Option<f64>| median(batches.iter().filter_map(of).collect());
-        let mut facts = BTreeMap::<_, Vec<f64>>::new();
-        for (name, value) in batches.iter().flat_map(|batch| &batch.facts) {
-            facts.entry(*name).or_default().push(*value);
-        }
-        let facts = facts.into_iter().filter_map(|(name, values)| {
-            let value = if name.starts_with("longest") {
-                values.into_iter().reduce(f64::max)
-            } else {
-                median(values)
-            };
-            Some((name, value?))
-        });
-        Self {
-            name: case.full_name(),
-            group: case.group.name(),
-            what: case.what,
-            p50_ns: at(0.5),
-            p90_ns: at(0.9),
-            p99_ns: at(0.99),
-            p99_9_ns: at(0.999),
-            max_ns: ns(times.max()),
-            samples: times.len(),
-            ratio_to_floor_p50: ratio(0.5),
-            ratio_to_floor_p99_9: ratio(0.999),
-            payload_bytes: batches.first().map_or(0, |batch| batch.payload_bytes),
-            cpu_ns_per_message: middle(|batch| batch.cpu_ns_per_message),
-            memory_bytes: middle(|batch| batch.memory_bytes.map(|bytes| bytes as f64))
-                .map(|bytes| bytes as u64),
-            batch_p50_ns: batches.iter().map(|batch| ns(batch.p50_ps)).collect(),
-            batch_p99_ns: batches.iter().map(|batch| ns(batch.p99_ps)).collect(),
-            facts: facts.collect(),
-        }
+    pub fn is_floor(&self) -> bool {
+        self.case() == FLOOR
     }
-}
-
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_unstable_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 impl Results {
-    /// The rows of all cases that were measured.
+    /// The rows of all cases that have samples, each beside its floor.
     #[must_use]
-    pub fn new(all: &[Measurement], cpus: [usize; 2], interrupted: bool) -> Self {
+    pub fn new(all: &[Measurement], cpus: &[usize], duration_s: f64, interrupted: bool) -> Self {
         let floor = |of: &Measurement| {
-            let is_floor =
-                |one: &&Measurement| one.case.group == of.case.group && one.case.is_floor();
-            all.iter().find(is_floor)
+            let floor = |one: &&Measurement| one.case.group == of.case.group && one.case.is_floor();
+            all.iter().find(floor)
         };
         let measured = all.iter().filter(|one| !one.times.is_empty());
+        let rows = measured.map(|one| Row::new(one, floor(one)));
+        let (noise, results) = rows.partition(|row| row.group == NOISE);
         let skipped = all.iter().filter_map(|one| {
-            let why = one.skipped.as_ref()?;
-            Some(format!("{}: {why}", one.case.full_name()))
+            Some(Skipped {
+                name: one.case.full_name(),
+                why: one.skipped.clone()?,
+            })
         });
         Self {
+            schema: SCHEMA.to_owned(),
             machine: Machine::this(cpus),
+            duration_s: rounded(duration_s, 10.0),
             interrupted,
-            results: measured.map(|one| Measured::new(one, floor(one))).collect(),
+            noise,
+            results,
             skipped: skipped.collect(),
         }
     }
 
-    /// The table for the terminal.
+    /// The groups in the order of measuring, each with its rows.
     #[must_use]
-    pub fn table(&self) -> String {
-        use std::fmt::Write as _;
-        let mut text = String::new();
-        let Machine {
-            cpu,
-            kernel,
-            pinned_to: [near, far],
-            build,
-            ..
-        } = &self.machine;
-        // Writing to a string cannot fail.
-        let _ = writeln!(
-            text,
-            "{cpu}, Linux {kernel}, CPUs {near} and {far}, {build} build"
-        );
-        let _ = writeln!(text, "Times in ns; ratios to the floor of the same run.");
-        let mut group = "";
+    pub fn groups(&self) -> Vec<(&str, Vec<&Row>)> {
+        let mut groups: Vec<(&str, Vec<&Row>)> = Vec::new();
         for row in &self.results {
-            if row.group != group {
-                group = row.group;
-                let _ = writeln!(
-                    text,
-                    "\n{:<22} {:>8} {:>8} {:>8} {:>8} {:>10}  {:>6} {:>6}",
-                    group, "p50", "p90", "p99", "p99.9", "max", "x p50", "x p99.9"
-                );
+            match groups.iter_mut().find(|(name, _)| *name == row.group) {
+                Some((_, rows)) => rows.push(row),
+                None => groups.push((&row.group, vec![row])),
             }
-            let ratio = |ratio: Option<f64>| ratio.map_or("-".into(), |r| format!("{r:.2}"));
-            let name = row.name.split('/').nth(1).unwrap_or_default();
-            let _ = writeln!(
-                text,
-                "  {:<20} {:>8} {:>8} {:>8} {:>8} {:>10}  {:>6} {:>6}   {}",
-                name,
-                row.p50_ns,
-                row.p90_ns,
-                row.p99_ns,
-                row.p99_9_ns,
-                row.max_ns,
-                ratio(row.ratio_to_floor_p50),
-                ratio(row.ratio_to_floor_p99_9),
-                row.what
-            );
         }
-        for skipped in &self.skipped {
-            let _ = writeln!(text, "skipped: {skipped}");
-        }
-        if self.interrupted {
-            let _ = writeln!(text, "interrupted: fewer samples than planned");
-        }
-        text
+        groups
     }
+}
+
+impl Row {
+    /// The figures of one case, beside those of its group's floor.
+    #[must_use]
+    pub fn new(of: &Measurement, floor: Option<&Measurement>) -> Self {
+        let at = |quantile| of.times.value_at_quantile(quantile);
+        let ratio = |quantile| {
+            let floor = floor.filter(|floor| !floor.times.is_empty())?;
+            let floor = floor.times.value_at_quantile(quantile);
+            (floor > 0).then(|| rounded(at(quantile) as f64 / floor as f64, 1e4))
+        };
+        let group = of.case.group.name();
+        let batches = &of.batches;
+        let payload_bytes = batches.last().map_or(0, |batch| batch.payload_bytes);
+        let rate = (group == THROUGHPUT && at(0.5) > 0).then(|| 1e12 / at(0.5) as f64);
+        let cpu: Vec<f64> = batches
+            .iter()
+            .filter_map(|b| b.cpu_ns_per_message)
+            .collect();
+        // In full: rounding would tie what a test tells apart.
+        let exact = |ps: u64| ps as f64 / 1e3;
+        Self {
+            name: of.case.full_name(),
+            group: group.to_owned(),
+            what: of.case.what.to_owned(),
+            payload_bytes,
+            p50_ns: ns(at(0.5)),
+            p90_ns: ns(at(0.9)),
+            p99_ns: ns(at(0.99)),
+            p99_9_ns: ns(at(0.999)),
+            max_ns: ns(of.times.max()),
+            samples: of.times.len(),
+            ratio_to_floor_p50: ratio(0.5),
+            ratio_to_floor_p99_9: ratio(0.999),
+            round_trip: RoundTrip::new(&of.round_trips),
+            cpu_ns_per_message: median(&cpu).map(|cpu| rounded(cpu, 10.0)),
+            memory_bytes: batches.iter().filter_map(|batch| batch.memory_bytes).max(),
+            messages_per_second: rate.map(f64::round),
+            bytes_per_second: rate.map(|rate| (rate * payload_bytes as f64).round()),
+            batch_p50_ns: batches.iter().map(|batch| exact(batch.p50_ps)).collect(),
+            batch_p99_ns: batches.iter().map(|batch| exact(batch.p99_ps)).collect(),
+            curve: curve(&of.times),
+            facts: facts(of),
+        }
+    }
+}
+
+impl RoundTrip {
+    /// `None` if there are no samples.
+    fn new(times_ps: &Histogram<u64>) -> Option<Self> {
+        let at = |quantile| ns(times_ps.value_at_quantile(quantile));
+        (!times_ps.is_empty()).then(|| Self {
+            p50_ns: at(0.5),
+            p99_ns: at(0.99),
+            p99_9_ns: at(0.999),
+        })
+    }
+}
+
+/// Each fact once: the median of the batches, or their largest if it is the longest of something.
+fn facts(of: &Measurement) -> BTreeMap<String, f64> {
+    let mut all = BTreeMap::<&str, Vec<f64>>::new();
+    for (name, value) in of.batches.iter().flat_map(|batch| &batch.facts) {
+        all.entry(name).or_default().push(*value);
+    }
+    let one = |(name, values): (&str, Vec<f64>)| {
+        let value = if name.starts_with("longest") {
+            values.into_iter().reduce(f64::max)
+        } else {
+            median(&values)
+        };
+        Some((name.to_owned(), rounded(value?, 1e4)))
+    };
+    all.into_iter().filter_map(one).collect()
+}
+
+/// The middle of these values; `None` if there is none.
+pub(crate) fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let upper = *sorted.get(sorted.len() / 2)?;
+    let lower = *sorted.get((sorted.len() - 1) / 2)?;
+    Some(f64::midpoint(lower, upper))
+}
+
+fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {
+    let samples = times_ps.len() as f64;
+    // In powers of ten of 1 / (1 - q): 0 is the smallest, 1 is 90 %, 2 is 99 %.
+    let end = (samples / SAMPLES_BEYOND).log10();
+    if end <= 0.0 {
+        return Vec::new();
+    }
+    let points = (0..CURVE_POINTS).map(|i| {
+        let nines = end * i as f64 / (CURVE_POINTS - 1) as f64;
+        let quantile = rounded(1.0 - 10.0_f64.powf(-nines), 1e9);
+        (quantile, ns(times_ps.value_at_quantile(quantile)))
+    });
+    points.collect()
+}
+
+/// Picoseconds in nanoseconds, rounded to a tenth.
+fn ns(ps: u64) -> f64 {
+    rounded(ps as f64 / 1e3, 10.0)
+}
+
+fn rounded(value: f64, steps: f64) -> f64 {
+    (value * steps).round() / steps
 }

@@ -11,8 +11,12 @@ pub(crate) enum Failure {
     Run(anyhow::Error),
     /// The run came to its end, and not all was as it must be. The report says more.
     Objections(Vec<String>),
+    /// These cases are slower than they were.
+    Slower(Vec<String>),
     /// A person ended it.
     Interrupted,
+    /// A person ended it, and what there was until then is shown.
+    CutShort,
 }
 
 impl Failure {
@@ -21,6 +25,8 @@ impl Failure {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),
             Self::Objections(objections) => eprintln!("run failed: {}", objections.join("; ")),
+            Self::Slower(cases) => eprintln!("slower beyond noise: {}", cases.join(", ")),
+            Self::CutShort => eprintln!("interrupted: these are the figures so far"),
             Self::Interrupted => {
                 eprintln!(
                     "interrupted: everything is stopped, nothing is left, no report was written"
@@ -32,9 +38,9 @@ impl Failure {
     /// The exit status.
     pub(crate) fn code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Run(_) | Self::Objections(_) => 1,
+            Self::Run(_) | Self::Objections(_) | Self::Slower(_) => 1,
             Self::Usage(_) => 2,
-            Self::Interrupted => 130,
+            Self::Interrupted | Self::CutShort => 130,
         })
     }
 }

@@ -32,7 +32,8 @@ use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 
 use args::{Cli, Command};
 use failure::Failure;
-use tandem_benches::command::BenchArgs;
+use tandem_benches::command::{self as bench, BenchArgs, BenchCommand, BenchError};
+use tandem_benches::table;
 
 fn main() -> ExitCode {
     // The processes of a run are this program with hidden arguments.
@@ -79,9 +80,28 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
 }
 
 fn bench(args: &BenchArgs) -> Result<(), Failure> {
-    let results = tandem_benches::command::run(args).map_err(|error| Failure::Run(error.into()))?;
-    let table = io::stdout().lock().write_all(results.table().as_bytes());
-    table.context("cannot print").map_err(Failure::Run)
+    let failure = |error: BenchError| match error {
+        BenchError::Interrupted => Failure::Interrupted,
+        error if error.is_usage() => Failure::Usage(error.into()),
+        error => Failure::Run(error.into()),
+    };
+    if let Some(BenchCommand::Compare(args)) = &args.command {
+        let outcome = bench::compare(args).map_err(failure)?;
+        print(&outcome.shown).map_err(Failure::Run)?;
+        let slower = outcome.comparison.slower;
+        return if slower.is_empty() {
+            Ok(())
+        } else {
+            Err(Failure::Slower(slower))
+        };
+    }
+    let results = bench::run(args).map_err(failure)?;
+    let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
+    print(&results.table(width.unwrap_or(table::USUAL))).map_err(Failure::Run)?;
+    if results.interrupted {
+        return Err(Failure::CutShort);
+    }
+    Ok(())
 }
 
 fn scenarios() -> anyhow::Result<()> {

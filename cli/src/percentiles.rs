@@ -1,7 +1,5 @@
 //! Distributions of spans of time, and the `.hgrm` files that HdrHistogram's tools read.
 
-use std::fmt::Write as _;
-
 use hdrhistogram::Histogram;
 
 /// A distribution of spans, kept in nanoseconds with four significant digits.
@@ -53,33 +51,7 @@ impl Spans {
 
     /// The text of a `.hgrm` file, values in milliseconds.
     pub(crate) fn to_hgrm(&self) -> String {
-        let mut text = String::from("       Value     Percentile TotalCount 1/(1-Percentile)\n\n");
-        for step in self.histogram.iter_quantiles(5) {
-            let value = step.value_iterated_to() as f64 * 1e-6;
-            let quantile = step.quantile_iterated_to();
-            let count = self.histogram.count_between(0, step.value_iterated_to());
-            let _ = write!(text, "{value:12.6} {quantile:2.12} {count:10}");
-            if quantile < 1.0 {
-                let _ = write!(text, " {:14.2}", 1.0 / (1.0 - quantile));
-            }
-            text.push('\n');
-        }
-        let (mean, deviation) = if self.count() == 0 {
-            (0.0, 0.0)
-        } else {
-            (self.histogram.mean() * 1e-6, self.histogram.stdev() * 1e-6)
-        };
-        let max = self.max_ms().unwrap_or(0.0);
-        let _ = writeln!(
-            text,
-            "#[Mean    = {mean:12.6}, StdDeviation   = {deviation:12.6}]"
-        );
-        let _ = writeln!(
-            text,
-            "#[Max     = {max:12.6}, Total count    = {:12}]",
-            self.count()
-        );
-        text
+        tandem_benches::hgrm::text(&self.histogram, 1e-6)
     }
 }
 

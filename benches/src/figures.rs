@@ -1,0 +1,149 @@
+//! Figures as people read them: a unit that fits, and no more digits than mean something.
+
+/// The unit in which a group of times is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unit {
+    /// Nanoseconds.
+    Ns,
+    /// Microseconds.
+    Us,
+    /// Milliseconds.
+    Ms,
+}
+
+impl Unit {
+    /// The unit in which these times, in ns, have few digits: that of their middle one.
+    #[must_use]
+    pub fn of(times_ns: &[f64]) -> Self {
+        match crate::result::median(times_ns).unwrap_or(0.0) {
+            ns if ns < 1e4 => Self::Ns,
+            ns if ns < 1e7 => Self::Us,
+            _ => Self::Ms,
+        }
+    }
+
+    /// Its sign.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Ns => "ns",
+            Self::Us => "µs",
+            Self::Ms => "ms",
+        }
+    }
+
+    /// A time in this unit, without its sign.
+    #[must_use]
+    pub fn show(self, ns: f64) -> String {
+        number(match self {
+            Self::Ns => ns,
+            Self::Us => ns / 1e3,
+            Self::Ms => ns / 1e6,
+        })
+    }
+}
+
+/// A time with the unit that fits it alone.
+#[must_use]
+pub fn time(ns: f64) -> String {
+    let unit = match ns {
+        ns if ns < 1e3 => Unit::Ns,
+        ns if ns < 1e6 => Unit::Us,
+        _ => Unit::Ms,
+    };
+    format!("{} {}", unit.show(ns), unit.name())
+}
+
+/// About three digits that mean something: `8.31`, `84.2`, `312`, `25013`.
+#[must_use]
+pub fn number(value: f64) -> String {
+    let decimals = match value.abs() {
+        v if v < 9.995 => 2,
+        v if v < 99.95 => 1,
+        _ => 0,
+    };
+    format!("{value:.decimals$}")
+}
+
+/// A ratio: `1.12`, `15.3`, `240`.
+#[must_use]
+pub fn ratio(ratio: f64) -> String {
+    number(ratio)
+}
+
+/// A large count with a prefix: `12.3 M`.
+#[must_use]
+pub fn count(value: f64) -> String {
+    match value {
+        v if v >= 1e9 => format!("{} G", number(v / 1e9)),
+        v if v >= 1e6 => format!("{} M", number(v / 1e6)),
+        v if v >= 1e4 => format!("{} k", number(v / 1e3)),
+        v => format!("{v:.0}"),
+    }
+}
+
+/// An amount of memory: `4 B`, `64 KiB`, `16 MiB`.
+#[must_use]
+pub fn bytes(bytes: u64) -> String {
+    let value = bytes as f64;
+    let short = |value: f64| {
+        if value.fract() == 0.0 {
+            format!("{value:.0}")
+        } else {
+            number(value)
+        }
+    };
+    match bytes {
+        b if b >= 1 << 20 => format!("{} MiB", short(value / f64::from(1 << 20))),
+        b if b >= 1 << 10 => format!("{} KiB", short(value / f64::from(1 << 10))),
+        b => format!("{b} B"),
+    }
+}
+
+/// A further fact by its name: those that say so are times in ns.
+#[must_use]
+pub fn fact(name: &str, value: f64) -> String {
+    match name.strip_suffix(" ns") {
+        Some(name) => format!("{name} {}", time(value)),
+        None => format!("{name} {}", number(value)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_has_the_unit_that_fits() {
+        let shown = [8.3, 84.24, 312.4, 999.9, 21_300.0, 1.5e6, 5e9].map(time);
+        let expected = [
+            "8.30 ns", "84.2 ns", "312 ns", "1000 ns", "21.3 µs", "1.50 ms", "5000 ms",
+        ];
+        assert_eq!(shown, expected);
+    }
+
+    #[test]
+    fn a_group_has_one_unit() {
+        assert_eq!(Unit::of(&[80.0, 90.0, 5e6]), Unit::Ns);
+        assert_eq!(Unit::of(&[21e3, 25e3]), Unit::Us);
+        assert_eq!(Unit::of(&[]), Unit::Ns);
+        assert_eq!(Unit::Us.show(21_345.0), "21.3");
+    }
+
+    #[test]
+    fn amounts_are_written_as_people_say_them() {
+        assert_eq!(
+            [4, 4096, 1 << 20, 1_600_000].map(bytes),
+            ["4 B", "4 KiB", "1 MiB", "1.53 MiB"]
+        );
+        assert_eq!(
+            [12_345_678.0, 950.0, 48_000.0].map(count),
+            ["12.3 M", "950", "48.0 k"]
+        );
+        assert_eq!(fact("naive p99.9 ns", 21_300.0), "naive p99.9 21.3 µs");
+        assert_eq!(
+            fact("share of the least served", 0.312),
+            "share of the least served 0.31"
+        );
+    }
+}

@@ -1,0 +1,164 @@
+//! The machine that figures were measured on, as far as it says something about itself.
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fs;
+
+/// The dependencies of this build, by the lock file that it was built with.
+const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.lock"));
+/// The peers that are libraries.
+const PEERS: [&str; 3] = ["iceoryx2", "crossbeam", "rtrb"];
+
+/// What was measured on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Machine {
+    /// Processor, as it names itself.
+    pub cpu: String,
+    /// CPUs that this process may use.
+    pub cpus: usize,
+    /// CPUs that the ends were pinned to.
+    pub pinned_to: Vec<usize>,
+    /// Version of the kernel.
+    pub kernel: String,
+    /// `release` or `debug`.
+    pub build: String,
+    /// Whether a hypervisor lies between: then other guests take time that nobody here sees.
+    pub hypervisor: bool,
+    /// What scales the clock of the first CPU; `None` if that is not for this system to say.
+    pub governor: Option<String>,
+    /// Scheduling class of the ends.
+    pub scheduling: String,
+    /// Whether the ends' memory could not be swapped out.
+    pub memory_locked: bool,
+    /// When shared memory gets huge pages.
+    pub huge_pages: String,
+    /// Versions of Tandem and of the peers.
+    pub versions: BTreeMap<String, String>,
+}
+
+impl Machine {
+    /// This machine, as the calling process sees it.
+    #[must_use]
+    pub fn this(pinned_to: &[usize]) -> Self {
+        let info = read("/proc/cpuinfo");
+        let first = pinned_to.first().copied().unwrap_or(0);
+        let governor = format!("/sys/devices/system/cpu/cpu{first}/cpufreq/scaling_governor");
+        let build = if cfg!(debug_assertions) {
+            "debug"
+        } else {
+            "release"
+        };
+        Self {
+            cpu: field(&info, "model name").unwrap_or("unknown").to_owned(),
+            cpus: core_affinity::get_core_ids().map_or(1, |ids| ids.len()),
+            pinned_to: pinned_to.to_vec(),
+            kernel: read("/proc/sys/kernel/osrelease").trim().to_owned(),
+            build: build.to_owned(),
+            hypervisor: field(&info, "flags")
+                .is_some_and(|flags| flags.split(' ').any(|flag| flag == "hypervisor")),
+            governor: Some(read(&governor).trim().to_owned()).filter(|name| !name.is_empty()),
+            scheduling: scheduling().to_owned(),
+            memory_locked: field(&read("/proc/self/status"), "VmLck")
+                .is_some_and(|size| !size.starts_with("0 ")),
+            huge_pages: chosen(&read("/sys/kernel/mm/transparent_hugepage/shmem_enabled")),
+            versions: versions(LOCK),
+        }
+    }
+
+    /// In words: one line for each kind of fact.
+    #[must_use]
+    pub fn facts(&self) -> Vec<(&'static str, String)> {
+        let pinned: Vec<String> = self.pinned_to.iter().map(usize::to_string).collect();
+        let versions = self.versions.iter();
+        let versions: Vec<String> = versions.map(|(name, v)| format!("{name} {v}")).collect();
+        let governor = self.governor.as_deref().unwrap_or("not visible");
+        let locked = if self.memory_locked { "" } else { "not " };
+        vec![
+            ("Processor", self.cpu.clone()),
+            (
+                "CPUs",
+                format!("{} usable, pinned to {}", self.cpus, pinned.join(" and ")),
+            ),
+            (
+                "Hypervisor",
+                if self.hypervisor { "yes" } else { "none seen" }.to_owned(),
+            ),
+            ("Clock governor", governor.to_owned()),
+            ("Kernel", format!("Linux {}", self.kernel)),
+            (
+                "Scheduling",
+                format!("{}, memory {locked}locked", self.scheduling),
+            ),
+            ("Huge pages for shared memory", self.huge_pages.clone()),
+            ("Build", self.build.clone()),
+            ("Versions", versions.join(", ")),
+        ]
+    }
+}
+
+fn read(path: &str) -> String {
+    fs::read_to_string(path).unwrap_or_default()
+}
+
+/// The value of the first `name: value`.
+fn field<'a>(text: &'a str, name: &str) -> Option<&'a str> {
+    text.lines().find_map(|line| {
+        let (key, value) = line.split_once(':')?;
+        (key.trim() == name).then_some(value.trim())
+    })
+}
+
+/// The word in brackets, as files under `/sys` mark what is chosen.
+fn chosen(text: &str) -> String {
+    let word = text
+        .split_once('[')
+        .and_then(|(_, rest)| rest.split_once(']'));
+    word.map_or("unknown", |(word, _)| word).to_owned()
+}
+
+fn scheduling() -> &'static str {
+    // SAFETY: asks for the policy of the calling thread and touches no memory.
+    match unsafe { libc::sched_getscheduler(0) } & !libc::SCHED_RESET_ON_FORK {
+        libc::SCHED_FIFO => "SCHED_FIFO",
+        libc::SCHED_RR => "SCHED_RR",
+        libc::SCHED_OTHER => "SCHED_OTHER",
+        libc::SCHED_BATCH => "SCHED_BATCH",
+        _ => "another class",
+    }
+}
+
+fn versions(lock: &str) -> BTreeMap<String, String> {
+    let ours = ("tandem".to_owned(), env!("CARGO_PKG_VERSION").to_owned());
+    let of = |name: &str| {
+        let package = lock.split_once(&format!("\nname = \"{name}\"\nversion = \""))?;
+        let (version, _) = package.1.split_once('"')?;
+        Some((name.to_owned(), version.to_owned()))
+    };
+    let peers = PEERS.iter().filter_map(|name| of(name));
+    std::iter::once(ours).chain(peers).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn this_machine_says_what_it_is() {
+        let machine = Machine::this(&[0, 1]);
+        assert!(!machine.kernel.is_empty() && machine.cpus > 0);
+        assert!(machine.facts().iter().all(|(_, value)| !value.is_empty()));
+    }
+
+    #[test]
+    fn the_versions_are_those_of_the_lock_file() {
+        let lock = "[[package]]\nname = \"rtrb\"\nversion = \"0.4.1\"\nsource = \"x\"\n";
+        assert_eq!(versions(lock)["rtrb"], "0.4.1");
+        assert_eq!(versions(LOCK).len(), 1 + PEERS.len());
+    }
+
+    #[test]
+    fn the_chosen_word_stands_in_brackets() {
+        assert_eq!(chosen("always [advise] never\n"), "advise");
+        assert_eq!(chosen(""), "unknown");
+    }
+}

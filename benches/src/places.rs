@@ -1,0 +1,297 @@
+//! Where results go. A place is checked before anything is measured, and nothing is created before
+//! there is something to put there.
+//!
+//! A run may get a `/dev/shm` of its own, in which paths of the caller's lead elsewhere; hence a
+//! place is held open from the check to the writing.
+
+use rustix::fs::{AtFlags, Mode, OFlags, mkdirat, openat, unlinkat};
+use std::ffi::OsString;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+
+/// Why results cannot go there.
+#[derive(Debug, thiserror::Error)]
+#[error("{option} {path}: {why}")]
+pub struct PlaceError {
+    option: &'static str,
+    path: PathBuf,
+    why: String,
+}
+
+/// A file to be written.
+#[derive(Debug)]
+pub struct Place {
+    option: &'static str,
+    path: PathBuf,
+    target: Target,
+}
+
+#[derive(Debug)]
+enum Target {
+    /// It exists and is open for writing: a file, or a device such as a terminal.
+    Present(File),
+    /// It does not exist; the folder is open.
+    Absent(File, OsString),
+}
+
+/// A folder to be filled.
+#[derive(Debug)]
+pub struct Folder {
+    option: &'static str,
+    path: PathBuf,
+    target: Target,
+}
+
+/// What makes a message of an error.
+type Why = Result<Target, String>;
+
+impl Place {
+    /// Checks that a file can be written at `path`, and changes nothing.
+    ///
+    /// # Errors
+    /// [`PlaceError`] says what is in the way.
+    pub fn check(option: &'static str, path: &Path) -> Result<Self, PlaceError> {
+        let target = match fs::metadata(path) {
+            Ok(found) if found.is_dir() => Err("it is a folder; name a file".to_owned()),
+            Ok(_) => {
+                let file = OpenOptions::new().write(true).open(path);
+                file.map(Target::Present).map_err(|error| error.to_string())
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path),
+            Err(error) => Err(error.to_string()),
+        };
+        Ok(Self {
+            option,
+            path: path.to_owned(),
+            target: target.map_err(|why| PlaceError {
+                option,
+                path: path.to_owned(),
+                why,
+            })?,
+        })
+    }
+
+    /// Writes the file. One that did not exist is not left half-written.
+    ///
+    /// # Errors
+    /// [`PlaceError`], such as a disk that is full by now.
+    pub fn write(self, text: &str) -> Result<(), PlaceError> {
+        let written = match self.target {
+            Target::Present(file) => overwrite(file, text),
+            Target::Absent(folder, name) => create(&folder, &name, text),
+        };
+        written.map_err(|error| PlaceError {
+            option: self.option,
+            path: self.path,
+            why: error.to_string(),
+        })
+    }
+}
+
+impl Folder {
+    /// Checks that files can be written to the folder at `path`, which may not exist yet, and
+    /// changes nothing.
+    ///
+    /// # Errors
+    /// [`PlaceError`] says what is in the way.
+    pub fn check(option: &'static str, path: &Path) -> Result<Self, PlaceError> {
+        let target = match fs::metadata(path) {
+            Ok(found) if found.is_dir() => open_folder(path).map(Target::Present),
+            Ok(_) => Err("it is a file; name a folder".to_owned()),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path),
+            Err(error) => Err(error.to_string()),
+        };
+        Ok(Self {
+            option,
+            path: path.to_owned(),
+            target: target.map_err(|why| PlaceError {
+                option,
+                path: path.to_owned(),
+                why,
+            })?,
+        })
+    }
+
+    /// Writes these files, by name, and creates the folder if need be. Others in it stay.
+    ///
+    /// # Errors
+    /// [`PlaceError`], such as a disk that is full by now.
+    pub fn fill(self, files: &[(String, String)]) -> Result<(), PlaceError> {
+        let fill = || -> io::Result<()> {
+            let folder = match self.target {
+                Target::Present(folder) => folder,
+                Target::Absent(parent, name) => {
+                    mkdirat(&parent, &name, Mode::from_raw_mode(0o777))?;
+                    let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC;
+                    File::from(openat(&parent, &name, flags, Mode::empty())?)
+                }
+            };
+            for (name, text) in files {
+                create(&folder, name.as_ref(), text)?;
+            }
+            Ok(())
+        };
+        fill().map_err(|error| PlaceError {
+            option: self.option,
+            path: self.path,
+            why: error.to_string(),
+        })
+    }
+}
+
+/// Refuses two outputs that would go to the same file.
+///
+/// # Errors
+/// [`PlaceError`] names the second.
+pub fn distinct(places: &[&Place]) -> Result<(), PlaceError> {
+    for (i, place) in places.iter().enumerate() {
+        let same = |other: &&&Place| same(&other.path, &place.path);
+        if let Some(other) = places[..i].iter().find(same) {
+            return Err(PlaceError {
+                option: place.option,
+                path: place.path.clone(),
+                why: format!("{} goes to the same file", other.option),
+            });
+        }
+    }
+    Ok(())
+}
+
+fn same(a: &Path, b: &Path) -> bool {
+    let full = |path: &Path| {
+        let folder = fs::canonicalize(parent(path)).ok()?;
+        Some(folder.join(path.file_name()?))
+    };
+    a == b || full(a).is_some_and(|a| Some(a) == full(b))
+}
+
+fn parent(path: &Path) -> &Path {
+    let parent = path
+        .parent()
+        .filter(|parent| !parent.as_os_str().is_empty());
+    parent.unwrap_or(Path::new("."))
+}
+
+/// A name that is free, in a folder that must be there and let itself be written.
+fn absent(path: &Path) -> Why {
+    if path.symlink_metadata().is_ok() {
+        return Err("a symbolic link that leads nowhere".to_owned());
+    }
+    let name = path.file_name().ok_or("not the name of a file")?;
+    let folder = parent(path);
+    if !folder.is_dir() {
+        let folder = folder.display();
+        return Err(format!("there is no folder {folder}; create it first"));
+    }
+    Ok(Target::Absent(open_folder(folder)?, name.to_owned()))
+}
+
+/// Opens a folder that can be written to: permissions, read-only file systems and full disks show
+/// only when one tries. The file that tries has no name and is gone at once.
+fn open_folder(path: &Path) -> Result<File, String> {
+    let tried = tempfile::tempfile_in(path).and_then(|_| File::open(path));
+    tried.map_err(|error| format!("cannot write in {}: {}", path.display(), error))
+}
+
+fn overwrite(mut file: File, text: &str) -> io::Result<()> {
+    // A device has no length.
+    if file.metadata()?.is_file() {
+        file.set_len(0)?;
+    }
+    file.write_all(text.as_bytes())
+}
+
+fn create(folder: &File, name: &std::ffi::OsStr, text: &str) -> io::Result<()> {
+    let flags = OFlags::WRONLY | OFlags::CREATE | OFlags::TRUNC | OFlags::CLOEXEC;
+    let file: OwnedFd = openat(folder, name, flags, Mode::from_raw_mode(0o666))?;
+    let written = File::from(file).write_all(text.as_bytes());
+    written.inspect_err(|_| {
+        // What it says is why it could not be written; that it cannot be removed adds nothing.
+        let _ = unlinkat(folder, name, AtFlags::empty());
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<OsString> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<OsString> = entries.map(|entry| entry.unwrap().file_name()).collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn a_check_leaves_nothing_behind() {
+        let root = tempfile::tempdir().unwrap();
+        let full = root.path().join("old.json");
+        fs::write(&full, "old").unwrap();
+        Place::check("--json", &full).unwrap();
+        Place::check("--json", &root.path().join("new.json")).unwrap();
+        Folder::check("--hgrm", &root.path().join("new")).unwrap();
+        assert_eq!(names(root.path()), ["old.json"]);
+        assert_eq!(fs::read_to_string(full).unwrap(), "old");
+    }
+
+    #[test]
+    fn what_is_written_replaces_what_was_there() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("a.json");
+        for text in ["something longer", "short"] {
+            Place::check("--json", &path).unwrap().write(text).unwrap();
+            assert_eq!(fs::read_to_string(&path).unwrap(), text);
+        }
+    }
+
+    #[test]
+    fn a_folder_is_created_when_there_is_something_for_it() {
+        let root = tempfile::tempdir().unwrap();
+        let path = root.path().join("h");
+        for text in ["one", "two"] {
+            let files = [("x.hgrm".to_owned(), text.to_owned())];
+            Folder::check("--hgrm", &path)
+                .unwrap()
+                .fill(&files)
+                .unwrap();
+            assert_eq!(fs::read_to_string(path.join("x.hgrm")).unwrap(), text);
+        }
+        assert_eq!(names(&path), ["x.hgrm"]);
+    }
+
+    #[test]
+    fn what_cannot_be_is_said_before() {
+        let root = tempfile::tempdir().unwrap();
+        let (root, file) = (root.path(), root.path().join("file"));
+        fs::write(&file, "x").unwrap();
+        let link = root.join("link");
+        std::os::unix::fs::symlink(root.join("nowhere"), &link).unwrap();
+        for (path, why) in [
+            (root.to_owned(), "name a file"),
+            (root.join("no/such/a.json"), "create it first"),
+            (file.join("a.json"), "Not a directory"),
+            (link, "leads nowhere"),
+            (PathBuf::from("/proc/a.json"), "cannot write"),
+        ] {
+            let error = Place::check("--json", &path).unwrap_err().to_string();
+            assert!(
+                error.contains(why) && error.starts_with("--json"),
+                "{error}"
+            );
+        }
+        let error = Folder::check("--hgrm", &file).unwrap_err().to_string();
+        assert!(error.contains("name a folder"), "{error}");
+        assert_eq!(names(root), ["file", "link"]);
+    }
+
+    #[test]
+    fn two_outputs_do_not_share_a_file() {
+        let root = tempfile::tempdir().unwrap();
+        let check = |name: &str| Place::check("--json", &root.path().join(name)).unwrap();
+        let places = ["a", "b", "./a"].map(check);
+        assert!(distinct(&[&places[0], &places[1]]).is_ok());
+        assert!(distinct(&[&places[0], &places[2]]).is_err());
+    }
+}

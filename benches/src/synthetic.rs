@@ -1,0 +1,51 @@
+//! Results made up for tests.
+
+use crate::machine::Machine;
+use crate::result::{Results, Row, SCHEMA};
+use std::collections::BTreeMap;
+
+/// A row with this median; the tail rises by a half per nine.
+pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
+    let group = name.split('/').next().unwrap_or(name);
+    let at = |nines: f64| (p50_ns * (1.0 + 0.5 * (nines - 0.3)) * 10.0).round() / 10.0;
+    let curve = (0..100).map(|i| {
+        let nines = f64::from(i) * 0.04;
+        (1.0 - 10.0_f64.powf(-nines), at(nines))
+    });
+    Row {
+        name: name.to_owned(),
+        group: group.to_owned(),
+        what: format!("what {name} is"),
+        payload_bytes: 4,
+        p50_ns,
+        p90_ns: at(1.0),
+        p99_ns: at(2.0),
+        p99_9_ns: at(3.0),
+        max_ns: at(9.0),
+        samples: 100_000,
+        ratio_to_floor_p50: Some(1.0),
+        ratio_to_floor_p99_9: Some(1.0),
+        round_trip: None,
+        cpu_ns_per_message: None,
+        memory_bytes: None,
+        messages_per_second: None,
+        bytes_per_second: None,
+        batch_p50_ns: vec![p50_ns; 20],
+        batch_p99_ns: vec![at(2.0); 20],
+        curve: curve.collect(),
+        facts: BTreeMap::new(),
+    }
+}
+
+/// A run with these rows.
+pub(crate) fn results(results: Vec<Row>) -> Results {
+    Results {
+        schema: SCHEMA.to_owned(),
+        machine: Machine::this(&[0, 1]),
+        duration_s: 12.0,
+        interrupted: false,
+        noise: Vec::new(),
+        results,
+        skipped: Vec::new(),
+    }
+}

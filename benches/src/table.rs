@@ -1,0 +1,266 @@
+//! The results as tables for the terminal, one for each group.
+
+use crate::figures::{self, Unit};
+use crate::result::{Results, Row};
+use std::fmt::Write as _;
+
+/// The narrowest terminal that the tables are made for, in columns.
+pub const NARROWEST: usize = 80;
+/// Width where nobody says one: a file, a pipe.
+pub const USUAL: usize = 120;
+
+/// One column of figures.
+struct Column {
+    head: &'static str,
+    cell: fn(&Row, Unit) -> Option<String>,
+    /// 0 is always shown; the others, from 1 on, as far as the width permits.
+    rank: u8,
+}
+
+const WIDTH: usize = 9;
+
+const fn column(head: &'static str, rank: u8, cell: fn(&Row, Unit) -> Option<String>) -> Column {
+    Column { head, cell, rank }
+}
+
+/// In the order of showing. A column without any figure in a group is left out.
+const COLUMNS: [Column; 11] = [
+    column("p50", 0, |row, unit| Some(unit.show(row.p50_ns))),
+    column("p90", 4, |row, unit| Some(unit.show(row.p90_ns))),
+    column("p99", 0, |row, unit| Some(unit.show(row.p99_ns))),
+    column("p99.9", 0, |row, unit| Some(unit.show(row.p99_9_ns))),
+    column("max", 3, |row, unit| Some(unit.show(row.max_ns))),
+    column("x p50", 0, |row, _| {
+        row.ratio_to_floor_p50.map(figures::ratio)
+    }),
+    column("x p99.9", 0, |row, _| {
+        row.ratio_to_floor_p99_9.map(figures::ratio)
+    }),
+    column("and back", 1, |row, unit| {
+        row.round_trip.map(|trip| unit.show(trip.p50_ns))
+    }),
+    column("M msg/s", 0, |row, _| {
+        row.messages_per_second
+            .map(|rate| figures::number(rate / 1e6))
+    }),
+    column("MB/s", 1, |row, _| {
+        row.bytes_per_second.map(|rate| figures::number(rate / 1e6))
+    }),
+    column("CPU/msg", 2, |row, unit| {
+        row.cpu_ns_per_message.map(|cpu| unit.show(cpu))
+    }),
+];
+
+impl Results {
+    /// The tables for a terminal of this width in columns.
+    #[must_use]
+    pub fn table(&self, width: usize) -> String {
+        let width = width.max(NARROWEST);
+        let mut text = self.heading();
+        for (group, rows) in self.groups() {
+            text.push('\n');
+            text += &group_table(group, &rows, width);
+        }
+        text.push('\n');
+        for skipped in &self.skipped {
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "skipped: {}: {}", skipped.name, skipped.why);
+        }
+        if self.interrupted {
+            text += "interrupted: fewer samples than planned\n";
+        }
+        text
+    }
+
+    fn heading(&self) -> String {
+        let machine = &self.machine;
+        let pinned: Vec<String> = machine.pinned_to.iter().map(usize::to_string).collect();
+        let hypervisor = if machine.hypervisor {
+            ", under a hypervisor"
+        } else {
+            ""
+        };
+        let mut text = format!(
+            "{}{hypervisor}, Linux {}\nCPUs {} of {}, {}, {} build\n",
+            machine.cpu,
+            machine.kernel,
+            pinned.join(" and "),
+            machine.cpus,
+            machine.scheduling,
+            machine.build
+        );
+        if machine.build != "release" {
+            text += "This is no release build: its figures say nothing about Tandem.\n";
+        }
+        if !self.noise.is_empty() {
+            let rows: Vec<&Row> = self.noise.iter().collect();
+            text.push('\n');
+            text += &group_table("noise of the machine itself", &rows, NARROWEST);
+        }
+        text += &self.noise_in_words();
+        text += "x: times the floor, the bare mechanism of the same run. And back: both ways.\n";
+        text
+    }
+
+    /// What the machine's own noise means for the figures, in a sentence; nothing if it was not
+    /// measured.
+    #[must_use]
+    pub fn noise_in_words(&self) -> String {
+        let spins = self
+            .noise
+            .iter()
+            .filter(|row| row.case().starts_with("cpu"));
+        let worst = spins.max_by(|a, b| a.p99_9_ns.total_cmp(&b.p99_9_ns));
+        worst.map_or(String::new(), |row| {
+            format!(
+                "A program that does nothing but read the clock on {} is held up for {} at worst: \
+                 no tail\nbelow can be better than the machine's own.\n",
+                row.case(),
+                figures::time(row.max_ns)
+            )
+        })
+    }
+}
+
+fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
+    let medians: Vec<f64> = rows.iter().map(|row| row.p50_ns).collect();
+    let unit = Unit::of(&medians);
+    let head = format!("{group} ({})", unit.name());
+    let names = rows.iter().map(|row| row.case().len() + 2);
+    let names = names
+        .chain([head.chars().count()])
+        .max()
+        .unwrap_or(0)
+        .max(22);
+    let columns = columns(rows, unit, width.saturating_sub(names));
+    let used = names + columns.len() * WIDTH;
+    let what = rows.iter().map(|row| row.what.chars().count()).max();
+    let with_what = what.is_some_and(|what| used + 3 + what <= width);
+    let mut text = format!("{head:<names$}");
+    for column in &columns {
+        let _ = write!(text, "{:>WIDTH$}", column.head);
+    }
+    text.push('\n');
+    let indent = names - 2;
+    for row in rows {
+        let _ = write!(text, "  {:<indent$}", row.case());
+        for column in &columns {
+            let cell = (column.cell)(row, unit).unwrap_or_else(|| "-".to_owned());
+            let _ = write!(text, "{cell:>WIDTH$}");
+        }
+        if with_what {
+            let _ = write!(text, "   {}", row.what);
+        }
+        text.push('\n');
+        for (name, value) in &row.facts {
+            let _ = writeln!(text, "      {}", figures::fact(name, *value));
+        }
+    }
+    text
+}
+
+/// The columns that these rows fill and that fit.
+fn columns(rows: &[&Row], unit: Unit, width: usize) -> Vec<&'static Column> {
+    let filled = |column: &&Column| rows.iter().any(|row| (column.cell)(row, unit).is_some());
+    let filled: Vec<&'static Column> = COLUMNS.iter().filter(filled).collect();
+    let up_to = |rank| move |column: &&'static Column| column.rank <= rank;
+    let fits = |rank: &u8| filled.iter().copied().filter(up_to(*rank)).count() * WIDTH <= width;
+    let rank = (0..=4).rev().find(fits).unwrap_or(0);
+    filled.iter().copied().filter(up_to(rank)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::result::{RoundTrip, Skipped};
+    use crate::synthetic::{results, row};
+
+    fn run() -> Results {
+        let mut tandem = row("spin/tandem-of-some-length", 84.2);
+        tandem.ratio_to_floor_p50 = Some(1.123);
+        tandem.cpu_ns_per_message = Some(170.0);
+        tandem.round_trip = Some(RoundTrip {
+            p50_ns: 168.4,
+            p99_ns: 200.0,
+            p99_9_ns: 300.0,
+        });
+        tandem
+            .facts
+            .insert("share of the least served".to_owned(), 0.31);
+        let mut fifo = row("throughput/fifo-8B", 8.31);
+        fifo.messages_per_second = Some(120_336_943.0);
+        fifo.bytes_per_second = Some(962_695_544.0);
+        let mut run = results(vec![row("spin/floor", 75.0), tandem, fifo]);
+        run.noise.push(row("noise/cpu0", 12.0));
+        run.skipped.push(Skipped {
+            name: "sleep/ddsperf".to_owned(),
+            why: "not installed".to_owned(),
+        });
+        run
+    }
+
+    #[test]
+    fn no_line_is_wider_than_the_terminal() {
+        for width in [80, 100, 120, 160] {
+            let table = run().table(width);
+            let figures = table.lines().skip_while(|line| !line.starts_with("spin"));
+            for line in figures {
+                assert!(line.chars().count() <= width, "{width}: {line}");
+            }
+        }
+    }
+
+    #[test]
+    fn figures_stand_under_their_heads() {
+        let table = run().table(120);
+        let lines: Vec<&str> = table
+            .lines()
+            .skip_while(|line| !line.starts_with("spin"))
+            .collect();
+        for (head, cell) in [
+            ("p50", "84.2"),
+            ("x p50", "1.12"),
+            ("and back", "168"),
+            ("CPU/msg", "170"),
+        ] {
+            let end = |line: &str, of: &str| line.find(of).map(|at| at + of.len());
+            assert_eq!(end(lines[0], head), end(lines[2], cell), "{head}\n{table}");
+        }
+    }
+
+    #[test]
+    fn narrow_terminals_keep_what_counts() {
+        let table = run().table(80);
+        let head = table.lines().find(|line| line.starts_with("spin")).unwrap();
+        for kept in ["p50", "p99", "p99.9", "x p50", "x p99.9"] {
+            assert!(head.contains(kept), "{head}");
+        }
+        assert!(!head.contains("p90"));
+    }
+
+    #[test]
+    fn the_table_holds_every_case_and_all_remarks() {
+        let mut run = run();
+        run.interrupted = true;
+        let table = run.table(120);
+        for part in [
+            "tandem-of-some-length",
+            "fifo-8B",
+            "cpu0",
+            "120",
+            "963",
+            "share of the least served 0.31",
+            "skipped: sleep/ddsperf: not installed",
+            "interrupted",
+            "held up",
+        ] {
+            assert!(table.contains(part), "{part}\n{table}");
+        }
+    }
+
+    #[test]
+    fn what_a_case_is_stands_beside_it_where_there_is_room() {
+        assert!(run().table(200).contains("what spin/floor is"));
+        assert!(!run().table(80).contains("what spin/floor is"));
+    }
+}
