@@ -14,7 +14,7 @@ use tandem_board_host::{AttachError, BareSystem, IsolationError, isolation};
 const EXAMPLES: &str = "\
 Examples:
   tandem bench --quick                        all groups, roughly; the table alone
-  tandem bench spin sleep --json a.json --html a.html
+  tandem bench spin sleep --json a.json --hgrm curves
                                               two groups in full, with the page of curves
 Every group has a floor: the bare mechanism, such as a cache line or a futex, between the same
 CPUs in the same run. Read the ratios to it (x p50 and x p99.9); the times are the machine's.
@@ -53,7 +53,7 @@ pub struct BenchArgs {
     pub json: Option<PathBuf>,
 
     /// Write a page with percentile curves and tables to this file
-    #[arg(long, value_name = "FILE")]
+    #[arg(skip)]
     pub html: Option<PathBuf>,
 
     /// Write a distribution for each case, in ns, to this folder: for HdrHistogram plotters
