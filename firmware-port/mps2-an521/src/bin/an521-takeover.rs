@@ -1,0 +1,180 @@
+//! The redundancy on two processors: core 0 of system A drives and stops dead; that of B takes
+//! over.
+//!
+//! Lines and CAN join them, through the board; `Redundancy` is the crate that the host runs. The
+//! log says when A died and B sent its first control frame. The status is 0 if B took over within
+//! the bound and nobody else ever was to drive.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Lines, ResetCause, SystemId,
+};
+use tandem_board_mps2_an521::board::An521Board;
+use tandem_board_mps2_an521::{cpu, entry, exit, log};
+use tandem_redundancy::{Config, ControlFrame, Input, Loaded, Mode, Redundancy, Role, Snapshot};
+use tandem_redundancy::{Takeover, Term};
+
+entry!(main);
+
+const CONFIG: Config = Config::rt();
+/// System A stops dead so long after its start, in microseconds and in the middle of a period.
+const DIES_AFTER: Duration = Duration::from_us(1_000_350);
+/// Longer than start and takeover take.
+const LIMIT: Duration = Duration::from_ms(3_000);
+const CONTROL_ID: CanId = CanId::Standard(0x100);
+
+/// When A stopped, in microseconds since the start of the machine; 0 while it runs.
+static DIED_US: AtomicU32 = AtomicU32::new(0);
+
+fn main(own: usize) -> ! {
+    let cast = SystemId::ALL.map(|system| Some((system, CoreId::CONTROL)));
+    let Some(board) = An521Board::new(cast) else {
+        exit::exit(1)
+    };
+    match own {
+        0 => drive_and_die(&board),
+        _ => {
+            let status = match take_over(&board) {
+                Ok(()) => 0,
+                Err(what) => {
+                    log!("FAILED  {what}");
+                    1
+                }
+            };
+            exit::exit(status)
+        }
+    }
+}
+
+/// Core 0 of one system, as far as redundancy goes.
+struct Core<'b> {
+    board: &'b An521Board,
+    machine: Redundancy,
+    can_frames: u32,
+    next_frame: Instant,
+    takeover: Option<Takeover>,
+}
+
+impl<'b> Core<'b> {
+    fn new(board: &'b An521Board) -> Self {
+        let now = board.now();
+        let system = board.identity().system;
+        let machine = Redundancy::new(CONFIG, system, ResetCause::PowerOn, Loaded::Blank, now);
+        Self {
+            board,
+            machine,
+            can_frames: 0,
+            next_frame: now,
+            takeover: None,
+        }
+    }
+
+    /// One cycle; returns when the next is due, and whether a control frame was sent.
+    fn cycle(&mut self) -> (Instant, bool) {
+        while let Some(received) = self.board.can().try_receive() {
+            self.can_frames += 1;
+            if let Some(frame) = decode(&received.frame) {
+                let now = self.board.now();
+                let actions = self.machine.on(now, Input::ControlFrame(frame));
+                self.carry_out(&actions);
+            }
+        }
+        let now = self.board.now();
+        let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
+        let actions = self.machine.on(now, Input::Poll(snapshot));
+        self.carry_out(&actions);
+        let due = actions.transmit_now || now >= self.next_frame;
+        let sent = due && self.machine.may_transmit(self.board.now());
+        if sent {
+            self.next_frame = now + CONFIG.control_period;
+            // The transmit buffer of this board is never full.
+            let frame = encode(&self.machine, self.board.identity().system);
+            let _ = frame.map(|frame| self.board.can().try_send(&frame));
+        }
+        (actions.deadline, sent)
+    }
+
+    fn carry_out(&mut self, actions: &tandem_redundancy::Actions) {
+        for (line, edge) in actions.edges() {
+            self.board.lines().send(line, edge);
+        }
+        self.takeover = self.takeover.or(actions.events.takeover());
+    }
+}
+
+fn encode(machine: &Redundancy, system: SystemId) -> Option<CanFrame> {
+    let [a, b, c, d] = machine.term().bits().to_le_bytes();
+    let head = [
+        system.index() as u8,
+        machine.role().code(),
+        machine.mode().code(),
+    ];
+    let data = [a, b, c, d, head[0], head[1], head[2]];
+    CanFrame::new(CONTROL_ID, false, &data).ok()
+}
+
+fn decode(frame: &CanFrame) -> Option<ControlFrame> {
+    let &[a, b, c, d, system, role, mode] = frame.data() else {
+        return None;
+    };
+    Some(ControlFrame {
+        system: SystemId::from_index(system.into())?,
+        term: Term::from_bits(u32::from_le_bytes([a, b, c, d])),
+        role: Role::from_code(role)?,
+        mode: Mode::from_code(mode)?,
+    })
+}
+
+fn us(at: Instant) -> u32 {
+    (at.as_ns() / 1_000) as u32
+}
+
+fn drive_and_die(board: &An521Board) -> ! {
+    let mut core = Core::new(board);
+    let end = board.now() + DIES_AFTER;
+    while board.now() < end {
+        let (deadline, _) = core.cycle();
+        board.wait(deadline.min(end));
+    }
+    if core.machine.role() != Role::Master {
+        log!("FAILED  A is {:?} when it dies", core.machine.role());
+        exit::exit(1);
+    }
+    DIED_US.store(us(board.now()), Ordering::Release);
+    loop {
+        cpu::without_interrupts(cpu::sleep);
+    }
+}
+
+fn take_over(board: &An521Board) -> Result<(), &'static str> {
+    let mut core = Core::new(board);
+    let end = board.now() + LIMIT;
+    loop {
+        let (deadline, sent) = core.cycle();
+        let now = board.now();
+        let died = DIED_US.load(Ordering::Acquire);
+        if sent && died == 0 {
+            return Err("B transmits while A drives");
+        }
+        if let (true, Some(takeover)) = (sent, core.takeover) {
+            let after = us(now) - died;
+            let bound = CONFIG.takeover_bound().as_us() as u32;
+            log!(
+                "passed  takeover: {:?} {after} us after A died, bound {bound} us",
+                takeover.cause
+            );
+            return if after <= bound {
+                Ok(())
+            } else {
+                Err("the takeover comes within its bound")
+            };
+        }
+        if now > end {
+            return Err("B takes over");
+        }
+        board.wait(deadline);
+    }
+}

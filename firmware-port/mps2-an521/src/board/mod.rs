@@ -1,0 +1,197 @@
+//! The board: one of the controller's cores on one of the two processors.
+
+mod wires;
+
+pub use wires::{An521Can, An521Lines, An521Link};
+
+use crate::clock;
+use crate::cpu::{self, CPUS};
+use crate::memory::lmu;
+use crate::mhu::{self, Unit};
+use core::cell::Cell;
+use core::sync::atomic::AtomicU32;
+use tandem_board::{
+    Board, CoreId, DataFlash, FlashError, FlashStatus, Generation, Identity, Instant, ResetCause,
+    ResetRequest, RoleLamp, Supply, SystemId, TraceRecord, Wake,
+};
+
+/// Which core each processor plays; `None` if it plays none.
+pub type Cast = [Option<(SystemId, CoreId)>; CPUS];
+
+/// Which processor plays this core.
+fn player(cast: &Cast, system: SystemId, core: CoreId) -> Option<usize> {
+    cast.iter().position(|part| *part == Some((system, core)))
+}
+
+/// A core on this machine.
+pub struct An521Board {
+    identity: Identity,
+    cast: Cast,
+    can: An521Can,
+    lines: An521Lines,
+    link: An521Link,
+    absent: Absent,
+    /// The last records of the trace, and how many there were.
+    trace: [Cell<TraceRecord>; TRACED],
+    traced: Cell<usize>,
+}
+
+const TRACED: usize = 16;
+
+impl An521Board {
+    /// The core that this processor plays; `None` if it plays none. Task context, once.
+    #[must_use]
+    pub fn new(cast: Cast) -> Option<Self> {
+        let own = cpu::number();
+        let (system, core) = cast[own]?;
+        Some(Self {
+            identity: Identity {
+                system,
+                core,
+                // Nothing here resets a core: the machine only resets as a whole.
+                generation: Generation(1),
+            },
+            cast,
+            can: An521Can::new(own, &cast),
+            lines: An521Lines::new(system, &cast),
+            link: An521Link::new(system),
+            absent: Absent,
+            trace: [const { Cell::new([0; 4]) }; TRACED],
+            traced: Cell::new(0),
+        })
+    }
+
+    /// How many records the trace was given.
+    #[must_use]
+    pub fn traced(&self) -> usize {
+        self.traced.get()
+    }
+}
+
+impl Board for An521Board {
+    type Can = An521Can;
+    type Lines = An521Lines;
+    type Link = An521Link;
+    type Flash = Absent;
+    type Supply = Absent;
+
+    fn identity(&self) -> Identity {
+        self.identity
+    }
+
+    fn now(&self) -> Instant {
+        clock::now()
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        lmu(self.identity.system)
+    }
+
+    fn ring(&self, to: CoreId) {
+        if let Some(cpu) = player(&self.cast, self.identity.system, to) {
+            mhu::interrupt(Unit::Doorbell, cpu);
+        }
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        loop {
+            let ended = cpu::without_interrupts(|| {
+                if mhu::take_pending() {
+                    return Some(Wake::Interrupt);
+                }
+                if clock::now() >= deadline {
+                    return Some(Wake::Deadline);
+                }
+                clock::set_alarm(deadline);
+                cpu::sleep();
+                // What ended the sleep is taken when interrupts are enabled, before the next look.
+                None
+            });
+            if let Some(wake) = ended {
+                return wake;
+            }
+        }
+    }
+
+    fn can(&self) -> &An521Can {
+        &self.can
+    }
+
+    fn lines(&self) -> &An521Lines {
+        &self.lines
+    }
+
+    fn link(&self) -> &An521Link {
+        &self.link
+    }
+
+    fn flash(&self) -> &Absent {
+        &self.absent
+    }
+
+    fn supply(&self) -> &Absent {
+        &self.absent
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        let count = self.traced.get();
+        self.trace[count % TRACED].set(record);
+        self.traced.set(count.wrapping_add(1));
+    }
+}
+
+/// What this machine does not have: data flash, and a supply with a window watchdog. Programs that
+/// need them are not run on it.
+#[derive(Debug)]
+pub struct Absent;
+
+impl DataFlash for Absent {
+    fn read(&self, _: u32, _: &mut [u8]) -> Result<(), FlashError> {
+        Err(FlashError::Failed)
+    }
+
+    fn start_erase(&self, _: u32) -> Result<(), FlashError> {
+        Err(FlashError::Failed)
+    }
+
+    fn start_program(&self, _: u32, _: &[u8]) -> Result<(), FlashError> {
+        Err(FlashError::Failed)
+    }
+
+    fn status(&self) -> FlashStatus {
+        FlashStatus::Failed
+    }
+}
+
+/// The two lamps of the board: bit 0 is lit while the system drives, bit 1 unless it is starting.
+const LAMPS: *mut u32 = 0x5030_2000 as *mut u32;
+
+impl Supply for Absent {
+    const WINDOW_OPENS_US: u32 = 0;
+    const WINDOW_CLOSES_US: u32 = u32::MAX;
+    const FIRST_SERVICE_US: u32 = u32::MAX;
+
+    /// The machine knows no other.
+    fn reset_cause(&self) -> ResetCause {
+        ResetCause::PowerOn
+    }
+
+    fn watchdog_question(&self) -> u8 {
+        0
+    }
+
+    fn service_watchdog(&self, _: u8) {}
+
+    /// There is no reset generator; the core just stops acting.
+    fn request_reset(&self, _: ResetRequest) {}
+
+    fn show_role(&self, lamp: RoleLamp) {
+        let lit = match lamp {
+            RoleLamp::Starting => 0b00,
+            RoleLamp::Standby | RoleLamp::Suspended => 0b10,
+            RoleLamp::Master | RoleLamp::DegradedMaster => 0b11,
+        };
+        // SAFETY: the register of the lamps; a race with the other processor is one of light.
+        unsafe { core::ptr::write_volatile(LAMPS, lit) };
+    }
+}

@@ -1,0 +1,236 @@
+//! What joins the two systems: lines, link, CAN bus. The machine has none of them, so that words in
+//! a bank of the SRAM, which is no part of an LMU, stand for the wires.
+
+use super::{Cast, player};
+use crate::clock;
+use crate::cpu::CPUS;
+use crate::mhu::{self, Unit};
+use core::cell::RefCell;
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::{
+    Can, CanFrame, CanId, CoreId, Edge, Instant, Line, Lines, Link, LinkFull, Received, SystemId,
+    TransmitFull,
+};
+use tandem_shm::Shape;
+use tandem_shm::fifo::{self, Consumer, Producer};
+
+/// A datagram: its length and up to 32 words.
+const DATAGRAM_WORDS: usize = 32;
+const DATAGRAMS: Shape = Shape::new(16, 1 + DATAGRAM_WORDS);
+/// A frame: time (2), id, kind and length, data (16).
+const FRAMES: Shape = Shape::new(64, 20);
+
+/// Words from a cache line on.
+#[repr(C, align(64))]
+struct Words<const N: usize>([AtomicU32; N]);
+
+impl<const N: usize> Words<N> {
+    const fn new() -> Self {
+        Self([const { AtomicU32::new(0) }; N])
+    }
+}
+
+/// All wires. Zero at power-on.
+struct Wires {
+    /// Edges, by the system that receives them, line and type.
+    edges: [[[AtomicU32; 2]; 3]; 2],
+    /// Datagrams, by the system that receives them.
+    link: [Words<{ fifo::words(DATAGRAMS) }>; 2],
+    /// Frames, by the processor that receives them.
+    can: [Words<{ fifo::words(FRAMES) }>; CPUS],
+    /// Frames that found the receiver's FIFO full, by the processor that receives them.
+    overruns: [AtomicU32; CPUS],
+    /// Whether a frame wakes the processor.
+    wakes: [AtomicU32; CPUS],
+}
+
+#[unsafe(link_section = ".bss.wires")]
+static WIRES: Wires = Wires {
+    edges: [const { [const { [const { AtomicU32::new(0) }; 2] }; 3] }; 2],
+    link: [const { Words::new() }; 2],
+    can: [const { Words::new() }; CPUS],
+    overruns: [const { AtomicU32::new(0) }; CPUS],
+    wakes: [const { AtomicU32::new(0) }; CPUS],
+};
+
+/// Words that link.x and the types make large enough and aligned.
+fn fits<T, E>(end: Result<T, E>) -> T {
+    match end {
+        Ok(end) => end,
+        Err(_) => unreachable!("the wires are laid out for their ends"),
+    }
+}
+
+/// The lines of one system.
+#[derive(Debug)]
+pub struct An521Lines {
+    own: SystemId,
+    /// The processor that the peer's start line interrupts.
+    peer_core_0: Option<usize>,
+}
+
+impl An521Lines {
+    pub(super) fn new(own: SystemId, cast: &Cast) -> Self {
+        Self {
+            own,
+            peer_core_0: player(cast, own.peer(), CoreId::CONTROL),
+        }
+    }
+}
+
+impl Lines for An521Lines {
+    fn send(&self, line: Line, edge: Edge) {
+        let edges = &WIRES.edges[self.own.peer().index()][line.index()];
+        // Release pairs with the Acquire in `received`: not demanded, but edges do not overtake.
+        edges[edge as usize].fetch_add(1, Ordering::Release);
+        if let (Line::Start, Some(cpu)) = (line, self.peer_core_0) {
+            mhu::interrupt(Unit::Wires, cpu);
+        }
+    }
+
+    fn received(&self, line: Line, edge: Edge) -> u32 {
+        // Acquire pairs with the Release in `send`.
+        WIRES.edges[self.own.index()][line.index()][edge as usize].load(Ordering::Acquire)
+    }
+
+    /// Both systems have power as long as the one machine has.
+    fn peer_powered(&self) -> bool {
+        true
+    }
+}
+
+/// The link of one system. For its core 0.
+#[derive(Debug)]
+pub struct An521Link {
+    to_peer: RefCell<Producer<'static>>,
+    from_peer: RefCell<Consumer<'static>>,
+}
+
+impl An521Link {
+    pub(super) fn new(own: SystemId) -> Self {
+        let [to_peer, from_peer] = [own.peer(), own].map(|to| &WIRES.link[to.index()].0[..]);
+        Self {
+            to_peer: RefCell::new(fits(Producer::attach(to_peer, DATAGRAMS))),
+            from_peer: RefCell::new(fits(Consumer::attach(from_peer, DATAGRAMS))),
+        }
+    }
+}
+
+impl Link for An521Link {
+    const MAX_WORDS: usize = DATAGRAM_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        assert!(words.len() <= Self::MAX_WORDS);
+        let mut producer = self.to_peer.borrow_mut();
+        let mut loan = producer.loan().map_err(|_| LinkFull)?;
+        loan.words().set(0, words.len() as u32);
+        for (index, word) in words.iter().enumerate() {
+            loan.words().set(1 + index, *word);
+        }
+        loan.send();
+        Ok(())
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        let mut consumer = self.from_peer.borrow_mut();
+        let item = consumer.receive()?;
+        let view = item.words();
+        // The length is an allegation.
+        let len = (view.get(0) as usize).min(Self::MAX_WORDS).min(words.len());
+        for (index, word) in words[..len].iter_mut().enumerate() {
+            *word = view.get(1 + index);
+        }
+        item.release();
+        Some(len)
+    }
+}
+
+/// The CAN controller of one core. With two cores the bus is a wire from each to the other.
+#[derive(Debug)]
+pub struct An521Can {
+    own: usize,
+    other: usize,
+    /// Nobody is at the other end: frames go nowhere.
+    alone: bool,
+    transmit: RefCell<Producer<'static>>,
+    receive: RefCell<Consumer<'static>>,
+}
+
+impl An521Can {
+    pub(super) fn new(own: usize, cast: &Cast) -> Self {
+        let other = 1 - own;
+        let [transmit, receive] = [other, own].map(|to| &WIRES.can[to].0[..]);
+        Self {
+            own,
+            other,
+            alone: cast[other].is_none(),
+            transmit: RefCell::new(fits(Producer::attach(transmit, FRAMES))),
+            receive: RefCell::new(fits(Consumer::attach(receive, FRAMES))),
+        }
+    }
+}
+
+const FD: u32 = 1 << 8;
+const EXTENDED: u32 = 1 << 9;
+
+impl Can for An521Can {
+    /// The frame is on the bus at once; a receiver without room loses it.
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        if self.alone {
+            return Ok(());
+        }
+        let mut transmit = self.transmit.borrow_mut();
+        let Ok(mut loan) = transmit.loan() else {
+            WIRES.overruns[self.other].fetch_add(1, Ordering::Relaxed);
+            return Ok(());
+        };
+        let (id, extended) = match frame.id() {
+            CanId::Standard(id) => (u32::from(id), 0),
+            CanId::Extended(id) => (id, EXTENDED),
+        };
+        let kind = frame.data().len() as u32 | extended | if frame.is_fd() { FD } else { 0 };
+        let words = loan.words();
+        let [low, high] = clock::now().to_words();
+        for (index, word) in [low, high, id, kind].into_iter().enumerate() {
+            words.set(index, word);
+        }
+        for (index, bytes) in frame.data().chunks(4).enumerate() {
+            let mut word = [0; 4];
+            word[..bytes.len()].copy_from_slice(bytes);
+            words.set(4 + index, u32::from_le_bytes(word));
+        }
+        loan.send();
+        if WIRES.wakes[self.other].load(Ordering::Relaxed) != 0 {
+            mhu::interrupt(Unit::Wires, self.other);
+        }
+        Ok(())
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        let mut receive = self.receive.borrow_mut();
+        let item = receive.receive()?;
+        let words = item.words();
+        let at = Instant::from_words([words.get(0), words.get(1)]);
+        let kind = words.get(3);
+        let id = match kind & EXTENDED {
+            0 => CanId::Standard(words.get(2) as u16),
+            _ => CanId::Extended(words.get(2)),
+        };
+        let mut data = [0; 64];
+        for (index, bytes) in data.chunks_mut(4).enumerate() {
+            bytes.copy_from_slice(&words.get(4 + index).to_le_bytes());
+        }
+        let len = (kind as usize & 0x7F).min(data.len());
+        item.release();
+        let frame = CanFrame::new(id, kind & FD != 0, &data[..len]).ok()?;
+        Some(Received { frame, at })
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        WIRES.wakes[self.own].store(on.into(), Ordering::Relaxed);
+    }
+
+    fn overruns(&self) -> u32 {
+        WIRES.overruns[self.own].load(Ordering::Relaxed)
+    }
+}

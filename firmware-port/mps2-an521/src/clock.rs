@@ -1,0 +1,94 @@
+//! Time: CMSDK timer 0 is the clock of both processors, each one's SysTick its alarm.
+
+use crate::cpu::{self, CPUS};
+use core::ptr::{read_volatile, write_volatile};
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::Instant;
+
+/// The timer counts down at 20 MHz.
+const NS_PER_TICK: u64 = 50;
+const TIMER: usize = 0x5000_0000;
+const TIMER_CONTROL: usize = TIMER;
+const TIMER_VALUE: usize = TIMER + 4;
+const TIMER_RELOAD: usize = TIMER + 8;
+
+const SYSTICK_CONTROL: *mut u32 = 0xE000_E010 as *mut u32;
+const SYSTICK_RELOAD: *mut u32 = 0xE000_E014 as *mut u32;
+const SYSTICK_VALUE: *mut u32 = 0xE000_E018 as *mut u32;
+/// Processor clock (20 MHz), interrupt, on.
+const SYSTICK_ON: u32 = 0b111;
+const SYSTICK_MAX: u64 = 0xFF_FFFF;
+
+/// Starts the clock. Processor 0, before processor 1 is started.
+pub(crate) fn start() {
+    // SAFETY: the timer's registers, which nothing else uses.
+    unsafe {
+        write_volatile(TIMER_RELOAD as *mut u32, u32::MAX);
+        write_volatile(TIMER_VALUE as *mut u32, u32::MAX);
+        write_volatile(TIMER_CONTROL as *mut u32, 1);
+    }
+}
+
+/// How each processor makes 64 bits of the counter's 32: what it saw last, and how often it had
+/// wrapped around.
+struct Seen {
+    low: AtomicU32,
+    wraps: AtomicU32,
+}
+
+static SEEN: [Seen; CPUS] = [const {
+    Seen {
+        low: AtomicU32::new(0),
+        wraps: AtomicU32::new(0),
+    }
+}; CPUS];
+
+/// The time since the start. Each processor must look at least once in 214 s, in which the counter
+/// wraps around once.
+#[must_use]
+pub fn now() -> Instant {
+    let seen = &SEEN[cpu::number()];
+    let ticks = cpu::without_interrupts(|| {
+        // SAFETY: reading has no effect.
+        let low = !unsafe { read_volatile(TIMER_VALUE as *const u32) };
+        // Private to this processor, and no interrupt comes between.
+        let mut wraps = seen.wraps.load(Ordering::Relaxed);
+        wraps += u32::from(low < seen.low.load(Ordering::Relaxed));
+        seen.low.store(low, Ordering::Relaxed);
+        seen.wraps.store(wraps, Ordering::Relaxed);
+        u64::from(wraps) << 32 | u64::from(low)
+    });
+    Instant::from_ns(ticks * NS_PER_TICK)
+}
+
+/// Lets the alarm interrupt this processor at `deadline`, or earlier.
+pub(crate) fn set_alarm(deadline: Instant) {
+    let ticks = deadline.since(now()).as_ns() / NS_PER_TICK + 1;
+    // SAFETY: this processor's own SysTick.
+    unsafe {
+        write_volatile(SYSTICK_CONTROL, 0);
+        write_volatile(SYSTICK_RELOAD, ticks.clamp(2, SYSTICK_MAX) as u32);
+        write_volatile(SYSTICK_VALUE, 0);
+        write_volatile(SYSTICK_CONTROL, SYSTICK_ON);
+    }
+}
+
+/// Handler of SysTick: once is enough.
+pub(crate) extern "C" fn on_alarm() {
+    // SAFETY: this processor's own SysTick.
+    unsafe { write_volatile(SYSTICK_CONTROL, 0) };
+}
+
+const SLICER: usize = 0x5000_1000;
+
+/// Lets timer 1 run out every `ticks` of 50 ns, without an interrupt. The emulator ends a
+/// processor's turn whenever a timer runs out, so this makes turns of that length: another schedule
+/// for each length.
+pub fn set_turns(ticks: u32) {
+    // SAFETY: timer 1's registers, which nothing else uses.
+    unsafe {
+        write_volatile((SLICER + 8) as *mut u32, ticks);
+        write_volatile((SLICER + 4) as *mut u32, ticks);
+        write_volatile(SLICER as *mut u32, 1);
+    }
+}

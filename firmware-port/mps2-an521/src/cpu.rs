@@ -1,0 +1,45 @@
+//! A processor: which one, its interrupts, its sleep.
+
+use core::arch::asm;
+use core::ptr::{read_volatile, write_volatile};
+
+/// How many processors the machine has.
+pub const CPUS: usize = 2;
+
+/// Each processor reads its own number here.
+const CPUID: usize = 0x5001_F000;
+const NVIC_ENABLE: usize = 0xE000_E100;
+
+/// 0 or 1: which processor this is.
+#[must_use]
+pub fn number() -> usize {
+    // SAFETY: a register that can be read at any time and has no effect.
+    unsafe { read_volatile(CPUID as *const u32) as usize % CPUS }
+}
+
+/// Lets interrupt `number` (0 ..= 31) come to this processor.
+pub fn enable_interrupt(number: u32) {
+    // SAFETY: this processor's own interrupt controller; writing ones enables, zeros do nothing.
+    unsafe { write_volatile(NVIC_ENABLE as *mut u32, 1 << number) };
+}
+
+/// Runs `f` without interrupts on this processor.
+pub fn without_interrupts<R>(f: impl FnOnce() -> R) -> R {
+    let masked: u32;
+    // SAFETY: reads and sets this processor's interrupt mask, and restores it below. Memory
+    // accesses stay between, for `asm!` without `nomem` is a barrier to the compiler.
+    unsafe { asm!("mrs {0}, PRIMASK", "cpsid i", out(reg) masked) };
+    let result = f();
+    if masked & 1 == 0 {
+        // SAFETY: they were enabled before.
+        unsafe { asm!("cpsie i") };
+    }
+    result
+}
+
+/// Sleeps until an interrupt is pending. With interrupts disabled it ends the sleep and is not yet
+/// taken: nothing can come between a look and the sleep.
+pub fn sleep() {
+    // SAFETY: changes nothing but the time.
+    unsafe { asm!("dsb", "wfi") };
+}

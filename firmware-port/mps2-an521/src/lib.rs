@@ -1,0 +1,30 @@
+//! Bare metal: QEMU's `mps2-an521`. Two Cortex-M33 are two cores, the message handling unit is the
+//! doorbell, and a bank of the internal SRAM is the LMU.
+//!
+//! The controller has six cores and this machine two processors: it plays any two of them. One
+//! image runs on both; a program gives one main, [`entry!`], which each processor calls with its
+//! number. Facts about the machine are from Arm's documents DAI 0521 (AN521) and 101104 (SSE-200)
+//! and from QEMU's behaviour.
+#![no_std]
+
+pub mod board;
+pub mod clock;
+pub mod cpu;
+pub mod exit;
+pub mod memory;
+pub mod mhu;
+mod start;
+pub mod uart;
+
+/// Names the function that each processor calls after its start.
+#[macro_export]
+macro_rules! entry {
+    ($main:path) => {
+        #[allow(unsafe_code, reason = "the start-up code finds it by its name")]
+        #[unsafe(no_mangle)]
+        extern "C" fn tandem_main(cpu: usize) -> ! {
+            let main: fn(usize) -> ! = $main;
+            main(cpu)
+        }
+    };
+}

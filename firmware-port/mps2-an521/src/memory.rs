@@ -1,0 +1,40 @@
+//! The memory that the linker script lays out: the two LMUs, and the straps.
+
+use core::ptr::addr_of;
+use core::sync::atomic::AtomicU32;
+use tandem_board::SystemId;
+
+/// Words of an LMU: 32 KiB.
+pub const LMU_WORDS: usize = 8192;
+
+unsafe extern "C" {
+    static __lmu_a: AtomicU32;
+    static __lmu_b: AtomicU32;
+    static __straps: u32;
+}
+
+/// The LMU of a system.
+#[must_use]
+pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
+    // SAFETY: link.x reserves 32 KiB there, a bank of its own; atomics may be shared; the memory is
+    // there as long as the machine.
+    unsafe {
+        let begin = match system {
+            SystemId::A => addr_of!(__lmu_a),
+            SystemId::B => addr_of!(__lmu_b),
+        };
+        core::slice::from_raw_parts(begin, LMU_WORDS)
+    }
+}
+
+/// Word `index` of what the emulator was told to write before the start, as pins that are tied high
+/// or low. Zero if nothing was.
+///
+/// # Panics
+/// If there is no such strap: there are 1024.
+#[must_use]
+pub fn strap(index: usize) -> u32 {
+    assert!(index < 1024);
+    // SAFETY: link.x reserves 4 KiB there; nobody writes them after the start.
+    unsafe { addr_of!(__straps).add(index).read_volatile() }
+}

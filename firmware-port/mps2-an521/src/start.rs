@@ -1,0 +1,109 @@
+//! From reset to main: a vector table for each processor, and the start of the second one.
+//!
+//! Processor 1 is held at power-on. Processor 0 clears .bss, starts clock and UART, gives
+//! processor 1 its vector table and lets it go.
+
+use crate::{clock, cpu, exit, mhu, uart};
+use core::arch::{asm, global_asm};
+use core::ptr::write_volatile;
+
+/// System control: where processor 1 finds its vector table, and which processors are held.
+const INITSVTOR1: *mut u32 = 0x5002_1114 as *mut u32;
+const CPUWAIT: *mut u32 = 0x5002_1118 as *mut u32;
+
+const SYSTEM_VECTORS: usize = 16;
+const INTERRUPTS: usize = 32;
+
+type Handler = unsafe extern "C" fn();
+
+unsafe extern "C" {
+    static __stack_0: u32;
+    static __stack_1: u32;
+    fn tandem_reset_0();
+    fn tandem_reset_1();
+}
+
+/// A vector table as the processor reads it.
+#[repr(C, align(1024))]
+struct Vectors {
+    stack: &'static u32,
+    reset: Handler,
+    system: [Handler; SYSTEM_VECTORS - 2],
+    interrupts: [Handler; INTERRUPTS],
+}
+
+const fn vectors(stack: &'static u32, reset: Handler) -> Vectors {
+    let mut table = Vectors {
+        stack,
+        reset,
+        system: [exit::on_fault; SYSTEM_VECTORS - 2],
+        interrupts: [exit::on_fault; INTERRUPTS],
+    };
+    // Exception 15 is SysTick.
+    table.system[13] = clock::on_alarm;
+    table.interrupts[6] = mhu::on_interrupt;
+    table.interrupts[7] = mhu::on_interrupt;
+    table
+}
+
+// SAFETY: the symbols are places that link.x defines; only their addresses are used.
+#[unsafe(link_section = ".vectors.0")]
+#[used]
+static VECTORS_0: Vectors = vectors(unsafe { &__stack_0 }, tandem_reset_0);
+// SAFETY: as above.
+#[unsafe(link_section = ".vectors.1")]
+#[used]
+static VECTORS_1: Vectors = vectors(unsafe { &__stack_1 }, tandem_reset_1);
+
+global_asm!(
+    ".thumb",
+    ".section .text.tandem_reset, \"ax\"",
+    ".global tandem_reset_0",
+    ".global tandem_reset_1",
+    ".thumb_func",
+    "tandem_reset_0:",
+    // .bss, whole words; then the rest in Rust.
+    "ldr r0, =__bss_start",
+    "ldr r1, =__bss_end",
+    "movs r2, #0",
+    "0: cmp r0, r1",
+    "beq 1f",
+    "str r2, [r0], #4",
+    "b 0b",
+    "1: bl {start_0}",
+    "b .",
+    ".thumb_func",
+    "tandem_reset_1:",
+    "bl {start_1}",
+    "b .",
+    ".ltorg",
+    start_0 = sym start_0,
+    start_1 = sym start_1,
+);
+
+unsafe extern "C" {
+    /// Of the program: see `entry!`.
+    fn tandem_main(cpu: usize) -> !;
+}
+
+extern "C" fn start_0() -> ! {
+    clock::start();
+    uart::start();
+    // SAFETY: the second processor has not run; its table is whole and stays.
+    unsafe {
+        write_volatile(INITSVTOR1, (&raw const VECTORS_1).addr() as u32);
+        asm!("dsb");
+        write_volatile(CPUWAIT, 0);
+    }
+    main()
+}
+
+extern "C" fn start_1() -> ! {
+    main()
+}
+
+fn main() -> ! {
+    mhu::enable();
+    // SAFETY: the program defines it, with this signature, by `entry!`.
+    unsafe { tandem_main(cpu::number()) }
+}

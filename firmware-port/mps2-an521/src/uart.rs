@@ -1,0 +1,65 @@
+//! The log: UART 0, written by polling.
+
+use core::fmt::{self, Write};
+use core::ptr::{read_volatile, write_volatile};
+use core::sync::atomic::{AtomicBool, Ordering};
+
+const UART: usize = 0x5020_0000;
+const DATA: *mut u32 = UART as *mut u32;
+const STATE: *const u32 = (UART + 0x4) as *const u32;
+const CONTROL: *mut u32 = (UART + 0x8) as *mut u32;
+const BAUD_DIVIDER: *mut u32 = (UART + 0x10) as *mut u32;
+const TRANSMIT_FULL: u32 = 1;
+const TRANSMIT_ENABLE: u32 = 1;
+
+/// One line at a time, of whichever processor.
+static BUSY: AtomicBool = AtomicBool::new(false);
+
+struct Uart;
+
+impl Write for Uart {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        for byte in text.bytes() {
+            // SAFETY: the UART's registers; `BUSY` keeps the other processor out.
+            unsafe {
+                while read_volatile(STATE) & TRANSMIT_FULL != 0 {}
+                write_volatile(DATA, byte.into());
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Switches the transmitter on. Processor 0.
+pub(crate) fn start() {
+    // SAFETY: the UART's registers, before anyone writes to it.
+    unsafe {
+        // The least that the UART takes: nobody waits for a real line.
+        write_volatile(BAUD_DIVIDER, 16);
+        write_volatile(CONTROL, TRANSMIT_ENABLE);
+    }
+}
+
+/// Writes a line. Blocks; task context.
+pub fn print(line: fmt::Arguments<'_>) {
+    // Acquire pairs with the Release below: lines come whole.
+    while BUSY.swap(true, Ordering::Acquire) {
+        core::hint::spin_loop();
+    }
+    // Writing to the UART cannot fail.
+    let _ = writeln!(Uart, "{line}");
+    BUSY.store(false, Ordering::Release);
+}
+
+/// Writes a line although the other processor may be about to: for one that ends everything.
+pub(crate) fn print_now(line: fmt::Arguments<'_>) {
+    let _ = writeln!(Uart, "{line}");
+}
+
+/// Writes a line to the log.
+#[macro_export]
+macro_rules! log {
+    ($($argument:tt)*) => {
+        $crate::uart::print(::core::format_args!($($argument)*))
+    };
+}
