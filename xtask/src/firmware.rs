@@ -1,5 +1,6 @@
 //! The bare-metal images: build, run and measure them under QEMU.
 
+mod an521;
 mod size;
 
 use crate::target_dir;
@@ -8,7 +9,7 @@ use clap::{Subcommand, ValueEnum};
 use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 const TARGET: &str = "riscv32imac-unknown-none-elf";
@@ -29,6 +30,8 @@ pub(crate) enum Firmware {
         /// Which image
         image: Image,
     },
+    /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
+    An521,
     /// Text and RAM of `shm` alone and of each image
     Size,
     /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
@@ -73,8 +76,12 @@ impl Image {
 }
 
 pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
+    if let Firmware::An521 = task {
+        return an521::run(root);
+    }
     build(root)?;
     match task {
+        Firmware::An521 => Ok(()),
         Firmware::Build => Ok(()),
         Firmware::Run { image } => {
             print!("{}", run_image(root, image, 0, &[])?);
@@ -160,15 +167,22 @@ fn explore(root: &Path, lengths: u32) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command that ends by itself, and returns what it printed.
+/// Runs a command that ends by itself with success, and returns what it printed.
 fn finish(command: &mut Command) -> Result<String> {
+    let (status, log) = ended(command).with_context(|| {
+        format!("{QEMU}: apt-get install --no-install-recommends qemu-system-misc")
+    })?;
+    ensure!(status.success(), "{command:?} ended with {status}:\n{log}");
+    Ok(log)
+}
+
+/// Runs a command that ends by itself, and returns how it ended and what it printed.
+fn ended(command: &mut Command) -> Result<(ExitStatus, String)> {
     let mut child = command
         .stdin(Stdio::null())
         .stdout(Stdio::piped())
         .spawn()
-        .with_context(|| {
-            format!("cannot start {QEMU}: apt-get install --no-install-recommends qemu-system-misc")
-        })?;
+        .context("cannot start")?;
     let mut output = child.stdout.take().context("the log is piped")?;
     let reader = std::thread::spawn(move || {
         let mut log = String::new();
@@ -184,12 +198,10 @@ fn finish(command: &mut Command) -> Result<String> {
         }
         std::thread::sleep(Duration::from_millis(5));
     };
-    let log = match reader.join() {
-        Ok(log) => log.context("the log is text")?,
+    match reader.join() {
+        Ok(log) => Ok((status, log.context("the log is text")?)),
         Err(_) => bail!("the log could not be read"),
-    };
-    ensure!(status.success(), "{command:?} ended with {status}:\n{log}");
-    Ok(log)
+    }
 }
 
 /// What was measured, in the order of the log.

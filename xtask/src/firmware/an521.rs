@@ -1,0 +1,105 @@
+//! The images for QEMU's mps2-an521, two Cortex-M33: build all, run all.
+
+use super::{build_dir, ended, port};
+use anyhow::{Context, Result, bail, ensure};
+use std::path::Path;
+use std::process::Command;
+
+const TARGET: &str = "thumbv8m.main-none-eabi";
+const QEMU: &str = "qemu-system-arm";
+/// Where the images look for straps; see link.x.
+const STRAPS_AT: u32 = 0x8000_0000;
+
+// How a case of the suite ends; see an521-conformance.rs.
+const PASSED: i32 = 0;
+const SKIPPED: i32 = 2;
+const NO_SUCH_CASE: i32 = 3;
+
+/// Lengths of turns, in ticks of 50 ns, under which the primitives run. Shorter ones the emulator
+/// does not keep: a broken lock passes with them.
+const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
+
+pub(super) fn run(root: &Path) -> Result<()> {
+    let mut build = crate::cargo(&port(root), &["build", "--quiet", "--release"]);
+    build
+        .args(["--target", TARGET, "-p", "tandem-board-mps2-an521"])
+        .env("CARGO_TARGET_DIR", build_dir(root));
+    crate::run(build)?;
+    conformance(root)?;
+    primitives(root)?;
+    let log = play(root, "an521-takeover", &[], &[PASSED])?.1;
+    print!("{log}");
+    Ok(())
+}
+
+/// Every case that two cores carry, each on a freshly started machine.
+fn conformance(root: &Path) -> Result<()> {
+    let (mut passed, mut skipped) = (0, 0);
+    for case in 0.. {
+        let known = [PASSED, SKIPPED, NO_SUCH_CASE];
+        let (status, log) = play(root, "an521-conformance", &[case], &known)?;
+        print!("{log}");
+        match status {
+            PASSED => passed += 1,
+            SKIPPED => skipped += 1,
+            _ => break,
+        }
+    }
+    ensure!(passed > 0, "no case of the suite ran");
+    println!("conformance on two processors: {passed} passed, {skipped} skipped, 0 failed");
+    Ok(())
+}
+
+/// The primitives under several schedules; with a broken lock some of them must fail.
+fn primitives(root: &Path) -> Result<()> {
+    const FAILED: i32 = 1;
+    let mut caught = 0;
+    for turns in TURNS {
+        let (_, log) = play(root, "an521-primitives", &[turns, 0], &[PASSED])?;
+        print!("turns of {turns:>3} ticks: {log}");
+        let broken = play(root, "an521-primitives", &[turns, 1], &[PASSED, FAILED])?;
+        caught += i32::from(broken.0 == FAILED);
+    }
+    let of = TURNS.len();
+    println!("a broken lock was caught under {caught} of {of} schedules");
+    ensure!(
+        caught > 0,
+        "a broken lock passes: the schedules explore nothing"
+    );
+    Ok(())
+}
+
+/// Runs an image to its end. Fails if it ends with another status than those.
+fn play(root: &Path, image: &str, straps: &[u32], good: &[i32]) -> Result<(i32, String)> {
+    let elf = build_dir(root).join(TARGET).join("release").join(image);
+    let mut command = Command::new(QEMU);
+    command
+        .args([
+            "-machine",
+            "mps2-an521",
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+        ])
+        .args([
+            "-serial",
+            "stdio",
+            "-semihosting-config",
+            "enable=on,target=native",
+        ])
+        // 32 ns an instruction; time jumps when both processors sleep.
+        .args(["-icount", "shift=5,sleep=off", "-kernel"])
+        .arg(elf);
+    for (at, value) in (STRAPS_AT..).step_by(4).zip(straps) {
+        let strap = format!("loader,addr={at:#x},data={value},data-len=4");
+        command.args(["-device", &strap]);
+    }
+    let (status, log) = ended(&mut command).with_context(|| {
+        format!("{QEMU}: apt-get install --no-install-recommends qemu-system-arm")
+    })?;
+    match status.code() {
+        Some(code) if good.contains(&code) => Ok((code, log)),
+        _ => bail!("{image} {straps:?} ended with {status}:\n{log}"),
+    }
+}
