@@ -1,6 +1,12 @@
 //! The floors: what the hardware and the kernel alone need.
 
+pub mod cas;
+mod lines;
+
+pub use lines::full_lines;
+
 use crate::harness::{Batch, End, Plan, between_processes};
+use crate::open_loop::at_fixed_rate;
 use crate::shared::Shared;
 use std::hint::spin_loop;
 use std::io;
@@ -50,7 +56,18 @@ pub fn cache_line(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The same two lines; the receiver sleeps in the kernel until the word changes.
-struct Futex(Line);
+pub(crate) struct Futex(Line);
+
+impl Futex {
+    /// On two lines of the case: out and inward.
+    pub(crate) fn between(shared: &Shared, [out, inward]: [usize; 2]) -> Self {
+        Self(Line {
+            out: shared.line(2 * out),
+            inward: shared.line(2 * inward),
+            last: 0,
+        })
+    }
+}
 
 impl End for Futex {
     fn send(&mut self, stamp: u32) {
@@ -79,16 +96,17 @@ impl End for Futex {
 /// # Errors
 /// As [`between_processes`].
 pub fn futex(plan: &Plan) -> io::Result<Batch> {
-    let end = |out, inward| {
-        move |shared: &Shared| {
-            Futex(Line {
-                out: shared.line(out),
-                inward: shared.line(inward),
-                last: 0,
-            })
-        }
-    };
-    between_processes(plan, LINES, end(0, 2), end(2, 0))
+    let end = |ways| move |shared: &Shared| Futex::between(shared, ways);
+    between_processes(plan, LINES, end([0, 1]), end([1, 0]))
+}
+
+/// The same at a fixed rate.
+///
+/// # Errors
+/// As [`at_fixed_rate`].
+pub fn futex_at_rate(plan: &Plan) -> io::Result<Batch> {
+    let end = |ways| move |shared: &Shared| Futex::between(shared, ways);
+    at_fixed_rate(plan, LINES, end([0, 1]), end([1, 0]))
 }
 
 /// A pair of file descriptors that carry a wake-up, with the stamp in shared memory beside it.

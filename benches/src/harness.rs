@@ -75,6 +75,75 @@ impl Batch {
             facts: vec![],
         }
     }
+
+    /// The same with samples that are the mean of `chunk` operations each; CPU time likewise is
+    /// that of one operation.
+    #[must_use]
+    pub fn per_operation(mut self, chunk: usize) -> Self {
+        for sample in &mut self.samples_ps {
+            *sample /= chunk as u64;
+        }
+        self.cpu_ns_per_message = self.cpu_ns_per_message.map(|ns| ns / chunk as f64);
+        self
+    }
+
+    /// The same with this payload.
+    #[must_use]
+    pub fn carrying(mut self, payload_bytes: u64) -> Self {
+        self.payload_bytes = payload_bytes;
+        self
+    }
+
+    /// The same with another fact.
+    #[must_use]
+    pub fn with_fact(mut self, name: &'static str, value: f64) -> Self {
+        self.facts.push((name, value));
+        self
+    }
+}
+
+/// Gives the CPU to another process.
+pub fn give_way() {
+    // SAFETY: no arguments, no memory.
+    unsafe { libc::sched_yield() };
+}
+
+/// Times an operation that one process does by itself on the near CPU: each round is a chunk of
+/// `chunk` operations, so that the clock's own time does not count. The sample is the mean of one.
+///
+/// # Errors
+/// If the process or the shared memory cannot be had, or `prepare` fails.
+pub fn alone<T>(
+    plan: &Plan,
+    chunk: usize,
+    own_bytes: u64,
+    prepare: impl FnOnce(&Shared) -> io::Result<T>,
+    operation: impl Fn(&mut T),
+) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    let part = Part::on(plan.cpus[0], |role| {
+        let mut on = prepare(role.shared)?;
+        time_chunks(plan, chunk, role, || operation(&mut on));
+        Ok(())
+    });
+    perform(&shared, vec![part])?;
+    Ok(Batch::collect(&shared, 1, plan.rounds, own_bytes).per_operation(chunk))
+}
+
+/// The loop of [`alone`], for parts that have company.
+pub fn time_chunks(plan: &Plan, chunk: usize, role: &mut Role<'_>, mut operation: impl FnMut()) {
+    for round in 0..plan.warm_up + plan.rounds {
+        if round == plan.warm_up {
+            role.begin();
+        }
+        let begin = ticks();
+        (0..chunk).for_each(|_| operation());
+        let took = ticks().wrapping_sub(begin);
+        if round >= plan.warm_up {
+            role.log.push(0, took);
+        }
+    }
+    role.end();
 }
 
 /// One end of a way of passing 4 bytes in both directions.

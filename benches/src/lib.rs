@@ -7,6 +7,7 @@
 )]
 
 pub mod cases;
+pub mod chain;
 pub mod clock;
 pub mod command;
 pub mod compare;
@@ -17,12 +18,16 @@ pub mod harness;
 pub mod hgrm;
 pub mod machine;
 pub mod measure;
+pub mod mutual_exclusion;
+pub mod noise;
+pub mod open_loop;
 pub mod peers;
 pub mod places;
 pub mod result;
 pub mod shared;
 pub mod stage;
 pub mod stats;
+pub mod stream;
 #[cfg(test)]
 mod synthetic;
 pub mod table;

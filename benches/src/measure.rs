@@ -134,6 +134,10 @@ pub fn run(
             if was_interrupted() || begin.elapsed() >= span.at_most {
                 return all;
             }
+            if turns % measurement.case.every != 0 {
+                tried = true;
+                continue;
+            }
             let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
             progress(passed.min(1.0), measurement.case);
             tried = true;

@@ -8,7 +8,9 @@ use crate::clock::{cpu_ns, monotonic_ns};
 use crate::shared::{Log, PARTS, Shared, note};
 use std::fs;
 use std::io;
+use std::os::unix::process::CommandExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::process::Command;
 use std::time::Duration;
 
 /// The longest that a batch may take.
@@ -244,6 +246,18 @@ impl Drop for Child {
             // SAFETY: the descriptor is ours and not used after this.
             unsafe { libc::close(self.pidfd) };
         }
+    }
+}
+
+/// A program that is started by this command is killed when the benchmark dies.
+pub fn die_with_parent(command: &mut Command) {
+    // SAFETY: between fork and exec only one system call is made: no allocation, no lock.
+    unsafe {
+        command.pre_exec(|| {
+            libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
+            libc::signal(libc::SIGINT, libc::SIG_IGN);
+            Ok(())
+        });
     }
 }
 

@@ -1,7 +1,17 @@
 //! Tandem itself: 4 bytes with a signal of the sync mailbox, or through a newest-value channel and
 //! a signal, on the host board, from the sender's call to the running handler. T-SYNC-4
 
+pub mod broadcast;
+pub mod fifo;
+pub mod lock;
+pub mod newest;
+pub mod pool;
+pub mod size;
+pub mod start_up;
+
+use crate::chain::through_three;
 use crate::harness::{Batch, End, Plan, between_processes};
+use crate::open_loop::at_fixed_rate;
 use crate::shared::Shared;
 use std::io;
 use std::sync::atomic::AtomicU32;
@@ -10,7 +20,7 @@ use tandem_board::{Board, CoreId, Duration, Generation};
 use tandem_board_host::{BareSystem, HostBoard};
 use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
 use tandem_shm::wait::{Event, WaitPolicy};
-use tandem_shm::{Shape, newest};
+use tandem_shm::{Shape, newest as channel};
 
 const VALUE: Shape = Shape::new(4, 1);
 /// Words of one direction: the mailbox, then the channel.
@@ -23,7 +33,7 @@ fn task() -> TaskId {
 
 /// What the handler works on.
 struct Inbox {
-    value: newest::Reader<'static>,
+    value: channel::Reader<'static>,
     received: Option<u32>,
 }
 
@@ -74,19 +84,19 @@ impl Event for Waiting {
     }
 }
 
-/// One core: sends to the peer and waits for it.
-struct Core {
+/// One core: sends to the peer and waits for whoever sends to it.
+pub(crate) struct Core {
     board: &'static HostBoard,
     peer: CoreId,
     policy: WaitPolicy,
     way: Way,
-    value: newest::Writer<'static>,
+    value: channel::Writer<'static>,
     signal: Sender<'static>,
     waiting: Waiting,
 }
 
 impl Core {
-    fn start(
+    pub(crate) fn start(
         system: &BareSystem,
         core: CoreId,
         peer: CoreId,
@@ -108,7 +118,7 @@ impl Core {
             Way::Channel => handle_channel,
         };
         tasks.add(task(), handler, 0).expect("the table is empty");
-        let value = newest::Reader::attach(&inward[CHANNEL_AT..], VALUE).expect("it fits");
+        let value = channel::Reader::attach(&inward[CHANNEL_AT..], VALUE).expect("it fits");
         let signals = Receiver::attach(&inward[..mailbox::WORDS]).expect("it fits");
         let inbox = Inbox {
             value,
@@ -119,7 +129,7 @@ impl Core {
             peer,
             policy,
             way,
-            value: newest::Writer::attach(&out[CHANNEL_AT..], VALUE).expect("it fits"),
+            value: channel::Writer::attach(&out[CHANNEL_AT..], VALUE).expect("it fits"),
             signal: Sender::attach(&out[..mailbox::WORDS]).expect("it fits"),
             waiting: Waiting {
                 board,
@@ -161,8 +171,33 @@ pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy, way: Way) -> i
     between_processes(plan, 0, start(a, b), start(b, a))
 }
 
+/// From core 1 over core 2 to core 0; each waits by its policy.
+///
+/// # Errors
+/// As [`through_three`].
+pub fn chain(system: &BareSystem, plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
+    const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
+    let life = next_life();
+    through_three(plan, 0, |part, _| {
+        let (core, next) = (CHAIN[part], CHAIN[(part + 1) % 3]);
+        Core::start(system, core, next, life, policies[part], Way::Signal)
+    })
+}
+
+/// From core 1 to core 2 at a fixed rate.
+///
+/// # Errors
+/// As [`at_fixed_rate`].
+pub fn at_rate(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+    let life = next_life();
+    let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
+    let start =
+        |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, Way::Signal);
+    at_fixed_rate(plan, 0, start(a, b), start(b, a))
+}
+
 /// Lives rise from batch to batch, as those of a core that is reset.
-fn next_life() -> u32 {
+pub(crate) fn next_life() -> u32 {
     static LIVES: AtomicU32 = AtomicU32::new(1);
     LIVES.fetch_add(1, Relaxed)
 }

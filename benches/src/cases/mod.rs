@@ -1,7 +1,16 @@
 //! What is measured, by name. Each group has a file; the floor comes first in it.
 
+mod chain;
+mod lock;
+mod noise;
+mod one_cpu;
+mod pool;
+mod rate;
+mod size;
 mod sleep;
 mod spin;
+mod start_up;
+mod throughput;
 
 use crate::harness::{Batch, Plan};
 use std::io;
@@ -69,6 +78,8 @@ pub struct Case {
     /// Rounds of one batch: some 10 to 50 ms, so that cases take turns while the machine's mood
     /// lasts.
     pub rounds: usize,
+    /// It takes part in every so manieth turn only; 1 but for what needs seconds to begin.
+    pub every: usize,
     /// One batch.
     pub run: Run,
 }
@@ -89,7 +100,20 @@ impl Case {
 
 /// All cases in the order in which they are shown.
 pub fn all() -> impl Iterator<Item = &'static Case> {
-    [&spin::CASES[..], &sleep::CASES].into_iter().flatten()
+    let groups = [
+        spin::CASES,
+        sleep::CASES,
+        one_cpu::CASES,
+        size::CASES,
+        throughput::CASES,
+        lock::CASES,
+        pool::CASES,
+        chain::CASES,
+        start_up::CASES,
+        rate::CASES,
+        noise::CASES,
+    ];
+    groups.into_iter().flatten()
 }
 
 #[cfg(test)]

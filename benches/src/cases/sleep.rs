@@ -11,12 +11,13 @@ const fn case(name: &'static str, what: &'static str, run: super::Run) -> Case {
         name,
         what,
         rounds: 250,
+        every: 1,
         run,
     }
 }
 
 /// The cases.
-pub(super) const CASES: [Case; 8] = [
+pub(super) const CASES: &[Case] = &[
     case("floor", "futex on a shared word", |_, plan| {
         floor::futex(plan)
     }),
@@ -45,6 +46,11 @@ pub(super) const CASES: [Case; 8] = [
         "event with default settings",
         |_, plan| peers::iceoryx2_event(plan),
     ),
+    case(
+        "iceoryx2-event-tuned",
+        "event by iceoryx2's semaphore, one id",
+        |_, plan| peers::iceoryx2_event_tuned(plan),
+    ),
     case("pipe", "two pipes", |_, plan| peers::pipe(plan)),
     case("unix-socket", "a pair of SOCK_SEQPACKET", |_, plan| {
         peers::unix_socket(plan)
@@ -52,4 +58,13 @@ pub(super) const CASES: [Case; 8] = [
     case("message-queue", "two POSIX message queues", |_, plan| {
         peers::message_queue(plan)
     }),
+    Case {
+        rounds: 1,
+        every: 25,
+        ..case(
+            "ddsperf",
+            "Cyclone DDS over loopback; its own percentiles",
+            |_, plan| peers::ddsperf(plan),
+        )
+    },
 ];

@@ -11,12 +11,13 @@ const fn case(name: &'static str, what: &'static str, run: super::Run) -> Case {
         name,
         what,
         rounds: 20_000,
+        every: 1,
         run,
     }
 }
 
 /// The cases.
-pub(super) const CASES: [Case; 6] = [
+pub(super) const CASES: &[Case] = &[
     case("floor", "a cache line between two processes", |_, plan| {
         floor::cache_line(plan)
     }),
@@ -34,6 +35,11 @@ pub(super) const CASES: [Case; 6] = [
         "iceoryx2-pubsub",
         "publish-subscribe with default settings, polled",
         |_, plan| peers::iceoryx2_pubsub(plan),
+    ),
+    case(
+        "iceoryx2-pubsub-tuned",
+        "the same for one subscriber, buffer of 1, no overflow",
+        |_, plan| peers::iceoryx2_pubsub_tuned(plan),
     ),
     case("crossbeam", "ArrayQueue between threads", |_, plan| {
         peers::crossbeam_channel(plan)

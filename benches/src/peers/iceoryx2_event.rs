@@ -1,12 +1,16 @@
 //! iceoryx2 events: the receiver sleeps until it is notified.
 
-use crate::harness::{Batch, End, Plan, between_processes};
+use crate::chain::{PARTS, through_three};
+use crate::harness::{Batch, End, Plan, between_processes, next_run};
+use crate::open_loop::at_fixed_rate;
+use crate::peers::iceoryx2_semaphore::BySemaphore;
 use crate::shared::Shared;
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeCreationFailure;
 use iceoryx2::port::listener::Listener;
 use iceoryx2::port::notifier::Notifier;
 use iceoryx2::prelude::*;
+use iceoryx2::service::Service;
 use iceoryx2_bb_system_types::path::Path;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -16,7 +20,7 @@ const ROOT: &[u8] = b"/dev/shm/iceoryx2";
 
 /// A node with default settings, but for the place of its files and for signals: Ctrl-C is the
 /// benchmark's.
-pub(super) fn node() -> Result<Node<ipc::Service>, NodeCreationFailure> {
+pub(super) fn node<S: Service>() -> Result<Node<S>, NodeCreationFailure> {
     set_log_level(LogLevel::Fatal);
     let mut config = Config::default();
     if let Ok(root) = Path::new(ROOT) {
@@ -25,25 +29,32 @@ pub(super) fn node() -> Result<Node<ipc::Service>, NodeCreationFailure> {
     NodeBuilder::new()
         .config(&config)
         .signal_handling_mode(SignalHandlingMode::Disabled)
-        .create::<ipc::Service>()
+        .create::<S>()
 }
 
-struct Event {
-    out: Notifier<ipc::Service>,
-    inward: Listener<ipc::Service>,
+/// The ends of two events, one in each direction (of the chain: to the next, from the last), with
+/// the stamp in shared memory beside it.
+struct Event<S: Service> {
+    out: Notifier<S>,
+    inward: Listener<S>,
     stamp_out: &'static AtomicU32,
     stamp_in: &'static AtomicU32,
-    _node: Node<ipc::Service>,
+    _node: Node<S>,
 }
 
-impl Event {
-    fn open(run: u32, ways: [&str; 2], stamps: [&'static AtomicU32; 2]) -> Self {
+impl<S: Service> Event<S> {
+    /// `lean`: room for one notifier and one listener, and one event id.
+    fn open(run: u32, lean: bool, ways: [&str; 2], stamps: [&'static AtomicU32; 2]) -> Self {
         let open = || -> Result<Self, Box<dyn core::error::Error>> {
-            let node = node()?;
+            let node = node::<S>()?;
             let service = |way: &str| {
                 let name = ServiceName::new(&format!("tandem-bench/{run}/event/{way}"))?;
-                let service = node.service_builder(&name).event();
-                Ok::<_, Box<dyn core::error::Error>>(service.open_or_create()?)
+                let mut builder = node.service_builder(&name).event();
+                if lean {
+                    builder = builder.max_notifiers(1).max_listeners(1).max_nodes(2);
+                    builder = builder.event_id_max_value(0);
+                }
+                Ok::<_, Box<dyn core::error::Error>>(builder.open_or_create()?)
             };
             Ok(Self {
                 inward: service(ways[1])?.listener_builder().create()?,
@@ -57,7 +68,7 @@ impl Event {
     }
 }
 
-impl End for Event {
+impl<S: Service> End for Event<S> {
     fn send(&mut self, stamp: u32) {
         self.stamp_out.store(stamp, Ordering::Release);
         let _notified = self.out.notify();
@@ -72,14 +83,12 @@ impl End for Event {
     }
 }
 
-/// An iceoryx2 event to a sleeping listener, with the stamp in shared memory beside it.
-///
-/// # Errors
-/// As [`between_processes`].
-pub fn iceoryx2_event(plan: &Plan) -> io::Result<Batch> {
-    let run = crate::harness::next_run();
+fn event<S: Service>(plan: &Plan, lean: bool) -> io::Result<Batch> {
+    let run = next_run();
     let end = |ways, words: [usize; 2]| {
-        move |shared: &Shared| Event::open(run, ways, words.map(|word| shared.line(word)))
+        move |shared: &Shared| {
+            Event::<S>::open(run, lean, ways, words.map(|word| shared.line(word)))
+        }
     };
     between_processes(
         plan,
@@ -87,4 +96,49 @@ pub fn iceoryx2_event(plan: &Plan) -> io::Result<Batch> {
         end(["there", "back"], [0, 2]),
         end(["back", "there"], [2, 0]),
     )
+}
+
+/// An iceoryx2 event to a sleeping listener with default settings: a Unix datagram socket wakes.
+///
+/// # Errors
+/// As [`between_processes`].
+pub fn iceoryx2_event(plan: &Plan) -> io::Result<Batch> {
+    event::<ipc::Service>(plan, false)
+}
+
+/// The same with the leanest settings, woken by the semaphore of iceoryx2-cal.
+///
+/// # Errors
+/// As [`between_processes`].
+pub fn iceoryx2_event_tuned(plan: &Plan) -> io::Result<Batch> {
+    event::<BySemaphore>(plan, true)
+}
+
+/// A wake-up through three processes by events with default settings.
+///
+/// # Errors
+/// As [`through_three`].
+pub fn iceoryx2_chain(plan: &Plan) -> io::Result<Batch> {
+    const WAYS: [&str; PARTS] = ["1 to 2", "2 to 0", "0 to 1"];
+    let run = next_run();
+    through_three(plan, 3 * 64, |part, shared| {
+        let links = [part, (part + PARTS - 1) % PARTS];
+        let ways = links.map(|link| WAYS[link]);
+        Event::<ipc::Service>::open(run, false, ways, links.map(|link| shared.line(2 * link)))
+    })
+}
+
+/// Events with default settings at a fixed rate.
+///
+/// # Errors
+/// As [`at_fixed_rate`].
+pub fn iceoryx2_at_rate(plan: &Plan) -> io::Result<Batch> {
+    let run = next_run();
+    let end = |ways, words: [usize; 2]| {
+        move |shared: &Shared| {
+            Event::<ipc::Service>::open(run, false, ways, words.map(|word| shared.line(word)))
+        }
+    };
+    let near = end(["there", "back"], [0, 2]);
+    at_fixed_rate(plan, 128, near, end(["back", "there"], [2, 0]))
 }

@@ -3,6 +3,7 @@
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
+use crate::stream::{self, Sink, Source, Stream};
 use std::ffi::CString;
 use std::io;
 
@@ -60,11 +61,25 @@ fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result
     let mut all = [near, far].concat();
     all.sort_unstable();
     all.dedup();
-    for descriptor in all {
+    close(all);
+    samples
+}
+
+fn close(descriptors: impl IntoIterator<Item = i32>) {
+    for descriptor in descriptors {
         // SAFETY: the descriptor is ours and not used after this.
         unsafe { libc::close(descriptor) };
     }
-    samples
+}
+
+/// The reading and the writing end of a new pipe.
+fn new_pipe() -> io::Result<[i32; 2]> {
+    let mut pipe = [0i32; 2];
+    // SAFETY: `pipe` is a valid place for two descriptors.
+    if unsafe { libc::pipe2(pipe.as_mut_ptr(), libc::O_CLOEXEC) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    Ok(pipe)
 }
 
 /// Two pipes.
@@ -72,14 +87,8 @@ fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result
 /// # Errors
 /// As [`between_processes`], and if no pipe can be had.
 pub fn pipe(plan: &Plan) -> io::Result<Batch> {
-    let mut pipes = [[0i32; 2]; 2];
-    for pipe in &mut pipes {
-        // SAFETY: `pipe` is a valid place for two descriptors.
-        if unsafe { libc::pipe2(pipe.as_mut_ptr(), libc::O_CLOEXEC) } != 0 {
-            return Err(io::Error::last_os_error());
-        }
-    }
-    let [[read_there, write_there], [read_back, write_back]] = pipes;
+    let [read_there, write_there] = new_pipe()?;
+    let [read_back, write_back] = new_pipe()?;
     run(
         plan,
         [write_there, read_back],
@@ -125,4 +134,41 @@ pub fn message_queue(plan: &Plan) -> io::Result<Batch> {
     }
     let [there, back] = queues;
     run(plan, [there, back], [back, there], true)
+}
+
+/// One end of a pipe.
+struct OneWay(i32);
+
+impl Source for OneWay {
+    fn send(&mut self, k: u32) -> bool {
+        let bytes = u64::from(k).to_ne_bytes();
+        // SAFETY: sends 8 bytes from a valid buffer to a descriptor that this process holds.
+        unsafe { libc::write(self.0, bytes.as_ptr().cast(), bytes.len()) == 8 }
+    }
+}
+
+impl Sink for OneWay {
+    fn receive(&mut self) -> Option<u32> {
+        let mut bytes = [0u8; 8];
+        // SAFETY: receives up to 8 bytes into a valid buffer from a descriptor that this process
+        // holds. Writes of 8 bytes are not torn: pipe(7).
+        let read = unsafe { libc::read(self.0, bytes.as_mut_ptr().cast(), bytes.len()) };
+        (read == 8).then(|| u64::from_ne_bytes(bytes) as u32)
+    }
+}
+
+/// A stream of 8 bytes each through a pipe, a system call at each end of each.
+///
+/// # Errors
+/// As [`stream::between_processes`], and if no pipe can be had.
+pub fn pipe_stream(plan: &Plan) -> io::Result<Batch> {
+    let [inward, out] = new_pipe()?;
+    let stream = Stream {
+        chunk: 1024,
+        payload_bytes: 8,
+        case_words: 0,
+    };
+    let batch = stream::between_processes(plan, stream, |_| OneWay(out), |_| OneWay(inward));
+    close([inward, out]);
+    batch
 }

@@ -1,6 +1,7 @@
 //! Channels between the threads of one process: crossbeam's and rtrb's.
 
 use crate::harness::{Batch, End, Plan, between_threads};
+use crate::stream::{self, Sink, Source, Stream};
 use std::hint::spin_loop;
 use std::io;
 use std::sync::Arc;
@@ -84,4 +85,59 @@ pub fn rtrb(plan: &Plan) -> io::Result<Batch> {
         };
         (near, far)
     })
+}
+
+/// Messages of 8 bytes; the queues have as many slots as Tandem's FIFO in this group.
+const STREAM: Stream = Stream {
+    chunk: 4096,
+    payload_bytes: 8,
+    case_words: 0,
+};
+const SLOTS: usize = 512;
+
+impl Source for Arc<crossbeam::queue::ArrayQueue<u64>> {
+    #[inline]
+    fn send(&mut self, k: u32) -> bool {
+        self.push(u64::from(k)).is_ok()
+    }
+}
+
+impl Sink for Arc<crossbeam::queue::ArrayQueue<u64>> {
+    #[inline]
+    fn receive(&mut self) -> Option<u32> {
+        self.pop().map(|k| k as u32)
+    }
+}
+
+/// A stream of 8 bytes each through crossbeam's bounded queue.
+///
+/// # Errors
+/// As [`stream::between_threads`].
+pub fn crossbeam_stream(plan: &Plan) -> io::Result<Batch> {
+    stream::between_threads(plan, STREAM, || {
+        let queue = Arc::new(crossbeam::queue::ArrayQueue::<u64>::new(SLOTS));
+        (queue.clone(), queue)
+    })
+}
+
+impl Source for rtrb::Producer<u64> {
+    #[inline]
+    fn send(&mut self, k: u32) -> bool {
+        self.push(u64::from(k)).is_ok()
+    }
+}
+
+impl Sink for rtrb::Consumer<u64> {
+    #[inline]
+    fn receive(&mut self) -> Option<u32> {
+        self.pop().ok().map(|k| k as u32)
+    }
+}
+
+/// A stream of 8 bytes each through rtrb's ring.
+///
+/// # Errors
+/// As [`stream::between_threads`].
+pub fn rtrb_stream(plan: &Plan) -> io::Result<Batch> {
+    stream::between_threads(plan, STREAM, || rtrb::RingBuffer::new(SLOTS))
 }

@@ -1,0 +1,117 @@
+//! Several processes that want a lock all the time: how long each waits, and how fair it is.
+
+use crate::clock::{from_ns, ticks, to_ps};
+use crate::harness::{Batch, Plan};
+use crate::shared::Shared;
+use crate::stage::{Part, Role, perform};
+use std::io;
+use std::sync::atomic::Ordering;
+
+/// One process's way into the room that only one may be in.
+pub trait Exclusion {
+    /// Waits for the room, stays as long as `stay` takes, and leaves.
+    fn inside(&mut self, stay: impl FnOnce());
+}
+
+/// Where the word is that only who is inside may change: behind every lock of the cases.
+const GUARDED_LINE: usize = 128;
+
+/// `processes` (2 or 3) want in for as many microseconds as the plan has rounds. The first and the
+/// third share the near CPU. A sample is the time from wanting in to being in. Each stay changes
+/// one word; at the end it must have been changed once for each stay.
+///
+/// # Errors
+/// If the processes or the shared memory cannot be had, an end failed, or two were inside.
+pub fn contended<E: Exclusion>(
+    plan: &Plan,
+    processes: usize,
+    own_bytes: u64,
+    enter: impl Fn(&Shared, usize) -> E,
+) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    let span = from_ns(1_000 * plan.rounds as u64);
+    let enter = &enter;
+    let part = |core: usize| {
+        Part::on(plan.cpus[core % 2], move |role: &mut Role<'_>| {
+            let mut exclusion = enter(role.shared, core);
+            let word = role.shared.line(GUARDED_LINE);
+            role.shared.meet(processes as u32);
+            role.begin();
+            let (begin, mut stays, mut longest) = (ticks(), 0u32, 0);
+            loop {
+                let wanted = ticks();
+                let mut waited = 0;
+                exclusion.inside(|| {
+                    waited = ticks().wrapping_sub(wanted);
+                    // Not one atomic addition: the lock is what keeps others from between.
+                    word.store(word.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+                });
+                stays += 1;
+                longest = longest.max(waited);
+                role.log.push(0, waited);
+                if ticks().wrapping_sub(begin) >= span {
+                    break;
+                }
+            }
+            role.end();
+            role.log.note(0, f64::from(stays));
+            role.log.note(1, to_ps(longest) as f64 / 1e3);
+            Ok(())
+        })
+    };
+    perform(&shared, (0..processes).map(part).collect())?;
+    let stays: Vec<f64> = (0..processes).map(|n| shared.log(n).noted(0)).collect();
+    let all: f64 = stays.iter().sum();
+    if f64::from(shared.line(GUARDED_LINE).load(Ordering::Relaxed)) != all {
+        return Err(io::Error::other("two were inside at once"));
+    }
+    let longest = (0..processes).map(|n| shared.log(n).noted(1));
+    let batch = Batch::collect(&shared, processes, all as usize, own_bytes).carrying(0);
+    Ok(batch
+        .with_fact("share of the least served, 1 is fair", least_share(&stays))
+        .with_fact("longest wait, ns", longest.fold(0.0, f64::max))
+        .with_fact("stays per second", all * 1e6 / plan.rounds as f64))
+}
+
+/// What the least served had of its fair share: 1 if all had the same, 0 if it had nothing.
+fn least_share(served: &[f64]) -> f64 {
+    let all: f64 = served.iter().sum();
+    let least = served.iter().copied().fold(f64::INFINITY, f64::min);
+    if all > 0.0 {
+        least * served.len() as f64 / all
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_least_served_is_measured_by_its_fair_share() {
+        assert_eq!(least_share(&[5.0, 5.0, 5.0]), 1.0);
+        assert_eq!(least_share(&[30.0, 10.0]), 0.5);
+        assert_eq!(least_share(&[7.0, 0.0, 5.0]), 0.0);
+        assert_eq!(least_share(&[0.0, 0.0]), 0.0);
+    }
+
+    /// Lets nobody in and says that it has.
+    struct Absent;
+
+    impl Exclusion for Absent {
+        fn inside(&mut self, _stay: impl FnOnce()) {}
+    }
+
+    /// The guarded word finds out whether the lock works.
+    #[test]
+    fn stays_that_get_lost_are_noticed() {
+        let plan = Plan {
+            rounds: 100,
+            warm_up: 0,
+            cpus: [0, 0],
+        };
+        let error = contended(&plan, 2, 0, |_, _| Absent).unwrap_err();
+        assert_eq!(error.to_string(), "two were inside at once");
+    }
+}

@@ -1,0 +1,166 @@
+//! The lock: free, contended, and after the death of its owner.
+
+use crate::clock::{from_ns, ticks};
+use crate::floor::cas::CHUNK;
+use crate::harness::{Batch, Plan, alone, give_way};
+use crate::mutual_exclusion::{Exclusion, contended};
+use crate::shared::Shared;
+use crate::stage::{Child, Part, Role, perform};
+use std::hint::black_box;
+use std::io;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::sync::spin;
+
+const LOCK_AT: usize = Lives::WORDS;
+const WORDS: usize = LOCK_AT + lock::WORDS;
+const OWN_BYTES: u64 = 4 * WORDS as u64;
+
+fn attach(shared: &Shared, core: usize, generation: u32) -> Lock<'static> {
+    let words = shared.case();
+    let lives = Lives::attach(words).expect("it fits");
+    let life = Life::new(core, generation).expect("a life");
+    lives.announce(life).expect("the first life");
+    Lock::attach(&words[LOCK_AT..], life, lives).expect("it fits")
+}
+
+/// Taking and giving back a lock that nobody else wants.
+///
+/// # Errors
+/// As [`alone`].
+pub fn free(plan: &Plan) -> io::Result<Batch> {
+    alone(
+        plan,
+        CHUNK,
+        OWN_BYTES,
+        |shared| Ok(attach(shared, 0, 1)),
+        |lock| {
+            black_box(lock.try_lock().is_some());
+        },
+    )
+}
+
+/// The lock of one core. Beside others on its CPU it gives way when it has waited for a while.
+struct Contender {
+    lock: Lock<'static>,
+    shares_cpu: bool,
+}
+
+impl Exclusion for Contender {
+    fn inside(&mut self, stay: impl FnOnce()) {
+        let shares_cpu = self.shares_cpu;
+        let relax = |pause| {
+            spin(pause);
+            if shares_cpu && pause >= 16 {
+                give_way();
+            }
+        };
+        let guard = self.lock.lock(u32::MAX, relax);
+        stay();
+        drop(guard);
+    }
+}
+
+/// `processes` cores want the lock all the time.
+///
+/// # Errors
+/// As [`contended`].
+pub fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
+    contended(plan, processes, OWN_BYTES, |shared, core| Contender {
+        lock: attach(shared, core, 1),
+        shares_cpu: processes > 2,
+    })
+}
+
+const OWNER: usize = 0;
+const SUPERVISOR_CPU: usize = 0;
+/// Words of the case behind the lock: the generation that holds the lock, the time at which its
+/// death was announced, and the last generation that was recovered from.
+const HELD_AT: usize = WORDS;
+const ANNOUNCED_AT: usize = WORDS + 16;
+const RECOVERED_AT: usize = WORDS + 32;
+
+/// An owner takes the lock and is killed (-9); the supervisor, which has seen it end, marks its
+/// life as dead; a core that waits on another CPU takes the lock over. A sample is the time from
+/// the mark to the guard.
+///
+/// # Errors
+/// If the processes or the shared memory cannot be had, or an end failed.
+pub fn recovery(plan: &Plan) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    let deaths = (plan.warm_up + plan.rounds) as u32;
+    let supervisor = Part::on(plan.cpus[SUPERVISOR_CPU], |role| {
+        role.shared.meet(2);
+        (1..=deaths).try_for_each(|generation| one_death(role.shared, plan, generation))
+    });
+    let taker = Part::on(plan.cpus[1], |role| {
+        let mut lock = attach(role.shared, 1, 1);
+        role.shared.meet(2);
+        for generation in 1..=deaths {
+            take_over(role, plan, &mut lock, generation)?;
+        }
+        Ok(())
+    });
+    perform(&shared, vec![supervisor, taker])?;
+    let mut batch = Batch::collect(&shared, 2, plan.rounds, OWN_BYTES).carrying(0);
+    batch.cpu_ns_per_message = None;
+    Ok(batch)
+}
+
+fn word(shared: &Shared, at: usize) -> &'static AtomicU32 {
+    &shared.case()[at]
+}
+
+fn wait_for(word: &AtomicU32, value: u32, wait: fn()) {
+    while word.load(Ordering::Acquire) != value {
+        wait();
+    }
+}
+
+fn one_death(shared: &Shared, plan: &Plan, generation: u32) -> io::Result<()> {
+    let owner = Child::start(plan.cpus[SUPERVISOR_CPU], || {
+        let mut lock = attach(shared, OWNER, generation);
+        let guard = lock.lock(u32::MAX, spin);
+        word(shared, HELD_AT).store(generation, Ordering::Release);
+        loop {
+            // SAFETY: takes no pointer. The owner sleeps until it is killed.
+            unsafe { libc::pause() };
+            black_box(&guard);
+        }
+    })?;
+    wait_for(word(shared, HELD_AT), generation, give_way);
+    // The taker gets time to notice that the lock is held, and to back off.
+    let since = ticks();
+    while ticks().wrapping_sub(since) < from_ns(20_000) {
+        spin(1);
+    }
+    owner.kill();
+    let lives = Lives::attach(shared.case()).expect("it fits");
+    let dead = Life::new(OWNER, generation).expect("a life");
+    word(shared, ANNOUNCED_AT).store(ticks(), Ordering::Relaxed);
+    lives.mark_dead(dead);
+    wait_for(word(shared, RECOVERED_AT), generation, give_way);
+    Ok(())
+}
+
+fn take_over(
+    role: &mut Role<'_>,
+    plan: &Plan,
+    lock: &mut Lock<'_>,
+    generation: u32,
+) -> io::Result<()> {
+    wait_for(word(role.shared, HELD_AT), generation, || spin(1));
+    let acquired = lock.lock(u32::MAX, spin);
+    let now = ticks();
+    let recovered = acquired.is_ok_and(|acquired| acquired.is_recovered());
+    if !recovered {
+        return Err(io::Error::other("the lock was taken from a living owner"));
+    }
+    let announced = word(role.shared, ANNOUNCED_AT).load(Ordering::Relaxed);
+    if generation as usize > plan.warm_up {
+        role.log.push(0, now.wrapping_sub(announced));
+    }
+    word(role.shared, RECOVERED_AT).store(generation, Ordering::Release);
+    Ok(())
+}
