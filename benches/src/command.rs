@@ -44,7 +44,7 @@ pub struct BenchArgs {
     #[command(subcommand)]
     pub command: Option<BenchCommand>,
 
-    /// Take some 15 seconds instead of 90: fewer samples, the same cases
+    /// Take half a minute instead of four: fewer samples, the same cases
     #[arg(long)]
     pub quick: bool,
 
@@ -219,10 +219,10 @@ fn nothing(results: &Results) -> BenchError {
 
 fn measure(system: &BareSystem, args: &BenchArgs, cpus: [usize; 2]) -> Vec<Measurement> {
     let wanted = |case: &&Case| args.groups.is_empty() || args.groups.contains(&case.group);
-    let span = measure::Span {
-        at_least: Duration::from_secs(if args.quick { 12 } else { 90 }),
-        turns: 3,
-        at_most: Duration::from_secs(if args.quick { 30 } else { 240 }),
+    let span = if args.quick {
+        measure::QUICK
+    } else {
+        measure::FULL
     };
     let bar = progress_bar();
     let all = measure::run(

@@ -3,6 +3,7 @@
 //! Two ends pass 4 bytes to and fro (see [`harness`]); the [`cases`] differ only in how.
 #![allow(
     clippy::expect_used,
+    clippy::missing_panics_doc,
     reason = "an end that cannot start panics; its process dies and the case is reported as failed"
 )]
 

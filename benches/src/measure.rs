@@ -97,6 +97,20 @@ pub struct Span {
     pub at_most: Duration,
 }
 
+/// `tandem bench --quick`: under 40 seconds, whatever it has come to.
+pub const QUICK: Span = Span {
+    at_least: Duration::from_secs(28),
+    turns: 3,
+    at_most: Duration::from_secs(35),
+};
+
+/// `tandem bench`.
+pub const FULL: Span = Span {
+    at_least: Duration::from_secs(230),
+    turns: 20,
+    at_most: Duration::from_secs(400),
+};
+
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 extern "C" fn interrupt(_signal: libc::c_int) {

@@ -1,5 +1,5 @@
 //! Every case runs once with a tiny plan, so that none is dead; no figure is judged.
-#![allow(clippy::unwrap_used, reason = "test code")]
+#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "test code")]
 
 use std::collections::HashMap;
 use tandem_benches::cases;

@@ -52,17 +52,18 @@ pub fn write(plan: &Plan, readers: usize, pace: Pace) -> io::Result<Batch> {
         Ok(())
     });
     let reader = || Part::on(plan.cpus[1], move |role| read(role, parts, pace));
-    let readers = (0..readers).map(|_| reader());
-    perform(&shared, [writer].into_iter().chain(readers).collect())?;
+    let others = (0..readers).map(|_| reader());
+    perform(&shared, [writer].into_iter().chain(others).collect())?;
     let own_bytes = 4 * newest::words(SHAPE) as u64;
     let mut batch = Batch::collect(&shared, 1, plan.rounds, own_bytes).carrying(8);
     if pace == Pace::Full {
         batch = batch.per_operation(CHUNK);
     }
-    let reads: f64 = (1..parts as usize)
-        .map(|part| shared.log(part).noted(0))
-        .sum();
-    Ok(batch.with_fact("reads in a batch", reads))
+    if readers > 0 {
+        let reads = (1..=readers).map(|part| shared.log(part).noted(0)).sum();
+        batch = batch.with_fact("reads in a batch", reads);
+    }
+    Ok(batch)
 }
 
 fn paced(plan: &Plan, role: &mut Role<'_>, publish: &mut impl FnMut()) {

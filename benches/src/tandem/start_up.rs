@@ -31,8 +31,8 @@ const fn region(from: usize, to: usize) -> usize {
 const STARTED: u8 = 1;
 
 /// Each round powers a fresh system on: LMU, doorbells, data flash, three core processes. Core 0
-/// formats the LMU; each core announces its life, signals both others and waits, asleep, for theirs.
-/// A sample is the time from before the power-on until the last core is in sync.
+/// formats the LMU; each core announces its life, signals both others and waits, asleep, for
+/// theirs. A sample is the time from before the power-on until the last core is in sync.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or a core failed.
