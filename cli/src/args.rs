@@ -25,6 +25,9 @@ Examples:
   tandem run --scenario path/to/USA_US101-3_3_T-1.xml --out us101
   tandem run --json --quiet | jq .control_gap_max_ms
 
+With --board qemu the same controller runs bare-metal in emulated machines: time is the emulator's,
+and the report says so. Their processes are named at the start, and can be killed too.
+
 Kill any process of the run while it drives (tandem ps lists them). The report is written at the
 end into the folder that --out names: report.html, metrics.json, candump.log and two .hgrm files.";
 
@@ -57,6 +60,15 @@ pub(crate) struct RunArgs {
     /// A built-in scenario (see `tandem scenarios`) or a CommonRoad XML file (2018b or 2020a)
     #[arg(long, value_name = "FILE|NAME", default_value = "cut-in")]
     pub(crate) scenario: String,
+
+    /// What the controller runs on
+    #[arg(long, value_enum, default_value_t = BoardKind::Host)]
+    pub(crate) board: BoardKind,
+
+    /// The controller's image for an emulated board
+    /// [default: what `cargo xtask firmware build` made]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) firmware: Option<PathBuf>,
 
     /// How long to drive, in scenario time: 60, 60s, 1.5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration,
@@ -103,6 +115,17 @@ pub(crate) struct PsArgs {
     /// Print a JSON array of objects with pid, kind, system, core, role, cpu
     #[arg(long)]
     pub(crate) json: bool,
+}
+
+/// Values of `--board`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum BoardKind {
+    /// Processes of this machine, in real time
+    Host,
+    /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time
+    Qemu,
+    /// Firmware in one emulated machine with both systems in it, in the emulator's time
+    QemuOne,
 }
 
 /// Values of `--timing`.

@@ -1,6 +1,7 @@
-//! Where the working data of a run lie: in the run's own shared memory, gone with its last process.
+//! Where the working data of a run lie: in the run's own shared memory, gone with its last process,
+//! or in a folder.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use tandem_board::SystemId;
 use tandem_board_host::RunName;
@@ -8,13 +9,24 @@ use tandem_board_host::RunName;
 /// The files of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct RunFiles {
-    run: RunName,
+    /// What all their paths begin with.
+    prefix: String,
 }
 
 impl RunFiles {
     /// The files of this run.
-    pub(crate) const fn of(run: RunName) -> Self {
-        Self { run }
+    pub(crate) fn of(run: &RunName) -> Self {
+        // The board wipes what begins with the run's name.
+        Self {
+            prefix: format!("/dev/shm/{run}_"),
+        }
+    }
+
+    /// The files of a run that has a folder of its own.
+    pub(crate) fn within(folder: &Path) -> Self {
+        Self {
+            prefix: format!("{}/", folder.display()),
+        }
     }
 
     /// The log that the vehicle writes.
@@ -42,8 +54,7 @@ impl RunFiles {
         self.path(&format!("{system}.dflash"))
     }
 
-    /// The board wipes what begins with the run's name.
     fn path(&self, name: &str) -> PathBuf {
-        PathBuf::from(format!("/dev/shm/{}_{name}", self.run))
+        PathBuf::from(format!("{}{name}", self.prefix))
     }
 }

@@ -3,6 +3,7 @@
 
 mod args;
 mod core_process;
+mod emulated;
 mod failure;
 mod files;
 mod live;
@@ -10,6 +11,7 @@ mod mastership;
 mod metrics;
 mod observe;
 mod out_dir;
+mod outside;
 mod percentiles;
 mod plan;
 mod ps;

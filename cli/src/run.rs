@@ -13,7 +13,7 @@ use tandem_board_host::{
 };
 use tandem_vehicle::Scenario;
 
-use crate::args::{CpuList, RunArgs, Timing};
+use crate::args::{BoardKind, CpuList, RunArgs, Timing};
 use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::live::Progress;
@@ -22,7 +22,7 @@ use crate::out_dir::{self, OutDir};
 use crate::percentiles::Spans;
 use crate::plan::{Profile, RunPlan};
 use crate::runlog::RunLog;
-use crate::{core_process, report, summary};
+use crate::{core_process, emulated, report, summary};
 
 /// Drives the scenario and writes the report.
 ///
@@ -30,6 +30,9 @@ use crate::{core_process, report, summary};
 /// [`Failure`] with the exit status that the command documents.
 pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
+    if args.board != BoardKind::Host {
+        return run_emulated(args, &checked);
+    }
     let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
     if !args.quiet {
@@ -42,25 +45,70 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         profile,
         reintegrate: args.reintegrate,
     };
-    let files = RunFiles::of(launcher.isolation().run().clone());
+    let files = RunFiles::of(launcher.isolation().run());
     let ended = drive(args, &checked, &plan, &files, &mut launcher).map_err(Failure::Run)?;
     if ended.interrupted {
         launcher.finish();
         return Err(Failure::Interrupted);
     }
-    let collected = Collected::new(&checked.out, &files, ended);
-    let left = leftovers(&launcher.finish());
-    let limits = core_process::config(&plan).redundancy;
+    let because = || match ended.vehicle {
+        Some(status) => format!("the vehicle's process ended with {status}"),
+        None => "the vehicle's process ended".to_owned(),
+    };
+    let collected = Collected::new(&checked.out, &files, &because);
     let around = Surroundings {
+        leftovers: leftovers(&launcher.finish()),
+        ..surroundings(&plan, granted)
+    };
+    conclude(args, &checked, collected, &around)
+}
+
+/// The same with a controller in emulated machines.
+fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
+    let plan = RunPlan {
+        scenario: args.scenario.clone(),
+        seed: args.seed,
+        duration_s: args.duration,
+        // Virtual time is never late.
+        profile: Profile::Rt,
+        reintegrate: args.reintegrate,
+    };
+    emulated::image(args).map_err(Failure::Usage)?;
+    let folder = tempfile::tempdir()
+        .context("a folder for the run's logs")
+        .map_err(Failure::Run)?;
+    let files = RunFiles::within(folder.path());
+    let Some(told) = emulated::drive(args, &plan, &files).map_err(Failure::Run)? else {
+        return Err(Failure::Interrupted);
+    };
+    if !args.quiet {
+        eprintln!("{told}");
+    }
+    let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
+    conclude(args, checked, collected, &surroundings(&plan, told))
+}
+
+fn surroundings(plan: &RunPlan, granted: String) -> Surroundings {
+    let limits = core_process::config(plan).redundancy;
+    Surroundings {
         granted,
-        timing: profile.name().to_owned(),
+        timing: plan.profile.name().to_owned(),
         detection_bound_ms: Some(limits.takeover_bound().as_ms_f64()),
         // The bus moves frames once a millisecond.
         gap_bound_ms: Some(limits.gap_bound().as_ms_f64() + 1.0),
-        leftovers: left,
-    };
+        leftovers: vec![],
+    }
+}
+
+/// Writes the report, tells of it, and judges the run.
+fn conclude(
+    args: &RunArgs,
+    checked: &Checked,
+    collected: anyhow::Result<Collected>,
+    around: &Surroundings,
+) -> Result<(), Failure> {
     let metrics = collected
-        .and_then(|c| c.write(&checked.out, &around))
+        .and_then(|c| c.write(&checked.out, around))
         .map_err(Failure::Run)?;
     tell(args, &checked.out, &metrics).map_err(Failure::Run)?;
     match report::objections(&metrics) {
@@ -79,6 +127,7 @@ struct Checked {
 
 impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
+        check_board(args)?;
         check_scenario(&args.scenario)?;
         let out = OutDir::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
@@ -94,6 +143,21 @@ impl Checked {
             cpus,
             dflash,
         })
+    }
+}
+
+/// Options that only a board of processes has.
+fn check_board(args: &RunArgs) -> anyhow::Result<()> {
+    let of_host = [
+        ("--cpus", args.cpus.is_some()),
+        ("--dflash", args.dflash.is_some()),
+        ("--timing", args.timing != Timing::Auto),
+    ];
+    match of_host.iter().find(|(_, given)| *given) {
+        Some((option, _)) if args.board != BoardKind::Host => {
+            bail!("{option}: only processes of this machine have it; leave out --board or {option}")
+        }
+        _ => Ok(()),
     }
 }
 
@@ -278,16 +342,13 @@ struct Collected {
 }
 
 impl Collected {
-    fn new(out: &OutDir, files: &RunFiles, ended: Ended) -> anyhow::Result<Self> {
+    fn new(out: &OutDir, files: &RunFiles, because: &dyn Fn() -> String) -> anyhow::Result<Self> {
         let errors = fs::read_to_string(files.errors()).unwrap_or_default();
         let errors = errors.trim();
         if !errors.is_empty() {
             eprintln!("the processes of the run said:\n{errors}");
         }
-        let log = RunLog::read(&files.log()).with_context(|| match ended.vehicle {
-            Some(status) => format!("the vehicle's process ended with {status}"),
-            None => "the vehicle's process ended".to_owned(),
-        })?;
+        let log = RunLog::read(&files.log()).with_context(because)?;
         let stage = out.stage()?;
         let candump = stage.path().join(out_dir::CANDUMP);
         fs::copy(files.candump(), &candump)

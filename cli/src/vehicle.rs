@@ -3,19 +3,19 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{CanFrame, CanId, Duration, Received, RoleLamp, SystemId};
-use tandem_board_host::{VehicleArgs, WorldPort, clock::Ticker};
+use tandem_board::{CanFrame, CanId, Received, RoleLamp, SystemId};
+use tandem_board_host::VehicleArgs;
 use tandem_bus::Message;
 use tandem_vehicle::{Config, Scenario, Snapshot, World};
 
 use crate::files::RunFiles;
 use crate::live::Live;
 use crate::observe;
+use crate::outside::{OnHost, Outside};
 use crate::plan::RunPlan;
 use crate::recorder::Recorder;
 use crate::runlog::{Header, PowerSeen, Record, RoadSeen, Sample, System};
 
-const TICK: Duration = Duration::from_ms(1);
 /// The log gets the state of the world every so many ticks, the other vehicles and the road more
 /// seldom.
 const SAMPLE_TICKS: u64 = 20;
@@ -33,27 +33,41 @@ const GIVE_UP_TICKS: u64 = 15_000;
 pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
     let plan = RunPlan::from_extra(&args.common.extra)?;
     let scenario = Scenario::load(&plan.scenario)?;
-    let recorder = Recorder::create(&RunFiles::of(args.common.run.clone()))?;
+    let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
     let _ = args.claim();
-    let port = WorldPort::attach(args).context("the vehicle cannot connect to the run")?;
-    let mut drive = Drive::new(&plan, &scenario, port, recorder);
-    let ended = drive.work();
-    drive.finish(ended)
+    let port = OnHost::attach(args).context("the vehicle cannot connect to the run")?;
+    drive(&plan, &scenario, port, recorder).map(drop)
+}
+
+/// Drives the scenario to its end, with a controller on whatever board.
+///
+/// # Errors
+/// If the board fails, or the log cannot be written.
+pub(crate) fn drive<P: Outside>(
+    plan: &RunPlan,
+    scenario: &Scenario,
+    port: P,
+    recorder: Recorder,
+) -> anyhow::Result<Ended> {
+    let mut drive = Drive::new(plan, scenario, port, recorder);
+    let ended = drive.work()?;
+    drive.finish(ended)?;
+    Ok(ended)
 }
 
 /// How a drive ended.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Ended {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ended {
     /// After its whole duration, or for want of a controller: the log is complete.
     ByItself,
     /// A person asked for it.
     Stopped,
 }
 
-struct Drive {
+struct Drive<P> {
     world: World,
-    port: WorldPort,
+    port: P,
     recorder: Recorder,
     duration_s: f64,
     /// Ticks since the ignition.
@@ -66,8 +80,8 @@ struct Drive {
     epoch_us: u64,
 }
 
-impl Drive {
-    fn new(plan: &RunPlan, scenario: &Scenario, port: WorldPort, mut recorder: Recorder) -> Self {
+impl<P: Outside> Drive<P> {
+    fn new(plan: &RunPlan, scenario: &Scenario, port: P, mut recorder: Recorder) -> Self {
         recorder.record(Record::Header(Header {
             scenario: scenario.name().to_owned(),
             seed: plan.seed,
@@ -91,22 +105,21 @@ impl Drive {
         }
     }
 
-    fn work(&mut self) -> Ended {
+    fn work(&mut self) -> anyhow::Result<Ended> {
         self.port.set_ignition(true);
-        let mut ticker = Ticker::new(TICK);
         loop {
-            let tick = ticker.wait();
+            let due = self.port.tick()?;
             if self.port.stop_requested() {
-                return Ended::Stopped;
+                return Ok(Ended::Stopped);
             }
             self.receive();
             // The tick's own time, not the time of waking: the world does not feel jitter.
-            self.send(tick.due.as_ns());
-            self.look(tick.due.as_ns());
+            self.send(due.as_ns());
+            self.look(due.as_ns());
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
             if time_s >= self.duration_s || (!self.running && self.ticks >= GIVE_UP_TICKS) {
-                return Ended::ByItself;
+                return Ok(Ended::ByItself);
             }
         }
     }

@@ -32,6 +32,8 @@ pub(crate) enum Firmware {
     },
     /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
     An521,
+    /// Run the conformance suite on the board, and drive with the whole controller as firmware
+    Test,
     /// Text and RAM of `shm` alone and of each image
     Size,
     /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
@@ -59,17 +61,25 @@ pub(crate) enum Image {
     Bench,
     /// The conformance suite, each case on two freshly powered systems
     Conformance,
+    /// The whole controller; `tandem run --board qemu` starts it
+    Controller,
     /// The primitives of the LMU under hundreds of schedules
     Schedules,
 }
 
 impl Image {
-    const ALL: [Self; 3] = [Self::Bench, Self::Conformance, Self::Schedules];
+    const ALL: [Self; 4] = [
+        Self::Bench,
+        Self::Conformance,
+        Self::Controller,
+        Self::Schedules,
+    ];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
             Self::Conformance => "conformance",
+            Self::Controller => "controller",
             Self::Schedules => "schedules",
         }
     }
@@ -87,6 +97,7 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
             print!("{}", run_image(root, image, 0, &[])?);
             Ok(())
         }
+        Firmware::Test => test(root),
         Firmware::Size => size::run(root),
         Firmware::Explore { lengths } => explore(root, lengths),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
@@ -149,6 +160,13 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
             .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
     }
     finish(&mut command)
+}
+
+fn test(root: &Path) -> Result<()> {
+    print!("{}", run_image(root, Image::Conformance, 0, &[])?);
+    let mut command = crate::cargo(root, &["test", "-p", "tandem", "--test", "emulated"]);
+    command.args(["--", "--ignored", "--test-threads", "1"]);
+    crate::run(command)
 }
 
 /// Strap `Mode` of the schedules: the lock is broken.

@@ -13,6 +13,7 @@ pub mod doorbell;
 pub mod exit;
 pub mod hart;
 pub mod memory;
+mod semihosting;
 pub mod trap;
 pub mod uart;
 

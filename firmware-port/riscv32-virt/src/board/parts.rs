@@ -1,15 +1,14 @@
 //! The parts of the board: each a window on the carrier's registers.
 
 use crate::carrier::run::{BY_WATCHDOG, cause_from, request_word};
-use crate::carrier::{
-    self, CoreRegisters, LINK_WORDS, SystemRegisters, flash, frame_from, frame_words, watchdog,
-};
+use crate::carrier::{self, CoreRegisters, SystemRegisters, flash, watchdog};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
-    Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Line, Lines, Link, LinkFull,
-    Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TransmitFull,
+    Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line, Lines, Link,
+    LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TransmitFull,
 };
+use tandem_exchange::{LINK_WORDS, frame_from, frame_words};
 
 /// Whose part it is.
 #[derive(Clone, Copy, Debug)]
@@ -50,7 +49,9 @@ pub struct VirtSupply(pub(super) Place);
 
 impl Can for VirtCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
-        if !self.0.core().transmit.put(&frame_words(frame)) {
+        // The bus fills in the time.
+        let words = frame_words(frame, Instant::ORIGIN);
+        if !self.0.core().transmit.put(&words) {
             return Err(TransmitFull);
         }
         carrier::call();

@@ -5,8 +5,13 @@
 //! interrupted by their doorbell. What needs no time of its own (edges, flash, the watchdog's
 //! answer) happens where the core touches the register; what needs a third party (the bus, resets,
 //! a watchdog that nobody serves) happens on the carrier's hart.
+//!
+//! With a world outside, the carrier exchanges with it once a millisecond of virtual time: see
+//! [`Carrier::connect`]. A system that is not in this machine then has the same registers here:
+//! what is sent to it collects there, and goes out with the next exchange.
 
 pub(crate) mod flash;
+mod host;
 pub(crate) mod ring;
 pub(crate) mod run;
 pub(crate) mod watchdog;
@@ -17,14 +22,8 @@ use crate::clint;
 use crate::hart::CARRIER;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
-use tandem_board::{CanFrame, CanId, CoreId, Instant, Line, Received, SystemId};
-
-/// Words of a CAN frame in a ring: head, length, time (2), data (16).
-pub(crate) const FRAME_WORDS: usize = 20;
-/// Words of a link's datagram.
-pub(crate) const LINK_WORDS: usize = 64;
-const EXTENDED: u32 = 1 << 31;
-const FD: u32 = 1 << 30;
+use tandem_board::{CoreId, Line, SystemId};
+use tandem_exchange::{FRAME_WORDS, LINK_WORDS, TRACE_WORDS};
 
 /// What the carrier has for one core.
 pub(crate) struct CoreRegisters {
@@ -35,7 +34,7 @@ pub(crate) struct CoreRegisters {
     pub(crate) overruns: AtomicU32,
     pub(crate) wake_on_receive: AtomicBool,
     /// Time (2) and record (4).
-    pub(crate) trace: Ring<512, 6>,
+    pub(crate) trace: Ring<512, TRACE_WORDS>,
     pub(crate) trace_lost: AtomicU32,
     /// It stands still, and its life is over.
     pub(crate) stands: AtomicBool,
@@ -133,39 +132,4 @@ pub(crate) fn call() {
 /// Interrupts core 0 of a system.
 pub(crate) fn interrupt(system: SystemId) {
     clint::post(hart_of(system, CoreId::CONTROL));
-}
-
-/// A frame as a ring's record; the time is the bus's to fill in.
-pub(crate) fn frame_words(frame: &CanFrame) -> [u32; FRAME_WORDS] {
-    let mut words = [0; FRAME_WORDS];
-    let head = match frame.id() {
-        CanId::Standard(id) => u32::from(id),
-        CanId::Extended(id) => id | EXTENDED,
-    };
-    words[0] = head | if frame.is_fd() { FD } else { 0 };
-    words[1] = frame.data().len() as u32;
-    for (word, bytes) in words[4..].iter_mut().zip(frame.data().chunks(4)) {
-        let mut four = [0; 4];
-        four[..bytes.len()].copy_from_slice(bytes);
-        *word = u32::from_le_bytes(four);
-    }
-    words
-}
-
-/// The inverse of [`frame_words`]; `None` if it is no frame.
-pub(crate) fn frame_from(words: &[u32; FRAME_WORDS]) -> Option<Received> {
-    let id = words[0] & !(EXTENDED | FD);
-    let id = match words[0] & EXTENDED {
-        0 => CanId::Standard(u16::try_from(id).ok()?),
-        _ => CanId::Extended(id),
-    };
-    let mut data = [0; 64];
-    for (bytes, word) in data.chunks_mut(4).zip(&words[4..]) {
-        bytes.copy_from_slice(&word.to_le_bytes());
-    }
-    let data = data.get(..words[1] as usize)?;
-    Some(Received {
-        frame: CanFrame::new(id, words[0] & FD != 0, data).ok()?,
-        at: Instant::from_words([words[2], words[3]]),
-    })
 }

@@ -1,10 +1,12 @@
 //! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
 
-use super::{FRAME_WORDS, core_of, hart_of, system};
+use super::host::Host;
+use super::{core_of, hart_of, system};
 use crate::hart::{self, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{CoreId, Instant, ResetCause, ResetRequest, SystemId};
+use tandem_exchange::FRAME_WORDS;
 
 /// What the carrier has to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,11 +51,25 @@ const fn cause_word(cause: ResetCause) -> u32 {
 /// The carrier, on its own hart.
 pub struct Carrier {
     watchdogs: bool,
+    /// The systems in this machine, by [`SystemId::index`].
+    here: [bool; 2],
+    host: Option<Host>,
 }
 
 impl Carrier {
     pub(crate) const fn new() -> Self {
-        Self { watchdogs: false }
+        Self {
+            watchdogs: false,
+            here: [true; 2],
+            host: None,
+        }
+    }
+
+    /// From now on exchanges with the world outside, which is the host's, through two pipes in the
+    /// emulator's folder. Only the systems `here` are in this machine.
+    pub fn connect(&mut self, here: [bool; 2]) {
+        self.here = here;
+        self.host = Some(Host::open());
     }
 
     /// Whether the watchdogs reset systems that are switched on from now on.
@@ -89,20 +105,41 @@ impl Carrier {
     /// ticks). The event that ended the sleep, if there was one.
     pub fn step(&mut self, deadline: u64) -> Option<Event> {
         self.move_frames();
-        for which in SystemId::ALL {
+        self.exchange();
+        for which in self.systems() {
             let event = self.look_after(which);
             if event.is_some() {
                 return event;
             }
         }
         let now = time();
-        let next = SystemId::ALL
-            .into_iter()
+        let next = self
+            .systems()
             .filter_map(|which| self.watchdog_left(which, now).and_then(Result::ok))
             .map(|left| now + u64::from(left) + 1)
+            .chain(self.host.as_ref().map(Host::due))
             .fold(deadline, u64::min);
         doorbell::wait(Some(next));
         None
+    }
+
+    /// The systems in this machine.
+    pub fn systems(&self) -> impl Iterator<Item = SystemId> + use<> {
+        let here = self.here;
+        SystemId::ALL
+            .into_iter()
+            .filter(move |system| here[system.index()])
+    }
+
+    /// Tells the world what happened, and does what it answers, if the time has come.
+    fn exchange(&mut self) {
+        // Taken out for as long as it works on the rest.
+        if let Some(mut host) = self.host.take() {
+            if time() >= host.due() {
+                host.exchange(self);
+            }
+            self.host = Some(host);
+        }
     }
 
     fn watchdog_left(&self, which: SystemId, now: u64) -> Option<Result<u32, u32>> {
@@ -149,7 +186,7 @@ impl Carrier {
         self.set_power(which, false);
     }
 
-    fn set_power(&self, which: SystemId, on: bool) {
+    pub(super) fn set_power(&self, which: SystemId, on: bool) {
         if system(which).powered.swap(on, Relaxed) != on {
             super::interrupt(which.peer());
         }
@@ -173,7 +210,7 @@ impl Carrier {
     }
 
     /// The bus: every frame goes to all cores but its sender, in one order.
-    fn move_frames(&self) {
+    fn move_frames(&mut self) {
         loop {
             let mut moved = false;
             for sender in 0..2 * CoreId::COUNT {
@@ -184,6 +221,9 @@ impl Carrier {
                 if let Some(frame) = ring.take() {
                     moved = true;
                     self.broadcast(sender, frame);
+                    if let Some(host) = &mut self.host {
+                        host.on_bus(sender, frame);
+                    }
                 }
             }
             if !moved {
@@ -193,14 +233,13 @@ impl Carrier {
     }
 
     /// Gives a frame to all cores but the one of hart `sender`.
-    pub(crate) fn broadcast(&self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
-        let now = Instant::from_ns(time() * clint::TICK_NS);
-        [frame[2], frame[3]] = now.to_words();
+    pub(super) fn broadcast(&self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
+        stamp(&mut frame);
         for receiver in (0..2 * CoreId::COUNT).filter(|receiver| *receiver != sender) {
             let Some((to, core)) = core_of(receiver) else {
                 continue;
             };
-            if !system(to).powered.load(Relaxed) {
+            if !self.here[to.index()] || !system(to).powered.load(Relaxed) {
                 continue;
             }
             let registers = &system(to).cores[core.index()];
@@ -213,4 +252,9 @@ impl Carrier {
             }
         }
     }
+}
+
+/// Gives a frame the time at which it is on the bus.
+pub(super) fn stamp(frame: &mut [u32; FRAME_WORDS]) {
+    [frame[2], frame[3]] = Instant::from_ns(time() * clint::TICK_NS).to_words();
 }

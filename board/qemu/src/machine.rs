@@ -1,0 +1,263 @@
+//! One emulator process, and the two pipes to its carrier.
+
+use std::fs::File;
+use std::io::{self, Read as _, Write as _};
+use std::os::unix::process::CommandExt as _;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat, open};
+use tandem_board::SystemId;
+use tandem_exchange::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
+use tempfile::TempDir;
+
+const QEMU: &str = "qemu-system-riscv32";
+/// Where the firmware looks for its straps.
+const STRAPS_AT: u32 = 0x8090_0000;
+/// A machine that says nothing for so long hangs; one step takes far less than a second.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// How often a machine that says nothing is looked after.
+const LOOK_MS: i64 = 50;
+
+/// Why a machine cannot go on.
+#[derive(Debug, thiserror::Error)]
+pub enum MachineError {
+    /// The emulator cannot be started.
+    #[error("cannot start {QEMU} (apt-get install --no-install-recommends qemu-system-misc)")]
+    Start(#[source] io::Error),
+    /// The pipes cannot be made.
+    #[error("cannot make the pipes to the emulator")]
+    Pipes(#[source] io::Error),
+    /// The emulator has ended; its log says why.
+    #[error("the emulator ended with {status}: {log}")]
+    Ended {
+        /// How.
+        status: ExitStatus,
+        /// What the firmware has logged.
+        log: String,
+    },
+    /// The emulator says nothing any more.
+    #[error("the firmware does not answer: {log}")]
+    Hangs {
+        /// What the firmware has logged.
+        log: String,
+    },
+    /// What it says is nothing that this version understands.
+    #[error("the firmware is not of this version")]
+    Malformed,
+}
+
+/// An emulator process. It ends when this is dropped.
+#[derive(Debug)]
+pub struct Machine {
+    child: Child,
+    from: File,
+    to: File,
+    folder: TempDir,
+    systems: Vec<SystemId>,
+}
+
+impl Machine {
+    /// Starts the image with these systems in it.
+    ///
+    /// # Errors
+    /// [`MachineError::Start`] or [`MachineError::Pipes`].
+    pub fn start(
+        image: &Path,
+        systems: &[SystemId],
+        reintegrate: bool,
+    ) -> Result<Self, MachineError> {
+        let folder = tempfile::Builder::new()
+            .prefix("tandem-qemu-")
+            .tempdir()
+            .map_err(MachineError::Pipes)?;
+        let (from, to) = pipes(folder.path()).map_err(|error| MachineError::Pipes(error.into()))?;
+        let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
+        let mut command = Command::new(QEMU);
+        command
+            .current_dir(folder.path())
+            .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
+            .args([
+                "-display", "none", "-monitor", "none", "-serial", "file:log",
+            ])
+            .args(["-icount", "shift=0,sleep=off", "-semihosting", "-kernel"])
+            .arg(image);
+        // Strap 0, the mode, stays 0.
+        for (index, value) in [(1, mask), (2, u32::from(reintegrate))] {
+            let at = STRAPS_AT + 4 * index;
+            command
+                .arg("-device")
+                .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
+        }
+        let child = command
+            // Ctrl-C at a terminal is the run's to handle.
+            .process_group(0)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(File::create(folder.path().join("errors")).map_err(MachineError::Pipes)?)
+            .spawn()
+            .map_err(MachineError::Start)?;
+        Ok(Self {
+            child,
+            from,
+            to,
+            folder,
+            systems: systems.to_vec(),
+        })
+    }
+
+    /// The systems in it.
+    #[must_use]
+    pub fn systems(&self) -> &[SystemId] {
+        &self.systems
+    }
+
+    /// The emulator's process.
+    #[must_use]
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// The next report, and what has happened since the last one. Blocks until the machine has
+    /// come to its next exchange.
+    ///
+    /// # Errors
+    /// [`MachineError`] if it comes to none.
+    pub fn report(&mut self, mut each: impl FnMut(Item)) -> Result<Report, MachineError> {
+        let mut words = vec![0; REPORT_WORDS];
+        self.read(&mut words)?;
+        let report = Report::decode(&words).map_err(|_| MachineError::Malformed)?;
+        let len = words[1] as usize;
+        if !(REPORT_WORDS..=MAX_WORDS).contains(&len) {
+            return Err(MachineError::Malformed);
+        }
+        words.resize(len - REPORT_WORDS, 0);
+        self.read(&mut words)?;
+        let mut left = &words[..];
+        while !left.is_empty() {
+            each(Item::decode(&mut left).map_err(|_| MachineError::Malformed)?);
+        }
+        Ok(report)
+    }
+
+    /// Answers: the machine goes on with what has happened outside. What does not fit is left out;
+    /// how many items that are.
+    ///
+    /// # Errors
+    /// [`MachineError`] if the machine has ended.
+    pub fn answer(&mut self, items: &[Item]) -> Result<usize, MachineError> {
+        let mut words = vec![MAGIC, 0];
+        let mut buffer = [0; ITEM_WORDS];
+        let mut left_out = 0;
+        for item in items {
+            let len = item.encode(&mut buffer);
+            if words.len() + len <= MAX_WORDS {
+                words.extend_from_slice(&buffer[..len]);
+            } else {
+                left_out += 1;
+            }
+        }
+        words[1] = words.len() as u32;
+        let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+        match self.to.write_all(&bytes) {
+            Ok(()) => Ok(left_out),
+            Err(_) => Err(self.ended()),
+        }
+    }
+
+    fn read(&mut self, into: &mut [u32]) -> Result<(), MachineError> {
+        let mut bytes = vec![0; into.len() * 4];
+        let mut filled = 0;
+        let begin = Instant::now();
+        while filled < bytes.len() {
+            self.await_bytes(begin)?;
+            match self.from.read(&mut bytes[filled..]) {
+                // No writer: it has not opened the pipe yet, or it is gone.
+                Ok(0) => {
+                    if self.has_ended() {
+                        return Err(self.ended());
+                    }
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Ok(count) => filled += count,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(MachineError::Pipes(error)),
+            }
+        }
+        for (word, bytes) in into.iter_mut().zip(bytes.chunks_exact(4)) {
+            *word = bytes
+                .iter()
+                .rev()
+                .fold(0, |word, byte| word << 8 | u32::from(*byte));
+        }
+        Ok(())
+    }
+
+    /// Waits until there may be something to read.
+    fn await_bytes(&mut self, begin: Instant) -> Result<(), MachineError> {
+        let wait = rustix::time::Timespec {
+            tv_sec: 0,
+            tv_nsec: LOOK_MS * 1_000_000,
+        };
+        loop {
+            let mut fds = [PollFd::new(&self.from, PollFlags::IN)];
+            match poll(&mut fds, Some(&wait)) {
+                Ok(0) | Err(rustix::io::Errno::INTR) => {}
+                Ok(_) => return Ok(()),
+                Err(error) => return Err(MachineError::Pipes(error.into())),
+            }
+            if self.has_ended() {
+                return Err(self.ended());
+            }
+            if begin.elapsed() > PATIENCE {
+                return Err(MachineError::Hangs { log: self.log() });
+            }
+        }
+    }
+
+    fn has_ended(&mut self) -> bool {
+        !matches!(self.child.try_wait(), Ok(None))
+    }
+
+    fn ended(&mut self) -> MachineError {
+        match self.child.wait() {
+            Ok(status) => MachineError::Ended {
+                status,
+                log: self.log(),
+            },
+            Err(error) => MachineError::Start(error),
+        }
+    }
+
+    /// What the firmware has logged, and what the emulator has complained about.
+    #[must_use]
+    pub fn log(&self) -> String {
+        let text =
+            |name: &str| std::fs::read_to_string(self.folder.path().join(name)).unwrap_or_default();
+        (text("errors") + &text("log")).trim().to_owned()
+    }
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        // It may have ended by itself; else nothing is lost with it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Makes the two pipes and opens this side of them: the reading end so that it does not wait for a
+/// writer, the writing end so that a machine that dies does not raise a signal here.
+fn pipes(folder: &Path) -> rustix::io::Result<(File, File)> {
+    let mode = Mode::RUSR | Mode::WUSR;
+    let paths = ["to-world", "from-world"].map(|name| folder.join(name));
+    for path in &paths {
+        mknodat(CWD, path, FileType::Fifo, mode, 0)?;
+    }
+    let from = open(&paths[0], OFlags::RDONLY | OFlags::NONBLOCK, mode)?;
+    let to = open(&paths[1], OFlags::RDWR, mode)?;
+    Ok((from.into(), to.into()))
+}

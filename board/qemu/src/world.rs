@@ -1,0 +1,281 @@
+//! All machines of a run as the vehicle sees them: one bus, the wires, and virtual time.
+
+use std::path::Path;
+
+use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, TraceRecord};
+use tandem_exchange::{Item, NO_CORE, PERIOD_NS, core_from, frame_from, frame_words, trace_from};
+
+use crate::machine::{Machine, MachineError};
+
+/// In how many emulators the systems are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layout {
+    /// Both in one.
+    One,
+    /// One each: either can be killed.
+    Two,
+}
+
+/// One record of a core's trace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Traced {
+    /// When it was emitted.
+    pub at: Instant,
+    /// By which system.
+    pub system: SystemId,
+    /// By which core.
+    pub core: CoreId,
+    /// What was emitted.
+    pub record: TraceRecord,
+}
+
+/// The machines of a run. There is one vehicle: it is the bus between them, and calls
+/// [`EmulatedWorld::step`] for each millisecond of virtual time.
+#[derive(Debug)]
+pub struct EmulatedWorld {
+    machines: Vec<Node>,
+    /// The step that was come to.
+    step: u64,
+    /// What was on the bus, with its sender, since the last step.
+    sent: Vec<(SystemId, CoreId, Received)>,
+    traced: Vec<Traced>,
+    lamps: [RoleLamp; 2],
+    powered: [bool; 2],
+    lost: u32,
+}
+
+#[derive(Debug)]
+struct Node {
+    /// `None` when it has ended.
+    machine: Option<Machine>,
+    systems: Vec<SystemId>,
+    /// What it will hear with the next answer.
+    outgoing: Vec<Item>,
+    lost: u32,
+}
+
+impl EmulatedWorld {
+    /// Starts the emulators. Both systems are without power.
+    ///
+    /// # Errors
+    /// [`MachineError`]
+    pub fn start(image: &Path, layout: Layout, reintegrate: bool) -> Result<Self, MachineError> {
+        let groups: &[&[SystemId]] = match layout {
+            Layout::One => &[&SystemId::ALL],
+            Layout::Two => &[&[SystemId::A], &[SystemId::B]],
+        };
+        let mut machines = Vec::new();
+        for systems in groups {
+            machines.push(Node {
+                machine: Some(Machine::start(image, systems, reintegrate)?),
+                systems: systems.to_vec(),
+                outgoing: vec![],
+                lost: 0,
+            });
+        }
+        Ok(Self {
+            machines,
+            step: 0,
+            sent: vec![],
+            traced: vec![],
+            lamps: [RoleLamp::Starting; 2],
+            powered: [false; 2],
+            lost: 0,
+        })
+    }
+
+    /// The emulator processes that run, with their systems.
+    pub fn processes(&self) -> impl Iterator<Item = (u32, &[SystemId])> {
+        let running = self
+            .machines
+            .iter()
+            .filter_map(|node| node.machine.as_ref());
+        running.map(|machine| (machine.pid(), machine.systems()))
+    }
+
+    /// Virtual time: that of the last step.
+    #[must_use]
+    pub const fn now(&self) -> Instant {
+        Instant::from_ns(self.step * PERIOD_NS)
+    }
+
+    /// Lets all machines run to the next step, with what was broadcast and switched since the last
+    /// one. A machine that was killed takes its systems with it: their level falls.
+    ///
+    /// # Errors
+    /// [`MachineError`] if a machine hangs, or has ended by itself.
+    pub fn step(&mut self) -> Result<Instant, MachineError> {
+        if self.step > 0 {
+            self.answer()?;
+        }
+        self.step += 1;
+        for index in 0..self.machines.len() {
+            self.hear(index)?;
+        }
+        // Stable: the frames of one core stay in their order even at equal times.
+        self.sent.sort_by_key(|(_, _, sent)| sent.at);
+        Ok(self.now())
+    }
+
+    fn answer(&mut self) -> Result<(), MachineError> {
+        for node in &mut self.machines {
+            let items = std::mem::take(&mut node.outgoing);
+            if let Some(machine) = &mut node.machine {
+                let left_out = machine.answer(&items);
+                match left_out {
+                    // One that was just killed is noticed when it does not report.
+                    Ok(_) | Err(MachineError::Ended { .. }) => {}
+                    Err(error) => return Err(error),
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes the report of a machine.
+    fn hear(&mut self, index: usize) -> Result<(), MachineError> {
+        let Some(machine) = &mut self.machines[index].machine else {
+            return Ok(());
+        };
+        let mut items = vec![];
+        let report = match machine.report(|item| items.push(item)) {
+            Ok(report) => report,
+            // By a signal: somebody killed it, and that is a loss of power.
+            Err(MachineError::Ended { status, .. }) if status.code().is_none() => {
+                self.bury(index);
+                return Ok(());
+            }
+            Err(error) => return Err(error),
+        };
+        let node = &mut self.machines[index];
+        self.lost = self.lost.wrapping_add(
+            report
+                .lost
+                .wrapping_sub(std::mem::replace(&mut node.lost, report.lost)),
+        );
+        for system in node.systems.clone() {
+            self.lamps[system.index()] = lamp(report.lamps[system.index()]);
+            self.set_level(system, report.powered[system.index()]);
+        }
+        for item in items {
+            self.take(index, item);
+        }
+        Ok(())
+    }
+
+    fn bury(&mut self, index: usize) {
+        self.machines[index].machine = None;
+        for system in self.machines[index].systems.clone() {
+            self.set_level(system, false);
+        }
+    }
+
+    /// The level line of a system, as the other one sees it.
+    fn set_level(&mut self, of: SystemId, high: bool) {
+        if self.powered[of.index()] != high {
+            self.powered[of.index()] = high;
+            self.tell(of.peer(), of, Item::Level { of, high });
+        }
+    }
+
+    /// Tells the machine of `to`, if it is not that of `from`, which knows.
+    fn tell(&mut self, to: SystemId, from: SystemId, item: Item) {
+        let elsewhere =
+            |node: &&mut Node| node.systems.contains(&to) && !node.systems.contains(&from);
+        for node in self.machines.iter_mut().filter(elsewhere) {
+            node.outgoing.push(item);
+        }
+    }
+
+    fn take(&mut self, index: usize, item: Item) {
+        match item {
+            Item::Frame { from, words } => {
+                let (Some((system, core)), Some(received)) = (core_from(from), frame_from(&words))
+                else {
+                    return;
+                };
+                self.sent.push((system, core, received));
+                for (other, node) in self.machines.iter_mut().enumerate() {
+                    if other != index {
+                        node.outgoing.push(item);
+                    }
+                }
+            }
+            Item::Trace { from, words } => {
+                if let Some((system, core)) = core_from(from) {
+                    let (at, record) = trace_from(words);
+                    self.traced.push(Traced {
+                        at,
+                        system,
+                        core,
+                        record,
+                    });
+                }
+            }
+            Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
+            Item::Level { .. } | Item::Feed { .. } | Item::End => {}
+        }
+    }
+
+    /// Connects both batteries, or disconnects them, with the next step.
+    pub fn set_ignition(&mut self, on: bool) {
+        SystemId::ALL
+            .into_iter()
+            .for_each(|of| self.set_feed(of, on));
+    }
+
+    /// Connects the battery of a system, or disconnects it, with the next step.
+    pub fn set_feed(&mut self, of: SystemId, on: bool) {
+        for node in &mut self.machines {
+            if node.systems.contains(&of) {
+                node.outgoing.push(Item::Feed { of, on });
+            }
+        }
+    }
+
+    /// Takes the frames that the cores have sent, each with the time at which it was on the bus.
+    pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+        for (system, core, sent) in self.sent.drain(..) {
+            seen(system, core, sent);
+        }
+    }
+
+    /// Sends a frame of one of the vehicle's own nodes; the cores get it with the next step.
+    pub fn broadcast(&mut self, frame: &CanFrame) {
+        let words = frame_words(frame, self.now());
+        for node in &mut self.machines {
+            node.outgoing.push(Item::Frame {
+                from: NO_CORE,
+                words,
+            });
+        }
+    }
+
+    /// Takes the trace records that the cores have emitted, and returns how many were lost.
+    pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
+        self.traced.drain(..).for_each(into);
+        std::mem::take(&mut self.lost)
+    }
+
+    /// What the system shows of its role.
+    #[must_use]
+    pub const fn role(&self, system: SystemId) -> RoleLamp {
+        self.lamps[system.index()]
+    }
+
+    /// Whether the system has power and is out of reset.
+    #[must_use]
+    pub const fn is_powered(&self, system: SystemId) -> bool {
+        self.powered[system.index()]
+    }
+}
+
+const fn lamp(code: u8) -> RoleLamp {
+    match code {
+        1 => RoleLamp::Master,
+        2 => RoleLamp::DegradedMaster,
+        3 => RoleLamp::Standby,
+        4 => RoleLamp::Suspended,
+        _ => RoleLamp::Starting,
+    }
+}

@@ -1,0 +1,93 @@
+//! `tandem run --board qemu`: the controller as firmware in emulated machines, in virtual time.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+use anyhow::{Context as _, ensure};
+use signal_hook::consts::{SIGINT, SIGTERM};
+use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_vehicle::Scenario;
+
+use crate::args::{BoardKind, RunArgs};
+use crate::files::RunFiles;
+use crate::live::Progress;
+use crate::outside::OnQemu;
+use crate::plan::RunPlan;
+use crate::recorder::Recorder;
+use crate::vehicle::{self, Ended};
+
+/// Where `cargo xtask firmware build` puts the image, seen from the folder of this program's.
+const IMAGE: &str = "firmware/riscv32imac-unknown-none-elf/release/controller";
+
+/// The image that is to run.
+///
+/// # Errors
+/// If there is none.
+pub(crate) fn image(args: &RunArgs) -> anyhow::Result<PathBuf> {
+    let image = match &args.firmware {
+        Some(image) => image.clone(),
+        None => std::env::current_exe()
+            .context("where this program lies")?
+            .ancestors()
+            .nth(2)
+            .context("this program lies in no build folder: name the image by --firmware")?
+            .join(IMAGE),
+    };
+    ensure!(
+        image.is_file(),
+        "there is no image at {}: build it by `cargo xtask firmware build`, or name one by \
+         --firmware",
+        image.display()
+    );
+    // The emulator works in a folder of its own.
+    std::fs::canonicalize(&image).with_context(|| image.display().to_string())
+}
+
+/// Drives to the end; a line on how the time went, or `None` if a person ended it.
+///
+/// # Errors
+/// If the emulator cannot be started, hangs or fails.
+pub(crate) fn drive(
+    args: &RunArgs,
+    plan: &RunPlan,
+    files: &RunFiles,
+) -> anyhow::Result<Option<String>> {
+    let layout = match args.board {
+        BoardKind::QemuOne => Layout::One,
+        BoardKind::Host | BoardKind::Qemu => Layout::Two,
+    };
+    let scenario = Scenario::load(&plan.scenario)?;
+    let world = EmulatedWorld::start(&image(args)?, layout, plan.reintegrate)?;
+    if !args.quiet {
+        for (pid, systems) in world.processes() {
+            let names: Vec<_> = systems.iter().map(ToString::to_string).collect();
+            eprintln!("emulator of {}: process {pid}", names.join(" and "));
+        }
+    }
+    let recorder = Recorder::create(files)?;
+    let begin = Instant::now();
+    let progress = (!args.quiet).then(|| Progress::show(files.live(), plan.duration_s));
+    let stop = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&stop)).context("watching for Ctrl-C")?;
+    }
+    let port = OnQemu { world, stop };
+    let ended = vehicle::drive(plan, &scenario, port, recorder);
+    if let Some(progress) = progress {
+        progress.end();
+    }
+    if ended? == Ended::Stopped {
+        return Ok(None);
+    }
+    Ok(Some(format!(
+        "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
+         took {:.0} s of this machine's",
+        match layout {
+            Layout::One => "one emulated machine",
+            Layout::Two => "two emulated machines",
+        },
+        begin.elapsed().as_secs_f64()
+    )))
+}

@@ -1,0 +1,117 @@
+//! `tandem run --board qemu`: the controller as firmware. Needs QEMU and the images, so that only
+//! `cargo xtask firmware test` runs it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::fs;
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+/// Longer than any run here takes on a busy machine.
+const WATCHDOG: Duration = Duration::from_secs(240);
+
+fn tandem(arguments: &[&str], out: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    command
+        .args(["run", "--seed", "7", "--out"])
+        .arg(out)
+        .args(arguments)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped());
+    command
+}
+
+/// Waits for the end, and fails if that does not come or is not a good one.
+fn end(mut run: Child) {
+    let begin = Instant::now();
+    let status = loop {
+        if let Some(status) = run.try_wait().unwrap() {
+            break status;
+        }
+        if begin.elapsed() > WATCHDOG {
+            run.kill().unwrap();
+            panic!("the run does not end");
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert!(status.success(), "{status}");
+}
+
+fn metrics(out: &Path) -> Value {
+    serde_json::from_str(&fs::read_to_string(out.join("metrics.json")).unwrap()).unwrap()
+}
+
+/// The frames on the bus in order, without the time of day.
+fn frames(out: &Path) -> Vec<String> {
+    let log = fs::read_to_string(out.join("candump.log")).unwrap();
+    let frame = |line: &str| line.split_once(") ").unwrap().1.to_owned();
+    log.lines().map(frame).collect()
+}
+
+/// Both systems in one machine drive, and the same run again is the same to the bit.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_run_of_the_firmware_is_the_same_each_time() {
+    let folder = tempfile::tempdir().unwrap();
+    let outs: [PathBuf; 2] = ["first", "second"].map(|name| folder.path().join(name));
+    for out in &outs {
+        let arguments = ["--board", "qemu-one", "--duration", "2", "--quiet"];
+        end(tandem(&arguments, out).spawn().unwrap());
+    }
+    let [first, second] = outs.each_ref().map(|out| frames(out));
+    assert!(first.len() > 1_000, "only {} frames", first.len());
+    assert_eq!(first, second);
+    let metrics = metrics(&outs[0]);
+    assert_eq!(metrics["complete"], true);
+    assert_eq!(metrics["collisions"], 0);
+    assert_eq!(metrics["takeovers"], Value::Array(vec![]));
+}
+
+/// T-RED-1: each system in an emulator of its own; that of the master is killed.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn the_other_emulator_takes_over_from_one_that_is_killed() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("report");
+    let arguments = ["--board", "qemu", "--duration", "10"];
+    let mut run = tandem(&arguments, &out).spawn().unwrap();
+    let mut said = BufReader::new(run.stderr.take().unwrap()).lines();
+    let line = said.next().unwrap().unwrap();
+    let pid = line
+        .strip_prefix("emulator of A: process ")
+        .expect(&line)
+        .to_owned();
+    // Wherever the run is then, B drives at its end. Mostly A has driven before.
+    std::thread::sleep(Duration::from_secs(3));
+    let kill = Command::new("kill").args(["-9", &pid]).status().unwrap();
+    assert!(kill.success(), "the emulator ended by itself");
+    end(run);
+    let metrics = metrics(&out);
+    assert_eq!(metrics["complete"], true);
+    assert_eq!(metrics["collisions"], 0);
+    assert_eq!(metrics["two_masters_ms"], 0.0);
+    let takeovers = metrics["takeovers"].as_array().unwrap();
+    assert!(takeovers.len() <= 1, "{takeovers:?}");
+    for takeover in takeovers {
+        assert_eq!(takeover["to"], "B");
+        assert_eq!(takeover["is_false"], false);
+    }
+    // Killed before A drove: then B was the master from the start.
+    let last = frames(&out);
+    let control_of_b = "can0 0A1##";
+    assert!(
+        last.iter()
+            .rev()
+            .take(500)
+            .any(|frame| frame.starts_with(control_of_b)),
+        "B drives at the end: {:?}",
+        last.last()
+    );
+}

@@ -1,0 +1,356 @@
+//! What an emulated machine and the world outside it tell each other, as words.
+//!
+//! Once in each period of virtual time the machine writes a [`Report`] and then waits, with its
+//! clock standing still, for the answer. Both are a head of fixed length and then [`Item`]s. The
+//! host's side is `tandem-board-qemu`, the machine's side the carrier of a bare-metal board.
+//!
+//! ```text
+//! machine → world   MAGIC, words, now (2), lamps, powered, trace records lost, items …
+//! world → machine   MAGIC, words, items …
+//! ```
+#![no_std]
+#![forbid(unsafe_code)]
+
+use tandem_board::{CanFrame, CanId, CoreId, Instant, Received, SystemId, TraceRecord};
+
+/// Virtual time from one exchange to the next, ns.
+pub const PERIOD_NS: u64 = 1_000_000;
+/// The largest message, in words: less than a pipe holds, so that writing never blocks.
+pub const MAX_WORDS: usize = 8_192;
+/// Words of a link's datagram.
+pub const LINK_WORDS: usize = 64;
+/// Words of a frame: head, length, time (2), data (16).
+pub const FRAME_WORDS: usize = 20;
+/// Words of a trace record with its time.
+pub const TRACE_WORDS: usize = 6;
+/// Words of an item at most.
+pub const ITEM_WORDS: usize = 2 + LINK_WORDS;
+
+/// "TXCH", little-endian.
+pub const MAGIC: u32 = 0x4843_5854;
+/// Where the items of a report begin.
+pub const REPORT_WORDS: usize = 7;
+/// Where the items of an answer begin.
+pub const ANSWER_WORDS: usize = 2;
+
+const EXTENDED: u32 = 1 << 31;
+const FD: u32 = 1 << 30;
+
+/// The number of a core among all, 0 ..= 5, as items name it.
+#[must_use]
+pub const fn core_number(system: SystemId, core: CoreId) -> usize {
+    system.index() * CoreId::COUNT + core.index()
+}
+
+/// The inverse of [`core_number`].
+#[must_use]
+pub const fn core_from(number: usize) -> Option<(SystemId, CoreId)> {
+    let core = CoreId::new((number % CoreId::COUNT) as u8);
+    match (SystemId::from_index(number / CoreId::COUNT), core) {
+        (Some(system), Some(core)) => Some((system, core)),
+        _ => None,
+    }
+}
+
+/// Who sent a frame that no core sent.
+pub const NO_CORE: usize = 0xFF;
+
+/// One thing that happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Item {
+    /// A frame on the bus, by this core or [`NO_CORE`].
+    Frame {
+        /// The sender.
+        from: usize,
+        /// The frame.
+        words: [u32; FRAME_WORDS],
+    },
+    /// A core's trace record, with its time.
+    Trace {
+        /// The core.
+        from: usize,
+        /// Time (2) and record (4).
+        words: [u32; TRACE_WORDS],
+    },
+    /// Edges on a line to a system.
+    Edges {
+        /// Whom they reach.
+        to: SystemId,
+        /// The line, as [`tandem_board::Line::index`].
+        line: usize,
+        /// 0 rising, 1 falling.
+        edge: usize,
+        /// How many.
+        count: u32,
+    },
+    /// A datagram on the link to a system.
+    Datagram {
+        /// Whom it reaches.
+        to: SystemId,
+        /// Words that count.
+        len: usize,
+        /// The words.
+        words: [u32; LINK_WORDS],
+    },
+    /// The level line of a system that is not in the machine.
+    Level {
+        /// The system.
+        of: SystemId,
+        /// High.
+        high: bool,
+    },
+    /// The battery feed of a system in the machine.
+    Feed {
+        /// The system.
+        of: SystemId,
+        /// Connected.
+        on: bool,
+    },
+    /// The run is over: the machine ends.
+    End,
+}
+
+/// A message that is no message: the other side is another version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Malformed;
+
+impl Item {
+    /// Writes the item; the number of words, at most [`ITEM_WORDS`].
+    pub fn encode(&self, into: &mut [u32; ITEM_WORDS]) -> usize {
+        let head = |kind: u32, a: usize, b: usize, c: usize| {
+            kind | (a as u32) << 8 | (b as u32) << 16 | (c as u32) << 24
+        };
+        let mut put = |head: u32, words: &[u32]| {
+            into[0] = head;
+            into[1..=words.len()].copy_from_slice(words);
+            1 + words.len()
+        };
+        match self {
+            Self::Frame { from, words } => put(head(1, *from, 0, 0), words),
+            Self::Trace { from, words } => put(head(2, *from, 0, 0), words),
+            Self::Edges {
+                to,
+                line,
+                edge,
+                count,
+            } => put(head(3, to.index(), *line, *edge), &[*count]),
+            Self::Datagram { to, len, words } => put(head(4, to.index(), *len, 0), &words[..*len]),
+            Self::Level { of, high } => put(head(5, of.index(), usize::from(*high), 0), &[]),
+            Self::Feed { of, on } => put(head(6, of.index(), usize::from(*on), 0), &[]),
+            Self::End => put(head(7, 0, 0, 0), &[]),
+        }
+    }
+
+    /// Takes an item off the front of `words`.
+    ///
+    /// # Errors
+    /// [`Malformed`] if none begins there.
+    pub fn decode(words: &mut &[u32]) -> Result<Self, Malformed> {
+        let (&head, mut rest) = words.split_first().ok_or(Malformed)?;
+        let [kind, a, b, c] = head.to_le_bytes().map(usize::from);
+        let system = SystemId::from_index(a).ok_or(Malformed);
+        let item = match kind {
+            1 => Self::Frame {
+                from: a,
+                words: take(&mut rest)?,
+            },
+            2 => Self::Trace {
+                from: a,
+                words: take(&mut rest)?,
+            },
+            3 => Self::Edges {
+                to: system?,
+                line: b,
+                edge: c,
+                count: take::<1>(&mut rest)?[0],
+            },
+            4 => {
+                let content = rest.split_off(..b).ok_or(Malformed)?;
+                let mut words = [0; LINK_WORDS];
+                words
+                    .get_mut(..b)
+                    .ok_or(Malformed)?
+                    .copy_from_slice(content);
+                Self::Datagram {
+                    to: system?,
+                    len: b,
+                    words,
+                }
+            }
+            5 => Self::Level {
+                of: system?,
+                high: b != 0,
+            },
+            6 => Self::Feed {
+                of: system?,
+                on: b != 0,
+            },
+            7 => Self::End,
+            _ => return Err(Malformed),
+        };
+        *words = rest;
+        Ok(item)
+    }
+}
+
+fn take<const N: usize>(words: &mut &[u32]) -> Result<[u32; N], Malformed> {
+    let (first, rest) = words.split_first_chunk().ok_or(Malformed)?;
+    *words = rest;
+    Ok(*first)
+}
+
+/// The head of what the machine writes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Report {
+    /// Its clock.
+    pub now: Instant,
+    /// What A and B show of their roles, as [`tandem_board::RoleLamp`] counts.
+    pub lamps: [u8; 2],
+    /// Whether A and B have power and are out of reset.
+    pub powered: [bool; 2],
+    /// Trace records that were lost so far; wraps around.
+    pub lost: u32,
+}
+
+impl Report {
+    /// The words of the head, of a message of `words` words.
+    #[must_use]
+    pub fn encode(&self, words: usize) -> [u32; REPORT_WORDS] {
+        let [low, high] = self.now.to_words();
+        let lamps = u32::from(self.lamps[0]) | u32::from(self.lamps[1]) << 8;
+        let powered = u32::from(self.powered[0]) | u32::from(self.powered[1]) << 1;
+        [MAGIC, words as u32, low, high, lamps, powered, self.lost]
+    }
+
+    /// The inverse of [`Report::encode`].
+    ///
+    /// # Errors
+    /// [`Malformed`]
+    pub fn decode(words: &[u32]) -> Result<Self, Malformed> {
+        let (head, _) = words.split_first_chunk::<REPORT_WORDS>().ok_or(Malformed)?;
+        let [magic, _, low, high, lamps, powered, lost] = *head;
+        if magic != MAGIC {
+            return Err(Malformed);
+        }
+        Ok(Self {
+            now: Instant::from_words([low, high]),
+            lamps: [lamps as u8, (lamps >> 8) as u8],
+            powered: [powered & 1 != 0, powered & 2 != 0],
+            lost,
+        })
+    }
+}
+
+/// A frame as words, sent at `at`.
+#[must_use]
+pub fn frame_words(frame: &CanFrame, at: Instant) -> [u32; FRAME_WORDS] {
+    let mut words = [0; FRAME_WORDS];
+    let head = match frame.id() {
+        CanId::Standard(id) => u32::from(id),
+        CanId::Extended(id) => id | EXTENDED,
+    };
+    words[0] = head | if frame.is_fd() { FD } else { 0 };
+    words[1] = frame.data().len() as u32;
+    [words[2], words[3]] = at.to_words();
+    for (word, bytes) in words[4..].iter_mut().zip(frame.data().chunks(4)) {
+        let mut four = [0; 4];
+        four[..bytes.len()].copy_from_slice(bytes);
+        *word = u32::from_le_bytes(four);
+    }
+    words
+}
+
+/// The inverse of [`frame_words`]; `None` if it is no frame.
+#[must_use]
+pub fn frame_from(words: &[u32; FRAME_WORDS]) -> Option<Received> {
+    let id = words[0] & !(EXTENDED | FD);
+    let id = match words[0] & EXTENDED {
+        0 => CanId::Standard(u16::try_from(id).ok()?),
+        _ => CanId::Extended(id),
+    };
+    let mut data = [0; 64];
+    for (bytes, word) in data.chunks_mut(4).zip(&words[4..]) {
+        bytes.copy_from_slice(&word.to_le_bytes());
+    }
+    let data = data.get(..words[1] as usize)?;
+    Some(Received {
+        frame: CanFrame::new(id, words[0] & FD != 0, data).ok()?,
+        at: Instant::from_words([words[2], words[3]]),
+    })
+}
+
+/// Time and content of a trace record.
+#[must_use]
+pub const fn trace_from(words: [u32; TRACE_WORDS]) -> (Instant, TraceRecord) {
+    let [low, high, a, b, c, d] = words;
+    (Instant::from_words([low, high]), [a, b, c, d])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_item_survives_the_way() {
+        let mut words = [0; LINK_WORDS];
+        words[..3].copy_from_slice(&[1, 2, 3]);
+        let frame = CanFrame::new(CanId::Extended(0x1234_5678), true, &[7; 12]).unwrap();
+        let items = [
+            Item::Frame {
+                from: NO_CORE,
+                words: frame_words(&frame, Instant::from_ns(5 << 32)),
+            },
+            Item::Trace {
+                from: 4,
+                words: [9; TRACE_WORDS],
+            },
+            Item::Edges {
+                to: SystemId::B,
+                line: 2,
+                edge: 1,
+                count: 77,
+            },
+            Item::Datagram {
+                to: SystemId::A,
+                len: 3,
+                words,
+            },
+            Item::Level {
+                of: SystemId::B,
+                high: true,
+            },
+            Item::Feed {
+                of: SystemId::A,
+                on: false,
+            },
+            Item::End,
+        ];
+        for item in items {
+            let mut buffer = [0; ITEM_WORDS];
+            let len = item.encode(&mut buffer);
+            let mut left = &buffer[..len];
+            assert_eq!(Item::decode(&mut left), Ok(item));
+            assert!(left.is_empty());
+            assert_eq!(Item::decode(&mut &buffer[..len - 1]), Err(Malformed));
+        }
+        let Item::Frame { words, .. } = items[0] else {
+            return;
+        };
+        assert_eq!(
+            frame_from(&words).map(|received| received.frame),
+            Some(frame)
+        );
+    }
+
+    #[test]
+    fn a_report_survives_the_way() {
+        let report = Report {
+            now: Instant::from_ns(0x1_2345_6789),
+            lamps: [3, 1],
+            powered: [false, true],
+            lost: 8,
+        };
+        assert_eq!(Report::decode(&report.encode(40)), Ok(report));
+        assert_eq!(Report::decode(&[0; 40]), Err(Malformed));
+    }
+}

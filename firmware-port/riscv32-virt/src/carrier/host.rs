@@ -1,0 +1,227 @@
+//! The carrier's connection to the world outside, which runs on the host, in lock-step.
+
+use super::ring::Ring;
+use super::run::{Carrier, stamp};
+use super::{interrupt, system};
+use crate::exit::exit;
+use crate::hart::time;
+use crate::semihosting::{File, HostError};
+use crate::{clint, log};
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::Relaxed;
+use tandem_board::{CoreId, Instant, Line, SystemId};
+use tandem_exchange::{
+    ANSWER_WORDS, FRAME_WORDS, ITEM_WORDS, Item, LINK_WORDS, MAGIC, MAX_WORDS, PERIOD_NS,
+    REPORT_WORDS, Report, core_number,
+};
+
+const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
+/// The status of a machine whose world has gone.
+const ABANDONED: u16 = 3;
+
+type Buffer = [AtomicU32; MAX_WORDS];
+
+#[unsafe(link_section = ".bss.carrier")]
+static OUT: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
+#[unsafe(link_section = ".bss.carrier")]
+static IN: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
+/// Frames that were on the bus here since the last exchange: sender, and frame.
+#[unsafe(link_section = ".bss.carrier")]
+static FRAMES: Ring<128, { 1 + FRAME_WORDS }> = Ring::new();
+
+pub(super) struct Host {
+    to: File,
+    from: File,
+    /// When the next exchange is due, in ticks.
+    due: u64,
+    /// Words in `OUT`.
+    len: usize,
+}
+
+impl Host {
+    /// Opens the pipes; ends the machine if there are none.
+    pub(super) fn open() -> Self {
+        let open = || {
+            let to = File::open_to_write(c"to-world")?;
+            Ok((to, File::open_to_read(c"from-world")?))
+        };
+        let (to, from) = open().unwrap_or_else(|error: HostError| abandoned("open", error));
+        Self {
+            to,
+            from,
+            due: 0,
+            len: 0,
+        }
+    }
+
+    pub(super) const fn due(&self) -> u64 {
+        self.due
+    }
+
+    /// A frame was on the bus.
+    pub(super) fn on_bus(&mut self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
+        stamp(&mut frame);
+        let mut record = [0; 1 + FRAME_WORDS];
+        record[0] = sender as u32;
+        record[1..].copy_from_slice(&frame);
+        // More than 128 in a millisecond no CAN bus carries; the world does not hear of them.
+        let _ = FRAMES.put(&record);
+    }
+
+    fn put(&mut self, item: Item) {
+        let mut words = [0; ITEM_WORDS];
+        let len = item.encode(&mut words);
+        for (word, value) in OUT[self.len..].iter().zip(&words[..len]) {
+            word.store(*value, Relaxed);
+        }
+        self.len += len;
+    }
+
+    fn has_room(&self) -> bool {
+        self.len + ITEM_WORDS <= MAX_WORDS
+    }
+
+    pub(super) fn exchange(&mut self, carrier: &mut Carrier) {
+        self.due = (time() / PERIOD_TICKS + 1) * PERIOD_TICKS;
+        self.write(carrier)
+            .unwrap_or_else(|error| abandoned("write", error));
+        let answer = self.read().unwrap_or_else(|error| abandoned("read", error));
+        let mut words = [0; ITEM_WORDS];
+        let mut at = ANSWER_WORDS;
+        while at < answer.len() {
+            for (word, value) in words.iter_mut().zip(&answer[at..]) {
+                *word = value.load(Relaxed);
+            }
+            let here = ITEM_WORDS.min(answer.len() - at);
+            let mut left = &words[..here];
+            let Ok(item) = Item::decode(&mut left) else {
+                log!("the world answers nonsense");
+                exit(ABANDONED)
+            };
+            at += here - left.len();
+            act(carrier, item);
+        }
+    }
+
+    fn write(&mut self, carrier: &Carrier) -> Result<(), HostError> {
+        self.len = REPORT_WORDS;
+        while self.has_room()
+            && let Some(record) = FRAMES.take()
+        {
+            let mut words = [0; FRAME_WORDS];
+            words.copy_from_slice(&record[1..]);
+            let from = record[0] as usize;
+            self.put(Item::Frame { from, words });
+        }
+        let mut here = [false; 2];
+        for which in carrier.systems() {
+            here[which.index()] = true;
+            self.put_traces(which);
+        }
+        for which in SystemId::ALL {
+            if !here[which.index()] {
+                self.put_signals(which);
+            }
+        }
+        let of_systems = SystemId::ALL.map(system);
+        let traces = of_systems.iter().flat_map(|system| &system.cores);
+        let report = Report {
+            now: Instant::from_ns(time() * clint::TICK_NS),
+            lamps: of_systems.map(|system| system.lamp.load(Relaxed) as u8),
+            powered: of_systems.map(|system| system.powered.load(Relaxed)),
+            lost: traces.map(|core| core.trace_lost.load(Relaxed)).sum(),
+        };
+        for (word, value) in OUT.iter().zip(report.encode(self.len)) {
+            word.store(value, Relaxed);
+        }
+        self.to.write(&OUT[..self.len])
+    }
+
+    fn put_traces(&mut self, which: SystemId) {
+        for core in CoreId::ALL {
+            let trace = &system(which).cores[core.index()].trace;
+            while self.has_room()
+                && let Some(words) = trace.take()
+            {
+                let from = core_number(which, core);
+                self.put(Item::Trace { from, words });
+            }
+        }
+    }
+
+    /// What was sent over lines and link to a system that is not here.
+    fn put_signals(&mut self, to: SystemId) {
+        let registers = system(to);
+        for line in Line::ALL {
+            for edge in 0..2 {
+                let count = registers.edges[line.index()][edge].swap(0, Relaxed);
+                if count != 0 {
+                    let line = line.index();
+                    self.put(Item::Edges {
+                        to,
+                        line,
+                        edge,
+                        count,
+                    });
+                }
+            }
+        }
+        while self.has_room()
+            && let Some(record) = registers.link.take()
+        {
+            let len = (record[0] as usize).min(LINK_WORDS);
+            let mut words = [0; LINK_WORDS];
+            words.copy_from_slice(&record[1..]);
+            self.put(Item::Datagram { to, len, words });
+        }
+    }
+
+    /// Reads an answer: its head says how long it is.
+    fn read(&self) -> Result<&'static [AtomicU32], HostError> {
+        self.from.read(&IN[..ANSWER_WORDS])?;
+        let len = IN[1].load(Relaxed) as usize;
+        if IN[0].load(Relaxed) != MAGIC || !(ANSWER_WORDS..=MAX_WORDS).contains(&len) {
+            return Err(HostError);
+        }
+        self.from.read(&IN[ANSWER_WORDS..len])?;
+        Ok(&IN[..len])
+    }
+}
+
+fn abandoned(what: &str, error: HostError) -> ! {
+    log!("the world is gone: {what}: {error:?}");
+    exit(ABANDONED)
+}
+
+fn act(carrier: &mut Carrier, item: Item) {
+    match item {
+        Item::Frame { from, words } => carrier.broadcast(from, words),
+        Item::Edges {
+            to,
+            line,
+            edge,
+            count,
+        } => {
+            let lines = system(to).edges.get(line);
+            if let Some(edges) = lines.and_then(|edges| edges.get(edge)) {
+                edges.fetch_add(count, Relaxed);
+            }
+            if line == Line::Start.index() {
+                interrupt(to);
+            }
+        }
+        Item::Datagram { to, len, words } => {
+            let mut record = [0; 1 + LINK_WORDS];
+            record[0] = len as u32;
+            record[1..].copy_from_slice(&words);
+            // A core that does not fetch loses what comes.
+            let _ = system(to).link.put(&record);
+        }
+        Item::Level { of, high } => carrier.set_power(of, high),
+        Item::Feed { of, on: true } if system(of).powered.load(Relaxed) => {}
+        Item::Feed { of, on: true } => carrier.power_on(of),
+        Item::Feed { of, on: false } => carrier.power_off(of),
+        Item::End => exit(0),
+        Item::Trace { .. } => {}
+    }
+}
