@@ -59,6 +59,8 @@ pub(crate) enum Firmware {
 pub(crate) enum Image {
     /// The paths between cores, in instructions
     Bench,
+    /// From a FreeRTOS task on core 0 to bare core 1 and back, in instructions
+    BenchRtos,
     /// The conformance suite, each case on two freshly powered systems
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
@@ -68,8 +70,9 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    const ALL: [Self; 4] = [
+    const ALL: [Self; 5] = [
         Self::Bench,
+        Self::BenchRtos,
         Self::Conformance,
         Self::Controller,
         Self::Schedules,
@@ -78,6 +81,7 @@ impl Image {
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
+            Self::BenchRtos => "bench-rtos",
             Self::Conformance => "conformance",
             Self::Controller => "controller",
             Self::Schedules => "schedules",
@@ -229,7 +233,7 @@ struct Figure {
     max: u64,
 }
 
-fn figures(log: &str) -> Result<Vec<Figure>> {
+fn figures_of(log: &str) -> Result<Vec<Figure>> {
     let lines = log.lines().filter_map(|line| line.strip_prefix("bench "));
     let figure = |line: &str| {
         let mut words = line.split(' ');
@@ -245,11 +249,15 @@ fn figures(log: &str) -> Result<Vec<Figure>> {
 }
 
 fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
-    let log = run_image(root, Image::Bench, 0, &[])?;
-    let figures = figures(&log)?;
-    ensure!(!figures.is_empty(), "the image measured nothing:\n{log}");
-    let again = run_image(root, Image::Bench, 0, &[])?;
-    ensure!(log == again, "two runs differ:\n{log}\n{again}");
+    let mut figures = Vec::new();
+    for image in [Image::Bench, Image::BenchRtos] {
+        let log = run_image(root, image, 0, &[])?;
+        let again = run_image(root, image, 0, &[])?;
+        ensure!(log == again, "two runs differ:\n{log}\n{again}");
+        let measured = figures_of(&log)?;
+        ensure!(!measured.is_empty(), "the image measured nothing:\n{log}");
+        figures.extend(measured);
+    }
     let list: Vec<Value> = figures
         .iter()
         .map(|Figure { name, min, max }| json!({ "name": name, "min": min, "max": max }))

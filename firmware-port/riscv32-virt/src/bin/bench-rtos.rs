@@ -1,0 +1,141 @@
+//! From a task of FreeRTOS on core 0 to bare core 1 and back to the task, counted in instructions.
+//!
+//! Hart 0 runs the kernel, hart 1 is bare. The task signals core 1 through a mailbox and waits for a
+//! notification; core 1's handler signals back; core 0's doorbell interrupt notifies the task. Each
+//! round begins right after a tick, so that none comes in between.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use tandem_board::SystemId;
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory};
+use tandem_rtos::{
+    Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
+};
+use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
+
+entry!(main);
+
+const ROUNDS: u32 = 1000;
+const WARM_UP: u32 = 5;
+
+/// The mailboxes' memory is zero, and hart 1 may attach.
+static READY: AtomicBool = AtomicBool::new(false);
+/// Signals that came back.
+static BACK: AtomicU32 = AtomicU32::new(0);
+
+fn main(hart: usize) -> ! {
+    match hart {
+        0 => control(),
+        1 => answer(),
+        _ => loop {
+            hart::sleep();
+        },
+    }
+}
+
+#[track_caller]
+fn must<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => panic!("the benchmark is not laid out as it should be"),
+    }
+}
+
+/// The mailbox from a core to the other.
+fn mailbox_of(sender: usize) -> &'static [AtomicU32] {
+    &memory::lmu(SystemId::A)[sender * mailbox::WORDS..][..mailbox::WORDS]
+}
+
+fn task() -> TaskId {
+    match TaskId::new(1) {
+        Some(task) => task,
+        None => panic!("not a task number"),
+    }
+}
+
+/// Hart 0: the kernel with one task of ours.
+fn control() -> ! {
+    tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
+    let kernel = must(Kernel::take());
+    let options = TaskOptions::new("measure", Priority::new(5)).stack_bytes(16 << 10);
+    let measuring = must(kernel.spawn(&options, measure));
+    let mut back = must(Receiver::attach(mailbox_of(1)));
+    // Core 0 wants its doorbell whenever it is signalled.
+    back.poll(|_| ());
+    let _nothing_there = back.prepare_sleep();
+    let on_doorbell = move |ctx: &_| {
+        back.awake();
+        back.poll(|_| {
+            BACK.store(BACK.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+            must(measuring.notify(ctx));
+        });
+        let _nothing_there = back.prepare_sleep();
+    };
+    must(kernel.attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, on_doorbell));
+    READY.store(true, Ordering::Release);
+    clint::post(1);
+    must(kernel.start(Clock::Wall));
+    panic!("the kernel has stopped")
+}
+
+fn measure(ctx: &TaskContext) {
+    let mut to = must(Sender::attach(mailbox_of(0)));
+    bench(ctx, "rtos/yield", || {
+        // Nobody else is there: into the kernel and back.
+        ctx.yield_now();
+    });
+    bench(ctx, "rtos/round-trip", || {
+        let before = BACK.load(Ordering::Relaxed);
+        if to.signal(task()) == Ring::Needed {
+            clint::post(1);
+        }
+        ctx.take_notifications(Ticks::FOREVER);
+        assert!(BACK.load(Ordering::Relaxed) == before + 1);
+    });
+    exit::exit(0)
+}
+
+/// Repeats a round, each right after a tick, and prints the shortest and the longest.
+fn bench(ctx: &TaskContext, name: &str, mut round: impl FnMut()) {
+    let (mut min, mut max) = (u32::MAX, 0);
+    for number in 0..WARM_UP + ROUNDS {
+        ctx.delay(Ticks(1));
+        let begin = hart::cycles();
+        round();
+        let took = hart::cycles().wrapping_sub(begin);
+        if number >= WARM_UP {
+            min = min.min(took);
+            max = max.max(took);
+        }
+    }
+    log!("bench {name} {min} {max}");
+}
+
+/// Hart 1: answers each signal.
+fn answer() -> ! {
+    hart::interrupts_on();
+    while !READY.load(Ordering::Acquire) {
+        doorbell::wait(None);
+    }
+    let mut from = must(Receiver::attach(mailbox_of(0)));
+    let mut to = must(Sender::attach(mailbox_of(1)));
+    let mut tasks = TaskTable::new();
+    must(tasks.add(
+        task(),
+        |to: &mut Sender<'static>, _| {
+            if to.signal(task()) == Ring::Needed {
+                clint::post(0);
+            }
+        },
+        0,
+    ));
+    loop {
+        tasks.run(&mut from, &mut to);
+        if from.prepare_sleep() {
+            doorbell::wait(None);
+            from.awake();
+        }
+    }
+}
