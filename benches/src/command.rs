@@ -2,10 +2,10 @@
 
 use crate::cases::{self, Case, Group};
 use crate::compare::{self, CompareError, Comparison};
-use crate::hgrm;
 use crate::measure::{self, Measurement};
 use crate::places::{self, Folder, Place, PlaceError};
 use crate::result::Results;
+use crate::{hgrm, html};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use tandem_board_host::{AttachError, BareSystem, IsolationError, isolation};
 const EXAMPLES: &str = "\
 Examples:
   tandem bench --quick                        all groups, roughly; the table alone
-  tandem bench spin sleep --json a.json --hgrm curves
+  tandem bench spin sleep --json a.json --html a.html
                                               two groups in full, with the page of curves
 Every group has a floor: the bare mechanism, such as a cache line or a futex, between the same
 CPUs in the same run. Read the ratios to it (x p50 and x p99.9); the times are the machine's.
@@ -53,7 +53,7 @@ pub struct BenchArgs {
     pub json: Option<PathBuf>,
 
     /// Write a page with percentile curves and tables to this file
-    #[arg(skip)]
+    #[arg(long, value_name = "FILE")]
     pub html: Option<PathBuf>,
 
     /// Write a distribution for each case, in ns, to this folder: for HdrHistogram plotters
@@ -163,6 +163,11 @@ impl Outputs {
         if let Some(place) = self.json {
             let text = serde_json::to_string_pretty(results)? + "\n";
             place.write(&text).map_err(BenchError::NotWritten)?;
+        }
+        if let Some(place) = self.html {
+            place
+                .write(&html::page(results))
+                .map_err(BenchError::NotWritten)?;
         }
         if let Some(folder) = self.hgrm {
             let measured = all.iter().filter(|one| !one.times.is_empty());

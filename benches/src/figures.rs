@@ -32,26 +32,29 @@ impl Unit {
         }
     }
 
-    /// A time in this unit, without its sign.
+    /// A time in this unit, without its sign; one that would have more than five digits before
+    /// the point has the sign of its own unit.
     #[must_use]
     pub fn show(self, ns: f64) -> String {
-        number(match self {
+        let value = match self {
             Self::Ns => ns,
             Self::Us => ns / 1e3,
             Self::Ms => ns / 1e6,
-        })
+        };
+        if value < 1e5 { number(value) } else { time(ns) }
     }
 }
 
 /// A time with the unit that fits it alone.
 #[must_use]
 pub fn time(ns: f64) -> String {
-    let unit = match ns {
-        ns if ns < 1e3 => Unit::Ns,
-        ns if ns < 1e6 => Unit::Us,
-        _ => Unit::Ms,
+    let (value, unit) = match ns {
+        ns if ns < 1e3 => (ns, "ns"),
+        ns if ns < 1e6 => (ns / 1e3, "µs"),
+        ns if ns < 1e10 => (ns / 1e6, "ms"),
+        ns => (ns / 1e9, "s"),
     };
-    format!("{} {}", unit.show(ns), unit.name())
+    format!("{} {unit}", number(value))
 }
 
 /// About three digits that mean something: `8.31`, `84.2`, `312`, `25013`.
@@ -65,10 +68,14 @@ pub fn number(value: f64) -> String {
     format!("{value:.decimals$}")
 }
 
-/// A ratio: `1.12`, `15.3`, `240`.
+/// A ratio: `1.12`, `15.3`, `240`, `1.62 M`.
 #[must_use]
 pub fn ratio(ratio: f64) -> String {
-    number(ratio)
+    if ratio < 1e4 {
+        number(ratio)
+    } else {
+        count(ratio)
+    }
 }
 
 /// A large count with a prefix: `12.3 M`.
@@ -103,9 +110,12 @@ pub fn bytes(bytes: u64) -> String {
 /// A further fact by its name: those that say so are times in ns.
 #[must_use]
 pub fn fact(name: &str, value: f64) -> String {
-    match name.strip_suffix(" ns") {
-        Some(name) => format!("{name} {}", time(value)),
-        None => format!("{name} {}", number(value)),
+    // No "-0".
+    let value = if value == 0.0 { 0.0 } else { value };
+    match name.strip_suffix(", ns") {
+        Some(name) => format!("{name}: {}", time(value)),
+        None if value.fract() == 0.0 => format!("{name}: {}", count(value)),
+        None => format!("{name}: {}", number(value)),
     }
 }
 
@@ -128,6 +138,7 @@ mod tests {
         assert_eq!(Unit::of(&[21e3, 25e3]), Unit::Us);
         assert_eq!(Unit::of(&[]), Unit::Ns);
         assert_eq!(Unit::Us.show(21_345.0), "21.3");
+        assert_eq!(Unit::Ns.show(36_003_906.0), "36.0 ms");
     }
 
     #[test]
@@ -140,10 +151,15 @@ mod tests {
             [12_345_678.0, 950.0, 48_000.0].map(count),
             ["12.3 M", "950", "48.0 k"]
         );
-        assert_eq!(fact("naive p99.9 ns", 21_300.0), "naive p99.9 21.3 µs");
+        assert_eq!(fact("naive p99.9, ns", 21_300.0), "naive p99.9: 21.3 µs");
+        assert_eq!(fact("reads", -0.0), "reads: 0");
+        assert_eq!(
+            fact("messages per second", 1e4),
+            "messages per second: 10.0 k"
+        );
         assert_eq!(
             fact("share of the least served", 0.312),
-            "share of the least served 0.31"
+            "share of the least served: 0.31"
         );
     }
 }

@@ -17,6 +17,7 @@ pub mod figures;
 pub mod floor;
 pub mod harness;
 pub mod hgrm;
+pub mod html;
 pub mod machine;
 pub mod measure;
 pub mod mutual_exclusion;

@@ -152,11 +152,24 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
             let _ = write!(text, "   {}", row.what);
         }
         text.push('\n');
-        for (name, value) in &row.facts {
-            let _ = writeln!(text, "      {}", figures::fact(name, *value));
-        }
+        text += &facts(row, width);
     }
     text
+}
+
+/// The further facts of a row, as many in a line as fit.
+fn facts(row: &Row, width: usize) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    for (name, value) in &row.facts {
+        let fact = figures::fact(name, *value);
+        match lines.last_mut() {
+            Some(line) if line.chars().count() + fact.chars().count() + 9 <= width => {
+                *line += &format!(" · {fact}");
+            }
+            _ => lines.push(fact),
+        }
+    }
+    lines.iter().map(|line| format!("      {line}\n")).collect()
 }
 
 /// The columns that these rows fill and that fit.
@@ -249,7 +262,7 @@ mod tests {
             "cpu0",
             "120",
             "963",
-            "share of the least served 0.31",
+            "share of the least served: 0.31",
             "skipped: sleep/ddsperf: not installed",
             "interrupted",
             "held up",

@@ -1,0 +1,132 @@
+//! The page: complete, alone, and well-formed.
+
+use super::*;
+use crate::result::Skipped;
+use crate::synthetic::{results, row};
+
+fn run() -> Results {
+    let mut rows = vec![
+        row("spin/floor", 75.0),
+        row("spin/tandem", 84.0),
+        row("spin/iceoryx2-pubsub", 420.0),
+        row("throughput/fifo-8B", 8.3),
+        row("a-group-of-later/something", 5.0e6),
+    ];
+    rows[1].ratio_to_floor_p50 = Some(1.12);
+    rows[2].ratio_to_floor_p50 = Some(5.6);
+    rows[3].messages_per_second = Some(120e6);
+    rows[4].facts.insert("longest wait, ns".to_owned(), 3.0e6);
+    let mut run = results(rows);
+    run.noise.push(row("noise/cpu0", 12.0));
+    run.skipped.push(Skipped {
+        name: "sleep/ddsperf".to_owned(),
+        why: "not <installed> & not found".to_owned(),
+    });
+    run
+}
+
+#[test]
+fn the_page_holds_every_case_and_every_skipped_one() {
+    let run = run();
+    let page = page(&run);
+    for row in run.results.iter().chain(&run.noise) {
+        assert!(
+            page.contains(&format!("<b>{}</b>", row.case())),
+            "{}",
+            row.name
+        );
+        assert!(page.contains(&row.what), "{}", row.name);
+    }
+    assert!(page.contains("sleep/ddsperf") && page.contains("not &lt;installed&gt; &amp; not"));
+    assert!(page.contains("1.12×") && page.contains("longest wait: 3.00 ms"));
+}
+
+#[test]
+fn the_page_needs_nothing_from_outside() {
+    let page = page(&run()).to_lowercase();
+    for outside in [
+        "http:", "https:", "<script", "<link", "<img", "@import", "url(", "src=",
+    ] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+}
+
+#[test]
+fn the_pictures_are_well_formed_and_hold_numbers_only() {
+    let page = page(&run());
+    let pictures: Vec<&str> = page.split("<svg").skip(1).collect();
+    // The overview, a curve for each group, and the dots of the groups with a floor.
+    assert!(pictures.len() > 5, "{}", pictures.len());
+    for picture in pictures {
+        let end = picture.find("</svg>").unwrap();
+        let svg = format!("<svg{}</svg>", &picture[..end]);
+        roxmltree::Document::parse(&svg).unwrap();
+        assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
+    }
+}
+
+#[test]
+fn each_curve_is_named_at_its_end_and_no_name_hides_another() {
+    let rows: Vec<Row> = (0..12)
+        .map(|i| row(&format!("sleep/pipe-{i}"), 100.0 + f64::from(i) * 0.1))
+        .collect();
+    let svg = curves::svg(&rows.iter().collect::<Vec<_>>())
+        .unwrap()
+        .into_string();
+    let picture = roxmltree::Document::parse(&svg).unwrap();
+    let curves = picture.descendants().filter(|node| {
+        node.attribute("class")
+            .is_some_and(|class| class.starts_with("curve"))
+    });
+    let mut places: Vec<f64> = curves
+        .map(|curve| {
+            let name = curve
+                .children()
+                .find(|node| node.has_tag_name("text"))
+                .unwrap();
+            name.attribute("y").unwrap().parse().unwrap()
+        })
+        .collect();
+    places.sort_by(f64::total_cmp);
+    assert_eq!(places.len(), 12);
+    assert!(
+        places.windows(2).all(|pair| pair[1] - pair[0] > 15.0),
+        "{places:?}"
+    );
+}
+
+#[test]
+fn a_percentile_that_rests_on_chance_is_marked() {
+    let mut run = run();
+    assert!(!page(&run).contains("num rare"));
+    run.results[0].samples = 2_000;
+    assert_eq!(
+        page(&run).matches("num rare").count(),
+        1,
+        "p99.9 has two samples beyond it"
+    );
+}
+
+#[test]
+fn a_run_that_was_cut_short_says_so_at_the_top() {
+    let mut run = run();
+    assert!(!page(&run).contains("Interrupted"));
+    run.interrupted = true;
+    assert!(page(&run).contains("Interrupted"));
+}
+
+#[test]
+fn a_case_with_hardly_a_sample_does_no_harm() {
+    let mut run = run();
+    for row in &mut run.results {
+        row.curve.clear();
+        row.ratio_to_floor_p50 = None;
+        row.ratio_to_floor_p99_9 = None;
+        row.p50_ns = 0.0;
+    }
+    run.results[0].curve = vec![(0.0, 0.0), (0.5, 0.0), (0.9, 0.0)];
+    assert!(!page(&run).contains("NaN"));
+    run.results.clear();
+    run.noise.clear();
+    assert!(page(&run).contains("</html>"));
+}
