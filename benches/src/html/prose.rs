@@ -133,15 +133,15 @@ pub(super) fn explanations(results: &Results) -> Markup {
                          such as a cache line or a futex, between the same CPUs in the same run. "
                         b { "1.2×" } " means: what is compared adds a fifth to what hardware and \
                          kernel need anyway. Quote ratios, not times: the times belong to this \
-                         machine, its load and the place of its CPUs. Even a ratio to a tail (p99.9) \
-                         moves with the machine's noise; look at both runs before you trust one."
+                         machine, its load and the place of its CPUs. Even a ratio to a tail \
+                         (p99.9) moves with the machine's noise: run it again before you trust it."
                     }
                     h3 { "The curves" }
                     p {
                         "To the right it gets rarer: at 99.9 %, one message in a thousand takes \
                          longer. A flat line means that nothing special happens; a step is \
-                         something that does, such as a timer interrupt. Both axes are logarithmic. \
-                         A curve ends where fewer than ten samples lie beyond it; \
+                         something that does, such as a timer interrupt. Both axes are \
+                         logarithmic. A curve ends where fewer than ten samples lie beyond it; \
                          figures in the tables that rest on fewer are grey and slanted."
                     }
                     h3 { "Whether something changed" }
@@ -172,8 +172,8 @@ pub(super) fn explanations(results: &Results) -> Markup {
                     p {
                         "These are processes of a host. On a TriCore no kernel stands between a \
                          signal and its handler, and memory, caches and clock are others: none of \
-                         these times carries over. What carries over is how much Tandem adds to the \
-                         bare mechanism, and that is why every group has a floor."
+                         these times carries over. What carries over is how much Tandem adds to \
+                         the bare mechanism, and that is why every group has a floor."
                     }
                 }
             }

@@ -7,11 +7,14 @@ use crate::figures;
 use crate::result::Row;
 use maud::{Markup, html};
 
+/// The figure of a row, if it has one.
+type Cell = Box<dyn Fn(&Row) -> Option<String>>;
+
 /// A column: its head, what it means, and its cells.
 struct Column {
     head: String,
     title: &'static str,
-    cell: Box<dyn Fn(&Row) -> Option<String>>,
+    cell: Cell,
     /// Share of the samples that lie beyond this figure, if that matters.
     beyond: Option<f64>,
 }
