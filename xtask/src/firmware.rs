@@ -1,6 +1,7 @@
 //! The bare-metal images: build, run and measure them under QEMU.
 
 mod an521;
+mod example;
 mod size;
 
 use crate::target_dir;
@@ -34,6 +35,11 @@ pub(crate) enum Firmware {
     An521,
     /// Run the conformance suite on the board, and drive with the whole controller as firmware
     Test,
+    /// Build and run an example in another language beside cores in Rust, and measure its library
+    Example {
+        /// The language
+        language: Language,
+    },
     /// Text and RAM of `shm` alone and of each image
     Size,
     /// Run the tests of lock, mailbox, pool and channels under every schedule of a sweep, and see a
@@ -52,6 +58,13 @@ pub(crate) enum Firmware {
         #[arg(long)]
         save: bool,
     },
+}
+
+/// What an example is written in.
+#[derive(Clone, Copy, ValueEnum)]
+pub(crate) enum Language {
+    /// C99, for riscv64-unknown-elf-gcc
+    C,
 }
 
 /// An image of firmware-port/riscv32-virt.
@@ -90,12 +103,15 @@ impl Image {
 }
 
 pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
-    if let Firmware::An521 = task {
-        return an521::run(root);
-    }
-    build(root)?;
     match task {
-        Firmware::An521 => Ok(()),
+        Firmware::An521 => return an521::run(root),
+        Firmware::Example {
+            language: Language::C,
+        } => return example::run(root),
+        _ => build(root)?,
+    }
+    match task {
+        Firmware::An521 | Firmware::Example { .. } => Ok(()),
         Firmware::Build => Ok(()),
         Firmware::Run { image } => {
             print!("{}", run_image(root, image, 0, &[])?);

@@ -1,0 +1,272 @@
+//! Cores 0 and 1 in Rust; core 2 is an image in C of its own (see c/main.c), linked with the static
+//! library of `tandem-capi`. They share the LMU and nothing else.
+//!
+//! Core 0 asks and checks, core 1 sends work. Prints a line for each step; the status is 0 if all
+//! held.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use tandem_board::SystemId;
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
+use tandem_shm::life::Life;
+use tandem_shm::lock::Lock;
+use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
+use tandem_shm::map::{Layout, Map, Region};
+use tandem_shm::{Shape, fifo, lock, mailbox, newest};
+
+entry!(main);
+
+const WORK: Shape = Shape::new(4, 16);
+const RESULT: Shape = Shape::new(4, 2);
+/// The same as in c/main.c.
+const LAYOUT: Layout = Layout::new(&[
+    Region::new("mailbox 0 to 2", mailbox::WORDS),
+    Region::new("mailbox 2 to 0", mailbox::WORDS),
+    Region::new("mailbox 1 to 2", mailbox::WORDS),
+    Region::new("lock", lock::WORDS),
+    Region::new("guarded", 2),
+    Region::new("work 1 to 2", fifo::words(WORK)),
+    Region::new("result of 2", newest::words(RESULT)),
+]);
+const TO_2: usize = 0;
+const FROM_2: usize = 1;
+const ONE_TO_2: usize = 2;
+const LOCK: usize = 3;
+const GUARDED: usize = 4;
+const WORK_1_TO_2: usize = 5;
+const RESULT_OF_2: usize = 6;
+
+/// The core in C, and its hart.
+const IN_C: usize = 2;
+/// Its tasks.
+const PING: TaskId = task(1);
+const COUNT: TaskId = task(2);
+const DIE: TaskId = task(3);
+const LEAD: TaskId = task(4);
+const WORK_THERE: TaskId = task(1);
+
+const PINGS: u32 = 1_000;
+const TURNS: u32 = 300;
+const ITEMS: u32 = 500;
+/// Longer than any step takes, in ticks of 100 ns: 0.2 s, which a machine that only spins takes
+/// some seconds for.
+const PATIENCE: u64 = 2_000_000;
+
+/// What core 1 does: it may begin, and has ended.
+static STEP: AtomicU32 = AtomicU32::new(0);
+const SEND: u32 = 1;
+const CONTEND: u32 = 2;
+
+const fn task(number: u8) -> TaskId {
+    match TaskId::new(number) {
+        Some(task) => task,
+        None => panic!("not a task number"),
+    }
+}
+
+#[track_caller]
+fn must<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => panic!("the example is not laid out as it should be"),
+    }
+}
+
+fn life(core: usize, generation: u32) -> Life {
+    match Life::new(core, generation) {
+        Some(life) => life,
+        None => panic!("there is such a life"),
+    }
+}
+
+fn main(hart: usize) -> ! {
+    let lmu = memory::lmu(SystemId::A);
+    if hart == 0 {
+        trap::on_doorbell(|| ());
+        hart::interrupts_on();
+        let map = must(Map::format(lmu, LAYOUT));
+        must(map.lives().announce(life(0, 1)));
+        ask(map);
+        exit::exit(0);
+    }
+    let map = wait_for("core 0 formats", || Map::attach(lmu, LAYOUT).ok());
+    must(map.lives().announce(life(1, 1)));
+    help(map);
+    loop {
+        hart::sleep();
+    }
+}
+
+/// Looks until there is something, and gives the turn to the others.
+#[track_caller]
+fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+    let limit = hart::time() + PATIENCE;
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(hart::time() < limit, "{what}: it does not come");
+        hart::yield_turn();
+    }
+}
+
+/// Both ends of the talk with the core in C.
+struct Talk {
+    to: Sender<'static>,
+    from: Receiver<'static>,
+}
+
+impl Talk {
+    fn tell(&mut self, task: TaskId, value: u32) {
+        if self.to.signal_with(task, value) == Ring::Needed {
+            clint::post(IN_C);
+        }
+    }
+
+    /// The value of the next answer. Sleeps until it comes.
+    fn hear(&mut self) -> u32 {
+        let limit = hart::time() + PATIENCE;
+        let mut value = None;
+        loop {
+            self.from.poll(|signals| value = Some(signals.value));
+            if let Some(value) = value {
+                return value;
+            }
+            assert!(hart::time() < limit, "the core in C does not answer");
+            if self.from.prepare_sleep() {
+                doorbell::wait(Some(limit));
+                self.from.awake();
+            }
+        }
+    }
+}
+
+fn ask(map: Map<'static>) {
+    let mut talk = Talk {
+        to: must(Sender::attach(map.region(TO_2))),
+        from: must(Receiver::attach(map.region(FROM_2))),
+    };
+    let lives = map.lives();
+    wait_for("the core in C announces itself", || lives.current(IN_C));
+
+    for value in 0..PINGS {
+        talk.tell(PING, value);
+        assert_eq!(talk.hear(), value * 2 + 1, "the answer to {value}");
+    }
+    log!("signals       {PINGS} there and back, each with its value");
+
+    take_results(map);
+    log!("fifo, newest  {ITEMS} items of 16 words from Rust summed up in C, in place");
+
+    let mut own = must(Lock::attach(map.region(LOCK), life(0, 1), lives));
+    talk.tell(COUNT, TURNS);
+    STEP.store(CONTEND, Ordering::Release);
+    count(&mut own, map);
+    assert_eq!(talk.hear(), TURNS, "C had its turns");
+    wait_for("core 1 has its turns", || {
+        (STEP.load(Ordering::Acquire) == 0).then_some(())
+    });
+    assert_eq!(guarded(map), [3 * TURNS; 2], "no turn is lost");
+    log!("lock          {TURNS} turns of each of two cores in Rust and one in C");
+
+    talk.tell(DIE, 0);
+    assert_eq!(talk.hear(), 3 * TURNS + 1, "C is in the middle of a change");
+    assert!(
+        own.lock(50, |_| hart::yield_turn()).is_err(),
+        "it holds the lock"
+    );
+    assert!(lives.mark_dead(life(IN_C, 1)), "it is in its first life");
+    let taken = must(own.lock(50, |_| hart::yield_turn()));
+    assert!(taken.is_recovered(), "core 0 is told that the owner died");
+    assert_eq!(guarded(map), [3 * TURNS + 1, 3 * TURNS], "half-changed");
+    map.region(GUARDED)[1].store(3 * TURNS + 1, Ordering::Relaxed);
+    drop(taken);
+    log!("recovery      C died with the lock, Rust was told and repaired");
+
+    clint::post(IN_C);
+    let second = || lives.current(IN_C).filter(|life| life.generation() == 2);
+    wait_for("the core in C begins its second life", second);
+    talk.tell(PING, 7);
+    assert_eq!(talk.hear(), 15, "the second life answers");
+    talk.tell(COUNT, 1);
+    assert_eq!(talk.hear(), 1, "and takes the lock");
+    log!("second life   C attached where its first life had stopped");
+
+    talk.tell(LEAD, 10_000);
+    let after_ms = talk.hear();
+    log!("redundancy    a system B in C leads alone after {after_ms} ms");
+}
+
+/// Two words that are equal whenever the lock is free.
+fn guarded(map: Map<'static>) -> [u32; 2] {
+    [0, 1].map(|at: usize| map.region(GUARDED)[at].load(Ordering::Relaxed))
+}
+
+fn count(lock: &mut Lock<'static>, map: Map<'static>) {
+    for _ in 0..TURNS {
+        let taken = must(lock.lock(100_000, |_| hart::yield_turn()));
+        assert!(!taken.is_recovered(), "nobody died");
+        let [one, two] = guarded(map);
+        assert_eq!(one, two, "the lock excludes");
+        let words = map.region(GUARDED);
+        words[0].store(one + 1, Ordering::Relaxed);
+        hart::yield_turn();
+        words[1].store(one + 1, Ordering::Relaxed);
+        drop(taken);
+    }
+}
+
+/// The sum of an item's words.
+fn sum(item: u32) -> u32 {
+    (0..16).map(|at| word(item, at)).fold(0, u32::wrapping_add)
+}
+
+fn word(item: u32, at: u32) -> u32 {
+    (item * 16 + at).wrapping_mul(0x9E37_79B1)
+}
+
+/// The newest result is never torn, and the last one comes.
+fn take_results(map: Map<'static>) {
+    let reader = must(newest::Reader::attach(map.region(RESULT_OF_2), RESULT));
+    STEP.store(SEND, Ordering::Release);
+    let mut last = 0;
+    wait_for("the last result comes", || {
+        let mut value = [0; 2];
+        if reader.read_into(&mut value).is_some() {
+            let [summed, done] = value;
+            assert!(done >= last, "results do not go back");
+            assert_eq!(summed, sum(done - 1), "result {done} is whole and right");
+            last = done;
+        }
+        (last == ITEMS).then_some(())
+    });
+}
+
+/// Core 1: what core 0 lets it begin.
+fn help(map: Map<'static>) {
+    let mut to = must(Sender::attach(map.region(ONE_TO_2)));
+    let mut producer = must(fifo::Producer::attach(map.region(WORK_1_TO_2), WORK));
+    let step = |number: u32| (STEP.load(Ordering::Acquire) == number).then_some(());
+    wait_for("core 0 wants work to be sent", || step(SEND));
+    for item in 0..ITEMS {
+        wait_for("C works off the queue", || {
+            let mut loan = producer.loan().ok()?;
+            for at in 0..16 {
+                loan.words().set(at as usize, word(item, at));
+            }
+            loan.send();
+            Some(())
+        });
+        if to.signal(WORK_THERE) == Ring::Needed {
+            clint::post(IN_C);
+        }
+    }
+    let mut lock = must(Lock::attach(map.region(LOCK), life(1, 1), map.lives()));
+    wait_for("core 0 wants the lock to be contended for", || {
+        step(CONTEND)
+    });
+    count(&mut lock, map);
+    STEP.store(0, Ordering::Release);
+}

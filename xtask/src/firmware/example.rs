@@ -1,0 +1,150 @@
+//! The example with a core in C: built by its own compiler, run beside the cores in Rust, measured.
+
+use super::{QEMU, TARGET, build_dir, finish, port};
+use anyhow::{Context, Result, ensure};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const GCC: &str = "riscv64-unknown-elf-gcc";
+const SIZE: &str = "riscv64-unknown-elf-size";
+/// As a user's build would have it: strict, small, no C library, only what is called.
+const FLAGS: [&str; 13] = [
+    "-march=rv32imac_zicsr",
+    "-mabi=ilp32",
+    "-std=c99",
+    "-Wall",
+    "-Wextra",
+    "-Werror",
+    "-pedantic",
+    "-Os",
+    "-ffreestanding",
+    "-ffunction-sections",
+    "-fdata-sections",
+    "-nostdlib",
+    "-Wl,--gc-sections",
+];
+
+pub(super) fn run(root: &Path) -> Result<()> {
+    let library = library(root)?;
+    let in_c = build_dir(root).join("c-core.elf");
+    let sources = port(root).join("c-example/c");
+    let mut link = gcc(root);
+    link.arg("-T").arg(sources.join("link.ld"));
+    for source in ["start.S", "board.c", "main.c"] {
+        link.arg(sources.join(source));
+    }
+    crate::run({
+        link.arg(&library).arg("-o").arg(&in_c);
+        link
+    })?;
+    let mut build = crate::cargo(&port(root), &["build", "--quiet", "--release"]);
+    build
+        .args(["--target", TARGET, "-p", "tandem-c-example"])
+        .env("CARGO_TARGET_DIR", build_dir(root));
+    crate::run(build)?;
+
+    let in_rust = build_dir(root).join(TARGET).join("release/c-example");
+    let mut command = Command::new(QEMU);
+    command
+        .args(["-machine", "virt", "-smp", "3", "-bios", "none"])
+        .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
+        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg(in_rust)
+        // Hart 2 begins in this image.
+        .arg("-device")
+        .arg(format!("loader,file={},cpu-num=2", in_c.display()));
+    let log = finish(&mut command)?;
+    print!("{log}");
+    ensure!(
+        log.lines().count() >= STEPS,
+        "the example ended before its last step"
+    );
+    sizes(root, &library, &in_c)
+}
+
+/// Lines of the log, one for each step of the example.
+const STEPS: usize = 6;
+
+/// The static library, as small as it gets.
+fn library(root: &Path) -> Result<PathBuf> {
+    let mut build = crate::cargo(root, &["rustc", "--quiet", "-p", "tandem-capi", "--lib"]);
+    build
+        .args(["--crate-type", "staticlib", "--profile", "c-library"])
+        .args(["--target", TARGET])
+        .env("CARGO_TARGET_DIR", build_dir(root));
+    crate::run(build)?;
+    Ok(build_dir(root)
+        .join(TARGET)
+        .join("c-library/libtandem_capi.a"))
+}
+
+fn gcc(root: &Path) -> Command {
+    let mut command = Command::new(GCC);
+    command.args(FLAGS).arg("-I").arg(root.join("capi/include"));
+    command
+}
+
+/// The functions that the header declares.
+fn functions(root: &Path) -> Result<Vec<String>> {
+    let header = fs::read_to_string(root.join("capi/include/tandem.h"))?;
+    // A declaration begins a line with its type: a status or a number.
+    let declared = header.lines().filter_map(|line| {
+        let types = ["tandem_status_t ", "uint32_t ", "size_t "];
+        let rest = types.iter().find_map(|of| line.strip_prefix(of))?;
+        Some(rest.split_once('(')?.0.to_owned())
+    });
+    Ok(declared.collect())
+}
+
+/// Prints what the library takes of a C image: all of it, the functions of `shm`, what the example
+/// calls.
+fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
+    let all = functions(root)?;
+    let redundancy = ["redundancy", "config", "state", "store"];
+    let of_shm = |name: &&String| !redundancy.iter().any(|part| name.contains(part));
+    let shm: Vec<&String> = all.iter().filter(of_shm).collect();
+    ensure!(
+        shm.len() < all.len() && shm.len() > 30,
+        "the header is read wrong"
+    );
+    println!("{:<44} {:>7}", "bytes", "text");
+    let shown = |what: &str, text: u32| println!("{what:<44} {text:>7}");
+    let count = |functions: usize| format!("{functions} functions");
+    let text = linked(root, library, &shm)?;
+    shown(&format!("shm for C, {}", count(shm.len())), text);
+    let text = linked(root, library, &all.iter().collect::<Vec<_>>())?;
+    shown(&format!("shm and redundancy, {}", count(all.len())), text);
+    shown("the example's image in C", text_of(example)?);
+    Ok(())
+}
+
+/// Text of an image with nothing but these functions and what they call.
+fn linked(root: &Path, library: &Path, functions: &[&String]) -> Result<u32> {
+    let source = build_dir(root).join("size.c");
+    let image = build_dir(root).join("size.elf");
+    let on_panic = "void tandem_on_panic(void);\nvoid tandem_on_panic(void) { for (;;) { } }\n";
+    fs::write(&source, on_panic)?;
+    let mut link = gcc(root);
+    link.arg("-Wl,-e,tandem_on_panic");
+    for function in functions {
+        link.arg(format!("-Wl,-u,{function}"));
+    }
+    link.arg(&source).arg(library).arg("-o").arg(&image);
+    let output = link.output().with_context(|| {
+        format!("{GCC}: apt-get install --no-install-recommends gcc-riscv64-unknown-elf")
+    })?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{link:?}\n{said}");
+    text_of(&image)
+}
+
+fn text_of(image: &Path) -> Result<u32> {
+    let output = Command::new(SIZE).arg("-A").arg(image).output()?;
+    let table = String::from_utf8_lossy(&output.stdout);
+    let line = table.lines().find(|line| line.starts_with(".text"));
+    let bytes = line.and_then(|line| line.split_whitespace().nth(1));
+    bytes
+        .and_then(|bytes| bytes.parse().ok())
+        .with_context(|| format!("{}: no .text", image.display()))
+}
