@@ -78,16 +78,19 @@ pub(crate) enum Image {
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
     Controller,
+    /// The driving functions over recorded frames; `test` gives it some
+    Replay,
     /// The primitives of the LMU under hundreds of schedules
     Schedules,
 }
 
 impl Image {
-    const ALL: [Self; 5] = [
+    const ALL: [Self; 6] = [
         Self::Bench,
         Self::BenchRtos,
         Self::Conformance,
         Self::Controller,
+        Self::Replay,
         Self::Schedules,
     ];
 
@@ -97,6 +100,7 @@ impl Image {
             Self::BenchRtos => "bench-rtos",
             Self::Conformance => "conformance",
             Self::Controller => "controller",
+            Self::Replay => "replay",
             Self::Schedules => "schedules",
         }
     }
@@ -184,9 +188,16 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    let mut command = crate::cargo(root, &["test", "-p", "tandem", "--test", "emulated"]);
-    command.args(["--", "--ignored", "--test-threads", "1"]);
-    crate::run(command)
+    for (package, test) in [("tandem-board-qemu", "identical"), ("tandem", "emulated")] {
+        let mut command = crate::cargo(root, &["test", "-p", package, "--test", test]);
+        command.args(["--", "--ignored", "--test-threads", "1"]);
+        command.env(
+            "TANDEM_IMAGES",
+            build_dir(root).join(TARGET).join("release"),
+        );
+        crate::run(command)?;
+    }
+    Ok(())
 }
 
 /// Strap `Mode` of the schedules: the lock is broken.

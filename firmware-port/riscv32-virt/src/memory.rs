@@ -11,6 +11,7 @@ unsafe extern "C" {
     static __lmu_a: AtomicU32;
     static __lmu_b: AtomicU32;
     static __straps: u32;
+    static __recording: u32;
 }
 
 /// The LMU of a system.
@@ -24,6 +25,21 @@ pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
             SystemId::B => addr_of!(__lmu_b),
         };
         core::slice::from_raw_parts(begin, LMU_WORDS)
+    }
+}
+
+/// Bytes that link.x gives to the recording.
+const RECORDING_BYTES: usize = 64 << 20;
+
+/// The words that the emulator was given to play.
+#[must_use]
+pub fn recording() -> &'static [u32] {
+    let begin = addr_of!(__recording);
+    // SAFETY: link.x reserves the place, which only the emulator has written, before the start; no
+    // more words are taken than it has.
+    unsafe {
+        let len = begin.read_volatile() as usize;
+        core::slice::from_raw_parts(begin.add(1), len.min(RECORDING_BYTES / 4 - 1))
     }
 }
 

@@ -1,8 +1,8 @@
 //! From a task of FreeRTOS on core 0 to bare core 1 and back to the task, counted in instructions.
 //!
-//! Hart 0 runs the kernel, hart 1 is bare. The task signals core 1 through a mailbox and waits for a
-//! notification; core 1's handler signals back; core 0's doorbell interrupt notifies the task. Each
-//! round begins right after a tick, so that none comes in between.
+//! Hart 0 runs the kernel, hart 1 is bare. The task signals core 1 through a mailbox and waits for
+//! a notification; core 1's handler signals back; core 0's doorbell interrupt notifies the task.
+//! Each round begins right after a tick, so that none comes in between.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -1,0 +1,119 @@
+//! The driving functions as firmware and on this machine: bit-identical outputs, same frames.
+//! Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
+
+use tandem_board::{CanFrame, CanId};
+use tandem_bus::{Control, Message, Mode, Role, Transmitter};
+use tandem_exchange::frame_words;
+use tandem_replay::{Functions, instant, play};
+use tandem_vehicle::{Config, Scenario, World};
+
+/// How long the functions drive, ms.
+const DRIVE_MS: u64 = 6_000;
+/// Where the image looks for the frames; see link.x.
+const RECORDING_AT: u32 = 0x8100_0000;
+/// The strap that says for how long.
+const LENGTH_AT: u32 = 0x8090_0004;
+
+/// The frames of a vehicle that the functions drive.
+fn record(scenario: &str) -> Vec<u32> {
+    let mut world = World::new(&Scenario::load(scenario).unwrap(), Config { seed: 3 });
+    let mut functions = Functions::new();
+    let mut transmitter = Transmitter::new();
+    let mut recording = vec![];
+    for ms in 0..DRIVE_MS {
+        world.step(ms * 1_000_000, &mut |id, data| {
+            let frame = CanFrame::new(CanId::Standard(id), true, data).unwrap();
+            recording.extend(frame_words(&frame, instant(ms)));
+            functions.on_frame(instant(ms), id, data);
+        });
+        if let Some(command) = functions.tick(ms) {
+            let control = Control {
+                role: Role::Master,
+                mode: Mode::L3,
+                term: 2,
+                steering_angle: command.steering_angle,
+                acceleration: command.acceleration,
+                ..Control::default()
+            };
+            let frame = transmitter.encode(&Message::Control { system: 0, control });
+            world.on_frame(ms * 1_000_000, u32::from(frame.id), frame.data());
+        }
+    }
+    assert_eq!(
+        functions.digest(),
+        play(&recording, DRIVE_MS),
+        "a replay is what was recorded"
+    );
+    recording
+}
+
+/// What the firmware says of these frames.
+fn as_firmware(recording: &[u32]) -> String {
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let folder = tempfile::tempdir().unwrap();
+    let words = [&[recording.len() as u32], recording].concat();
+    let bytes: Vec<u8> = words.iter().flat_map(|word| word.to_le_bytes()).collect();
+    let file = folder.path().join("recording");
+    std::fs::write(&file, bytes).unwrap();
+    let loader = format!(
+        "loader,file={},addr={RECORDING_AT:#x},force-raw=on",
+        file.display()
+    );
+    let output = Command::new("timeout")
+        .args([
+            "120",
+            "qemu-system-riscv32",
+            "-machine",
+            "virt",
+            "-smp",
+            "1",
+            "-bios",
+            "none",
+        ])
+        .args([
+            "-display", "none", "-monitor", "none", "-serial", "stdio", "-device", &loader,
+        ])
+        .args([
+            "-device",
+            &format!("loader,addr={LENGTH_AT:#x},data={DRIVE_MS},data-len=4"),
+        ])
+        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg(PathBuf::from(images).join("replay"))
+        .stdin(Stdio::null())
+        .output()
+        .unwrap();
+    let log = String::from_utf8(output.stdout).unwrap();
+    assert!(output.status.success(), "{}: {log}", output.status);
+    log
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn outputs_of_the_functions_are_bit_identical_on_host_and_firmware() {
+    for scenario in ["cut-in", "hard-braking"] {
+        let recording = record(scenario);
+        let here = play(&recording, DRIVE_MS);
+        assert!(here.cycles > 500, "{here:?}");
+        let there = as_firmware(&recording);
+        println!("{scenario}: {} words\n{here:?}\n{there}", recording.len());
+        assert_eq!(
+            there.lines().next(),
+            Some(format!("{here:?}").as_str()),
+            "{scenario}"
+        );
+        // One bit in one frame makes another digest: the comparison can fail.
+        let mut other = recording;
+        let middle = other.len() / 2 / 20 * 20 + 3;
+        other[middle] ^= 1;
+        other[middle + 2] ^= 1 << 9;
+        assert_ne!(play(&other, DRIVE_MS), here);
+    }
+}

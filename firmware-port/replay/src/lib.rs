@@ -1,0 +1,185 @@
+//! The driving functions over recorded frames, and a digest of all that they compute.
+//!
+//! The same code runs on a host and as firmware. Every number that perception, planning, control
+//! and the degraded function put out goes into the digest by its bits, so two digests are equal if
+//! and only if the outputs are bit-identical (but for collisions of a 32-bit hash, one for each
+//! function).
+#![no_std]
+#![forbid(unsafe_code)]
+
+use tandem_board::{CanId, Duration, Instant};
+use tandem_bus::{Message, Receiver};
+use tandem_cores::driving::control::MotionControl;
+use tandem_cores::driving::degraded::DegradedControl;
+use tandem_cores::driving::perception::{Perception, ego_of};
+use tandem_cores::driving::planning::Planner;
+use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
+use tandem_cores::words::Words;
+use tandem_exchange::{FRAME_WORDS, frame_from};
+
+/// Period of perception and planning, ms.
+const PLAN_MS: u64 = 50;
+/// So late in it all sensors have reported.
+const PLAN_PHASE_MS: u64 = 25;
+/// Period of control, ms.
+const CONTROL_MS: u64 = 10;
+const CONTROL_PHASE_MS: u64 = 5;
+
+/// FNV-1a over words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Hash(pub u32);
+
+impl Hash {
+    const EMPTY: Self = Self(0x811C_9DC5);
+
+    fn add(&mut self, word: u32) {
+        for byte in word.to_le_bytes() {
+            self.0 = (self.0 ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        }
+    }
+
+    fn add_all(&mut self, value: &impl Words) {
+        value.store(&mut |word| self.add(word));
+    }
+
+    fn add_command(&mut self, command: &Command) {
+        self.add(command.steering_angle.to_bits());
+        self.add(command.acceleration.to_bits());
+    }
+}
+
+/// What the functions have computed so far.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Digest {
+    /// Scenes of perception.
+    pub scenes: Hash,
+    /// Trajectories of planning.
+    pub trajectories: Hash,
+    /// Commands of control.
+    pub commands: Hash,
+    /// Commands of the degraded function and of the safe stop.
+    pub degraded: Hash,
+    /// How many commands that were.
+    pub cycles: u32,
+}
+
+/// One system's functions, driven by the clock of what they hear.
+pub struct Functions {
+    receiver: Receiver,
+    perception: Perception,
+    planner: Planner,
+    control: MotionControl,
+    degraded: DegradedControl,
+    ego: Ego,
+    scene: Option<Scene>,
+    trajectory: Option<Trajectory>,
+    digest: Digest,
+}
+
+impl Default for Functions {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Functions {
+    /// Functions that have heard nothing.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            receiver: Receiver::new(),
+            perception: Perception::new(),
+            planner: Planner::new(),
+            control: MotionControl::new(),
+            degraded: DegradedControl::new(),
+            ego: Ego::default(),
+            scene: None,
+            trajectory: None,
+            digest: Digest {
+                scenes: Hash::EMPTY,
+                trajectories: Hash::EMPTY,
+                commands: Hash::EMPTY,
+                degraded: Hash::EMPTY,
+                cycles: 0,
+            },
+        }
+    }
+
+    /// What has been computed.
+    #[must_use]
+    pub const fn digest(&self) -> Digest {
+        self.digest
+    }
+
+    /// A frame of the vehicle.
+    pub fn on_frame(&mut self, at: Instant, id: u16, data: &[u8]) {
+        if let Ok(message) = self.receiver.receive(u32::from(id), data) {
+            if let Message::EgoMotion(motion) = &message {
+                self.ego = ego_of(motion);
+                self.control.on_ego(at, &self.ego);
+            }
+            self.perception.on_message(at, &message);
+        }
+    }
+
+    /// One millisecond, number `ms`: what is due. The command, if one was.
+    pub fn tick(&mut self, ms: u64) -> Option<Command> {
+        let now = instant(ms);
+        if ms % PLAN_MS == PLAN_PHASE_MS {
+            let scene = self.perception.cycle(now).clone();
+            let trajectory = self.planner.plan(&scene);
+            self.digest.scenes.add_all(&scene);
+            self.digest.trajectories.add_all(&trajectory);
+            (self.scene, self.trajectory) = (Some(scene), Some(trajectory));
+        }
+        if ms % CONTROL_MS != CONTROL_PHASE_MS {
+            return None;
+        }
+        let (scene, trajectory) = (self.scene.as_ref()?, self.trajectory.as_ref()?);
+        let degraded = self.degraded.step(now, &self.ego, scene);
+        self.digest.degraded.add_command(&degraded);
+        self.digest
+            .degraded
+            .add_command(&self.degraded.safe_stop(&self.ego));
+        let command = self
+            .control
+            .step(now, &self.ego, trajectory)
+            .unwrap_or(degraded);
+        self.digest.commands.add_command(&command);
+        self.digest.cycles += 1;
+        self.control.resume(&command);
+        self.degraded.resume(&command);
+        Some(command)
+    }
+}
+
+/// The instant of a millisecond; not at the origin, as on a board.
+#[must_use]
+pub fn instant(ms: u64) -> Instant {
+    Instant::ORIGIN + Duration::from_ms(ms + 1_000)
+}
+
+/// Plays frames that come with their times, in order, each [`FRAME_WORDS`] words of the exchange,
+/// for `end_ms` milliseconds.
+#[must_use]
+pub fn play(recording: &[u32], end_ms: u64) -> Digest {
+    let mut functions = Functions::new();
+    let mut ms = 0;
+    for words in recording.chunks_exact(FRAME_WORDS) {
+        let Some(received) = words.try_into().ok().and_then(frame_from) else {
+            continue;
+        };
+        while instant(ms) < received.at {
+            functions.tick(ms);
+            ms += 1;
+        }
+        if let CanId::Standard(id) = received.frame.id() {
+            functions.on_frame(received.at, id, received.frame.data());
+        }
+    }
+    while ms < end_ms {
+        functions.tick(ms);
+        ms += 1;
+    }
+    functions.digest()
+}

@@ -1,0 +1,24 @@
+//! The driving functions over frames that the emulator was given, and the digest of their outputs:
+//! a host prints the same. Strap `First`: for how many milliseconds.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use tandem_board_riscv32_virt::memory::{Strap, strap};
+use tandem_board_riscv32_virt::{entry, exit, hart, log, memory};
+
+entry!(main);
+
+fn main(hart: usize) -> ! {
+    if hart != 0 {
+        loop {
+            hart::sleep();
+        }
+    }
+    let recording = memory::recording();
+    let begin = hart::cycles();
+    let digest = tandem_replay::play(recording, strap(Strap::First).into());
+    log!("{digest:?}");
+    log!("{} kilocycles", hart::cycles().wrapping_sub(begin) / 1_000);
+    exit::exit(0)
+}
