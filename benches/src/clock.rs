@@ -53,6 +53,36 @@ pub fn ps_per_tick() -> f64 {
     })
 }
 
+/// The step in which the clock's readings move, in ticks: on many processors the counter goes up
+/// by more than one at a time, every 10 ns or so.
+pub fn step_ticks() -> u32 {
+    static MEASURED: OnceLock<u32> = OnceLock::new();
+    *MEASURED.get_or_init(|| {
+        let mut last = ticks();
+        let steps = (0..10_000).map(|_| {
+            let now = ticks();
+            now.wrapping_sub(std::mem::replace(&mut last, now))
+        });
+        steps.fold(0, gcd).max(1)
+    })
+}
+
+fn gcd(a: u32, b: u32) -> u32 {
+    if b == 0 { a } else { gcd(b, a % b) }
+}
+
+/// The `n`-th of many spans of ticks in picoseconds.
+///
+/// A reading stands for all times within one step of the clock. So the spans are spread evenly over
+/// a step (by the golden ratio, without chance): a percentile then lies where it would with a finer
+/// clock, and does not jump by whole steps. On average nothing is added.
+pub fn to_ps_spread(n: usize, ticks: u32) -> u64 {
+    const GOLDEN: f64 = 0.618_033_988_749_895;
+    let within = (n as f64 * GOLDEN).fract() - 0.5;
+    let ticks = f64::from(ticks) + within * f64::from(step_ticks());
+    (ticks.max(0.0) * ps_per_tick()) as u64
+}
+
 /// A span of ticks in picoseconds.
 pub fn to_ps(ticks: u32) -> u64 {
     (f64::from(ticks) * ps_per_tick()) as u64
@@ -61,4 +91,33 @@ pub fn to_ps(ticks: u32) -> u64 {
 /// So many nanoseconds as ticks; at most what 32 bits hold, about a second.
 pub fn from_ns(ns: u64) -> u32 {
     (ns as f64 * 1000.0 / ps_per_tick()) as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spread_spans_keep_their_mean_and_stay_within_a_step() {
+        let step = to_ps(step_ticks()) as f64;
+        let span = 1_000_000;
+        let exact = to_ps(span) as f64;
+        let spread: Vec<f64> = (0..1000).map(|n| to_ps_spread(n, span) as f64).collect();
+        assert!(
+            spread
+                .iter()
+                .all(|ps| (ps - exact).abs() <= step / 2.0 + 1.0)
+        );
+        let mean = spread.iter().sum::<f64>() / 1000.0;
+        assert!(
+            (mean - exact).abs() < step / 50.0 + 1.0,
+            "{mean} for {exact}"
+        );
+    }
+
+    #[test]
+    fn the_greatest_common_divisor_is_one() {
+        assert_eq!([52, 78, 26].into_iter().fold(0, gcd), 26);
+        assert_eq!([52, 78, 27].into_iter().fold(0, gcd), 1);
+    }
 }

@@ -5,9 +5,10 @@
 //! one-way latency. All cases of a run use this loop, so that floor, peers and Tandem differ in
 //! nothing else.
 
-use crate::clock::{ticks, to_ps};
+use crate::clock::{ticks, to_ps_spread};
 use crate::shared::{Log, Shared, note};
 use crate::stage::{Part, Role, perform, pin};
+use crate::system_calls::Counter;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -60,7 +61,8 @@ impl Batch {
         let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
         let all = |track| {
             let samples = logs.iter().flat_map(move |log| log.samples(track));
-            samples.map(to_ps).collect()
+            let spread = |(n, ticks)| to_ps_spread(n, ticks);
+            samples.enumerate().map(spread).collect()
         };
         let sum = |at| logs.iter().map(|log| log.get(at)).sum::<f64>();
         // The parts map the same segments.
@@ -205,16 +207,71 @@ pub fn between_processes<N: End, F: End>(
         let mut end = near(role.shared);
         role.shared.meet(2);
         near_end(&mut end, plan, role);
+        count_calls(&mut end, role);
         Ok(())
     });
     let far = Part::on(plan.cpus[1], |role| {
         let mut end = far(role.shared);
         role.shared.meet(2);
         far_end(&mut end, plan, role);
+        be_counted(&mut end, role);
         Ok(())
     });
     perform(&shared, vec![near, far])?;
-    Ok(Batch::collect(&shared, 2, 2 * plan.rounds, own_bytes))
+    let mut batch = Batch::collect(&shared, 2, 2 * plan.rounds, own_bytes);
+    let calls = [0, 1].map(|at| shared.log(0).noted(at));
+    if calls[0] >= 0.0 {
+        batch = batch
+            .with_fact("syscalls per send", calls[0])
+            .with_fact("syscalls per send to one awake", calls[1]);
+    }
+    Ok(batch)
+}
+
+/// Sends of each kind whose system calls are counted, after the timed rounds.
+const COUNTED: u32 = 4;
+
+/// Counts the system calls of sends to a far end that waits as it does in the timed rounds, then of
+/// sends to one that is awake and busy with something else.
+fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
+    let mut counter = Counter::new();
+    for awake in [false, true] {
+        let mut calls = 0;
+        for round in 0..=COUNTED {
+            if !awake {
+                // It has sent its answer; now it may go to sleep.
+                std::thread::sleep(std::time::Duration::from_millis(1));
+            }
+            let send = || end.send(ticks());
+            match &mut counter {
+                // The first one may have to open what it rings.
+                Some(counter) if round > 0 => calls += counter.count(send),
+                _ => end.send(ticks()),
+            }
+            if awake {
+                // Release pairs with the Acquire in `be_counted`.
+                role.shared.flag().store(round + 1, Ordering::Release);
+            }
+            end.receive();
+        }
+        let per_send = f64::from(calls) / f64::from(COUNTED);
+        let counted = counter.is_some();
+        role.log
+            .note(usize::from(awake), if counted { per_send } else { -1.0 });
+    }
+}
+
+/// The far end of [`count_calls`].
+fn be_counted(end: &mut impl End, role: &Role<'_>) {
+    for awake in [false, true] {
+        for round in 0..=COUNTED {
+            while awake && role.shared.flag().load(Ordering::Acquire) != round + 1 {
+                give_way();
+            }
+            end.receive();
+            end.send(ticks());
+        }
+    }
 }
 
 /// The same between two threads of one process, for peers that only work there.

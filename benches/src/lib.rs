@@ -32,5 +32,6 @@ pub mod stats;
 pub mod stream;
 #[cfg(test)]
 mod synthetic;
+pub mod system_calls;
 pub mod table;
 pub mod tandem;

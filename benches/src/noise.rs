@@ -1,6 +1,6 @@
 //! What the machine does by itself while nobody asks it for anything.
 
-use crate::clock::{from_ns, monotonic_ns, ticks, to_ps};
+use crate::clock::{from_ns, monotonic_ns, step_ticks, ticks, to_ps};
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
 use crate::stage::{Part, perform};
@@ -47,7 +47,8 @@ pub fn gaps(plan: &Plan, cpu: usize) -> io::Result<Batch> {
     Ok(bare(Batch::collect(&shared, 1, plan.rounds, 0))
         .with_fact("gaps above 1 us per second", log.noted(0))
         .with_fact("longest gap, ns", log.noted(1))
-        .with_fact("lost share of the time", log.noted(2)))
+        .with_fact("lost share of the time", log.noted(2))
+        .with_fact("step of the clock, ns", to_ps(step_ticks()) as f64 / 1e3))
 }
 
 /// Without what has no meaning where no message goes.

@@ -16,6 +16,8 @@ pub const LINE: usize = 16;
 const PAGE: usize = 1024;
 /// Word 0 counts the parts that have met.
 const MET_AT: usize = 0;
+/// A word of the harness for whatever the parts agree on.
+const FLAG_AT: usize = LINE;
 /// Each part's page: two counts, notes of two words each, then a text.
 const PAGES_AT: usize = PAGE;
 const NOTES_AT: usize = LINE;
@@ -96,6 +98,12 @@ impl Shared {
         while met.load(Ordering::Acquire) < all {
             std::thread::yield_now();
         }
+    }
+
+    /// A word for whatever the parts agree on, beside those of the case.
+    #[must_use]
+    pub fn flag(&self) -> &'static AtomicU32 {
+        &self.words[FLAG_AT]
     }
 
     /// Maps every page that the harness itself writes, so that none is counted as the case's.

@@ -1,0 +1,181 @@
+//! Counts the system calls of a piece of code, by Linux's Syscall User Dispatch.
+//!
+//! While a byte in our memory says so, the kernel hands every system call of this thread back to
+//! us as a signal (SIGSYS). Its handler counts, makes the call itself, and gives the result to
+//! whoever wanted it. Nothing is estimated, and nothing but the counted code is asked. See
+//! Documentation/admin-guide/syscall-user-dispatch.rst in the Linux sources.
+
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+pub use dispatch::Counter;
+
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod dispatch {
+    use std::arch::{asm, naked_asm};
+    use std::ptr;
+    use std::sync::atomic::{AtomicU8, AtomicU32, Ordering};
+
+    const PR_SET_SYSCALL_USER_DISPATCH: libc::c_int = 59;
+    const OFF: libc::c_ulong = 0;
+    const ON: libc::c_ulong = 1;
+    const ALLOW: u8 = 0;
+    const BLOCK: u8 = 1;
+    const SA_RESTORER: u64 = 0x0400_0000;
+
+    /// What the kernel reads at each system call: let it pass, or hand it to us.
+    static SELECTOR: AtomicU8 = AtomicU8::new(ALLOW);
+    static COUNT: AtomicU32 = AtomicU32::new(0);
+
+    /// What the kernel takes as a signal action; the C library's has no place for a restorer.
+    #[repr(C)]
+    struct Action {
+        handler: extern "C" fn(libc::c_int, *mut libc::siginfo_t, *mut libc::c_void),
+        flags: u64,
+        restorer: unsafe extern "C" fn(),
+        mask: u64,
+    }
+
+    /// Returns from the signal handler: `rt_sigreturn`, the one call that always passes.
+    #[unsafe(naked)]
+    unsafe extern "C" fn restore() {
+        naked_asm!("mov eax, 15", "syscall", "ud2", ".balign 16");
+    }
+    /// Bytes of [`restore`], up to behind its `syscall`.
+    const RESTORE_BYTES: libc::c_ulong = 8;
+
+    extern "C" fn on_call(
+        _signal: libc::c_int,
+        _info: *mut libc::siginfo_t,
+        context: *mut libc::c_void,
+    ) {
+        SELECTOR.store(ALLOW, Ordering::Relaxed);
+        COUNT.fetch_add(1, Ordering::Relaxed);
+        // SAFETY: the kernel passes the context of the interrupted code; nobody else has it now.
+        let registers = unsafe { &mut (*context.cast::<libc::ucontext_t>()).uc_mcontext.gregs };
+        let register = |name: libc::c_int| registers[name as usize];
+        let result: i64;
+        // SAFETY: makes the very call that the counted code wanted to make, with its arguments.
+        unsafe {
+            asm!(
+                "syscall",
+                inlateout("rax") register(libc::REG_RAX) => result,
+                in("rdi") register(libc::REG_RDI),
+                in("rsi") register(libc::REG_RSI),
+                in("rdx") register(libc::REG_RDX),
+                in("r10") register(libc::REG_R10),
+                in("r8") register(libc::REG_R8),
+                in("r9") register(libc::REG_R9),
+                lateout("rcx") _,
+                lateout("r11") _,
+            );
+        }
+        registers[libc::REG_RAX as usize] = result;
+        SELECTOR.store(BLOCK, Ordering::Relaxed);
+    }
+
+    /// Counts the system calls of the calling thread. For processes of one thread: there is one
+    /// count.
+    #[derive(Debug)]
+    pub struct Counter(());
+
+    impl Counter {
+        /// A counter; `None` if this kernel does not offer one.
+        #[must_use]
+        pub fn new() -> Option<Self> {
+            let action = Action {
+                handler: on_call,
+                flags: libc::SA_SIGINFO as u64 | SA_RESTORER,
+                restorer: restore,
+                mask: 0,
+            };
+            let size = size_of_val(&action.mask);
+            let old = ptr::null_mut::<Action>();
+            // SAFETY: `action` is laid out as the kernel wants it, and its handler and restorer
+            // stay where they are. The selector is a static.
+            let refused = unsafe {
+                libc::syscall(libc::SYS_rt_sigaction, libc::SIGSYS, &action, old, size) != 0
+                    || libc::prctl(
+                        PR_SET_SYSCALL_USER_DISPATCH,
+                        ON,
+                        restore as unsafe extern "C" fn() as libc::c_ulong,
+                        RESTORE_BYTES,
+                        SELECTOR.as_ptr(),
+                    ) != 0
+            };
+            (!refused).then_some(Self(()))
+        }
+
+        /// How many system calls `code` makes. It must not start threads or processes.
+        pub fn count(&mut self, code: impl FnOnce()) -> u32 {
+            COUNT.store(0, Ordering::Relaxed);
+            SELECTOR.store(BLOCK, Ordering::SeqCst);
+            code();
+            SELECTOR.store(ALLOW, Ordering::SeqCst);
+            COUNT.load(Ordering::Relaxed)
+        }
+    }
+
+    impl Drop for Counter {
+        fn drop(&mut self) {
+            let zero: libc::c_ulong = 0;
+            // SAFETY: takes no pointer here.
+            unsafe { libc::prctl(PR_SET_SYSCALL_USER_DISPATCH, OFF, zero, zero, zero) };
+        }
+    }
+}
+
+/// Where system calls cannot be counted.
+#[cfg(not(all(target_os = "linux", target_arch = "x86_64")))]
+#[derive(Debug)]
+pub struct Counter(());
+
+#[cfg(not(all(target_os = "linux", target_arch = "x86_64")))]
+impl Counter {
+    /// `None`.
+    #[must_use]
+    pub fn new() -> Option<Self> {
+        None
+    }
+
+    /// Never called, as there is no counter.
+    pub fn count(&mut self, code: impl FnOnce()) -> u32 {
+        code();
+        0
+    }
+}
+
+#[cfg(test)]
+#[cfg(all(target_os = "linux", target_arch = "x86_64"))]
+mod tests {
+    use super::*;
+    use crate::shared::Shared;
+    use crate::stage::{Part, perform};
+
+    /// In a process of its own: the counter is the process's.
+    #[test]
+    fn calls_are_counted_and_made() {
+        let shared = Shared::new().unwrap();
+        let part = Part::on(0, |role| {
+            let Some(mut counter) = Counter::new() else {
+                role.log.note(0, -1.0);
+                return Ok(());
+            };
+            let none = counter.count(|| drop(std::hint::black_box(vec![1u8, 2, 3])));
+            let mut parents = [0; 3];
+            let some = counter.count(|| {
+                for parent in &mut parents {
+                    // SAFETY: takes no pointer.
+                    *parent = unsafe { libc::getppid() };
+                }
+            });
+            drop(counter);
+            // SAFETY: takes no pointer.
+            assert_eq!(parents, [unsafe { libc::getppid() }; 3]);
+            role.log.note(0, f64::from(none));
+            role.log.note(1, f64::from(some));
+            Ok(())
+        });
+        perform(&shared, vec![part]).unwrap();
+        let noted = [0, 1].map(|at| shared.log(0).noted(at));
+        assert!(noted == [0.0, 3.0] || noted[0] == -1.0, "{noted:?}");
+    }
+}
