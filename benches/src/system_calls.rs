@@ -96,7 +96,7 @@ mod dispatch {
                     || libc::prctl(
                         PR_SET_SYSCALL_USER_DISPATCH,
                         ON,
-                        restore as unsafe extern "C" fn() as libc::c_ulong,
+                        restore as unsafe extern "C" fn() as usize,
                         RESTORE_BYTES,
                         SELECTOR.as_ptr(),
                     ) != 0
