@@ -59,7 +59,7 @@ enum Task {
     },
     /// Model-check the primitives of shm with loom
     Loom,
-    /// Run the tests of shm under Miri, on 64 and on 32 bit
+    /// Run the tests of shm under Miri, on 64 and on 32 bit, and those of its interface for C
     Miri,
     /// Build, run and measure the bare-metal images under QEMU
     #[command(subcommand)]
@@ -172,23 +172,22 @@ fn loom(root: &Path) -> Result<()> {
 }
 
 fn miri(root: &Path) -> Result<()> {
-    for target in ["x86_64-unknown-linux-gnu", "i686-unknown-linux-gnu"] {
+    const BITS_64: &str = "x86_64-unknown-linux-gnu";
+    const BITS_32: &str = "i686-unknown-linux-gnu";
+    for tests in [
+        &["-p", "tandem-shm", "--target", BITS_64][..],
+        &["-p", "tandem-shm", "--target", BITS_32],
+        &["-p", "tandem-capi", "--test", "calls", "--target", BITS_32],
+    ] {
         // `cargo` of this process belongs to the stable toolchain; the shim chooses nightly.
         let mut command = Command::new("cargo");
         command
             .current_dir(root)
             .env_remove("RUSTUP_TOOLCHAIN")
-            .env_remove("CARGO");
-        command.args([
-            "+nightly",
-            "miri",
-            "test",
-            "-p",
-            "tandem-shm",
-            "--target",
-            target,
-        ]);
-        command.env("CARGO_TARGET_DIR", target_dir(root).join("miri"));
+            .env_remove("CARGO")
+            .args(["+nightly", "miri", "test"])
+            .args(tests)
+            .env("CARGO_TARGET_DIR", target_dir(root).join("miri"));
         run(command)?;
     }
     Ok(())

@@ -1,9 +1,9 @@
 //! The redundancy on two processors: core 0 of system A drives and stops dead; that of B takes
 //! over.
 //!
-//! Lines and CAN join them, through the board; `Redundancy` is the crate that the host runs. The
-//! log says when A died and B sent its first control frame. The status is 0 if B took over within
-//! the bound and nobody else ever was to drive.
+//! Lines and CAN join them, through the board. `Redundancy` and the protected frames are those of the
+//! host. The log says how long after the death of A the first control frame of B was sent. The
+//! status is 0 if that is within the bound and B had sent none before.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -14,6 +14,7 @@ use tandem_board::{
 };
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{cpu, entry, exit, log};
+use tandem_bus::{Control, Message, Receiver, Transmitter};
 use tandem_redundancy::{Config, ControlFrame, Input, Loaded, Mode, Redundancy, Role, Snapshot};
 use tandem_redundancy::{Takeover, Term};
 
@@ -24,7 +25,6 @@ const CONFIG: Config = Config::rt();
 const DIES_AFTER: Duration = Duration::from_us(1_000_350);
 /// Longer than start and takeover take.
 const LIMIT: Duration = Duration::from_ms(3_000);
-const CONTROL_ID: CanId = CanId::Standard(0x100);
 
 /// When A stopped, in microseconds since the start of the machine; 0 while it runs.
 static DIED_US: AtomicU32 = AtomicU32::new(0);
@@ -53,6 +53,8 @@ fn main(own: usize) -> ! {
 struct Core<'b> {
     board: &'b An521Board,
     machine: Redundancy,
+    transmitter: Transmitter,
+    receiver: Receiver,
     can_frames: u32,
     next_frame: Instant,
     takeover: Option<Takeover>,
@@ -66,6 +68,8 @@ impl<'b> Core<'b> {
         Self {
             board,
             machine,
+            transmitter: Transmitter::new(),
+            receiver: Receiver::new(),
             can_frames: 0,
             next_frame: now,
             takeover: None,
@@ -75,8 +79,8 @@ impl<'b> Core<'b> {
     /// One cycle; returns when the next is due, and whether a control frame was sent.
     fn cycle(&mut self) -> (Instant, bool) {
         while let Some(received) = self.board.can().try_receive() {
-            self.can_frames += 1;
-            if let Some(frame) = decode(&received.frame) {
+            if let Some(frame) = self.heard(&received.frame) {
+                self.can_frames += 1;
                 let now = self.board.now();
                 let actions = self.machine.on(now, Input::ControlFrame(frame));
                 self.carry_out(&actions);
@@ -90,11 +94,49 @@ impl<'b> Core<'b> {
         let sent = due && self.machine.may_transmit(self.board.now());
         if sent {
             self.next_frame = now + CONFIG.control_period;
-            // The transmit buffer of this board is never full.
-            let frame = encode(&self.machine, self.board.identity().system);
-            let _ = frame.map(|frame| self.board.can().try_send(&frame));
+            self.send_control();
         }
         (actions.deadline, sent)
+    }
+
+    /// A control frame of the other system that passed its protection.
+    fn heard(&mut self, frame: &CanFrame) -> Option<ControlFrame> {
+        let CanId::Standard(id) = frame.id() else {
+            return None;
+        };
+        match self.receiver.receive(id.into(), frame.data()) {
+            Ok(Message::Control { system, control }) => Some(ControlFrame {
+                system: SystemId::from_index(system.into())?,
+                term: Term::from_bits(control.term),
+                role: Role::from_code(control.role as u8)?,
+                mode: Mode::from_code(control.mode as u8)?,
+            }),
+            _ => None,
+        }
+    }
+
+    fn send_control(&mut self) {
+        let driven = if self.machine.mode() == Mode::L3 {
+            tandem_bus::Mode::L3
+        } else {
+            tandem_bus::Mode::DegradedL2
+        };
+        let message = Message::Control {
+            system: self.board.identity().system.index() as u8,
+            control: Control {
+                role: tandem_bus::Role::Master,
+                mode: driven,
+                term: self.machine.term().bits(),
+                steering_angle: 0.0,
+                acceleration: 0.0,
+                command_age: 0.0,
+            },
+        };
+        let encoded = self.transmitter.encode(&message);
+        let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
+        // The transmit buffer of this board is never full.
+        let sent = frame.is_ok_and(|frame| self.board.can().try_send(&frame).is_ok());
+        assert!(sent, "a control frame is one that the bus carries");
     }
 
     fn carry_out(&mut self, actions: &tandem_redundancy::Actions) {
@@ -103,29 +145,6 @@ impl<'b> Core<'b> {
         }
         self.takeover = self.takeover.or(actions.events.takeover());
     }
-}
-
-fn encode(machine: &Redundancy, system: SystemId) -> Option<CanFrame> {
-    let [a, b, c, d] = machine.term().bits().to_le_bytes();
-    let head = [
-        system.index() as u8,
-        machine.role().code(),
-        machine.mode().code(),
-    ];
-    let data = [a, b, c, d, head[0], head[1], head[2]];
-    CanFrame::new(CONTROL_ID, false, &data).ok()
-}
-
-fn decode(frame: &CanFrame) -> Option<ControlFrame> {
-    let &[a, b, c, d, system, role, mode] = frame.data() else {
-        return None;
-    };
-    Some(ControlFrame {
-        system: SystemId::from_index(system.into())?,
-        term: Term::from_bits(u32::from_le_bytes([a, b, c, d])),
-        role: Role::from_code(role)?,
-        mode: Mode::from_code(mode)?,
-    })
 }
 
 fn us(at: Instant) -> u32 {
