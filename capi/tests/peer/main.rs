@@ -8,6 +8,7 @@ mod takeover;
 use build::peer;
 use lmu::{ANSWER_WORDS, Bench, NEWEST, NEWEST_WORDS, ORDER_WORDS, Order, RING, RING_WORDS};
 use std::process::Command;
+use std::time::Duration;
 use tandem_shm::life::Life;
 use tandem_shm::{broadcast, newest};
 
@@ -88,6 +89,38 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     let answer = bench.ask(&[Order::Echo as u32, 5]);
     assert_eq!(answer[1], 16);
     bench.stop(child);
+}
+
+/// Killed at any moment: whoever takes the lock cleanly finds both words equal.
+#[test]
+fn c_is_killed_at_any_moment_and_the_lock_tells() {
+    let mut bench = Bench::new();
+    let mut lock = bench.lock(0, 1);
+    for generation in 1..=15 {
+        let mut child = bench.start(generation);
+        let [before, _] = bench.guarded();
+        bench.send(&[Order::Count as u32, 1 << 30]);
+        while bench.guarded()[0] == before {
+            bench.watch();
+        }
+        std::thread::sleep(Duration::from_micros(u64::from(generation) * 371 % 1000));
+        child.kill();
+        let life = Life::new(1, generation).unwrap();
+        assert!(bench.map().lives().mark_dead(life));
+        let taken = lock.lock(1_000, |_| std::thread::yield_now()).unwrap();
+        let [one, two] = bench.guarded();
+        if taken.is_recovered() {
+            assert!(
+                one == two || one == two + 1,
+                "more than one change: {one}, {two}"
+            );
+            bench.set_guarded([one, one]);
+        } else {
+            assert_eq!(one, two, "a lock that was given back guards what is whole");
+        }
+        drop(taken);
+        bench.drop_order();
+    }
 }
 
 #[test]

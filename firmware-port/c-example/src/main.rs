@@ -48,6 +48,8 @@ const LEAD: TaskId = task(4);
 const WORK_THERE: TaskId = task(1);
 
 const PINGS: u32 = 1_000;
+/// Rounds before the first one whose instructions count.
+const WARM_UP: u32 = 5;
 const TURNS: u32 = 300;
 const ITEMS: u32 = 500;
 /// Longer than any step takes, in ticks of 100 ns: 0.2 s, which a machine that only spins takes
@@ -151,11 +153,18 @@ fn ask(map: Map<'static>) {
     let lives = map.lives();
     wait_for("the core in C announces itself", || lives.current(IN_C));
 
+    let (mut least, mut most) = (u32::MAX, 0);
     for value in 0..PINGS {
+        let begin = hart::cycles();
         talk.tell(PING, value);
-        assert_eq!(talk.hear(), value * 2 + 1, "the answer to {value}");
+        let heard = talk.hear();
+        let took = hart::cycles().wrapping_sub(begin);
+        assert_eq!(heard, value * 2 + 1, "the answer to {value}");
+        if value >= WARM_UP {
+            (least, most) = (least.min(took), most.max(took));
+        }
     }
-    log!("signals       {PINGS} there and back, each with its value");
+    log!("signals       {PINGS} there and back with a value, {least} to {most} instructions each");
 
     take_results(map);
     log!("fifo, newest  {ITEMS} items of 16 words from Rust summed up in C, in place");

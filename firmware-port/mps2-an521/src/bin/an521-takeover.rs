@@ -1,8 +1,8 @@
 //! The redundancy on two processors: core 0 of system A drives and stops dead; that of B takes
 //! over.
 //!
-//! Lines and CAN join them, through the board. `Redundancy` and the protected frames are those of the
-//! host. The log says how long after the death of A the first control frame of B was sent. The
+//! Lines and CAN join them, through the board. `Redundancy` and the protected frames are those of
+//! the host. The log says how long after the death of A the first control frame of B was sent. The
 //! status is 0 if that is within the bound and B had sent none before.
 #![no_std]
 #![no_main]
