@@ -1,11 +1,12 @@
 //! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2.
 //! T-CHIP-3
 
+use crate::activity::TaskCode;
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
-use crate::layout::{ControllerMap, PLAN, Writer};
-use crate::schedule::Schedule;
-use crate::trace::Event;
+use crate::layout::{ControllerMap, PLAN, Writer, age_ns};
+use crate::schedule::{Release, Schedule};
+use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY, read_can};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
@@ -68,6 +69,19 @@ impl<'b, B: Board> Core1<'b, B> {
         });
     }
 
+    /// The task of this core.
+    fn run(&mut self, release: Release<()>) {
+        let task = TaskCode::PERCEPTION;
+        let begin = Begin::Released {
+            late_ns: age_ns(self.board.now(), release.at),
+            missed: release.missed,
+        };
+        self.board.trace(Event::TaskIn { task, begin }.encode());
+        self.cycle();
+        let leaves = Leaves::Done;
+        self.board.trace(Event::TaskOut { task, leaves }.encode());
+    }
+
     fn cycle(&mut self) {
         while let Some((at, message)) = read_can(self.board, &mut self.frames) {
             self.perception.on_message(at, &message);
@@ -76,10 +90,14 @@ impl<'b, B: Board> Core1<'b, B> {
             return;
         };
         let scene = self.perception.cycle(self.board.now());
+        let flow = scene.cycle;
         attached.scenes.publish(scene);
         attached.map.count_cycle();
+        let (core, task) = (CoreId::PLANNING, TaskCode::PLANNING);
+        self.board.trace(Event::Wake { core, task, flow }.encode());
         if attached.to_planning.signal(PLAN) == Ring::Needed {
-            self.board.ring(CoreId::PLANNING);
+            self.board.trace(Event::Ring { core }.encode());
+            self.board.ring(core);
         }
     }
 }
@@ -89,8 +107,8 @@ impl<B: Board> Core for Core1<'_, B> {
         if self.attached.is_none() {
             self.attach();
         }
-        while self.schedule.release(self.board.now()).is_some() {
-            self.cycle();
+        while let Some(release) = self.schedule.release(self.board.now()) {
+            self.run(release);
         }
         if self.attached.is_some() {
             self.schedule.next()

@@ -1,9 +1,10 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
+use crate::activity::TaskCode;
 use crate::driving::planning::Planner;
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{ControllerMap, FOLLOW, PLAN, Reader, Writer};
-use crate::trace::Event;
+use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
@@ -23,19 +24,38 @@ struct Planning<'b, B: Board> {
 }
 
 impl<B: Board> Planning<'_, B> {
-    fn plan(&mut self, _call: Call) {
+    fn run(&mut self, _call: Call) {
+        let (task, begin, leaves) = (TaskCode::PLANNING, Begin::Goes, Leaves::Done);
+        self.trace(Event::TaskIn { task, begin });
+        self.plan();
+        self.trace(Event::TaskOut { task, leaves });
+    }
+
+    fn plan(&mut self) {
         match self.scenes.fetch() {
             Ok(Some(scene)) => {
+                let flow = scene.cycle;
+                self.trace(Event::Woken {
+                    core: CoreId::PERCEPTION,
+                    flow,
+                });
                 let trajectory = self.planner.plan(&scene);
                 self.trajectories.publish(&trajectory);
                 self.map.count_cycle();
+                let (core, task) = (CoreId::CONTROL, TaskCode::FOLLOW);
+                self.trace(Event::Wake { core, task, flow });
                 if self.to_control.signal(FOLLOW) == Ring::Needed {
-                    self.board.ring(CoreId::CONTROL);
+                    self.trace(Event::Ring { core });
+                    self.board.ring(core);
                 }
             }
             Ok(None) => {}
-            Err(_) => self.board.trace(Event::Refused { id: 0 }.encode()),
+            Err(_) => self.trace(Event::Refused { id: 0 }),
         }
+    }
+
+    fn trace(&self, event: Event) {
+        self.board.trace(event.encode());
     }
 }
 
@@ -60,7 +80,7 @@ impl<'b, B: Board> Core2<'b, B> {
         );
         let mut tasks = TaskTable::new();
         // The table is new, so the id is free.
-        let _taken = tasks.add(PLAN, Planning::plan, 0);
+        let _taken = tasks.add(PLAN, Planning::run, 0);
         Self {
             board,
             tasks,

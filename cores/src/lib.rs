@@ -13,6 +13,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod activity;
 pub mod core0;
 pub mod core1;
 pub mod core2;

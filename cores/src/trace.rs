@@ -1,9 +1,54 @@
 //! What the cores write to the board's trace: four words an event.
 //!
-//! The trace is for people and reports; nothing that drives reads it.
+//! The trace is for people and reports; nothing that drives reads it. `docs/tracing.md` shows what
+//! becomes of it. Codes of tasks and interrupts are those of [`crate::activity`].
+//!
+//! Who schedules writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
+//! a kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with
+//! [`Begin::Goes`], *switched out* is `TaskOut` with what the task does next, *moved to ready* is
+//! `Ready`, entry and exit of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from
+//! its release (`Ready`, [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut`
+//! that says [`Leaves::Done`].
 
-use tandem_board::{Duration, TraceRecord};
+use crate::activity::{IrqCode, TaskCode};
+use tandem_board::{CoreId, Duration, TraceRecord};
 use tandem_redundancy::{Evidence, Phase};
+
+/// How a task comes to the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Begin {
+    /// It goes on, or begins a job whose release an [`Event::Ready`] or [`Event::Woken`] tells.
+    Goes,
+    /// It begins a job.
+    Released {
+        /// Time since the release, ns.
+        late_ns: u32,
+        /// Releases before this one that no job answered.
+        missed: u32,
+    },
+}
+
+/// What a task does that leaves the CPU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Leaves {
+    /// Its job is done; it waits for the next release.
+    Done,
+    /// It waits for something within its job.
+    Blocked,
+    /// It could go on, but another one goes first.
+    Preempted,
+}
+
+impl Leaves {
+    const fn from_code(code: u8) -> Option<Self> {
+        Some(match code {
+            0 => Self::Done,
+            1 => Self::Blocked,
+            2 => Self::Preempted,
+            _ => return None,
+        })
+    }
+}
 
 /// One thing that happened on a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,6 +145,68 @@ pub enum Event {
         /// CAN id, or 0 for the LMU.
         id: u32,
     },
+    /// A task has the CPU from now on.
+    TaskIn {
+        /// Which.
+        task: TaskCode,
+        /// How it came to it.
+        begin: Begin,
+    },
+    /// A task gives the CPU up.
+    TaskOut {
+        /// Which.
+        task: TaskCode,
+        /// Why.
+        leaves: Leaves,
+    },
+    /// A job of a task is released, or goes on as soon as it gets the CPU.
+    Ready {
+        /// Which.
+        task: TaskCode,
+    },
+    /// The handler of an interrupt begins.
+    IrqIn {
+        /// Which.
+        irq: IrqCode,
+    },
+    /// The handler of an interrupt ends.
+    IrqOut {
+        /// Which.
+        irq: IrqCode,
+    },
+    /// A pending interrupt ended the core's sleep; no handler ran.
+    Interrupted {
+        /// Which.
+        irq: IrqCode,
+    },
+    /// This core is about to signal a task of another one.
+    Wake {
+        /// To which core.
+        core: CoreId,
+        /// To which of its tasks.
+        task: TaskCode,
+        /// Number of the signal: that of its [`Event::Woken`].
+        flow: u32,
+    },
+    /// This core is about to ring the doorbell of another one, which may be asleep.
+    Ring {
+        /// Whose.
+        core: CoreId,
+    },
+    /// The running task takes up a signal of another core.
+    Woken {
+        /// From which core.
+        core: CoreId,
+        /// Number of the signal.
+        flow: u32,
+    },
+    /// The stack of a task was never fuller than this.
+    Stack {
+        /// Which.
+        task: TaskCode,
+        /// Bytes that were never used.
+        free_bytes: u32,
+    },
 }
 
 impl From<tandem_redundancy::Event> for Event {
@@ -173,6 +280,21 @@ impl Event {
             Self::CoreSilent { core } => [head(14, core, 0, 0), 0, 0, 0],
             Self::DeadlineMiss { missed } => [head(15, 0, 0, 0), missed, 0, 0],
             Self::Refused { id } => [head(16, 0, 0, 0), id, 0, 0],
+            Self::TaskIn { task, begin } => match begin {
+                Begin::Goes => [head(17, task.0, 0, 0), 0, 0, 0],
+                Begin::Released { late_ns, missed } => [head(17, task.0, 1, 0), late_ns, missed, 0],
+            },
+            Self::TaskOut { task, leaves } => [head(18, task.0, leaves as u8, 0), 0, 0, 0],
+            Self::Ready { task } => [head(19, task.0, 0, 0), 0, 0, 0],
+            Self::IrqIn { irq } => [head(20, irq.0, 0, 0), 0, 0, 0],
+            Self::IrqOut { irq } => [head(21, irq.0, 0, 0), 0, 0, 0],
+            Self::Interrupted { irq } => [head(22, irq.0, 0, 0), 0, 0, 0],
+            Self::Wake { core, task, flow } => {
+                [head(23, core.index() as u8, task.0, 0), flow, 0, 0]
+            }
+            Self::Woken { core, flow } => [head(24, core.index() as u8, 0, 0), flow, 0, 0],
+            Self::Stack { task, free_bytes } => [head(25, task.0, 0, 0), free_bytes, 0, 0],
+            Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
         }
     }
 
@@ -225,6 +347,41 @@ impl Event {
             14 => Self::CoreSilent { core: a },
             15 => Self::DeadlineMiss { missed: x },
             16 => Self::Refused { id: x },
+            17 => Self::TaskIn {
+                task: TaskCode(a),
+                begin: match b {
+                    0 => Begin::Goes,
+                    1 => Begin::Released {
+                        late_ns: x,
+                        missed: y,
+                    },
+                    _ => return None,
+                },
+            },
+            18 => Self::TaskOut {
+                task: TaskCode(a),
+                leaves: Leaves::from_code(b)?,
+            },
+            19 => Self::Ready { task: TaskCode(a) },
+            20 => Self::IrqIn { irq: IrqCode(a) },
+            21 => Self::IrqOut { irq: IrqCode(a) },
+            22 => Self::Interrupted { irq: IrqCode(a) },
+            23 => Self::Wake {
+                core: CoreId::new(a)?,
+                task: TaskCode(b),
+                flow: x,
+            },
+            24 => Self::Woken {
+                core: CoreId::new(a)?,
+                flow: x,
+            },
+            25 => Self::Stack {
+                task: TaskCode(a),
+                free_bytes: x,
+            },
+            26 => Self::Ring {
+                core: CoreId::new(a)?,
+            },
             _ => return None,
         })
     }
@@ -240,6 +397,10 @@ mod tests {
             from,
             to,
             on: Evidence::PeerOff,
+        };
+        let leaves = |leaves| Event::TaskOut {
+            task: TaskCode::MONITORING,
+            leaves,
         };
         let events = [
             Event::Started {
@@ -280,11 +441,52 @@ mod tests {
             Event::CoreSilent { core: 2 },
             Event::DeadlineMiss { missed: 5 },
             Event::Refused { id: 0x110 },
+            Event::TaskIn {
+                task: TaskCode::CONTROL,
+                begin: Begin::Goes,
+            },
+            Event::TaskIn {
+                task: TaskCode(200),
+                begin: Begin::Released {
+                    late_ns: 12,
+                    missed: 3,
+                },
+            },
+            leaves(Leaves::Done),
+            leaves(Leaves::Blocked),
+            leaves(Leaves::Preempted),
+            Event::Ready {
+                task: TaskCode::STATUS,
+            },
+            Event::IrqIn { irq: IrqCode::TICK },
+            Event::IrqOut { irq: IrqCode::CAN },
+            Event::Interrupted {
+                irq: IrqCode::DOORBELL,
+            },
+            Event::Wake {
+                core: CoreId::PLANNING,
+                task: TaskCode::PLANNING,
+                flow: 77,
+            },
+            Event::Woken {
+                core: CoreId::PERCEPTION,
+                flow: 77,
+            },
+            Event::Stack {
+                task: TaskCode::IDLE,
+                free_bytes: 900,
+            },
+            Event::Ring {
+                core: CoreId::CONTROL,
+            },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
         }
         assert_eq!(Event::decode([0; 4]), None);
         assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
+        for strange in [0x0002_0011, 0x0003_0012, 0x0000_0317, 0x0000_0318, 27] {
+            assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
+        }
     }
 }

@@ -2,13 +2,13 @@
 
 use core::sync::atomic::Ordering::SeqCst;
 use core::sync::atomic::{AtomicBool, AtomicU32, fence};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use tandem_board::{Board, CoreId, Identity, Instant, SystemId, TraceRecord, Wake};
-use tandem_shm::{FitError, fifo};
+use tandem_shm::FitError;
 
 use crate::args::CoreArgs;
-use crate::backplane::{Backplane, BackplaneError, RINGS, core_index};
+use crate::backplane::{Backplane, BackplaneError, core_index};
 use crate::bell::{Bell, BellError, Ringers};
 use crate::can::HostCan;
 use crate::clock;
@@ -17,7 +17,7 @@ use crate::lines::{HostLines, HostLink};
 use crate::name::RunName;
 use crate::registers::HostSupply;
 use crate::segment::{Segment, SegmentError};
-use crate::wire;
+use crate::tape::Tape;
 
 /// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
 pub const LMU_WORDS: usize = 8192;
@@ -64,7 +64,7 @@ pub struct HostBoard {
     link: HostLink,
     flash: HostFlash,
     supply: HostSupply,
-    trace: Mutex<fifo::Producer<'static>>,
+    tape: Tape,
 }
 
 impl HostBoard {
@@ -80,7 +80,8 @@ impl HostBoard {
         let backplane = Backplane::open(&args.common.run)?;
         let lmu = open_lmu(&args.common.run, of.system, backplane.power_ons(of.system))?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
-        let trace = RINGS.trace[core_index(of.system, of.core)];
+        let tape = backplane.tape(core_index(of.system, of.core));
+        tape.begin_life();
         let board = Self {
             of,
             backplane,
@@ -93,7 +94,7 @@ impl HostBoard {
             link: HostLink::attach(backplane, of)?,
             flash: HostFlash::open(&args.flash)?,
             supply: HostSupply::attach(backplane, of)?,
-            trace: Mutex::new(fifo::Producer::attach(backplane.ring(trace), trace.shape)?),
+            tape,
         };
         backplane.set_bell_generation(of.system, of.core, of.generation);
         // Pairs with the fence in `Ringers::ring`: a ringer that did not find this bell has written
@@ -164,9 +165,7 @@ impl Board for HostBoard {
     }
 
     fn trace(&self, record: TraceRecord) {
-        let record = wire::encode_trace(clock::now(), record);
-        let mut trace = self.trace.lock().unwrap_or_else(PoisonError::into_inner);
-        if trace.send(&record).is_err() {
+        if self.tape.write(clock::now(), record).is_err() {
             self.backplane
                 .count_lost_trace(self.of.system, self.of.core);
         }

@@ -15,6 +15,7 @@
 //! From every state: ignition off or vehicle gone → cores are killed, end.
 
 use std::os::fd::OwnedFd;
+use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
@@ -25,13 +26,14 @@ use tandem_board::{
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
-use crate::backplane::{Backplane, BackplaneError, Place, RINGS};
+use crate::backplane::{Backplane, BackplaneError, Place, RINGS, supply_tape};
 use crate::bell::Ringers;
 use crate::board::create_lmu;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
+use crate::supply_trace::SupplyEvent;
 use crate::watchdog::{Watchdog, WatchdogFault};
 use crate::wire::SERVICE_WORDS;
 
@@ -86,6 +88,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
     let lmu = create_lmu(&args.common.run, args.system, power_on)?;
+    backplane.tape(supply_tape(args.system)).begin_life();
     let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else {
         return Ok(());
     };
@@ -218,9 +221,16 @@ impl Supply<'_> {
         for core in CoreId::ALL {
             let place = &mut self.cores[core.index()];
             let Some(powered) = place else { continue };
-            if !matches!(powered.child.try_wait(), Ok(None)) {
+            let ended = powered.child.try_wait();
+            if !matches!(ended, Ok(None)) {
                 *place = None;
                 self.backplane.set_core_pid(self.args.system, core, 0);
+                if on {
+                    let status = ended.ok().flatten();
+                    let signal = status.and_then(|status| status.signal()).unwrap_or(0);
+                    let signal = u8::try_from(signal).unwrap_or(0);
+                    self.trace(SupplyEvent::CoreDied { core, signal });
+                }
                 // Cores 1 and 2 are core 0's to supervise: it notices and asks for a reset.
                 if core == CoreId::CONTROL && on {
                     self.reset(now, ResetCause::Trap);
@@ -242,6 +252,7 @@ impl Supply<'_> {
             Some(ResetRequest::Suspend) => {
                 self.reset(now, ResetCause::Software);
                 self.state = State::Suspended;
+                self.trace(SupplyEvent::Suspended);
                 self.backplane
                     .show_role(self.args.system, RoleLamp::Suspended);
             }
@@ -276,6 +287,7 @@ impl Supply<'_> {
         };
         self.set_level(self.args.system, false);
         self.kill_cores();
+        self.trace(SupplyEvent::Reset(cause));
         self.backplane
             .show_role(self.args.system, RoleLamp::Starting);
         if now.since(since) >= STABLE {
@@ -334,10 +346,17 @@ impl Supply<'_> {
         // A core that cannot be started is one that died at its start: for core 0 that is a reset,
         // as the watchdog is not served.
         if let Ok(child) = spawn::spawn_bound(&mut command) {
+            self.trace(SupplyEvent::CoreStarted { core, generation });
             self.backplane.set_core_pid(system, core, child.id());
             let watched = Watched::new(child.id());
             self.cores[core.index()] = Some(PoweredCore { child, watched });
         }
+    }
+
+    /// Writes to the supply's trace. A full trace loses it: nothing that drives reads it.
+    fn trace(&self, event: SupplyEvent) {
+        let tape = self.backplane.tape(supply_tape(self.args.system));
+        let _ = tape.write(clock::now(), event.encode());
     }
 
     fn kill_cores(&mut self) {

@@ -6,11 +6,13 @@ use tandem_board::{
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
-use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index};
+use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index, supply_tape};
 use crate::bell::Ringers;
 use crate::clock;
 use crate::spawn::Watched;
-use crate::wire::{FRAME_WORDS, Origin, TRACE_WORDS, Wired, decode_trace};
+use crate::supply_trace::SupplyEvent;
+use crate::tape::Reader;
+use crate::wire::{FRAME_WORDS, Origin, Wired};
 
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -55,6 +57,7 @@ pub struct WorldPort {
     backplane: Backplane,
     ringers: Ringers,
     from_cores: Vec<Node>,
+    from_supplies: [Reader; 2],
     bus: broadcast::Sender<'static>,
     /// Empty between calls; kept for its memory.
     sent: Vec<(SystemId, CoreId, Received)>,
@@ -69,7 +72,7 @@ struct Node {
     system: SystemId,
     core: CoreId,
     frames: fifo::Consumer<'static>,
-    trace: fifo::Consumer<'static>,
+    trace: Reader,
     lost: u32,
 }
 
@@ -85,12 +88,12 @@ impl WorldPort {
         for system in SystemId::ALL {
             for core in CoreId::ALL {
                 let index = core_index(system, core);
-                let (frames, trace) = (RINGS.transmit[index], RINGS.trace[index]);
+                let frames = RINGS.transmit[index];
                 from_cores.push(Node {
                     system,
                     core,
                     frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
-                    trace: fifo::Consumer::attach(backplane.ring(trace), trace.shape)?,
+                    trace: Reader::new(backplane.tape(index)),
                     lost: backplane.lost_trace(system, core),
                 });
             }
@@ -100,6 +103,8 @@ impl WorldPort {
             backplane,
             ringers: Ringers::new(&args.common.run),
             from_cores,
+            from_supplies: SystemId::ALL
+                .map(|system| Reader::new(backplane.tape(supply_tape(system)))),
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
             sent: vec![],
             emptied: clock::now(),
@@ -201,10 +206,8 @@ impl WorldPort {
     /// each core, and returns how many were lost.
     pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         let mut lost = 0;
-        let mut words = [0; TRACE_WORDS];
         for node in &mut self.from_cores {
-            while node.trace.receive_into(&mut words) {
-                let (at, record) = decode_trace(words);
+            while let Some((at, record)) = node.trace.next() {
                 into(Traced {
                     at,
                     system: node.system,
@@ -216,6 +219,32 @@ impl WorldPort {
             lost += total.wrapping_sub(core::mem::replace(&mut node.lost, total));
         }
         lost
+    }
+
+    /// Takes what no core will complete any more: the records that stand behind one which its
+    /// writer was killed in. Only when the run is over.
+    pub fn salvage_trace(&mut self, into: &mut dyn FnMut(Traced)) {
+        for node in &mut self.from_cores {
+            while let Some((at, record)) = node.trace.salvage() {
+                into(Traced {
+                    at,
+                    system: node.system,
+                    core: node.core,
+                    record,
+                });
+            }
+        }
+    }
+
+    /// Takes what the supplies have done since the last call, in the order of each supply.
+    pub fn drain_supplies(&mut self, into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {
+        for (system, trace) in SystemId::ALL.into_iter().zip(&mut self.from_supplies) {
+            while let Some((at, record)) = trace.next() {
+                if let Some(event) = SupplyEvent::decode(record) {
+                    into(at, system, event);
+                }
+            }
+        }
     }
 
     /// What the system shows of its role.

@@ -8,11 +8,12 @@ mod alive;
 mod drive;
 mod frames;
 
+use crate::activity::TaskCode;
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Scene, Trajectory};
 use crate::layout::{ControllerMap, FOLLOW, Reader, age_ns};
 use crate::schedule::{Release, Schedule};
-use crate::trace::Event;
+use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core, RETRY, read_can};
 use alive::Alive;
 use drive::Drive;
@@ -40,8 +41,8 @@ enum Task {
 
 /// Period of the control task.
 pub const CONTROL_PERIOD: Duration = Duration::from_ms(10);
-const SUPERVISE_PERIOD: Duration = Duration::from_ms(5);
-const STATUS_PERIOD: Duration = Duration::from_ms(100);
+pub(crate) const SUPERVISE_PERIOD: Duration = Duration::from_ms(5);
+pub(crate) const STATUS_PERIOD: Duration = Duration::from_ms(100);
 /// While the start protocol waits for cores 1 and 2, core 0 looks this often.
 const BOOT_POLL: Duration = Duration::from_ms(1);
 
@@ -165,12 +166,21 @@ impl<'b, B: Board> Core0<'b, B> {
         let mut signalled = false;
         lmu.from_planning
             .poll(|open| signalled |= open.task == FOLLOW);
+        let task = TaskCode::FOLLOW;
+        if signalled {
+            let begin = Begin::Goes;
+            self.board.trace(Event::TaskIn { task, begin }.encode());
+        }
         let (scene, trajectory) = (lmu.scenes.fetch(), lmu.trajectories.fetch());
         let now = self.board.now();
         match trajectory {
             Ok(Some(trajectory)) => {
                 let latency_ns = age_ns(now, trajectory.at);
                 if signalled {
+                    self.trace(Event::Woken {
+                        core: CoreId::PLANNING,
+                        flow: trajectory.cycle,
+                    });
                     self.trace(Event::Chain {
                         latency_ns,
                         cycle: trajectory.cycle,
@@ -188,6 +198,9 @@ impl<'b, B: Board> Core0<'b, B> {
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),
+        }
+        if signalled {
+            self.done(task);
         }
     }
 
@@ -271,6 +284,18 @@ impl<'b, B: Board> Core0<'b, B> {
         }
     }
 
+    /// Whether a poll comes because the redundancy wants to be asked, and how late.
+    fn begin_of_poll(&self) -> Begin {
+        let now = self.board.now();
+        if now < self.redundancy_due {
+            return Begin::Goes;
+        }
+        Begin::Released {
+            late_ns: age_ns(now, self.redundancy_due),
+            missed: 0,
+        }
+    }
+
     fn poll_redundancy(&mut self) {
         let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
         let Some(redundancy) = &mut self.redundancy else {
@@ -299,7 +324,7 @@ impl<'b, B: Board> Core0<'b, B> {
             // A takeover does not wait for the grid of the cycle: it begins a new one.
             let at = self.board.now();
             self.schedule.restart(Task::Control, at + CONTROL_PERIOD);
-            self.control(Release {
+            self.run(Release {
                 task: Task::Control,
                 at,
                 missed: 0,
@@ -335,11 +360,28 @@ impl<'b, B: Board> Core0<'b, B> {
     }
 
     fn run(&mut self, release: Release<Task>) {
+        let task = match release.task {
+            Task::Control => TaskCode::CONTROL,
+            Task::Supervise => TaskCode::MONITORING,
+            Task::Status => TaskCode::STATUS,
+        };
+        let begin = Begin::Released {
+            late_ns: age_ns(self.board.now(), release.at),
+            missed: release.missed,
+        };
+        self.trace(Event::TaskIn { task, begin });
         match release.task {
             Task::Control => self.control(release),
             Task::Supervise => self.supervise(),
             Task::Status => self.send_status(),
         }
+        self.done(task);
+    }
+
+    /// The running task's job is done.
+    fn done(&self, task: TaskCode) {
+        let leaves = Leaves::Done;
+        self.trace(Event::TaskOut { task, leaves });
     }
 
     fn control(&mut self, release: Release<Task>) {
@@ -353,7 +395,21 @@ impl<'b, B: Board> Core0<'b, B> {
         let Some(redundancy) = &mut self.redundancy else {
             return;
         };
-        let output = self.drive.cycle(begin, redundancy.mode());
+        let mode = redundancy.mode();
+        let degraded = mode == Mode::DegradedL2;
+        let task = TaskCode::DEGRADED;
+        if degraded {
+            let begin = Begin::Released {
+                late_ns: 0,
+                missed: 0,
+            };
+            self.board.trace(Event::TaskIn { task, begin }.encode());
+        }
+        let output = self.drive.cycle(begin, mode);
+        if degraded {
+            let leaves = Leaves::Done;
+            self.board.trace(Event::TaskOut { task, leaves }.encode());
+        }
         let report = redundancy.link_report();
         // A full link means that the other does not fetch: it will miss this report and get the
         // next.
@@ -439,6 +495,11 @@ impl<'b, B: Board> Core0<'b, B> {
 
 impl<B: Board> Core for Core0<'_, B> {
     fn poll(&mut self) -> Instant {
+        let task = TaskCode::REDUNDANCY;
+        self.trace(Event::TaskIn {
+            task,
+            begin: self.begin_of_poll(),
+        });
         if self.lmu.is_none() {
             self.attach();
         }
@@ -448,6 +509,7 @@ impl<B: Board> Core for Core0<'_, B> {
         self.read_bus();
         self.poll_redundancy();
         self.store.drive(self.board.flash());
+        self.done(task);
         while let Some(release) = self.schedule.release(self.board.now()) {
             self.run(release);
         }

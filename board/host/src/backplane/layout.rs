@@ -3,12 +3,14 @@
 use tandem_board::{CoreId, Edge, Line, SystemId};
 use tandem_shm::{Shape, broadcast, fifo};
 
-use crate::wire;
+use crate::{tape, wire};
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
 /// Both systems' cores.
 const CORES: usize = 2 * CoreId::COUNT;
+/// Who writes a trace: the cores and the supplies.
+const TAPES: usize = CORES + 2;
 
 /// Registers of the run.
 #[derive(Clone, Copy)]
@@ -78,6 +80,11 @@ pub(crate) const fn core_index(system: SystemId, core: CoreId) -> usize {
     system.index() * CoreId::COUNT + core.index()
 }
 
+/// Index of a supply's trace.
+pub(crate) const fn supply_tape(system: SystemId) -> usize {
+    CORES + system.index()
+}
+
 /// A ring in the backplane.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place {
@@ -100,8 +107,8 @@ pub(crate) struct Rings {
     pub(crate) link: [Place; 2],
     /// Watchdog services of each system.
     pub(crate) service: [Place; 2],
-    /// Trace of each core.
-    pub(crate) trace: [Place; CORES],
+    /// Trace of each core, then of each supply.
+    pub(crate) trace: [Place; TAPES],
 }
 
 /// Frames that wait for the bus, which fetches them every millisecond.
@@ -112,8 +119,6 @@ const RECEIVE: Shape = Shape::new(1024, wire::FRAME_WORDS);
 const LINK: Shape = Shape::new(16, wire::LINK_WORDS);
 /// Services that the supply may be behind.
 const SERVICE: Shape = Shape::new(16, wire::SERVICE_WORDS);
-/// Records that the vehicle, which fetches them every millisecond, may be behind.
-const TRACE: Shape = Shape::new(2048, wire::TRACE_WORDS);
 
 /// Where the rings lie.
 pub(crate) const RINGS: Rings = RINGS_AND_END.0;
@@ -146,11 +151,21 @@ const RINGS_AND_END: (Rings, usize) = {
         shape: LINK,
     };
     let mut transmit = [nothing; CORES];
-    let mut trace = [nothing; CORES];
     let mut n = 0;
     while n < CORES {
         transmit[n] = fifo_at(at, TRANSMIT);
-        trace[n] = fifo_at(end(transmit[n]), TRACE);
+        at = end(transmit[n]);
+        n += 1;
+    }
+    let mut trace = [nothing; TAPES];
+    let mut n = 0;
+    while n < TAPES {
+        // Its slots are the tape's own business.
+        trace[n] = Place {
+            at,
+            words: tape::WORDS,
+            shape: LINK,
+        };
         at = end(trace[n]);
         n += 1;
     }

@@ -1,0 +1,315 @@
+//! The ring that a core writes its trace to: it outlives the core, and no writer ever waits.
+//!
+//! A bounded queue of many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
+//! reserves the next slot by compare-and-swap, fills it, and marks it as filled with the number of
+//! its turn. A writer is a task or a handler of one core: one that is interrupted between the two
+//! steps, or killed, stops nobody but the reader, and that only at this slot. A full ring refuses
+//! the record: what is there stays, and the caller counts what is not.
+//!
+//! A slot that was reserved by a life that is over is never filled. [`Tape::begin_life`] of the
+//! next life, which the supply starts only after the death of the one before, marks such slots as
+//! void, and [`Reader::salvage`] reads around them when nobody writes any more.
+
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+
+use tandem_board::{Instant, TraceRecord};
+
+use crate::wire::{TRACE_WORDS, decode_trace, encode_trace};
+
+/// Words of a cache line.
+const LINE: usize = 16;
+/// Line 0, written by the core: how many slots were reserved; wraps around.
+const RESERVED_AT: usize = 0;
+/// Line 1, written by the reader: how many slots were read; wraps around.
+const READ_AT: usize = LINE;
+const SLOTS_AT: usize = 2 * LINE;
+/// A record, its turn, and a word that is not used: two slots are a cache line.
+const SLOT_WORDS: usize = 8;
+const TURN_AT: usize = TRACE_WORDS;
+/// First word of a record that is none: [`decode_trace`] never yields it to anyone.
+const VOID_AT: usize = TRACE_WORDS + 1;
+
+/// Slots of a ring. At the load of core 0, some 4000 records a second, a second.
+pub(crate) const SLOTS: u32 = 4096;
+/// Words of a ring.
+pub(crate) const WORDS: usize = SLOTS_AT + SLOTS as usize * SLOT_WORDS;
+
+/// The writing side.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tape {
+    words: &'static [AtomicU32],
+}
+
+/// The ring is full: the record was not written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Full;
+
+impl Tape {
+    /// The ring in these words, zero when nobody has written yet.
+    ///
+    /// # Panics
+    /// If there are not [`WORDS`] of them.
+    pub(crate) fn new(words: &'static [AtomicU32]) -> Self {
+        assert_eq!(words.len(), WORDS, "the words of a trace");
+        Self { words }
+    }
+
+    fn slot(self, ticket: u32) -> &'static [AtomicU32] {
+        let first = SLOTS_AT + (ticket % SLOTS) as usize * SLOT_WORDS;
+        &self.words[first..first + SLOT_WORDS]
+    }
+
+    /// Marks what an earlier life of this core has reserved and not filled as void. To be called
+    /// once in a life, before its first record, when no earlier life runs any more.
+    pub(crate) fn begin_life(self) {
+        let reserved = self.words[RESERVED_AT].load(Relaxed);
+        let read = self.words[READ_AT].load(Acquire);
+        if reserved.wrapping_sub(read) > SLOTS {
+            // No writer and no reader did this: begin anew where the reader stands.
+            self.words[RESERVED_AT].store(read, Relaxed);
+            return;
+        }
+        let mut ticket = read;
+        while ticket != reserved {
+            let slot = self.slot(ticket);
+            if slot[TURN_AT].load(Relaxed) != ticket.wrapping_add(1) {
+                slot[VOID_AT].store(1, Relaxed);
+                // Release pairs with the Acquire in `Reader::next`.
+                slot[TURN_AT].store(ticket.wrapping_add(1), Release);
+            }
+            ticket = ticket.wrapping_add(1);
+        }
+    }
+
+    /// Writes a record. From any task or handler of the core; never blocks, no system call.
+    ///
+    /// # Errors
+    /// [`Full`]
+    pub(crate) fn write(self, at: Instant, record: TraceRecord) -> Result<(), Full> {
+        let mut ticket = self.words[RESERVED_AT].load(Relaxed);
+        loop {
+            // Acquire pairs with the Release in `Reader::next`: the slot was read.
+            let read = self.words[READ_AT].load(Acquire);
+            if ticket.wrapping_sub(read) >= SLOTS {
+                return Err(Full);
+            }
+            let next = ticket.wrapping_add(1);
+            match self.words[RESERVED_AT].compare_exchange_weak(ticket, next, Relaxed, Relaxed) {
+                Ok(_) => break,
+                Err(now) => ticket = now,
+            }
+        }
+        let slot = self.slot(ticket);
+        for (word, value) in slot.iter().zip(encode_trace(at, record)) {
+            word.store(value, Relaxed);
+        }
+        slot[VOID_AT].store(0, Relaxed);
+        // Release pairs with the Acquire in `Reader::next`: who sees the turn sees the record.
+        slot[TURN_AT].store(ticket.wrapping_add(1), Release);
+        Ok(())
+    }
+}
+
+/// The reading side. There is one at a time; a successor goes on where it ended.
+#[derive(Debug)]
+pub(crate) struct Reader {
+    tape: Tape,
+    read: u32,
+}
+
+impl Reader {
+    pub(crate) fn new(tape: Tape) -> Self {
+        let read = tape.words[READ_AT].load(Relaxed);
+        Self { tape, read }
+    }
+
+    /// The next record; `None` if there is none, or the next one is just being written.
+    pub(crate) fn next(&mut self) -> Option<(Instant, TraceRecord)> {
+        loop {
+            let slot = self.tape.slot(self.read);
+            // Acquire pairs with the Release in `Tape::write`.
+            if slot[TURN_AT].load(Acquire) != self.read.wrapping_add(1) {
+                return None;
+            }
+            let found = self.take(slot);
+            if found.is_some() {
+                return found;
+            }
+        }
+    }
+
+    /// The next record, past slots that were never filled. Only when the core runs no more.
+    pub(crate) fn salvage(&mut self) -> Option<(Instant, TraceRecord)> {
+        let reserved = self.tape.words[RESERVED_AT].load(Relaxed);
+        // More than there are slots is no state of this ring.
+        let left = reserved.wrapping_sub(self.read).min(SLOTS);
+        for _ in 0..left {
+            if let Some(found) = self.next() {
+                return Some(found);
+            }
+            if self.read == reserved {
+                return None;
+            }
+            self.release();
+        }
+        None
+    }
+
+    fn take(&mut self, slot: &[AtomicU32]) -> Option<(Instant, TraceRecord)> {
+        let mut words = [0; TRACE_WORDS];
+        for (value, word) in words.iter_mut().zip(slot) {
+            *value = word.load(Relaxed);
+        }
+        let void = slot[VOID_AT].load(Relaxed) != 0;
+        self.release();
+        (!void).then(|| decode_trace(words))
+    }
+
+    fn release(&mut self) {
+        self.read = self.read.wrapping_add(1);
+        // Release pairs with the Acquire in `Tape::write`: the slot is read before it is refilled.
+        self.tape.words[READ_AT].store(self.read, Release);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words() -> &'static [AtomicU32] {
+        Box::leak((0..WORDS).map(|_| AtomicU32::new(0)).collect())
+    }
+
+    fn ends(words: &'static [AtomicU32]) -> (Tape, Reader) {
+        let tape = Tape::new(words);
+        (tape, Reader::new(tape))
+    }
+
+    fn at(n: u32) -> Instant {
+        Instant::from_ns(n.into())
+    }
+
+    fn all(reader: &mut Reader) -> Vec<u32> {
+        std::iter::from_fn(|| reader.next())
+            .map(|(_, record)| record[0])
+            .collect()
+    }
+
+    /// What a writer does that is killed after its reservation.
+    fn reserve_and_die(words: &[AtomicU32]) {
+        words[RESERVED_AT].fetch_add(1, Relaxed);
+    }
+
+    #[test]
+    fn records_come_in_order_through_many_rounds_and_a_full_ring_refuses() {
+        let words = words();
+        // Just before the counters wrap around.
+        words[RESERVED_AT].store(0u32.wrapping_sub(100), Relaxed);
+        words[READ_AT].store(0u32.wrapping_sub(100), Relaxed);
+        let (tape, mut reader) = ends(words);
+        for round in 0..3 {
+            for n in 0..SLOTS {
+                tape.write(at(n), [round * SLOTS + n, 1, 2, 3]).unwrap();
+            }
+            assert_eq!(tape.write(at(0), [9; 4]), Err(Full));
+            let expected: Vec<u32> = (round * SLOTS..(round + 1) * SLOTS).collect();
+            assert_eq!(all(&mut reader), expected);
+        }
+    }
+
+    #[test]
+    fn a_writer_that_was_interrupted_holds_back_what_came_after_it_and_loses_nothing() {
+        let words = words();
+        let (tape, mut reader) = ends(words);
+        tape.write(at(0), [1; 4]).unwrap();
+        reserve_and_die(words);
+        tape.write(at(2), [3; 4]).unwrap();
+        assert_eq!(all(&mut reader), [1]);
+        assert_eq!(all(&mut reader), []);
+        // It goes on, and fills its slot.
+        let slot = tape.slot(1);
+        for (word, value) in slot.iter().zip(encode_trace(at(1), [2; 4])) {
+            word.store(value, Relaxed);
+        }
+        slot[TURN_AT].store(2, Release);
+        assert_eq!(all(&mut reader), [2, 3]);
+    }
+
+    #[test]
+    fn what_a_killed_writer_never_filled_is_void_for_the_next_life() {
+        let words = words();
+        let (tape, mut reader) = ends(words);
+        // A slot of the second round holds an old record.
+        for n in 0..SLOTS {
+            tape.write(at(n), [n; 4]).unwrap();
+        }
+        assert_eq!(all(&mut reader).len(), SLOTS as usize);
+        tape.write(at(0), [100; 4]).unwrap();
+        reserve_and_die(words);
+        Tape::new(words).begin_life();
+        tape.write(at(1), [101; 4]).unwrap();
+        assert_eq!(all(&mut reader), [100, 101]);
+        // The void slot is a good one in the next round.
+        for n in 0..SLOTS {
+            tape.write(at(n), [n; 4]).unwrap();
+        }
+        assert_eq!(all(&mut reader).len(), SLOTS as usize);
+    }
+
+    #[test]
+    fn the_last_records_of_a_core_are_salvaged_around_its_hole() {
+        let words = words();
+        let (tape, mut reader) = ends(words);
+        tape.write(at(0), [1; 4]).unwrap();
+        reserve_and_die(words);
+        tape.write(at(2), [3; 4]).unwrap();
+        reserve_and_die(words);
+        let saved: Vec<u32> = std::iter::from_fn(|| reader.salvage())
+            .map(|(_, record)| record[0])
+            .collect();
+        assert_eq!(saved, [1, 3]);
+    }
+
+    #[test]
+    fn scribbled_counters_are_no_records_and_the_next_life_heals_the_ring() {
+        for (reserved, read) in [(7, 1 << 31), (1 << 31, 0), (0, 5)] {
+            let words = words();
+            words[RESERVED_AT].store(reserved, Relaxed);
+            words[READ_AT].store(read, Relaxed);
+            let (tape, mut reader) = ends(words);
+            assert!(all(&mut reader).is_empty());
+            tape.begin_life();
+            tape.write(at(0), [1; 4]).unwrap();
+            assert_eq!(all(&mut reader), [1], "{reserved} {read}");
+        }
+    }
+
+    #[test]
+    fn records_of_several_writers_are_whole_and_each_writers_in_order() {
+        const EACH: u32 = 50_000;
+        let words = words();
+        let (tape, mut reader) = ends(words);
+        std::thread::scope(|scope| {
+            for writer in 0..3 {
+                scope.spawn(move || {
+                    for n in 0..EACH {
+                        while tape.write(at(n), [writer, n, !n, n ^ 7]).is_err() {
+                            std::thread::yield_now();
+                        }
+                    }
+                });
+            }
+            let mut next = [0; 3];
+            while next != [EACH; 3] {
+                let Some((time, [writer, n, inverse, mixed])) = reader.next() else {
+                    std::thread::yield_now();
+                    continue;
+                };
+                assert_eq!((n, inverse, mixed), (next[writer as usize], !n, n ^ 7));
+                assert_eq!(time, at(n));
+                next[writer as usize] += 1;
+            }
+        });
+    }
+}
