@@ -2,11 +2,13 @@
 
 use crate::plan::{Profile, RunPlan};
 use anyhow::Context as _;
-use tandem_board::{Board, CoreId};
+use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
+use tandem_cores::activity::IrqCode;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
+use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 
 /// Runs the core until its supply ends it. Returns only if it cannot start.
@@ -37,6 +39,9 @@ pub(crate) fn config(plan: &RunPlan) -> Config {
 fn go(board: &HostBoard, mut core: impl Core) -> ! {
     loop {
         let deadline = core.poll();
-        board.wait(deadline);
+        if board.wait(deadline) == Wake::Interrupt {
+            let irq = IrqCode::DOORBELL;
+            board.trace(Event::Interrupted { irq }.encode());
+        }
     }
 }

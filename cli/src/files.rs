@@ -39,6 +39,11 @@ impl RunFiles {
         self.path("candump.log")
     }
 
+    /// The trace records of all cores and supplies.
+    pub(crate) fn tape(&self) -> PathBuf {
+        self.path("trace.words")
+    }
+
     /// How the run stands, for those who watch.
     pub(crate) fn live(&self) -> PathBuf {
         self.path("live.json")

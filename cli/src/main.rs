@@ -23,6 +23,8 @@ mod runlog;
 mod summary;
 #[cfg(test)]
 mod synthetic;
+mod tape;
+mod timeline;
 mod vehicle;
 
 use std::io::{self, Write as _};

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::mastership::{self, ms_between};
 use crate::percentiles::Spans;
 use crate::runlog::{RunLog, Sample, Verdict, What};
+use crate::timeline::{TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
@@ -91,6 +92,12 @@ pub(crate) struct Metrics {
     pub(crate) comfort: Comfort,
     /// Control cycles that a core reported as late.
     pub(crate) deadline_misses: u64,
+    /// How often and how long each task of each core ran, and whether in time.
+    #[serde(default)]
+    pub(crate) tasks: Vec<TaskMetrics>,
+    /// How long signals from core to core took.
+    #[serde(default)]
+    pub(crate) wakes: Vec<WakeMetrics>,
     /// The timing profile: `rt` or `desktop`.
     pub(crate) timing: String,
     /// What was granted, in a line.
@@ -209,7 +216,7 @@ fn deadline_misses(log: &RunLog) -> u64 {
 }
 
 /// Computes all figures of a run.
-pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
+pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) -> Metrics {
     let period = Spans::from_ms(control_periods_ms(log));
     let chain = Spans::from_ms(chain_ms(log));
     let takeovers = mastership::takeovers(log);
@@ -272,6 +279,8 @@ pub(crate) fn compute(log: &RunLog, around: &Surroundings) -> Metrics {
             jerk_p99: drive.jerk_p99,
         },
         deadline_misses: deadline_misses(log),
+        tasks: timeline.tasks.clone(),
+        wakes: timeline.wakes(),
         timing: around.timing.clone(),
         granted: around.granted.clone(),
         lost_trace: log.lost_trace,
@@ -287,7 +296,11 @@ mod tests {
 
     #[test]
     fn scripts_find_the_names_that_they_rely_on() {
-        let metrics = compute(&synthetic::with_takeover(20.0), &Surroundings::default());
+        let metrics = compute(
+            &synthetic::with_takeover(20.0),
+            &Timeline::default(),
+            &Surroundings::default(),
+        );
         let json = serde_json::to_value(&metrics).unwrap();
         for name in [
             "scenario",
@@ -311,7 +324,11 @@ mod tests {
 
     #[test]
     fn the_figures_of_a_run_with_a_takeover_are_those_it_was_made_with() {
-        let metrics = compute(&synthetic::with_takeover(20.0), &Surroundings::default());
+        let metrics = compute(
+            &synthetic::with_takeover(20.0),
+            &Timeline::default(),
+            &Surroundings::default(),
+        );
         assert_eq!(metrics.takeovers.len(), 1);
         assert_eq!(metrics.two_masters_ms, 0.0);
         assert_eq!(metrics.false_takeovers, 0);
@@ -329,7 +346,7 @@ mod tests {
             log.start_ns
                 .is_some_and(|s| frame.at_ns < s + 5_000_000_000)
         });
-        let gap = compute(&log, &Surroundings::default())
+        let gap = compute(&log, &Timeline::default(), &Surroundings::default())
             .control_gap_max_ms
             .unwrap();
         assert!((gap - 15_000.0).abs() < 20.0, "{gap}");

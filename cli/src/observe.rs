@@ -137,6 +137,18 @@ pub(crate) fn event(traced: Traced) -> Option<CoreEvent> {
     })
 }
 
+/// An event in words, for a timeline; `None` if it has a form of its own there.
+pub(crate) fn words(event: Event) -> Option<String> {
+    Some(match event {
+        Event::Started { generation, .. } => format!("starts, life {generation}"),
+        Event::Role { term, .. } => format!("new role, term {term}"),
+        Event::TookOver { cause, .. } => format!("takes over: {}", evidence_in_words(cause)),
+        Event::CoreSilent { core } => format!("core {core} does not answer"),
+        Event::DeadlineMiss { missed } => format!("{missed} control cycle(s) left out"),
+        other => note(other)?,
+    })
+}
+
 /// An event that no figure needs, in words.
 fn note(event: Event) -> Option<String> {
     Some(match event {
@@ -165,7 +177,17 @@ fn note(event: Event) -> Option<String> {
         | Event::ControlCycle { .. }
         | Event::Chain { .. }
         | Event::CoreSilent { .. }
-        | Event::DeadlineMiss { .. } => return None,
+        | Event::DeadlineMiss { .. }
+        | Event::TaskIn { .. }
+        | Event::TaskOut { .. }
+        | Event::Ready { .. }
+        | Event::IrqIn { .. }
+        | Event::IrqOut { .. }
+        | Event::Interrupted { .. }
+        | Event::Wake { .. }
+        | Event::Woken { .. }
+        | Event::Ring { .. }
+        | Event::Stack { .. } => return None,
     })
 }
 

@@ -21,8 +21,10 @@ pub(crate) const CANDUMP: &str = "candump.log";
 pub(crate) const CONTROL_PERIOD: &str = "control-period.hgrm";
 /// Distribution of the chain's latency.
 pub(crate) const CHAIN: &str = "chain.hgrm";
+/// What ran when on which core, for <https://ui.perfetto.dev>.
+pub(crate) const TRACE: &str = "trace.perfetto-trace";
 
-const FILES: [&str; 5] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN];
+const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE];
 
 /// A place where a report can be put.
 #[derive(Debug)]

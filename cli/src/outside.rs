@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use tandem_board::{CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId};
 use tandem_board_host::clock::Ticker;
-use tandem_board_host::{Traced, VehicleArgs, WorldError, WorldPort};
+use tandem_board_host::{SupplyEvent, Traced, VehicleArgs, WorldError, WorldPort};
 use tandem_board_qemu::EmulatedWorld;
 
 /// One tick of the vehicle.
@@ -32,6 +32,10 @@ pub(crate) trait Outside {
     fn ring_receivers(&mut self);
     /// Takes the cores' trace records, and returns how many were lost.
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32;
+    /// Takes what is behind a record that its writer was killed in. Only at the end of the run.
+    fn salvage_trace(&mut self, _into: &mut dyn FnMut(Traced)) {}
+    /// Takes what the supplies have done, on a board that tells.
+    fn drain_supplies(&mut self, _into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {}
     /// What the system shows of its role.
     fn role(&self, system: SystemId) -> RoleLamp;
     /// Whether the system has power and is out of reset.
@@ -89,6 +93,14 @@ impl Outside for OnHost {
 
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         self.port.drain_trace(into)
+    }
+
+    fn salvage_trace(&mut self, into: &mut dyn FnMut(Traced)) {
+        self.port.salvage_trace(into);
+    }
+
+    fn drain_supplies(&mut self, into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {
+        self.port.drain_supplies(into);
     }
 
     fn role(&self, system: SystemId) -> RoleLamp {

@@ -13,6 +13,7 @@ use tandem_bus::candump;
 use crate::files::RunFiles;
 use crate::live::Live;
 use crate::runlog::Record;
+use crate::tape::{self, Entry};
 
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
@@ -31,6 +32,7 @@ pub(crate) struct LoggedFrame {
 struct Batch {
     frames: Vec<LoggedFrame>,
     records: Vec<Record>,
+    tape: Vec<Entry>,
     live: Option<Live>,
 }
 
@@ -39,6 +41,8 @@ struct Batch {
 #[derive(Debug)]
 pub(crate) struct Recorder {
     batch: Batch,
+    /// Entries that the trace's file was given.
+    taped: usize,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
 }
@@ -55,6 +59,7 @@ impl Recorder {
         let logs = Logs {
             run: BufWriter::new(create(files.log())?),
             candump: BufWriter::new(create(files.candump())?),
+            tape: BufWriter::new(create(files.tape())?),
             live: files.live(),
         };
         let (to_writer, batches) = channel();
@@ -64,6 +69,7 @@ impl Recorder {
             .context("starting the recorder")?;
         Ok(Self {
             batch: Batch::default(),
+            taped: 0,
             to_writer,
             writer,
         })
@@ -79,6 +85,16 @@ impl Recorder {
         self.batch.records.push(record);
     }
 
+    /// Takes an entry for the trace. Whether it did: the file has a limit.
+    pub(crate) fn trace(&mut self, entry: Entry) -> bool {
+        let fits = tape::bytes(self.taped + 1) <= tape::LIMIT_BYTES;
+        if fits {
+            self.taped += 1;
+            self.batch.tape.push(entry);
+        }
+        fits
+    }
+
     /// Takes how the run stands.
     pub(crate) fn live(&mut self, live: Live) {
         self.batch.live = Some(live);
@@ -88,10 +104,12 @@ impl Recorder {
     /// tells.
     pub(crate) fn hand_over(&mut self) {
         let (frames, records) = (self.batch.frames.len(), self.batch.records.len());
+        let tape = self.batch.tape.len();
         // The next batch will be about as large.
         let next = Batch {
             frames: Vec::with_capacity(frames + frames / 4),
             records: Vec::with_capacity(records + records / 4),
+            tape: Vec::with_capacity(tape + tape / 4),
             live: None,
         };
         let _ = self
@@ -115,6 +133,7 @@ impl Recorder {
 struct Logs {
     run: BufWriter<File>,
     candump: BufWriter<File>,
+    tape: BufWriter<File>,
     live: PathBuf,
 }
 
@@ -127,6 +146,7 @@ impl Logs {
         self.run
             .flush()
             .and_then(|()| self.candump.flush())
+            .and_then(|()| self.tape.flush())
             .context("the run's log")
     }
 
@@ -145,6 +165,9 @@ impl Logs {
         for record in &batch.records {
             serde_json::to_writer(&mut self.run, record)?;
             self.run.write_all(b"\n")?;
+        }
+        for entry in &batch.tape {
+            entry.write(&mut self.tape)?;
         }
         // Whole lines at every time, for a run that is cut short.
         self.run.flush()?;

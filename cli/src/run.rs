@@ -22,7 +22,8 @@ use crate::out_dir::{self, OutDir};
 use crate::percentiles::Spans;
 use crate::plan::{Profile, RunPlan};
 use crate::runlog::RunLog;
-use crate::{core_process, emulated, report, summary};
+use crate::timeline::{self, Timeline};
+use crate::{core_process, emulated, report, summary, tape};
 
 /// Drives the scenario and writes the report.
 ///
@@ -338,6 +339,7 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
 /// What was taken out of the run's shared memory before that is wiped.
 struct Collected {
     log: RunLog,
+    timeline: Timeline,
     stage: tempfile::TempDir,
 }
 
@@ -353,23 +355,30 @@ impl Collected {
         let candump = stage.path().join(out_dir::CANDUMP);
         fs::copy(files.candump(), &candump)
             .with_context(|| format!("writing {}", candump.display()))?;
-        Ok(Self { log, stage })
+        let timeline = Timeline::new(&tape::read(&files.tape())?);
+        Ok(Self {
+            log,
+            timeline,
+            stage,
+        })
     }
 
     fn write(self, out: &OutDir, around: &Surroundings) -> anyhow::Result<Metrics> {
-        let metrics = metrics::compute(&self.log, around);
+        let metrics = metrics::compute(&self.log, &self.timeline, around);
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
         let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
         let page = report::page(&self.log, &metrics)?;
-        for (name, text) in [
-            (out_dir::REPORT, page),
-            (out_dir::METRICS, json),
-            (out_dir::CONTROL_PERIOD, period),
-            (out_dir::CHAIN, chain),
+        let trace = timeline::encode(&self.timeline, &self.log);
+        for (name, content) in [
+            (out_dir::REPORT, page.into_bytes()),
+            (out_dir::METRICS, json.into_bytes()),
+            (out_dir::CONTROL_PERIOD, period.into_bytes()),
+            (out_dir::CHAIN, chain.into_bytes()),
+            (out_dir::TRACE, trace),
         ] {
             let path = self.stage.path().join(name);
-            fs::write(&path, text).with_context(|| format!("writing {}", path.display()))?;
+            fs::write(&path, content).with_context(|| format!("writing {}", path.display()))?;
         }
         out.put(self.stage)?;
         Ok(metrics)

@@ -81,10 +81,15 @@ mod tests {
     use super::*;
     use crate::metrics::{Surroundings, compute};
     use crate::synthetic;
+    use crate::timeline::Timeline;
 
     #[test]
     fn the_table_names_the_takeover_and_the_report() {
-        let metrics = compute(&synthetic::with_takeover(10.0), &Surroundings::default());
+        let metrics = compute(
+            &synthetic::with_takeover(10.0),
+            &Timeline::default(),
+            &Surroundings::default(),
+        );
         let text = table(&metrics, Path::new("/x/report.html"));
         assert!(text.contains("A to B at 5.0"), "{text}");
         assert!(text.contains("/x/report.html"), "{text}");

@@ -4,7 +4,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use tandem_board::{CanFrame, CanId, Received, RoleLamp, SystemId};
-use tandem_board_host::VehicleArgs;
+use tandem_board_host::{Traced, VehicleArgs};
 use tandem_bus::Message;
 use tandem_vehicle::{Config, Scenario, Snapshot, World};
 
@@ -15,6 +15,7 @@ use crate::outside::{OnHost, Outside};
 use crate::plan::RunPlan;
 use crate::recorder::Recorder;
 use crate::runlog::{Header, PowerSeen, Record, RoadSeen, Sample, System};
+use crate::tape::{Entry, Source};
 
 /// The log gets the state of the world every so many ticks, the other vehicles and the road more
 /// seldom.
@@ -172,13 +173,8 @@ impl<P: Outside> Drive<P> {
 
     /// Everything that the log is to know.
     fn look(&mut self, now_ns: u64) {
+        self.drain_traces();
         let recorder = &mut self.recorder;
-        let lost = self.port.drain_trace(&mut |traced| {
-            if let Some(event) = observe::event(traced) {
-                recorder.record(Record::Event(event));
-            }
-        });
-        self.lost_trace += u64::from(lost);
         for system in SystemId::ALL {
             let on = self.port.is_powered(system);
             if on != self.powered[system.index()] {
@@ -211,6 +207,19 @@ impl<P: Outside> Drive<P> {
                 .record(Record::Figures(observe::figures(&self.world.metrics())));
             self.recorder.hand_over();
         }
+    }
+
+    /// What cores and supplies have traced.
+    fn drain_traces(&mut self) {
+        let Self { port, recorder, .. } = self;
+        let mut lost = 0;
+        let dropped = port.drain_trace(&mut |traced| lost += u64::from(!keep(recorder, traced)));
+        port.drain_supplies(&mut |at, system, event| {
+            let (source, record) = (Source::Supply(system), event.encode());
+            let kept = recorder.trace(Entry { at, source, record });
+            lost += u64::from(!kept);
+        });
+        self.lost_trace += lost + u64::from(dropped);
     }
 
     fn sample(&mut self, now_ns: u64) {
@@ -273,6 +282,11 @@ impl<P: Outside> Drive<P> {
     fn finish(mut self, ended: Ended) -> anyhow::Result<()> {
         let at_ns = self.port.now().as_ns();
         self.port.set_ignition(false);
+        self.drain_traces();
+        let Self { port, recorder, .. } = &mut self;
+        port.salvage_trace(&mut |traced| {
+            keep(recorder, traced);
+        });
         self.recorder
             .record(Record::Figures(observe::figures(&self.world.metrics())));
         if ended == Ended::ByItself {
@@ -286,6 +300,18 @@ impl<P: Outside> Drive<P> {
         }
         self.recorder.close()
     }
+}
+
+/// Puts a core's record into both logs. Whether the trace has room for it.
+fn keep(recorder: &mut Recorder, traced: Traced) -> bool {
+    if let Some(event) = observe::event(traced) {
+        recorder.record(Record::Event(event));
+    }
+    recorder.trace(Entry {
+        at: traced.at,
+        source: Source::Core(traced.system, traced.core),
+        record: traced.record,
+    })
 }
 
 const fn role_name(lamp: RoleLamp) -> &'static str {

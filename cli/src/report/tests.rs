@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::metrics::Surroundings;
+use crate::timeline::Timeline;
 use crate::{metrics, synthetic};
 
 fn synthetic_page() -> String {
@@ -13,7 +14,7 @@ fn synthetic_page() -> String {
         gap_bound_ms: Some(14.5),
         leftovers: Vec::new(),
     };
-    page(&log, &metrics::compute(&log, &around)).unwrap()
+    page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap()
 }
 
 /// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
@@ -52,7 +53,7 @@ fn every_colour_of_a_chart_is_known_to_the_dark_style() {
 #[test]
 fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
     let (log, around) = (RunLog::default(), Surroundings::default());
-    let page = page(&log, &metrics::compute(&log, &around)).unwrap();
+    let page = page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap();
     assert!(page.contains("no control frame was ever accepted"));
     assert!(!page.contains("NaN"));
 }
@@ -69,6 +70,6 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
     let mut log = synthetic::with_takeover(4.0);
     log.header.scenario = "<script>alert(1)</script>".into();
     let around = Surroundings::default();
-    let page = page(&log, &metrics::compute(&log, &around)).unwrap();
+    let page = page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap();
     assert!(!page.contains("<script>"));
 }

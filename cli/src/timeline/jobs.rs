@@ -1,0 +1,247 @@
+//! The figures of each task: how often it ran, how long, and whether in time.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use tandem_board::{CoreId, Duration, SystemId};
+use tandem_cores::activity::{self, TaskCode};
+use tandem_cores::trace::Begin;
+
+use super::{Flow, task_name};
+use crate::percentiles::Spans;
+
+/// Figures of one task over the run, as `metrics.json` has them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct TaskMetrics {
+    /// `A` or `B`.
+    pub(crate) system: String,
+    /// 0, 1 or 2.
+    pub(crate) core: u8,
+    /// Its name.
+    pub(crate) task: String,
+    /// Time between two releases, ms; `None` if events release it.
+    pub(crate) period_ms: Option<f64>,
+    /// A job must be done so long after its release, ms; `None` if nobody says.
+    pub(crate) deadline_ms: Option<f64>,
+    /// Jobs that were begun.
+    pub(crate) jobs: u64,
+    /// Releases that no job answered, as the task was late by whole periods.
+    pub(crate) missed_releases: u64,
+    /// Jobs that were done after their deadline, and missed releases of tasks that have one.
+    pub(crate) deadline_misses: u64,
+    /// Jobs that never ended: the core died, or the run was over.
+    pub(crate) cut: u64,
+    /// Jobs whose release is known: those that the times of response are about.
+    pub(crate) responses: u64,
+    /// From the release of a job to its end, half of them within, ms.
+    pub(crate) response_p50_ms: Option<f64>,
+    /// 99 of 100 are within, ms.
+    pub(crate) response_p99_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) response_max_ms: Option<f64>,
+    /// Time on the CPU without that of tasks and handlers within it, half of the jobs, ms. On the
+    /// host it includes what the machine's own scheduler took away.
+    pub(crate) execution_p50_ms: Option<f64>,
+    /// 99 of 100 jobs, ms.
+    pub(crate) execution_p99_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) execution_max_ms: Option<f64>,
+    /// Bytes of its stack that were never used; `None` where nobody measures it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) stack_free_bytes: Option<u32>,
+}
+
+/// Figures of the signals between two cores, as `metrics.json` has them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct WakeMetrics {
+    /// `A` or `B`.
+    pub(crate) system: String,
+    /// The core that signals.
+    pub(crate) from: u8,
+    /// The core that is signalled.
+    pub(crate) to: u8,
+    /// Signals that were taken up.
+    pub(crate) count: u64,
+    /// From just before the signal until its task runs, half of them within, ms.
+    pub(crate) latency_p50_ms: Option<f64>,
+    /// 99 of 100 are within, ms.
+    pub(crate) latency_p99_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) latency_max_ms: Option<f64>,
+}
+
+/// The figures of all pairs of cores that signal each other.
+pub(super) fn wakes(flows: &[Flow]) -> Vec<WakeMetrics> {
+    let mut pairs: BTreeMap<[usize; 3], Vec<f64>> = BTreeMap::new();
+    for flow in flows {
+        let pair = [flow.system.index(), flow.from.0.index(), flow.to.0.index()];
+        let latency_ns = flow.to.1.saturating_sub(flow.from.1);
+        pairs
+            .entry(pair)
+            .or_default()
+            .push(latency_ns as f64 * 1e-6);
+    }
+    let one = |([system, from, to], latencies_ms): ([usize; 3], Vec<f64>)| {
+        let latency = Spans::from_ms(latencies_ms);
+        WakeMetrics {
+            system: ["A", "B"][system].to_owned(),
+            from: from as u8,
+            to: to as u8,
+            count: latency.count(),
+            latency_p50_ms: latency.percentile_ms(50.0),
+            latency_p99_ms: latency.percentile_ms(99.0),
+            latency_max_ms: latency.max_ms(),
+        }
+    };
+    pairs.into_iter().map(one).collect()
+}
+
+/// The jobs of one task.
+#[derive(Debug, Default)]
+struct Task {
+    /// The job that has begun or is released.
+    job: Option<Job>,
+    begun: u64,
+    missed: u64,
+    cut: u64,
+    response_ms: Vec<f64>,
+    execution_ms: Vec<f64>,
+    stack_free_bytes: Option<u32>,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Job {
+    release_ns: Option<u64>,
+    own_ns: u64,
+    begun: bool,
+}
+
+/// The jobs of all tasks of one core.
+#[derive(Debug, Default)]
+pub(super) struct Jobs {
+    tasks: BTreeMap<TaskCode, Task>,
+}
+
+impl Jobs {
+    fn task(&mut self, code: TaskCode) -> &mut Task {
+        self.tasks.entry(code).or_default()
+    }
+
+    /// A job is released, if none is under way.
+    pub(super) fn ready(&mut self, code: TaskCode, at_ns: u64) {
+        let job = &mut self.task(code).job;
+        job.get_or_insert(Job {
+            release_ns: Some(at_ns),
+            ..Job::default()
+        });
+    }
+
+    /// The task has the CPU.
+    pub(super) fn begin(&mut self, code: TaskCode, at_ns: u64, begin: Begin) {
+        let task = self.task(code);
+        if let Begin::Released { late_ns, missed } = begin {
+            task.missed += u64::from(missed);
+            if task.job.is_some_and(|job| job.begun) {
+                // Its end was lost.
+                task.cut += 1;
+            }
+            task.job = Some(Job {
+                release_ns: Some(at_ns.saturating_sub(late_ns.into())),
+                ..Job::default()
+            });
+        }
+        let job = task.job.get_or_insert_default();
+        if !job.begun {
+            job.begun = true;
+            task.begun += 1;
+        }
+    }
+
+    /// The running job answers a signal that was sent then.
+    pub(super) fn released(&mut self, code: TaskCode, sent_ns: u64) {
+        if let Some(job) = &mut self.task(code).job
+            && job.release_ns.is_none()
+        {
+            job.release_ns = Some(sent_ns);
+        }
+    }
+
+    /// The task had the CPU so long.
+    pub(super) fn ran(&mut self, code: TaskCode, own_ns: u64) {
+        if let Some(job) = &mut self.task(code).job {
+            job.own_ns += own_ns;
+        }
+    }
+
+    /// The job is done.
+    pub(super) fn done(&mut self, code: TaskCode, at_ns: u64) {
+        let task = self.task(code);
+        let Some(job) = task.job.take() else { return };
+        task.execution_ms.push(job.own_ns as f64 * 1e-6);
+        let response_ns = job
+            .release_ns
+            .map(|release_ns| at_ns.saturating_sub(release_ns));
+        task.response_ms
+            .extend(response_ns.map(|response_ns| response_ns as f64 * 1e-6));
+    }
+
+    /// The core's life is over, and so is every job.
+    pub(super) fn cut(&mut self) {
+        for task in self.tasks.values_mut() {
+            if task.job.take().is_some_and(|job| job.begun) {
+                task.cut += 1;
+            }
+        }
+    }
+
+    /// So much of a task's stack was never used.
+    pub(super) fn stack(&mut self, code: TaskCode, free_bytes: u32) {
+        let least = &mut self.task(code).stack_free_bytes;
+        *least = Some(least.map_or(free_bytes, |least| least.min(free_bytes)));
+    }
+
+    /// The figures, in the order of the core's table.
+    pub(super) fn metrics(&self, system: SystemId, core: CoreId) -> Vec<TaskMetrics> {
+        let rank = |code: TaskCode| {
+            let known = activity::tasks(core);
+            known.iter().position(|info| info.code == code)
+        };
+        let mut tasks: Vec<(&TaskCode, &Task)> = self.tasks.iter().collect();
+        tasks.sort_by_key(|(code, _)| (rank(**code).unwrap_or(usize::MAX), **code));
+        let one = |(code, task): (&TaskCode, &Task)| task.metrics(system, core, *code);
+        tasks.into_iter().map(one).collect()
+    }
+}
+
+impl Task {
+    fn metrics(&self, system: SystemId, core: CoreId, code: TaskCode) -> TaskMetrics {
+        let info = activity::task(core, code);
+        let ms = |span: Option<Duration>| span.map(Duration::as_ms_f64);
+        let deadline_ms = ms(info.and_then(|info| info.deadline));
+        let late = deadline_ms.map_or(0, |deadline_ms| {
+            let too_long = |response_ms: &&f64| **response_ms > deadline_ms;
+            self.response_ms.iter().filter(too_long).count() as u64 + self.missed
+        });
+        let response = Spans::from_ms(self.response_ms.iter().copied());
+        let execution = Spans::from_ms(self.execution_ms.iter().copied());
+        TaskMetrics {
+            system: system.to_string(),
+            core: core.index() as u8,
+            task: task_name(core, code),
+            period_ms: ms(info.and_then(|info| info.period)),
+            deadline_ms,
+            jobs: self.begun,
+            missed_releases: self.missed,
+            deadline_misses: late,
+            cut: self.cut,
+            responses: response.count(),
+            response_p50_ms: response.percentile_ms(50.0),
+            response_p99_ms: response.percentile_ms(99.0),
+            response_max_ms: response.max_ms(),
+            execution_p50_ms: execution.percentile_ms(50.0),
+            execution_p99_ms: execution.percentile_ms(99.0),
+            execution_max_ms: execution.max_ms(),
+            stack_free_bytes: self.stack_free_bytes,
+        }
+    }
+}

@@ -1,0 +1,435 @@
+//! What ran when on which core, put together from the trace records of a run.
+//!
+//! Records are told apart by source and taken in the order of each. A slice is a task or a handler
+//! from its coming to the CPU to its leaving; slices of a core nest and never cross, whatever
+//! records are missing: a slice whose end never came ends with its core.
+
+mod jobs;
+mod perfetto;
+mod schema;
+#[cfg(test)]
+mod tests;
+
+use std::collections::HashMap;
+
+use tandem_board::{CoreId, SystemId};
+use tandem_board_host::SupplyEvent;
+use tandem_cores::activity::{self, IrqCode, TaskCode};
+use tandem_cores::trace::{Begin, Event, Leaves};
+
+use crate::tape::{Entry, Source};
+use jobs::Jobs;
+pub(crate) use jobs::{TaskMetrics, WakeMetrics};
+pub(crate) use perfetto::encode;
+
+/// What occupies a core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Work {
+    /// A task.
+    Task(TaskCode),
+    /// The handler of an interrupt.
+    Irq(IrqCode),
+}
+
+impl Work {
+    /// Its name on this core.
+    pub(crate) fn name(self, core: CoreId) -> String {
+        match self {
+            Self::Task(code) => task_name(core, code),
+            Self::Irq(code) => irq_name(code),
+        }
+    }
+}
+
+/// The name of a task of this core.
+pub(crate) fn task_name(core: CoreId, code: TaskCode) -> String {
+    match activity::task(core, code) {
+        Some(info) => info.name.to_owned(),
+        None => format!("task {}", code.0),
+    }
+}
+
+/// The name of an interrupt.
+pub(crate) fn irq_name(code: IrqCode) -> String {
+    let named = code.name().map(|name| format!("interrupt: {name}"));
+    named.unwrap_or_else(|| format!("interrupt {}", code.0))
+}
+
+/// A span of time in which a core did something.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Slice {
+    /// What.
+    pub(crate) work: Work,
+    /// From, on the run's clock, ns.
+    pub(crate) begin_ns: u64,
+    /// To, ns; never before `begin_ns`.
+    pub(crate) end_ns: u64,
+    /// How many slices stand around it.
+    pub(crate) depth: usize,
+    /// How late it began, if it began a job whose release it knows, ns.
+    pub(crate) late_ns: Option<u32>,
+    /// Releases before it that no job answered.
+    pub(crate) missed: u32,
+    /// Its end never came: the core died, or the run ended, or records were lost.
+    pub(crate) cut: bool,
+}
+
+/// A moment on a core.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Mark {
+    /// When, ns.
+    pub(crate) at_ns: u64,
+    /// What.
+    pub(crate) event: Event,
+    /// The arrow that begins ([`Event::Wake`]) or ends ([`Event::Woken`]) here; 0 is none.
+    pub(crate) flow: u64,
+}
+
+/// The order of what begins, ends and happens on a core: places in its lists.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    /// A slice begins.
+    Begin(usize),
+    /// A slice ends.
+    End(usize),
+    /// Something happens.
+    Mark(usize),
+}
+
+/// One core over the run.
+#[derive(Clone, Debug)]
+pub(crate) struct CoreLine {
+    /// Its system.
+    pub(crate) system: SystemId,
+    /// Which core.
+    pub(crate) core: CoreId,
+    /// Its slices by their begin.
+    pub(crate) slices: Vec<Slice>,
+    /// Its moments by time.
+    pub(crate) marks: Vec<Mark>,
+    /// Both in one order; times never go back along it.
+    pub(crate) steps: Vec<Step>,
+}
+
+impl CoreLine {
+    /// When a step was, ns.
+    pub(crate) fn at_ns(&self, step: Step) -> u64 {
+        match step {
+            Step::Begin(slice) => self.slices[slice].begin_ns,
+            Step::End(slice) => self.slices[slice].end_ns,
+            Step::Mark(mark) => self.marks[mark].at_ns,
+        }
+    }
+}
+
+/// A signal from core to core that was sent and taken up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Flow {
+    /// In which system.
+    pub(crate) system: SystemId,
+    /// From, with the time in ns.
+    pub(crate) from: (CoreId, u64),
+    /// To, with the time in ns; never before `from`.
+    pub(crate) to: (CoreId, u64),
+}
+
+/// All cores and supplies over the run.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Timeline {
+    /// The six cores: A0, A1, A2, B0, B1, B2.
+    pub(crate) cores: Vec<CoreLine>,
+    /// What the supplies did and saw, by time, ns.
+    pub(crate) supplies: Vec<(u64, SystemId, SupplyEvent)>,
+    /// Signals from core to core; the flow of a mark is its place here plus 1.
+    pub(crate) flows: Vec<Flow>,
+    /// Figures of each task of each core.
+    pub(crate) tasks: Vec<TaskMetrics>,
+}
+
+impl Timeline {
+    /// Puts the records of a run together.
+    pub(crate) fn new(entries: &[Entry]) -> Self {
+        let mut supplies = Vec::new();
+        let mut by_core: Vec<Vec<(u64, Event)>> = vec![Vec::new(); 2 * CoreId::COUNT];
+        for entry in entries {
+            let at_ns = entry.at.as_ns();
+            match entry.source {
+                Source::Supply(system) => {
+                    let event = SupplyEvent::decode(entry.record);
+                    supplies.extend(event.map(|event| (at_ns, system, event)));
+                }
+                Source::Core(system, core) => {
+                    let records = &mut by_core[place(system, core)];
+                    // Times of one core never go back, whatever it says.
+                    let last_ns = records.last().map_or(0, |(last_ns, _)| *last_ns);
+                    let event = Event::decode(entry.record);
+                    records.extend(event.map(|event| (at_ns.max(last_ns), event)));
+                }
+            }
+        }
+        supplies.sort_by_key(|(at_ns, ..)| *at_ns);
+        let mut wakes = Wakes::new(&by_core);
+        let mut flows = Vec::new();
+        let mut tasks = Vec::new();
+        let mut cores = Vec::new();
+        for system in SystemId::ALL {
+            for core in CoreId::ALL {
+                let ends = ends_of(&supplies, system, core);
+                let mut line = LineBuilder::new(system, core, ends);
+                for (at_ns, event) in &by_core[place(system, core)] {
+                    line.take(*at_ns, *event, &mut wakes, &mut flows);
+                }
+                let (line, jobs) = line.finish();
+                tasks.extend(jobs.metrics(system, core));
+                cores.push(line);
+            }
+        }
+        let mut timeline = Self {
+            cores,
+            supplies,
+            flows,
+            tasks,
+        };
+        timeline.mark_wakes(&wakes);
+        timeline
+    }
+
+    /// Figures of the signals from core to core.
+    pub(crate) fn wakes(&self) -> Vec<WakeMetrics> {
+        jobs::wakes(&self.flows)
+    }
+
+    /// Gives each signal that was taken up the number of its arrow.
+    fn mark_wakes(&mut self, wakes: &Wakes) {
+        for line in &mut self.cores {
+            for mark in &mut line.marks {
+                if let Event::Wake { core, flow, .. } = mark.event {
+                    let key = (line.system, line.core, core, flow);
+                    mark.flow = wakes.flow_of(key, mark.at_ns);
+                }
+            }
+        }
+    }
+}
+
+const fn place(system: SystemId, core: CoreId) -> usize {
+    system.index() * CoreId::COUNT + core.index()
+}
+
+/// When a core's life ended, as its supply saw it, ns.
+fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId) -> Vec<u64> {
+    let ends = |event: &SupplyEvent| match event {
+        SupplyEvent::CoreDied { core: died, .. } => *died == core,
+        SupplyEvent::Reset(_) => true,
+        SupplyEvent::CoreStarted { .. } | SupplyEvent::Suspended => false,
+    };
+    supplies
+        .iter()
+        .filter(|(_, system, event)| *system == of && ends(event))
+        .map(|(at_ns, ..)| *at_ns)
+        .collect()
+}
+
+/// From a core of a system to another one, with the number of the signal.
+type SignalKey = (SystemId, CoreId, CoreId, u32);
+
+/// All signals that were sent: when, and by which arrow they arrived.
+struct Wakes {
+    sent: HashMap<SignalKey, Vec<(u64, u64)>>,
+}
+
+impl Wakes {
+    fn new(by_core: &[Vec<(u64, Event)>]) -> Self {
+        let mut sent: HashMap<SignalKey, Vec<(u64, u64)>> = HashMap::new();
+        for system in SystemId::ALL {
+            for from in CoreId::ALL {
+                for (at_ns, event) in &by_core[place(system, from)] {
+                    if let Event::Wake { core, flow, .. } = event {
+                        let key = (system, from, *core, *flow);
+                        sent.entry(key).or_default().push((*at_ns, 0));
+                    }
+                }
+            }
+        }
+        Self { sent }
+    }
+
+    /// The time of the last such signal before `at_ns` if it has no arrow yet; it gets this one.
+    fn arrive(&mut self, key: SignalKey, at_ns: u64, arrow: u64) -> Option<u64> {
+        let sent = self.sent.get_mut(&key)?;
+        // Numbers begin anew in each life, so there may be several.
+        let before = sent.partition_point(|(sent_ns, _)| *sent_ns <= at_ns);
+        let (sent_ns, given) = sent.get_mut(before.checked_sub(1)?)?;
+        (*given == 0).then(|| {
+            *given = arrow;
+            *sent_ns
+        })
+    }
+
+    fn flow_of(&self, key: SignalKey, at_ns: u64) -> u64 {
+        let sent = self.sent.get(&key);
+        let found = sent.and_then(|sent| sent.iter().find(|(sent_ns, _)| *sent_ns == at_ns));
+        found.map_or(0, |(_, arrow)| *arrow)
+    }
+}
+
+/// Builds the line of one core.
+struct LineBuilder {
+    line: CoreLine,
+    /// Ends of lives, by time, that lie ahead.
+    ends: std::iter::Peekable<std::vec::IntoIter<u64>>,
+    /// Slices that have begun and not ended, the innermost last, each with the time of slices
+    /// within it, ns.
+    open: Vec<(usize, u64)>,
+    last_ns: u64,
+    jobs: Jobs,
+}
+
+impl LineBuilder {
+    fn new(system: SystemId, core: CoreId, ends: Vec<u64>) -> Self {
+        Self {
+            line: CoreLine {
+                system,
+                core,
+                slices: Vec::new(),
+                marks: Vec::new(),
+                steps: Vec::new(),
+            },
+            ends: ends.into_iter().peekable(),
+            open: Vec::new(),
+            last_ns: 0,
+            jobs: Jobs::default(),
+        }
+    }
+
+    fn take(&mut self, at_ns: u64, event: Event, wakes: &mut Wakes, flows: &mut Vec<Flow>) {
+        match event {
+            Event::Started { .. } => {
+                self.cut(at_ns);
+                self.mark(at_ns, event, 0);
+            }
+            Event::TaskIn { task, begin } => self.task_in(at_ns, task, begin),
+            Event::TaskOut { task, leaves } => self.task_out(at_ns, task, leaves),
+            Event::IrqIn { irq } => self.begin(at_ns, Work::Irq(irq), None, 0),
+            Event::IrqOut { irq } => {
+                self.end(at_ns, Work::Irq(irq));
+            }
+            Event::Ready { task } => {
+                self.jobs.ready(task, at_ns);
+                self.mark(at_ns, event, 0);
+            }
+            Event::Woken { core, flow } => {
+                let key = (self.line.system, core, self.line.core, flow);
+                let arrow = flows.len() as u64 + 1;
+                let sent_ns = wakes.arrive(key, at_ns, arrow);
+                if let Some(sent_ns) = sent_ns {
+                    flows.push(Flow {
+                        system: self.line.system,
+                        from: (core, sent_ns),
+                        to: (self.line.core, at_ns),
+                    });
+                    if let Some(task) = self.running() {
+                        self.jobs.released(task, sent_ns);
+                    }
+                }
+                self.mark(at_ns, event, sent_ns.map_or(0, |_| arrow));
+            }
+            Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
+            // A counter, and the figures of the control task's own slice.
+            _ => self.mark(at_ns, event, 0),
+        }
+        self.last_ns = at_ns;
+    }
+
+    fn task_in(&mut self, at_ns: u64, task: TaskCode, begin: Begin) {
+        // One that never went out: the record was lost.
+        self.end(at_ns, Work::Task(task));
+        self.jobs.begin(task, at_ns, begin);
+        let (late_ns, missed) = match begin {
+            Begin::Released { late_ns, missed } => (Some(late_ns), missed),
+            Begin::Goes => (None, 0),
+        };
+        self.begin(at_ns, Work::Task(task), late_ns, missed);
+    }
+
+    fn task_out(&mut self, at_ns: u64, task: TaskCode, leaves: Leaves) {
+        if let Some(own_ns) = self.end(at_ns, Work::Task(task)) {
+            self.jobs.ran(task, own_ns);
+            if leaves == Leaves::Done {
+                self.jobs.done(task, at_ns);
+            }
+        }
+    }
+
+    fn running(&self) -> Option<TaskCode> {
+        let tasks = self.open.iter().rev().map(|(slice, _)| *slice);
+        tasks
+            .map(|slice| self.line.slices[slice].work)
+            .find_map(|work| match work {
+                Work::Task(task) => Some(task),
+                Work::Irq(_) => None,
+            })
+    }
+
+    fn begin(&mut self, at_ns: u64, work: Work, late_ns: Option<u32>, missed: u32) {
+        let slice = self.line.slices.len();
+        self.line.slices.push(Slice {
+            work,
+            begin_ns: at_ns,
+            end_ns: at_ns,
+            depth: self.open.len(),
+            late_ns,
+            missed,
+            cut: false,
+        });
+        self.line.steps.push(Step::Begin(slice));
+        self.open.push((slice, 0));
+    }
+
+    /// Ends the innermost slice of this work, and what is open within it, whose ends were lost.
+    /// Returns its time without that of slices within it, ns; `None` if it never began.
+    fn end(&mut self, at_ns: u64, work: Work) -> Option<u64> {
+        let is_it = |(slice, _): &(usize, u64)| self.line.slices[*slice].work == work;
+        let from = self.open.iter().rposition(is_it)?;
+        while self.open.len() > from + 1 {
+            self.end_innermost(at_ns, true);
+        }
+        self.end_innermost(at_ns, false)
+    }
+
+    fn end_innermost(&mut self, at_ns: u64, cut: bool) -> Option<u64> {
+        let (place, within_ns) = self.open.pop()?;
+        let slice = &mut self.line.slices[place];
+        slice.end_ns = at_ns;
+        slice.cut = cut;
+        let whole_ns = at_ns - slice.begin_ns;
+        self.line.steps.push(Step::End(place));
+        if let Some((_, around_ns)) = self.open.last_mut() {
+            *around_ns += whole_ns;
+        }
+        Some(whole_ns - within_ns)
+    }
+
+    fn mark(&mut self, at_ns: u64, event: Event, flow: u64) {
+        self.line.steps.push(Step::Mark(self.line.marks.len()));
+        self.line.marks.push(Mark { at_ns, event, flow });
+    }
+
+    /// The core's life ended before `until_ns`: so do its slices, when the supply saw it or else
+    /// with its last record.
+    fn cut(&mut self, until_ns: u64) {
+        let last_ns = self.last_ns;
+        while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}
+        let end_ns = self.ends.next_if(|end_ns| *end_ns <= until_ns);
+        let end_ns = end_ns.unwrap_or(last_ns);
+        while !self.open.is_empty() {
+            self.end_innermost(end_ns, true);
+        }
+        self.jobs.cut();
+    }
+
+    fn finish(mut self) -> (CoreLine, Jobs) {
+        self.cut(u64::MAX);
+        (self.line, self.jobs)
+    }
+}

@@ -1,0 +1,498 @@
+//! The timeline as a trace that <https://ui.perfetto.dev> opens.
+//!
+//! A system and the vehicle are each a process, a core and a supply a thread. Times are those of
+//! the run's one clock. Everything stands in one sequence of packets, which says its names once,
+//! at its begin.
+
+use std::collections::HashMap;
+
+use prost::Message as _;
+use tandem_board::{CoreId, ResetCause, SystemId};
+use tandem_board_host::SupplyEvent;
+use tandem_cores::trace::Event;
+
+use super::schema::{
+    CounterDescriptor, DebugAnnotation, InternedData, NEEDS_STATE, Name, ProcessDescriptor,
+    STATE_CLEARED, ThreadDescriptor, TracePacket, TrackDescriptor, TrackEvent, event_type,
+};
+use super::{CoreLine, Step, Timeline, irq_name, task_name};
+use crate::mastership::takeovers;
+use crate::observe;
+use crate::runlog::{RunLog, System, Verdict, What};
+
+const SEQUENCE: u32 = 1;
+/// Key of a packet in a trace: field 1, with a length.
+const PACKET_KEY: u8 = 0x0A;
+const VEHICLE_PID: i32 = 3;
+
+/// The whole trace.
+pub(crate) fn encode(timeline: &Timeline, log: &RunLog) -> Vec<u8> {
+    let mut trace = Trace::default();
+    let markers = trace.track(None, "events");
+    for system in SystemId::ALL {
+        let process = trace.process(pid(system), &format!("system {system}"));
+        for line in timeline.cores.iter().filter(|line| line.system == system) {
+            trace.core(line);
+        }
+        trace.supply(timeline, system, markers);
+        trace.roles(log, system, process);
+        trace.control(timeline, system, process);
+    }
+    trace.vehicle(log, markers);
+    trace.into_bytes()
+}
+
+const fn pid(system: SystemId) -> i32 {
+    system.index() as i32 + 1
+}
+
+const fn core_name(core: CoreId) -> &'static str {
+    match core {
+        CoreId::CONTROL => "core 0: control",
+        CoreId::PERCEPTION => "core 1: perception",
+        _ => "core 2: planning",
+    }
+}
+
+/// What happens at a time.
+#[derive(Clone, Copy, Debug)]
+enum Kind {
+    Begin,
+    End,
+    Instant,
+    Counter(f64),
+}
+
+#[derive(Clone, Debug)]
+struct Moment {
+    at_ns: u64,
+    track: u64,
+    kind: Kind,
+    /// 0 is none.
+    name: u64,
+    category: u64,
+    figures: Vec<(u64, f64)>,
+    /// An arrow that begins here, or ends: 0 is none.
+    flow_out: u64,
+    flow_in: u64,
+}
+
+/// Numbers for names, from 1.
+#[derive(Debug, Default)]
+struct Names {
+    numbers: HashMap<String, u64>,
+}
+
+impl Names {
+    fn number(&mut self, name: &str) -> u64 {
+        if let Some(number) = self.numbers.get(name) {
+            return *number;
+        }
+        let number = self.numbers.len() as u64 + 1;
+        self.numbers.insert(name.to_owned(), number);
+        number
+    }
+
+    fn list(&self) -> Vec<Name> {
+        let mut list: Vec<Name> = self
+            .numbers
+            .iter()
+            .map(|(name, number)| Name {
+                iid: Some(*number),
+                name: Some(name.clone()),
+            })
+            .collect();
+        list.sort_by_key(|name| name.iid);
+        list
+    }
+}
+
+#[derive(Debug, Default)]
+struct Trace {
+    tracks: Vec<TrackDescriptor>,
+    /// Of each track in order of time.
+    moments: Vec<Moment>,
+    names: Names,
+    categories: Names,
+    figures: Names,
+}
+
+impl Trace {
+    fn add_track(&mut self, descriptor: TrackDescriptor) -> u64 {
+        let uuid = self.tracks.len() as u64 + 1;
+        self.tracks.push(TrackDescriptor {
+            uuid: Some(uuid),
+            ..descriptor
+        });
+        uuid
+    }
+
+    fn process(&mut self, pid: i32, name: &str) -> u64 {
+        self.add_track(TrackDescriptor {
+            process: Some(ProcessDescriptor {
+                pid: Some(pid),
+                process_name: Some(name.to_owned()),
+            }),
+            ..TrackDescriptor::default()
+        })
+    }
+
+    fn thread(&mut self, pid: i32, number: i32, name: &str) -> u64 {
+        self.add_track(TrackDescriptor {
+            thread: Some(ThreadDescriptor {
+                pid: Some(pid),
+                // Unique over all processes, and no process's own.
+                tid: Some(i64::from(100 * pid + number)),
+                thread_name: Some(name.to_owned()),
+            }),
+            ..TrackDescriptor::default()
+        })
+    }
+
+    fn track(&mut self, parent: Option<u64>, name: &str) -> u64 {
+        self.add_track(TrackDescriptor {
+            parent_uuid: parent,
+            name: Some(name.to_owned()),
+            ..TrackDescriptor::default()
+        })
+    }
+
+    fn counter(&mut self, parent: u64, name: &str, unit: &str) -> u64 {
+        self.add_track(TrackDescriptor {
+            parent_uuid: Some(parent),
+            name: Some(name.to_owned()),
+            counter: Some(CounterDescriptor {
+                unit_name: Some(unit.to_owned()),
+            }),
+            ..TrackDescriptor::default()
+        })
+    }
+
+    fn moment(&mut self, track: u64, at_ns: u64, kind: Kind, name: &str) -> &mut Moment {
+        let name = if name.is_empty() {
+            0
+        } else {
+            self.names.number(name)
+        };
+        self.push(Moment {
+            at_ns,
+            track,
+            kind,
+            name,
+            category: 0,
+            figures: Vec::new(),
+            flow_out: 0,
+            flow_in: 0,
+        })
+    }
+
+    fn push(&mut self, moment: Moment) -> &mut Moment {
+        let place = self.moments.len();
+        self.moments.push(moment);
+        &mut self.moments[place]
+    }
+
+    fn value(&mut self, track: u64, at_ns: u64, value: f64) {
+        if value.is_finite() {
+            self.moment(track, at_ns, Kind::Counter(value), "");
+        }
+    }
+
+    fn core(&mut self, line: &CoreLine) {
+        let number = line.core.index() as i32;
+        let track = self.thread(pid(line.system), number, core_name(line.core));
+        let late = self.figures.number("late (µs)");
+        let missed = self.figures.number("missed releases");
+        let category = self.categories.number("task");
+        for step in &line.steps {
+            let at_ns = line.at_ns(*step);
+            match *step {
+                Step::Begin(slice) => {
+                    let slice = &line.slices[slice];
+                    let name = slice.work.name(line.core);
+                    let moment = self.moment(track, at_ns, Kind::Begin, &name);
+                    moment.category = category;
+                    let late_us = slice.late_ns.map(|late_ns| f64::from(late_ns) * 1e-3);
+                    moment.figures.extend(late_us.map(|us| (late, us)));
+                    if slice.missed > 0 {
+                        moment.figures.push((missed, slice.missed.into()));
+                    }
+                }
+                Step::End(_) => {
+                    self.moment(track, at_ns, Kind::End, "");
+                }
+                Step::Mark(mark) => {
+                    let mark = &line.marks[mark];
+                    let Some((category, name)) = mark_name(line, mark.event) else {
+                        continue;
+                    };
+                    let category = self.categories.number(category);
+                    let moment = self.moment(track, at_ns, Kind::Instant, &name);
+                    moment.category = category;
+                    match mark.event {
+                        Event::Wake { .. } => moment.flow_out = mark.flow,
+                        Event::Woken { .. } => moment.flow_in = mark.flow,
+                        _ => {}
+                    }
+                }
+            }
+        }
+    }
+
+    fn supply(&mut self, timeline: &Timeline, system: SystemId, markers: u64) {
+        let track = self.thread(pid(system), 9, "supply");
+        let mine = timeline.supplies.iter().filter(|(_, of, _)| *of == system);
+        for (at_ns, _, event) in mine {
+            let (name, is_marker) = match event {
+                SupplyEvent::CoreStarted { core, generation } => (
+                    format!("core {} starts, life {}", core.index(), generation.0),
+                    false,
+                ),
+                SupplyEvent::CoreDied { core, signal: 0 } => {
+                    (format!("core {} died", core.index()), true)
+                }
+                SupplyEvent::CoreDied { core, signal } => (
+                    format!("core {} died of signal {signal}", core.index()),
+                    true,
+                ),
+                SupplyEvent::Reset(cause) => (format!("reset: {}", cause_name(*cause)), true),
+                SupplyEvent::Suspended => ("suspended".to_owned(), true),
+            };
+            self.moment(track, *at_ns, Kind::Instant, &name);
+            if is_marker {
+                let name = format!("{system}: {name}");
+                self.moment(markers, *at_ns, Kind::Instant, &name);
+            }
+        }
+    }
+
+    /// Role and function as slices: from one change to the next, or to the end of the core's life.
+    fn roles(&mut self, log: &RunLog, system: SystemId, process: u64) {
+        let track = self.track(Some(process), "role");
+        let mine = log
+            .events
+            .iter()
+            .filter(|event| event.core == 0 && event.system == System::from(system));
+        let mut open = false;
+        let mut last_ns = 0;
+        let mut change = |trace: &mut Self, at_ns: u64, name: Option<&str>| {
+            let at_ns = at_ns.max(last_ns);
+            last_ns = at_ns;
+            if std::mem::replace(&mut open, name.is_some()) {
+                trace.moment(track, at_ns, Kind::End, "");
+            }
+            if let Some(name) = name {
+                trace.moment(track, at_ns, Kind::Begin, name);
+            }
+        };
+        let off = log
+            .power
+            .iter()
+            .filter(|power| !power.on && power.system == System::from(system))
+            .map(|power| (power.at_ns, None));
+        let roles = mine.filter_map(|event| match &event.what {
+            What::RoleChanged { role, mode, .. } => {
+                Some((event.at_ns, Some(role_name(*role, *mode))))
+            }
+            What::Started { .. } => Some((event.at_ns, None)),
+            _ => None,
+        });
+        let mut changes: Vec<(u64, Option<String>)> = off.chain(roles).collect();
+        changes.sort_by_key(|(at_ns, _)| *at_ns);
+        for (at_ns, name) in &changes {
+            change(self, *at_ns, name.as_deref());
+        }
+        let end_ns = log.end_ns.unwrap_or(0);
+        change(self, end_ns, None);
+    }
+
+    /// Counters of core 0.
+    fn control(&mut self, timeline: &Timeline, system: SystemId, process: u64) {
+        let period = self.counter(process, "control period", "ms");
+        let lateness = self.counter(process, "control lateness", "µs");
+        let execution = self.counter(process, "control execution", "µs");
+        let chain = self.counter(process, "chain 1 → 2 → 0", "ms");
+        let is_it = |line: &&CoreLine| line.system == system && line.core == CoreId::CONTROL;
+        let Some(line) = timeline.cores.iter().find(is_it) else {
+            return;
+        };
+        let mut last_ns = None;
+        for mark in &line.marks {
+            match mark.event {
+                Event::Started { .. } => last_ns = None,
+                Event::ControlCycle {
+                    lateness_ns,
+                    execution_ns,
+                    ..
+                } => {
+                    let begin_ns = mark.at_ns.saturating_sub(execution_ns.into());
+                    if let Some(last_ns) = last_ns.replace(begin_ns) {
+                        let span_ms = begin_ns.saturating_sub(last_ns) as f64 * 1e-6;
+                        self.value(period, mark.at_ns, span_ms);
+                    }
+                    self.value(lateness, mark.at_ns, f64::from(lateness_ns) * 1e-3);
+                    self.value(execution, mark.at_ns, f64::from(execution_ns) * 1e-3);
+                }
+                Event::Chain { latency_ns, .. } => {
+                    self.value(chain, mark.at_ns, f64::from(latency_ns) * 1e-6);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn vehicle(&mut self, log: &RunLog, markers: u64) {
+        let process = self.process(VEHICLE_PID, "vehicle");
+        let bus = self.thread(VEHICLE_PID, 0, "control frames");
+        for frame in &log.control {
+            let verdict = match frame.verdict {
+                Verdict::Accepted => "obeyed",
+                Verdict::Fenced => "fenced off",
+                Verdict::NotMaster => "not a master's",
+                Verdict::Invalid => "invalid",
+            };
+            let name = format!("{} {verdict}", frame.system.name());
+            self.moment(bus, frame.at_ns, Kind::Instant, &name);
+        }
+        let gap = self.counter(process, "gap between obeyed frames", "ms");
+        let obeyed: Vec<u64> = log.accepted().map(|frame| frame.at_ns).collect();
+        for pair in obeyed.windows(2) {
+            let span_ms = pair[1].saturating_sub(pair[0]) as f64 * 1e-6;
+            self.value(gap, pair[1], span_ms);
+        }
+        let speed = self.counter(process, "speed", "m/s");
+        let lateral = self.counter(process, "lateral error", "m");
+        for sample in &log.samples {
+            self.value(speed, sample.at_ns, sample.speed);
+            self.value(lateral, sample.at_ns, sample.lateral_error);
+        }
+        let mut events: Vec<(u64, String)> = Vec::new();
+        events.extend(takeovers(log).iter().map(|takeover| {
+            let (from, to) = (takeover.from.name(), takeover.to.name());
+            let cause = takeover.cause.as_deref().unwrap_or("no sign known");
+            (
+                takeover.at_ns,
+                format!("{to} drives in place of {from}: {cause}"),
+            )
+        }));
+        events.extend(log.power.iter().map(|power| {
+            let state = if power.on { "has power" } else { "is off" };
+            (power.at_ns, format!("{} {state}", power.system.name()))
+        }));
+        let collisions = log.collisions_ns.iter();
+        events.extend(collisions.map(|at_ns| (*at_ns, "collision".to_owned())));
+        events.extend(
+            log.start_ns
+                .map(|at_ns| (at_ns, "the drive begins".to_owned())),
+        );
+        events.sort();
+        for (at_ns, name) in &events {
+            self.moment(markers, *at_ns, Kind::Instant, name);
+        }
+    }
+
+    fn into_bytes(mut self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut put = |packet: &TracePacket| {
+            bytes.push(PACKET_KEY);
+            // A vector grows as it must, so this cannot fail.
+            let _ = packet.encode_length_delimited(&mut bytes);
+        };
+        let packet = |flags: u32| TracePacket {
+            trusted_packet_sequence_id: Some(SEQUENCE),
+            sequence_flags: Some(flags),
+            ..TracePacket::default()
+        };
+        put(&TracePacket {
+            interned_data: Some(InternedData {
+                event_categories: self.categories.list(),
+                event_names: self.names.list(),
+                debug_annotation_names: self.figures.list(),
+            }),
+            ..packet(STATE_CLEARED)
+        });
+        for track in self.tracks {
+            put(&TracePacket {
+                track_descriptor: Some(track),
+                ..packet(NEEDS_STATE)
+            });
+        }
+        // Stable: what is at one time on one track stays in its order.
+        self.moments.sort_by_key(|moment| moment.at_ns);
+        for moment in &self.moments {
+            put(&TracePacket {
+                timestamp: Some(moment.at_ns),
+                track_event: Some(moment.event()),
+                ..packet(NEEDS_STATE)
+            });
+        }
+        bytes
+    }
+}
+
+impl Moment {
+    fn event(&self) -> TrackEvent {
+        let some = |number: u64| (number != 0).then_some(number);
+        let (kind, value) = match self.kind {
+            Kind::Begin => (event_type::SLICE_BEGIN, None),
+            Kind::End => (event_type::SLICE_END, None),
+            Kind::Instant => (event_type::INSTANT, None),
+            Kind::Counter(value) => (event_type::COUNTER, Some(value)),
+        };
+        let figures = self.figures.iter().map(|(name, value)| DebugAnnotation {
+            name_iid: Some(*name),
+            double_value: Some(*value),
+        });
+        TrackEvent {
+            category_iids: some(self.category).into_iter().collect(),
+            debug_annotations: figures.collect(),
+            r#type: Some(kind),
+            name_iid: some(self.name),
+            track_uuid: Some(self.track),
+            double_counter_value: value,
+            flow_ids: some(self.flow_out).into_iter().collect(),
+            terminating_flow_ids: some(self.flow_in).into_iter().collect(),
+        }
+    }
+}
+
+const fn cause_name(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::PowerOn => "power-on",
+        ResetCause::Software => "software",
+        ResetCause::Watchdog => "watchdog",
+        ResetCause::Trap => "trap or dead core",
+    }
+}
+
+fn role_name(role: crate::runlog::Role, mode: crate::runlog::Mode) -> String {
+    use crate::runlog::{Mode, Role};
+    let role = match role {
+        Role::Starting => "starting",
+        Role::Master => "master",
+        Role::Standby => "standby",
+        Role::Suspended => "suspended",
+    };
+    match mode {
+        Mode::None => role.to_owned(),
+        Mode::L3 => format!("{role}, L3"),
+        Mode::DegradedL2 => format!("{role}, degraded L2"),
+        Mode::SafeStop => format!("{role}, safe stop"),
+    }
+}
+
+/// Category and name of a moment on a core; `None` if counters show it.
+fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
+    Some(match event {
+        Event::Interrupted { irq } => ("interrupt", irq_name(irq)),
+        Event::Wake { core, task, .. } => {
+            let task = task_name(core, task);
+            ("wake", format!("wakes core {}: {task}", core.index()))
+        }
+        Event::Woken { core, .. } => ("wake", format!("woken by core {}", core.index())),
+        Event::Ring { core } => ("interrupt", format!("rings core {}", core.index())),
+        Event::Ready { task } => ("ready", format!("{} is ready", task_name(line.core, task))),
+        Event::ControlCycle { .. } | Event::Chain { .. } => return None,
+        other => ("event", observe::words(other)?),
+    })
+}
