@@ -96,6 +96,13 @@ impl Batch {
         self
     }
 
+    /// The same without facts that another group tells already.
+    #[must_use]
+    pub fn without_facts(mut self) -> Self {
+        self.facts.clear();
+        self
+    }
+
     /// The same with another fact.
     #[must_use]
     pub fn with_fact(mut self, name: &'static str, value: f64) -> Self {

@@ -82,7 +82,7 @@ pub(super) const CASES: &[Case] = &[
     ),
     case(
         "newest-paced",
-        "one value each microsecond, without readers",
+        "one value each microsecond, the clock's reading included",
         10_000,
         |_, plan| tandem::newest::write(plan, 0, Pace::Fixed),
     ),

@@ -6,8 +6,11 @@
 //! and 99th percentile are its own and everything above is its maximum.
 
 use crate::harness::{Batch, Plan};
-use std::io;
-use std::process::{Child, Command, Stdio};
+use crate::stage::LIMIT;
+use std::io::{self, Read};
+use std::os::fd::AsRawFd;
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::Instant;
 
 /// Debian's package that has it.
 const PACKAGE: &str = "cyclonedds-tools";
@@ -50,10 +53,8 @@ pub fn ddsperf(plan: &Plan) -> io::Result<Batch> {
     let _pong = Running(start(plan.cpus[1], plan.rounds + 2, "pong")?);
     // The first second is discovery and warm-up.
     let mut ping = Running(start(plan.cpus[0], plan.rounds + 1, "ping")?);
-    let mut text = String::new();
-    if let Some(output) = ping.0.stdout.as_mut() {
-        io::Read::read_to_string(output, &mut text)?;
-    }
+    let output = ping.0.stdout.take();
+    let text = output.map_or(Ok(String::new()), read_within_limit)?;
     let reports: Vec<Report> = text.lines().filter_map(Report::parse).collect();
     if reports.is_empty() {
         return Err(io::Error::other("ddsperf did not measure anything"));
@@ -63,6 +64,34 @@ pub fn ddsperf(plan: &Plan) -> io::Result<Batch> {
         payload_bytes: 4,
         ..Batch::default()
     })
+}
+
+/// All that comes until its end, but not for longer than a batch may take.
+fn read_within_limit(mut output: ChildStdout) -> io::Result<String> {
+    let until = Instant::now() + LIMIT;
+    let mut bytes = vec![];
+    loop {
+        let mut ready = libc::pollfd {
+            fd: output.as_raw_fd(),
+            events: libc::POLLIN,
+            revents: 0,
+        };
+        let left_ms = until.saturating_duration_since(Instant::now()).as_millis() as i32;
+        // SAFETY: `ready` is one valid entry.
+        if left_ms == 0 || unsafe { libc::poll(&mut ready, 1, left_ms) } == 0 {
+            return Err(io::Error::new(
+                io::ErrorKind::TimedOut,
+                "ddsperf did not come to an end",
+            ));
+        }
+        let mut some = [0; 4096];
+        match output.read(&mut some) {
+            Ok(0) => return Ok(String::from_utf8_lossy(&bytes).into_owned()),
+            Ok(count) => bytes.extend_from_slice(&some[..count]),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
 }
 
 /// One line of its output, in microseconds.

@@ -75,5 +75,5 @@ pub fn iceoryx2_size(plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let run = next_run();
     let end = |out, inward| move |_: &_| Slices::open(run, bytes / 4, out, inward);
     let batch = between_processes(plan, 0, end("there", "back"), end("back", "there"))?;
-    Ok(batch.carrying(bytes as u64))
+    Ok(batch.carrying(bytes as u64).without_facts())
 }

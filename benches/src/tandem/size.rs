@@ -80,5 +80,7 @@ pub fn in_place(system: &BareSystem, plan: &Plan, bytes: usize) -> io::Result<Ba
     };
     let near = start(a, b, ways.0, ways.1);
     let far = start(b, a, ways.1, ways.0);
-    Ok(between_processes(plan, 0, near, far)?.carrying(bytes as u64))
+    Ok(between_processes(plan, 0, near, far)?
+        .carrying(bytes as u64)
+        .without_facts())
 }
