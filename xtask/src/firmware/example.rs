@@ -111,6 +111,14 @@ fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     println!("{:<44} {:>7}", "bytes", "text");
     let shown = |what: &str, text: u32| println!("{what:<44} {text:>7}");
     let count = |functions: usize| format!("{functions} functions");
+    let messages = ["layout_init", "map_", "life_", "mailbox", "fifo"];
+    let of_messages = |name: &&String| messages.iter().any(|part| name.contains(part));
+    let few: Vec<&String> = all.iter().filter(of_messages).collect();
+    let text = linked(root, library, &few)?;
+    shown(
+        &format!("map, mailbox, FIFO for C, {}", count(few.len())),
+        text,
+    );
     let text = linked(root, library, &shm)?;
     shown(&format!("shm for C, {}", count(shm.len())), text);
     let text = linked(root, library, &all.iter().collect::<Vec<_>>())?;
