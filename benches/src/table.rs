@@ -114,7 +114,7 @@ impl Results {
         worst.map_or(String::new(), |row| {
             format!(
                 "A program that does nothing but read the clock on {} is held up for {} at worst: \
-                 no tail\nbelow can be better than the machine's own.\n",
+                 no tail\nof a case can be better than the machine's own.\n",
                 row.case(),
                 figures::time(row.max_ns)
             )

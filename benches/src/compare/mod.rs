@@ -5,7 +5,8 @@
 //!
 //! - the times differ by the test of Mann and Whitney, and so do their ratios to the floor's batch
 //!   that ran beside each: a machine in another mood changes times, but hardly ratios. The larger
-//!   of the two p-values counts, after Holm's correction for the number of cases;
+//!   of the two p-values counts, after Holm's correction for the number of cases. Runs of a handful
+//!   of batches, which no ranks can tell apart, go by Welch's test on the logarithms instead;
 //! - times and ratios changed in the same direction, each by more than it drifted between the two
 //!   halves of either run, and by more than [`SMALLEST_CHANGE`].
 //!
@@ -253,17 +254,22 @@ pub fn compare((a_path, a): (&Path, &Results), (b_path, b): (&Path, &Results)) -
     let find = |results: &'_ Results, name: &str| -> Option<usize> {
         results.results.iter().position(|row| row.name == name)
     };
-    let mut cases = Vec::new();
+    let mut pairs: Vec<[&Row; 2]> = Vec::new();
     for row_a in &a.results {
         if let Some(at) = find(b, &row_a.name) {
-            let rows = [row_a, &b.results[at]];
-            let floors = [a, b].map(|run| find(run, &floor_of(row_a)).map(|at| &run.results[at]));
-            cases.push(case(rows, floors));
+            pairs.push([row_a, &b.results[at]]);
         }
+    }
+    let mut cases = Vec::new();
+    for rows in &pairs {
+        let floors = [a, b].map(|run| find(run, &floor_of(rows[0])).map(|at| &run.results[at]));
+        let kind = kind(rows[0]);
+        let family = pairs.iter().filter(|other| self::kind(other[0]) == kind);
+        cases.push(case(*rows, floors, family.count()));
     }
     judge(&mut cases);
     let mut remarks = remarks(a, b);
-    remarks.extend(too_few(&cases, a, b));
+    remarks.extend(too_few(&pairs));
     let missing = |from: &Results, all: &Results| {
         let names = all.results.iter().map(|row| row.name.clone());
         names.filter(|name| find(from, name).is_none()).collect()
@@ -287,12 +293,17 @@ pub fn compare((a_path, a): (&Path, &Results), (b_path, b): (&Path, &Results)) -
     }
 }
 
+/// Floors, peers, Tandem's.
+fn kind(row: &Row) -> (bool, bool) {
+    (row.is_floor(), Family::of(row).is_peer())
+}
+
 fn floor_of(row: &Row) -> String {
     format!("{}/floor", row.group)
 }
 
-/// One case, with p-values that are not yet corrected, and no verdict.
-fn case(rows: [&Row; 2], floors: [Option<&Row>; 2]) -> Compared {
+/// One case of a family of so many, with p-values that are not yet corrected, and no verdict.
+fn case(rows: [&Row; 2], floors: [Option<&Row>; 2], family: usize) -> Compared {
     let is_floor = rows[0].is_floor();
     let floors = match floors {
         [Some(a), Some(b)] if !is_floor => Some([a, b]),
@@ -301,7 +312,8 @@ fn case(rows: [&Row; 2], floors: [Option<&Row>; 2]) -> Compared {
     let change = |total: fn(&Row) -> f64, batches: fn(&Row) -> &[f64]| {
         let ratios =
             floors.map(|floors| [0, 1].map(|i| beside(batches(rows[i]), batches(floors[i]))));
-        change(rows.map(total), rows.map(|row| logs(batches(row))), ratios)
+        let times = rows.map(|row| logs(batches(row)));
+        change(rows.map(total), times, ratios, family)
     };
     Compared {
         name: rows[0].name.clone(),
@@ -336,9 +348,29 @@ fn merged(values: Vec<f64>) -> Vec<f64> {
     parts.filter_map(median).collect()
 }
 
-fn change(total_ns: [f64; 2], times: [Vec<f64>; 2], ratios: Option<[Vec<f64>; 2]>) -> Change {
-    let of = |[a, b]: &[Vec<f64>; 2]| relative(stats::shift(a, b, CONFIDENCE)?);
-    let p = |[a, b]: &[Vec<f64>; 2]| stats::mann_whitney_p(a, b);
+/// Whether the second run lies apart from the first, and by how much; `None` if one of them holds
+/// too few batches for that.
+fn tested([a, b]: &[Vec<f64>; 2], family: usize) -> (f64, Option<Relative>) {
+    let by_ranks = || {
+        let shift = stats::shift(a, b, CONFIDENCE).and_then(relative);
+        (stats::mann_whitney_p(a, b), shift)
+    };
+    // What the sizes permit, not what the values say, decides for a test.
+    if stats::least_p(a.len(), b.len()) * family as f64 <= ALPHA {
+        return by_ranks();
+    }
+    let by_distance = stats::welch(a, b, CONFIDENCE);
+    by_distance.map_or_else(by_ranks, |(p, shift)| (p, relative(shift)))
+}
+
+fn change(
+    total_ns: [f64; 2],
+    times: [Vec<f64>; 2],
+    ratios: Option<[Vec<f64>; 2]>,
+    family: usize,
+) -> Change {
+    let (p, time) = tested(&times, family);
+    let of_ratio = ratios.as_ref().map(|ratios| tested(ratios, family));
     let tested: Vec<&[Vec<f64>; 2]> = std::iter::once(&times).chain(&ratios).collect();
     let drift = tested
         .iter()
@@ -346,9 +378,9 @@ fn change(total_ns: [f64; 2], times: [Vec<f64>; 2], ratios: Option<[Vec<f64>; 2]
     Change {
         a_ns: total_ns[0],
         b_ns: total_ns[1],
-        time: of(&times),
-        ratio: ratios.as_ref().and_then(of),
-        p: tested.iter().map(|runs| p(runs)).fold(0.0, f64::max),
+        time,
+        ratio: of_ratio.and_then(|(_, ratio)| ratio),
+        p: of_ratio.map_or(p, |(of_ratio, _)| p.max(of_ratio)),
         drift: drift.fold(0.0, f64::max),
         verdict: Verdict::NoChange,
     }
@@ -375,17 +407,21 @@ fn relative(shift: Interval) -> Option<Relative> {
 }
 
 /// Corrects the p-values for their number, and says what each change is. Medians and 99th
-/// percentiles are a family each: the tail's noise shall not hide what the medians show.
+/// percentiles are a family each, and so are Tandem's cases and the peers: the noise of the ones
+/// shall not hide what the others show.
 fn judge(cases: &mut [Compared]) {
-    let families: [fn(&mut Compared) -> &mut Change; 2] =
+    let percentiles: [fn(&mut Compared) -> &mut Change; 2] =
         [|case| &mut case.p50, |case| &mut case.p99];
-    for of in families {
-        let tested = cases.iter_mut().filter(|case| !case.is_floor);
-        let mut changes: Vec<&mut Change> = tested.map(of).collect();
-        let p: Vec<f64> = changes.iter().map(|change| change.p).collect();
-        for (change, p) in changes.iter_mut().zip(stats::holm(&p)) {
-            change.p = p;
-            change.verdict = verdict(change);
+    for of in percentiles {
+        for peers in [false, true] {
+            let family = cases.iter_mut();
+            let family = family.filter(|case| !case.is_floor && case.is_peer == peers);
+            let mut changes: Vec<&mut Change> = family.map(of).collect();
+            let p: Vec<f64> = changes.iter().map(|change| change.p).collect();
+            for (change, p) in changes.iter_mut().zip(stats::holm(&p)) {
+                change.p = p;
+                change.verdict = verdict(change);
+            }
         }
         for floor in cases.iter_mut().filter(|case| case.is_floor) {
             of(floor).p = 1.0;
@@ -413,22 +449,15 @@ fn verdict(change: &Change) -> Verdict {
     }
 }
 
-/// Says so if there are cases whose batches could show no change however large.
-fn too_few(cases: &[Compared], a: &Results, b: &Results) -> Option<String> {
-    let tested = cases.iter().filter(|case| !case.is_floor).count();
-    let batches = |results: &Results, name: &str| {
-        let row = results.results.iter().find(|row| row.name == name);
-        row.map_or(0, |row| row.batch_p50_ns.len())
-    };
-    let hopeless = cases.iter().filter(|case| {
-        let [n, m] = [a, b].map(|run| batches(run, &case.name));
-        !case.is_floor && stats::least_p(n, m) * tested as f64 > ALPHA
-    });
-    let count = hopeless.count();
+/// Says so if there are cases with a single batch, which shows nothing of its noise.
+fn too_few(pairs: &[[&Row; 2]]) -> Option<String> {
+    let few = |row: &&Row| row.batch_p50_ns.len() < 2;
+    let count = pairs.iter().filter(|rows| rows.iter().any(few)).count();
     (count > 0).then(|| {
         format!(
-            "{count} of {tested} cases have too few batches to show a change of any size: measure \
-             longer (without --quick), or fewer groups at a time"
+            "{count} of {} cases have a single batch, which proves no change of any size: measure \
+             longer, or fewer groups at a time",
+            pairs.len()
         )
     })
 }

@@ -97,7 +97,7 @@ pub(super) fn svg(rows: &[&Row]) -> Option<Markup> {
                 text.tick x=(at(x(nines))) y=(bottom + 18.0) text-anchor="middle" { (label) }
             }
             text.tick x=(LEFT) y=(bottom + 38.0) {
-                "this share of the messages took no longer →"
+                "this share took no longer →"
             }
             @for (curve, name) in curves.iter().zip(&names) {
                 @let main = Some(curve.row.name.as_str()) == first;

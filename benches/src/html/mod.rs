@@ -53,6 +53,7 @@ fn header(results: &Results) -> Markup {
             (figures::count(samples as f64)) " samples in "
             (format!("{:.0}", results.duration_s)) " s"
         }
+        p.sub { (results.noise_in_words()) }
         @if results.interrupted {
             div.verdict.bad { "Interrupted: fewer samples than planned" }
         }

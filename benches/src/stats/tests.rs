@@ -95,6 +95,51 @@ fn the_normal_distribution_has_its_quantiles() {
     assert!((normal_quantile(0.0005) - 3.290_526_731).abs() < 1e-6);
 }
 
+#[test]
+fn students_t_has_the_values_of_the_tables() {
+    // Two-sided 5 %, 1 % and 0.1 %: one degree of freedom has the closed form of Cauchy.
+    for (t, freedom, p) in [
+        (12.706_205, 1.0, 0.05),
+        (4.302_653, 2.0, 0.05),
+        (2.776_445, 4.0, 0.05),
+        (4.604_095, 4.0, 0.01),
+        (8.610_302, 4.0, 0.001),
+        (2.042_272, 30.0, 0.05),
+        (1.0, 1.0, 0.5),
+        (0.0, 7.0, 1.0),
+    ] {
+        let is = student_p(t, freedom);
+        assert!((is - p).abs() < 1e-6 * p.max(0.1), "{t} {freedom}: {is}");
+    }
+}
+
+#[test]
+fn welch_agrees_with_a_worked_example() {
+    // Means 2 and 5, variances 1 and 4, three values each: t = 3 / sqrt(5/3), 2.94 degrees.
+    let (p, interval) = welch(&[1.0, 2.0, 3.0], &[3.0, 5.0, 7.0], 0.95).unwrap();
+    let (t, freedom) = (3.0 / (5.0_f64 / 3.0).sqrt(), (25.0 / 9.0) / (17.0 / 18.0));
+    assert!((p - student_p(t, freedom)).abs() < 1e-12);
+    assert!((0.09..0.12).contains(&p), "{p}");
+    assert_eq!(interval.middle, 3.0);
+    assert!(interval.low < 0.0 && interval.high > 6.0);
+    assert!(welch(&[1.0], &[1.0, 2.0], 0.95).is_none());
+}
+
+#[test]
+fn welch_is_not_rash_with_three_batches() {
+    let mut random = ChaCha8Rng::seed_from_u64(10);
+    let runs = 2000;
+    let mut errors = 0;
+    for _ in 0..runs {
+        let log = |values: Vec<f64>| values.into_iter().map(f64::ln).collect::<Vec<_>>();
+        let a = log(batches(&mut random, 3, 1.0));
+        let b = log(batches(&mut random, 3, 1.0));
+        errors += u32::from(welch(&a, &b, 0.95).unwrap().0 <= 0.05);
+    }
+    // 100 expected at most; Welch errs on the safe side with so few.
+    assert!((30..=130).contains(&errors), "{errors} of {runs}");
+}
+
 /// Batches of a run on a machine like ours: most alike, some far off.
 fn batches(random: &mut ChaCha8Rng, n: usize, factor: f64) -> Vec<f64> {
     let noise = LogNormal::new(0.0, 0.06).unwrap();

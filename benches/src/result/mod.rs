@@ -272,3 +272,6 @@ fn ns(ps: u64) -> f64 {
 fn rounded(value: f64, steps: f64) -> f64 {
     (value * steps).round() / steps
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,158 @@
+//! The results: what the figures are made of, and the names in the file.
+
+use super::*;
+use crate::cases;
+use crate::harness::Batch;
+use serde_json::Value;
+
+/// What was measured of this case: one batch for each list of times, in picoseconds.
+fn measured(name: &str, batches: &[Vec<u64>]) -> Measurement {
+    let case = cases::all().find(|case| case.full_name() == name).unwrap();
+    let mut measurement = Measurement::new(case);
+    for samples_ps in batches {
+        measurement.add(Batch {
+            samples_ps: samples_ps.clone(),
+            payload_bytes: 8,
+            cpu_ns_per_message: Some(150.04),
+            facts: vec![("longest wait, ns", samples_ps[0] as f64), ("share", 0.5)],
+            ..Batch::default()
+        });
+    }
+    measurement
+}
+
+/// 1 to 1000 times this many picoseconds.
+fn ramp(step: u64) -> Vec<u64> {
+    (1..=1000).map(|i| i * step).collect()
+}
+
+fn run() -> Results {
+    let mut skipped = measured("sleep/tandem", &[]);
+    skipped.skipped = Some("no reason".to_owned());
+    let mut spinning = measured("spin/tandem", &[ramp(200), ramp(220)]);
+    spinning.round_trips = measured("spin/floor", &[ramp(400)]).times;
+    let all = [
+        measured("spin/floor", &[ramp(100), ramp(100)]),
+        spinning,
+        measured("throughput/fifo-8B", &[vec![8_000; 100]]),
+        measured("noise/cpu0", &[ramp(20)]),
+        skipped,
+    ];
+    Results::new(&all, &[0, 1], 12.34, false)
+}
+
+#[test]
+fn the_file_has_the_names_that_readers_rely_on() {
+    let file = serde_json::to_value(run()).unwrap();
+    let names = |value: &Value| -> Vec<String> {
+        let mut names: Vec<String> = value.as_object().unwrap().keys().cloned().collect();
+        names.sort();
+        names
+    };
+    assert_eq!(
+        names(&file),
+        [
+            "duration_s",
+            "interrupted",
+            "machine",
+            "noise",
+            "results",
+            "schema",
+            "skipped"
+        ]
+    );
+    assert_eq!(
+        names(&file["results"][1]),
+        [
+            "batch_p50_ns",
+            "batch_p99_ns",
+            "bytes_per_second",
+            "cpu_ns_per_message",
+            "curve",
+            "facts",
+            "group",
+            "max_ns",
+            "memory_bytes",
+            "messages_per_second",
+            "name",
+            "p50_ns",
+            "p90_ns",
+            "p99_9_ns",
+            "p99_ns",
+            "payload_bytes",
+            "ratio_to_floor_p50",
+            "ratio_to_floor_p99_9",
+            "round_trip",
+            "samples",
+            "what"
+        ]
+    );
+    for name in ["cpu", "cpus", "pinned_to", "kernel", "build", "versions"] {
+        assert!(!file["machine"][name].is_null(), "{name}");
+    }
+    assert_eq!(file["schema"], SCHEMA);
+    assert_eq!(file["results"][1]["name"], "spin/tandem");
+    assert_eq!(file["results"][1]["group"], "spin");
+    assert_eq!(file["skipped"][0]["name"], "sleep/tandem");
+}
+
+#[test]
+fn percentiles_and_ratios_are_those_of_all_batches() {
+    let run = run();
+    let [floor, tandem, fifo] = &run.results[..] else {
+        panic!("{:?}", run.results.len());
+    };
+    // Medians of 50 and 105 ns, to the histogram's three digits and the rounding.
+    assert!((floor.p50_ns - 50.0).abs() < 0.2, "{}", floor.p50_ns);
+    assert!((tandem.p50_ns - 105.0).abs() < 0.3, "{}", tandem.p50_ns);
+    assert!((tandem.ratio_to_floor_p50.unwrap() - 2.1).abs() < 0.02);
+    assert_eq!(floor.ratio_to_floor_p50, Some(1.0));
+    assert_eq!(fifo.ratio_to_floor_p50, None);
+    assert!((tandem.max_ns - 220.0).abs() < 0.3 && tandem.samples == 2000);
+    assert!((tandem.round_trip.unwrap().p50_ns - 200.0).abs() < 0.5);
+    assert_eq!(floor.round_trip, None);
+    assert_eq!(tandem.cpu_ns_per_message, Some(150.0));
+    assert_eq!(tandem.batch_p50_ns.len(), 2);
+    assert!((tandem.batch_p50_ns[1] / tandem.batch_p50_ns[0] - 1.1).abs() < 1e-9);
+    assert_eq!(run.noise[0].name, "noise/cpu0");
+}
+
+#[test]
+fn throughput_is_a_second_over_the_median() {
+    let run = run();
+    let fifo = &run.results[2];
+    let rate = fifo.messages_per_second.unwrap();
+    assert!((rate / 125e6 - 1.0).abs() < 0.002, "{rate}");
+    assert!((fifo.bytes_per_second.unwrap() / rate - 8.0).abs() < 1e-6);
+    assert_eq!(run.results[0].messages_per_second, None);
+}
+
+#[test]
+fn facts_are_medians_and_what_is_longest_is_the_longest() {
+    let run = run();
+    let facts = &run.results[1].facts;
+    assert_eq!(facts["share"], 0.5);
+    assert_eq!(facts["longest wait, ns"], 220.0);
+}
+
+#[test]
+fn a_curve_ends_where_ten_samples_are_left() {
+    let curve = &run().results[1].curve;
+    assert_eq!(curve.len(), CURVE_POINTS);
+    // 2000 samples carry 99.5 %.
+    assert!((curve.last().unwrap().0 - 0.995).abs() < 1e-6);
+    assert!(
+        curve
+            .windows(2)
+            .all(|pair| pair[0].0 < pair[1].0 && pair[0].1 <= pair[1].1)
+    );
+    let few = measured("spin/floor", &[vec![1, 2, 3]]);
+    assert!(Row::new(&few, None).curve.is_empty());
+}
+
+#[test]
+fn the_median_is_the_middle() {
+    assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
+    assert_eq!(median(&[4.0, 1.0]), Some(2.5));
+    assert_eq!(median(&[]), None);
+}
