@@ -174,7 +174,11 @@ impl Outputs {
             let file = |one: &Measurement| {
                 let name = one.case.full_name().replace('/', "-") + ".hgrm";
                 // Picoseconds, shown in nanoseconds.
-                (name, hgrm::text(&one.times, 1e-3))
+                let mut text = hgrm::text(&one.times, 1e-3);
+                if results.interrupted {
+                    text += "#[Interrupted: fewer samples than planned]\n";
+                }
+                (name, text)
             };
             let files: Vec<(String, String)> = measured.map(file).collect();
             folder.fill(&files).map_err(BenchError::NotWritten)?;

@@ -41,7 +41,7 @@ const MOST_BATCHES: usize = 400;
 #[derive(Debug, thiserror::Error)]
 pub enum CompareError {
     /// A file cannot be read.
-    #[error("cannot read {path}: {source}")]
+    #[error("cannot read {path}")]
     Read {
         /// The file.
         path: PathBuf,
