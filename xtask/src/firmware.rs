@@ -188,8 +188,11 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    for (package, test) in [("tandem-board-qemu", "identical"), ("tandem", "emulated")] {
-        let mut command = crate::cargo(root, &["test", "-p", package, "--test", test]);
+    let of_qemu = ["--test", "identical", "--test", "feeds"];
+    let of_command = ["--test", "emulated"];
+    for (package, tests) in [("tandem-board-qemu", &of_qemu[..]), ("tandem", &of_command)] {
+        let mut command = crate::cargo(root, &["test", "-p", package]);
+        command.args(tests);
         command.args(["--", "--ignored", "--test-threads", "1"]);
         command.env(
             "TANDEM_IMAGES",

@@ -60,7 +60,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the image with these systems in it.
+    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 is a task of
+    /// FreeRTOS.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -75,6 +76,8 @@ impl Machine {
             .map_err(MachineError::Pipes)?;
         let (from, to) = pipes(folder.path()).map_err(|error| MachineError::Pipes(error.into()))?;
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
+        let with_rtos = systems.len() == 1;
+        let options = u32::from(reintegrate) | u32::from(with_rtos) << 1;
         let mut command = Command::new(QEMU);
         command
             .current_dir(folder.path())
@@ -85,7 +88,7 @@ impl Machine {
             .args(["-icount", "shift=0,sleep=off", "-semihosting", "-kernel"])
             .arg(image);
         // Strap 0, the mode, stays 0.
-        for (index, value) in [(1, mask), (2, u32::from(reintegrate))] {
+        for (index, value) in [(1, mask), (2, options)] {
             let at = STRAPS_AT + 4 * index;
             command
                 .arg("-device")

@@ -77,7 +77,12 @@ park:
     .globl tandem_restart_hart
 tandem_restart_hart:
     csrci mstatus, MIE_BIT
+    csrw mie, zero
     mv s0, a0
+    # An operating system may have set its own.
+    la t0, trap_vector
+    ori t0, t0, 1
+    csrw mtvec, t0
     addi t0, s0, 1
     slli t0, t0, STACK_SHIFT
     la sp, __stacks

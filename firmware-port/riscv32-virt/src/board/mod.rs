@@ -16,6 +16,7 @@ use tandem_board::{Board, CoreId, Generation, Identity, Instant, SystemId, Trace
 ///
 /// Made by [`run`] at the beginning of each life. Programming the flash and serving the watchdog
 /// is core 0's; on another core they panic.
+#[derive(Clone, Debug)]
 pub struct VirtBoard {
     identity: Identity,
     can: VirtCan,

@@ -183,6 +183,8 @@ impl Carrier {
             }
         }
         registers.request.store(0, Relaxed);
+        // Outputs of a chip in reset are low.
+        registers.lamp.store(0, Relaxed);
         self.set_power(which, false);
     }
 

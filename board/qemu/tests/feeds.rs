@@ -1,0 +1,68 @@
+//! The controller as firmware loses and gets its battery, in one machine and in two. Needs QEMU and
+//! the images, so that only `cargo xtask firmware test` runs it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::path::PathBuf;
+
+use tandem_board::{RoleLamp, SystemId};
+use tandem_board_qemu::{EmulatedWorld, Layout};
+
+/// Virtual time within which everything here happens, ms. Without sensors a system waits for two
+/// seconds before it begins.
+const LIMIT_MS: u64 = 10_000;
+
+/// Runs until `holds`, and says for how many milliseconds.
+fn until(world: &mut EmulatedWorld, what: &str, holds: impl Fn(&EmulatedWorld) -> bool) -> u64 {
+    for ms in 0..LIMIT_MS {
+        if holds(world) {
+            return ms;
+        }
+        world.step().unwrap();
+    }
+    panic!(
+        "{what}: {:?}",
+        SystemId::ALL.map(|system| world.role(system))
+    );
+}
+
+fn power_loss_and_return(layout: Layout) {
+    use RoleLamp::{DegradedMaster, Master, Standby, Starting};
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let image = PathBuf::from(images).join("controller");
+    let mut world = EmulatedWorld::start(&image, layout, false).unwrap();
+    world.step().unwrap();
+    world.set_ignition(true);
+    let [a, b] = SystemId::ALL;
+    until(&mut world, "A leads and B stands by", |world| {
+        world.role(a) == Master && world.role(b) == Standby
+    });
+    world.set_feed(a, false);
+    let took = until(&mut world, "B drives alone", |world| {
+        !world.is_powered(a) && world.role(b) == DegradedMaster
+    });
+    assert!(took <= 20, "B took {took} ms of virtual time");
+    world.set_feed(a, true);
+    until(&mut world, "A has power again", |world| world.is_powered(a));
+    until(&mut world, "A is in a role again", |world| {
+        world.role(a) != Starting
+    });
+    assert_ne!(world.role(a), Master, "B has the lead");
+    assert_eq!(world.role(b), DegradedMaster);
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_system_that_loses_its_battery_is_replaced_in_one_machine() {
+    power_loss_and_return(Layout::One);
+}
+
+/// Here core 0 is a task of FreeRTOS, in its first life.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_system_that_loses_its_battery_is_replaced_in_two_machines() {
+    power_loss_and_return(Layout::Two);
+}
