@@ -122,8 +122,8 @@ pub(crate) struct PsArgs {
 pub(crate) enum BoardKind {
     /// Processes of this machine, in real time
     Host,
-    /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time; core 0
-    /// under FreeRTOS
+    /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time; core
+    /// 0 under FreeRTOS
     Qemu,
     /// Firmware in one emulated machine with both systems in it, in the emulator's time; all cores
     /// bare

@@ -60,8 +60,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 is a task of
-    /// FreeRTOS.
+    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 is a task
+    /// of FreeRTOS.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].

@@ -91,12 +91,16 @@ pub(crate) fn sleep_while_held(hart: usize) {
     }
 }
 
-/// Ends this life if the carrier wants that. For a doorbell's handler under an operating system that
-/// has a trap vector of its own.
-#[inline]
+/// Ends this life if the carrier wants that. For a doorbell's handler under an operating system
+/// that has a trap vector of its own.
 pub fn end_if_held() {
     let number = hart::number() % HARTS;
-    if STATES[number].is_held() {
+    end_if(number, &STATES[number]);
+}
+
+#[inline]
+fn end_if(number: usize, state: &HartState) {
+    if state.is_held() {
         // SAFETY: the life that was interrupted is over: nothing of its stack is used again, and
         // what it shares with other harts are atomics.
         unsafe { tandem_restart_hart(number) };
@@ -108,7 +112,7 @@ extern "C" fn tandem_on_doorbell() {
     let number = hart::number() % HARTS;
     let state = &STATES[number];
     clint::clear(number);
-    end_if_held();
+    end_if(number, state);
     state.rung.store(true, Ordering::Relaxed);
     let handler = state.on_doorbell.load(Ordering::Relaxed);
     if !handler.is_null() {
