@@ -47,8 +47,12 @@ impl Family {
     /// That of a row.
     #[must_use]
     pub fn of(row: &Row) -> Self {
-        if row.is_floor() {
+        // In `rtos` a floor is one of the tick alone, and peers are named after what they do.
+        if row.is_floor() || row.case().ends_with("-floor") {
             return Self::Floor;
+        }
+        if row.case().ends_with("-posix-port") {
+            return Self::System;
         }
         let known = PEERS.iter().find(|(name, _)| row.case().starts_with(name));
         known.map_or(Self::Tandem, |(_, family)| *family)
@@ -125,6 +129,9 @@ mod tests {
             ("sleep/iceoryx2-event-tuned", Family::Iceoryx2),
             ("throughput/rtrb-8B", Family::Threads),
             ("lock/pthread-robust", Family::System),
+            ("rtos/tick-floor", Family::Floor),
+            ("rtos/tick", Family::Tandem),
+            ("rtos/tick-posix-port", Family::System),
         ] {
             assert_eq!(Family::of(&row(name, 80.0)), family, "{name}");
         }

@@ -26,6 +26,7 @@ pub mod open_loop;
 pub mod peers;
 pub mod places;
 pub mod result;
+pub mod rtos;
 pub mod shared;
 pub mod stage;
 pub mod stats;

@@ -27,6 +27,7 @@ mod tape;
 mod timeline;
 mod vehicle;
 
+use std::alloc::System;
 use std::io::{self, Write as _};
 use std::process::ExitCode;
 
@@ -38,6 +39,11 @@ use args::{Cli, Command};
 use failure::Failure;
 use tandem_benches::command::{self as bench, BenchArgs, BenchCommand, BenchError};
 use tandem_benches::table;
+use tandem_rtos::host::TaskAllocator;
+
+/// The tasks of a core share its thread, and with it the allocator.
+#[global_allocator]
+static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
 fn main() -> ExitCode {
     // The processes of a run are this program with hidden arguments.

@@ -6,6 +6,7 @@ mod noise;
 mod one_cpu;
 mod pool;
 mod rate;
+mod rtos;
 mod size;
 mod sleep;
 mod spin;
@@ -39,6 +40,8 @@ pub enum Group {
     StartUp,
     /// One way at a fixed rate, from the intended time of the sending.
     Rate,
+    /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
+    Rtos,
     /// What the machine does by itself.
     Noise,
 }
@@ -58,6 +61,7 @@ impl Group {
             Self::Chain => "chain",
             Self::StartUp => "start-up",
             Self::Rate => "rate",
+            Self::Rtos => "rtos",
             Self::Noise => "noise",
         }
     }
@@ -111,6 +115,7 @@ pub fn all() -> impl Iterator<Item = &'static Case> {
         chain::CASES,
         start_up::CASES,
         rate::CASES,
+        rtos::CASES,
         noise::CASES,
     ];
     groups.into_iter().flatten()
