@@ -78,7 +78,7 @@ impl Drop for Stack {
 }
 
 /// The idle task has nothing to do: sleeps until a signal. A signal that came before the call has
-/// been handled, and if it woke a task, that one runs now; so none is slept through.
+/// been handled, and if it woke a task, that one ran first; so none is slept through.
 pub(crate) fn idle() {
     if tick::is_virtual() {
         tick::skip_to_next();

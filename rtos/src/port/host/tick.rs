@@ -1,8 +1,8 @@
 //! The tick: 1 kHz on absolute time, or driven by work.
 //!
-//! The timer's expirations lie on a grid that begins with the scheduler, and how many ticks are due
-//! is computed from the clock at each signal: nothing adds up, and ticks that the machine was too
-//! late for are made up at once and counted.
+//! The expirations of the timers lie on a grid that begins with the scheduler, and how many ticks
+//! are due is computed from the clock at each signal: nothing adds up, and ticks that the machine
+//! was too late for are made up at once and counted.
 
 use super::interrupts;
 use super::state;
@@ -12,14 +12,20 @@ use crate::time::TICK_RATE_HZ;
 use core::mem::MaybeUninit;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU64};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64};
 use core::time::Duration;
 
 /// Nanoseconds of a tick.
 pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
 
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
-static TIMER: AtomicPtr<libc::c_void> = AtomicPtr::new(ptr::null_mut());
+/// Two timers that take turns. The operating system sets a periodic timer anew when its signal is
+/// delivered, before the handler runs; if that is the next one to expire on this processor, it must
+/// program the hardware there, which costs microseconds on a virtual machine. So the next one is
+/// always the other.
+static TIMERS: [AtomicPtr<libc::c_void>; 2] = [const { AtomicPtr::new(ptr::null_mut()) }; 2];
+/// How many of them there are.
+static MADE: AtomicU32 = AtomicU32::new(0);
 /// Nanoseconds of CLOCK_MONOTONIC at tick 0; 0 in virtual time.
 static START_NS: AtomicU64 = AtomicU64::new(0);
 /// Nanoseconds of virtual time since tick 0.
@@ -82,7 +88,7 @@ pub fn now_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Makes the timer; it stands still until `begin`.
+/// Makes the timers; they stand still until `begin`.
 pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
     VIRTUAL.store(clock == Clock::Virtual, Relaxed);
     origin();
@@ -93,19 +99,25 @@ pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
     if clock == Clock::Virtual {
         return Ok(());
     }
-    let mut timer: libc::timer_t = ptr::null_mut();
-    // SAFETY: an event of zeroes is valid and is then filled; the timer's signal goes to this
-    // thread.
-    unsafe {
-        let mut event: libc::sigevent = core::mem::zeroed();
-        event.sigev_notify = libc::SIGEV_THREAD_ID;
-        event.sigev_signo = interrupts::tick_signal();
-        event.sigev_notify_thread_id = interrupts::this_thread();
-        if libc::timer_create(libc::CLOCK_MONOTONIC, &mut event, &mut timer) != 0 {
-            return Err(super::errno());
+    for place in &TIMERS {
+        let mut timer: libc::timer_t = ptr::null_mut();
+        // SAFETY: an event of zeroes is valid and is then filled; the timer's signal goes to this
+        // thread.
+        let refused = unsafe {
+            let mut event: libc::sigevent = core::mem::zeroed();
+            event.sigev_notify = libc::SIGEV_THREAD_ID;
+            event.sigev_signo = interrupts::tick_signal();
+            event.sigev_notify_thread_id = interrupts::this_thread();
+            libc::timer_create(libc::CLOCK_MONOTONIC, &mut event, &mut timer)
+        };
+        if refused != 0 {
+            let errno = super::errno();
+            end();
+            return Err(errno);
         }
+        place.store(timer, Relaxed);
+        MADE.fetch_add(1, Relaxed);
     }
-    TIMER.store(timer, Relaxed);
     Ok(())
 }
 
@@ -116,25 +128,30 @@ pub(super) fn begin() {
     }
     let start = now_ns();
     START_NS.store(start, Relaxed);
-    let time = |ns: u64| libc::timespec {
+    for (number, timer) in (1..).zip(&TIMERS) {
+        let setting = libc::itimerspec {
+            it_interval: time(TIMERS.len() as u64 * TICK_NS),
+            it_value: time(start + number * TICK_NS),
+        };
+        let timer = timer.load(Relaxed);
+        // SAFETY: the timer was made by `prepare`; the setting is valid, so this cannot fail.
+        unsafe { libc::timer_settime(timer, libc::TIMER_ABSTIME, &setting, ptr::null_mut()) };
+    }
+}
+
+const fn time(ns: u64) -> libc::timespec {
+    libc::timespec {
         tv_sec: (ns / 1_000_000_000) as libc::time_t,
         tv_nsec: (ns % 1_000_000_000) as libc::c_long,
-    };
-    let setting = libc::itimerspec {
-        it_interval: time(TICK_NS),
-        it_value: time(start + TICK_NS),
-    };
-    let timer = TIMER.load(Relaxed);
-    // SAFETY: the timer was made by `prepare`; the setting is valid, so this cannot fail.
-    unsafe { libc::timer_settime(timer, libc::TIMER_ABSTIME, &setting, ptr::null_mut()) };
+    }
 }
 
 /// No more ticks.
 pub(super) fn end() {
-    let timer = TIMER.swap(ptr::null_mut(), Relaxed);
-    if !VIRTUAL.load(Relaxed) {
+    let made = MADE.swap(0, Relaxed) as usize;
+    for timer in &TIMERS[..made] {
         // SAFETY: the timer was made by `prepare` and is deleted once.
-        unsafe { libc::timer_delete(timer) };
+        unsafe { libc::timer_delete(timer.load(Relaxed)) };
     }
 }
 
