@@ -7,6 +7,8 @@
 //!
 //! `TANDEM_RTOS_SOAK_SECONDS` and `TANDEM_RTOS_SOAK_SEED` choose how long and from which seed on;
 //! `cargo xtask campaign rtos-soak` sets them.
+#![allow(clippy::expect_used, reason = "a test may")]
+
 mod common;
 
 use common::{Log, run, task};

@@ -77,6 +77,21 @@ enum Campaign {
         #[arg(long, default_value_t = 200)]
         count: u32,
     },
+    /// Run random task sets on FreeRTOS and compare their schedules with a model's
+    RtosSoak {
+        /// For how long
+        #[arg(long, default_value_t = 10)]
+        minutes: u32,
+        /// The first set; each further one has the next number
+        #[arg(long, default_value_t = 1)]
+        seed: u64,
+    },
+    /// Compare the tick of FreeRTOS with the clock
+    RtosDrift {
+        /// After how long
+        #[arg(long, default_value_t = 60)]
+        seconds: u32,
+    },
 }
 
 fn main() -> ExitCode {
@@ -103,6 +118,17 @@ fn execute() -> Result<()> {
         Task::Miri => miri(root),
         Task::Firmware(task) => firmware::run(root, task),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
+        Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
+            let mut command = rtos_test(root, "soak", "random_task_sets");
+            command.env("TANDEM_RTOS_SOAK_SECONDS", (minutes * 60).to_string());
+            command.env("TANDEM_RTOS_SOAK_SEED", seed.to_string());
+            run(command)
+        }
+        Task::Campaign(Campaign::RtosDrift { seconds }) => {
+            let mut command = rtos_test(root, "scheduling", "the_tick_does_not_drift");
+            command.env("TANDEM_RTOS_DRIFT_SECONDS", seconds.to_string());
+            run(command)
+        }
     }
 }
 
@@ -206,6 +232,14 @@ fn startup_kills(root: &Path, count: u32) -> Result<()> {
     let mut command = cargo(root, &test);
     command.env("TANDEM_STARTUP_KILLS", count.to_string());
     run(command)
+}
+
+/// One test of the RTOS room, with what it prints.
+fn rtos_test(root: &Path, file: &str, test: &str) -> Command {
+    let arguments = ["test", "--release", "-p", "tandem-rtos", "--test", file];
+    let mut command = cargo(root, &arguments);
+    command.args([test, "--", "--nocapture"]);
+    command
 }
 
 fn target_dir(root: &Path) -> PathBuf {

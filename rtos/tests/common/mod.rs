@@ -15,10 +15,15 @@ static TURN: Mutex<()> = Mutex::new(());
 
 /// Fills a kernel and runs it until a task stops it.
 pub(crate) fn run(clock: Clock, fill: impl FnOnce(&Kernel)) {
+    run_for(Duration::from_secs(120), clock, fill);
+}
+
+/// As [`run`], with a watchdog of so long.
+pub(crate) fn run_for(limit: Duration, clock: Clock, fill: impl FnOnce(&Kernel)) {
     let _turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
     let (ended, watch) = std::sync::mpsc::channel::<()>();
     std::thread::spawn(move || {
-        let outcome = watch.recv_timeout(Duration::from_secs(120));
+        let outcome = watch.recv_timeout(limit);
         if outcome == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
             eprintln!("the watchdog of the test ends the process");
             std::process::abort();

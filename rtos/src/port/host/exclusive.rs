@@ -38,6 +38,11 @@ impl<A> TaskAllocator<A> {
         Self { inner }
     }
 
+    /// The other allocator.
+    pub const fn inner(&self) -> &A {
+        &self.inner
+    }
+
     fn guarded<R>(body: impl FnOnce() -> R) -> R {
         if !state::on_core() {
             return body();
@@ -106,7 +111,7 @@ pub enum Output {
 }
 
 /// What `println!` and `eprintln!` of this crate do. Not interrupted by other tasks; in a handler
-/// of an interrupt it goes past the buffers, cut at 255 bytes. Output that cannot be written is
+/// of an interrupt it goes past the buffers, cut at 511 bytes. Output that cannot be written is
 /// lost.
 pub fn print(to: Output, text: fmt::Arguments<'_>) {
     if state::on_core() && state::in_interrupt() {

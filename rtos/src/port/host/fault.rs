@@ -112,7 +112,8 @@ unsafe fn stack_pointer(context: *mut libc::c_void) -> usize {
     return unsafe { (*context).uc_mcontext.sp as usize };
 }
 
-/// A panic in a task ends the process, with the task's name after the usual message.
+/// A panic in a task ends the process, with the task's name after the usual message (which a test
+/// may have captured, so it is repeated).
 pub(super) fn name_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
@@ -123,7 +124,7 @@ pub(super) fn name_panics() {
             }
             state::mask_for_good();
             usual(panic);
-            fatal(format_args!("panic in task '{}'", task::current_name()));
+            fatal(format_args!("task '{}' {panic}", task::current_name()));
         }));
     });
 }

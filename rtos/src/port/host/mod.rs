@@ -68,9 +68,12 @@ fn errno() -> i32 {
     unsafe { *libc::__errno_location() }
 }
 
+/// Bytes of a message without an allocator, with its line end; more is cut.
+const LAST_WORDS: usize = 512;
+
 /// Text without an allocator, for the last words of a process.
 struct LastWords {
-    text: [u8; 256],
+    text: [u8; LAST_WORDS],
     length: usize,
 }
 
@@ -87,7 +90,7 @@ impl Write for LastWords {
 /// Prints a line without allocating or locking.
 fn print_raw(descriptor: i32, message: fmt::Arguments<'_>) {
     let mut words = LastWords {
-        text: [0; 256],
+        text: [0; LAST_WORDS],
         length: 0,
     };
     let _ = words.write_fmt(message);

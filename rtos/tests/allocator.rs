@@ -1,0 +1,10 @@
+//! A program whose allocator tasks cannot share is told so before any task runs. T-RTOS-1
+
+use tandem_rtos::{Clock, Kernel, StartError};
+
+#[test]
+fn an_allocator_that_tasks_cannot_share_is_refused() {
+    let kernel = Kernel::take().expect("nobody has it");
+    assert_eq!(kernel.start(Clock::Wall), Err(StartError::Allocator));
+    assert!(Kernel::take().is_ok(), "the kernel did not come back");
+}

@@ -1,0 +1,404 @@
+//! What tasks can do to each other and to their process: shared allocator and output, overflowed
+//! stacks, panics. What ends a process runs in a child. T-RTOS-1
+#![allow(clippy::expect_used, reason = "a test may")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::hint::black_box;
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Command, Output, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+use tandem_rtos::host::{TaskAllocator, deferred};
+use tandem_rtos::{
+    Clock, Interrupt, InterruptPriority, Kernel, Mutex, Priority, Queue, TaskContext, TaskOptions,
+    Ticks,
+};
+
+/// An allocator that two of a thread's tasks must not be in at once, and that notices if they are.
+struct Witness {
+    busy: AtomicBool,
+    overlaps: AtomicU32,
+}
+
+impl Witness {
+    const fn new() -> Self {
+        Self {
+            busy: AtomicBool::new(false),
+            overlaps: AtomicU32::new(0),
+        }
+    }
+
+    fn within<R>(&self, body: impl FnOnce() -> R) -> R {
+        // Other threads are none of its business.
+        if !WATCHED.get() {
+            return body();
+        }
+        if self.busy.swap(true, Ordering::Relaxed) {
+            self.overlaps.fetch_add(1, Ordering::Relaxed);
+        }
+        // Long enough to be hit by a tick sooner or later.
+        for _ in 0..200 {
+            black_box(());
+        }
+        let result = body();
+        self.busy.store(false, Ordering::Relaxed);
+        result
+    }
+}
+
+// SAFETY: all calls are passed on to the system's allocator as they are.
+unsafe impl GlobalAlloc for Witness {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        // SAFETY: the caller's promise.
+        self.within(|| unsafe { System.alloc(layout) })
+    }
+
+    unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise.
+        self.within(|| unsafe { System.dealloc(place, layout) });
+    }
+}
+
+std::thread_local! {
+    static WATCHED: std::cell::Cell<bool> = const { std::cell::Cell::new(false) };
+}
+
+#[global_allocator]
+static ALLOCATOR: TaskAllocator<Witness> = TaskAllocator::new(Witness::new());
+/// The same without the guard.
+static UNGUARDED: Witness = Witness::new();
+
+fn options(name: &str, priority: u8) -> TaskOptions<'_> {
+    TaskOptions::new(name, Priority::new(priority))
+}
+
+/// The test of this name runs itself again as a child, which finds this variable.
+const CHILD: &str = "TANDEM_RTOS_CHILD";
+
+fn is_child(of: &str) -> bool {
+    std::env::var(CHILD).is_ok_and(|name| name == of)
+}
+
+/// Runs a test of this file as a child; it is killed after a while.
+fn child(test: &str, kind: &str) -> Output {
+    let mut command = Command::new(std::env::current_exe().expect("this program"));
+    command.args(["--exact", test, "--nocapture", "--test-threads=1"]);
+    command.env(CHILD, kind).stdin(Stdio::null());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let child = command.spawn().expect("it starts");
+    let id = child.id();
+    let (ended, watch) = std::sync::mpsc::channel::<()>();
+    let watchdog = std::thread::spawn(move || {
+        let over = Err(std::sync::mpsc::RecvTimeoutError::Timeout);
+        if watch.recv_timeout(Duration::from_secs(60)) == over {
+            // SAFETY: a child that was not waited for keeps its number.
+            unsafe { libc::kill(id as i32, libc::SIGKILL) };
+        }
+    });
+    let output = child.wait_with_output().expect("it ends");
+    drop(ended);
+    watchdog.join().expect("it ends");
+    output
+}
+
+fn run(clock: Clock, fill: impl FnOnce(&Kernel)) {
+    let kernel = Kernel::take().expect("a child has one kernel");
+    fill(&kernel);
+    kernel.start(clock).expect("it starts");
+}
+
+/// The child says so and aborts.
+fn assert_aborted(output: &Output, says: &str) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(text.contains(says), "{text}");
+    assert_eq!(output.status.signal(), Some(libc::SIGABRT), "{text}");
+}
+
+/// Tasks that allocate through `allocator` for a while, while another thread interrupts them.
+fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
+    static OVER: AtomicBool = AtomicBool::new(false);
+    let interrupter = std::thread::spawn(|| {
+        while !OVER.load(Ordering::Relaxed) {
+            tandem_rtos::host::raise(Interrupt::DOORBELL);
+            std::thread::sleep(Duration::from_micros(50));
+        }
+    });
+    run(Clock::Wall, |kernel| {
+        let allocates = move || {
+            let layout = Layout::from_size_align(64, 8).expect("valid");
+            // SAFETY: of this size, and given back with it.
+            unsafe {
+                let place = allocator.alloc(layout);
+                place.write_bytes(0xAB, 64);
+                allocator.dealloc(place, layout);
+            }
+        };
+        for name in ["a", "b"] {
+            let body = move |_: &TaskContext| loop {
+                allocates();
+            };
+            kernel.spawn(&options(name, 1), body).expect("it fits");
+        }
+        let urgent = kernel.spawn(&options("urgent", 2), move |ctx| {
+            WATCHED.set(true);
+            let until = Instant::now() + Duration::from_millis(1500);
+            while Instant::now() < until {
+                ctx.take_notification(Ticks(5));
+                allocates();
+            }
+            WATCHED.set(false);
+            ctx.stop();
+        });
+        let urgent = urgent.expect("it fits");
+        let handler = move |ctx: &_| urgent.notify(ctx).expect("it lives");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
+            .expect("free");
+    });
+    OVER.store(true, Ordering::Relaxed);
+    interrupter.join().expect("it ends");
+}
+
+/// No task comes into the allocator while another is in it. The same allocator without the guard
+/// has overlaps, so that the test can see them.
+#[test]
+fn tasks_share_the_allocator() {
+    const NAME: &str = "tasks_share_the_allocator";
+    if is_child("guarded") {
+        torture(&ALLOCATOR);
+        println!(
+            "overlaps: {}",
+            ALLOCATOR.inner().overlaps.load(Ordering::Relaxed)
+        );
+    } else if is_child("unguarded") {
+        torture(&UNGUARDED);
+        println!("overlaps: {}", UNGUARDED.overlaps.load(Ordering::Relaxed));
+    } else {
+        let guarded = child(NAME, "guarded");
+        let text = String::from_utf8_lossy(&guarded.stdout);
+        assert!(
+            guarded.status.success() && text.contains("overlaps: 0\n"),
+            "{guarded:?}"
+        );
+        let unguarded = child(NAME, "unguarded");
+        let text = String::from_utf8_lossy(&unguarded.stdout);
+        // It sees them, if the system's allocator has not ended the process before.
+        let went_well = unguarded.status.success() && text.contains("overlaps: 0\n");
+        assert!(!went_well, "the control saw no overlap: {unguarded:?}");
+    }
+}
+
+/// Lines of two tasks that print while a third interrupts them.
+fn print_from_tasks(print: fn(&str)) {
+    // After what the test's harness prints without an end of line.
+    println!();
+    run(Clock::Wall, |kernel| {
+        for (name, priority, count) in [("a", 1, 3000), ("b", 1, 3000), ("c", 2, 400)] {
+            let done: &'static AtomicU32 = &DONE;
+            let body = move |ctx: &TaskContext| {
+                for number in 0..count {
+                    print(&format!("line {name} {number:06} {}", name.repeat(40)));
+                    if priority == 2 {
+                        ctx.delay(Ticks(1));
+                    }
+                }
+                if done.fetch_add(1, Ordering::Relaxed) == 2 {
+                    ctx.stop();
+                }
+            };
+            kernel
+                .spawn(&options(name, priority), body)
+                .expect("it fits");
+        }
+    });
+}
+
+static DONE: AtomicU32 = AtomicU32::new(0);
+
+/// Lines that tasks print come out whole, in order, and none is missing. With the standard
+/// library's macro the same tasks meet in the lock of its output and the process ends.
+#[test]
+fn tasks_share_the_output() {
+    const NAME: &str = "tasks_share_the_output";
+    if is_child("ours") {
+        print_from_tasks(|line| tandem_rtos::println!("{line}"));
+    } else if is_child("standard") {
+        print_from_tasks(|line| println!("{line}"));
+    } else {
+        let output = child(NAME, "ours");
+        let text = String::from_utf8_lossy(&output.stdout);
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{error}");
+        for (name, count) in [("a", 3000), ("b", 3000), ("c", 400)] {
+            let end = name.repeat(40);
+            let lines = text
+                .lines()
+                .filter(|line| line.starts_with(&format!("line {name}")));
+            let lines: Vec<&str> = lines.collect();
+            assert_eq!(lines.len(), count, "{name}");
+            for (number, line) in lines.iter().enumerate() {
+                assert_eq!(*line, format!("line {name} {number:06} {end}"));
+            }
+        }
+        // The control: a task that is pre-empted in the lock. One of a few tries shows it.
+        let collides = || !child(NAME, "standard").status.success();
+        assert!(
+            (0..5).any(|_| collides()),
+            "the control never met in the lock"
+        );
+    }
+}
+
+/// A stack that grows into its guard ends the process with the task's name.
+#[test]
+fn an_overflowed_stack_is_named() {
+    const NAME: &str = "an_overflowed_stack_is_named";
+    #[allow(unconditional_recursion, reason = "that is what is tested")]
+    fn recurse(depth: u64) -> u64 {
+        let frame = black_box([depth; 64]);
+        recurse(depth + 1) + frame[depth as usize % 64]
+    }
+    if is_child("deep") {
+        run(Clock::Wall, |kernel| {
+            let deep = |_: &TaskContext| drop(black_box(recurse(0)));
+            kernel.spawn(&options("deep", 2), deep).expect("it fits");
+        });
+    } else {
+        assert_aborted(&child(NAME, "deep"), "task 'deep' has overflowed its stack");
+    }
+}
+
+/// The kernel sees at the next switch that the end of a stack without guard was overwritten.
+#[test]
+fn an_overwritten_stack_end_is_named() {
+    use tandem_rtos::TaskMemory;
+    const NAME: &str = "an_overwritten_stack_end_is_named";
+    static MEMORY: TaskMemory<4096> = TaskMemory::new();
+    if is_child("full") {
+        run(Clock::Virtual, |kernel| {
+            let full = |ctx: &TaskContext| {
+                // What the frame of a call too deep would do; the stack comes first in its memory.
+                // SAFETY: within the static, of which this task uses the other end.
+                unsafe {
+                    (&raw const MEMORY)
+                        .cast_mut()
+                        .cast::<[usize; 2]>()
+                        .write_volatile([0; 2])
+                };
+                ctx.delay(Ticks(1));
+                ctx.stop();
+            };
+            kernel
+                .spawn_static(&MEMORY, &options("full", 2), full)
+                .expect("free");
+        });
+    } else {
+        assert_aborted(&child(NAME, "full"), "task 'full' has overflowed its stack");
+    }
+}
+
+/// A fault that is no overflow ends the process as it would without us.
+#[test]
+fn another_fault_is_what_it_was() {
+    const NAME: &str = "another_fault_is_what_it_was";
+    if is_child("wild") {
+        run(Clock::Wall, |kernel| {
+            // SAFETY: none: that is what is tested.
+            let wild = |_: &TaskContext| unsafe { black_box(64 as *mut u8).write_volatile(1) };
+            kernel.spawn(&options("wild", 2), wild).expect("it fits");
+        });
+    } else {
+        let output = child(NAME, "wild");
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.signal(), Some(libc::SIGSEGV), "{text}");
+        assert!(!text.contains("overflowed"), "{text}");
+    }
+}
+
+/// A panic ends the process with the task's name.
+#[test]
+fn a_panic_is_named() {
+    const NAME: &str = "a_panic_is_named";
+    if is_child("panics") {
+        run(Clock::Wall, |kernel| {
+            let panics = |_: &TaskContext| panic!("out of cheese");
+            kernel
+                .spawn(&options("fondue", 2), panics)
+                .expect("it fits");
+        });
+    } else {
+        let output = child(NAME, "panics");
+        assert_aborted(&output, "task 'fondue' panicked");
+        assert_aborted(&output, "out of cheese");
+    }
+}
+
+/// What would hang or corrupt the kernel is refused with a message.
+#[test]
+fn misuse_is_refused() {
+    const NAME: &str = "misuse_is_refused";
+    type Misuse = fn(&TaskContext);
+    let misuses: [(&str, &str, Misuse); 5] = [
+        ("critical", "a call that may block", |ctx| {
+            ctx.critical(|| ctx.delay(Ticks(1)));
+        }),
+        ("deferred", "a call that may block", |ctx| {
+            deferred(|| ctx.delay(Ticks(1)));
+        }),
+        ("twice", "a task locks what it holds", |ctx| {
+            let mutex = Mutex::new(ctx, ());
+            let _first = mutex.lock(ctx, Ticks::NONE);
+            let _second = mutex.lock(ctx, Ticks::FOREVER);
+        }),
+        ("leaves", "has ended with a locked mutex", |ctx| {
+            let mutex = Mutex::new(ctx, ());
+            std::mem::forget(mutex.lock(ctx, Ticks::NONE));
+        }),
+        ("stale", "an earlier life of the kernel", |ctx| ctx.stop()),
+    ];
+    for (kind, says, misuse) in misuses {
+        if is_child(kind) {
+            let mut old = None;
+            run(Clock::Wall, |kernel| {
+                old = Some(Queue::<u32>::new(kernel, 1));
+                kernel
+                    .spawn(&options("misuses", 2), misuse)
+                    .expect("it fits");
+            });
+            // Only the last one stops.
+            run(Clock::Wall, |kernel| {
+                let sends = move |ctx: &TaskContext| {
+                    let _ = old.take().map(|queue| queue.try_send(ctx, 1));
+                };
+                kernel.spawn(&options("late", 2), sends).expect("it fits");
+            });
+        } else if std::env::var(CHILD).is_err() {
+            assert_aborted(&child(NAME, kind), says);
+        }
+    }
+}
+
+/// There is one kernel, and it comes back.
+#[test]
+fn the_kernel_is_taken_once_and_comes_back() {
+    const NAME: &str = "the_kernel_is_taken_once_and_comes_back";
+    if !is_child("lives") {
+        let output = child(NAME, "lives");
+        return assert!(output.status.success(), "{output:?}");
+    }
+    let first = Kernel::take().expect("nobody has it");
+    assert!(Kernel::take().is_err());
+    first.spawn(&options("never", 1), |_| ()).expect("it fits");
+    drop(first);
+    for _ in 0..3 {
+        // Another thread each time: a life of the kernel has one.
+        let life = std::thread::spawn(|| {
+            run(Clock::Wall, |kernel| {
+                kernel
+                    .spawn(&options("stops", 1), |ctx| ctx.stop())
+                    .expect("it fits");
+            });
+        });
+        life.join().expect("it stops");
+    }
+}

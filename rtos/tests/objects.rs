@@ -1,0 +1,474 @@
+//! Queues, semaphores, mutexes, sets, timers, event groups: what the kernel's own standard demos
+//! check, in virtual time. T-RTOS-1
+#![allow(clippy::expect_used, reason = "a test may")]
+
+mod common;
+
+use common::{Log, run, task};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+use tandem_rtos::host::raise;
+use tandem_rtos::{
+    AddError, Clock, EventGroup, EventGroupMemory, Events, Full, InUse, Interrupt,
+    InterruptPriority, Kernel, Mutex, MutexMemory, Priority, Queue, QueueMemory, QueueSet,
+    QueueSetMemory, Semaphore, SemaphoreFull, SemaphoreMemory, SpawnError, TaskContext, TaskError,
+    TaskMemory, TaskOptions, Ticks, TimedOut, Timer, TimerMemory,
+};
+
+fn spawn(
+    kernel: &Kernel,
+    name: &str,
+    priority: u8,
+    body: impl FnOnce(&TaskContext) + Send + 'static,
+) {
+    kernel.spawn(&task(name, priority), body).expect("it fits");
+}
+
+/// T-RTOS-1: a queue keeps the order, blocks who sends to a full one and who receives from an empty
+/// one, and gives values back that do not fit in time.
+#[test]
+fn a_queue_passes_values_in_order_and_blocks() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let queue = Queue::new(kernel, 2);
+        assert_eq!(queue.try_send(kernel, Box::new(0)), Ok(()));
+        let (ours, noted) = (queue.clone(), log.clone());
+        spawn(kernel, "sender", 3, move |ctx| {
+            ours.send(ctx, Box::new(1), Ticks::FOREVER)
+                .expect("there is room");
+            let refused = ours.send(ctx, Box::new(9), Ticks(5));
+            noted.note((refused.map_err(|Full(value)| *value), ctx.now().0));
+            for value in 2..6 {
+                ours.send(ctx, Box::new(value), Ticks::FOREVER)
+                    .expect("waits");
+            }
+            ours.send_first(ctx, Box::new(7), Ticks::FOREVER)
+                .expect("waits");
+        });
+        let noted = log.clone();
+        spawn(kernel, "receiver", 2, move |ctx| {
+            ctx.delay(Ticks(10));
+            for _ in 0..7 {
+                let value = queue.receive(ctx, Ticks::FOREVER).expect("waits");
+                noted.note((Ok(()), *value));
+            }
+            assert!(queue.is_empty(ctx));
+            assert_eq!(queue.try_receive(ctx), None);
+            let before = ctx.now();
+            assert_eq!(queue.receive(ctx, Duration::from_millis(4)), None);
+            noted.note((Ok(()), 100 + ctx.now().since(before).0));
+            ctx.stop();
+        });
+    });
+    let log = log.take();
+    assert!(log.contains(&(Err(9), 5)), "{log:?}");
+    let mut values: Vec<u32> = log
+        .iter()
+        .filter(|it| it.0.is_ok())
+        .map(|it| it.1)
+        .collect();
+    assert_eq!(values.pop(), Some(104));
+    let front = values
+        .iter()
+        .position(|value| *value == 7)
+        .expect("it came");
+    values.remove(front);
+    assert_eq!(values, [0, 1, 2, 3, 4, 5]);
+}
+
+/// A value is dropped once, whether it was received, refused, or left in the queue.
+#[test]
+fn a_value_in_a_queue_has_one_owner() {
+    let counted: Arc<()> = Arc::default();
+    let ours = Arc::clone(&counted);
+    run(Clock::Virtual, |kernel| {
+        spawn(kernel, "owner", 2, move |ctx| {
+            let queue = Queue::new(ctx, 3);
+            for _ in 0..3 {
+                queue
+                    .try_send(ctx, Arc::clone(&ours))
+                    .expect("there is room");
+            }
+            let Err(Full(refused)) = queue.try_send(ctx, Arc::clone(&ours)) else {
+                panic!("four values in three places");
+            };
+            assert_eq!(Arc::strong_count(&ours), 6);
+            drop(refused);
+            drop(queue.try_receive(ctx));
+            assert_eq!(Arc::strong_count(&ours), 4);
+            drop(queue);
+            assert_eq!(Arc::strong_count(&ours), 2);
+            drop(ours);
+            ctx.stop();
+        });
+    });
+    assert_eq!(Arc::strong_count(&counted), 1);
+}
+
+/// T-RTOS-1: a counting semaphore counts between its limits; a binary one is given by an interrupt.
+#[test]
+fn semaphores_count_and_wake() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let places = Semaphore::counting(kernel, 3, 2);
+        let rung = Semaphore::binary(kernel);
+        let (ours, noted) = (rung.clone(), log.clone());
+        spawn(kernel, "sleeper", 3, move |ctx| {
+            ours.take(ctx, Ticks::FOREVER).expect("for ever");
+            noted.note("woken");
+        });
+        let handler = move |ctx: &_| rung.give(ctx).expect("not given yet");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
+            .expect("free");
+        let noted = log.clone();
+        spawn(kernel, "counter", 2, move |ctx| {
+            assert!(places.try_take(ctx) && places.try_take(ctx) && !places.try_take(ctx));
+            assert_eq!(places.take(ctx, Ticks(3)), Err(TimedOut));
+            assert_eq!(ctx.now(), Ticks(3));
+            for _ in 0..3 {
+                assert_eq!(places.give(ctx), Ok(()));
+            }
+            assert_eq!(places.give(ctx), Err(SemaphoreFull));
+            assert_eq!(places.count(ctx), 3);
+            noted.note("rings");
+            raise(Interrupt::DOORBELL);
+            noted.note("goes on");
+            ctx.stop();
+        });
+    });
+    assert_eq!(log.take(), ["rings", "woken", "goes on"]);
+}
+
+/// T-RTOS-1: who holds a mutex has the priority of who waits for it, so that a task in between
+/// cannot hold up both.
+#[test]
+fn a_mutex_lends_the_priority_of_who_waits() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let shared = Mutex::new(kernel, 0);
+        let (ours, noted) = (shared.clone(), log.clone());
+        spawn(kernel, "low", 1, move |ctx| {
+            let mut value = ours.lock(ctx, Ticks::FOREVER).expect("free");
+            ctx.burn(Duration::from_millis(10));
+            let mut inherited = 0;
+            ctx.each_task(|task| {
+                if task.name == "low" {
+                    inherited = task.priority;
+                }
+            });
+            noted.note(("low holds with priority", u32::from(inherited)));
+            *value += 1;
+            drop(value);
+            noted.note(("low has given", ctx.now().0));
+        });
+        let noted = log.clone();
+        spawn(kernel, "middle", 2, move |ctx| {
+            ctx.delay(Ticks(3));
+            noted.note(("middle runs", ctx.now().0));
+            ctx.burn(Duration::from_millis(50));
+            noted.note(("middle ends", ctx.now().0));
+        });
+        let noted = log.clone();
+        spawn(kernel, "high", 3, move |ctx| {
+            ctx.delay(Ticks(2));
+            let held = shared.lock(ctx, Ticks(1)).map(|value| *value);
+            assert_eq!(held, Err(TimedOut));
+            let value = shared.lock(ctx, Ticks::FOREVER).expect("for ever");
+            noted.note(("high has it", *value));
+            drop(value);
+            ctx.delay(Ticks(100));
+            ctx.stop();
+        });
+    });
+    let log = log.take();
+    let place = |what| log.iter().position(|it| it.0 == what).expect("it happened");
+    assert!(log.contains(&("low holds with priority", 3)), "{log:?}");
+    assert!(log.contains(&("high has it", 1)), "{log:?}");
+    assert!(place("high has it") < place("middle ends"), "{log:?}");
+    assert!(place("high has it") < place("low has given"), "{log:?}");
+}
+
+/// T-RTOS-1: a task waits for several queues and semaphores at once.
+#[test]
+fn a_set_names_the_member_that_has_something() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let set = QueueSet::new(kernel, 4);
+        let numbers = Queue::new(kernel, 2);
+        let letters = Queue::new(kernel, 1);
+        let signal = Semaphore::binary(kernel);
+        let a = set.add_queue(kernel, &numbers).expect("fits");
+        let b = set.add_queue(kernel, &letters).expect("fits");
+        let c = set.add_semaphore(kernel, &signal).expect("fits");
+        let too_much = Semaphore::binary(kernel);
+        assert_eq!(set.add_semaphore(kernel, &too_much), Err(AddError::SetFull));
+        let (to_numbers, to_letters, gives) = (numbers.clone(), letters.clone(), signal.clone());
+        let noted = log.clone();
+        spawn(kernel, "waits", 3, move |ctx| {
+            for _ in 0..4 {
+                let member = set.select(ctx, Ticks::FOREVER).expect("for ever");
+                if member == a {
+                    noted.note(numbers.try_receive(ctx).map(|it: u32| it.to_string()));
+                } else if member == b {
+                    noted.note(letters.try_receive(ctx).map(|it: char| it.to_string()));
+                } else if member == c && signal.try_take(ctx) {
+                    noted.note(Some("signal".to_string()));
+                }
+            }
+            assert_eq!(set.select(ctx, Ticks(2)), None);
+            ctx.stop();
+        });
+        spawn(kernel, "gives", 2, move |ctx| {
+            to_letters.try_send(ctx, 'x').expect("room");
+            to_numbers.try_send(ctx, 1).expect("room");
+            gives.give(ctx).expect("free");
+            to_numbers.try_send(ctx, 2).expect("room");
+        });
+    });
+    let seen: Vec<String> = log.take().into_iter().flatten().collect();
+    assert_eq!(seen, ["x", "1", "signal", "2"]);
+}
+
+/// T-RTOS-1: timers expire at their ticks, once or again and again, and can be stopped and changed.
+#[test]
+fn timers_expire_at_their_ticks() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let noted = log.clone();
+        let once = Timer::new(kernel, Ticks(7), false, move |ctx| {
+            noted.note(("once", ctx.now().0))
+        });
+        let noted = log.clone();
+        let again = Timer::new(kernel, Duration::from_millis(5), true, move |ctx| {
+            noted.note(("again", ctx.now().0));
+        });
+        once.start(kernel).expect("room");
+        again.start(kernel).expect("room");
+        spawn(kernel, "changes", 2, move |ctx| {
+            ctx.delay(Ticks(12));
+            assert!(!once.is_active(ctx) && again.is_active(ctx));
+            again.change_period(ctx, Ticks(3)).expect("room");
+            ctx.delay(Ticks(7));
+            again.stop(ctx).expect("room");
+            ctx.delay(Ticks(20));
+            ctx.stop();
+        });
+    });
+    let expected = [
+        ("again", 5),
+        ("once", 7),
+        ("again", 10),
+        ("again", 15),
+        ("again", 18),
+    ];
+    assert_eq!(log.take(), expected);
+}
+
+/// T-RTOS-1: tasks wait for one or all of several events, and meet.
+#[test]
+fn events_wake_who_waits_for_them() {
+    const FIRST: Events = Events::new(1);
+    const SECOND: Events = Events::new(2);
+    const THIRD: Events = Events::new(4);
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let group = EventGroup::new(kernel);
+        let noted = log.clone();
+        spawn(kernel, "any", 3, move |ctx| {
+            let seen = group.wait_any(ctx, FIRST | THIRD, false, Ticks::FOREVER);
+            noted.note(("any", seen.bits()));
+        });
+        let noted = log.clone();
+        spawn(kernel, "all", 4, move |ctx| {
+            let seen = group.wait_all(ctx, FIRST | SECOND, true, Ticks::FOREVER);
+            noted.note(("all", seen.bits()));
+            let seen = group.wait_all(ctx, FIRST | SECOND, true, Ticks(2));
+            noted.note(("late", seen.bits()));
+        });
+        let handler = move |ctx: &_| group.set_from_interrupt(ctx, SECOND).expect("room");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
+            .expect("free");
+        let noted = log.clone();
+        spawn(kernel, "sets", 2, move |ctx| {
+            group.set(ctx, THIRD);
+            noted.note(("set", group.get(ctx).bits()));
+            group.set(ctx, FIRST);
+            raise(Interrupt::DOORBELL);
+            noted.note(("left", group.get(ctx).bits()));
+            ctx.delay(Ticks(5));
+            assert_eq!(group.clear(ctx, THIRD), THIRD);
+            ctx.stop();
+        });
+    });
+    let expected = [("any", 4), ("set", 4), ("all", 7), ("left", 4), ("late", 4)];
+    assert_eq!(log.take(), expected);
+}
+
+/// T-RTOS-1: nobody leaves a meeting before all have come.
+#[test]
+fn tasks_meet() {
+    let (log, all) = (Log::new(), Events::new(0b111));
+    run(Clock::Virtual, |kernel| {
+        let group = EventGroup::new(kernel);
+        for number in 0..3u32 {
+            let noted = log.clone();
+            spawn(kernel, "meets", 2, move |ctx| {
+                for round in 1..=3 {
+                    ctx.delay(Ticks(1 + number * round));
+                    noted.note((round, "comes"));
+                    group.meet(ctx, Events::new(1 << number), all, Ticks::FOREVER);
+                    noted.note((round, "leaves"));
+                }
+                if number == 2 {
+                    ctx.delay(Ticks(1));
+                    ctx.stop();
+                }
+            });
+        }
+    });
+    let log = log.take();
+    assert_eq!(log.len(), 18);
+    for round in 1..=3 {
+        let last_in = log
+            .iter()
+            .rposition(|it| *it == (round, "comes"))
+            .expect("all came");
+        let first_out = log
+            .iter()
+            .position(|it| *it == (round, "leaves"))
+            .expect("all left");
+        assert!(last_in < first_out, "{log:?}");
+    }
+}
+
+/// T-RTOS-1: what interrupts of another thread put into a queue arrives whole and in order.
+#[test]
+fn an_interrupts_queue_loses_nothing() {
+    const COUNT: u32 = 20_000;
+    let sent: &'static AtomicU32 = Box::leak(Box::default());
+    let taken: &'static AtomicU32 = Box::leak(Box::default());
+    run(Clock::Wall, |kernel| {
+        let queue = Queue::new(kernel, 16);
+        let ours = queue.clone();
+        let mut next = 0;
+        let handler = move |ctx: &_| {
+            while next < sent.load(Ordering::Acquire) && ours.try_send(ctx, next).is_ok() {
+                next += 1;
+            }
+        };
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
+            .expect("free");
+        spawn(kernel, "receives", 2, move |ctx| {
+            for expected in 0..COUNT {
+                let value = loop {
+                    // What found no room is asked for again.
+                    match queue.receive(ctx, Ticks(1)) {
+                        Some(value) => break value,
+                        None => raise(Interrupt::DOORBELL),
+                    }
+                };
+                assert_eq!(value, expected);
+                taken.store(value + 1, Ordering::Relaxed);
+            }
+            ctx.stop();
+        });
+        spawn(kernel, "computes", 1, |_| {
+            loop {
+                std::hint::black_box(std::hint::black_box(1.5f64) * 3.0);
+            }
+        });
+        std::thread::spawn(|| {
+            for count in 1..=COUNT {
+                sent.store(count, Ordering::Release);
+                raise(Interrupt::DOORBELL);
+            }
+        });
+    });
+    assert_eq!(taken.load(Ordering::Relaxed), COUNT);
+}
+
+static STATIC_TASK: TaskMemory<8192> = TaskMemory::new();
+static STATIC_QUEUE: QueueMemory<u32, 4> = QueueMemory::new();
+static STATIC_SEMAPHORE: SemaphoreMemory = SemaphoreMemory::new();
+static STATIC_MUTEX: MutexMemory<u32> = MutexMemory::new(5);
+static STATIC_SET: QueueSetMemory<5> = QueueSetMemory::new();
+static STATIC_TIMER: TimerMemory = TimerMemory::new();
+static STATIC_EVENTS: EventGroupMemory = EventGroupMemory::new();
+
+/// T-RTOS-1: everything can live in statics, for one owner at a time.
+#[test]
+fn objects_live_in_statics() {
+    let done: &'static AtomicU32 = Box::leak(Box::default());
+    run(Clock::Virtual, |kernel| {
+        let queue = Queue::new_static(kernel, &STATIC_QUEUE).expect("free");
+        assert_eq!(Queue::new_static(kernel, &STATIC_QUEUE).err(), Some(InUse));
+        let semaphore = Semaphore::counting_static(kernel, &STATIC_SEMAPHORE, 1, 0).expect("free");
+        let mutex = Mutex::new_static(kernel, &STATIC_MUTEX).expect("free");
+        let set = QueueSet::new_static(kernel, &STATIC_SET).expect("free");
+        let member = set.add_queue(kernel, &queue).expect("fits");
+        let events = EventGroup::new_static(kernel, &STATIC_EVENTS).expect("free");
+        let gives = semaphore.clone();
+        let callback = Box::leak(Box::new(move |ctx: &_| gives.give(ctx).expect("taken")));
+        let timer =
+            Timer::new_static(kernel, &STATIC_TIMER, Ticks(2), false, callback).expect("free");
+        let options = TaskOptions::new("static", Priority::new(1));
+        let early = |ctx: &TaskContext| ctx.delay(Ticks(1));
+        let ended = kernel
+            .spawn_static(&STATIC_TASK, &options, early)
+            .expect("free");
+        let again = kernel.spawn_static(&STATIC_TASK, &options, early);
+        assert_eq!(again.err(), Some(SpawnError::InUse));
+        spawn(kernel, "uses", 2, move |ctx| {
+            timer.start(ctx).expect("room");
+            semaphore.take(ctx, Ticks::FOREVER).expect("for ever");
+            *mutex.lock(ctx, Ticks::NONE).expect("free") += ctx.now().0;
+            queue.try_send(ctx, 3).expect("room");
+            assert_eq!(set.select(ctx, Ticks::NONE), Some(member));
+            assert_eq!(queue.try_receive(ctx), Some(3));
+            assert_eq!(events.set(ctx, Events::new(1)), Events::new(1));
+            done.store(
+                *mutex.lock(ctx, Ticks::NONE).expect("free"),
+                Ordering::Relaxed,
+            );
+            // The task has ended and its memory is free for another one.
+            ctx.delay(Ticks(3));
+            assert_eq!(ended.notify(ctx), Err(TaskError::Ended));
+            let options = TaskOptions::new("next", Priority::new(1));
+            ctx.spawn_static(&STATIC_TASK, &options, |ctx| ctx.stop())
+                .expect("free again");
+            ctx.delay(Ticks::FOREVER);
+        });
+    });
+    assert_eq!(done.load(Ordering::Relaxed), 7);
+}
+
+/// T-RTOS-1: a suspended task does not run until it is resumed; a priority that is changed counts
+/// at once.
+#[test]
+fn tasks_are_suspended_and_their_priorities_changed() {
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        let noted = log.clone();
+        let other = move |ctx: &TaskContext| loop {
+            noted.note("other");
+            ctx.delay(Ticks(1));
+        };
+        let other = kernel.spawn(&task("other", 2), other).expect("it fits");
+        let noted = log.clone();
+        spawn(kernel, "main", 3, move |ctx| {
+            other.suspend(ctx).expect("it lives");
+            ctx.delay(Ticks(5));
+            noted.note("resumes");
+            other.resume(ctx).expect("it lives");
+            noted.note("raises");
+            other.set_priority(ctx, Priority::new(4)).expect("it lives");
+            noted.note("stops");
+            ctx.stop();
+        });
+    });
+    assert_eq!(log.take(), ["resumes", "raises", "other", "stops"]);
+}
