@@ -42,6 +42,7 @@ pub struct Role<'a> {
     /// Where it writes its samples.
     pub log: Log,
     cpu_at_begin: u64,
+    before: Resident,
 }
 
 impl Role<'_> {
@@ -59,10 +60,19 @@ impl Role<'_> {
         self.cpu_at_begin = cpu_ns();
     }
 
-    /// It ends.
+    /// It ends. What the part has in memory now counts.
     pub fn end(&mut self) {
-        self.log
-            .set(note::CPU_NS, (cpu_ns() - self.cpu_at_begin) as f64);
+        let used = cpu_ns() - self.cpu_at_begin;
+        self.log.set(note::CPU_NS, used as f64);
+        self.note_memory();
+    }
+
+    fn note_memory(&self) {
+        let (before, now) = (self.before, Resident::now());
+        let grown = |before: u64, now: u64| now.saturating_sub(before) as f64;
+        let private = grown(before.private, now.private);
+        self.log.set(note::PRIVATE, private);
+        self.log.set(note::SHARED, grown(before.shared, now.shared));
     }
 }
 
@@ -96,18 +106,16 @@ fn play(shared: &Shared, number: usize, run: Run<'_>) -> bool {
     // The message goes to the parent, not to the terminal.
     std::panic::set_hook(Box::new(|_| {}));
     shared.touch();
+    // The first look takes memory itself.
+    Resident::now();
     let mut role = Role {
         shared,
         log: shared.log(number),
         cpu_at_begin: 0,
+        before: Resident::now(),
     };
-    let before = Resident::now();
     let outcome = catch_unwind(AssertUnwindSafe(|| run(&mut role)));
-    let after = Resident::now();
-    let grown = |before: u64, after: u64| after.saturating_sub(before) as f64;
     let log = shared.log(number);
-    log.set(note::PRIVATE, grown(before.private, after.private));
-    log.set(note::SHARED, grown(before.shared, after.shared));
     role.log.close();
     match outcome {
         Ok(Ok(())) => return true,

@@ -61,8 +61,10 @@ fn main() {
             cpus,
         };
         let begin = std::time::Instant::now();
+        let mut memory = None;
         match (case.run)(&system, &plan) {
             Ok(batch) => {
+                memory = batch.memory_bytes;
                 assert!(!batch.samples_ps.is_empty(), "{name} has no samples");
                 let sum: u64 = batch.samples_ps.iter().sum();
                 assert!(sum > 0, "{name} took no time");
@@ -78,7 +80,9 @@ fn main() {
             }
             Err(error) => panic!("{name}: {error}"),
         }
-        println!("{name}: {} ms", begin.elapsed().as_millis());
+        let took_ms = begin.elapsed().as_millis();
+        let memory = memory.map_or(String::new(), |bytes| format!(", {} KiB", bytes / 1024));
+        println!("{name}: {took_ms} ms{memory}");
     }
     if only.is_empty() {
         for (case, fact, range) in FACTS {
