@@ -1,64 +1,160 @@
 //! The FIFO channel: one producer, one consumer, every value in order, or full.
 //!
-//! L. Lamport's queue ("Specifying concurrent program modules", 1983) with free-running indices,
-//! each written by one end only and standing on a cache line of its own. Each end keeps a copy of
-//! the other's index and looks again only when that copy says full or empty, as in J. Giacomoni et
-//! al., "FastForward for efficient pipeline parallelism" (PPoPP 2008), and the crate `rtrb`.
+//! Value number k (from 0, wrapping) lies in slot k mod n, followed by its stamp, !k. The stamp
+//! says that the value is complete, so the consumer looks at the slot that comes next and nowhere
+//! else: a small value and the news of it are one cache line that moves (J. Giacomoni et al.,
+//! "FastForward for efficient pipeline parallelism", PPoPP 2008). In the other direction the
+//! consumer publishes how many values it has released; the producer keeps a copy of that index and
+//! looks again only when the copy says full.
 //!
-//! Each end trusts only its private copy of its own index; the shared word is for the other end and
-//! for the successor. The other's index is an allegation: a distance greater than the number of
-//! slots is no state of this queue; the producer then says full and the consumer drops everything,
-//! which makes the queue whole again.
+//! A queue of 64 slots and more publishes releases in groups of 8, and when the consumer finds the
+//! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free
+//! slots fewer than there are. Smaller queues publish every release.
 //!
-//! A producer that dies loses what it had not sent. A consumer that dies before [`Item::release`]
-//! leaves the value to its successor: each value is received at least once.
+//! Each end trusts only its private copy of its own index. What the other end says is an allegation:
+//! a distance greater than the number of slots is no state of this queue, and the producer then says
+//! full. If words were scribbled on, the ends mend them: the consumer, after [`LOOKS_UNTIL_MENDED`]
+//! looks in vain, publishes its index again and goes on with the nearest complete value if there is
+//! one out of order; the producer of a full queue stamps its oldest value again.
+//!
+//! A producer that dies loses what it had not sent. A consumer that dies leaves what it had not
+//! released, or not yet published as released, to its successor: each value is received at least
+//! once.
 
-use crate::region::{FitError, LINE_WORDS, Shape, fit};
+use crate::region::{FitError, LINE_WORDS, Shape, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 use crate::view::{WordsMut, WordsRef};
 
-/// Line 0, written by the producer: how many values were sent.
-const TAIL_AT: usize = 0;
-/// Line 1, written by the consumer: how many values were released.
-const HEAD_AT: usize = LINE_WORDS;
-const SLOTS_AT: usize = 2 * LINE_WORDS;
+/// Line 0, written by the consumer: how many values were released.
+const RELEASED_AT: usize = 0;
+const SLOTS_AT: usize = LINE_WORDS;
+
+/// Looks in vain before the consumer doubts the words.
+#[cfg(not(loom))]
+pub const LOOKS_UNTIL_MENDED: u32 = 1024;
+/// loom looks into the mending, too.
+#[cfg(loom)]
+pub const LOOKS_UNTIL_MENDED: u32 = 2;
 
 /// Words of a queue of this shape.
 #[inline]
 #[must_use]
 pub const fn words(shape: Shape) -> usize {
-    SLOTS_AT + shape.slots() * shape.slot_words()
+    SLOTS_AT + shape.slots() * stride(shape)
+}
+
+/// Words from one slot to the next: no slot lies across a line without need.
+#[inline]
+const fn stride(shape: Shape) -> usize {
+    let slot = shape.slot_words() + 1;
+    if slot <= LINE_WORDS {
+        slot.next_power_of_two()
+    } else {
+        whole_lines(slot)
+    }
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Queue<'a> {
-    tail: &'a AtomicU32,
-    head: &'a AtomicU32,
+    released: &'a AtomicU32,
     slots: &'a [AtomicU32],
-    shape: Shape,
+    slot_words: usize,
+    stride: usize,
+    /// Slots less 1, all bits set.
+    mask: u32,
 }
 
 impl<'a> Queue<'a> {
+    #[inline]
     fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let words = fit(words, self::words(shape))?;
-        let (tail, head) = (&words[TAIL_AT], &words[HEAD_AT]);
         Ok(Self {
-            tail,
-            head,
+            released: &words[RELEASED_AT],
             slots: &words[SLOTS_AT..],
-            shape,
+            slot_words: shape.slot_words(),
+            stride: stride(shape),
+            mask: shape.slots() as u32 - 1,
         })
     }
 
-    fn capacity(&self) -> u32 {
-        self.shape.slots() as u32
+    #[inline]
+    const fn is_full(&self, tail: u32, released: u32) -> bool {
+        tail.wrapping_sub(released) > self.mask
+    }
+
+    /// The words and the stamp of value k.
+    #[inline]
+    fn slot(&self, k: u32) -> (&'a [AtomicU32], &'a AtomicU32) {
+        let first = (k & self.mask) as usize * self.stride;
+        let stamp = first + self.slot_words;
+        (&self.slots[first..stamp], &self.slots[stamp])
     }
 
     #[inline]
-    fn slot(&self, index: u32) -> &'a [AtomicU32] {
-        let first = (index as usize & (self.shape.slots() - 1)) * self.shape.slot_words();
-        &self.slots[first..first + self.shape.slot_words()]
+    fn stamp(&self, k: u32) -> &'a AtomicU32 {
+        self.slot(k).1
     }
+
+    /// Whether this number of released values is to be published at once.
+    #[inline]
+    const fn is_group(&self, released: u32) -> bool {
+        released.is_multiple_of(8) || self.mask < 63
+    }
+
+    /// The number of the first value that does not fit: `tail` if the queue is full, or the
+    /// consumer's index is none of a queue of this size.
+    #[inline]
+    const fn limit(&self, tail: u32, released: u32) -> u32 {
+        if self.is_full(tail, released) {
+            tail
+        } else {
+            released.wrapping_add(self.mask).wrapping_add(1)
+        }
+    }
+
+    /// The limit, for the producer of a full queue.
+    #[cold]
+    fn look_again(self, tail: u32) -> u32 {
+        // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
+        let released = self.released.load(Ordering::Acquire);
+        if self.is_full(tail, released) {
+            // Mends a stamp that was scribbled on; otherwise it is there.
+            let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
+            let stamp = self.stamp(oldest);
+            if stamp.load(Ordering::Relaxed) != complete(oldest) {
+                stamp.store(complete(oldest), Ordering::Release);
+            }
+        }
+        self.limit(tail, released)
+    }
+
+    /// The number of the value at which a consumer goes on that has waited for value `head` for a
+    /// long time: the producer sends nothing, or one of the two is misled.
+    #[cold]
+    fn nearest(self, head: u32) -> u32 {
+        let slots = self.mask.wrapping_add(1);
+        // Acquire pairs with the Release in `Loan::send`: who sees a value sees those before it.
+        let number = |slot| complete(self.stamp(slot).load(Ordering::Acquire));
+        // The slots of an empty queue hold the last values that were received, one turn behind.
+        let ahead = (0..slots)
+            .map(|slot| (slot, number(slot)))
+            .filter(|(slot, k)| k & self.mask == *slot)
+            .map(|(_, k)| k.wrapping_sub(head))
+            .filter(|ahead| *ahead < 0u32.wrapping_sub(slots))
+            .min();
+        if number(head) == head {
+            // It came while the others were looked at.
+            return head;
+        }
+        head.wrapping_add(ahead.unwrap_or(0))
+    }
+}
+
+/// The stamp of value k; and the number of the value that has this stamp. Not k + 1: from that the
+/// compiler would take the next index, and each look would wait for the line of the one before.
+#[inline]
+const fn complete(k: u32) -> u32 {
+    !k
 }
 
 /// Every slot holds a value that is not yet released.
@@ -69,34 +165,33 @@ pub struct Full;
 #[derive(Debug)]
 pub struct Producer<'a> {
     queue: Queue<'a>,
+    /// The number of the next value.
     tail: u32,
-    /// The consumer's index when it was last looked at.
-    head: u32,
+    /// The number of the first value that does not fit, as far as this end knows.
+    limit: u32,
 }
 
 impl<'a> Producer<'a> {
-    /// Attaches to the queue, behind what earlier lives have sent.
+    /// Attaches to the queue, behind what earlier lives have sent. Looks at each slot once.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
+    #[inline]
     pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
-        let tail = queue.tail.load(Ordering::Relaxed);
-        // Acquire pairs with the Release in `release`.
-        let head = queue.head.load(Ordering::Acquire);
-        Ok(Self { queue, tail, head })
-    }
-
-    /// How many more values fit, at least. Looks at the consumer only if its last look says none.
-    #[inline]
-    pub fn free(&mut self) -> usize {
-        if self.tail.wrapping_sub(self.head) >= self.queue.capacity() {
-            // Acquire pairs with the Release in `release`: the consumer has done with the slot.
-            self.head = self.queue.head.load(Ordering::Acquire);
+        // Acquire pairs with the Release in `publish`.
+        let released = queue.released.load(Ordering::Acquire);
+        let mut tail = released;
+        while !queue.is_full(tail, released)
+            && queue.stamp(tail).load(Ordering::Relaxed) == complete(tail)
+        {
+            tail = tail.wrapping_add(1);
         }
-        self.queue
-            .capacity()
-            .saturating_sub(self.tail.wrapping_sub(self.head)) as usize
+        Ok(Self {
+            queue,
+            tail,
+            limit: queue.limit(tail, released),
+        })
     }
 
     /// Lends the next slot, to be filled in place. Its words hold an old value. Without
@@ -106,11 +201,16 @@ impl<'a> Producer<'a> {
     /// [`Full`]
     #[inline]
     pub fn loan(&mut self) -> Result<Loan<'_, 'a>, Full> {
-        if self.free() == 0 {
-            return Err(Full);
+        if self.tail == self.limit {
+            self.limit = self.queue.look_again(self.tail);
+            if self.tail == self.limit {
+                return Err(Full);
+            }
         }
+        let (words, stamp) = self.queue.slot(self.tail);
         Ok(Loan {
-            words: WordsMut::new(self.queue.slot(self.tail)),
+            words: WordsMut::new(words),
+            stamp,
             producer: self,
         })
     }
@@ -135,6 +235,7 @@ impl<'a> Producer<'a> {
 #[must_use = "only `send` sends what was filled in"]
 pub struct Loan<'p, 'a> {
     words: WordsMut<'a>,
+    stamp: &'a AtomicU32,
     producer: &'p mut Producer<'a>,
 }
 
@@ -148,10 +249,10 @@ impl<'a> Loan<'_, 'a> {
     /// Sends the value.
     #[inline]
     pub fn send(self) {
-        let producer = self.producer;
-        producer.tail = producer.tail.wrapping_add(1);
-        // Release pairs with the Acquire in `available`: who sees the index sees the words.
-        producer.queue.tail.store(producer.tail, Ordering::Release);
+        let tail = self.producer.tail;
+        // Release pairs with the Acquire in `receive`: who sees the stamp sees the words.
+        self.stamp.store(complete(tail), Ordering::Release);
+        self.producer.tail = tail.wrapping_add(1);
     }
 }
 
@@ -159,9 +260,9 @@ impl<'a> Loan<'_, 'a> {
 #[derive(Debug)]
 pub struct Consumer<'a> {
     queue: Queue<'a>,
+    /// The number of the next value.
     head: u32,
-    /// The producer's index when it was last looked at.
-    tail: u32,
+    in_vain: u32,
 }
 
 impl<'a> Consumer<'a> {
@@ -169,40 +270,31 @@ impl<'a> Consumer<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
+    #[inline]
     pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
-        let head = queue.head.load(Ordering::Relaxed);
+        let head = queue.released.load(Ordering::Relaxed);
         Ok(Self {
             queue,
             head,
-            tail: head,
+            in_vain: 0,
         })
-    }
-
-    /// How many values are there to receive, at least. Looks at the producer only if its last look
-    /// says none.
-    #[inline]
-    pub fn available(&mut self) -> usize {
-        if self.tail == self.head {
-            // Acquire pairs with the Release in `Loan::send`.
-            self.tail = self.queue.tail.load(Ordering::Acquire);
-            if self.tail.wrapping_sub(self.head) > self.queue.capacity() {
-                // No producer did this: drop everything, and the queue is in order again.
-                self.head = self.tail;
-                self.publish();
-            }
-        }
-        self.tail.wrapping_sub(self.head) as usize
     }
 
     /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
     /// the next one until [`Item::release`].
     #[inline]
     pub fn receive(&mut self) -> Option<Item<'_, 'a>> {
-        if self.available() == 0 {
+        let (words, stamp) = self.queue.slot(self.head);
+        // Acquire pairs with the Release in `Loan::send`.
+        if stamp.load(Ordering::Acquire) != complete(self.head) {
+            self.found_nothing();
             return None;
         }
-        Some(Item { consumer: self })
+        Some(Item {
+            words: WordsRef::new(words),
+            consumer: self,
+        })
     }
 
     /// Copies the next value, as many words as both have, and releases it. Whether there was one.
@@ -211,16 +303,27 @@ impl<'a> Consumer<'a> {
         let Some(item) = self.receive() else {
             return false;
         };
-        item.words().copy_to(into);
+        item.words.copy_to(into);
         item.release();
         true
     }
 
     #[inline]
+    fn found_nothing(&mut self) {
+        if self.queue.released.load(Ordering::Relaxed) != self.head {
+            self.publish();
+        }
+        self.in_vain = self.in_vain.wrapping_add(1);
+        if self.in_vain.is_multiple_of(LOOKS_UNTIL_MENDED) {
+            self.head = self.queue.nearest(self.head);
+        }
+    }
+
+    #[inline]
     fn publish(&self) {
-        // Release pairs with the Acquire in `Producer::free`: the slot is read before it is
+        // Release pairs with the Acquire in `look_again`: the slot is read before it is
         // refilled.
-        self.queue.head.store(self.head, Ordering::Release);
+        self.queue.released.store(self.head, Ordering::Release);
     }
 }
 
@@ -228,6 +331,7 @@ impl<'a> Consumer<'a> {
 #[derive(Debug)]
 #[must_use = "only `release` frees the slot"]
 pub struct Item<'c, 'a> {
+    words: WordsRef<'a>,
     consumer: &'c mut Consumer<'a>,
 }
 
@@ -235,15 +339,18 @@ impl<'a> Item<'_, 'a> {
     /// The words; the producer does not touch them until the release.
     #[inline]
     #[must_use]
-    pub fn words(&self) -> WordsRef<'a> {
-        WordsRef::new(self.consumer.queue.slot(self.consumer.head))
+    pub const fn words(&self) -> WordsRef<'a> {
+        self.words
     }
 
     /// Frees the slot for the producer.
     #[inline]
     pub fn release(self) {
-        self.consumer.head = self.consumer.head.wrapping_add(1);
-        self.consumer.publish();
+        let consumer = self.consumer;
+        consumer.head = consumer.head.wrapping_add(1);
+        if consumer.queue.is_group(consumer.head) {
+            consumer.publish();
+        }
     }
 }
 
@@ -279,7 +386,6 @@ mod tests {
                 producer.send(&[round, k]).unwrap();
             }
             assert_eq!(producer.send(&[9, 9]), Err(Full));
-            assert_eq!(consumer.available(), 4);
             let expected: Vec<_> = (0..4).map(|k| [round, k]).collect();
             assert_eq!(drain(&mut consumer), expected);
         }
@@ -301,10 +407,9 @@ mod tests {
     }
 
     #[test]
-    fn indices_wrap_around() {
+    fn numbers_wrap_around() {
         let (words, ..) = queue();
-        words[TAIL_AT].store(u32::MAX - 1, Ordering::Relaxed);
-        words[HEAD_AT].store(u32::MAX - 1, Ordering::Relaxed);
+        words[RELEASED_AT].store(u32::MAX - 1, Ordering::Relaxed);
         let mut producer = Producer::attach(words, SHAPE).unwrap();
         let mut consumer = Consumer::attach(words, SHAPE).unwrap();
         (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
@@ -355,37 +460,82 @@ mod tests {
         }
     }
 
+    /// Each value is received at least once also if releases are published in groups.
     #[test]
-    fn scribbled_indices_are_no_values_and_the_queue_heals() {
-        for scribble in [1, 4, 5, 12345, u32::MAX, 1 << 31] {
-            for at in [TAIL_AT, HEAD_AT] {
-                let (words, mut producer, mut consumer) = queue();
-                producer.send(&[1, 1]).unwrap();
-                words[at].store(scribble, Ordering::Relaxed);
-                for k in 0..20 {
-                    let _ = producer.send(&[k, k]);
-                    assert!(
-                        drain(&mut consumer).len() <= 4,
-                        "never more than there are slots"
-                    );
+    fn a_large_queue_publishes_releases_in_groups() {
+        let shape = Shape::new(64, 1);
+        let words = zeroed(words(shape));
+        let mut producer = Producer::attach(words, shape).unwrap();
+        let mut consumer = Consumer::attach(words, shape).unwrap();
+        (0..64).for_each(|k| producer.send(&[k]).unwrap());
+        for k in 0..7 {
+            assert_eq!(consumer.receive().unwrap().words().get(0), k);
+            consumer.receive().unwrap().release();
+            assert_eq!(producer.send(&[64]), Err(Full));
+        }
+        let mut successor = Consumer::attach(words, shape).unwrap();
+        assert_eq!(successor.receive().unwrap().words().get(0), 0, "again");
+        consumer.receive().unwrap().release();
+        (64..72).for_each(|k| producer.send(&[k]).unwrap());
+        assert_eq!(producer.send(&[72]), Err(Full));
+        let mut value = [0];
+        for k in 8..72 {
+            assert!(consumer.receive_into(&mut value));
+            assert_eq!(value, [k]);
+        }
+        for k in 72..75 {
+            producer.send(&[k]).unwrap();
+            assert!(consumer.receive_into(&mut value));
+        }
+        assert!(consumer.receive().is_none(), "and says that all are free");
+        (0..64).for_each(|k| producer.send(&[k]).unwrap());
+    }
+
+    /// Whatever one word, or all of them, or an index and then an end are scribbled to: never more
+    /// values than slots, and in the end values pass again, in order.
+    #[test]
+    fn scribbled_words_are_mended() {
+        let all = words(SHAPE);
+        for scribble in [0, 1, 4, 5, 7, 12345, u32::MAX - 2, u32::MAX, 1 << 31] {
+            for at in (0..all).map(|at| at..at + 1).chain([0..all, 16..all]) {
+                for successor in [false, true] {
+                    let (words, mut producer, mut consumer) = queue();
+                    (0..3).for_each(|k| producer.send(&[k, k]).unwrap());
+                    drain(&mut consumer);
+                    producer.send(&[1, 1]).unwrap();
+                    for word in &words[at.clone()] {
+                        word.store(scribble, Ordering::Relaxed);
+                    }
+                    if successor {
+                        producer = Producer::attach(words, SHAPE).unwrap();
+                    }
+                    for k in 0..6 * LOOKS_UNTIL_MENDED {
+                        let _ = producer.send(&[k, k]);
+                        assert!(drain(&mut consumer).len() <= 5);
+                    }
+                    (7..9).for_each(|k| producer.send(&[k, k]).unwrap());
+                    let values = drain(&mut consumer);
+                    assert_eq!(values, [[7, 7], [8, 8]], "{scribble} at {at:?} {successor}");
                 }
-                assert!(drain(&mut consumer).is_empty());
-                producer.send(&[7, 7]).unwrap();
-                assert_eq!(drain(&mut consumer), [[7, 7]], "{scribble} at {at}");
             }
         }
     }
 
     #[test]
-    fn a_successor_that_attaches_to_scribbled_indices_makes_the_queue_whole() {
-        let (words, ..) = queue();
-        words[TAIL_AT].store(77, Ordering::Relaxed);
-        words[HEAD_AT].store(7777, Ordering::Relaxed);
-        let mut producer = Producer::attach(words, SHAPE).unwrap();
-        assert_eq!(producer.send(&[1, 1]), Err(Full));
-        let mut consumer = Consumer::attach(words, SHAPE).unwrap();
-        assert!(drain(&mut consumer).is_empty());
-        producer.send(&[2, 2]).unwrap();
-        assert_eq!(drain(&mut consumer), [[2, 2]]);
+    fn successors_that_attach_to_scribbled_words_make_the_queue_whole() {
+        for (released, stamp) in [(77, 7777), (7777, 77), (u32::MAX, 3)] {
+            let (words, ..) = queue();
+            words[RELEASED_AT].store(released, Ordering::Relaxed);
+            words[SLOTS_AT + 2].store(stamp, Ordering::Relaxed);
+            let mut producer = Producer::attach(words, SHAPE).unwrap();
+            words[RELEASED_AT].store(5, Ordering::Relaxed);
+            let mut consumer = Consumer::attach(words, SHAPE).unwrap();
+            for _ in 0..6 * LOOKS_UNTIL_MENDED {
+                let _ = producer.send(&[1, 1]);
+                drain(&mut consumer);
+            }
+            producer.send(&[2, 2]).unwrap();
+            assert_eq!(drain(&mut consumer), [[2, 2]]);
+        }
     }
 }

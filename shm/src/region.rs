@@ -6,6 +6,7 @@ use crate::sync::AtomicU32;
 pub const LINE_WORDS: usize = 16;
 
 /// `words` rounded up to whole cache lines.
+#[inline]
 pub(crate) const fn whole_lines(words: usize) -> usize {
     words.div_ceil(LINE_WORDS) * LINE_WORDS
 }
@@ -20,6 +21,7 @@ pub enum FitError {
 }
 
 /// The first `needed` words, if they are there and begin a cache line.
+#[inline]
 pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {
     // loom's atomics are larger than a word, lines have no meaning for them.
     if cfg!(not(loom)) && !words.as_ptr().addr().is_multiple_of(4 * LINE_WORDS) {
@@ -50,6 +52,7 @@ impl Shape {
     /// # Panics
     /// If a number is out of its range; in a constant that is a compile error.
     #[must_use]
+    #[inline]
     pub const fn new(slots: usize, slot_words: usize) -> Self {
         assert!(slots >= 2 && slots <= 1 << 16 && slots.is_power_of_two());
         assert!(slot_words >= 1 && slot_words <= (1 << 28) / slots);
@@ -58,12 +61,14 @@ impl Shape {
 
     /// How many slots.
     #[must_use]
+    #[inline]
     pub const fn slots(self) -> usize {
         self.slots
     }
 
     /// Words of one slot.
     #[must_use]
+    #[inline]
     pub const fn slot_words(self) -> usize {
         self.slot_words
     }

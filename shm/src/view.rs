@@ -36,10 +36,17 @@ impl<'a> WordsRef<'a> {
     /// Copies from the first word on, as many as both have, and returns how many.
     #[inline]
     pub fn copy_to(&self, into: &mut [u32]) -> usize {
+        // One comparison for the usual case, in which the caller's length is often a constant.
+        if let Some(words) = self.0.get(..into.len()) {
+            for (to, from) in into.iter_mut().zip(words) {
+                *to = from.load(Ordering::Relaxed);
+            }
+            return into.len();
+        }
         for (to, from) in into.iter_mut().zip(self.0) {
             *to = from.load(Ordering::Relaxed);
         }
-        into.len().min(self.0.len())
+        self.0.len()
     }
 
     /// The words themselves, for a caller that cannot keep a view, such as C. They stay mapped, but
@@ -100,13 +107,20 @@ impl<'a> WordsMut<'a> {
     /// stays.
     #[inline]
     pub fn copy_from(&mut self, from: &[u32]) -> usize {
+        if let Some(words) = self.0.get(..from.len()) {
+            for (to, from) in words.iter().zip(from) {
+                to.store(*from, Ordering::Relaxed);
+            }
+            return from.len();
+        }
         for (to, from) in self.0.iter().zip(from) {
             to.store(*from, Ordering::Relaxed);
         }
-        from.len().min(self.0.len())
+        self.0.len()
     }
 
     /// Zeroes the words from `first` on.
+    #[inline]
     pub(crate) fn zero_from(&mut self, first: usize) {
         for word in &self.0[first..] {
             word.store(0, Ordering::Relaxed);
