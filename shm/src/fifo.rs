@@ -11,11 +11,12 @@
 //! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free
 //! slots fewer than there are. Smaller queues publish every release.
 //!
-//! Each end trusts only its private copy of its own index. What the other end says is an allegation:
-//! a distance greater than the number of slots is no state of this queue, and the producer then says
-//! full. If words were scribbled on, the ends mend them: the consumer, after [`LOOKS_UNTIL_MENDED`]
-//! looks in vain, publishes its index again and goes on with the nearest complete value if there is
-//! one out of order; the producer of a full queue stamps its oldest value again.
+//! Each end trusts only its private copy of its own index. What the other end says is an
+//! allegation: a distance greater than the number of slots is no state of this queue, and the
+//! producer then says full. If words were scribbled on, the ends mend them: the consumer, after
+//! [`LOOKS_UNTIL_MENDED`] looks in vain, publishes its index again and goes on with the nearest
+//! complete value if there is one out of order; the producer of a full queue stamps its oldest
+//! value again.
 //!
 //! A producer that dies loses what it had not sent. A consumer that dies leaves what it had not
 //! released, or not yet published as released, to its successor: each value is received at least
@@ -192,6 +193,12 @@ impl<'a> Producer<'a> {
             tail,
             limit: queue.limit(tail, released),
         })
+    }
+
+    /// How many values were sent, wrapping, over all lives of the producer.
+    #[must_use]
+    pub const fn sent(&self) -> u32 {
+        self.tail
     }
 
     /// Lends the next slot, to be filled in place. Its words hold an old value. Without

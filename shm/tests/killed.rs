@@ -197,8 +197,7 @@ fn a_queue_whose_ends_are_killed_loses_nothing() {
     let produce = || {
         Child::start(move || {
             let mut producer = fifo::Producer::attach(words, SHAPE).unwrap();
-            // The number of the next value is the producer's index, which the LMU keeps.
-            for k in words[0].load(Ordering::Relaxed) + 1.. {
+            for k in producer.sent() + 1.. {
                 while producer.send(&[k; 4]).is_err() {
                     give_way();
                 }
