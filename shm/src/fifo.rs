@@ -13,10 +13,10 @@
 //!
 //! Each end trusts only its private copy of its own index. What the other end says is an
 //! allegation: a distance greater than the number of slots is no state of this queue, and the
-//! producer then says full. If words were scribbled on, the ends mend them: the consumer, after
-//! [`LOOKS_UNTIL_MENDED`] looks in vain, publishes its index again and goes on with the nearest
-//! complete value if there is one out of order; the producer of a full queue stamps its oldest
-//! value again.
+//! producer then says full. If words were scribbled on, the ends mend them: a consumer that looks
+//! in vain publishes its index again and doubts one slot in [`LOOKS_PER_DOUBT`] looks, one after
+//! the other; if a complete value lies there that is not the last one of that slot, it goes on with
+//! the nearest such value. The producer of a full queue stamps its oldest value again.
 //!
 //! A producer that dies loses what it had not sent. A consumer that dies leaves what it had not
 //! released, or not yet published as released, to its successor: each value is received at least
@@ -30,12 +30,12 @@ use crate::view::{WordsMut, WordsRef};
 const RELEASED_AT: usize = 0;
 const SLOTS_AT: usize = LINE_WORDS;
 
-/// Looks in vain before the consumer doubts the words.
+/// Looks in vain after which the consumer doubts another slot.
 #[cfg(not(loom))]
-pub const LOOKS_UNTIL_MENDED: u32 = 1024;
+pub const LOOKS_PER_DOUBT: u32 = 32;
 /// loom looks into the mending, too.
 #[cfg(loom)]
-pub const LOOKS_UNTIL_MENDED: u32 = 2;
+pub const LOOKS_PER_DOUBT: u32 = 1;
 
 /// Words of a queue of this shape.
 #[inline]
@@ -113,41 +113,37 @@ impl<'a> Queue<'a> {
         }
     }
 
-    /// The limit, for the producer of a full queue.
+    /// Mends the stamp of the oldest value of a full queue if it was scribbled on.
     #[cold]
-    fn look_again(self, tail: u32) -> u32 {
-        // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
-        let released = self.released.load(Ordering::Acquire);
-        if self.is_full(tail, released) {
-            // Mends a stamp that was scribbled on; otherwise it is there.
-            let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
-            let stamp = self.stamp(oldest);
-            if stamp.load(Ordering::Relaxed) != complete(oldest) {
-                stamp.store(complete(oldest), Ordering::Release);
-            }
+    fn mend_oldest(self, tail: u32) {
+        let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
+        let stamp = self.stamp(oldest);
+        if stamp.load(Ordering::Relaxed) != complete(oldest) {
+            stamp.store(complete(oldest), Ordering::Release);
         }
-        self.limit(tail, released)
     }
 
-    /// The number of the value at which a consumer goes on that has waited for value `head` for a
-    /// long time: the producer sends nothing, or one of the two is misled.
+    /// How far ahead of `head` the complete value in this slot is, if it is. The slots of an empty
+    /// queue hold the last values that were received, one turn behind.
+    #[inline]
+    fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
+        // Acquire pairs with the Release in `Loan::send`: who sees a value sees those before it.
+        let k = complete(self.stamp(slot).load(Ordering::Acquire));
+        let ahead = k.wrapping_sub(head);
+        let is_ahead = k & self.mask == slot & self.mask && ahead < !self.mask;
+        is_ahead.then_some(ahead)
+    }
+
+    /// The number of the value at which a consumer goes on that looks for value `head` in vain.
     #[cold]
     fn nearest(self, head: u32) -> u32 {
-        let slots = self.mask.wrapping_add(1);
-        // Acquire pairs with the Release in `Loan::send`: who sees a value sees those before it.
-        let number = |slot| complete(self.stamp(slot).load(Ordering::Acquire));
-        // The slots of an empty queue hold the last values that were received, one turn behind.
-        let ahead = (0..slots)
-            .map(|slot| (slot, number(slot)))
-            .filter(|(slot, k)| k & self.mask == *slot)
-            .map(|(_, k)| k.wrapping_sub(head))
-            .filter(|ahead| *ahead < 0u32.wrapping_sub(slots))
-            .min();
-        if number(head) == head {
-            // It came while the others were looked at.
-            return head;
+        let ahead = (0..=self.mask).filter_map(|slot| self.ahead(slot, head));
+        let ahead = ahead.min().unwrap_or(0);
+        // It may have come while the others were looked at.
+        match self.ahead(head, head) {
+            Some(0) => head,
+            _ => head.wrapping_add(ahead),
         }
-        head.wrapping_add(ahead.unwrap_or(0))
     }
 }
 
@@ -209,8 +205,11 @@ impl<'a> Producer<'a> {
     #[inline]
     pub fn loan(&mut self) -> Result<Loan<'_, 'a>, Full> {
         if self.tail == self.limit {
-            self.limit = self.queue.look_again(self.tail);
+            // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
+            let released = self.queue.released.load(Ordering::Acquire);
+            self.limit = self.queue.limit(self.tail, released);
             if self.tail == self.limit {
+                self.queue.mend_oldest(self.tail);
                 return Err(Full);
             }
         }
@@ -321,14 +320,17 @@ impl<'a> Consumer<'a> {
             self.publish();
         }
         self.in_vain = self.in_vain.wrapping_add(1);
-        if self.in_vain.is_multiple_of(LOOKS_UNTIL_MENDED) {
-            self.head = self.queue.nearest(self.head);
+        if self.in_vain.is_multiple_of(LOOKS_PER_DOUBT) {
+            let slot = self.in_vain / LOOKS_PER_DOUBT;
+            if self.queue.ahead(slot, self.head).is_some() {
+                self.head = self.queue.nearest(self.head);
+            }
         }
     }
 
     #[inline]
     fn publish(&self) {
-        // Release pairs with the Acquire in `look_again`: the slot is read before it is
+        // Release pairs with the Acquire in `loan`: the slot is read before it is
         // refilled.
         self.queue.released.store(self.head, Ordering::Release);
     }
@@ -516,7 +518,7 @@ mod tests {
                     if successor {
                         producer = Producer::attach(words, SHAPE).unwrap();
                     }
-                    for k in 0..6 * LOOKS_UNTIL_MENDED {
+                    for k in 0..64 * LOOKS_PER_DOUBT {
                         let _ = producer.send(&[k, k]);
                         assert!(drain(&mut consumer).len() <= 5);
                     }
@@ -537,7 +539,7 @@ mod tests {
             let mut producer = Producer::attach(words, SHAPE).unwrap();
             words[RELEASED_AT].store(5, Ordering::Relaxed);
             let mut consumer = Consumer::attach(words, SHAPE).unwrap();
-            for _ in 0..6 * LOOKS_UNTIL_MENDED {
+            for _ in 0..64 * LOOKS_PER_DOUBT {
                 let _ = producer.send(&[1, 1]);
                 drain(&mut consumer);
             }
