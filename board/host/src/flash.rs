@@ -8,6 +8,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread;
+use std::time::{Duration, Instant};
 
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
@@ -21,6 +22,10 @@ const ERASED: u8 = 0xFF;
 const IDLE: u8 = 0;
 const BUSY: u8 = 1;
 const FAILED: u8 = 2;
+
+/// How long a start waits for a taken file. A process that was killed keeps it until the kernel has
+/// taken its memory back, some milliseconds after it has left the list of processes.
+const LAST_OWNER_ENDS: Duration = Duration::from_secs(1);
 
 /// Why the file cannot be the data flash.
 #[derive(Debug, thiserror::Error)]
@@ -110,12 +115,18 @@ impl HostFlash {
             .write(true)
             .open(path)
             .map_err(failed)?;
-        match flock(&file, FlockOperation::NonBlockingLockExclusive) {
-            Err(Errno::WOULDBLOCK) => {
-                let path = path.to_owned();
-                return Err(FlashFileError::InUse { path });
+        let deadline = Instant::now() + LAST_OWNER_ENDS;
+        loop {
+            match flock(&file, FlockOperation::NonBlockingLockExclusive) {
+                Err(Errno::WOULDBLOCK) if Instant::now() < deadline => {
+                    thread::sleep(Duration::from_millis(2));
+                }
+                Err(Errno::WOULDBLOCK) => {
+                    let path = path.to_owned();
+                    return Err(FlashFileError::InUse { path });
+                }
+                locked => break locked.map_err(|errno| failed(errno.into()))?,
             }
-            locked => locked.map_err(|errno| failed(errno.into()))?,
         }
         // The children inherit it, and with it the lock: a launcher may die before its run.
         fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;

@@ -78,7 +78,7 @@ fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String>
 
 /// Starts a run that lasts, and waits until `count` of its processes are there.
 fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
-    let mut launcher = start_launcher(LASTING.name, folder, place);
+    let launcher = start_launcher(LASTING.name, folder, place);
     let prefix = format!("tandem-{}-", launcher.id());
     let found = until("the run starts", || {
         let all = processes::list();
@@ -92,8 +92,9 @@ fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
         Ok(run) => Ok(Started { launcher, run }),
         Err(error) => {
             signal(launcher.id(), Signal::INT);
-            let _ = launcher.wait();
-            Err(error)
+            let ended = launcher.wait_with_output().map_err(|why| why.to_string())?;
+            let said = String::from_utf8_lossy(&ended.stderr);
+            Err(format!("{error}; the launcher: {}: {said}", ended.status))
         }
     }
 }
