@@ -66,6 +66,8 @@ struct Waiting {
 impl Event for Waiting {
     type Output = u32;
 
+    // The waiting loop is nothing but this; called through a pointer it costs a third more.
+    #[inline(always)]
     fn check(&mut self) -> Option<u32> {
         self.tasks.run(&mut self.signals, &mut self.inbox);
         self.inbox.received.take()
