@@ -368,7 +368,7 @@ impl Collected {
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
         let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
-        let page = report::page(&self.log, &metrics)?;
+        let page = report::page(&self.log, &self.timeline, &metrics)?;
         let trace = timeline::encode(&self.timeline, &self.log);
         for (name, content) in [
             (out_dir::REPORT, page.into_bytes()),

@@ -5,7 +5,7 @@
 //!
 //! Who schedules writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
 //! a kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with
-//! [`Begin::Goes`], *switched out* is `TaskOut` with what the task does next, *moved to ready* is
+//! [`Begin::Goes`], *switched out* is `TaskOut` with [`Leaves::Gives`], *moved to ready* is
 //! `Ready`, entry and exit of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from
 //! its release (`Ready`, [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut`
 //! that says [`Leaves::Done`].
@@ -37,6 +37,8 @@ pub enum Leaves {
     Blocked,
     /// It could go on, but another one goes first.
     Preempted,
+    /// The kernel does not say why. Its job is done if it is then made ready; else it goes on.
+    Gives,
 }
 
 impl Leaves {
@@ -45,6 +47,7 @@ impl Leaves {
             0 => Self::Done,
             1 => Self::Blocked,
             2 => Self::Preempted,
+            3 => Self::Gives,
             _ => return None,
         })
     }
@@ -455,6 +458,7 @@ mod tests {
             leaves(Leaves::Done),
             leaves(Leaves::Blocked),
             leaves(Leaves::Preempted),
+            leaves(Leaves::Gives),
             Event::Ready {
                 task: TaskCode::STATUS,
             },
@@ -485,7 +489,7 @@ mod tests {
         }
         assert_eq!(Event::decode([0; 4]), None);
         assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
-        for strange in [0x0002_0011, 0x0003_0012, 0x0000_0317, 0x0000_0318, 27] {
+        for strange in [0x0002_0011, 0x0004_0012, 0x0000_0317, 0x0000_0318, 27] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }
     }

@@ -13,3 +13,4 @@ mod drive;
 mod errors;
 mod stage;
 mod startup;
+mod trace;

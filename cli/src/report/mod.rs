@@ -1,6 +1,7 @@
 //! The report of a run: one HTML file that needs nothing else.
 
 mod charts;
+mod cores;
 mod sections;
 mod top_view;
 
@@ -11,6 +12,7 @@ use crate::mastership::{Takeover, takeovers};
 use crate::metrics::Metrics;
 use crate::roles::State;
 use crate::runlog::{Mode, RunLog, What};
+use crate::timeline::Timeline;
 use charts::Chart;
 
 const STYLE: &str = include_str!("style.css");
@@ -21,23 +23,26 @@ const EVENT_ROWS: usize = 200;
 ///
 /// # Errors
 /// If a chart cannot be drawn.
-pub(crate) fn page(log: &RunLog, metrics: &Metrics) -> anyhow::Result<String> {
+pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> anyhow::Result<String> {
     let takeovers = takeovers(log);
     let body = html! {
         main {
             (header(metrics))
             (tiles(metrics))
             (roles(log, &takeovers)?)
+            (cores::timeline(log, timeline, &takeovers))
             (driving(log, &takeovers)?)
             (control(log, metrics, &takeovers)?)
             (takeover_table(metrics))
+            (cores::tasks(metrics))
             (conditions(metrics))
             (events(log))
             footer {
                 "Files beside this page: " code { "metrics.json" } " (all figures), "
                 code { "candump.log" } " (every CAN frame; the repository's DBC file reads it), "
                 code { "control-period.hgrm" } " and " code { "chain.hgrm" }
-                " (distributions, for HdrHistogram plotters)."
+                " (distributions, for HdrHistogram plotters), " code { "trace.perfetto-trace" }
+                " (what ran when on which core, for ui.perfetto.dev)."
             }
         }
     };

@@ -14,7 +14,12 @@ fn synthetic_page() -> String {
         gap_bound_ms: Some(14.5),
         leftovers: Vec::new(),
     };
-    page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap()
+    page(
+        &log,
+        &Timeline::default(),
+        &metrics::compute(&log, &Timeline::default(), &around),
+    )
+    .unwrap()
 }
 
 /// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
@@ -53,7 +58,12 @@ fn every_colour_of_a_chart_is_known_to_the_dark_style() {
 #[test]
 fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
     let (log, around) = (RunLog::default(), Surroundings::default());
-    let page = page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap();
+    let page = page(
+        &log,
+        &Timeline::default(),
+        &metrics::compute(&log, &Timeline::default(), &around),
+    )
+    .unwrap();
     assert!(page.contains("no control frame was ever accepted"));
     assert!(!page.contains("NaN"));
 }
@@ -70,6 +80,11 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
     let mut log = synthetic::with_takeover(4.0);
     log.header.scenario = "<script>alert(1)</script>".into();
     let around = Surroundings::default();
-    let page = page(&log, &metrics::compute(&log, &Timeline::default(), &around)).unwrap();
+    let page = page(
+        &log,
+        &Timeline::default(),
+        &metrics::compute(&log, &Timeline::default(), &around),
+    )
+    .unwrap();
     assert!(!page.contains("<script>"));
 }

@@ -114,6 +114,8 @@ struct Job {
     release_ns: Option<u64>,
     own_ns: u64,
     begun: bool,
+    /// When the task gave the CPU up, if the kernel has not said why.
+    gave_ns: Option<u64>,
 }
 
 /// The jobs of all tasks of one core.
@@ -129,6 +131,7 @@ impl Jobs {
 
     /// A job is released, if none is under way.
     pub(super) fn ready(&mut self, code: TaskCode, at_ns: u64) {
+        self.done_if_it_gave(code);
         let job = &mut self.task(code).job;
         job.get_or_insert(Job {
             release_ns: Some(at_ns),
@@ -151,6 +154,7 @@ impl Jobs {
             });
         }
         let job = task.job.get_or_insert_default();
+        job.gave_ns = None;
         if !job.begun {
             job.begun = true;
             task.begun += 1;
@@ -173,6 +177,20 @@ impl Jobs {
         }
     }
 
+    /// The task gave the CPU up, and the kernel does not say why.
+    pub(super) fn gave(&mut self, code: TaskCode, at_ns: u64) {
+        if let Some(job) = &mut self.task(code).job {
+            job.gave_ns = Some(at_ns);
+        }
+    }
+
+    /// What is made ready, or never seen again, has waited since it gave the CPU up.
+    fn done_if_it_gave(&mut self, code: TaskCode) {
+        if let Some(gave_ns) = self.task(code).job.and_then(|job| job.gave_ns) {
+            self.done(code, gave_ns);
+        }
+    }
+
     /// The job is done.
     pub(super) fn done(&mut self, code: TaskCode, at_ns: u64) {
         let task = self.task(code);
@@ -187,6 +205,10 @@ impl Jobs {
 
     /// The core's life is over, and so is every job.
     pub(super) fn cut(&mut self) {
+        let codes: Vec<TaskCode> = self.tasks.keys().copied().collect();
+        codes
+            .into_iter()
+            .for_each(|code| self.done_if_it_gave(code));
         for task in self.tasks.values_mut() {
             if task.job.take().is_some_and(|job| job.begun) {
                 task.cut += 1;

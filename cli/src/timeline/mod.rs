@@ -355,8 +355,10 @@ impl LineBuilder {
     fn task_out(&mut self, at_ns: u64, task: TaskCode, leaves: Leaves) {
         if let Some(own_ns) = self.end(at_ns, Work::Task(task)) {
             self.jobs.ran(task, own_ns);
-            if leaves == Leaves::Done {
-                self.jobs.done(task, at_ns);
+            match leaves {
+                Leaves::Done => self.jobs.done(task, at_ns),
+                Leaves::Gives => self.jobs.gave(task, at_ns),
+                Leaves::Blocked | Leaves::Preempted => {}
             }
         }
     }

@@ -120,6 +120,31 @@ fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
     assert_eq!(ms(control.execution_p50_ms), 3.0);
 }
 
+/// FreeRTOS says that a task is switched out, not why.
+#[test]
+fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
+    let task = TaskCode::HEARTBEAT;
+    let timeline = Timeline::new(&on_core(
+        CONTROL,
+        &[
+            (1_000, Event::Ready { task }),
+            (1_100, goes(task)),
+            (1_300, out(task, Leaves::Gives)),
+            // Pre-empted: it goes on without being made ready.
+            (1_500, goes(task)),
+            (1_600, out(task, Leaves::Gives)),
+            (2_000, Event::Ready { task }),
+            (2_100, goes(task)),
+            (2_200, out(task, Leaves::Gives)),
+        ],
+    ));
+    let found = figures(&timeline, "heartbeat");
+    assert_eq!((found.jobs, found.responses, found.cut), (2, 2, 0));
+    assert_eq!(ms(found.response_max_ms), 0.6);
+    assert_eq!(ms(found.response_p50_ms), 0.2);
+    assert_eq!(ms(found.execution_max_ms), 0.3);
+}
+
 #[test]
 fn a_nested_task_pauses_the_one_around_it() {
     let timeline = Timeline::new(&on_core(
