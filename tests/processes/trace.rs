@@ -50,7 +50,7 @@ fn number(message: &[u8], wanted: u64) -> Option<u64> {
     })
 }
 
-fn all<'b>(message: &'b [u8], wanted: u64) -> Vec<&'b [u8]> {
+fn all(message: &[u8], wanted: u64) -> Vec<&[u8]> {
     let found = fields(message).into_iter().filter_map(|field| match field {
         Field::Bytes(number, bytes) if number == wanted => Some(bytes),
         _ => None,

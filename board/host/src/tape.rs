@@ -285,6 +285,38 @@ mod tests {
         }
     }
 
+    /// `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture tape`
+    #[test]
+    #[ignore = "a measurement"]
+    fn what_a_record_costs() {
+        const EACH: u32 = 1_000;
+        let words = words();
+        let (tape, mut reader) = ends(words);
+        let mut measure = |what: &str, work: &mut dyn FnMut(u32)| {
+            let mut spans: Vec<f64> = (0..2_000)
+                .map(|_| {
+                    let begin = std::time::Instant::now();
+                    (0..EACH).for_each(&mut *work);
+                    let span_ns = begin.elapsed().as_nanos() as f64 / f64::from(EACH);
+                    while reader.next().is_some() {}
+                    span_ns
+                })
+                .collect();
+            spans.sort_by(f64::total_cmp);
+            let (p50, p99) = (spans[spans.len() / 2], spans[spans.len() * 99 / 100]);
+            println!("{what:24} p50 {p50:6.1} ns, p99 {p99:6.1} ns");
+        };
+        measure("the clock", &mut |_| {
+            std::hint::black_box(crate::clock::now());
+        });
+        measure("a record", &mut |n| {
+            assert_eq!(tape.write(at(n), [n; 4]), Ok(()));
+        });
+        measure("a record with its time", &mut |n| {
+            assert_eq!(tape.write(crate::clock::now(), [n; 4]), Ok(()));
+        });
+    }
+
     #[test]
     fn records_of_several_writers_are_whole_and_each_writers_in_order() {
         const EACH: u32 = 50_000;

@@ -96,7 +96,7 @@ impl Axis {
 }
 
 /// Values at 1, 2 or 5 times a power of ten within the range, about `count` of them.
-fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
+pub(crate) fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
     let rough = (high - low) / count.max(1) as f64;
     let power = 10.0_f64.powf(rough.log10().floor());
     let step = [1.0, 2.0, 5.0, 10.0]

@@ -9,15 +9,18 @@ use tandem_board_host::SupplyEvent;
 use tandem_cores::activity::TaskCode;
 use tandem_cores::trace::Event;
 
-use super::charts::color;
+use super::charts::{color, plain, round_ticks};
 use crate::mastership::Takeover;
 use crate::metrics::Metrics;
 use crate::runlog::{RunLog, System, Verdict};
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
 /// What the timeline shows before and after its moment, ms: a period of perception and more.
-const BEFORE_MS: f64 = 40.0;
-const AFTER_MS: f64 = 20.0;
+const WIDE_MS: (f64, f64) = (-40.0, 20.0);
+/// The same of a takeover alone.
+const CLOSE_MS: (f64, f64) = (-2.5, 0.5);
+/// What is shown around a pass through the chain, ms.
+const AROUND_CHAIN_MS: f64 = 0.1;
 const WIDTH: f64 = 1080.0;
 const LABELS: f64 = 150.0;
 const RIGHT: f64 = 14.0;
@@ -53,7 +56,15 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
     } else {
         "The cores at work"
     };
-    let svg = Drawing::new(zero_ns).draw(log, timeline, title);
+    let wide = Drawing::new(zero_ns, WIDE_MS).draw(log, timeline, title);
+    let close = takeover.map(|_| Drawing::new(zero_ns, CLOSE_MS).draw(log, timeline, title));
+    let chain = median_chain(timeline).map(|(system, from_ns, to_ns)| {
+        let span_ms = (to_ns - from_ns) as f64 * 1e-6;
+        let window = (-AROUND_CHAIN_MS, span_ms + AROUND_CHAIN_MS);
+        let mut drawing = Drawing::new(from_ns, window);
+        drawing.only = Some(system);
+        drawing.draw(log, timeline, "One pass through the chain")
+    });
     html! {
         section {
             div.head {
@@ -73,9 +84,50 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
                 code { "trace.perfetto-trace" }
                 ": open it at ui.perfetto.dev."
             }
-            (PreEscaped(svg))
+            (PreEscaped(wide))
+            @if let Some(close) = close {
+                p.note { "The last milliseconds of it." }
+                (PreEscaped(close))
+            }
+        }
+        @if let Some(chain) = chain {
+            section {
+                h2 { "One pass through the chain" }
+                p.note {
+                    "From the measurement on core 1 over core 2 to core 0, the median of all passes, \
+                     in milliseconds."
+                }
+                (PreEscaped(chain))
+            }
         }
     }
+}
+
+/// System, begin of perception and the arrival on core 0, ns, of the pass whose signals took the median
+/// time.
+fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
+    let mut passes: Vec<(SystemId, u64, u64)> = Vec::new();
+    for second in &timeline.flows {
+        let before = timeline.flows.iter().filter(|first| {
+            first.system == second.system
+                && first.to.0 == second.from.0
+                && first.to.1 <= second.from.1
+        });
+        let last = before.max_by_key(|first| first.to.1);
+        passes.extend(last.map(|first| (second.system, first.from.1, second.to.1)));
+    }
+    passes.sort_by_key(|(_, from_ns, to_ns)| to_ns - from_ns);
+    let (system, from_ns, to_ns) = *passes.get(passes.len() / 2)?;
+    // The signal stands at the end of its task.
+    let perception = timeline
+        .cores
+        .iter()
+        .filter(|line| line.system == system)
+        .flat_map(|line| &line.slices)
+        .filter(|slice| slice.work == Work::Task(TaskCode::PERCEPTION))
+        .find(|slice| (slice.begin_ns..=slice.end_ns).contains(&from_ns));
+    let begin_ns = perception.map_or(from_ns, |slice| slice.begin_ns);
+    Some((system, begin_ns, to_ns))
 }
 
 /// Just before a signal of core 1 in the middle of the run.
@@ -105,6 +157,8 @@ fn task_color(work: Work) -> RGBColor {
 }
 
 struct Drawing {
+    /// Only this system, and not the vehicle.
+    only: Option<SystemId>,
     zero_ns: u64,
     from_ms: f64,
     to_ms: f64,
@@ -112,11 +166,12 @@ struct Drawing {
 }
 
 impl Drawing {
-    fn new(zero_ns: u64) -> Self {
+    fn new(zero_ns: u64, (from_ms, to_ms): (f64, f64)) -> Self {
         Self {
+            only: None,
             zero_ns,
-            from_ms: -BEFORE_MS,
-            to_ms: AFTER_MS,
+            from_ms,
+            to_ms,
             svg: String::new(),
         }
     }
@@ -134,27 +189,49 @@ impl Drawing {
         (self.from_ms..=self.to_ms).contains(&self.ms(at_ns))
     }
 
-    fn row(system: SystemId, core: CoreId) -> f64 {
-        let rows = 3.0 * system.index() as f64 + core.index() as f64;
-        TOP + rows * ROW + system.index() as f64 * GAP
+    fn row(&self, system: SystemId, core: CoreId) -> f64 {
+        let above = if self.only.is_some() {
+            0.0
+        } else {
+            system.index() as f64
+        };
+        TOP + above * (3.0 * ROW + GAP) + core.index() as f64 * ROW
     }
 
-    fn vehicle_row() -> f64 {
-        TOP + 6.0 * ROW + 2.0 * GAP
+    /// The row below those of the cores.
+    fn vehicle_row(&self) -> f64 {
+        let systems = if self.only.is_some() { 1.0 } else { 2.0 };
+        TOP + systems * (3.0 * ROW + GAP)
+    }
+
+    /// The lower end of all rows.
+    fn bottom(&self) -> f64 {
+        self.vehicle_row() + if self.only.is_some() { 0.0 } else { ROW }
+    }
+
+    fn has(&self, system: SystemId) -> bool {
+        self.only.is_none_or(|only| only == system)
     }
 
     fn draw(mut self, log: &RunLog, timeline: &Timeline, title: &str) -> String {
-        let height = Self::vehicle_row() + ROW + 26.0;
+        let height = self.bottom() + 26.0;
         let _ = write!(
             self.svg,
             r#"<svg role="img" aria-label="{title}" viewBox="0 0 {WIDTH} {height}" font-size="14" font-family="sans-serif">"#
         );
         self.axis();
-        for line in &timeline.cores {
+        let only = self.only;
+        for line in timeline
+            .cores
+            .iter()
+            .filter(|line| only.is_none_or(|only| only == line.system))
+        {
             self.core(line);
         }
         self.flows(timeline);
-        self.vehicle(log);
+        if self.only.is_none() {
+            self.vehicle(log);
+        }
         self.deaths(timeline);
         self.svg += "</svg>";
         self.svg
@@ -177,21 +254,19 @@ impl Drawing {
     }
 
     fn axis(&mut self) {
-        let bottom = Self::vehicle_row() + ROW;
-        let mut tick_ms = self.from_ms;
-        while tick_ms <= self.to_ms + 1e-9 {
+        let bottom = self.bottom();
+        for tick_ms in round_ticks((self.from_ms, self.to_ms), 8) {
             let part = (tick_ms - self.from_ms) / (self.to_ms - self.from_ms);
             let x = LABELS + part * (WIDTH - LABELS - RIGHT);
             self.line((x, TOP - 6.0), (x, bottom), color::GRID, "");
             let unit = if tick_ms.abs() < 1e-9 { " ms" } else { "" };
-            let label = format!("{tick_ms:.0}{unit}");
+            let label = plain(tick_ms) + unit;
             self.text(x, bottom + 18.0, "middle", color::MUTED, &label);
-            tick_ms += 10.0;
         }
     }
 
     fn core(&mut self, line: &CoreLine) {
-        let top = Self::row(line.system, line.core);
+        let top = self.row(line.system, line.core);
         let name = match line.core {
             CoreId::CONTROL => "control",
             CoreId::PERCEPTION => "perception",
@@ -241,13 +316,13 @@ impl Drawing {
     fn flows(&mut self, timeline: &Timeline) {
         for flow in &timeline.flows {
             let ((from, from_ns), (to, to_ns)) = (flow.from, flow.to);
-            if !self.shows(from_ns) || !self.shows(to_ns) {
+            if !self.has(flow.system) || !self.shows(from_ns) || !self.shows(to_ns) {
                 continue;
             }
-            let down = Self::row(flow.system, to) > Self::row(flow.system, from);
+            let down = self.row(flow.system, to) > self.row(flow.system, from);
             // From the edge of the bar that is nearer to the other one.
             let edge =
-                |core, lower: bool| Self::row(flow.system, core) + if lower { BAR } else { 0.0 };
+                |core, lower: bool| self.row(flow.system, core) + if lower { BAR } else { 0.0 };
             let begin = (self.x(from_ns), edge(from, down));
             let end = (self.x(to_ns), edge(to, !down));
             self.line(begin, end, color::BAD, r#"stroke-width="1.5""#);
@@ -261,7 +336,7 @@ impl Drawing {
     }
 
     fn vehicle(&mut self, log: &RunLog) {
-        let middle = Self::vehicle_row() + BAR / 2.0;
+        let middle = self.vehicle_row() + BAR / 2.0;
         let label = "control frames";
         self.text(LABELS - 10.0, middle + 5.0, "end", color::MUTED, label);
         for frame in &log.control {
@@ -298,22 +373,28 @@ impl Drawing {
                 SupplyEvent::Reset(_) => format!("{system} reset"),
                 SupplyEvent::CoreStarted { .. } | SupplyEvent::Suspended => continue,
             };
-            if !self.shows(*at_ns) {
+            if !self.has(*system) || !self.shows(*at_ns) {
                 continue;
             }
             let x = self.x(*at_ns);
-            let top = Self::row(*system, CoreId::CONTROL) - 4.0;
-            let bottom = Self::row(*system, CoreId::PLANNING) + BAR + 4.0;
+            let top = self.row(*system, CoreId::CONTROL) - 4.0;
+            let bottom = self.row(*system, CoreId::PLANNING) + BAR + 4.0;
             let dashed = r#"stroke-width="1.5" stroke-dasharray="4 3""#;
             self.line((x, top), (x, bottom), color::BAD, dashed);
-            let y = 14.0 + 16.0 * f64::from(lanes_used % 2);
+            let second = lanes_used % 2 == 1;
+            let y = if second { 30.0 } else { 14.0 };
             lanes_used += 1;
             self.line((x, y + 3.0), (x, top), color::BAD, r#"stroke-width="0.7""#);
-            self.text(x - 4.0, y, "end", color::BAD, &label);
+            // The second one to the right, so that it does not cross the line of the first.
+            if second && x < WIDTH - 120.0 {
+                self.text(x + 4.0, y, "start", color::BAD, &label);
+            } else {
+                self.text(x - 4.0, y, "end", color::BAD, &label);
+            }
         }
         let x = self.x(self.zero_ns);
         let line = r#"stroke-width="1""#;
-        self.line((x, TOP - 12.0), (x, Self::vehicle_row()), color::GOOD, line);
+        self.line((x, TOP - 12.0), (x, self.vehicle_row()), color::GOOD, line);
     }
 }
 
@@ -339,7 +420,7 @@ pub(super) fn tasks(metrics: &Metrics) -> Markup {
                  response times from 1 µs to 1 s: half of the jobs up to the dark end, 99 of 100 up \
                  to the light end, the longest at the mark; red is the deadline."
             }
-            table {
+            table.tight {
                 tr {
                     th { "core" } th { "task" } th.num { "jobs" } th.num { "period" }
                     th.num { "deadline" } th.num { "missed" }
