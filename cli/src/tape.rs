@@ -11,7 +11,7 @@ use tandem_board::{CoreId, Instant, SystemId, TraceRecord};
 
 const WORDS: usize = 7;
 const BYTES: usize = 4 * WORDS;
-/// A file does not grow beyond this, as it lies in shared memory: about eight minutes of a run.
+/// A file does not grow beyond this, as it lies in shared memory: about six minutes of a run.
 pub(crate) const LIMIT_BYTES: u64 = 64 << 20;
 
 /// Who wrote a record.

@@ -44,10 +44,12 @@ const LEGEND: [(TaskCode, &str, RGBColor); 8] = [
     (TaskCode::PLANNING, "planning", color::B),
 ];
 
-/// The timeline around the first takeover, or of some moment of a run without one; nothing if no
-/// core has left a trace.
+/// The timeline around the first takeover from a master that failed, or of some moment of a run
+/// without a takeover; nothing if no core has left a trace.
 pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]) -> Markup {
-    let takeover = takeovers.first();
+    // One from a master that was only held up shows the machine, not the controller.
+    let failed = takeovers.iter().find(|takeover| !takeover.held_up);
+    let takeover = failed.or(takeovers.first());
     let Some(zero_ns) = takeover.map(|t| t.at_ns).or_else(|| quiet_moment(timeline)) else {
         return html! {};
     };
@@ -79,8 +81,8 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
                 "What ran when, in milliseconds"
                 @if takeover.is_some() { " from the new master's first obeyed frame on" }
                 ". Arrows are signals from core to core; dots are control frames that the vehicle \
-                 obeyed (a cross: did not). Narrow slices are drawn wider than they were. The whole \
-                 run is in "
+                 obeyed (a cross: did not). Narrow slices are drawn wider than they were. The \
+                 whole run is in "
                 code { "trace.perfetto-trace" }
                 ": open it at ui.perfetto.dev."
             }
@@ -103,8 +105,8 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
     }
 }
 
-/// System, begin of perception and the arrival on core 0, ns, of the pass whose signals took the median
-/// time.
+/// System, begin of perception and the arrival on core 0, ns, of the pass whose signals took the
+/// median time.
 fn median_chain(timeline: &Timeline) -> Option<(SystemId, u64, u64)> {
     let mut passes: Vec<(SystemId, u64, u64)> = Vec::new();
     for second in &timeline.flows {
@@ -417,8 +419,8 @@ pub(super) fn tasks(metrics: &Metrics) -> Markup {
             p.note {
                 "Response: from the release of a job to its end. Execution: without tasks and \
                  handlers within it; what the machine's scheduler took away is in it. The bars are \
-                 response times from 1 µs to 1 s: half of the jobs up to the dark end, 99 of 100 up \
-                 to the light end, the longest at the mark; red is the deadline."
+                 response times from 1 µs to 1 s: half of the jobs up to the dark end, 99 of 100 \
+                 up to the light end, the longest at the mark; red is the deadline."
             }
             table.tight {
                 tr {
