@@ -1,7 +1,7 @@
 //! One emulator process, and the two pipes to its carrier.
 
 use std::fs::File;
-use std::io::{self, Read as _, Write as _};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::os::unix::process::CommandExt as _;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
@@ -55,7 +55,10 @@ pub struct Machine {
     child: Child,
     from: File,
     to: File,
-    folder: TempDir,
+    /// What the emulator complains about, and what the firmware logs.
+    logs: [File; 2],
+    /// Until the emulator has opened all that is in it: so nothing is left behind, whatever ends.
+    folder: Option<TempDir>,
     systems: Vec<SystemId>,
 }
 
@@ -94,19 +97,28 @@ impl Machine {
                 .arg("-device")
                 .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
         }
+        let log = |name| {
+            let mut options = File::options();
+            options.create(true).append(true).read(true);
+            let file = options.open(folder.path().join(name));
+            file.map_err(MachineError::Pipes)
+        };
+        let logs = [log("errors")?, log("log")?];
+        let errors = logs[0].try_clone().map_err(MachineError::Pipes)?;
         let child = command
             // Ctrl-C at a terminal is the run's to handle.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(File::create(folder.path().join("errors")).map_err(MachineError::Pipes)?)
+            .stderr(errors)
             .spawn()
             .map_err(MachineError::Start)?;
         Ok(Self {
             child,
             from,
             to,
-            folder,
+            logs,
+            folder: Some(folder),
             systems: systems.to_vec(),
         })
     }
@@ -131,6 +143,7 @@ impl Machine {
     pub fn report(&mut self, mut each: impl FnMut(Item)) -> Result<Report, MachineError> {
         let mut words = vec![0; REPORT_WORDS];
         self.read(&mut words)?;
+        self.folder = None;
         let report = Report::decode(&words).map_err(|_| MachineError::Malformed)?;
         let len = words[1] as usize;
         if !(REPORT_WORDS..=MAX_WORDS).contains(&len) {
@@ -238,9 +251,13 @@ impl Machine {
     /// What the firmware has logged, and what the emulator has complained about.
     #[must_use]
     pub fn log(&self) -> String {
-        let text =
-            |name: &str| std::fs::read_to_string(self.folder.path().join(name)).unwrap_or_default();
-        (text("errors") + &text("log")).trim().to_owned()
+        let mut text = String::new();
+        for mut log in &self.logs {
+            // One that cannot be read says nothing.
+            let _ = log.seek(SeekFrom::Start(0));
+            let _ = log.read_to_string(&mut text);
+        }
+        text.trim().to_owned()
     }
 }
 
@@ -260,7 +277,9 @@ fn pipes(folder: &Path) -> rustix::io::Result<(File, File)> {
     for path in &paths {
         mknodat(CWD, path, FileType::Fifo, mode, 0)?;
     }
-    let from = open(&paths[0], OFlags::RDONLY | OFlags::NONBLOCK, mode)?;
-    let to = open(&paths[1], OFlags::RDWR, mode)?;
+    // Not for the emulators: a machine whose world is gone must see the end of its pipe.
+    let flags = OFlags::CLOEXEC;
+    let from = open(&paths[0], flags | OFlags::RDONLY | OFlags::NONBLOCK, mode)?;
+    let to = open(&paths[1], flags | OFlags::RDWR, mode)?;
     Ok((from.into(), to.into()))
 }
