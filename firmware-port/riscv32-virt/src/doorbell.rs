@@ -47,6 +47,16 @@ pub fn wait(deadline: Option<u64>) -> bool {
     rung
 }
 
+/// Consumes a ring, if there was one, without sleeping.
+pub fn take() -> bool {
+    let number = hart::number() % HARTS;
+    let pending = hart::pending() & MSI != 0;
+    if pending {
+        clint::clear(number);
+    }
+    trap::STATES[number].rung.swap(false, Relaxed) || pending
+}
+
 /// The timer is the slicing timer's again, if there is one.
 #[inline]
 fn rearm(number: usize, state: &HartState) {

@@ -124,8 +124,8 @@ impl Rig for VirtRig<'_> {
         self.carrier.set_watchdogs(watch);
         for system in SystemId::ALL {
             self.carrier.new_flash(system);
-            self.carrier.power_on(system);
         }
+        self.carrier.power_on(&SystemId::ALL);
         let outcome = self.outcome(case);
         for system in SystemId::ALL {
             self.carrier.power_off(system);

@@ -219,7 +219,7 @@ fn act(carrier: &mut Carrier, item: Item) {
         }
         Item::Level { of, high } => carrier.set_power(of, high),
         Item::Feed { of, on: true } if system(of).powered.load(Relaxed) => {}
-        Item::Feed { of, on: true } => carrier.power_on(of),
+        Item::Feed { of, on: true } => carrier.power_on(&[of]),
         Item::Feed { of, on: false } => carrier.power_off(of),
         Item::End => exit(0),
         Item::Trace { .. } => {}

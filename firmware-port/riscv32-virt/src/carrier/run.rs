@@ -2,7 +2,7 @@
 
 use super::host::Host;
 use super::{core_of, hart_of, system};
-use crate::hart::{self, time};
+use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{CoreId, Instant, ResetCause, ResetRequest, SystemId};
@@ -48,6 +48,10 @@ const fn cause_word(cause: ResetCause) -> u32 {
     }
 }
 
+/// Cycles from reading to reading of a turn that was given away and that nobody used: four, and
+/// fewer than any hart takes that does something.
+const YIELD_CYCLES: u32 = 6;
+
 /// The carrier, on its own hart.
 pub struct Carrier {
     watchdogs: bool,
@@ -77,18 +81,23 @@ impl Carrier {
         self.watchdogs = watch;
     }
 
-    /// Switches a system on: LMU zero, no edges, generation 1. It must be off.
-    pub fn power_on(&mut self, which: SystemId) {
-        for word in memory::lmu(which) {
-            word.store(0, Relaxed);
+    /// Switches systems on, at the same time: LMU zero, no edges, generation 1. They must be off.
+    pub fn power_on(&mut self, all: &[SystemId]) {
+        for which in all {
+            for word in memory::lmu(*which) {
+                word.store(0, Relaxed);
+            }
+            let registers = system(*which);
+            for edges in registers.edges.iter().flatten() {
+                edges.store(0, Relaxed);
+            }
+            registers.link.clear();
+            registers.generation.store(0, Relaxed);
         }
-        let registers = system(which);
-        for edges in registers.edges.iter().flatten() {
-            edges.store(0, Relaxed);
+        // What the first one sends is not wiped by the start of the second.
+        for which in all {
+            self.release(*which, ResetCause::PowerOn);
         }
-        registers.link.clear();
-        registers.generation.store(0, Relaxed);
-        self.release(which, ResetCause::PowerOn);
     }
 
     /// Switches a system off, wherever it is.
@@ -119,8 +128,38 @@ impl Carrier {
             .map(|left| now + u64::from(left) + 1)
             .chain(self.host.as_ref().map(Host::due))
             .fold(deadline, u64::min);
-        doorbell::wait(Some(next));
+        self.rest(next);
         None
+    }
+
+    /// Rests until it is called or `deadline` has come. When nobody else has anything to do, it
+    /// lets the clock jump to where somebody has.
+    ///
+    /// The emulator could do that: with all harts asleep its main loop moves the virtual clock.
+    /// But then two of its threads look after the timers, and on a busy host they do so in varying
+    /// order, and the harts take varying turns. So the carrier never sleeps, and the timers are the
+    /// business of one thread.
+    fn rest(&self, deadline: u64) {
+        while !doorbell::take() {
+            let now = time();
+            if now >= deadline {
+                return;
+            }
+            let before = hart::cycles();
+            hart::yield_turn();
+            if hart::cycles().wrapping_sub(before) > YIELD_CYCLES {
+                continue;
+            }
+            let timers = (0..CARRIER).map(clint::timer).filter(|timer| *timer > now);
+            match u32::try_from(timers.fold(deadline, u64::min)) {
+                Ok(next) => clint::jump_to(next),
+                // After 429 s it is the emulator's turn.
+                Err(_) => {
+                    doorbell::wait(Some(deadline));
+                    return;
+                }
+            }
+        }
     }
 
     /// The systems in this machine.
