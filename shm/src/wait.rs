@@ -44,6 +44,7 @@ pub enum WaitPolicy {
 
 impl WaitPolicy {
     /// Waits until [`Event::check`] has something. Task context; blocks.
+    #[inline]
     pub fn wait<E: Event>(self, event: &mut E) -> E::Output {
         loop {
             let mut spins = match self {

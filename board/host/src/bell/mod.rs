@@ -150,10 +150,14 @@ impl Ringers {
         }
         if let Some(opened) = open.as_ref() {
             // The only refusals are those of a receiver that has gone.
-            let _ = opened.notifier.notify(RUNG);
+            let woken = trigger::has_woken(|| opened.notifier.notify(RUNG));
             // iceoryx2 leaves a listener asleep whom another notifier is about to mark as notified;
             // if that one was stalled since the listener took its event, nobody wakes it any more.
-            opened.futex.wake();
+            // Not always: on one CPU the listener may have come, answered and gone to sleep again
+            // by now, and a second wake would cost it a look for nothing.
+            if !woken {
+                opened.futex.wake();
+            }
         }
     }
 

@@ -7,6 +7,7 @@
 //! One word: EMPTY, PENDING (rung) or SLEEPING (the listener sleeps). The kernel is called only if
 //! the listener sleeps. Nothing in it belongs to a process, so a death at any point leaves no harm.
 
+use core::cell::Cell;
 use core::ptr::NonNull;
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
@@ -86,6 +87,18 @@ impl FutexHandle {
     }
 }
 
+thread_local! {
+    /// Whether an event of this thread has come as far as its trigger.
+    static WOKEN: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Whether iceoryx2 has called the trigger during `notify`; it marks the event before it does.
+pub(crate) fn has_woken<T>(notify: impl FnOnce() -> T) -> bool {
+    WOKEN.set(false);
+    let _outcome = notify();
+    WOKEN.get()
+}
+
 impl<E, S> HandlerInterface<E, (), S> for FutexHandle
 where
     E: EventState,
@@ -97,6 +110,7 @@ where
 
     fn notify(&self) -> Result<(), NotifierNotifyError> {
         self.wake();
+        WOKEN.set(true);
         Ok(())
     }
 }
