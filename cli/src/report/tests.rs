@@ -3,7 +3,7 @@
 use super::*;
 use crate::metrics::Surroundings;
 use crate::timeline::Timeline;
-use crate::{metrics, synthetic};
+use crate::{metrics, synthetic, timeline};
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);
@@ -14,12 +14,10 @@ fn synthetic_page() -> String {
         gap_bound_ms: Some(14.5),
         leftovers: Vec::new(),
     };
-    page(
-        &log,
-        &Timeline::default(),
-        &metrics::compute(&log, &Timeline::default(), &around),
-    )
-    .unwrap()
+    let moment = takeovers(&log)[0].at_ns;
+    let timeline = timeline::tests::around(moment);
+    let metrics = metrics::compute(&log, &timeline, &around);
+    page(&log, &timeline, &metrics).unwrap()
 }
 
 /// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
@@ -33,6 +31,21 @@ fn the_page_needs_nothing_from_outside() {
     let rest = page.replace("http://www.w3.org/2000/svg", "");
     for outside in ["http:", "https:", "<link", "<script", "<img", "url("] {
         assert!(!rest.contains(outside), "{outside}");
+    }
+}
+
+#[test]
+fn the_cores_are_on_the_page_with_their_tasks_and_signals() {
+    let page = synthetic_page();
+    for part in [
+        "The cores around the takeover",
+        "One pass through the chain",
+        "<title>planning: ",
+        "killed",
+        "Signals from core to core",
+        "svg class=\"spark\"",
+    ] {
+        assert!(page.contains(part), "{part}");
     }
 }
 

@@ -8,7 +8,7 @@ mod jobs;
 mod perfetto;
 mod schema;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::collections::HashMap;
 

@@ -330,6 +330,16 @@ fn random(seed: u64, count: usize) -> Vec<Entry> {
         .collect()
 }
 
+/// A timeline of all that there is, some 20 ms around a moment.
+pub(crate) fn around(at_ns: u64) -> Timeline {
+    let mut entries = random(7, 2_000);
+    for entry in &mut entries {
+        let ns = at_ns + entry.at.as_ns();
+        entry.at = Instant::from_ns(ns.saturating_sub(20_000_000));
+    }
+    Timeline::new(&entries)
+}
+
 /// Slices of a track nest and end, time does not go back, arrows have both ends in order.
 fn check(bytes: &[u8]) {
     let mut rest = bytes;
