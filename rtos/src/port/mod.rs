@@ -26,7 +26,7 @@ pub(crate) fn burn(span: Duration) {
         return;
     }
     let begin = sys::task::own_run_time();
-    while run_time_span(sys::task::own_run_time() - begin) < span {
+    while run_time_span(sys::task::own_run_time().saturating_sub(begin)) < span {
         core::hint::spin_loop();
     }
 }

@@ -11,7 +11,7 @@ use crate::sys::{self, ffi, sink};
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicPtr, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};
 use core::time::Duration;
 
 /// The smallest stack in words: a context and some calls.
@@ -116,8 +116,13 @@ impl Drop for Stack {
     }
 }
 
-/// Before the first task is made.
-pub(crate) fn prepare() {}
+/// The hart of the kernel.
+static KERNEL_HART: AtomicUsize = AtomicUsize::new(0);
+
+/// Before the first task is made: the kernel is the calling hart's.
+pub(crate) fn prepare() {
+    KERNEL_HART.store(hart(), Ordering::Relaxed);
+}
 
 /// Sets the trap vector and runs the scheduler. Returns only if the kernel could not start.
 pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
@@ -146,7 +151,7 @@ static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
 /// Whether the caller is a task of the kernel's hart, and no handler. Other harts have no context,
 /// and so no way to an object.
 pub(crate) fn in_task() -> bool {
-    !IN_INTERRUPT.load(Ordering::Relaxed)
+    hart() == KERNEL_HART.load(Ordering::Relaxed) && !IN_INTERRUPT.load(Ordering::Relaxed)
 }
 
 /// Waits for an interrupt.

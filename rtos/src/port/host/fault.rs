@@ -124,7 +124,12 @@ pub(super) fn name_panics() {
             }
             state::mask_for_good();
             usual(panic);
-            fatal(format_args!("task '{}' {panic}", task::current_name()));
+            let place = if state::in_interrupt() {
+                "a handler during task"
+            } else {
+                "task"
+            };
+            fatal(format_args!("{place} '{}' {panic}", task::current_name()));
         }));
     });
 }

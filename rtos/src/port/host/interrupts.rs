@@ -15,7 +15,7 @@ use crate::sys::{self, sink};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering, fence};
 
 /// A handler: `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
@@ -98,6 +98,9 @@ pub fn raise(interrupt: Interrupt) {
         state::poll();
         return;
     }
+    // SeqCst pairs with the fence in `begin`: either the thread is seen here, or that thread sees
+    // the bit when its first task begins.
+    fence(Ordering::SeqCst);
     let thread = CORE_THREAD.load(Ordering::Acquire);
     // AcqRel pairs with the swap in `on_signal`: whichever of the two comes second sees the other.
     // So either that handler looks at `PENDING` after our bit, or a signal is sent here.
@@ -196,6 +199,8 @@ pub(super) fn begin() -> Result<(), i32> {
     SIGNALLED.store(false, Ordering::Relaxed);
     // Release pairs with the Acquire in `raise`.
     CORE_THREAD.store(this_thread(), Ordering::Release);
+    // SeqCst pairs with the fence in `raise`.
+    fence(Ordering::SeqCst);
     Ok(())
 }
 
