@@ -51,6 +51,16 @@ pub(crate) enum Command {
     Scenarios,
     /// Measure the time from one core to another, beside the floor and what else one would use
     Bench(BenchArgs),
+    /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
+    RtosDemo(RtosDemoArgs),
+}
+
+/// Arguments of `tandem rtos-demo`.
+#[derive(Debug, Args)]
+pub(crate) struct RtosDemoArgs {
+    /// Write the pictures to this file, too
+    #[arg(long, value_name = "FILE")]
+    pub(crate) svg: Option<PathBuf>,
 }
 
 /// Arguments of `tandem run`.

@@ -18,6 +18,7 @@ mod ps;
 mod recorder;
 mod report;
 mod roles;
+mod rtos_demo;
 mod run;
 mod runlog;
 mod summary;
@@ -71,6 +72,10 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Bench(args) => bench(&args),
+        Command::RtosDemo(args) => {
+            let shown = rtos_demo::run(args.svg.as_deref()).map_err(Failure::Run)?;
+            print(&shown).map_err(Failure::Run)
+        }
     }
 }
 
