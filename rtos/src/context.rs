@@ -166,7 +166,8 @@ impl TaskContext {
     }
 
     /// Ends the scheduler: [`Kernel::start`](crate::Kernel::start) returns. The other tasks are
-    /// abandoned where they are: what they own is not dropped.
+    /// abandoned where they are: what they own is not dropped. To end without that, let every task
+    /// return.
     #[cfg(target_os = "linux")]
     pub fn stop(&self) -> ! {
         crate::port::host::stop()

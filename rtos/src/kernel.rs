@@ -149,7 +149,8 @@ impl Kernel {
         sys::sink::listen(Some(sink));
     }
 
-    /// Runs the tasks until one calls `TaskContext::stop` (host), or for ever (target).
+    /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
+    /// target for ever.
     ///
     /// # Errors
     /// [`StartError`]; the kernel is free again.

@@ -429,3 +429,23 @@ fn the_tick_does_not_drift() {
         off.load(Ordering::Relaxed)
     );
 }
+
+/// The scheduler ends by itself when every task has returned, and has dropped what they owned.
+#[test]
+fn the_scheduler_ends_with_the_last_task() {
+    let owned: Arc<()> = Arc::default();
+    for clock in [Clock::Wall, Clock::Virtual] {
+        run(clock, |kernel| {
+            for (name, ticks) in [("short", 1), ("long", 5)] {
+                let owned = Arc::clone(&owned);
+                let body = move |ctx: &TaskContext| {
+                    ctx.delay(Ticks(ticks));
+                    drop(owned);
+                };
+                kernel.spawn(&task(name, 2), body).expect("it fits");
+            }
+        });
+        assert_eq!(Arc::strong_count(&owned), 1);
+    }
+    run(Clock::Wall, |_| ());
+}

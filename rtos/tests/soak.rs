@@ -434,9 +434,7 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
                 }
                 ctx.delay(Ticks(1));
             }
-            // The idle task gives back their memory.
-            ctx.delay(Ticks(3));
-            ctx.stop();
+            // The scheduler ends when all have returned: nothing is left of this life.
         };
         kernel
             .spawn(&task("supervisor", 30), supervisor)

@@ -325,6 +325,12 @@ unsafe fn retire(record: &Record) {
     record.state.store(FREE, Ordering::Relaxed);
 }
 
+/// Whether every task has returned and its memory is free.
+#[cfg(target_os = "linux")]
+pub(crate) fn none_left() -> bool {
+    TASKS.load(Ordering::Relaxed).is_null()
+}
+
 /// After the scheduler has stopped: no task runs any more. What they had is never freed.
 #[cfg(target_os = "linux")]
 pub(crate) fn abandon_all() {

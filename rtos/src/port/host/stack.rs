@@ -1,6 +1,7 @@
 //! Stacks with a page below them that nobody may touch.
 
-use super::tick;
+use super::{state, tick};
+use crate::sys::task;
 use core::ptr;
 
 /// The smallest stack in words: a few frames of signals with all vector registers.
@@ -77,10 +78,13 @@ impl Drop for Stack {
     }
 }
 
-/// The idle task has nothing to do: sleeps until a signal. A signal that came before the call has
-/// been handled, and if it woke a task, that one ran first; so none is slept through.
+/// The idle task has nothing to do: ends the scheduler if no task is left, or sleeps until a
+/// signal. A signal that came before the call has been handled, and if it woke a task, that one ran
+/// first; so none is slept through.
 pub(crate) fn idle() {
-    if tick::is_virtual() {
+    if task::none_left() {
+        state::leave();
+    } else if tick::is_virtual() {
         tick::skip_to_next();
     } else {
         // SAFETY: no descriptors, no time limit, and the signal mask stays as it is.
