@@ -1,11 +1,11 @@
 //! The process that is one core of one system.
 
+use crate::control_core;
 use crate::plan::{Profile, RunPlan};
 use anyhow::Context as _;
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
 use tandem_cores::activity::IrqCode;
-use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
@@ -16,11 +16,11 @@ use tandem_cores::{Config, Core};
 /// # Errors
 /// If the run that it belongs to is gone, or its arguments are not this program's.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
-    let _grant = args.claim();
+    let grant = args.claim();
     let config = config(&RunPlan::from_extra(&args.common.extra)?);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
     match args.identity.core {
-        CoreId::CONTROL => go(&board, Core0::new(&board, config)),
+        CoreId::CONTROL => control_core::go(board, config, grant),
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),
         _ => go(&board, Core2::new(&board)),
     }

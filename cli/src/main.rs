@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod control_core;
 mod core_process;
 mod emulated;
 mod failure;

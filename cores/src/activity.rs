@@ -101,7 +101,7 @@ const CONTROL: [TaskInfo; 9] = [
     sporadic(TaskCode::DEGRADED, "degraded mode", None),
     sporadic(TaskCode::REDUNDANCY, "heartbeat and roles", None),
     sporadic(TaskCode::HEARTBEAT, "heartbeat", None),
-    periodic(TaskCode::MONITORING, "monitoring", core0::SUPERVISE_PERIOD),
+    periodic(TaskCode::MONITORING, "monitoring", core0::MONITORING_PERIOD),
     periodic(TaskCode::STATUS, "status", core0::STATUS_PERIOD),
     sporadic(TaskCode::FOLLOW, "follow", None),
     sporadic(TaskCode::IDLE, "idle", None),

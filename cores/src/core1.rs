@@ -5,7 +5,7 @@ use crate::activity::TaskCode;
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
 use crate::layout::{ControllerMap, PLAN, Writer, age_ns};
-use crate::schedule::{Release, Schedule};
+use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY, read_can};
 use tandem_board::{Board, CoreId, Duration, Instant};
@@ -28,7 +28,7 @@ pub struct Core1<'b, B: Board> {
     attached: Option<Attached<'b>>,
     frames: Receiver,
     perception: Perception,
-    schedule: Schedule<(), 1>,
+    grid: Grid,
 }
 
 impl<'b, B: Board> Core1<'b, B> {
@@ -49,7 +49,7 @@ impl<'b, B: Board> Core1<'b, B> {
             attached: None,
             frames: Receiver::new(),
             perception: Perception::new(),
-            schedule: Schedule::new(start + PERIOD, [((), PERIOD)]),
+            grid: Grid::new(start + PERIOD, PERIOD),
         }
     }
 
@@ -70,7 +70,7 @@ impl<'b, B: Board> Core1<'b, B> {
     }
 
     /// The task of this core.
-    fn run(&mut self, release: Release<()>) {
+    fn run(&mut self, release: Release) {
         let task = TaskCode::PERCEPTION;
         let begin = Begin::Released {
             late_ns: age_ns(self.board.now(), release.at),
@@ -107,11 +107,11 @@ impl<B: Board> Core for Core1<'_, B> {
         if self.attached.is_none() {
             self.attach();
         }
-        while let Some(release) = self.schedule.release(self.board.now()) {
+        while let Some(release) = self.grid.release(self.board.now()) {
             self.run(release);
         }
         if self.attached.is_some() {
-            self.schedule.next()
+            self.grid.next()
         } else {
             self.board.now() + RETRY
         }

@@ -17,7 +17,7 @@ pub(crate) struct Output {
 }
 
 /// The motion control of core 0 with its inputs.
-pub(crate) struct Drive {
+pub struct Drive {
     ego: Option<(Instant, Ego)>,
     trajectory: Option<Trajectory>,
     scene: Option<Scene>,
@@ -58,15 +58,6 @@ impl Drive {
     /// The other system's command was heard: a takeover goes on from it without a jerk.
     pub(crate) fn on_command_of_master(&mut self, command: Command) {
         self.last = command;
-    }
-
-    /// Whether the driver asks for automated driving and there is all that it needs.
-    pub(crate) fn is_ready(&self) -> bool {
-        self.ego.is_some()
-            && self
-                .scene
-                .as_ref()
-                .is_some_and(|scene| scene.lanes.is_some())
     }
 
     /// The command for `now` by the best function that `mode` permits and the inputs allow.

@@ -1,0 +1,267 @@
+//! Core 0 of a run: its jobs as tasks of FreeRTOS, in the process's main thread.
+//!
+//! The doorbell is a futex, which a thread of its own waits at; it raises the doorbell's interrupt,
+//! whose handler wakes the tasks that interrupts release. Waits end with a tick, so releases are
+//! laid on ticks.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::thread;
+
+use anyhow::Context as _;
+use tandem_board::{Board, Duration, Instant};
+use tandem_board_host::HostBoard;
+use tandem_board_host::realtime::{self, Claim, Grant};
+use tandem_cores::Config;
+use tandem_cores::core0::{Drive, Job, Jobs, Parts, Seat, Shared, Task, Woken};
+use tandem_cores::schedule::TickGrid;
+use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_rtos::{
+    Clock, Interrupt, InterruptPriority, Kernel, Mutex, Priority, TaskContext, TaskHandle,
+    TaskOptions, Ticks, host,
+};
+
+type SharedState = Shared<'static, HostBoard>;
+
+/// A tick of the kernel.
+const TICK: Duration = Duration::from_ms(1);
+/// No wait is longer, so that sums of ticks cannot overflow.
+const LONGEST: Ticks = Ticks::from_millis(1000);
+/// Bytes of a task's stack.
+const STACK_BYTES: usize = 128 << 10;
+
+/// Rate-monotonic: see `docs/rtos-tasks.md`.
+const fn priority(task: Task) -> Priority {
+    Priority::new(match task {
+        Task::Roles => 12,
+        Task::Monitoring => 10,
+        Task::Control => 8,
+        Task::Degraded => 7,
+        Task::Follow => 5,
+        Task::Status => 3,
+    })
+}
+
+const fn name(task: Task) -> &'static str {
+    match task {
+        Task::Roles => "roles",
+        Task::Monitoring => "monitoring",
+        Task::Control => "control",
+        Task::Degraded => "degraded",
+        Task::Follow => "follow",
+        Task::Status => "status",
+    }
+}
+
+/// What all tasks reach.
+struct Common {
+    board: &'static HostBoard,
+    shared: Mutex<SharedState>,
+    drive: Mutex<Drive>,
+    /// In the order of [`Task::ALL`]; complete before the first task runs.
+    handles: [OnceLock<TaskHandle>; Task::ALL.len()],
+    jobs: [JobState; Task::ALL.len()],
+}
+
+/// What the trace has to know of a task, to tell switches within a job from those between jobs.
+#[derive(Default)]
+struct JobState {
+    under_way: AtomicBool,
+    waits_for_lock: AtomicBool,
+}
+
+/// The seat of a task of the kernel.
+struct OfTask<'a> {
+    ctx: &'a TaskContext,
+    common: &'static Common,
+    task: Task,
+}
+
+impl OfTask<'_> {
+    fn locked<T: Send, R>(&self, mutex: &Mutex<T>, body: impl FnOnce(&mut T) -> R) -> R {
+        let waits = &self.common.jobs[self.task as usize].waits_for_lock;
+        waits.store(true, Relaxed);
+        loop {
+            // Without a limit it cannot be over; were it so, the wait goes on.
+            if let Ok(mut guard) = mutex.lock(self.ctx, Ticks::FOREVER) {
+                waits.store(false, Relaxed);
+                return body(&mut guard);
+            }
+        }
+    }
+}
+
+impl Seat<'static, HostBoard> for OfTask<'_> {
+    fn shared<R>(&self, body: impl FnOnce(&mut SharedState) -> R) -> R {
+        self.locked(&self.common.shared, body)
+    }
+
+    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+        self.locked(&self.common.drive, body)
+    }
+
+    fn wake(&self, woken: Woken) {
+        for task in Task::ALL {
+            if woken.contains(task)
+                && let Some(handle) = self.common.handles[task as usize].get()
+            {
+                // It never ends.
+                let _ = handle.notify(self.ctx);
+            }
+        }
+    }
+
+    fn begins(&self, task: Task, begin: Begin) {
+        self.ctx.critical(|| {
+            let task = task.code();
+            self.common
+                .board
+                .trace(Event::TaskIn { task, begin }.encode());
+            self.common.jobs[self.task as usize]
+                .under_way
+                .store(true, Relaxed);
+        });
+    }
+
+    fn ends(&self, task: Task) {
+        self.ctx.critical(|| {
+            let (task, leaves) = (task.code(), Leaves::Done);
+            self.common
+                .board
+                .trace(Event::TaskOut { task, leaves }.encode());
+            self.common.jobs[self.task as usize]
+                .under_way
+                .store(false, Relaxed);
+        });
+    }
+}
+
+/// The ticks. Their origin is too early by less than a microsecond, so that what is due at a tick
+/// is due when its interrupt comes.
+fn ticks() -> TickGrid {
+    let now = host::now_ns();
+    TickGrid {
+        origin: Instant::from_ns(now.saturating_sub(host::elapsed_ns())),
+        period: TICK,
+    }
+}
+
+/// Waits for a notification, at the longest until the tick at which `deadline` has come.
+///
+/// The roles are asked at each tick: at the one before, if the deadline lies between two, since a
+/// heartbeat is rather asked for in vain than late by a tick.
+fn wait(ctx: &TaskContext, ticks: &TickGrid, task: Task, deadline: Instant) {
+    let now = ticks.before(Instant::from_ns(host::now_ns()));
+    let due = match task {
+        Task::Roles => ticks.before(deadline).max(now + 1),
+        _ => ticks.after(deadline),
+    };
+    let far = due.saturating_sub(now) > u64::from(LONGEST.0);
+    // The kernel's count may be behind the clock, and both wrap around after 49 days.
+    let left = Ticks(due as u32).since(ctx.now());
+    if far {
+        ctx.take_notifications(LONGEST);
+    } else if due > now {
+        ctx.take_notifications(left.min(LONGEST));
+    }
+}
+
+/// The life of a task.
+fn run(
+    ctx: &TaskContext,
+    common: &'static Common,
+    mut job: impl Job<'static, HostBoard>,
+    task: Task,
+) {
+    let seat = OfTask { ctx, common, task };
+    let ticks = ticks();
+    job.start(ticks.floor(common.board.now()));
+    if task == Task::Roles {
+        seat.shared(|shared| shared.set_ticks(ticks));
+    }
+    loop {
+        let deadline = job.poll(&seat);
+        wait(ctx, &ticks, task, deadline);
+    }
+}
+
+fn spawn<J>(kernel: &Kernel, common: &'static Common, job: J) -> anyhow::Result<()>
+where
+    J: Job<'static, HostBoard> + Send + 'static,
+{
+    let task = J::TASK;
+    let options = TaskOptions::new(name(task), priority(task)).stack_bytes(STACK_BYTES);
+    let handle = kernel
+        .spawn(&options, move |ctx| run(ctx, common, job, task))
+        .with_context(|| format!("the task {}", name(task)))?;
+    let _ = common.handles[task as usize].set(handle);
+    Ok(())
+}
+
+/// Runs core 0 until its supply ends it.
+///
+/// # Errors
+/// If the kernel cannot start.
+pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Result<()> {
+    let board: &'static HostBoard = Box::leak(Box::new(board));
+    let kernel = Kernel::take()?;
+    let Parts {
+        shared,
+        drive,
+        jobs,
+    } = Parts::new(board, config);
+    let common: &'static Common = Box::leak(Box::new(Common {
+        board,
+        shared: Mutex::new(&kernel, shared),
+        drive: Mutex::new(&kernel, drive),
+        handles: Default::default(),
+        jobs: Default::default(),
+    }));
+    let Jobs {
+        roles,
+        monitoring,
+        control,
+        degraded,
+        follow,
+        status,
+    } = jobs;
+    spawn(&kernel, common, roles)?;
+    spawn(&kernel, common, monitoring)?;
+    spawn(&kernel, common, control)?;
+    spawn(&kernel, common, degraded)?;
+    spawn(&kernel, common, follow)?;
+    spawn(&kernel, common, status)?;
+    kernel.attach(
+        Interrupt::DOORBELL,
+        InterruptPriority::new(10),
+        move |ctx| {
+            let wanted = Task::ALL
+                .into_iter()
+                .filter(|task| task.is_for_interrupts());
+            for handle in wanted.filter_map(|task| common.handles[task as usize].get()) {
+                // It never ends.
+                let _ = handle.notify(ctx);
+            }
+        },
+    )?;
+    thread::Builder::new()
+        .name("doorbell".to_owned())
+        .spawn(move || listen(board, grant))
+        .context("the thread at the doorbell")?;
+    kernel.start(Clock::Wall)?;
+    anyhow::bail!("the kernel has stopped")
+}
+
+/// Makes an interrupt of the core of every ring.
+fn listen(board: &HostBoard, grant: Grant) -> ! {
+    // More urgent than the core, whose task it is to interrupt; the CPU is inherited.
+    let _ = realtime::claim(Claim {
+        priority: grant.fifo.map(|priority| priority.saturating_add(1)),
+        cpu: None,
+        lock_memory: false,
+    });
+    loop {
+        board.wait(Instant::NEVER);
+        host::raise(Interrupt::DOORBELL);
+    }
+}

@@ -1,0 +1,377 @@
+//! The tasks' bodies: each does what is due and says when it is due next.
+
+use super::alive::Alive;
+use super::shared::Shared;
+use super::{Job, MONITORING_PERIOD, STATUS_PERIOD, Seat, Task, frames};
+use crate::driving::types::{Scene, Trajectory};
+use crate::layout::{ControllerMap, FOLLOW, Reader, age_ns};
+use crate::schedule::{Grid, Release};
+use crate::trace::{Begin, Event};
+use crate::{Config, RETRY};
+use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answer};
+use tandem_bus::Message;
+use tandem_redundancy::{FailureMode, Mode};
+use tandem_shm::mailbox;
+
+fn released(board: &impl Board, release: Release) -> Begin {
+    Begin::Released {
+        late_ns: age_ns(board.now(), release.at),
+        missed: release.missed,
+    }
+}
+
+/// Heartbeats, what has come from the other system, and the roles.
+pub struct Roles<'b, B>(pub(super) &'b B);
+
+impl<'b, B: Board> Job<'b, B> for Roles<'b, B> {
+    const TASK: Task = Task::Roles;
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        let (woken, due) = seat.shared(|shared| {
+            let now = self.0.now();
+            let due = shared.redundancy_due;
+            let begin = if now < due {
+                Begin::Goes
+            } else {
+                let late_ns = age_ns(now, due);
+                Begin::Released { late_ns, missed: 0 }
+            };
+            seat.begins(Self::TASK, begin);
+            // Everything that has come is handed on before the lines are judged: else the
+            // redundancy would be told of silence while evidence waits in a buffer.
+            let heard = shared.read_bus();
+            (heard | shared.poll_redundancy(), shared.redundancy_due)
+        });
+        seat.wake(woken);
+        seat.ends(Self::TASK);
+        due
+    }
+}
+
+/// The window and functional watchdog, and the cores' alive counters.
+pub struct Monitoring<'b, B> {
+    board: &'b B,
+    config: Config,
+    grid: Grid,
+    map: Option<ControllerMap<'b>>,
+    alive: Alive,
+    last_service: Option<Instant>,
+}
+
+impl<'b, B: Board> Monitoring<'b, B> {
+    pub(super) fn new(board: &'b B, config: Config) -> Self {
+        let started = board.now();
+        Self {
+            board,
+            config,
+            grid: Grid::new(started, MONITORING_PERIOD),
+            map: None,
+            alive: Alive::new(started, config.boot_limit, |_| 0),
+            last_service: None,
+        }
+    }
+
+    fn attach(&mut self) {
+        self.map = ControllerMap::attach(self.board).ok();
+        if let Some(map) = &self.map {
+            let first = self.config.boot_limit;
+            self.alive = Alive::new(self.board.now(), first, |core| map.cycles(core));
+        }
+    }
+
+    /// Services the watchdog unless the window is not yet open.
+    fn service_watchdog(&mut self) {
+        let now = self.board.now();
+        // 1 ms after the window opens: the supply's clock may run slower than this one.
+        let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 1000);
+        if self
+            .last_service
+            .is_some_and(|last| now.since(last) < opens)
+        {
+            return;
+        }
+        let supply = self.board.supply();
+        supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
+        // Looked at anew: had this core been held up since the look above, the next service would
+        // seem to be due while the window is still closed.
+        self.last_service = Some(self.board.now());
+    }
+
+    /// Looks at the alive counters.
+    fn supervise(&mut self, seat: &impl Seat<'b, B>) {
+        let Some(map) = &self.map else { return };
+        let (now, limit) = (self.board.now(), self.config.alive_limit);
+        let silent = self.alive.silent(now, limit, |core| map.cycles(core));
+        let all_seen = self.alive.all_seen();
+        let woken = seat.shared(|shared| {
+            shared.all_seen = all_seen;
+            let core = silent?;
+            shared.trace(Event::CoreSilent {
+                core: core.index() as u8,
+            });
+            Some(shared.on_dead_core(if core == CoreId::PERCEPTION {
+                FailureMode::PerceptionCore
+            } else {
+                FailureMode::PlanningCore
+            }))
+        });
+        if let Some(woken) = woken {
+            seat.wake(woken);
+        }
+    }
+}
+
+impl<'b, B: Board> Job<'b, B> for Monitoring<'b, B> {
+    const TASK: Task = Task::Monitoring;
+
+    fn start(&mut self, at: Instant) {
+        self.grid.restart(at);
+    }
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        if self.map.is_none() {
+            self.attach();
+        }
+        if let Some(release) = self.grid.release(self.board.now()) {
+            seat.begins(Self::TASK, released(self.board, release));
+            self.service_watchdog();
+            self.supervise(seat);
+            seat.ends(Self::TASK);
+        }
+        match self.map {
+            Some(_) => self.grid.next(),
+            None => self.grid.next().min(self.board.now() + RETRY),
+        }
+    }
+}
+
+/// Motion control and the control frame.
+pub struct Control<'b, B>(pub(super) &'b B);
+
+impl<'b, B: Board> Job<'b, B> for Control<'b, B> {
+    const TASK: Task = Task::Control;
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        let now = self.0.now();
+        let (release, degraded, next) = seat.shared(|shared| {
+            let release = shared.control.release(now);
+            let mode = shared.redundancy.as_ref().map(|it| it.mode());
+            let degraded = mode == Some(Mode::DegradedL2);
+            if degraded {
+                shared.handed_over = release.or(shared.handed_over);
+            }
+            (release, degraded, shared.control.next())
+        });
+        let Some(release) = release else { return next };
+        if degraded {
+            seat.wake(Task::Degraded.into());
+        } else {
+            cycle(self.0, seat, Self::TASK, release);
+        }
+        next
+    }
+}
+
+/// The control cycle of a system that drives alone.
+pub struct Degraded<'b, B>(pub(super) &'b B);
+
+impl<'b, B: Board> Job<'b, B> for Degraded<'b, B> {
+    const TASK: Task = Task::Degraded;
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        let release = seat.shared(|shared| shared.handed_over.take());
+        if let Some(release) = release {
+            cycle(self.0, seat, Self::TASK, release);
+        }
+        Instant::NEVER
+    }
+}
+
+/// One control cycle: what the drive knows becomes a command, and the command a frame.
+fn cycle<'b, B: Board>(board: &'b B, seat: &impl Seat<'b, B>, task: Task, release: Release) {
+    seat.begins(task, released(board, release));
+    let begin = board.now();
+    let inputs = seat.shared(|shared| {
+        if release.missed > 0 {
+            shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
+            shared.trace(Event::DeadlineMiss {
+                missed: release.missed,
+            });
+        }
+        let mode = shared.redundancy.as_ref()?.mode();
+        Some((mode, core::mem::take(&mut shared.inbox)))
+    });
+    if let Some((mode, inbox)) = inputs {
+        let output = seat.drive(|drive| {
+            inbox.empty_into(drive);
+            drive.cycle(begin, mode)
+        });
+        seat.shared(|shared| shared.send_control(&output, begin, release.at));
+    }
+    seat.ends(task);
+}
+
+impl<B: Board> Shared<'_, B> {
+    fn send_control(&mut self, output: &super::drive::Output, begin: Instant, release: Instant) {
+        let Some(redundancy) = &mut self.redundancy else {
+            return;
+        };
+        let report = redundancy.link_report();
+        // A full link means that the other does not fetch: it will miss this report and get the
+        // next.
+        let _full = self.board.link().try_send(&report.to_words());
+        let transmitted = redundancy.may_transmit(self.board.now()) && {
+            let control = frames::control(redundancy, output);
+            let message = Message::Control {
+                system: self.system.index() as u8,
+                control,
+            };
+            frames::send(self.board, &mut self.transmitter, &message)
+        };
+        self.trace(Event::ControlCycle {
+            lateness_ns: age_ns(begin, release),
+            execution_ns: age_ns(self.board.now(), begin),
+            transmitted,
+        });
+    }
+}
+
+/// What core 0 has of the LMU for driving.
+struct Lmu<'b> {
+    from_planning: mailbox::Receiver<'b>,
+    scenes: Reader<'b, Scene>,
+    trajectories: Reader<'b, Trajectory>,
+}
+
+impl<'b> Lmu<'b> {
+    fn attach<B: Board>(board: &'b B) -> Option<Self> {
+        let map = ControllerMap::attach(board).ok()?;
+        Some(Self {
+            from_planning: mailbox::Receiver::attach(map.mailbox_2_to_0()).ok()?,
+            scenes: map.scene_reader()?,
+            trajectories: map.trajectory_reader()?,
+        })
+    }
+}
+
+/// Fetches what cores 1 and 2 have published.
+pub struct Follow<'b, B> {
+    board: &'b B,
+    lmu: Option<Lmu<'b>>,
+}
+
+impl<'b, B: Board> Follow<'b, B> {
+    pub(super) fn new(board: &'b B) -> Self {
+        Self { board, lmu: None }
+    }
+
+    fn trace(&self, event: Event) {
+        self.board.trace(event.encode());
+    }
+}
+
+impl<'b, B: Board> Job<'b, B> for Follow<'b, B> {
+    const TASK: Task = Task::Follow;
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        if self.lmu.is_none() {
+            self.lmu = Lmu::attach(self.board);
+        }
+        let Some(lmu) = &mut self.lmu else {
+            return self.board.now() + RETRY;
+        };
+        lmu.from_planning.awake();
+        let mut signalled = false;
+        lmu.from_planning
+            .poll(|open| signalled |= open.task == FOLLOW);
+        if signalled {
+            seat.begins(Self::TASK, Begin::Goes);
+        }
+        let (scene, trajectory) = (lmu.scenes.fetch(), lmu.trajectories.fetch());
+        let asleep = lmu.from_planning.prepare_sleep();
+        let now = self.board.now();
+        match trajectory {
+            Ok(Some(trajectory)) => {
+                let latency_ns = age_ns(now, trajectory.at);
+                if signalled {
+                    self.trace(Event::Woken {
+                        core: CoreId::PLANNING,
+                        flow: trajectory.cycle,
+                    });
+                    self.trace(Event::Chain {
+                        latency_ns,
+                        cycle: trajectory.cycle,
+                    });
+                }
+                seat.drive(|drive| drive.on_trajectory(trajectory));
+            }
+            Ok(None) => {}
+            Err(_) => self.trace(Event::Refused { id: 0 }),
+        }
+        match scene {
+            Ok(Some(scene)) => {
+                seat.shared(|shared| {
+                    shared.tracks = scene.objects.len() as u8;
+                    shared.lanes_seen = scene.lanes.is_some();
+                });
+                seat.drive(|drive| drive.on_scene(scene));
+            }
+            Ok(None) => {}
+            Err(_) => self.trace(Event::Refused { id: 0 }),
+        }
+        if signalled {
+            seat.ends(Self::TASK);
+        }
+        if asleep {
+            Instant::NEVER
+        } else {
+            self.board.now()
+        }
+    }
+}
+
+/// The status frame.
+pub struct Status<'b, B> {
+    board: &'b B,
+    grid: Grid,
+}
+
+impl<'b, B: Board> Status<'b, B> {
+    pub(super) fn new(board: &'b B) -> Self {
+        Self {
+            board,
+            grid: Grid::new(board.now(), STATUS_PERIOD),
+        }
+    }
+}
+
+impl<'b, B: Board> Job<'b, B> for Status<'b, B> {
+    const TASK: Task = Task::Status;
+
+    fn start(&mut self, at: Instant) {
+        self.grid.restart(at);
+    }
+
+    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+        if let Some(release) = self.grid.release(self.board.now()) {
+            seat.begins(Self::TASK, released(self.board, release));
+            seat.shared(|shared| shared.send_status());
+            seat.ends(Self::TASK);
+        }
+        self.grid.next()
+    }
+}
+
+impl<B: Board> Shared<'_, B> {
+    fn send_status(&mut self) {
+        let Some(redundancy) = &self.redundancy else {
+            return;
+        };
+        let status = frames::status(redundancy, self.tracks, self.deadline_misses);
+        let message = Message::Status {
+            system: self.system.index() as u8,
+            status,
+        };
+        frames::send(self.board, &mut self.transmitter, &message);
+    }
+}

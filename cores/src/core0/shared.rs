@@ -1,0 +1,302 @@
+//! What the tasks of core 0 share: the redundancy and all that goes over the bus.
+//!
+//! Whoever has it does what is to be done with it and gives it back within microseconds; nothing
+//! here computes a command.
+
+use super::{CONTROL_PERIOD, Drive, Task, Woken, frames};
+use crate::driving::perception::ego_of;
+use crate::driving::types::{Command, Ego};
+use crate::schedule::{Grid, Release, TickGrid};
+use crate::trace::Event;
+use crate::{Config, read_can};
+use heapless::Deque;
+use tandem_board::{
+    Board, DataFlash, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId,
+};
+use tandem_bus::{Message, Transmitter};
+use tandem_redundancy::{
+    Actions, ControlFrame, FailureMode, Geometry, Input, Loaded, Mode, PeerReport, Phase,
+    Redundancy, Snapshot, StateStore,
+};
+
+/// While the start protocol waits for cores 1 and 2, core 0 looks this often.
+const BOOT_POLL: Duration = Duration::from_ms(1);
+/// Motions of the chassis that come between two control cycles: three, and as many again.
+const MOTIONS: usize = 6;
+
+/// What has come over CAN for the function that drives, since it ran last.
+#[derive(Default)]
+pub(super) struct Inbox {
+    motions: Deque<(Instant, Ego), MOTIONS>,
+    command_of_master: Option<Command>,
+}
+
+impl Inbox {
+    fn on_ego(&mut self, at: Instant, ego: Ego) {
+        if self.motions.is_full() {
+            let _oldest = self.motions.pop_front();
+        }
+        let _ = self.motions.push_back((at, ego));
+    }
+
+    /// Tells the drive, in the order in which it came.
+    pub(super) fn empty_into(self, drive: &mut Drive) {
+        for (at, ego) in &self.motions {
+            drive.on_ego(*at, *ego);
+        }
+        if let Some(command) = self.command_of_master {
+            drive.on_command_of_master(command);
+        }
+    }
+}
+
+/// The redundancy with its ends to the world, and what tasks tell each other.
+pub struct Shared<'b, B: Board> {
+    pub(super) board: &'b B,
+    pub(super) config: Config,
+    pub(super) system: SystemId,
+    started: Instant,
+    receiver: tandem_bus::Receiver,
+    pub(super) transmitter: Transmitter,
+    /// Valid frames received on CAN, of whatever kind; wraps around.
+    can_frames: u32,
+    store: StateStore,
+    loaded: Loaded,
+    /// `None` until cores 1 and 2 carry the drive.
+    pub(super) redundancy: Option<Redundancy>,
+    pub(super) redundancy_due: Instant,
+    shown: Option<(Phase, Mode, u32)>,
+    ticks: TickGrid,
+    /// Releases of the control task.
+    pub(super) control: Grid,
+    /// A control cycle that the degraded task is to do.
+    pub(super) handed_over: Option<Release>,
+    pub(super) inbox: Inbox,
+    /// Cores 1 and 2 have both passed through a cycle.
+    pub(super) all_seen: bool,
+    ego_seen: bool,
+    /// The latest scene has lanes.
+    pub(super) lanes_seen: bool,
+    pub(super) deadline_misses: u32,
+    pub(super) tracks: u8,
+}
+
+impl<'b, B: Board> Shared<'b, B> {
+    /// Starts the core's life: reads the state from the data flash (bounded time).
+    pub(super) fn new(board: &'b B, config: Config) -> Self {
+        let started = board.now();
+        let identity = board.identity();
+        let cause = board.supply().reset_cause();
+        let (store, loaded) = StateStore::load(Geometry::of::<B::Flash>(), |offset, into| {
+            board.flash().read(offset, into)
+        });
+        let generation = identity.generation.0;
+        board.trace(
+            Event::Started {
+                generation,
+                cause: cause as u8,
+            }
+            .encode(),
+        );
+        Self {
+            board,
+            config,
+            system: identity.system,
+            started,
+            receiver: tandem_bus::Receiver::new(),
+            transmitter: Transmitter::new(),
+            can_frames: 0,
+            store,
+            loaded,
+            redundancy: None,
+            redundancy_due: started,
+            shown: None,
+            ticks: TickGrid::EXACT,
+            control: Grid::new(started, CONTROL_PERIOD),
+            handed_over: None,
+            inbox: Inbox::default(),
+            all_seen: false,
+            ego_seen: false,
+            lanes_seen: false,
+            deadline_misses: 0,
+            tracks: 0,
+        }
+    }
+
+    /// Releases happen at ticks from now on: those of an RTOS, whose waits end there.
+    pub fn set_ticks(&mut self, ticks: TickGrid) {
+        self.ticks = ticks;
+        self.control.restart(ticks.floor(self.board.now()));
+    }
+
+    /// The phase of this system, once the start protocol has begun.
+    pub(super) fn phase(&self) -> Option<Phase> {
+        self.redundancy.as_ref().map(Redundancy::phase)
+    }
+
+    /// Fetches all that came over CAN and the link, and hands it on.
+    pub(super) fn read_bus(&mut self) -> Woken {
+        let mut woken = Woken::NONE;
+        while let Some((at, message)) = read_can(self.board, &mut self.receiver) {
+            self.can_frames = self.can_frames.wrapping_add(1);
+            woken |= self.hear(at, message);
+        }
+        let mut words = [0; PeerReport::WORDS];
+        while let Some(length) = self.board.link().try_receive(&mut words) {
+            let report = words.get(..length).and_then(PeerReport::from_words);
+            if let Some(report) = report {
+                woken |= self.tell(Input::LinkReport(report));
+            }
+        }
+        woken
+    }
+
+    fn hear(&mut self, at: Instant, message: Message) -> Woken {
+        match message {
+            Message::EgoMotion(motion) => {
+                self.ego_seen = true;
+                self.inbox.on_ego(at, ego_of(&motion));
+                Woken::NONE
+            }
+            Message::Control {
+                system: from,
+                control,
+            } if usize::from(from) != self.system.index() => {
+                let Some(frame) = frames::heard_control(from, &control) else {
+                    return Woken::NONE;
+                };
+                let woken = self.tell(Input::ControlFrame(frame));
+                if self.is_of_master(frame) {
+                    self.inbox.command_of_master = Some(Command {
+                        steering_angle: control.steering_angle,
+                        acceleration: control.acceleration,
+                    });
+                }
+                woken
+            }
+            Message::Status {
+                system: from,
+                status,
+            } if usize::from(from) != self.system.index() => frames::heard_status(&status)
+                .map_or(Woken::NONE, |report| self.tell(Input::StatusFrame(report))),
+            _ => Woken::NONE,
+        }
+    }
+
+    /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy.
+    /// A stale frame of a master that was held up is none to go on from.
+    fn is_of_master(&self, frame: ControlFrame) -> bool {
+        self.redundancy.as_ref().is_none_or(|redundancy| {
+            !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
+        })
+    }
+
+    /// Tells the redundancy what has come, and does what it answers. Each by itself: of a flood,
+    /// the last frame counts as much as the first.
+    fn tell(&mut self, input: Input) -> Woken {
+        let now = self.board.now();
+        let Some(redundancy) = &mut self.redundancy else {
+            return Woken::NONE;
+        };
+        let actions = redundancy.on(now, input);
+        self.act(actions)
+    }
+
+    /// Begins the start protocol when the chain of cores 1, 2 and 0 runs, or cannot be waited for.
+    fn start_redundancy(&mut self) {
+        let now = self.board.now();
+        let waited = now.since(self.started);
+        // The driver asks for automated driving, and there is all that it needs.
+        let ready = self.all_seen && self.ego_seen && self.lanes_seen;
+        // Without lanes, or without a vehicle at all, there still is a system to run.
+        if ready || waited > self.config.boot_limit {
+            let cause = self.board.supply().reset_cause();
+            let config = self.config.redundancy;
+            let redundancy = Redundancy::new(config, self.system, cause, self.loaded, now);
+            self.redundancy = Some(redundancy);
+            self.redundancy_due = now;
+        } else {
+            self.redundancy_due = now + BOOT_POLL;
+        }
+    }
+
+    /// Has the redundancy judge the lines, and does what it answers.
+    pub(super) fn poll_redundancy(&mut self) -> Woken {
+        let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
+        let Some(redundancy) = &mut self.redundancy else {
+            self.start_redundancy();
+            return Woken::NONE;
+        };
+        let actions = redundancy.on(self.board.now(), Input::Poll(snapshot));
+        let woken = self.act(actions);
+        self.store.drive(self.board.flash());
+        woken
+    }
+
+    /// Core 1 or 2 is dead.
+    pub(super) fn on_dead_core(&mut self, fault: FailureMode) -> Woken {
+        let now = self.board.now();
+        match &mut self.redundancy {
+            Some(redundancy) => {
+                let actions = redundancy.on(now, Input::OwnFault(fault));
+                self.act(actions)
+            }
+            None => {
+                self.board.supply().request_reset(ResetRequest::CoreDead);
+                Woken::NONE
+            }
+        }
+    }
+
+    /// Does what the redundancy asks for; the tasks that are to run for it.
+    fn act(&mut self, actions: Actions) -> Woken {
+        let mut woken = Woken::NONE;
+        for (line, edge) in actions.edges() {
+            self.board.lines().send(line, edge);
+        }
+        if let Some(state) = actions.persist {
+            self.store.request(state);
+        }
+        for event in actions.events.iter() {
+            self.trace(event.into());
+        }
+        if actions.synchronised || actions.transmit_now {
+            // Both systems begin their control cycle on the sync edge; and a takeover does not wait
+            // for the grid of the cycle, it begins a new one.
+            self.control.restart(self.ticks.floor(self.board.now()));
+            woken |= Woken::by(Task::Control);
+        }
+        self.redundancy_due = actions.deadline;
+        self.store.drive(self.board.flash());
+        if let Some(request) = actions.reset
+            && self.store.is_settled()
+        {
+            self.board.supply().request_reset(request);
+        }
+        self.show();
+        woken
+    }
+
+    /// Shows role and mode, on the outputs and in the trace, when they have changed.
+    fn show(&mut self) {
+        let Some(redundancy) = &self.redundancy else {
+            return;
+        };
+        let term = redundancy.highest_term().bits();
+        let (phase, mode) = (redundancy.phase(), redundancy.mode());
+        if self.shown == Some((phase, mode, term)) {
+            return;
+        }
+        self.shown = Some((phase, mode, term));
+        self.board.supply().show_role(phase.lamp());
+        self.trace(Event::Role {
+            role: phase.role().code(),
+            mode: mode.code(),
+            term,
+        });
+    }
+
+    pub(super) fn trace(&self, event: Event) {
+        self.board.trace(event.encode());
+    }
+}
