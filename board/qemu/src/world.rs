@@ -93,6 +93,16 @@ impl EmulatedWorld {
         running.map(|machine| (machine.pid(), machine.systems()))
     }
 
+    /// What the firmware of all machines that run has logged.
+    #[must_use]
+    pub fn log(&self) -> String {
+        let running = self
+            .machines
+            .iter()
+            .filter_map(|node| node.machine.as_ref());
+        running.map(Machine::log).collect::<Vec<_>>().join("\n")
+    }
+
     /// Virtual time: that of the last step.
     #[must_use]
     pub const fn now(&self) -> Instant {

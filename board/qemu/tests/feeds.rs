@@ -40,6 +40,8 @@ fn power_loss_and_return(layout: Layout) {
     until(&mut world, "A leads and B stands by", |world| {
         world.role(a) == Master && world.role(b) == Standby
     });
+    let under_rtos = world.log().matches("is a task of FreeRTOS").count();
+    assert_eq!(under_rtos, if layout == Layout::Two { 2 } else { 0 });
     world.set_feed(a, false);
     let took = until(&mut world, "B drives alone", |world| {
         !world.is_powered(a) && world.role(b) == DegradedMaster

@@ -14,7 +14,7 @@ use tandem_board::{Board, CoreId};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
 use tandem_board_riscv32_virt::carrier::Carrier;
 use tandem_board_riscv32_virt::memory::{Strap, strap};
-use tandem_board_riscv32_virt::{doorbell, entry, trap};
+use tandem_board_riscv32_virt::{doorbell, entry, log, trap};
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -64,6 +64,10 @@ fn config() -> Config {
 /// Core 0 as a task of FreeRTOS: its doorbell notifies the task, which else sleeps until the tick
 /// after its deadline.
 fn under_rtos(kernel: Kernel, board: &VirtBoard) {
+    log!(
+        "core 0 of {} is a task of FreeRTOS",
+        board.identity().system
+    );
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     // The kernel has the timer.
     doorbell::set_slice(0);
