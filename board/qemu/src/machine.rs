@@ -183,6 +183,18 @@ impl Machine {
         }
     }
 
+    /// Ends the run of the machine; what it has logged.
+    ///
+    /// # Errors
+    /// [`MachineError`] if it had ended before.
+    pub fn end(mut self) -> Result<String, MachineError> {
+        self.answer(&[Item::End])?;
+        match self.ended() {
+            MachineError::Ended { status, log } if status.success() => Ok(log),
+            error => Err(error),
+        }
+    }
+
     fn read(&mut self, into: &mut [u32]) -> Result<(), MachineError> {
         let mut bytes = vec![0; into.len() * 4];
         let mut filled = 0;

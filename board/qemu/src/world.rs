@@ -103,6 +103,16 @@ impl EmulatedWorld {
         running.map(Machine::log).collect::<Vec<_>>().join("\n")
     }
 
+    /// Ends all machines; what their firmware has logged.
+    ///
+    /// # Errors
+    /// [`MachineError`] if one has ended by itself.
+    pub fn end(self) -> Result<String, MachineError> {
+        let machines = self.machines.into_iter().filter_map(|node| node.machine);
+        let logs: Result<Vec<_>, _> = machines.map(Machine::end).collect();
+        Ok(logs?.join("\n"))
+    }
+
     /// Virtual time: that of the last step.
     #[must_use]
     pub const fn now(&self) -> Instant {

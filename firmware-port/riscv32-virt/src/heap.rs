@@ -5,7 +5,7 @@ use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
 /// Bytes of the heap; it is linked only into programs that use it.
-const BYTES: usize = 256 << 10;
+const BYTES: usize = 64 << 10;
 
 #[repr(align(64))]
 struct Heap {

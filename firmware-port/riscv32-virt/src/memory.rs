@@ -12,6 +12,7 @@ unsafe extern "C" {
     static __lmu_b: AtomicU32;
     static __straps: u32;
     static __recording: u32;
+    static __stacks: u32;
 }
 
 /// The LMU of a system.
@@ -26,6 +27,24 @@ pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
         };
         core::slice::from_raw_parts(begin, LMU_WORDS)
     }
+}
+
+/// Bytes of the stack of one hart; as in link.x and start.S.
+const STACK_BYTES: usize = 256 << 10;
+
+/// How many bytes of its stack a hart has used so far, at the deepest. The memory of a machine is
+/// zero at its start, so that is where the zeros end.
+#[must_use]
+pub fn stack_used(hart: usize) -> usize {
+    let words = STACK_BYTES / 4;
+    let hart = hart % crate::hart::HARTS;
+    // SAFETY: link.x reserves so many bytes for each hart; whatever their owner does meanwhile, it
+    // is words that are read.
+    let is_zero = |index: &usize| unsafe {
+        let stack = addr_of!(__stacks).add(hart * words);
+        stack.add(*index).read_volatile() == 0
+    };
+    STACK_BYTES - 4 * (0..words).take_while(is_zero).count()
 }
 
 /// Bytes that link.x gives to the recording.

@@ -5,6 +5,7 @@ use super::run::{Carrier, stamp};
 use super::{interrupt, system};
 use crate::exit::exit;
 use crate::hart::time;
+use crate::memory::stack_used;
 use crate::semihosting::{File, HostError};
 use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
@@ -221,7 +222,10 @@ fn act(carrier: &mut Carrier, item: Item) {
         Item::Feed { of, on: true } if system(of).powered.load(Relaxed) => {}
         Item::Feed { of, on: true } => carrier.power_on(&[of]),
         Item::Feed { of, on: false } => carrier.power_off(of),
-        Item::End => exit(0),
+        Item::End => {
+            log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
+            exit(0)
+        }
         Item::Trace { .. } => {}
     }
 }
