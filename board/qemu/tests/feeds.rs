@@ -55,7 +55,6 @@ fn power_loss_and_return(layout: Layout) {
     assert_ne!(world.role(a), Master, "B has the lead");
     assert_eq!(world.role(b), DegradedMaster);
     let log = world.end().unwrap();
-    println!("{log}");
     assert!(log.contains("bytes of stack"), "{log}");
 }
 
