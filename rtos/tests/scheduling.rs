@@ -449,3 +449,71 @@ fn the_scheduler_ends_with_the_last_task() {
     }
     run(Clock::Wall, |_| ());
 }
+
+/// T-RTOS-1: a pre-empted task finds all its registers again. Three tasks compute what a thread
+/// alone computes, in integers and in vectors, while another thread interrupts them.
+#[test]
+fn registers_survive_pre_emption() {
+    /// A round of it takes some microseconds, with many values alive at once.
+    fn compute(seed: u64) -> (u64, [f64; 8]) {
+        let (mut word, mut lanes) = (seed | 1, [0.0f64; 8]);
+        for round in 0..500u64 {
+            for (lane, value) in lanes.iter_mut().enumerate() {
+                word ^= word << 13;
+                word ^= word >> 7;
+                word ^= word << 17;
+                *value = *value * 0.75 + (word >> 40) as f64 * (lane as f64 + 1.5);
+            }
+            word = word.wrapping_add(round.rotate_left(seed as u32));
+        }
+        (word, lanes)
+    }
+    let wrong: &'static AtomicU32 = Box::leak(Box::default());
+    let rounds: &'static AtomicU32 = Box::leak(Box::default());
+    let over: &'static AtomicU32 = Box::leak(Box::default());
+    let interrupter = std::thread::spawn(|| {
+        while over.load(Ordering::Relaxed) == 0 {
+            raise(Interrupt::DOORBELL);
+            std::thread::sleep(Duration::from_micros(20));
+        }
+    });
+    run(Clock::Wall, |kernel| {
+        for seed in [3, 5] {
+            kernel
+                .spawn(&task("computes", 1), move |_| {
+                    let expected = compute(seed);
+                    while over.load(Ordering::Relaxed) == 0 {
+                        let differs = compute(std::hint::black_box(seed)) != expected;
+                        wrong.fetch_add(u32::from(differs), Ordering::Relaxed);
+                        rounds.fetch_add(1, Ordering::Relaxed);
+                    }
+                })
+                .expect("it fits");
+        }
+        let urgent = kernel
+            .spawn(&task("urgent", 2), |ctx| {
+                let expected = compute(7);
+                while ctx.now() < Ticks(500) {
+                    ctx.take_notification(Ticks(10));
+                    let differs = compute(std::hint::black_box(7)) != expected;
+                    wrong.fetch_add(u32::from(differs), Ordering::Relaxed);
+                }
+                over.store(1, Ordering::Relaxed);
+            })
+            .expect("it fits");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, move |ctx| {
+                // It has ended when the last ones come.
+                let _ = urgent.notify(ctx);
+            })
+            .expect("it is free");
+    });
+    interrupter.join().expect("it ends");
+    assert_eq!(
+        wrong.load(Ordering::Relaxed),
+        0,
+        "of {} rounds",
+        rounds.load(Ordering::Relaxed)
+    );
+    assert!(rounds.load(Ordering::Relaxed) > 0);
+}
