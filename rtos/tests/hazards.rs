@@ -180,11 +180,13 @@ fn tasks_share_the_allocator() {
             guarded.status.success() && text.contains("overlaps: 0\n"),
             "{guarded:?}"
         );
-        let unguarded = child(NAME, "unguarded");
-        let text = String::from_utf8_lossy(&unguarded.stdout);
         // It sees them, if the system's allocator has not ended the process before.
-        let went_well = unguarded.status.success() && text.contains("overlaps: 0\n");
-        assert!(!went_well, "the control saw no overlap: {unguarded:?}");
+        let went_well = || {
+            let unguarded = child(NAME, "unguarded");
+            let text = String::from_utf8_lossy(&unguarded.stdout);
+            unguarded.status.success() && text.contains("overlaps: 0\n")
+        };
+        assert!((0..5).any(|_| !went_well()), "the control saw no overlap");
     }
 }
 
@@ -240,10 +242,10 @@ fn tasks_share_the_output() {
                 assert_eq!(*line, format!("line {name} {number:06} {end}"));
             }
         }
-        // The control: a task that is pre-empted in the lock. One of a few tries shows it.
+        // The control: a task that is pre-empted in the lock. The first try mostly shows it.
         let collides = || !child(NAME, "standard").status.success();
         assert!(
-            (0..5).any(|_| collides()),
+            (0..20).any(|_| collides()),
             "the control never met in the lock"
         );
     }
