@@ -73,7 +73,8 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
 }
 
 /// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
-/// visible to its handler; no signal is lost. Any context; does not block.
+/// visible to its handler; no signal is lost. Task or handler, one at a time: a task that shares
+/// the sender with a handler keeps that away meanwhile. Does not block.
 ///
 /// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
 ///

@@ -62,6 +62,8 @@ impl<'b, B: Board> Core1<'b, B> {
         else {
             return;
         };
+        // What an earlier life has counted, but not rung for.
+        self.board.ring(CoreId::PLANNING);
         self.attached = Some(Attached {
             map,
             to_planning,

@@ -98,6 +98,8 @@ impl<'b, B: Board> Core2<'b, B> {
             trajectories: map.trajectory_writer()?,
             to_control: Sender::attach(map.mailbox_2_to_0()).ok()?,
         };
+        // What an earlier life has counted, but not rung for.
+        self.board.ring(CoreId::CONTROL);
         let receiver = Receiver::attach(map.mailbox_1_to_2()).ok()?;
         self.attached = Some((receiver, planning));
         Some(())

@@ -9,7 +9,8 @@
 //!
 //! A queue of 64 slots and more publishes releases in groups of 8, and when the consumer finds the
 //! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free
-//! slots fewer than there are. Smaller queues publish every release.
+//! slots fewer than there are; a protocol must not count on the last 7 if its consumer never looks
+//! at an empty queue. Smaller queues publish every release.
 //!
 //! Each end trusts only its private copy of its own index. What the other end says is an
 //! allegation: a distance greater than the number of slots is no state of this queue, and the

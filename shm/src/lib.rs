@@ -25,9 +25,10 @@
 //!   hold, nothing here panics, indexes out of bounds or loops without bound.
 //! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is
 //!   a copy of words that it alone writes.
-//! - **Two lives of one core do not run at once**: a reset ends a life before the next one begins.
-//!   [`lock`] and [`pool`] additionally bear a *straggler*, an old life that was declared dead and
-//!   runs on.
+//! - **Two lives of one core do not run at once**: a reset ends a life before the next one begins,
+//!   and what the old life wrote is visible to the new one (a reset drains store buffers and, where
+//!   they are not coherent, caches). [`lock`] and [`pool`] additionally bear a *straggler*, an old
+//!   life that was declared dead and runs on.
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
 //!

@@ -76,14 +76,17 @@ const fn next_post(posted: u32) -> u32 {
 /// Bits 1 ..= 15.
 const ALL_TASKS: u32 = (1 << IDS) - 2;
 
-/// Once in so many looks that find nothing posted, the receiver compares all counts nevertheless: a
-/// receiver that was stopped for exactly a multiple of 2^28 signals finds the posted word
-/// unchanged.
+/// Once in so many looks that find nothing posted, and once in so many posts, the receiver compares
+/// all counts nevertheless: to a receiver that was stopped for a multiple of 2^28 signals, or for
+/// one more, the posted word says that there was none, or one.
 #[cfg(not(loom))]
 const LOOKS_UNTIL_SURE: u32 = 1 << 16;
 /// A loom model polls a handful of times and shall not find by this what a post should have told.
 #[cfg(loom)]
 const LOOKS_UNTIL_SURE: u32 = 1 << 31;
+
+/// The post numbers at which the receiver does so have none of these bits.
+const POSTS_UNTIL_SURE: u32 = 0xFFFF << ID_MASK.count_ones();
 
 /// A task of the receiving core: 1 ..= 15. T-SYNC-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -187,11 +190,13 @@ impl<'a> Sender<'a> {
         }
     }
 
-    /// How many signals to this task are not handled yet.
+    /// How many signals to this task are not handled yet. At 0 its handler has returned, and what
+    /// it did to the LMU is visible.
     #[must_use]
     pub fn open(&self, task: TaskId) -> u32 {
         let sent = self.words[sent_at(task.index())].load(Ordering::Relaxed);
-        sent.wrapping_sub(self.words[handled_at(task.index())].load(Ordering::Relaxed))
+        // Acquire pairs with the Release in `handle_task`.
+        sent.wrapping_sub(self.words[handled_at(task.index())].load(Ordering::Acquire))
     }
 }
 
@@ -259,7 +264,8 @@ impl<'a> Receiver<'a> {
             }
         } else {
             let id = posted.wrapping_sub(next_post(self.posted));
-            if self.look == 0 && matches!(id, 1..=ID_MASK) {
+            let is_sure = posted & POSTS_UNTIL_SURE != 0;
+            if self.look == 0 && is_sure && matches!(id, 1..=ID_MASK) {
                 // Exactly one signal since the last look.
                 let signals = self.handle_task(id as usize, &mut handle);
                 self.posted = posted;
@@ -289,7 +295,8 @@ impl<'a> Receiver<'a> {
                 value: self.words[value_at(id)].load(Ordering::Relaxed),
             });
             self.handled[id % IDS] = sent;
-            self.words[handled_at(id)].store(sent, Ordering::Relaxed);
+            // Release pairs with the Acquire in `open`.
+            self.words[handled_at(id)].store(sent, Ordering::Release);
         }
         count
     }
@@ -550,6 +557,23 @@ mod tests {
             looks += 1;
         }
         assert!((1..LOOKS_UNTIL_SURE).contains(&looks));
+    }
+
+    /// T-SYNC-3: the same if from then on there is always exactly one signal between two looks.
+    #[test]
+    fn signals_behind_an_unchanged_post_are_found_among_others() {
+        let words = zeroed(WORDS);
+        let mut sender = Sender::attach(words).unwrap();
+        let mut receiver = Receiver::attach(words).unwrap();
+        poll(&mut receiver);
+        let before = words[POSTED_AT].load(Ordering::Relaxed);
+        let _ = sender.signal(task(5));
+        words[POSTED_AT].store(before, Ordering::Relaxed);
+        let found = (0..=POSTS_UNTIL_SURE >> 4).any(|_| {
+            let _ = sender.signal(task(3));
+            poll(&mut receiver).contains(&(5, 1))
+        });
+        assert!(found);
     }
 
     /// T-SYNC-3: killed at any step, what `signal` has counted is handled when the successor is

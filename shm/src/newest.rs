@@ -114,7 +114,8 @@ impl<'a> Loan<'_, 'a> {
 /// Why there was nothing to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadError {
-    /// Nothing was ever published.
+    /// Nothing was ever published. (Also said, once in 2^32 values, of the very first value of the
+    /// next round while it is overwritten.)
     Empty,
     /// The writer overtook the reader every time, or the channel's words were scribbled on: what
     /// was read is void. The next read may succeed.

@@ -147,6 +147,40 @@ fn fifo_survives_a_new_consumer() {
     });
 }
 
+/// A producer that is replaced after each value goes on behind what was sent, and a value that was
+/// only lent is not sent.
+#[test]
+fn fifo_survives_new_producers() {
+    model(3, || {
+        let words = zeroed(fifo::words(SHAPE));
+        let producers = {
+            let words = words.clone();
+            thread::spawn(move || {
+                for k in 0..3 {
+                    let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                    assert_eq!(producer.sent(), k);
+                    while producer.send(&[k, k]).is_err() {
+                        spin(1);
+                    }
+                    if let Ok(mut loan) = producer.loan() {
+                        loan.words().set(0, 99);
+                    }
+                }
+            })
+        };
+        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        for k in 0..3 {
+            let mut value = [0; 2];
+            while !consumer.receive_into(&mut value) {
+                spin(1);
+            }
+            assert_eq!(value, [k, k]);
+        }
+        producers.join().unwrap();
+        assert!(consumer.receive().is_none());
+    });
+}
+
 /// Who attaches sees a formatted LMU, whatever was in it before.
 #[test]
 fn map_is_seen_whole_or_not_at_all() {
