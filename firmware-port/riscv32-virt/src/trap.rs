@@ -19,8 +19,18 @@ pub(crate) struct HartState {
     pub(crate) places: AtomicU32,
     /// The carrier wants this hart to stand still.
     pub(crate) held: AtomicBool,
+    /// Between two lives: one of the four below.
+    life: AtomicU32,
     on_doorbell: AtomicPtr<()>,
 }
+
+// Before its first life begins to stand still: 0.
+/// Its last life is over, and nothing of it runs.
+const STANDS: u32 = 1;
+/// The carrier lets it go. The carrier may take that back; whoever changes the word first has it.
+const GOES: u32 = 2;
+/// It lives.
+const RUNS: u32 = 3;
 
 impl HartState {
     #[inline]
@@ -37,6 +47,7 @@ pub(crate) static STATES: [HartState; HARTS] = [const {
         slice: AtomicU32::new(0),
         places: AtomicU32::new(0),
         held: AtomicBool::new(false),
+        life: AtomicU32::new(0),
         on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
     }
 }; HARTS];
@@ -53,24 +64,40 @@ pub fn on_doorbell(handler: Handler) {
     hart::enable(MSI);
 }
 
-/// Ends the life of another hart at its next doorbell, which is rung here.
+/// Ends the life of another hart at its next doorbell, which is rung here. Wait until it
+/// [`stands`].
 pub(crate) fn hold(hart: usize) {
+    let state = &STATES[hart % HARTS];
     // Release pairs with the Acquire in `is_held`.
-    STATES[hart % HARTS].held.store(true, Ordering::Release);
-    clint::post(hart);
+    state.held.store(true, Ordering::Release);
+    // One that was let go and has not gone yet stands on.
+    let taken_back =
+        state
+            .life
+            .compare_exchange(GOES, STANDS, Ordering::Relaxed, Ordering::Relaxed);
+    if taken_back.is_err() {
+        clint::post(hart);
+    }
 }
 
-/// Lets a held hart go on.
+/// Whether a hart that is held stands still.
+pub(crate) fn stands(hart: usize) -> bool {
+    // Acquire pairs with the Release in `begin_held`.
+    STATES[hart % HARTS].life.load(Ordering::Acquire) == STANDS
+}
+
+/// Lets a hart go that stands.
 pub(crate) fn release(hart: usize) {
-    // Release pairs with the Acquire in `sleep_while_held`.
-    STATES[hart % HARTS].held.store(false, Ordering::Release);
+    let state = &STATES[hart % HARTS];
+    state.held.store(false, Ordering::Relaxed);
+    // Release pairs with the Acquire in `sleep_while_held`: it sees all that was prepared.
+    state.life.store(GOES, Ordering::Release);
     clint::post(hart);
 }
 
-/// This hart's life begins held, with nothing of its last one. Interrupts are off.
+/// This hart stands from now on, with nothing of its last life. Interrupts are off.
 pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
-    state.held.store(true, Ordering::Relaxed);
     state.rung.store(false, Ordering::Relaxed);
     state.slice.store(0, Ordering::Relaxed);
     state
@@ -78,13 +105,18 @@ pub(crate) fn begin_held(hart: usize) {
         .store(core::ptr::null_mut(), Ordering::Relaxed);
     hart::disable(MTI);
     hart::enable(MSI);
+    // Release pairs with the Acquire in `stands`: the carrier does nothing to a hart that lives.
+    state.life.store(STANDS, Ordering::Release);
 }
 
 /// Sleeps until this hart is released. Interrupts are off.
 pub(crate) fn sleep_while_held(hart: usize) {
     loop {
         clint::clear(hart);
-        if !STATES[hart % HARTS].is_held() {
+        let life = &STATES[hart % HARTS].life;
+        // Acquire pairs with the Release in `release`.
+        let goes = life.compare_exchange(GOES, RUNS, Ordering::Acquire, Ordering::Relaxed);
+        if goes.is_ok() {
             return;
         }
         hart::sleep();

@@ -8,7 +8,7 @@ use crate::carrier::{self, Carrier, hart_of, system};
 use crate::hart::CARRIER;
 use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
-use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use core::sync::atomic::Ordering::Relaxed;
 use parts::Place;
 use tandem_board::{Board, CoreId, Generation, Identity, Instant, SystemId, TraceRecord, Wake};
 
@@ -126,15 +126,8 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Carri
             hart::sleep();
         }
     };
-    let stands = &system(system_id).cores[core_id.index()].stands;
     trap::begin_held(hart);
-    // Release pairs with the Acquire in `hold`: the carrier does nothing to a core that runs.
-    stands.store(true, Release);
     trap::sleep_while_held(hart);
-    // Acquire pairs with the Release in `release`.
-    while stands.load(Acquire) {
-        hart::yield_turn();
-    }
     doorbell::set_slice(slice);
     hart::interrupts_on();
     core(&VirtBoard::new(system_id, core_id));

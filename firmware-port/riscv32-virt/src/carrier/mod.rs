@@ -36,8 +36,6 @@ pub(crate) struct CoreRegisters {
     /// Time (2) and record (4).
     pub(crate) trace: Ring<512, TRACE_WORDS>,
     pub(crate) trace_lost: AtomicU32,
-    /// It stands still, and its life is over.
-    pub(crate) stands: AtomicBool,
 }
 
 /// What the carrier has for one system.
@@ -67,7 +65,6 @@ impl CoreRegisters {
             wake_on_receive: AtomicBool::new(false),
             trace: Ring::new(),
             trace_lost: AtomicU32::new(0),
-            stands: AtomicBool::new(false),
         }
     }
 

@@ -4,7 +4,7 @@ use super::host::Host;
 use super::{core_of, hart_of, system};
 use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
-use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{CoreId, Instant, ResetCause, ResetRequest, SystemId};
 use tandem_exchange::FRAME_WORDS;
 
@@ -216,8 +216,7 @@ impl Carrier {
             trap::hold(hart_of(which, core));
         }
         for core in CoreId::ALL {
-            // Acquire pairs with the Release of the core when its life is over.
-            while !registers.cores[core.index()].stands.load(Acquire) {
+            while !trap::stands(hart_of(which, core)) {
                 hart::yield_turn();
             }
         }
@@ -244,8 +243,6 @@ impl Carrier {
         registers.watchdog.start(self.watchdogs, time() as u32);
         self.set_power(which, true);
         for core in CoreId::ALL {
-            // Release pairs with the Acquire of the core that begins: it sees all of the above.
-            registers.cores[core.index()].stands.store(false, Release);
             trap::release(hart_of(which, core));
         }
     }
