@@ -11,9 +11,13 @@ use alloc::sync::Arc;
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ops::{Deref, DerefMut};
+use core::sync::atomic::{AtomicBool, Ordering};
 
 struct Inner<T> {
     raw: Raw,
+    /// A guard lives, in whichever life of the kernel. The scheduler may stop while its task borrows
+    /// the value, or has lent it to another thread; then this stays.
+    locked: AtomicBool,
     value: UnsafeCell<T>,
 }
 
@@ -31,6 +35,7 @@ impl<T: Send> MutexMemory<T> {
     pub const fn new(value: T) -> Self {
         Self(Inner {
             raw: Raw::new(),
+            locked: AtomicBool::new(false),
             value: UnsafeCell::new(value),
         })
     }
@@ -64,6 +69,7 @@ impl<T: Send> Mutex<T> {
     pub fn new(_at: &impl TaskLevel, value: T) -> Self {
         let inner = Arc::new(Inner {
             raw: Raw::new(),
+            locked: AtomicBool::new(false),
             value: UnsafeCell::new(value),
         });
         let made = inner.raw.make_mutex();
@@ -76,11 +82,17 @@ impl<T: Send> Mutex<T> {
     /// A mutex in a static.
     ///
     /// # Errors
-    /// [`InUse`]
+    /// [`InUse`], also if it was locked when an earlier life of the kernel was stopped: something may
+    /// still borrow the value.
     pub fn new_static(
         _at: &impl TaskLevel,
         memory: &'static MutexMemory<T>,
     ) -> Result<Self, InUse> {
+        // Between this look and the next line nobody locks: either the mutex is of this life, and
+        // is refused there, or of an earlier one, and cannot be locked any more.
+        if memory.0.locked.load(Ordering::Acquire) {
+            return Err(InUse);
+        }
         memory.0.raw.make_mutex()?;
         Ok(Self {
             inner: Shared::Static(&memory.0),
@@ -103,6 +115,7 @@ impl<T: Send> Mutex<T> {
         assert!(!self.inner.raw.is_mine(), "a task locks what it holds");
         self.inner.raw.take(timeout.into())?;
         task::mutex_taken();
+        self.inner.locked.store(true, Ordering::Relaxed);
         Ok(MutexGuard {
             inner: &self.inner,
             ctx,
@@ -134,6 +147,7 @@ impl<T> DerefMut for MutexGuard<'_, T> {
 
 impl<T> Drop for MutexGuard<'_, T> {
     fn drop(&mut self) {
+        self.inner.locked.store(false, Ordering::Release);
         task::mutex_given();
         self.inner.raw.give(self.ctx);
     }

@@ -235,6 +235,9 @@ fn create(
     let Some(stack) = stack.filter(|stack| stack.words >= port::MIN_STACK_WORDS) else {
         return Err(SpawnError::StackTooSmall);
     };
+    // A switch between these steps would show a half-made task to others, or, if one of them stopped
+    // the scheduler, take the record without a task.
+    let _no_switch = NoSwitch::begin();
     // Nobody else is on this thread: the exchange only has to be undivided against handlers.
     let taken = record
         .state
@@ -273,6 +276,25 @@ fn create(
         "the handle is the control block's address"
     );
     Ok(TaskHandle { record })
+}
+
+/// As long as this is, no other task runs; interrupts do. Nests. Its end may switch.
+struct NoSwitch;
+
+impl NoSwitch {
+    /// By a task, or before the scheduler runs.
+    fn begin() -> Self {
+        // SAFETY: ended by `drop`. Before the scheduler runs, this only counts.
+        unsafe { ffi::vTaskSuspendAll() };
+        Self
+    }
+}
+
+impl Drop for NoSwitch {
+    fn drop(&mut self) {
+        // SAFETY: pairs with `begin`.
+        unsafe { ffi::xTaskResumeAll() };
+    }
 }
 
 /// Where every task begins, on its own stack.
@@ -589,8 +611,7 @@ fn statistics(record: &Record) -> TaskStatistics<'_> {
 
 /// Shows every task that is alive, the kernel's own ones first, while no other task runs.
 pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
-    // SAFETY: called by a task; ended below. Interrupts go on.
-    unsafe { ffi::vTaskSuspendAll() };
+    let _no_switch = NoSwitch::begin();
     look(&statistics(&IDLE.record));
     look(&statistics(&TIMERS.record));
     let mut at = TASKS.load(Ordering::Relaxed);
@@ -601,8 +622,6 @@ pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
         }
         at = record.next.load(Ordering::Relaxed);
     }
-    // SAFETY: pairs with the call above.
-    unsafe { ffi::xTaskResumeAll() };
 }
 
 /// The time that the running task has run, in the port's units.

@@ -1,0 +1,72 @@
+//! What a switch or an interrupt at the wrong moment must not do: tasks that are made, mutexes that
+//! are abandoned, `errno`, the C library's own allocations. T-RTOS-1
+#![allow(clippy::expect_used, reason = "a test may")]
+
+mod common;
+
+use common::{run, task};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tandem_rtos::{Clock, InUse, Kernel, Mutex, MutexMemory, Ticks};
+
+/// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled, which
+/// takes long enough for several ticks.
+#[test]
+fn a_task_is_seen_when_it_is_made() {
+    let nameless = Arc::new(AtomicU32::new(0));
+    let seen = Arc::new(AtomicU32::new(0));
+    let (ours, noted) = (nameless.clone(), seen.clone());
+    run(Clock::Wall, |kernel| {
+        let look = move |ctx: &tandem_rtos::TaskContext| {
+            loop {
+                ctx.each_task(|it| match it.name {
+                    "new" => _ = noted.fetch_add(1, Ordering::Relaxed),
+                    "" => _ = ours.fetch_add(1, Ordering::Relaxed),
+                    _ => {}
+                });
+                ctx.delay(Ticks(1));
+            }
+        };
+        kernel.spawn(&task("look", 5), look).expect("it fits");
+        let make = |ctx: &tandem_rtos::TaskContext| {
+            for _ in 0..5 {
+                let options = task("new", 3).stack_bytes(16 << 20);
+                let new = ctx.spawn(&options, |ctx| ctx.delay(Ticks(2)));
+                let new = new.expect("there is memory");
+                while new.is_alive() {
+                    ctx.delay(Ticks(1));
+                }
+            }
+            ctx.stop();
+        };
+        kernel.spawn(&task("make", 2), make).expect("it fits");
+    });
+    assert!(seen.load(Ordering::Relaxed) > 0, "nobody looked in time");
+    assert_eq!(nameless.load(Ordering::Relaxed), 0, "a half-made task");
+}
+
+/// T-RTOS-1: a mutex in a static that was locked when the scheduler stopped stays locked: something
+/// may still borrow its value. One that was not can be had in the next life.
+#[test]
+fn an_abandoned_mutex_stays_locked() {
+    static HELD: MutexMemory<u32> = MutexMemory::new(0);
+    static FREE: MutexMemory<u32> = MutexMemory::new(0);
+    run(Clock::Virtual, |kernel| {
+        let held = Mutex::new_static(kernel, &HELD).expect("it is unused");
+        let free = Mutex::new_static(kernel, &FREE).expect("it is unused");
+        let hold = move |ctx: &tandem_rtos::TaskContext| {
+            *free.lock(ctx, Ticks::NONE).expect("nobody has it") += 1;
+            let _value = held.lock(ctx, Ticks::NONE).expect("nobody has it");
+            ctx.stop();
+        };
+        kernel.spawn(&task("hold", 2), hold).expect("it fits");
+    });
+    run(Clock::Virtual, |kernel: &Kernel| {
+        assert_eq!(Mutex::new_static(kernel, &HELD).err(), Some(InUse));
+        let free = Mutex::new_static(kernel, &FREE).expect("it was unlocked");
+        let lock = move |ctx: &tandem_rtos::TaskContext| {
+            assert_eq!(*free.lock(ctx, Ticks::NONE).expect("nobody has it"), 1);
+        };
+        kernel.spawn(&task("lock", 2), lock).expect("it fits");
+    });
+}
