@@ -7,7 +7,11 @@ mod common;
 use common::{run, task};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_rtos::{Clock, InUse, Kernel, Mutex, MutexMemory, Ticks};
+use tandem_rtos::host::{deferred, raise};
+use tandem_rtos::{
+    Clock, InUse, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, MutexMemory,
+    TaskContext, Ticks,
+};
 
 /// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled, which
 /// takes long enough for several ticks.
@@ -17,7 +21,7 @@ fn a_task_is_seen_when_it_is_made() {
     let seen = Arc::new(AtomicU32::new(0));
     let (ours, noted) = (nameless.clone(), seen.clone());
     run(Clock::Wall, |kernel| {
-        let look = move |ctx: &tandem_rtos::TaskContext| {
+        let look = move |ctx: &TaskContext| {
             loop {
                 ctx.each_task(|it| match it.name {
                     "new" => _ = noted.fetch_add(1, Ordering::Relaxed),
@@ -28,7 +32,7 @@ fn a_task_is_seen_when_it_is_made() {
             }
         };
         kernel.spawn(&task("look", 5), look).expect("it fits");
-        let make = |ctx: &tandem_rtos::TaskContext| {
+        let make = |ctx: &TaskContext| {
             for _ in 0..5 {
                 let options = task("new", 3).stack_bytes(16 << 20);
                 let new = ctx.spawn(&options, |ctx| ctx.delay(Ticks(2)));
@@ -54,7 +58,7 @@ fn an_abandoned_mutex_stays_locked() {
     run(Clock::Virtual, |kernel| {
         let held = Mutex::new_static(kernel, &HELD).expect("it is unused");
         let free = Mutex::new_static(kernel, &FREE).expect("it is unused");
-        let hold = move |ctx: &tandem_rtos::TaskContext| {
+        let hold = move |ctx: &TaskContext| {
             *free.lock(ctx, Ticks::NONE).expect("nobody has it") += 1;
             let _value = held.lock(ctx, Ticks::NONE).expect("nobody has it");
             ctx.stop();
@@ -64,9 +68,47 @@ fn an_abandoned_mutex_stays_locked() {
     run(Clock::Virtual, |kernel: &Kernel| {
         assert_eq!(Mutex::new_static(kernel, &HELD).err(), Some(InUse));
         let free = Mutex::new_static(kernel, &FREE).expect("it was unlocked");
-        let lock = move |ctx: &tandem_rtos::TaskContext| {
+        let lock = move |ctx: &TaskContext| {
             assert_eq!(*free.lock(ctx, Ticks::NONE).expect("nobody has it"), 1);
         };
         kernel.spawn(&task("lock", 2), lock).expect("it fits");
     });
+}
+
+/// T-RTOS-1: a switch at the end of a critical section (an allocation is one) leaves `errno` alone.
+#[test]
+fn a_task_keeps_its_errno() {
+    static WRONG: AtomicU32 = AtomicU32::new(0);
+    let errno = || std::io::Error::last_os_error().raw_os_error();
+    run(Clock::Virtual, |kernel| {
+        let spoil = |ctx: &TaskContext| {
+            for _ in 0..2 {
+                ctx.take_notifications(Ticks::FOREVER);
+                // SAFETY: there is no such descriptor.
+                unsafe { libc::close(-1) };
+            }
+        };
+        let spoiler = kernel.spawn(&task("spoil", 3), spoil).expect("it fits");
+        let other = spoiler.clone();
+        let wake = move |ctx: &InterruptContext| spoiler.notify(ctx).expect("it lives");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
+            .expect("it is free");
+        let check = move |ctx: &TaskContext| {
+            // SAFETY: a path with its zero; there is none of that name.
+            unsafe { libc::open(c"/nonexistent/x".as_ptr(), 0) };
+            ctx.critical(|| raise(Interrupt::DOORBELL));
+            let at_unmask = errno() != Some(libc::ENOENT);
+            // SAFETY: as above.
+            unsafe { libc::open(c"/nonexistent/x".as_ptr(), 0) };
+            deferred(|| other.notify(ctx).expect("it lives"));
+            let at_yield = errno() != Some(libc::ENOENT);
+            WRONG.store(
+                u32::from(at_unmask) + u32::from(at_yield),
+                Ordering::Relaxed,
+            );
+        };
+        kernel.spawn(&task("check", 2), check).expect("it fits");
+    });
+    assert_eq!(WRONG.load(Ordering::Relaxed), 0);
 }

@@ -15,7 +15,7 @@ use crate::sys::{self, sink};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicI32, AtomicU8, Ordering, fence};
+use core::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 
 /// A handler: `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
@@ -42,10 +42,11 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// The thread to signal; zero while no scheduler runs.
-static CORE_THREAD: AtomicI32 = AtomicI32::new(0);
-/// A signal is under way that did not look at `PENDING` yet.
-static SIGNALLED: AtomicBool = AtomicBool::new(false);
+/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one word,
+/// so that who sets the bit knows whose it is.
+static CORE: AtomicU64 = AtomicU64::new(0);
+/// A signal to that thread is under way, or has come and nobody looked at `PENDING` since.
+const SIGNALLED: u64 = 1 << 32;
 
 /// Carries interrupts of other threads.
 fn raise_signal() -> i32 {
@@ -98,19 +99,29 @@ pub fn raise(interrupt: Interrupt) {
         state::poll();
         return;
     }
-    // SeqCst pairs with the fence in `begin`: either the thread is seen here, or that thread sees
-    // the bit when its first task begins.
-    fence(Ordering::SeqCst);
-    let thread = CORE_THREAD.load(Ordering::Acquire);
-    // AcqRel pairs with the swap in `on_signal`: whichever of the two comes second sees the other.
-    // So either that handler looks at `PENDING` after our bit, or a signal is sent here.
-    if thread != 0 && !SIGNALLED.swap(true, Ordering::AcqRel) {
+    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: whichever of two comes second
+    // sees the other. So either the core looks at `PENDING` after our bit, or a signal is sent here.
+    let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
+    let thread = core as u32;
+    if thread != 0 && core & SIGNALLED == 0 {
         // SAFETY: sends a signal to a thread of this process, or to none.
         let sent =
             unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), thread, raise_signal()) };
         if sent != 0 {
-            SIGNALLED.store(false, Ordering::Release);
+            // The next one tries again, if this life is still that one.
+            let _ =
+                CORE.compare_exchange(core | SIGNALLED, core, Ordering::Release, Ordering::Relaxed);
         }
+    }
+}
+
+/// Before the core looks at `PENDING`: what is raised from now on sends a signal again. As late as
+/// that, so that while interrupts are masked no signals pile up on the stack.
+pub(super) fn acknowledge() {
+    // A bit that is set later has its signal still to come.
+    if CORE.load(Ordering::Relaxed) & SIGNALLED != 0 {
+        // AcqRel pairs with the exchange in `raise`.
+        CORE.fetch_and(!SIGNALLED, Ordering::AcqRel);
     }
 }
 
@@ -159,23 +170,27 @@ extern "C" fn on_signal(signal: i32) {
     if !state::on_core() {
         return;
     }
-    // The interrupted code may be between a failed call and its look at errno.
-    // SAFETY: the address of this thread's errno; all tasks are on this thread.
-    let errno = unsafe { *libc::__errno_location() };
     if signal == tick_signal() {
         PENDING.fetch_or(1 << TICK, Ordering::Relaxed);
-    } else {
-        // AcqRel pairs with the swap in `raise`.
-        SIGNALLED.swap(false, Ordering::AcqRel);
     }
-    state::interrupt();
-    // SAFETY: as above.
-    unsafe { *libc::__errno_location() = errno };
+    // The interrupted code may be between a failed call and its look at errno.
+    super::keeping_errno(state::interrupt);
 }
 
 /// Makes this thread the core: signals are handled, and `raise` finds it.
 pub(super) fn begin() -> Result<(), i32> {
     let handler: extern "C" fn(i32) = on_signal;
+    // Before the first signal can come. Interrupts are masked until the first task runs.
+    state::set_on_core(true);
+    set_up(handler).inspect_err(|_| state::set_on_core(false))?;
+    // AcqRel pairs with the exchange in `raise`: a bit of `PENDING` that was set before is seen by
+    // the first task, which looks in any case, and one that is set later sends a signal.
+    CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
+    Ok(())
+}
+
+/// Has `handler` called for both signals, on this thread.
+fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
     let mut unblocked = MaybeUninit::<libc::sigset_t>::uninit();
     // SAFETY: the set and the actions are valid places; the handler is async-signal-safe: it
     // touches atomics, the core's own state, and the stacks of tasks.
@@ -196,20 +211,36 @@ pub(super) fn begin() -> Result<(), i32> {
             return Err(refused);
         }
     }
-    SIGNALLED.store(false, Ordering::Relaxed);
-    // Release pairs with the Acquire in `raise`.
-    CORE_THREAD.store(this_thread(), Ordering::Release);
-    // SeqCst pairs with the fence in `raise`.
-    fence(Ordering::SeqCst);
     Ok(())
 }
 
 /// This thread is the core no more. The handler stays and ignores what is still under way.
 pub(super) fn end() {
-    CORE_THREAD.store(0, Ordering::Release);
+    CORE.store(0, Ordering::Release);
+    state::set_on_core(false);
 }
 
 pub(super) fn this_thread() -> i32 {
     // SAFETY: takes nothing.
     unsafe { libc::gettid() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A doorbell between `begin` and the first task is not lost, and does not silence later ones:
+    /// the core notes that it has something to look at.
+    #[test]
+    fn a_signal_while_the_core_starts_is_noted() {
+        assert_eq!(begin(), Ok(()));
+        assert!(!state::needs_attention());
+        std::thread::spawn(|| raise(Interrupt::DOORBELL))
+            .join()
+            .unwrap();
+        let noted = state::needs_attention();
+        end();
+        state::reset();
+        assert!(noted);
+    }
 }

@@ -42,10 +42,8 @@ fn run(clock: Clock) -> Result<(), i32> {
         tick::end();
         return Err(errno);
     }
-    state::set_on_core(true);
     // SAFETY: called once for each life of the kernel: `Kernel::start` consumes the kernel.
     unsafe { ffi::vTaskStartScheduler() };
-    state::set_on_core(false);
     interrupts::end();
     tick::end();
     Ok(())
@@ -61,6 +59,16 @@ pub(crate) fn tear_down() {
     sys::task::abandon_all();
     interrupts::detach_all();
     state::reset();
+}
+
+/// Runs `body` and leaves `errno` as it was: tasks share it, since they share their thread.
+fn keeping_errno<R>(body: impl FnOnce() -> R) -> R {
+    // SAFETY: the address of this thread's errno; all tasks are on this thread.
+    let errno = unsafe { *libc::__errno_location() };
+    let result = body();
+    // SAFETY: as above.
+    unsafe { *libc::__errno_location() = errno };
+    result
 }
 
 fn errno() -> i32 {

@@ -91,7 +91,8 @@ pub(super) fn unmask() {
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_attend() {
     tandem_port.masked.store(1, Relaxed);
-    serve_and_unmask();
+    // Whoever unmasks (to free memory, say) may be between a failed call and its look at errno.
+    super::keeping_errno(serve_and_unmask);
 }
 
 /// Entered with interrupts masked once; serves what is pending and returns with them unmasked.
@@ -100,6 +101,7 @@ fn serve_and_unmask() {
         compiler_fence(Ordering::SeqCst);
         tandem_port.attention.store(0, Relaxed);
         compiler_fence(Ordering::SeqCst);
+        interrupts::acknowledge();
         serve();
         compiler_fence(Ordering::SeqCst);
         tandem_port.masked.store(0, Relaxed);
@@ -163,7 +165,7 @@ extern "C" fn tandem_port_yield() {
     if now {
         tandem_port.masked.store(1, Relaxed);
         compiler_fence(Ordering::SeqCst);
-        switch();
+        super::keeping_errno(switch);
         serve_if_asked_and_unmask();
     } else {
         tandem_port_yield_from_interrupt();
@@ -204,7 +206,7 @@ pub(super) fn yield_from_interrupt() {
 
 /// Something was made pending on the core's own thread.
 pub(super) fn poll() {
-    interrupt();
+    super::keeping_errno(interrupt);
 }
 
 /// The process ends: nothing interrupts its last words.
@@ -237,6 +239,12 @@ pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
     compiler_fence(Ordering::SeqCst);
     let _end = End;
     body()
+}
+
+/// Whether something is to be done when interrupts are unmasked.
+#[cfg(test)]
+pub(super) fn needs_attention() -> bool {
+    tandem_port.attention.load(Relaxed) != 0
 }
 
 /// The caller is about to block.
