@@ -169,8 +169,8 @@ impl Drop for Kernel {
 }
 
 impl context::TaskContext {
-    /// Makes a task with memory from the heap. It may run before this call returns. Other tasks wait
-    /// while its stack is filled with the pattern by which its use is measured.
+    /// Makes a task with memory from the heap. It may run before this call returns. Other tasks
+    /// wait while its stack is filled with the pattern by which its use is measured.
     ///
     /// # Errors
     /// [`SpawnError`]

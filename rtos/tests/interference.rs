@@ -13,8 +13,8 @@ use tandem_rtos::{
     TaskContext, Ticks,
 };
 
-/// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled, which
-/// takes long enough for several ticks.
+/// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled,
+/// which takes long enough for several ticks.
 #[test]
 fn a_task_is_seen_when_it_is_made() {
     let nameless = Arc::new(AtomicU32::new(0));

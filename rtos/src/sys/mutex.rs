@@ -15,8 +15,8 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 struct Inner<T> {
     raw: Raw,
-    /// A guard lives, in whichever life of the kernel. The scheduler may stop while its task borrows
-    /// the value, or has lent it to another thread; then this stays.
+    /// A guard lives, in whichever life of the kernel. The scheduler may stop while its task
+    /// borrows the value, or has lent it to another thread; then this stays.
     locked: AtomicBool,
     value: UnsafeCell<T>,
 }
@@ -82,8 +82,8 @@ impl<T: Send> Mutex<T> {
     /// A mutex in a static.
     ///
     /// # Errors
-    /// [`InUse`], also if it was locked when an earlier life of the kernel was stopped: something may
-    /// still borrow the value.
+    /// [`InUse`], also if it was locked when an earlier life of the kernel was stopped: something
+    /// may still borrow the value.
     pub fn new_static(
         _at: &impl TaskLevel,
         memory: &'static MutexMemory<T>,

@@ -235,8 +235,8 @@ fn create(
     let Some(stack) = stack.filter(|stack| stack.words >= port::MIN_STACK_WORDS) else {
         return Err(SpawnError::StackTooSmall);
     };
-    // A switch between these steps would show a half-made task to others, or, if one of them stopped
-    // the scheduler, take the record without a task.
+    // A switch between these steps would show a half-made task to others, or, if one of them
+    // stopped the scheduler, take the record without a task.
     let _no_switch = NoSwitch::begin();
     // Nobody else is on this thread: the exchange only has to be undivided against handlers.
     let taken = record

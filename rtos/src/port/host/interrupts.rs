@@ -42,8 +42,8 @@ static SOURCES: [Source; 63] = [const {
     }
 }; 63];
 
-/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one word,
-/// so that who sets the bit knows whose it is.
+/// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one
+/// word, so that who sets the bit knows whose it is.
 static CORE: AtomicU64 = AtomicU64::new(0);
 /// A signal to that thread is under way, or has come and nobody looked at `PENDING` since.
 const SIGNALLED: u64 = 1 << 32;
@@ -115,8 +115,8 @@ pub fn raise(interrupt: Interrupt) {
     }
 }
 
-/// Before the core looks at `PENDING`: what is raised from now on sends a signal again. As late as
-/// that, so that while interrupts are masked no signals pile up on the stack.
+/// Before the core looks at `PENDING`: what is raised from now on sends a signal again. As late
+/// as that, so that while interrupts are masked no signals pile up on the stack.
 pub(super) fn acknowledge() {
     // A bit that is set later has its signal still to come.
     if CORE.load(Ordering::Relaxed) & SIGNALLED != 0 {
