@@ -5,7 +5,7 @@
 //! laid on ticks.
 
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use std::thread;
 
 use anyhow::Context as _;
@@ -13,12 +13,13 @@ use tandem_board::{Board, Duration, Instant};
 use tandem_board_host::HostBoard;
 use tandem_board_host::realtime::{self, Claim, Grant};
 use tandem_cores::Config;
+use tandem_cores::activity::IrqCode;
 use tandem_cores::core0::{Drive, Job, Jobs, Parts, Seat, Shared, Task, Woken};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
-    Clock, Interrupt, InterruptPriority, Kernel, Mutex, Priority, TaskContext, TaskHandle,
-    TaskOptions, Ticks, host,
+    Clock, EventKind, Interrupt, InterruptPriority, Kernel, Mutex, Priority, TaskContext,
+    TaskHandle, TaskOptions, Ticks, TraceSink, host,
 };
 
 type SharedState = Shared<'static, HostBoard>;
@@ -28,7 +29,9 @@ const TICK: Duration = Duration::from_ms(1);
 /// No wait is longer, so that sums of ticks cannot overflow.
 const LONGEST: Ticks = Ticks::from_millis(1000);
 /// Bytes of a task's stack.
-const STACK_BYTES: usize = 128 << 10;
+const STACK_BYTES: usize = 64 << 10;
+/// So often a task reports on itself.
+const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 
 /// Rate-monotonic: see `docs/rtos-tasks.md`.
 const fn priority(task: Task) -> Priority {
@@ -66,8 +69,63 @@ struct Common {
 /// What the trace has to know of a task, to tell switches within a job from those between jobs.
 #[derive(Default)]
 struct JobState {
+    /// As the kernel numbers it.
+    number: AtomicU32,
     under_way: AtomicBool,
     waits_for_lock: AtomicBool,
+    /// The longest time in which it held a lock, ns.
+    held_ns: AtomicU32,
+}
+
+impl Common {
+    fn trace(&self, event: Event) {
+        self.board.trace(event.encode());
+    }
+}
+
+/// What the kernel's hooks tell, in the words of the cores' trace. Between two jobs a task only
+/// waits for the next, which is no news; the kernel's own tasks are not told.
+impl TraceSink for Common {
+    fn record(&self, event: tandem_rtos::Event) {
+        let irq = if event.subject == u32::from(Interrupt::DOORBELL.number()) {
+            IrqCode::DOORBELL
+        } else {
+            IrqCode::TICK
+        };
+        match event.kind {
+            EventKind::InterruptEntered => return self.trace(Event::IrqIn { irq }),
+            EventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
+            EventKind::SwitchedIn | EventKind::SwitchedOut | EventKind::Ready => {}
+        }
+        let is_it = |task: &Task| {
+            let number = self.jobs[*task as usize].number.load(Relaxed);
+            number == event.subject
+        };
+        let Some(of) = Task::ALL.into_iter().find(is_it) else {
+            return;
+        };
+        let (job, task) = (&self.jobs[of as usize], of.code());
+        let under_way = job.under_way.load(Relaxed);
+        match event.kind {
+            EventKind::SwitchedIn if under_way => {
+                let begin = Begin::Goes;
+                self.trace(Event::TaskIn { task, begin });
+            }
+            EventKind::SwitchedOut if under_way => {
+                let leaves = if job.waits_for_lock.load(Relaxed) {
+                    Leaves::Blocked
+                } else {
+                    Leaves::Preempted
+                };
+                self.trace(Event::TaskOut { task, leaves });
+            }
+            // The signal of core 2 is the release of the other one.
+            EventKind::Ready if !under_way && of != Task::Follow => {
+                self.trace(Event::Ready { task });
+            }
+            _ => {}
+        }
+    }
 }
 
 /// The seat of a task of the kernel.
@@ -79,13 +137,20 @@ struct OfTask<'a> {
 
 impl OfTask<'_> {
     fn locked<T: Send, R>(&self, mutex: &Mutex<T>, body: impl FnOnce(&mut T) -> R) -> R {
-        let waits = &self.common.jobs[self.task as usize].waits_for_lock;
-        waits.store(true, Relaxed);
+        let job = &self.common.jobs[self.task as usize];
+        job.waits_for_lock.store(true, Relaxed);
         loop {
             // Without a limit it cannot be over; were it so, the wait goes on.
             if let Ok(mut guard) = mutex.lock(self.ctx, Ticks::FOREVER) {
-                waits.store(false, Relaxed);
-                return body(&mut guard);
+                job.waits_for_lock.store(false, Relaxed);
+                let since = host::now_ns();
+                let result = body(&mut guard);
+                drop(guard);
+                let held_ns = u32::try_from(host::now_ns() - since).unwrap_or(u32::MAX);
+                if held_ns > job.held_ns.load(Relaxed) {
+                    job.held_ns.store(held_ns, Relaxed);
+                }
+                return result;
             }
         }
     }
@@ -114,9 +179,7 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
     fn begins(&self, task: Task, begin: Begin) {
         self.ctx.critical(|| {
             let task = task.code();
-            self.common
-                .board
-                .trace(Event::TaskIn { task, begin }.encode());
+            self.common.trace(Event::TaskIn { task, begin });
             self.common.jobs[self.task as usize]
                 .under_way
                 .store(true, Relaxed);
@@ -126,9 +189,7 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
     fn ends(&self, task: Task) {
         self.ctx.critical(|| {
             let (task, leaves) = (task.code(), Leaves::Done);
-            self.common
-                .board
-                .trace(Event::TaskOut { task, leaves }.encode());
+            self.common.trace(Event::TaskOut { task, leaves });
             self.common.jobs[self.task as usize]
                 .under_way
                 .store(false, Relaxed);
@@ -166,6 +227,15 @@ fn wait(ctx: &TaskContext, ticks: &TickGrid, task: Task, deadline: Instant) {
     }
 }
 
+/// Tells how much of its stack the task needs, and for how long it keeps others waiting.
+fn report(ctx: &TaskContext, common: &Common, task: Task) {
+    let longest_ns = common.jobs[task as usize].held_ns.load(Relaxed);
+    let free_bytes = u32::try_from(ctx.unused_stack_bytes()).unwrap_or(u32::MAX);
+    let task = task.code();
+    common.trace(Event::Stack { task, free_bytes });
+    common.trace(Event::Held { task, longest_ns });
+}
+
 /// The life of a task.
 fn run(
     ctx: &TaskContext,
@@ -179,8 +249,14 @@ fn run(
     if task == Task::Roles {
         seat.shared(|shared| shared.set_ticks(ticks));
     }
+    let mut report_at = common.board.now() + REPORT_PERIOD;
     loop {
         let deadline = job.poll(&seat);
+        let now = common.board.now();
+        if now >= report_at {
+            report_at = now + REPORT_PERIOD;
+            report(ctx, common, task);
+        }
         wait(ctx, &ticks, task, deadline);
     }
 }
@@ -194,6 +270,8 @@ where
     let handle = kernel
         .spawn(&options, move |ctx| run(ctx, common, job, task))
         .with_context(|| format!("the task {}", name(task)))?;
+    let number = handle.number(kernel).unwrap_or(0);
+    common.jobs[task as usize].number.store(number, Relaxed);
     let _ = common.handles[task as usize].set(handle);
     Ok(())
 }
@@ -248,6 +326,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
         .name("doorbell".to_owned())
         .spawn(move || listen(board, grant))
         .context("the thread at the doorbell")?;
+    kernel.trace(common);
     kernel.start(Clock::Wall)?;
     anyhow::bail!("the kernel has stopped")
 }

@@ -187,7 +187,8 @@ fn note(event: Event) -> Option<String> {
         | Event::Wake { .. }
         | Event::Woken { .. }
         | Event::Ring { .. }
-        | Event::Stack { .. } => return None,
+        | Event::Stack { .. }
+        | Event::Held { .. } => return None,
     })
 }
 

@@ -210,6 +210,13 @@ pub enum Event {
         /// Bytes that were never used.
         free_bytes: u32,
     },
+    /// A task never held what all share for longer than this.
+    Held {
+        /// Which.
+        task: TaskCode,
+        /// From the lock to its release, with what interrupted it, ns.
+        longest_ns: u32,
+    },
 }
 
 impl From<tandem_redundancy::Event> for Event {
@@ -297,6 +304,7 @@ impl Event {
             }
             Self::Woken { core, flow } => [head(24, core.index() as u8, 0, 0), flow, 0, 0],
             Self::Stack { task, free_bytes } => [head(25, task.0, 0, 0), free_bytes, 0, 0],
+            Self::Held { task, longest_ns } => [head(27, task.0, 0, 0), longest_ns, 0, 0],
             Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
         }
     }
@@ -381,6 +389,10 @@ impl Event {
             25 => Self::Stack {
                 task: TaskCode(a),
                 free_bytes: x,
+            },
+            27 => Self::Held {
+                task: TaskCode(a),
+                longest_ns: x,
             },
             26 => Self::Ring {
                 core: CoreId::new(a)?,
@@ -483,13 +495,17 @@ mod tests {
             Event::Ring {
                 core: CoreId::CONTROL,
             },
+            Event::Held {
+                task: TaskCode::STATUS,
+                longest_ns: 1200,
+            },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
         }
         assert_eq!(Event::decode([0; 4]), None);
         assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
-        for strange in [0x0002_0011, 0x0004_0012, 0x0000_0317, 0x0000_0318, 27] {
+        for strange in [0x0002_0011, 0x0004_0012, 0x0000_0317, 0x0000_0318, 28] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }
     }

@@ -153,6 +153,13 @@ impl TaskContext {
         port::burn(span);
     }
 
+    /// Bytes of this task's stack that it never used. Looks through all of them, so it takes some
+    /// microseconds; other tasks may run meanwhile.
+    #[must_use]
+    pub fn unused_stack_bytes(&self) -> usize {
+        sys::task::own_unused_stack_bytes()
+    }
+
     /// Shows every task that is alive to `look`, which must not block; no other task runs
     /// meanwhile.
     pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {

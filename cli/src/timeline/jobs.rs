@@ -49,6 +49,10 @@ pub(crate) struct TaskMetrics {
     /// Bytes of its stack that were never used; `None` where nobody measures it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
+    /// Longest time in which it held a lock that others may wait for, with what interrupted it, ms;
+    /// `None` where nobody measures it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) lock_held_max_ms: Option<f64>,
 }
 
 /// Figures of the signals between two cores, as `metrics.json` has them.
@@ -107,6 +111,7 @@ struct Task {
     response_ms: Vec<f64>,
     execution_ms: Vec<f64>,
     stack_free_bytes: Option<u32>,
+    held_ns: Option<u32>,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -222,6 +227,12 @@ impl Jobs {
         *least = Some(least.map_or(free_bytes, |least| least.min(free_bytes)));
     }
 
+    /// The task never held a lock for longer.
+    pub(super) fn held(&mut self, code: TaskCode, longest_ns: u32) {
+        let longest = &mut self.task(code).held_ns;
+        *longest = Some(longest.map_or(longest_ns, |longest| longest.max(longest_ns)));
+    }
+
     /// The figures, in the order of the core's table.
     pub(super) fn metrics(&self, system: SystemId, core: CoreId) -> Vec<TaskMetrics> {
         let rank = |code: TaskCode| {
@@ -264,6 +275,7 @@ impl Task {
             execution_p99_ms: execution.percentile_ms(99.0),
             execution_max_ms: execution.max_ms(),
             stack_free_bytes: self.stack_free_bytes,
+            lock_held_max_ms: self.held_ns.map(|ns| f64::from(ns) * 1e-6),
         }
     }
 }

@@ -335,6 +335,7 @@ impl LineBuilder {
                 self.mark(at_ns, event, sent_ns.map_or(0, |_| arrow));
             }
             Event::Stack { task, free_bytes } => self.jobs.stack(task, free_bytes),
+            Event::Held { task, longest_ns } => self.jobs.held(task, longest_ns),
             // A counter, and the figures of the control task's own slice.
             _ => self.mark(at_ns, event, 0),
         }

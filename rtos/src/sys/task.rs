@@ -624,6 +624,14 @@ pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
     }
 }
 
+/// Bytes of the running task's stack that it never used.
+pub(crate) fn own_unused_stack_bytes() -> usize {
+    let mut info = ffi::TaskInfo::default();
+    // SAFETY: called by a task, which is the current one and lives; only it uses its stack.
+    unsafe { ffi::tandem_task_info(ffi::pxCurrentTCB, &mut info) };
+    info.unused_stack_words * size_of::<usize>()
+}
+
 /// The time that the running task has run, in the port's units.
 pub(crate) fn own_run_time() -> u64 {
     // SAFETY: null means the caller, a task.
