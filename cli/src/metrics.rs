@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use crate::mastership::{self, ms_between};
 use crate::percentiles::Spans;
 use crate::runlog::{RunLog, Sample, Verdict, What};
-use crate::timeline::{TaskMetrics, Timeline, WakeMetrics};
+use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
 pub(crate) const SCHEMA: &str = "tandem-metrics/1";
@@ -95,6 +95,9 @@ pub(crate) struct Metrics {
     /// How often and how long each task of each core ran, and whether in time.
     #[serde(default)]
     pub(crate) tasks: Vec<TaskMetrics>,
+    /// How often and how long each handler of an interrupt ran.
+    #[serde(default)]
+    pub(crate) interrupts: Vec<InterruptMetrics>,
     /// How long signals from core to core took.
     #[serde(default)]
     pub(crate) wakes: Vec<WakeMetrics>,
@@ -280,6 +283,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         },
         deadline_misses: deadline_misses(log),
         tasks: timeline.tasks.clone(),
+        interrupts: timeline.interrupts(),
         wakes: timeline.wakes(),
         timing: around.timing.clone(),
         granted: around.granted.clone(),

@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
 mod firmware;
+mod rta;
 mod tidy;
 mod trace;
 
@@ -64,6 +65,15 @@ enum Task {
     /// Build, run and measure the bare-metal images under QEMU
     #[command(subcommand)]
     Firmware(firmware::Firmware),
+    /// Compute the worst response times of core 0's tasks from the metrics.json of a run, and write
+    /// them into docs/rtos-tasks.md
+    Rta {
+        /// The run's metrics.json
+        metrics: PathBuf,
+        /// What a switch, and the entry of an interrupt, costs, in µs: `tandem bench rtos`
+        #[arg(long, value_name = "US")]
+        overhead_us: f64,
+    },
     /// Long trials that a person starts; CI runs short ones of each
     #[command(subcommand)]
     Campaign(Campaign),
@@ -117,6 +127,10 @@ fn execute() -> Result<()> {
         Task::Loom => loom(root),
         Task::Miri => miri(root),
         Task::Firmware(task) => firmware::run(root, task),
+        Task::Rta {
+            metrics,
+            overhead_us,
+        } => rta::run(root, &metrics, overhead_us),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
         Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
             let mut command = rtos_test(root, "soak", "random_task_sets");

@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, Duration, SystemId};
-use tandem_cores::activity::{self, TaskCode};
+use tandem_cores::activity::{self, IrqCode, TaskCode};
 use tandem_cores::trace::Begin;
 
-use super::{Flow, task_name};
+use super::{CoreLine, Flow, Work, task_name};
 use crate::percentiles::Spans;
 
 /// Figures of one task over the run, as `metrics.json` has them.
@@ -72,6 +72,51 @@ pub(crate) struct WakeMetrics {
     pub(crate) latency_p99_ms: Option<f64>,
     /// The longest, ms.
     pub(crate) latency_max_ms: Option<f64>,
+}
+
+/// Figures of the handler of one interrupt, as `metrics.json` has them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct InterruptMetrics {
+    /// `A` or `B`.
+    pub(crate) system: String,
+    /// 0, 1 or 2.
+    pub(crate) core: u8,
+    /// Its name.
+    pub(crate) interrupt: String,
+    /// How often the handler ran.
+    pub(crate) count: u64,
+    /// Time in the handler, half of them within, ms.
+    pub(crate) execution_p50_ms: Option<f64>,
+    /// 99 of 100 are within, ms.
+    pub(crate) execution_p99_ms: Option<f64>,
+    /// The longest, ms.
+    pub(crate) execution_max_ms: Option<f64>,
+}
+
+/// The figures of all handlers of a core.
+pub(super) fn interrupts(line: &CoreLine) -> Vec<InterruptMetrics> {
+    let mut by_code: BTreeMap<IrqCode, Vec<f64>> = BTreeMap::new();
+    for slice in line.slices.iter().filter(|slice| !slice.cut) {
+        if let Work::Irq(code) = slice.work {
+            let span_ns = slice.end_ns - slice.begin_ns;
+            by_code.entry(code).or_default().push(span_ns as f64 * 1e-6);
+        }
+    }
+    let one = |(code, spans_ms): (IrqCode, Vec<f64>)| {
+        let execution = Spans::from_ms(spans_ms);
+        InterruptMetrics {
+            system: line.system.to_string(),
+            core: line.core.index() as u8,
+            interrupt: code
+                .name()
+                .map_or_else(|| code.0.to_string(), str::to_owned),
+            count: execution.count(),
+            execution_p50_ms: execution.percentile_ms(50.0),
+            execution_p99_ms: execution.percentile_ms(99.0),
+            execution_max_ms: execution.max_ms(),
+        }
+    };
+    by_code.into_iter().map(one).collect()
 }
 
 /// The figures of all pairs of cores that signal each other.

@@ -19,7 +19,7 @@ use tandem_cores::trace::{Begin, Event, Leaves};
 
 use crate::tape::{Entry, Source};
 use jobs::Jobs;
-pub(crate) use jobs::{TaskMetrics, WakeMetrics};
+pub(crate) use jobs::{InterruptMetrics, TaskMetrics, WakeMetrics};
 pub(crate) use perfetto::encode;
 
 /// What occupies a core.
@@ -192,6 +192,11 @@ impl Timeline {
         };
         timeline.mark_wakes(&wakes);
         timeline
+    }
+
+    /// Figures of the handlers of interrupts.
+    pub(crate) fn interrupts(&self) -> Vec<InterruptMetrics> {
+        self.cores.iter().flat_map(jobs::interrupts).collect()
     }
 
     /// Figures of the signals from core to core.
