@@ -37,6 +37,27 @@ fn a_short_drive_ends_with_a_report() {
         "{metrics:#}"
     );
 
+    // Core 0 runs on the kernel, whose tick and tasks tell of themselves.
+    let of_core_0 = |list: &str, key: &str, name: &str| -> Value {
+        let entries = metrics[list].as_array().unwrap().iter();
+        let mut found = entries.filter(|entry| entry["core"] == 0 && entry[key] == name);
+        found.next().unwrap_or_else(|| panic!("{name}")).clone()
+    };
+    let tick = of_core_0("interrupts", "interrupt", "tick");
+    assert!(tick["count"].as_u64().unwrap() > 1000, "{tick}");
+    for name in [
+        "heartbeat and roles",
+        "monitoring",
+        "control",
+        "follow",
+        "status",
+    ] {
+        let task = of_core_0("tasks", "task", name);
+        let free_bytes = task["stack_free_bytes"].as_u64().unwrap();
+        assert!((1..64 << 10).contains(&free_bytes), "{task}");
+        assert!(task["lock_held_max_ms"].as_f64().unwrap() > 0.0, "{task}");
+    }
+
     let report = stage.folder().join("report");
     let read = |name: &str| fs::read_to_string(report.join(name)).unwrap();
     assert_eq!(

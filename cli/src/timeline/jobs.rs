@@ -31,6 +31,9 @@ pub(crate) struct TaskMetrics {
     pub(crate) deadline_misses: u64,
     /// Jobs that never ended: the core died, or the run was over.
     pub(crate) cut: u64,
+    /// How often a more urgent task took the CPU from it within a job.
+    #[serde(default)]
+    pub(crate) preemptions: u64,
     /// Jobs whose release is known: those that the times of response are about.
     pub(crate) responses: u64,
     /// From the release of a job to its end, half of them within, ms.
@@ -153,6 +156,7 @@ struct Task {
     begun: u64,
     missed: u64,
     cut: u64,
+    preemptions: u64,
     response_ms: Vec<f64>,
     execution_ms: Vec<f64>,
     stack_free_bytes: Option<u32>,
@@ -272,6 +276,11 @@ impl Jobs {
         *least = Some(least.map_or(free_bytes, |least| least.min(free_bytes)));
     }
 
+    /// A more urgent task takes the CPU.
+    pub(super) fn preempted(&mut self, code: TaskCode) {
+        self.task(code).preemptions += 1;
+    }
+
     /// The task never held a lock for longer.
     pub(super) fn held(&mut self, code: TaskCode, longest_ns: u32) {
         let longest = &mut self.task(code).held_ns;
@@ -312,6 +321,7 @@ impl Task {
             missed_releases: self.missed,
             deadline_misses: late,
             cut: self.cut,
+            preemptions: self.preemptions,
             responses: response.count(),
             response_p50_ms: response.percentile_ms(50.0),
             response_p99_ms: response.percentile_ms(99.0),

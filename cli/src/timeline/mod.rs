@@ -364,7 +364,8 @@ impl LineBuilder {
             match leaves {
                 Leaves::Done => self.jobs.done(task, at_ns),
                 Leaves::Gives => self.jobs.gave(task, at_ns),
-                Leaves::Blocked | Leaves::Preempted => {}
+                Leaves::Preempted => self.jobs.preempted(task),
+                Leaves::Blocked => {}
             }
         }
     }
