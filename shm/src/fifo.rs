@@ -67,7 +67,6 @@ struct Queue<'a> {
 }
 
 impl<'a> Queue<'a> {
-    #[inline]
     fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let words = fit(words, self::words(shape))?;
         Ok(Self {
@@ -126,7 +125,6 @@ impl<'a> Queue<'a> {
 
     /// How far ahead of `head` the complete value in this slot is, if it is. The slots of an empty
     /// queue hold the last values that were received, one turn behind.
-    #[inline]
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
         // Acquire pairs with the Release in `Loan::send`: who sees a value sees those before it.
         let k = complete(self.stamp(slot).load(Ordering::Acquire));
@@ -174,7 +172,6 @@ impl<'a> Producer<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    #[inline]
     pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         // Acquire pairs with the Release in `publish`.
@@ -277,7 +274,6 @@ impl<'a> Consumer<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    #[inline]
     pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         let head = queue.released.load(Ordering::Relaxed);
