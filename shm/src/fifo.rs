@@ -362,6 +362,10 @@ impl<'a> Item<'_, 'a> {
 
 #[cfg(test)]
 #[cfg(not(loom))]
+mod interleavings;
+
+#[cfg(test)]
+#[cfg(not(loom))]
 mod tests {
     use super::*;
     use crate::step::{kill_at, zeroed};
