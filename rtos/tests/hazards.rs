@@ -5,13 +5,14 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::hint::black_box;
 use std::os::unix::process::ExitStatusExt;
+use std::panic::{catch_unwind, resume_unwind};
 use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
-use tandem_rtos::host::{TaskAllocator, deferred};
+use tandem_rtos::host::{TaskAllocator, deferred, raise};
 use tandem_rtos::{
-    Clock, Interrupt, InterruptPriority, Kernel, Mutex, Priority, Queue, TaskContext, TaskOptions,
-    Ticks,
+    Clock, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority, Queue,
+    TaskContext, TaskOptions, Ticks,
 };
 
 /// An allocator that two of a thread's tasks must not be in at once, and that notices if they are.
@@ -340,7 +341,7 @@ fn a_panic_is_named() {
 fn misuse_is_refused() {
     const NAME: &str = "misuse_is_refused";
     type Misuse = fn(&TaskContext);
-    let misuses: [(&str, &str, Misuse); 5] = [
+    let misuses: [(&str, &str, Misuse); 6] = [
         ("critical", "a call that may block", |ctx| {
             ctx.critical(|| ctx.delay(Ticks(1)));
         }),
@@ -356,6 +357,9 @@ fn misuse_is_refused() {
             let mutex = Mutex::new(ctx, ());
             std::mem::forget(mutex.lock(ctx, Ticks::NONE));
         }),
+        ("unwinds", "a handler has unwound", |_| {
+            let _ = catch_unwind(|| raise(Interrupt::DOORBELL));
+        }),
         ("stale", "an earlier life of the kernel", |ctx| ctx.stop()),
     ];
     for (kind, says, misuse) in misuses {
@@ -366,6 +370,10 @@ fn misuse_is_refused() {
                 kernel
                     .spawn(&options("misuses", 2), misuse)
                     .expect("it fits");
+                let unwind = |_: &InterruptContext| resume_unwind(Box::new(()));
+                kernel
+                    .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, unwind)
+                    .expect("it is free");
             });
             // Only the last one stops.
             run(Clock::Wall, |kernel| {

@@ -4,9 +4,11 @@
 
 mod common;
 
-use common::{run, task};
+use common::{run, run_for, task};
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 use tandem_rtos::host::{deferred, raise};
 use tandem_rtos::{
     Clock, InUse, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, MutexMemory,
@@ -111,4 +113,67 @@ fn a_task_keeps_its_errno() {
         kernel.spawn(&task("check", 2), check).expect("it fits");
     });
     assert_eq!(WRONG.load(Ordering::Relaxed), 0);
+}
+
+/// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and holds
+/// a lock meanwhile. A task that is pre-empted there does not stop another one's allocation.
+#[test]
+#[cfg(target_env = "gnu")]
+fn tasks_share_the_c_librarys_allocator() {
+    static OVER: AtomicBool = AtomicBool::new(false);
+    let interrupter = std::thread::spawn(|| {
+        while !OVER.load(Ordering::Relaxed) {
+            raise(Interrupt::DOORBELL);
+            let now = Instant::now();
+            while now.elapsed() < Duration::from_micros(5) {
+                std::hint::spin_loop();
+            }
+        }
+    });
+    run_for(Duration::from_secs(30), Clock::Wall, |kernel| {
+        let read = |_: &TaskContext| {
+            loop {
+                std::hint::black_box(std::fs::read_dir("/proc/self/task").is_ok());
+            }
+        };
+        kernel.spawn(&task("read", 2), read).expect("it fits");
+        let allocate = |ctx: &TaskContext| {
+            let begin = Instant::now();
+            let mut kept = Vec::new();
+            let mut bytes = 24;
+            while begin.elapsed() < Duration::from_secs(2) {
+                ctx.take_notifications(Ticks(5));
+                bytes = (bytes + 7919) % 33_000;
+                kept.push(vec![1u8; bytes]);
+                if kept.len() > 20 {
+                    kept.swap_remove(bytes % 20);
+                }
+            }
+            ctx.stop();
+        };
+        let allocator = kernel.spawn(&task("allocate", 3), allocate);
+        let allocator = allocator.expect("it fits");
+        let wake = move |ctx: &InterruptContext| allocator.notify(ctx).expect("it lives");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
+            .expect("it is free");
+    });
+    OVER.store(true, Ordering::Relaxed);
+    interrupter.join().expect("it ends");
+}
+
+/// T-RTOS-1: what unwinds through a critical section ends it.
+#[test]
+fn an_unwound_critical_section_has_ended() {
+    static CAUGHT: AtomicBool = AtomicBool::new(false);
+    run(Clock::Virtual, |kernel| {
+        let unwind = |ctx: &TaskContext| {
+            let within = AssertUnwindSafe(|| ctx.critical(|| resume_unwind(Box::new(()))));
+            let caught = catch_unwind(within).is_err();
+            ctx.delay(Ticks(1));
+            CAUGHT.store(caught, Ordering::Relaxed);
+        };
+        kernel.spawn(&task("unwind", 2), unwind).expect("it fits");
+    });
+    assert!(CAUGHT.load(Ordering::Relaxed));
 }

@@ -4,6 +4,7 @@
 #![allow(dead_code, reason = "each target uses its part")]
 
 use core::ffi::{c_char, c_void};
+use core::sync::atomic::AtomicPtr;
 
 include!(concat!(env!("OUT_DIR"), "/sizes.rs"));
 
@@ -36,7 +37,8 @@ pub(crate) struct TaskInfo {
 }
 
 unsafe extern "C" {
-    pub(crate) static pxCurrentTCB: *mut Tcb;
+    /// Changed by the kernel whenever it chooses a task.
+    pub(crate) static pxCurrentTCB: AtomicPtr<Tcb>;
 
     pub(crate) fn tandem_enter_critical();
     pub(crate) fn tandem_exit_critical();

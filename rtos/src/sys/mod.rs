@@ -14,15 +14,19 @@ use crate::InUse;
 use crate::port;
 use core::sync::atomic::{AtomicU32, Ordering};
 
-/// Runs `body` with interrupts masked. Nests.
+/// Runs `body` with interrupts masked. Nests. Ends also if `body` unwinds.
 pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
-    // SAFETY: callable from every task, and before the scheduler runs; the exit below pairs with
-    // it.
+    struct End;
+    impl Drop for End {
+        fn drop(&mut self) {
+            // SAFETY: pairs with the entry below.
+            unsafe { ffi::tandem_exit_critical() };
+        }
+    }
+    // SAFETY: callable from every task, and before the scheduler runs; `End` pairs with it.
     unsafe { ffi::tandem_enter_critical() };
-    let result = body();
-    // SAFETY: pairs with the entry above.
-    unsafe { ffi::tandem_exit_critical() };
-    result
+    let _end = End;
+    body()
 }
 
 /// Whether an object is made, and for which life of the kernel.

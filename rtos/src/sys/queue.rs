@@ -1,6 +1,7 @@
 //! Queues of the kernel, which are also its semaphores, mutexes and sets.
 
 use super::shared::Shared;
+use super::task;
 use super::{Life, ffi};
 use crate::context::Context;
 use crate::port;
@@ -142,7 +143,7 @@ impl Raw {
     /// Whether the running task holds this mutex.
     pub(crate) fn is_mine(&self) -> bool {
         // SAFETY: a mutex of this life; compares two pointers.
-        unsafe { ffi::xQueueGetMutexHolder(self.handle()) == ffi::pxCurrentTCB }
+        unsafe { ffi::xQueueGetMutexHolder(self.handle()) == task::current_tcb() }
     }
 
     /// Makes this a member of a set. Whether it was empty and in none.

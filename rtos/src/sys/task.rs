@@ -377,10 +377,16 @@ pub(crate) fn abandon_all() {
     }
 }
 
+/// The control block of the running task, or null.
+pub(crate) fn current_tcb() -> *mut Tcb {
+    // SAFETY: the kernel's variable is a pointer, which is all that matters here.
+    unsafe { ffi::pxCurrentTCB.load(Ordering::Relaxed) }
+}
+
 fn current() -> Option<&'static Record> {
-    // SAFETY: reads a pointer that only this thread changes. Every task of the kernel was made from
-    // a record, whose first field is the control block; the running one's is not given back.
-    unsafe { ffi::pxCurrentTCB.cast::<Record>().as_ref() }
+    // SAFETY: only this thread changes the pointer. Every task of the kernel was made from a
+    // record, whose first field is the control block; the running one's is not given back.
+    unsafe { current_tcb().cast::<Record>().as_ref() }
 }
 
 /// The running task has locked a mutex.
@@ -409,8 +415,7 @@ pub(crate) fn current_stack() -> Option<(usize, usize)> {
 
 /// The name of the running task, for messages.
 pub(crate) fn current_name() -> &'static str {
-    // SAFETY: reads a pointer that only this thread changes.
-    let current = unsafe { ffi::pxCurrentTCB };
+    let current = current_tcb();
     if current.is_null() {
         "none"
     } else {

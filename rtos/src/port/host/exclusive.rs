@@ -42,16 +42,17 @@ impl<A> TaskAllocator<A> {
     pub const fn inner(&self) -> &A {
         &self.inner
     }
+}
 
-    fn guarded<R>(body: impl FnOnce() -> R) -> R {
-        if !state::on_core() {
-            return body();
-        }
-        state::mask();
-        let result = body();
-        state::unmask();
-        result
+/// Runs `body`, which does not unwind, as a critical section if this is the core's thread.
+pub(super) fn guarded<R>(body: impl FnOnce() -> R) -> R {
+    if !state::on_core() {
+        return body();
     }
+    state::mask();
+    let result = body();
+    state::unmask();
+    result
 }
 
 // SAFETY: every call is passed on as it is. Interrupts are masked meanwhile, so that on the core's
@@ -63,27 +64,29 @@ unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
             PROBED.store(true, Relaxed);
         }
         // SAFETY: the caller's promise.
-        Self::guarded(|| unsafe { self.inner.alloc(layout) })
+        guarded(|| unsafe { self.inner.alloc(layout) })
     }
 
     unsafe fn dealloc(&self, place: *mut u8, layout: Layout) {
         // SAFETY: the caller's promise.
-        Self::guarded(|| unsafe { self.inner.dealloc(place, layout) });
+        guarded(|| unsafe { self.inner.dealloc(place, layout) });
     }
 
     unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
         // SAFETY: the caller's promise.
-        Self::guarded(|| unsafe { self.inner.alloc_zeroed(layout) })
+        guarded(|| unsafe { self.inner.alloc_zeroed(layout) })
     }
 
     unsafe fn realloc(&self, place: *mut u8, layout: Layout, bytes: usize) -> *mut u8 {
         // SAFETY: the caller's promise.
-        Self::guarded(|| unsafe { self.inner.realloc(place, layout, bytes) })
+        guarded(|| unsafe { self.inner.realloc(place, layout, bytes) })
     }
 }
 
 /// Whether the program's allocator is a [`TaskAllocator`].
 pub(super) fn is_installed() -> bool {
+    #[cfg(target_env = "gnu")]
+    super::malloc::keep();
     PROBED.store(false, Relaxed);
     PROBING.store(true, Relaxed);
     drop(core::hint::black_box(alloc::boxed::Box::new(0u8)));

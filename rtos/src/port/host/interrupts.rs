@@ -100,7 +100,7 @@ pub fn raise(interrupt: Interrupt) {
         return;
     }
     // AcqRel pairs with the exchanges in `acknowledge` and `begin`: whichever of two comes second
-    // sees the other. So either the core looks at `PENDING` after our bit, or a signal is sent here.
+    // sees the other. So either the core looks at `PENDING` after our bit, or a signal is sent.
     let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
     let thread = core as u32;
     if thread != 0 && core & SIGNALLED == 0 {

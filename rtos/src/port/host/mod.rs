@@ -3,6 +3,8 @@
 mod exclusive;
 mod fault;
 mod interrupts;
+#[cfg(target_env = "gnu")]
+mod malloc;
 mod stack;
 mod state;
 mod switch;

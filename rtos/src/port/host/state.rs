@@ -14,6 +14,7 @@
 use super::switch::{first_frame, tandem_switch};
 use super::{interrupts, tick};
 use crate::sys::ffi::{self, Base, Tcb};
+use crate::sys::task::current_tcb;
 use core::ffi::c_void;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;
@@ -134,8 +135,17 @@ fn serve() {
 
 /// Lets more urgent interrupts in while a handler runs.
 pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
+    /// What the handler interrupted cannot go on without the handler's end.
+    struct Unwound;
+    impl Drop for Unwound {
+        fn drop(&mut self) {
+            super::fatal(format_args!("a handler has unwound"));
+        }
+    }
     unmask();
+    let unwound = Unwound;
     let result = handler();
+    core::mem::forget(unwound);
     mask();
     result
 }
@@ -147,9 +157,9 @@ fn switch() {
     // SAFETY: interrupts are masked and none runs; the kernel's pointer to the current task is its
     // own, and both control blocks are alive: one is running, the other was chosen.
     unsafe {
-        let from = ffi::pxCurrentTCB;
+        let from = current_tcb();
         ffi::vTaskSwitchContext();
-        let to = ffi::pxCurrentTCB;
+        let to = current_tcb();
         if from != to {
             tandem_switch(&raw mut (*from).top_of_stack, (*to).top_of_stack);
         }
@@ -251,8 +261,8 @@ pub(super) fn needs_attention() -> bool {
 pub(crate) fn assert_may_block() {
     let may = tandem_port.masked.load(Relaxed) == 0 && DEFERRED.load(Relaxed) == 0;
     assert!(
-        may,
-        "a call that may block, in a critical section or with pre-emption deferred"
+        may && DEPTH.load(Relaxed) == 0,
+        "a call that may block, in a handler, in a critical section or with pre-emption deferred"
     );
 }
 
@@ -294,7 +304,7 @@ extern "C" fn xPortStartScheduler() -> Base {
     // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context goes to
     // STARTER, whence `leave` takes it.
     unsafe {
-        let first: *mut Tcb = ffi::pxCurrentTCB;
+        let first: *mut Tcb = current_tcb();
         tandem_switch(STARTER.as_ptr(), (*first).top_of_stack);
     }
     0

@@ -1,0 +1,77 @@
+//! The C library's allocator, for everyone who calls it past Rust's: `opendir`, `getline`, C code.
+//!
+//! It has locks, which do not know two tasks apart. So these functions take the places of the C
+//! library's own in every program that this crate is linked into (glibc is made for that), and do
+//! the same work as a critical section if the caller is on the core's thread.
+
+use super::exclusive::guarded;
+use core::ffi::{c_int, c_void};
+
+unsafe extern "C" {
+    fn __libc_malloc(bytes: usize) -> *mut c_void;
+    fn __libc_calloc(count: usize, bytes: usize) -> *mut c_void;
+    fn __libc_realloc(place: *mut c_void, bytes: usize) -> *mut c_void;
+    fn __libc_free(place: *mut c_void);
+    fn __libc_memalign(align: usize, bytes: usize) -> *mut c_void;
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn malloc(bytes: usize) -> *mut c_void {
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_malloc(bytes) })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn calloc(count: usize, bytes: usize) -> *mut c_void {
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_calloc(count, bytes) })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn realloc(place: *mut c_void, bytes: usize) -> *mut c_void {
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_realloc(place, bytes) })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn free(place: *mut c_void) {
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_free(place) });
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn memalign(align: usize, bytes: usize) -> *mut c_void {
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_memalign(align, bytes) })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn aligned_alloc(align: usize, bytes: usize) -> *mut c_void {
+    if !align.is_power_of_two() {
+        // SAFETY: the address of this thread's errno.
+        unsafe { *libc::__errno_location() = libc::EINVAL };
+        return core::ptr::null_mut();
+    }
+    // SAFETY: as the caller's call.
+    guarded(|| unsafe { __libc_memalign(align, bytes) })
+}
+
+#[unsafe(no_mangle)]
+unsafe extern "C" fn posix_memalign(to: *mut *mut c_void, align: usize, bytes: usize) -> c_int {
+    if !align.is_power_of_two() || !align.is_multiple_of(size_of::<usize>()) {
+        return libc::EINVAL;
+    }
+    // SAFETY: the alignment is valid.
+    let place = guarded(|| unsafe { __libc_memalign(align, bytes) });
+    if place.is_null() {
+        return libc::ENOMEM;
+    }
+    // SAFETY: the caller's place.
+    unsafe { *to = place };
+    0
+}
+
+/// Names these functions, so that the linker takes this file.
+pub(super) fn keep() {
+    core::hint::black_box(malloc as *const ());
+}
