@@ -152,6 +152,8 @@ impl Kernel {
     /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
     /// target for ever.
     ///
+    /// On the host all tasks are this thread: they keep the crate's rule about thread-locals.
+    ///
     /// # Errors
     /// [`StartError`]; the kernel is free again.
     pub fn start(self, clock: Clock) -> Result<(), StartError> {

@@ -8,6 +8,10 @@
 //! [`Kernel::take`] gives the kernel, [`Kernel::spawn`] makes tasks, [`Kernel::start`] runs them. A
 //! task is given a [`TaskContext`], a handler of interrupts an [`InterruptContext`]; what blocks
 //! wants the former, so that a handler cannot call it.
+//!
+//! On the host this interface is sound under one rule that the compiler does not check: all tasks
+//! are one thread, so a thread-local (`thread_local!`, a library's too) is shared by all of them. If
+//! two touch it, they do so within `host::deferred`, or it is a data race. See the README.
 #![no_std]
 #![deny(unsafe_code)]
 
