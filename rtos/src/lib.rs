@@ -10,8 +10,8 @@
 //! wants the former, so that a handler cannot call it.
 //!
 //! On the host this interface is sound under one rule that the compiler does not check: all tasks
-//! are one thread, so a thread-local (`thread_local!`, a library's too) is shared by all of them. If
-//! two touch it, they do so within `host::deferred`, or it is a data race. See the README.
+//! are one thread, so a thread-local (`thread_local!`, a library's too) is shared by all of them.
+//! If two touch it, they do so within `host::deferred`, or it is a data race. See the README.
 #![no_std]
 #![deny(unsafe_code)]
 

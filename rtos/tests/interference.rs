@@ -115,8 +115,8 @@ fn a_task_keeps_its_errno() {
     assert_eq!(WRONG.load(Ordering::Relaxed), 0);
 }
 
-/// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and holds
-/// a lock meanwhile. A task that is pre-empted there does not stop another one's allocation.
+/// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and
+/// holds a lock meanwhile. A task that is pre-empted there does not stop another one's allocation.
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {

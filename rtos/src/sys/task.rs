@@ -633,7 +633,7 @@ pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
 pub(crate) fn own_unused_stack_bytes() -> usize {
     let mut info = ffi::TaskInfo::default();
     // SAFETY: called by a task, which is the current one and lives; only it uses its stack.
-    unsafe { ffi::tandem_task_info(ffi::pxCurrentTCB, &mut info) };
+    unsafe { ffi::tandem_task_info(current_tcb(), &mut info) };
     info.unused_stack_words * size_of::<usize>()
 }
 
