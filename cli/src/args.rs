@@ -58,6 +58,14 @@ pub(crate) enum Command {
 /// Arguments of `tandem rtos-demo`.
 #[derive(Debug, Args)]
 pub(crate) struct RtosDemoArgs {
+    /// What the tasks run on
+    #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
+    pub(crate) board: DemoBoard,
+
+    /// The image for the emulated board [default: what `cargo xtask firmware build` made]
+    #[arg(long, value_name = "FILE")]
+    pub(crate) firmware: Option<PathBuf>,
+
     /// Write the pictures to this file, too
     #[arg(long, value_name = "FILE")]
     pub(crate) svg: Option<PathBuf>,
@@ -138,6 +146,15 @@ pub(crate) enum BoardKind {
     /// Firmware in one emulated machine with both systems in it, in the emulator's time; all cores
     /// bare
     QemuOne,
+}
+
+/// Values of `--board` of `tandem rtos-demo`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum DemoBoard {
+    /// This process, in real time
+    Host,
+    /// Firmware in an emulated RISC-V machine, in the emulator's time
+    Qemu,
 }
 
 /// Values of `--timing`.

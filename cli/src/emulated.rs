@@ -1,6 +1,6 @@
 //! `tandem run --board qemu`: the controller as firmware in emulated machines, in virtual time.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::Instant;
@@ -18,22 +18,23 @@ use crate::plan::RunPlan;
 use crate::recorder::Recorder;
 use crate::vehicle::{self, Ended};
 
-/// Where `cargo xtask firmware build` puts the image, seen from the folder of this program's.
-const IMAGE: &str = "firmware/riscv32imac-unknown-none-elf/release/controller";
+/// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
+const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
 
-/// The image that is to run.
+/// The image that is to run: the one of this name, unless a person chose another.
 ///
 /// # Errors
 /// If there is none.
-pub(crate) fn image(args: &RunArgs) -> anyhow::Result<PathBuf> {
-    let image = match &args.firmware {
-        Some(image) => image.clone(),
+pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf> {
+    let image = match chosen {
+        Some(image) => image.to_owned(),
         None => std::env::current_exe()
             .context("where this program lies")?
             .ancestors()
             .nth(2)
             .context("this program lies in no build folder: name the image by --firmware")?
-            .join(IMAGE),
+            .join(IMAGES)
+            .join(name),
     };
     ensure!(
         image.is_file(),
@@ -43,6 +44,14 @@ pub(crate) fn image(args: &RunArgs) -> anyhow::Result<PathBuf> {
     );
     // The emulator works in a folder of its own.
     std::fs::canonicalize(&image).with_context(|| image.display().to_string())
+}
+
+/// The controller's image.
+///
+/// # Errors
+/// If there is none.
+pub(crate) fn controller(args: &RunArgs) -> anyhow::Result<PathBuf> {
+    image("controller", args.firmware.as_deref())
 }
 
 /// Drives to the end; a line on how the time went, or `None` if a person ended it.
@@ -59,7 +68,8 @@ pub(crate) fn drive(
         BoardKind::Host | BoardKind::Qemu => Layout::Two,
     };
     let scenario = Scenario::load(&plan.scenario)?;
-    let world = EmulatedWorld::start(&image(args)?, layout, plan.reintegrate)?;
+    let image = controller(args)?;
+    let world = EmulatedWorld::start(&image, layout, plan.reintegrate)?;
     if !args.quiet {
         for (pid, systems) in world.processes() {
             let names: Vec<_> = systems.iter().map(ToString::to_string).collect();

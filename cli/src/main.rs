@@ -74,7 +74,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Bench(args) => bench(&args),
         Command::RtosDemo(args) => {
-            let shown = rtos_demo::run(args.svg.as_deref()).map_err(Failure::Run)?;
+            let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
             print(&shown).map_err(Failure::Run)
         }
     }

@@ -1,93 +1,82 @@
 //! `tandem rtos-demo`: two tests of the kernel as pictures of digital outputs. T-RTOS-3, T-RTOS-4
 //!
 //! Three tasks toggle an output each, as the thesis has them before an oscilloscope. The tasks note
-//! each change with its time; the picture is drawn from these notes.
+//! each change with its time, in this process or as firmware in an emulated machine; the picture is
+//! drawn from these notes.
 
-use anyhow::{Context as _, Result};
+use anyhow::{Context as _, Result, ensure};
 use plotters::prelude::*;
 use std::fmt::Write as _;
-use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+use tandem_exchange::outputs::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test};
 use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 
-/// How long each test runs, ms.
-const SPAN_MS: u32 = 360;
+use crate::args::{DemoBoard, RtosDemoArgs};
+use crate::emulated;
+
 /// Columns of a trace in the terminal.
 const COLUMNS: usize = 90;
-
-/// What one task does to its output.
-struct Channel {
-    name: &'static str,
-    priority: u8,
-    period_ms: u32,
-    /// Keeps its output up for so long by working, instead of toggling once in each period.
-    burn_ms: Option<u64>,
-}
-
-const fn toggles(name: &'static str, priority: u8, period_ms: u32) -> Channel {
-    Channel {
-        name,
-        priority,
-        period_ms,
-        burn_ms: None,
-    }
-}
-
-/// T-RTOS-3.
-const PERIODS: [Channel; 3] = [
-    toggles("60 ms", 1, 60),
-    toggles("40 ms", 2, 40),
-    toggles("20 ms", 3, 20),
-];
-/// T-RTOS-4.
-const PRIORITIES: [Channel; 3] = [
-    Channel {
-        name: "priority 3",
-        priority: 3,
-        period_ms: 30,
-        burn_ms: Some(20),
-    },
-    toggles("priority 2", 2, 20),
-    toggles("priority 1", 1, 10),
-];
+/// The image of this demonstration.
+const IMAGE: &str = "rtos-demo";
+const HERE: &str = "this machine's time";
+const EMULATED: &str = "the emulator's time (QEMU, riscv32): an instruction takes 1 ns";
 
 /// Times of the changes of each output, ms; all begin low.
 type Changes = Vec<Vec<f64>>;
 
 /// One picture.
 struct Picture {
-    title: &'static str,
-    channels: &'static [Channel],
+    test: &'static Test,
+    /// Whose time it is.
+    clock: &'static str,
     changes: Changes,
 }
 
 /// Runs both tests and shows them; writes them to a file as well if there is one.
-pub(crate) fn run(svg: Option<&Path>) -> Result<String> {
-    let pictures = [
-        picture(
-            "T-RTOS-3: each task toggles its output once in its period",
-            &PERIODS,
-        )?,
-        picture(
-            "T-RTOS-4: the most urgent task works for 20 ms in each 30 ms",
-            &PRIORITIES,
-        )?,
-    ];
-    if let Some(path) = svg {
+pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
+    let pictures = match args.board {
+        DemoBoard::Host => TESTS.iter().map(here).collect::<Result<Vec<_>>>()?,
+        DemoBoard::Qemu => {
+            let image = emulated::image(IMAGE, args.firmware.as_deref())?;
+            pictures_of(&tandem_board_qemu::run_to_end(&image)?)?
+        }
+    };
+    if let Some(path) = &args.svg {
         let text = draw(&pictures).context("drawing")?;
         std::fs::write(path, text).with_context(|| path.display().to_string())?;
     }
     Ok(pictures.iter().map(show).collect())
 }
 
-fn picture(title: &'static str, channels: &'static [Channel]) -> Result<Picture> {
-    let notes: Arc<Mutex<Changes>> = Arc::new(Mutex::new(vec![vec![]; channels.len()]));
+/// What firmware has logged, as pictures.
+fn pictures_of(log: &str) -> Result<Vec<Picture>> {
+    ensure!(
+        log.lines().any(|line| line == COMPLETE),
+        "the firmware did not come to its end, or is of another version: {log}"
+    );
+    let mut pictures: Vec<_> = TESTS
+        .iter()
+        .map(|test| Picture {
+            test,
+            clock: EMULATED,
+            changes: vec![vec![]; test.outputs.len()],
+        })
+        .collect();
+    for edge in log.lines().filter_map(Edge::parse) {
+        pictures[edge.test].changes[edge.output].push(edge.at_ns as f64 * 1e-6);
+    }
+    Ok(pictures)
+}
+
+/// Runs a test in this process.
+fn here(test: &'static Test) -> Result<Picture> {
+    let notes: Arc<Mutex<Changes>> = Arc::new(Mutex::new(vec![vec![]; test.outputs.len()]));
     let kernel = Kernel::take()?;
-    for (number, channel) in channels.iter().enumerate() {
+    for (number, output) in test.outputs.iter().enumerate() {
         let notes = Arc::clone(&notes);
-        let options = TaskOptions::new(channel.name, Priority::new(channel.priority));
+        let options = TaskOptions::new(output.name, Priority::new(output.priority));
         let note = move || {
             let at_ms = elapsed_ns() as f64 * 1e-6;
             // The lock is the standard library's: no other task may meet it.
@@ -95,7 +84,7 @@ fn picture(title: &'static str, channels: &'static [Channel]) -> Result<Picture>
                 notes.lock().unwrap_or_else(PoisonError::into_inner)[number].push(at_ms);
             });
         };
-        kernel.spawn(&options, move |ctx| output(ctx, channel, note))?;
+        kernel.spawn(&options, move |ctx| toggle(ctx, output, note))?;
     }
     let end = TaskOptions::new("end", Priority::HIGHEST);
     kernel.spawn(&end, |ctx| {
@@ -105,22 +94,22 @@ fn picture(title: &'static str, channels: &'static [Channel]) -> Result<Picture>
     kernel.start(Clock::Wall)?;
     let changes = std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
     Ok(Picture {
-        title,
-        channels,
+        test,
+        clock: HERE,
         changes,
     })
 }
 
 /// A task, for ever.
-fn output(ctx: &TaskContext, channel: &Channel, change: impl Fn()) {
+fn toggle(ctx: &TaskContext, output: &Output, change: impl Fn()) {
     let mut wake = ctx.now();
     loop {
         change();
-        if let Some(burn_ms) = channel.burn_ms {
-            ctx.burn(Duration::from_millis(burn_ms));
+        if let Some(burn_ms) = output.burn_ms {
+            ctx.burn(Duration::from_millis(burn_ms.into()));
             change();
         }
-        ctx.delay_until(&mut wake, Ticks(channel.period_ms));
+        ctx.delay_until(&mut wake, Ticks(output.period_ms));
     }
 }
 
@@ -138,7 +127,7 @@ impl Picture {
     /// Shortest, mean and longest time between two changes in the same direction for who works, and
     /// between any two for who toggles; ms.
     fn periods(&self, channel: usize) -> Option<(f64, f64, f64)> {
-        let step = 1 + usize::from(self.channels[channel].burn_ms.is_some());
+        let step = 1 + usize::from(self.test.outputs[channel].burn_ms.is_some());
         let starts: Vec<f64> = self.changes[channel]
             .iter()
             .copied()
@@ -155,19 +144,31 @@ impl Picture {
         })
     }
 
+    fn title(&self) -> String {
+        format!("{}: {}", self.test.id, self.test.title)
+    }
+
     fn label(&self, channel: usize) -> String {
-        let name = self.channels[channel].name;
-        self.periods(channel).map_or_else(
-            || name.to_owned(),
-            |(min, mean, max)| format!("{name}: {mean:.2} ms ({min:.2} to {max:.2})"),
-        )
+        let Output {
+            name, period_ms, ..
+        } = self.test.outputs[channel];
+        let Some((min, mean, max)) = self.periods(channel) else {
+            return name.to_owned();
+        };
+        // The mean of what others hold up depends on where the picture ends.
+        if max - min > f64::from(period_ms) / 2.0 {
+            let count = self.changes[channel].len();
+            format!("{name}: held up, {min:.2} to {max:.2} ms apart, {count} in {SPAN_MS} ms")
+        } else {
+            format!("{name}: {mean:.2} ms ({min:.2} to {max:.2})")
+        }
     }
 }
 
 /// The picture for a terminal.
 fn show(picture: &Picture) -> String {
-    let mut text = format!("{}\n", picture.title);
-    for channel in 0..picture.channels.len() {
+    let mut text = format!("{}\n", picture.title());
+    for channel in 0..picture.test.outputs.len() {
         let level = |column: usize| {
             let at_ms = (column as f64 + 0.5) * f64::from(SPAN_MS) / COLUMNS as f64;
             if picture.is_up(channel, at_ms) {
@@ -180,7 +181,13 @@ fn show(picture: &Picture) -> String {
         let _ = writeln!(text, "  {trace}  {}", picture.label(channel));
     }
     let half = COLUMNS / 2;
-    let _ = writeln!(text, "  0{:>half$}{:>half$} ms\n", SPAN_MS / 2, SPAN_MS);
+    let _ = writeln!(
+        text,
+        "  0{:>half$}{:>half$} ms of {}\n",
+        SPAN_MS / 2,
+        SPAN_MS,
+        picture.clock
+    );
     text
 }
 
@@ -203,10 +210,10 @@ where
     D: DrawingBackend,
     D::ErrorType: 'static,
 {
-    let count = picture.channels.len();
+    let count = picture.test.outputs.len();
     let span = f64::from(SPAN_MS);
     let mut chart = ChartBuilder::on(area)
-        .caption(picture.title, ("sans-serif", 18))
+        .caption(picture.title(), ("sans-serif", 18))
         .margin(12)
         .x_label_area_size(36)
         .build_cartesian_2d(0.0..span, 0.0..count as f64)?;
@@ -214,7 +221,7 @@ where
         .configure_mesh()
         .disable_y_mesh()
         .disable_y_axis()
-        .x_desc("ms")
+        .x_desc(format!("ms of {}", picture.clock))
         .draw();
     mesh?;
     for channel in 0..count {
@@ -244,8 +251,8 @@ mod tests {
 
     fn known() -> Picture {
         Picture {
-            title: "known",
-            channels: &PRIORITIES,
+            test: &TESTS[1],
+            clock: EMULATED,
             changes: vec![
                 vec![0.0, 20.0, 30.0, 50.0, 61.0, 81.0],
                 vec![20.5, 50.5],
@@ -270,9 +277,22 @@ mod tests {
         assert_eq!(text.lines().filter(|line| line.contains('▁')).count(), 3);
         let svg = draw(&[known()]).unwrap();
         assert!(roxmltree::Document::parse(&svg).is_ok(), "{svg}");
-        for channel in &PRIORITIES {
-            assert!(svg.contains(channel.name), "{svg}");
+        for output in &TESTS[1].outputs {
+            assert!(svg.contains(output.name), "{svg}");
+        }
+        for shown in [&svg, &text] {
+            assert!(shown.contains("the emulator's time"), "{shown}");
         }
         assert!(svg.matches("<polyline").count() >= 3, "{svg}");
+    }
+
+    #[test]
+    fn what_firmware_logs_becomes_pictures() {
+        let edges = "edge T-RTOS-3 2 20000100\nedge T-RTOS-4 0 300\nedge T-RTOS-4 0 20000300\n";
+        let pictures = pictures_of(&format!("{edges}{COMPLETE}\n")).unwrap();
+        assert_eq!(pictures[0].changes, [vec![], vec![], vec![20.0001]]);
+        assert!(pictures[1].is_up(0, 10.0) && !pictures[1].is_up(0, 20.1));
+        // An image that has broken off shows nothing.
+        assert!(pictures_of(edges).is_err());
     }
 }

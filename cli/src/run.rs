@@ -74,7 +74,7 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
         profile: Profile::Rt,
         reintegrate: args.reintegrate,
     };
-    emulated::image(args).map_err(Failure::Usage)?;
+    emulated::controller(args).map_err(Failure::Usage)?;
     let folder = tempfile::tempdir()
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;

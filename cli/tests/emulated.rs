@@ -1,5 +1,5 @@
-//! `tandem run --board qemu`: the controller as firmware. Needs QEMU and the images, so that only
-//! `cargo xtask firmware test` runs it.
+//! `tandem run --board qemu`, the controller as firmware, and `tandem rtos-demo --board qemu`. Needs
+//! QEMU and the images, so that only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -140,5 +140,28 @@ fn emulators_end_when_the_run_is_killed() {
     while pids.iter().any(running) {
         assert!(begin.elapsed() < WATCHDOG, "{pids:?} run on");
         std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn outputs_of_the_firmware_are_drawn() {
+    let folder = tempfile::tempdir().unwrap();
+    let svg = folder.path().join("outputs.svg");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    command.args(["rtos-demo", "--board", "qemu", "--svg"]);
+    let output = command.arg(&svg).output().unwrap();
+    let shown = String::from_utf8(output.stdout).unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let svg = fs::read_to_string(svg).unwrap();
+    for text in [&shown, &svg] {
+        for part in ["60 ms: 60.00 ms", "40 ms: 40.00 ms", "20 ms: 20.00 ms"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(text.contains("priority 3: 30.00 ms"), "{text}");
+        assert!(text.contains("priority 2: held up"), "{text}");
+        assert!(text.contains("the emulator's time"), "{text}");
     }
 }

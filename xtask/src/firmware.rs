@@ -80,17 +80,20 @@ pub(crate) enum Image {
     Controller,
     /// The driving functions over recorded frames; `test` gives it some
     Replay,
+    /// Tasks of FreeRTOS that toggle outputs; `tandem rtos-demo --board qemu` draws them
+    RtosDemo,
     /// The primitives of the LMU under hundreds of schedules
     Schedules,
 }
 
 impl Image {
-    const ALL: [Self; 6] = [
+    const ALL: [Self; 7] = [
         Self::Bench,
         Self::BenchRtos,
         Self::Conformance,
         Self::Controller,
         Self::Replay,
+        Self::RtosDemo,
         Self::Schedules,
     ];
 
@@ -101,6 +104,7 @@ impl Image {
             Self::Conformance => "conformance",
             Self::Controller => "controller",
             Self::Replay => "replay",
+            Self::RtosDemo => "rtos-demo",
             Self::Schedules => "schedules",
         }
     }
@@ -192,7 +196,14 @@ fn test(root: &Path) -> Result<()> {
     let mut shared = crate::cargo(&port(root), &["test", "--quiet", "-p", "tandem-exchange"]);
     shared.env("CARGO_TARGET_DIR", target_dir(root).join("firmware-host"));
     crate::run(shared)?;
-    let of_qemu = ["--test", "identical", "--test", "feeds"];
+    let of_qemu = [
+        "--test",
+        "identical",
+        "--test",
+        "feeds",
+        "--test",
+        "outputs",
+    ];
     let of_command = ["--test", "emulated"];
     for (package, tests) in [("tandem-board-qemu", &of_qemu[..]), ("tandem", &of_command)] {
         let mut command = crate::cargo(root, &["test", "-p", package]);

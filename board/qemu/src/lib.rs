@@ -5,10 +5,13 @@
 //! observer sees. Virtual time goes on in steps of [`tandem_exchange::PERIOD_NS`]; within a step
 //! the machines run by themselves and in parallel, and what one sends to another or to the world
 //! arrives with the next step. With the same frames from the world, two runs are equal to the bit.
+//! [`run_to_end`] is for images that need no world.
 #![forbid(unsafe_code)]
 
+mod alone;
 mod machine;
 mod world;
 
+pub use alone::run_to_end;
 pub use machine::{Machine, MachineError};
 pub use world::{EmulatedWorld, Layout, Traced};

@@ -13,7 +13,7 @@ use tandem_board::SystemId;
 use tandem_exchange::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
-const QEMU: &str = "qemu-system-riscv32";
+pub(crate) const QEMU: &str = "qemu-system-riscv32";
 /// Where the firmware looks for its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
 /// A machine that says nothing for so long hangs; one step takes far less than a second.

@@ -11,6 +11,8 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod outputs;
+
 use tandem_board::{CanFrame, CanId, CoreId, Instant, Received, SystemId, TraceRecord};
 
 /// Virtual time from one exchange to the next, ns.

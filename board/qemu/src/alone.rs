@@ -1,0 +1,66 @@
+//! An image that runs by itself to its end, on nothing but its machine.
+
+use std::fs::File;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::machine::{MachineError, QEMU};
+
+/// No image that is run in this way takes so long, even on a busy machine.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// An emulator that does not outlive its value.
+struct Emulator(Child);
+
+impl Drop for Emulator {
+    fn drop(&mut self) {
+        // It may have ended by itself; else nothing is lost with it.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Runs an image to its end; what it has logged. Under `-icount shift=0`: an instruction takes 1 ns
+/// of its time, which jumps when all harts sleep, so that each run is the same.
+///
+/// # Errors
+/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] with another status
+/// than 0; [`MachineError::Hangs`] after two minutes.
+pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
+    let folder = tempfile::Builder::new()
+        .prefix("tandem-qemu-")
+        .tempdir()
+        .map_err(MachineError::Pipes)?;
+    let path = folder.path().join("log");
+    let log = File::create(&path).map_err(MachineError::Pipes)?;
+    let errors = log.try_clone().map_err(MachineError::Pipes)?;
+    let mut command = Command::new(QEMU);
+    command
+        .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
+        .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
+        .args(["-icount", "shift=0,sleep=off", "-kernel"])
+        .arg(image)
+        .stdin(Stdio::null())
+        .stdout(log)
+        .stderr(errors);
+    let child = command.spawn().map_err(MachineError::Start)?;
+    let mut emulator = Emulator(child);
+    let begin = Instant::now();
+    let said = || std::fs::read_to_string(&path).map_err(MachineError::Pipes);
+    loop {
+        match emulator.0.try_wait().map_err(MachineError::Start)? {
+            Some(status) if status.success() => return said(),
+            Some(status) => {
+                return Err(MachineError::Ended {
+                    status,
+                    log: said()?,
+                });
+            }
+            None if begin.elapsed() > PATIENCE => {
+                return Err(MachineError::Hangs { log: said()? });
+            }
+            None => std::thread::sleep(Duration::from_millis(5)),
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! T-RTOS-3 and T-RTOS-4 under QEMU: when the outputs of tasks of FreeRTOS change. Needs QEMU and
+//! the images, so that only `cargo xtask firmware test` runs it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::path::PathBuf;
+
+use tandem_board_qemu::run_to_end;
+use tandem_exchange::outputs::{COMPLETE, Edge};
+
+/// How much the paths from a tick to an edge may differ: a switch for each task that comes before, at
+/// 1 ns an instruction. The tests are about milliseconds.
+const PATH_NS: u64 = 10_000;
+const MS_NS: u64 = 1_000_000;
+const SPAN_MS: u64 = 360;
+
+fn log() -> String {
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let log = run_to_end(&PathBuf::from(images).join("rtos-demo")).unwrap();
+    assert!(log.lines().any(|line| line == COMPLETE), "{log}");
+    log
+}
+
+/// When this output has changed, ns.
+fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
+    log.lines()
+        .filter_map(Edge::parse)
+        .filter(|edge| edge.test == test && edge.output == output)
+        .map(|edge| edge.at_ns)
+        .collect()
+}
+
+/// Fails unless there is one edge for each of these points in time, in this order.
+fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
+    assert_eq!(edges.len(), expected_ms.len(), "{what}: {edges:?}");
+    for (at, expected) in edges.iter().zip(expected_ms) {
+        let off = at.abs_diff(expected * MS_NS);
+        assert!(off <= PATH_NS, "{what}: {at} ns, not {expected} ms");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn outputs_toggle_every_60_40_and_20_ms() {
+    let log = log();
+    for (output, period_ms) in [(0, 60), (1, 40), (2, 20)] {
+        let edges = edges(&log, 0, output);
+        let what = format!("the output of {period_ms} ms");
+        let expected: Vec<u64> = (0..SPAN_MS).step_by(period_ms).collect();
+        assert_at(&edges, &expected, &what);
+        for pair in edges.windows(2) {
+            let period = pair[1] - pair[0];
+            let off = period.abs_diff(period_ms as u64 * MS_NS);
+            assert!(off <= PATH_NS, "{what}: a period of {period} ns");
+        }
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn no_lower_task_toggles_while_the_highest_works() {
+    let log = log();
+    let [highest, middle, lowest] = [0, 1, 2].map(|output| edges(&log, 1, output));
+    let changes: Vec<u64> = (0..SPAN_MS)
+        .step_by(30)
+        .flat_map(|up| [up, up + 20])
+        .collect();
+    assert_at(&highest, &changes, "the highest");
+    for work in highest.chunks_exact(2) {
+        for (lower, edges) in [("the middle", &middle), ("the lowest", &lowest)] {
+            let mut within = edges.iter().filter(|at| (work[0]..work[1]).contains(at));
+            assert_eq!(within.next(), None, "{lower} toggles within {work:?}");
+        }
+    }
+    // Each of their periods is served, as soon as the highest rests.
+    let rests_from = |ms: u64| if ms % 30 < 20 { ms - ms % 30 + 20 } else { ms };
+    for (what, edges, period_ms) in [("the middle", &middle, 20), ("the lowest", &lowest, 10)] {
+        let expected: Vec<u64> = (0..SPAN_MS).step_by(period_ms).map(rests_from).collect();
+        assert_at(edges, &expected, what);
+    }
+    // T-RTOS-4's order among the two that were held up.
+    for from in changes.iter().skip(1).step_by(2).map(|ms| ms * MS_NS) {
+        let first = |edges: &[u64]| edges.iter().copied().find(|at| *at >= from);
+        assert!(first(&middle) < first(&lowest), "after {from} ns");
+    }
+}
+
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn outputs_change_at_the_same_times_in_each_run() {
+    assert_eq!(log(), log());
+}

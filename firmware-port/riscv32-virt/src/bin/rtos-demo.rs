@@ -1,0 +1,126 @@
+//! Tasks of FreeRTOS that change digital outputs, as the thesis has them before an oscilloscope.
+//! T-RTOS-3, T-RTOS-4
+//!
+//! Hart 0 runs the kernel. Each change of an output is noted with the time of the CLINT, 100 ns to
+//! the tick; when both tests are over, all changes are printed.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use core::time::Duration;
+use tandem_board_riscv32_virt::{clint, entry, exit, hart, log};
+use tandem_exchange::outputs::{COMPLETE, Edge, Output, SPAN_MS, TESTS};
+use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
+
+entry!(main);
+
+/// Room for the changes of one output: 360 ms at 10 ms, and some.
+const ROOM: usize = 64;
+
+/// What an oscilloscope has seen at one output. One task writes, another reads when that has ended.
+struct Probe {
+    count: AtomicU32,
+    /// In ticks of the CLINT since the test began.
+    at: [AtomicU32; ROOM],
+}
+
+impl Probe {
+    const NEW: Self = Self {
+        count: AtomicU32::new(0),
+        at: [const { AtomicU32::new(0) }; ROOM],
+    };
+
+    fn change(&self) {
+        let at = now().wrapping_sub(BEGIN.load(Ordering::Relaxed));
+        let count = self.count.load(Ordering::Relaxed);
+        self.at[count as usize].store(at, Ordering::Relaxed);
+        self.count.store(count + 1, Ordering::Relaxed);
+    }
+}
+
+/// When the present test began; it and its tasks are of one hart.
+static BEGIN: AtomicU32 = AtomicU32::new(0);
+static PROBES: [[Probe; 3]; 2] = [const { [const { Probe::NEW }; 3] }; 2];
+
+/// The time in ticks of the CLINT, which does not come to its upper half here.
+fn now() -> u32 {
+    hart::time() as u32
+}
+
+fn main(hart: usize) -> ! {
+    if hart == 0 {
+        control()
+    }
+    loop {
+        hart::sleep();
+    }
+}
+
+#[track_caller]
+fn must<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => panic!("the demonstration is not laid out as it should be"),
+    }
+}
+
+fn control() -> ! {
+    tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
+    let kernel = must(Kernel::take());
+    let options = TaskOptions::new("tests", Priority::HIGHEST);
+    must(kernel.spawn(&options, run));
+    must(kernel.start(Clock::Wall));
+    panic!("the kernel has stopped")
+}
+
+/// The task that runs both tests, and sleeps meanwhile.
+fn run(ctx: &TaskContext) {
+    let mut wake = ctx.now();
+    // From here on the work between two sleeps begins with a tick.
+    ctx.delay_until(&mut wake, Ticks(1));
+    for test in 0..TESTS.len() {
+        // The tasks are there before the tick with which they all begin.
+        let before = wake;
+        for (output, probe) in TESTS[test].outputs.iter().zip(&PROBES[test]) {
+            let options = TaskOptions::new(output.name, Priority::new(output.priority));
+            must(ctx.spawn(&options, move |ctx| {
+                let mut wake = before;
+                ctx.delay_until(&mut wake, Ticks(1));
+                toggle(ctx, output, wake, || probe.change());
+            }));
+        }
+        ctx.delay_until(&mut wake, Ticks(1));
+        BEGIN.store(now(), Ordering::Relaxed);
+        ctx.delay_until(&mut wake, Ticks(SPAN_MS));
+    }
+    for (test, probes) in PROBES.iter().enumerate() {
+        for (output, probe) in probes.iter().enumerate() {
+            for at in &probe.at[..probe.count.load(Ordering::Relaxed) as usize] {
+                let at_ns = u64::from(at.load(Ordering::Relaxed)) * clint::TICK_NS;
+                log!(
+                    "{}",
+                    Edge {
+                        test,
+                        output,
+                        at_ns
+                    }
+                );
+            }
+        }
+    }
+    log!("{COMPLETE}");
+    exit::exit(0)
+}
+
+/// A task of a test.
+fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl Fn()) {
+    for _ in 0..output.rounds() {
+        change();
+        if let Some(burn_ms) = output.burn_ms {
+            ctx.burn(Duration::from_millis(burn_ms.into()));
+            change();
+        }
+        ctx.delay_until(&mut wake, Ticks(output.period_ms));
+    }
+}
