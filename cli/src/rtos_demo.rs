@@ -18,6 +18,8 @@ use crate::emulated;
 
 /// Columns of a trace in the terminal.
 const COLUMNS: usize = 90;
+/// Of the palette, for each output: all dark enough for white paper.
+const COLOURS: [usize; 3] = [0, 1, 3];
 /// The image of this demonstration.
 const IMAGE: &str = "rtos-demo";
 const HERE: &str = "this machine's time";
@@ -234,7 +236,7 @@ where
             points.push((*change, base + level));
         }
         points.push((span, base + level));
-        chart.draw_series(LineSeries::new(points, &Palette99::pick(channel)))?;
+        chart.draw_series(LineSeries::new(points, &Palette99::pick(COLOURS[channel])))?;
         let label = Text::new(
             picture.label(channel),
             (2.0, base + 0.8),
