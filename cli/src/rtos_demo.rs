@@ -226,7 +226,7 @@ where
         .x_desc(format!("ms of {}", picture.clock))
         .draw();
     mesh?;
-    for channel in 0..count {
+    for (channel, colour) in (0..count).zip(COLOURS) {
         let base = (count - 1 - channel) as f64 + 0.1;
         let mut level = 0.0;
         let mut points = vec![(0.0, base)];
@@ -236,7 +236,7 @@ where
             points.push((*change, base + level));
         }
         points.push((span, base + level));
-        chart.draw_series(LineSeries::new(points, &Palette99::pick(COLOURS[channel])))?;
+        chart.draw_series(LineSeries::new(points, &Palette99::pick(colour)))?;
         let label = Text::new(
             picture.label(channel),
             (2.0, base + 0.8),
@@ -283,7 +283,7 @@ mod tests {
             assert!(svg.contains(output.name), "{svg}");
         }
         for shown in [&svg, &text] {
-            assert!(shown.contains("the emulator's time"), "{shown}");
+            assert!(shown.contains("time (QEMU, riscv32)"), "{shown}");
         }
         assert!(svg.matches("<polyline").count() >= 3, "{svg}");
     }

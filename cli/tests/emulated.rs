@@ -1,5 +1,5 @@
-//! `tandem run --board qemu`, the controller as firmware, and `tandem rtos-demo --board qemu`. Needs
-//! QEMU and the images, so that only `cargo xtask firmware test` runs it.
+//! `tandem run --board qemu`, the controller as firmware, and `tandem rtos-demo --board qemu`.
+//! Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -162,6 +162,6 @@ fn outputs_of_the_firmware_are_drawn() {
         }
         assert!(text.contains("priority 3: 30.00 ms"), "{text}");
         assert!(text.contains("priority 2: held up"), "{text}");
-        assert!(text.contains("the emulator's time"), "{text}");
+        assert!(text.contains("time (QEMU, riscv32)"), "{text}");
     }
 }

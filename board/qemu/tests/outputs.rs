@@ -11,8 +11,8 @@ use std::path::PathBuf;
 use tandem_board_qemu::run_to_end;
 use tandem_exchange::outputs::{COMPLETE, Edge};
 
-/// How much the paths from a tick to an edge may differ: a switch for each task that comes before, at
-/// 1 ns an instruction. The tests are about milliseconds.
+/// How much the paths from a tick to an edge may differ: a switch for each task that comes before,
+/// at 1 ns an instruction. The tests are about milliseconds.
 const PATH_NS: u64 = 10_000;
 const MS_NS: u64 = 1_000_000;
 const SPAN_MS: u64 = 360;

@@ -26,10 +26,12 @@ struct Probe {
 }
 
 impl Probe {
-    const NEW: Self = Self {
-        count: AtomicU32::new(0),
-        at: [const { AtomicU32::new(0) }; ROOM],
-    };
+    const fn new() -> Self {
+        Self {
+            count: AtomicU32::new(0),
+            at: [const { AtomicU32::new(0) }; ROOM],
+        }
+    }
 
     fn change(&self) {
         let at = now().wrapping_sub(BEGIN.load(Ordering::Relaxed));
@@ -41,7 +43,7 @@ impl Probe {
 
 /// When the present test began; it and its tasks are of one hart.
 static BEGIN: AtomicU32 = AtomicU32::new(0);
-static PROBES: [[Probe; 3]; 2] = [const { [const { Probe::NEW }; 3] }; 2];
+static PROBES: [[Probe; 3]; 2] = [const { [const { Probe::new() }; 3] }; 2];
 
 /// The time in ticks of the CLINT, which does not come to its upper half here.
 fn now() -> u32 {
