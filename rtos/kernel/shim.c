@@ -18,6 +18,30 @@ _Static_assert( sizeof( StackType_t ) == sizeof( void * ), "StackType_t is usize
 _Static_assert( sizeof( EventBits_t ) == 4, "EventBits_t is u32" );
 _Static_assert( sizeof( configSTACK_DEPTH_TYPE ) == sizeof( void * ), "stack depth is usize" );
 
+#if defined( __riscv )
+volatile UBaseType_t tandem_held = 0;
+volatile UBaseType_t tandem_yield_due = 0;
+
+void tandem_enter_critical( void )
+{
+    taskENTER_CRITICAL();
+    tandem_held++;
+}
+
+void tandem_exit_critical( void )
+{
+    UBaseType_t due = 0;
+    tandem_held--;
+    if( tandem_held == 0 ) {
+        due = tandem_yield_due;
+        tandem_yield_due = 0;
+    }
+    taskEXIT_CRITICAL();
+    if( due != 0 ) {
+        taskYIELD();
+    }
+}
+#else
 void tandem_enter_critical( void )
 {
     taskENTER_CRITICAL();
@@ -27,6 +51,7 @@ void tandem_exit_critical( void )
 {
     taskEXIT_CRITICAL();
 }
+#endif
 
 void tandem_yield( void )
 {

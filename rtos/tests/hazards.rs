@@ -276,7 +276,7 @@ fn an_overflowed_stack_is_named() {
 fn an_overwritten_stack_end_is_named() {
     use tandem_rtos::TaskMemory;
     const NAME: &str = "an_overwritten_stack_end_is_named";
-    static MEMORY: TaskMemory<4096> = TaskMemory::new();
+    static MEMORY: TaskMemory<8192> = TaskMemory::new();
     if is_child("full") {
         run(Clock::Virtual, |kernel| {
             let full = |ctx: &TaskContext| {

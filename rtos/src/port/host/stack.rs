@@ -4,8 +4,9 @@ use super::{state, tick};
 use crate::sys::task;
 use core::ptr;
 
-/// The smallest stack in words: a few frames of signals with all vector registers.
-pub(crate) const MIN_STACK_WORDS: usize = (16 << 10) / size_of::<usize>();
+/// The smallest stack in words: frames of signals with all vector registers (3.7 KiB with AVX-512),
+/// of which several lie on each other while interrupts come in quick succession.
+pub(crate) const MIN_STACK_WORDS: usize = (64 << 10) / size_of::<usize>();
 /// Bytes of a page, and of the guard.
 pub(super) const PAGE: usize = 4096;
 /// Bytes of the stacks of the idle task and of the timers' task.
