@@ -177,3 +177,60 @@ fn an_unwound_critical_section_has_ended() {
     });
     assert!(CAUGHT.load(Ordering::Relaxed));
 }
+
+/// T-RTOS-2: while interrupts come as fast as two threads can raise them, their frames do not pile
+/// up on the stack of the task that they interrupt.
+#[test]
+fn frames_of_interrupts_do_not_pile_up() {
+    static OVER: AtomicBool = AtomicBool::new(false);
+    static USED: AtomicU32 = AtomicU32::new(0);
+    let raisers = [(); 2].map(|()| {
+        std::thread::spawn(|| {
+            while !OVER.load(Ordering::Relaxed) {
+                raise(Interrupt::DOORBELL);
+            }
+        })
+    });
+    run(Clock::Wall, |kernel| {
+        let wait = |ctx: &TaskContext| {
+            loop {
+                ctx.take_notifications(Ticks::FOREVER);
+            }
+        };
+        let woken = kernel.spawn(&task("wait", 3), wait).expect("it fits");
+        let busy = |_: &TaskContext| {
+            loop {
+                std::hint::spin_loop();
+            }
+        };
+        kernel.spawn(&task("busy", 2), busy).expect("it fits");
+        let watch = |ctx: &TaskContext| {
+            ctx.delay(Ticks(2000));
+            ctx.each_task(|it| {
+                if it.name == "busy" {
+                    let used = it.stack_bytes - it.unused_stack_bytes;
+                    USED.store(used as u32, Ordering::Relaxed);
+                }
+            });
+            ctx.stop();
+        };
+        kernel.spawn(&task("watch", 4), watch).expect("it fits");
+        let wake = move |ctx: &InterruptContext| woken.notify(ctx).expect("it lives");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
+            .expect("it is free");
+    });
+    OVER.store(true, Ordering::Relaxed);
+    for raiser in raisers {
+        raiser.join().expect("it ends");
+    }
+    // SAFETY: asks for a number.
+    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) };
+    let frame = u32::try_from(frame).expect("it is small").max(2048);
+    let used = USED.load(Ordering::Relaxed);
+    assert!(
+        used > 0 && used < 7 * frame,
+        "{used} bytes, {frame} a frame"
+    );
+    println!("{used} bytes, {frame} a frame");
+}

@@ -15,7 +15,7 @@ use crate::sys::{self, sink};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
-use core::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 
 /// A handler: `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
@@ -47,6 +47,9 @@ static SOURCES: [Source; 63] = [const {
 static CORE: AtomicU64 = AtomicU64::new(0);
 /// A signal to that thread is under way, or has come and nobody looked at `PENDING` since.
 const SIGNALLED: u64 = 1 << 32;
+
+/// The signal has come, and nobody looked at `PENDING` since. The core's thread's own.
+static ARRIVED: AtomicBool = AtomicBool::new(false);
 
 /// Carries interrupts of other threads.
 fn raise_signal() -> i32 {
@@ -118,8 +121,9 @@ pub fn raise(interrupt: Interrupt) {
 /// Before the core looks at `PENDING`: what is raised from now on sends a signal again. As late
 /// as that, so that while interrupts are masked no signals pile up on the stack.
 pub(super) fn acknowledge() {
-    // A bit that is set later has its signal still to come.
-    if CORE.load(Ordering::Relaxed) & SIGNALLED != 0 {
+    // One signal at a time: one that is still to come would lie on the next one's frame.
+    if ARRIVED.load(Ordering::Relaxed) {
+        ARRIVED.store(false, Ordering::Relaxed);
         // AcqRel pairs with the exchange in `raise`.
         CORE.fetch_and(!SIGNALLED, Ordering::AcqRel);
     }
@@ -172,14 +176,37 @@ extern "C" fn on_signal(signal: i32) {
     }
     if signal == tick_signal() {
         PENDING.fetch_or(1 << TICK, Ordering::Relaxed);
+    } else {
+        ARRIVED.store(true, Ordering::Relaxed);
     }
+    let mut frame = MaybeUninit::<usize>::uninit();
+    let frame = core::hint::black_box(frame.as_mut_ptr()).addr();
     // The interrupted code may be between a failed call and its look at errno.
-    super::keeping_errno(state::interrupt);
+    super::keeping_errno(|| state::interrupt(frame));
+}
+
+/// Blocks or unblocks both signals, on the core's thread.
+pub(super) fn block(on: bool) {
+    let how = if on {
+        libc::SIG_BLOCK
+    } else {
+        libc::SIG_UNBLOCK
+    };
+    let mut signals = MaybeUninit::<libc::sigset_t>::uninit();
+    // SAFETY: the set is a valid place; async-signal-safe.
+    unsafe {
+        libc::sigemptyset(signals.as_mut_ptr());
+        libc::sigaddset(signals.as_mut_ptr(), raise_signal());
+        libc::sigaddset(signals.as_mut_ptr(), tick_signal());
+        libc::pthread_sigmask(how, signals.as_ptr(), ptr::null_mut());
+    }
 }
 
 /// Makes this thread the core: signals are handled, and `raise` finds it.
 pub(super) fn begin() -> Result<(), i32> {
     let handler: extern "C" fn(i32) = on_signal;
+    state::prepare_frames();
+    ARRIVED.store(false, Ordering::Relaxed);
     // Before the first signal can come. Interrupts are masked until the first task runs.
     state::set_on_core(true);
     set_up(handler).inspect_err(|_| state::set_on_core(false))?;

@@ -18,7 +18,8 @@ use crate::sys::task::current_tcb;
 use core::ffi::c_void;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, Ordering, compiler_fence};
+use core::sync::atomic::compiler_fence;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicU64, AtomicUsize, Ordering};
 use std::cell::Cell;
 
 /// Same layout as `struct TandemPort` in `kernel/host/portmacro.h`.
@@ -48,6 +49,11 @@ static DEFERRED: AtomicU32 = AtomicU32::new(0);
 static YIELD: AtomicBool = AtomicBool::new(false);
 /// Where the thread was when it started the scheduler.
 static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
+/// Where the handler's variables lie that was left last with signals unblocked. If the running task
+/// is still at that handler's end, this is its address.
+static LEAVING: AtomicUsize = AtomicUsize::new(0);
+/// A handler that interrupts another one's end lies closer to it than this, in bytes.
+static NEAR: AtomicUsize = AtomicUsize::new(0);
 /// Counts the lives of the kernel: what was made for an earlier one is of no use to it.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -199,24 +205,70 @@ extern "C" fn tandem_port_yield_from_interrupt() {
     tandem_port.attention.store(1, Relaxed);
 }
 
-/// A signal has come. The handler has checked that this is the core's thread.
-pub(super) fn interrupt() {
+/// Something was made pending on the core's own thread.
+pub(super) fn poll() {
     if tandem_port.masked.load(Relaxed) == 0 {
         tandem_port.masked.store(1, Relaxed);
-        serve_and_unmask();
+        super::keeping_errno(serve_and_unmask);
     } else {
         tandem_port.attention.store(1, Relaxed);
     }
 }
 
+/// A signal has come, whose handler has its variables at the address `frame`. The handler has
+/// checked that this is the core's thread.
+///
+/// Between the last look at `attention` and the end of the handler a signal is served in a frame of
+/// its own, below this one; and so may be another one at the end of that. So that they do not pile
+/// up as long as interrupts keep coming, a handler that may have interrupted such an end leaves
+/// with both signals blocked. The operating system unblocks them when it takes the frame away, and
+/// delivers what came meanwhile.
+pub(super) fn interrupt(frame: usize) {
+    if tandem_port.masked.load(Relaxed) != 0 {
+        tandem_port.attention.store(1, Relaxed);
+        return;
+    }
+    tandem_port.masked.store(1, Relaxed);
+    let leaving = LEAVING.load(Relaxed);
+    let at_an_end = leaving > frame && leaving - frame < NEAR.load(Relaxed);
+    loop {
+        compiler_fence(Ordering::SeqCst);
+        tandem_port.attention.store(0, Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        interrupts::acknowledge();
+        serve();
+        if at_an_end {
+            interrupts::block(true);
+            // What was interrupted is still at its end.
+            LEAVING.store(leaving, Relaxed);
+        } else {
+            LEAVING.store(frame, Relaxed);
+        }
+        compiler_fence(Ordering::SeqCst);
+        tandem_port.masked.store(0, Relaxed);
+        compiler_fence(Ordering::SeqCst);
+        if tandem_port.attention.load(Relaxed) == 0 {
+            return;
+        }
+        tandem_port.masked.store(1, Relaxed);
+        if at_an_end {
+            interrupts::block(false);
+        }
+    }
+}
+
+/// Before the first signal: how large the operating system's frames are.
+pub(super) fn prepare_frames() {
+    /// What handlers put on the stack around a frame.
+    const AROUND: usize = 4 << 10;
+    // SAFETY: asks for a number; zero if it is not known.
+    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
+    NEAR.store(frame.max(8 << 10) + AROUND, Relaxed);
+}
+
 /// As `portYIELD_FROM_ISR`, for the port's own interrupts.
 pub(super) fn yield_from_interrupt() {
     tandem_port_yield_from_interrupt();
-}
-
-/// Something was made pending on the core's own thread.
-pub(super) fn poll() {
-    super::keeping_errno(interrupt);
 }
 
 /// The process ends: nothing interrupts its last words.
