@@ -1,6 +1,7 @@
 //! The CLINT: a software interrupt for each hart, which is the doorbell, and a timer for each.
 
 use crate::hart::HARTS;
+use core::arch::asm;
 use core::ptr::{read_volatile, write_volatile};
 
 const MSIP: usize = 0x0200_0000;
@@ -14,19 +15,23 @@ pub const TICK_NS: u64 = 100;
 /// it.
 #[inline]
 pub fn post(hart: usize) {
-    // Release pairs with the Acquire in `clear`: memory first, then the device.
-    core::sync::atomic::fence(core::sync::atomic::Ordering::Release);
-    // SAFETY: one word a hart; the machine ignores those of harts that it does not have.
-    unsafe { write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 1) };
+    // SAFETY: one word a hart; the machine ignores those of harts that it does not have. The fence
+    // pairs with that in `clear`: memory first, then the device. (One of the memory model says
+    // nothing of devices.)
+    unsafe {
+        asm!("fence rw, ow");
+        write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 1);
+    }
 }
 
 /// Takes the software interrupt of this hart back.
 #[inline]
 pub fn clear(hart: usize) {
-    // SAFETY: as in `post`.
-    unsafe { write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 0) };
-    // Acquire pairs with the Release in `post`.
-    core::sync::atomic::fence(core::sync::atomic::Ordering::Acquire);
+    // SAFETY: as in `post`, with whose fence this one pairs: the device first, then memory.
+    unsafe {
+        write_volatile((MSIP + 4 * (hart % HARTS)) as *mut u32, 0);
+        asm!("fence iorw, iorw");
+    }
 }
 
 /// Sets when the timer of this hart comes, in ticks of [`time`](crate::hart::time).

@@ -19,11 +19,10 @@ pub fn wait(deadline: Option<u64>) -> bool {
     hart::enable(MSI);
     let rung = loop {
         if hart::pending() & MSI != 0 {
-            if state.is_held() {
-                // A reset: it is taken here, and does not come back.
+            if clear(number, state) {
+                // The reset is taken here, and does not come back.
                 hart::interrupts_on();
             }
-            clint::clear(number);
             state.rung.store(false, Relaxed);
             break true;
         }
@@ -52,9 +51,22 @@ pub fn take() -> bool {
     let number = hart::number() % HARTS;
     let pending = hart::pending() & MSI != 0;
     if pending {
-        clint::clear(number);
+        clear(number, &trap::STATES[number]);
     }
     trap::STATES[number].rung.swap(false, Relaxed) || pending
+}
+
+/// Takes the ring back, but not one that is a reset: the carrier's wish is looked at afterwards, so
+/// one that comes in between either is seen, or rings again. Whether it is one; the doorbell has
+/// then rung anew, for the interrupt.
+#[inline]
+fn clear(number: usize, state: &HartState) -> bool {
+    clint::clear(number);
+    let reset = state.is_held();
+    if reset {
+        clint::post(number);
+    }
+    reset
 }
 
 /// The timer is the slicing timer's again, if there is one.
