@@ -1,11 +1,17 @@
 //! Every case runs once with a tiny plan, so that none is dead; no figure is judged.
 #![allow(clippy::unwrap_used, clippy::print_stdout, reason = "test code")]
 
+use std::alloc::System;
 use std::collections::HashMap;
 use std::ops::RangeInclusive;
-use tandem_benches::cases;
+use tandem_benches::cases::{self, Case};
 use tandem_benches::harness::Plan;
 use tandem_board_host::{BareSystem, isolation};
+use tandem_rtos::host::TaskAllocator;
+
+/// Of the cases that run tasks of FreeRTOS.
+#[global_allocator]
+static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
 /// Facts that a case must have, with what they may be.
 const FACTS: [(&str, &str, RangeInclusive<f64>); 4] = [
@@ -38,68 +44,72 @@ const CALLS: [(&str, RangeInclusive<f64>, f64); 8] = [
     ("one-cpu/tandem", 1.0..=2.0, 0.0),
 ];
 
-/// Without the harness of the test runner: the cases fork, which a process with threads must not.
+/// Without the harness of the test runner, whose process has threads: the cases fork. Each case is
+/// a test by its name. `cargo nextest` asks for the list and then for one test in each process.
 fn main() {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let has = |flag: &str| args.iter().any(|arg| arg == flag);
+    let wanted = |name: &str| {
+        // `--format terse` is the only flag with a value.
+        let is_filter = |arg: &&String| !arg.starts_with('-') && *arg != "terse";
+        let mut filters = args.iter().filter(is_filter).peekable();
+        let fits = |filter: &String| {
+            let is_exact = has("--exact");
+            name == filter || !is_exact && name.contains(filter.as_str())
+        };
+        filters.peek().is_none() || filters.any(fits)
+    };
+    // None is marked as ignored.
+    let cases = cases::all().filter(|case| wanted(&case.full_name()) && !has("--ignored"));
+    if has("--list") {
+        cases.for_each(|case| println!("{}: test", case.full_name()));
+        return;
+    }
     let place = isolation::enter().unwrap();
     let system = BareSystem::power_on(&place).unwrap();
     let cpus = core_affinity::get_core_ids().unwrap();
     let cpus = [cpus[0].id, cpus[cpus.len() - 1].id];
-    let only: Vec<String> = std::env::args()
-        .skip(1)
-        .filter(|arg| !arg.starts_with('-'))
-        .collect();
-    let mut facts = HashMap::new();
-    let mut ran = 0;
-    for case in cases::all() {
-        let name = case.full_name();
-        if !only.is_empty() && !only.iter().any(|part| name.contains(part.as_str())) {
-            continue;
-        }
-        let plan = Plan {
-            rounds: case.rounds.min(20),
-            warm_up: 2,
-            cpus,
-        };
-        let begin = std::time::Instant::now();
-        let mut memory = None;
-        match (case.run)(&system, &plan) {
-            Ok(batch) => {
-                memory = batch.memory_bytes;
-                assert!(!batch.samples_ps.is_empty(), "{name} has no samples");
-                let sum: u64 = batch.samples_ps.iter().sum();
-                assert!(sum > 0, "{name} took no time");
-                for (fact, value) in batch.facts {
-                    assert!(value.is_finite(), "{name}: {fact} is {value}");
-                    facts.insert((name.clone(), fact), value);
-                }
-                ran += 1;
-            }
-            // What is not installed is skipped by the benchmark, too.
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                println!("{name} skipped: {error}");
-            }
-            Err(error) => panic!("{name}: {error}"),
-        }
-        let took_ms = begin.elapsed().as_millis();
-        let memory = memory.map_or(String::new(), |bytes| format!(", {} KiB", bytes / 1024));
-        println!("{name}: {took_ms} ms{memory}");
-    }
-    if only.is_empty() {
-        for (case, fact, range) in FACTS {
-            let value = facts[&(case.to_owned(), fact)];
-            assert!(range.contains(&value), "{case}: {fact} is {value}");
-        }
-        for (case, waiting, awake) in CALLS {
-            let of = |fact| facts.get(&(case.to_owned(), fact)).copied();
-            let Some(calls) = of("syscalls per send") else {
-                println!("{case}: this kernel cannot count system calls");
-                continue;
-            };
-            assert!(waiting.contains(&calls), "{case}: {calls} calls to wake");
-            assert_eq!(of("syscalls per send to one awake"), Some(awake), "{case}");
-        }
-        assert!(ran > 70, "only {ran} cases ran");
-    }
+    let ran = cases.map(|case| run(case, &system, cpus)).count();
     place.wipe();
-    println!("{ran} cases ran");
+    println!("test result: ok. {ran} passed; 0 failed");
+}
+
+fn run(case: &Case, system: &BareSystem, cpus: [usize; 2]) {
+    let name = case.full_name();
+    let plan = Plan {
+        rounds: case.rounds.min(20),
+        warm_up: 2,
+        cpus,
+    };
+    let batch = match (case.run)(system, &plan) {
+        Ok(batch) => batch,
+        // What is not installed is skipped by the benchmark, too.
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+            println!("{name} skipped: {error}");
+            return;
+        }
+        Err(error) => panic!("{name}: {error}"),
+    };
+    assert!(!batch.samples_ps.is_empty(), "{name} has no samples");
+    assert!(
+        batch.samples_ps.iter().sum::<u64>() > 0,
+        "{name} took no time"
+    );
+    let facts: HashMap<_, _> = batch.facts.into_iter().collect();
+    for (fact, value) in &facts {
+        assert!(value.is_finite(), "{name}: {fact} is {value}");
+    }
+    for (_, fact, range) in FACTS.into_iter().filter(|(case, ..)| *case == name) {
+        let value = facts[fact];
+        assert!(range.contains(&value), "{name}: {fact} is {value}");
+    }
+    for (_, waiting, awake) in CALLS.into_iter().filter(|(case, ..)| *case == name) {
+        let Some(calls) = facts.get("syscalls per send") else {
+            println!("{name}: this kernel cannot count system calls");
+            continue;
+        };
+        assert!(waiting.contains(calls), "{name}: {calls} calls to wake");
+        assert_eq!(facts.get("syscalls per send to one awake"), Some(&awake));
+    }
+    println!("{name}: ok");
 }
