@@ -503,6 +503,7 @@ mod tests {
 
     /// Whatever one word, or all of them, or an index and then an end are scribbled to: never more
     /// values than slots, and in the end values pass again, in order.
+    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn scribbled_words_are_mended() {
         let all = words(SHAPE);
@@ -531,6 +532,7 @@ mod tests {
         }
     }
 
+    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn successors_that_attach_to_scribbled_words_make_the_queue_whole() {
         for (released, stamp) in [(77, 7777), (7777, 77), (u32::MAX, 3)] {

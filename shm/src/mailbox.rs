@@ -533,6 +533,7 @@ mod tests {
 
     /// T-SYNC-3: a receiver that was stopped for exactly 2^28 signals finds the posted word as it
     /// was.
+    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_looking_on() {
         let words = zeroed(WORDS);
@@ -560,6 +561,7 @@ mod tests {
     }
 
     /// T-SYNC-3: the same if from then on there is always exactly one signal between two looks.
+    #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_among_others() {
         let words = zeroed(WORDS);
