@@ -38,10 +38,11 @@ fn compiled(compiler: &str, arguments: &[&str], paths: &[&Path]) {
     assert!(output.status.success(), "{command:?}\n{said}");
 }
 
-/// The peer, compiled once for each test process.
+/// The peer, compiled once for each test process. It stays in cargo's own folder, at one place.
 pub(crate) fn peer() -> &'static Path {
-    static PEER: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
-        let folder = TempDir::with_prefix("tandem-capi-").unwrap();
+    static PEER: LazyLock<PathBuf> = LazyLock::new(|| {
+        let place = Path::new(env!("CARGO_TARGET_TMPDIR"));
+        let folder = TempDir::with_prefix_in("tandem-capi-", place).unwrap();
         let program = folder.path().join("peer");
         let source = room().join("tests/peer/peer.c");
         let libraries = ["-lpthread", "-ldl", "-lm", "-lgcc_s"].map(Path::new);
@@ -50,9 +51,12 @@ pub(crate) fn peer() -> &'static Path {
         paths.push(&library);
         paths.extend(libraries);
         compiled("cc", &["-std=c99", "-O2"], &paths);
-        (folder, program)
+        // At once: other test processes may be starting theirs.
+        let peer = place.join("tandem-capi-peer");
+        std::fs::rename(&program, &peer).unwrap();
+        peer
     });
-    &PEER.1
+    &PEER
 }
 
 /// The header is good for C++, too. A machine without a compiler for it checks C only, and says so.
