@@ -1,6 +1,6 @@
 //! What the vehicle, the bus and the cores report, in the words of the run log.
 
-use tandem_board_host::Traced;
+use tandem_board::Traced;
 use tandem_bus::Message;
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};

@@ -3,9 +3,11 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use tandem_board::{CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId};
+use tandem_board::{
+    CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId, Traced,
+};
 use tandem_board_host::clock::Ticker;
-use tandem_board_host::{SupplyEvent, Traced, VehicleArgs, WorldError, WorldPort};
+use tandem_board_host::{VehicleArgs, WorldError, WorldPort};
 use tandem_board_qemu::EmulatedWorld;
 
 /// One tick of the vehicle.
@@ -148,14 +150,7 @@ impl Outside for OnQemu {
     fn ring_receivers(&mut self) {}
 
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
-        self.world.drain_trace(&mut |traced| {
-            into(Traced {
-                at: traced.at,
-                system: traced.system,
-                core: traced.core,
-                record: traced.record,
-            });
-        })
+        self.world.drain_trace(into)
     }
 
     fn role(&self, system: SystemId) -> RoleLamp {

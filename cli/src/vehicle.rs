@@ -3,8 +3,8 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{CanFrame, CanId, Received, RoleLamp, SystemId};
-use tandem_board_host::{Traced, VehicleArgs};
+use tandem_board::{CanFrame, CanId, Received, RoleLamp, SystemId, Traced};
+use tandem_board_host::VehicleArgs;
 use tandem_bus::Message;
 use tandem_vehicle::{Config, Scenario, Snapshot, World};
 

@@ -3,9 +3,9 @@
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
 mod firmware;
+mod requirements;
 mod rta;
 mod tidy;
-mod trace;
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
@@ -45,9 +45,10 @@ enum Task {
     /// allowed
     Tidy,
     /// List the requirements and the tests that name them
-    Trace {
-        /// Exit with an error if one of these requirements is named by no test
-        #[arg(long, value_name = "ID", value_delimiter = ',')]
+    Requirements {
+        /// Exit with an error if no test names one of these requirements: all whose id begins with
+        /// PREFIX, as T-RED or T-RED-4
+        #[arg(long, value_name = "PREFIX", value_delimiter = ',')]
         require: Vec<String>,
     },
     /// Build every portable crate for the bare-metal targets
@@ -121,7 +122,7 @@ fn execute() -> Result<()> {
     match Arguments::parse().task {
         Task::Test => test(root),
         Task::Tidy => tidy::run(root),
-        Task::Trace { require } => trace::run(root, &require),
+        Task::Requirements { require } => requirements::run(root, &require),
         Task::BareMetal => bare_metal(root),
         Task::CHeader { check } => c_header(root, check),
         Task::Loom => loom(root),

@@ -19,6 +19,7 @@ mod identity;
 mod lines;
 mod supply;
 mod time;
+mod trace;
 
 pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
 pub use flash::{DataFlash, FlashError, FlashStatus};
@@ -26,6 +27,7 @@ pub use identity::{CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
+pub use trace::{SupplyEvent, TraceRecord, Traced};
 
 use core::sync::atomic::AtomicU32;
 
@@ -38,10 +40,6 @@ pub enum Wake {
     /// The deadline has passed.
     Deadline,
 }
-
-/// One record of the board's trace: four words, given their meaning by the portable code that emits
-/// them. The board adds the time and the core.
-pub type TraceRecord = [u32; 4];
 
 /// Everything that one core sees of its machine.
 ///

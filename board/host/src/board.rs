@@ -17,7 +17,7 @@ use crate::lines::{HostLines, HostLink};
 use crate::name::RunName;
 use crate::registers::HostSupply;
 use crate::segment::{Segment, SegmentError};
-use crate::tape::Tape;
+use crate::trace_ring::TraceRing;
 
 /// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
 pub const LMU_WORDS: usize = 8192;
@@ -64,7 +64,7 @@ pub struct HostBoard {
     link: HostLink,
     flash: HostFlash,
     supply: HostSupply,
-    tape: Tape,
+    trace_ring: TraceRing,
 }
 
 impl HostBoard {
@@ -80,8 +80,8 @@ impl HostBoard {
         let backplane = Backplane::open(&args.common.run)?;
         let lmu = open_lmu(&args.common.run, of.system, backplane.power_ons(of.system))?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
-        let tape = backplane.tape(core_index(of.system, of.core));
-        tape.begin_life();
+        let trace_ring = backplane.trace_ring(core_index(of.system, of.core));
+        trace_ring.begin_life();
         let board = Self {
             of,
             backplane,
@@ -94,7 +94,7 @@ impl HostBoard {
             link: HostLink::attach(backplane, of)?,
             flash: HostFlash::open(&args.flash)?,
             supply: HostSupply::attach(backplane, of)?,
-            tape,
+            trace_ring,
         };
         backplane.set_bell_generation(of.system, of.core, of.generation);
         // Pairs with the fence in `Ringers::ring`: a ringer that did not find this bell has written
@@ -165,7 +165,7 @@ impl Board for HostBoard {
     }
 
     fn trace(&self, record: TraceRecord) {
-        if self.tape.write(clock::now(), record).is_err() {
+        if self.trace_ring.write(clock::now(), record).is_err() {
             self.backplane
                 .count_lost_trace(self.of.system, self.of.core);
         }

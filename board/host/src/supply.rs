@@ -21,19 +21,19 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
 use tandem_board::{
-    CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp, SystemId,
+    CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp, SupplyEvent,
+    SystemId,
 };
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
-use crate::backplane::{Backplane, BackplaneError, Place, RINGS, supply_tape};
+use crate::backplane::{Backplane, BackplaneError, Place, RINGS, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::board::create_lmu;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
-use crate::supply_trace::SupplyEvent;
 use crate::watchdog::{Watchdog, WatchdogFault};
 use crate::wire::SERVICE_WORDS;
 
@@ -88,7 +88,9 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
     let lmu = create_lmu(&args.common.run, args.system, power_on)?;
-    backplane.tape(supply_tape(args.system)).begin_life();
+    backplane
+        .trace_ring(supply_trace_ring(args.system))
+        .begin_life();
     let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else {
         return Ok(());
     };
@@ -355,8 +357,10 @@ impl Supply<'_> {
 
     /// Writes to the supply's trace. A full trace loses it: nothing that drives reads it.
     fn trace(&self, event: SupplyEvent) {
-        let tape = self.backplane.tape(supply_tape(self.args.system));
-        let _ = tape.write(clock::now(), event.encode());
+        let trace_ring = self
+            .backplane
+            .trace_ring(supply_trace_ring(self.args.system));
+        let _ = trace_ring.write(clock::now(), event.encode());
     }
 
     fn kill_cores(&mut self) {

@@ -1,17 +1,16 @@
 //! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
 
 use tandem_board::{
-    CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SystemId, TraceRecord,
+    CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId, Traced,
 };
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
-use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index, supply_tape};
+use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::clock;
 use crate::spawn::Watched;
-use crate::supply_trace::SupplyEvent;
-use crate::tape::Reader;
+use crate::trace_ring::Reader;
 use crate::wire::{FRAME_WORDS, Origin, Wired};
 
 /// Why the vehicle cannot start.
@@ -32,19 +31,6 @@ impl From<FitError> for WorldError {
     fn from(error: FitError) -> Self {
         Self::Fit(error)
     }
-}
-
-/// One record of a core's trace.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Traced {
-    /// When it was emitted.
-    pub at: Instant,
-    /// By which system.
-    pub system: SystemId,
-    /// By which core.
-    pub core: CoreId,
-    /// What was emitted.
-    pub record: TraceRecord,
 }
 
 /// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders
@@ -93,7 +79,7 @@ impl WorldPort {
                     system,
                     core,
                     frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
-                    trace: Reader::new(backplane.tape(index)),
+                    trace: Reader::new(backplane.trace_ring(index)),
                     lost: backplane.lost_trace(system, core),
                 });
             }
@@ -104,7 +90,7 @@ impl WorldPort {
             ringers: Ringers::new(&args.common.run),
             from_cores,
             from_supplies: SystemId::ALL
-                .map(|system| Reader::new(backplane.tape(supply_tape(system)))),
+                .map(|system| Reader::new(backplane.trace_ring(supply_trace_ring(system)))),
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
             sent: vec![],
             emptied: clock::now(),

@@ -14,4 +14,4 @@ mod world;
 
 pub use alone::run_to_end;
 pub use machine::{Machine, MachineError};
-pub use world::{EmulatedWorld, Layout, Traced};
+pub use world::{EmulatedWorld, Layout};

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, TraceRecord};
+use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
 use tandem_exchange::{Item, NO_CORE, PERIOD_NS, core_from, frame_from, frame_words, trace_from};
 
 use crate::machine::{Machine, MachineError};
@@ -14,19 +14,6 @@ pub enum Layout {
     One,
     /// One each: either can be killed.
     Two,
-}
-
-/// One record of a core's trace.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Traced {
-    /// When it was emitted.
-    pub at: Instant,
-    /// By which system.
-    pub system: SystemId,
-    /// By which core.
-    pub core: CoreId,
-    /// What was emitted.
-    pub record: TraceRecord,
 }
 
 /// The machines of a run. There is one vehicle: it is the bus between them, and calls

@@ -4,14 +4,14 @@ use crate::blocking::Baton;
 use crate::config::Defect;
 use crate::fabric::LINK_WORDS;
 use crate::flash;
-use crate::machine::{Attention, EventKind, Place, Sender, Shared, TraceEntry};
+use crate::machine::{Attention, EventKind, Place, Sender, Shared};
 use crate::watchdog;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
     Board, Can, CanFrame, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus, Generation,
     Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp,
-    Supply, TraceRecord, TransmitFull, Wake,
+    Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
 
 /// A core's connection to the machine, for one life of the core.
@@ -213,7 +213,7 @@ impl Board for SimBoard {
             let Place { system, core } = self.port.place;
             if machine.trace.len() < machine.config.trace_records {
                 let at = machine.at();
-                machine.trace.push(TraceEntry {
+                machine.trace.push(Traced {
                     at,
                     system,
                     core,

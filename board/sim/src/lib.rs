@@ -24,6 +24,6 @@ mod world;
 pub use blocking::{CoreKilled, blocking};
 pub use board::{SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
 pub use config::{Clock, Config, Defect, Order};
-pub use machine::{Event, EventKind, OnBus, Power, Sender, TraceEntry, Wire};
+pub use machine::{Event, EventKind, OnBus, Power, Sender, Wire};
 pub use pair::{Poller, SimPair};
 pub use world::WorldTick;

@@ -9,8 +9,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp, SystemId,
-    TraceRecord,
+    CanFrame, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp, SystemId, Traced,
 };
 
 /// Words of one LMU: 32 KiB, as on the TC297.
@@ -50,19 +49,6 @@ pub struct OnBus {
     pub sender: Sender,
     /// What.
     pub frame: CanFrame,
-}
-
-/// A record of the trace.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct TraceEntry {
-    /// When, in virtual time.
-    pub at: Instant,
-    /// The core's system.
-    pub system: SystemId,
-    /// The core.
-    pub core: CoreId,
-    /// What the core said.
-    pub record: TraceRecord,
 }
 
 /// Something that happened to a system.
@@ -252,7 +238,7 @@ pub(crate) struct Machine {
     pub(crate) bus: Vec<OnBus>,
     /// What the world has not heard yet.
     pub(crate) unheard: Vec<OnBus>,
-    pub(crate) trace: Vec<TraceEntry>,
+    pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
     pub(crate) events: Vec<Event>,
     pub(crate) noise: ChaCha8Rng,

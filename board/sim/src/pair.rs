@@ -2,14 +2,14 @@
 
 use crate::board::{Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, Event, OnBus, Place, Power, Sender, Shared, TraceEntry, Wire};
+use crate::machine::{Attention, Event, OnBus, Place, Power, Sender, Shared, Wire};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
-use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId};
+use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced};
 
 /// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
 /// on its system's clock.
@@ -370,7 +370,7 @@ impl SimPair {
     }
 
     /// Takes the trace, and how many records were lost because it was full.
-    pub fn take_trace(&mut self) -> (Vec<TraceEntry>, u64) {
+    pub fn take_trace(&mut self) -> (Vec<Traced>, u64) {
         let mut machine = self.shared.lock();
         (
             core::mem::take(&mut machine.trace),

@@ -4,8 +4,7 @@ use std::fmt::Write as _;
 
 use maud::{Markup, PreEscaped, html};
 use plotters::style::RGBColor;
-use tandem_board::{CoreId, SystemId};
-use tandem_board_host::SupplyEvent;
+use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::activity::TaskCode;
 use tandem_cores::trace::Event;
 

@@ -12,8 +12,7 @@ pub(crate) mod tests;
 
 use std::collections::HashMap;
 
-use tandem_board::{CoreId, SystemId};
-use tandem_board_host::SupplyEvent;
+use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::activity::{self, IrqCode, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 

@@ -7,8 +7,7 @@
 use std::collections::HashMap;
 
 use prost::Message as _;
-use tandem_board::{CoreId, ResetCause, SystemId};
-use tandem_board_host::SupplyEvent;
+use tandem_board::{CoreId, ResetCause, SupplyEvent, SystemId};
 use tandem_cores::trace::Event;
 
 use super::schema::{

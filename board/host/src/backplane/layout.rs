@@ -3,7 +3,7 @@
 use tandem_board::{CoreId, Edge, Line, SystemId};
 use tandem_shm::{Shape, broadcast, fifo};
 
-use crate::{tape, wire};
+use crate::{trace_ring, wire};
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
@@ -81,7 +81,7 @@ pub(crate) const fn core_index(system: SystemId, core: CoreId) -> usize {
 }
 
 /// Index of a supply's trace.
-pub(crate) const fn supply_tape(system: SystemId) -> usize {
+pub(crate) const fn supply_trace_ring(system: SystemId) -> usize {
     CORES + system.index()
 }
 
@@ -160,10 +160,10 @@ const RINGS_AND_END: (Rings, usize) = {
     let mut trace = [nothing; TAPES];
     let mut n = 0;
     while n < TAPES {
-        // Its slots are the tape's own business.
+        // Its slots are the trace_ring's own business.
         trace[n] = Place {
             at,
-            words: tape::WORDS,
+            words: trace_ring::WORDS,
             shape: LINK,
         };
         at = end(trace[n]);

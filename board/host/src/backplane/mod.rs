@@ -14,9 +14,9 @@ use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, Rol
 
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
-use crate::tape::Tape;
+use crate::trace_ring::TraceRing;
 use layout::{Core, Run, System, WORDS};
-pub(crate) use layout::{Place, RINGS, core_index, supply_tape};
+pub(crate) use layout::{Place, RINGS, core_index, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
 const MAGIC: u32 = 0x5444_4D01;
@@ -114,9 +114,9 @@ impl Backplane {
         &self.words[layout::core(system, core, register)]
     }
 
-    /// The trace of a core by [`core_index`], or of a supply by [`supply_tape`].
-    pub(crate) fn tape(self, index: usize) -> Tape {
-        Tape::new(self.ring(RINGS.trace[index]))
+    /// The trace of a core by [`core_index`], or of a supply by [`supply_trace_ring`].
+    pub(crate) fn trace_ring(self, index: usize) -> TraceRing {
+        TraceRing::new(self.ring(RINGS.trace[index]))
     }
 
     /// The words of a ring.

@@ -7,9 +7,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use tandem_board::{Board, CoreId, Generation, SystemId};
+use tandem_board::{Board, CoreId, Generation, SystemId, Traced};
 use tandem_board_host::{
-    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, Traced, WorldPort, clock, isolation,
+    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock, isolation,
     processes, supply,
 };
 

@@ -1,8 +1,28 @@
-//! What a supply writes to its trace: the deaths and resets that no core can report itself.
+//! What a board keeps for people: records of its cores, and of the supplies that start and end
+//! them.
+//!
+//! Nothing that drives reads a trace. What the records of a core mean is said by the portable code
+//! that writes them.
 
-use tandem_board::{CoreId, Generation, ResetCause, TraceRecord};
+use crate::{CoreId, Generation, Instant, ResetCause, SystemId};
 
-/// One thing that a supply did or saw.
+/// One record: four words. The board adds the time and the core.
+pub type TraceRecord = [u32; 4];
+
+/// A record of a core, as an observer reads it from the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Traced {
+    /// When the core wrote it.
+    pub at: Instant,
+    /// The core's system.
+    pub system: SystemId,
+    /// The core.
+    pub core: CoreId,
+    /// What it wrote.
+    pub record: TraceRecord,
+}
+
+/// What a supply did or saw: the deaths and resets that no core can report itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SupplyEvent {
     /// It started a core.
@@ -75,7 +95,7 @@ mod tests {
             ResetCause::Watchdog,
             ResetCause::Trap,
         ];
-        let mut events = vec![
+        let others = [
             SupplyEvent::CoreStarted {
                 core: CoreId::PLANNING,
                 generation: Generation(7),
@@ -86,8 +106,7 @@ mod tests {
             },
             SupplyEvent::Suspended,
         ];
-        events.extend(causes.map(SupplyEvent::Reset));
-        for event in events {
+        for event in causes.map(SupplyEvent::Reset).into_iter().chain(others) {
             assert_eq!(SupplyEvent::decode(event.encode()), Some(event));
         }
         for strange in [[0; 4], [1, 3, 0, 0], [2, 0, 999, 0], [3, 4, 0, 0], [5; 4]] {

@@ -6,8 +6,8 @@
 //! steps, or killed, stops nobody but the reader, and that only at this slot. A full ring refuses
 //! the record: what is there stays, and the caller counts what is not.
 //!
-//! A slot that was reserved by a life that is over is never filled. [`Tape::begin_life`] of the
-//! next life, which the supply starts only after the death of the one before, marks such slots as
+//! A life that ended never fills the slots that it had reserved. [`TraceRing::begin_life`] of the
+//! next life, which the supply starts only after the death of the one before, marks these slots as
 //! void, and [`Reader::salvage`] reads around them when nobody writes any more.
 
 use core::sync::atomic::AtomicU32;
@@ -37,7 +37,7 @@ pub(crate) const WORDS: usize = SLOTS_AT + SLOTS as usize * SLOT_WORDS;
 
 /// The writing side.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Tape {
+pub(crate) struct TraceRing {
     words: &'static [AtomicU32],
 }
 
@@ -45,13 +45,13 @@ pub(crate) struct Tape {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Full;
 
-impl Tape {
+impl TraceRing {
     /// The ring in these words, zero when nobody has written yet.
     ///
     /// # Panics
     /// If there are not [`WORDS`] of them.
     pub(crate) fn new(words: &'static [AtomicU32]) -> Self {
-        assert_eq!(words.len(), WORDS, "the words of a trace");
+        assert_eq!(words.len(), WORDS, "the words of a trace ring");
         Self { words }
     }
 
@@ -114,21 +114,21 @@ impl Tape {
 /// The reading side. There is one at a time; a successor goes on where it ended.
 #[derive(Debug)]
 pub(crate) struct Reader {
-    tape: Tape,
+    ring: TraceRing,
     read: u32,
 }
 
 impl Reader {
-    pub(crate) fn new(tape: Tape) -> Self {
-        let read = tape.words[READ_AT].load(Relaxed);
-        Self { tape, read }
+    pub(crate) fn new(ring: TraceRing) -> Self {
+        let read = ring.words[READ_AT].load(Relaxed);
+        Self { ring, read }
     }
 
     /// The next record; `None` if there is none, or the next one is just being written.
     pub(crate) fn next(&mut self) -> Option<(Instant, TraceRecord)> {
         loop {
-            let slot = self.tape.slot(self.read);
-            // Acquire pairs with the Release in `Tape::write`.
+            let slot = self.ring.slot(self.read);
+            // Acquire pairs with the Release in `TraceRing::write`.
             if slot[TURN_AT].load(Acquire) != self.read.wrapping_add(1) {
                 return None;
             }
@@ -141,7 +141,7 @@ impl Reader {
 
     /// The next record, past slots that were never filled. Only when the core runs no more.
     pub(crate) fn salvage(&mut self) -> Option<(Instant, TraceRecord)> {
-        let reserved = self.tape.words[RESERVED_AT].load(Relaxed);
+        let reserved = self.ring.words[RESERVED_AT].load(Relaxed);
         // More than there are slots is no state of this ring.
         let left = reserved.wrapping_sub(self.read).min(SLOTS);
         for _ in 0..left {
@@ -168,8 +168,9 @@ impl Reader {
 
     fn release(&mut self) {
         self.read = self.read.wrapping_add(1);
-        // Release pairs with the Acquire in `Tape::write`: the slot is read before it is refilled.
-        self.tape.words[READ_AT].store(self.read, Release);
+        // Release pairs with the Acquire in `TraceRing::write`: the slot is read before it is
+        // filled again.
+        self.ring.words[READ_AT].store(self.read, Release);
     }
 }
 
@@ -181,9 +182,9 @@ mod tests {
         Box::leak((0..WORDS).map(|_| AtomicU32::new(0)).collect())
     }
 
-    fn ends(words: &'static [AtomicU32]) -> (Tape, Reader) {
-        let tape = Tape::new(words);
-        (tape, Reader::new(tape))
+    fn ends(words: &'static [AtomicU32]) -> (TraceRing, Reader) {
+        let ring = TraceRing::new(words);
+        (ring, Reader::new(ring))
     }
 
     fn at(n: u32) -> Instant {
@@ -207,12 +208,12 @@ mod tests {
         // Just before the counters wrap around.
         words[RESERVED_AT].store(0u32.wrapping_sub(100), Relaxed);
         words[READ_AT].store(0u32.wrapping_sub(100), Relaxed);
-        let (tape, mut reader) = ends(words);
+        let (ring, mut reader) = ends(words);
         for round in 0..3 {
             for n in 0..SLOTS {
-                tape.write(at(n), [round * SLOTS + n, 1, 2, 3]).unwrap();
+                ring.write(at(n), [round * SLOTS + n, 1, 2, 3]).unwrap();
             }
-            assert_eq!(tape.write(at(0), [9; 4]), Err(Full));
+            assert_eq!(ring.write(at(0), [9; 4]), Err(Full));
             let expected: Vec<u32> = (round * SLOTS..(round + 1) * SLOTS).collect();
             assert_eq!(all(&mut reader), expected);
         }
@@ -221,14 +222,14 @@ mod tests {
     #[test]
     fn a_writer_that_was_interrupted_holds_back_what_came_after_it_and_loses_nothing() {
         let words = words();
-        let (tape, mut reader) = ends(words);
-        tape.write(at(0), [1; 4]).unwrap();
+        let (ring, mut reader) = ends(words);
+        ring.write(at(0), [1; 4]).unwrap();
         reserve_and_die(words);
-        tape.write(at(2), [3; 4]).unwrap();
+        ring.write(at(2), [3; 4]).unwrap();
         assert_eq!(all(&mut reader), [1]);
         assert_eq!(all(&mut reader), []);
         // It goes on, and fills its slot.
-        let slot = tape.slot(1);
+        let slot = ring.slot(1);
         for (word, value) in slot.iter().zip(encode_trace(at(1), [2; 4])) {
             word.store(value, Relaxed);
         }
@@ -239,20 +240,20 @@ mod tests {
     #[test]
     fn what_a_killed_writer_never_filled_is_void_for_the_next_life() {
         let words = words();
-        let (tape, mut reader) = ends(words);
+        let (ring, mut reader) = ends(words);
         // A slot of the second round holds an old record.
         for n in 0..SLOTS {
-            tape.write(at(n), [n; 4]).unwrap();
+            ring.write(at(n), [n; 4]).unwrap();
         }
         assert_eq!(all(&mut reader).len(), SLOTS as usize);
-        tape.write(at(0), [100; 4]).unwrap();
+        ring.write(at(0), [100; 4]).unwrap();
         reserve_and_die(words);
-        Tape::new(words).begin_life();
-        tape.write(at(1), [101; 4]).unwrap();
+        TraceRing::new(words).begin_life();
+        ring.write(at(1), [101; 4]).unwrap();
         assert_eq!(all(&mut reader), [100, 101]);
         // The void slot is a good one in the next round.
         for n in 0..SLOTS {
-            tape.write(at(n), [n; 4]).unwrap();
+            ring.write(at(n), [n; 4]).unwrap();
         }
         assert_eq!(all(&mut reader).len(), SLOTS as usize);
     }
@@ -260,10 +261,10 @@ mod tests {
     #[test]
     fn the_last_records_of_a_core_are_salvaged_around_its_hole() {
         let words = words();
-        let (tape, mut reader) = ends(words);
-        tape.write(at(0), [1; 4]).unwrap();
+        let (ring, mut reader) = ends(words);
+        ring.write(at(0), [1; 4]).unwrap();
         reserve_and_die(words);
-        tape.write(at(2), [3; 4]).unwrap();
+        ring.write(at(2), [3; 4]).unwrap();
         reserve_and_die(words);
         let saved: Vec<u32> = std::iter::from_fn(|| reader.salvage())
             .map(|(_, record)| record[0])
@@ -277,21 +278,21 @@ mod tests {
             let words = words();
             words[RESERVED_AT].store(reserved, Relaxed);
             words[READ_AT].store(read, Relaxed);
-            let (tape, mut reader) = ends(words);
+            let (ring, mut reader) = ends(words);
             assert!(all(&mut reader).is_empty());
-            tape.begin_life();
-            tape.write(at(0), [1; 4]).unwrap();
+            ring.begin_life();
+            ring.write(at(0), [1; 4]).unwrap();
             assert_eq!(all(&mut reader), [1], "{reserved} {read}");
         }
     }
 
-    /// `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture tape`
+    /// `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture trace_ring`
     #[test]
     #[ignore = "a measurement"]
     fn what_a_record_costs() {
         const EACH: u32 = 1_000;
         let words = words();
-        let (tape, mut reader) = ends(words);
+        let (ring, mut reader) = ends(words);
         let mut measure = |what: &str, work: &mut dyn FnMut(u32)| {
             let mut spans: Vec<f64> = (0..2_000)
                 .map(|_| {
@@ -310,10 +311,10 @@ mod tests {
             std::hint::black_box(crate::clock::now());
         });
         measure("a record", &mut |n| {
-            assert_eq!(tape.write(at(n), [n; 4]), Ok(()));
+            assert_eq!(ring.write(at(n), [n; 4]), Ok(()));
         });
         measure("a record with its time", &mut |n| {
-            assert_eq!(tape.write(crate::clock::now(), [n; 4]), Ok(()));
+            assert_eq!(ring.write(crate::clock::now(), [n; 4]), Ok(()));
         });
     }
 
@@ -321,12 +322,12 @@ mod tests {
     fn records_of_several_writers_are_whole_and_each_writers_in_order() {
         const EACH: u32 = 50_000;
         let words = words();
-        let (tape, mut reader) = ends(words);
+        let (ring, mut reader) = ends(words);
         std::thread::scope(|scope| {
             for writer in 0..3 {
                 scope.spawn(move || {
                     for n in 0..EACH {
-                        while tape.write(at(n), [writer, n, !n, n ^ 7]).is_err() {
+                        while ring.write(at(n), [writer, n, !n, n ^ 7]).is_err() {
                             std::thread::yield_now();
                         }
                     }

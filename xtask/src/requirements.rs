@@ -43,11 +43,25 @@ pub(crate) fn run(root: &Path, require: &[String]) -> Result<()> {
         "{proven} of {} requirements are named by a test",
         requirements.len()
     );
-    let missing: Vec<_> = require
-        .iter()
-        .filter(|id| !tests.contains_key(id.as_str()))
-        .cloned()
-        .collect();
+    let ids: Vec<&str> = requirements.iter().map(|(id, _)| id.as_str()).collect();
+    require_tests(&ids, require, |id| tests.contains_key(id))
+}
+
+/// Fails if a prefix fits no requirement, or one that it fits has no test.
+fn require_tests(ids: &[&str], prefixes: &[String], has_test: impl Fn(&str) -> bool) -> Result<()> {
+    let mut missing = Vec::new();
+    for prefix in prefixes {
+        // T-RED-1 does not mean T-RED-10.
+        let fits = |id: &&&str| {
+            let rest = id.strip_prefix(prefix.as_str());
+            rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-'))
+        };
+        let mut wanted = ids.iter().filter(fits).peekable();
+        if wanted.peek().is_none() {
+            bail!("no requirement begins with {prefix}");
+        }
+        missing.extend(wanted.copied().filter(|id| !has_test(id)));
+    }
     if !missing.is_empty() {
         bail!("no test names {}", missing.join(", "));
     }
@@ -128,6 +142,22 @@ mod tests {
             ["T-RED-1", "T-RED-2", "T-RED-3", "E-4"]
         );
         assert!(ids_in(" a CRC-like word, x-1 and state-of-the-art").is_empty());
+    }
+
+    #[test]
+    fn a_prefix_requires_a_test_for_each_requirement_that_begins_with_it() {
+        let ids = ["T-RED-1", "T-RED-10", "T-REDO-1", "T-LOCK-1"];
+        let require = |prefix: &str| {
+            let has_test = |id: &str| id != "T-RED-10" && id != "T-REDO-1";
+            require_tests(&ids, &[prefix.to_owned()], has_test).map_err(|e| e.to_string())
+        };
+        assert_eq!(require("T-LOCK"), Ok(()));
+        assert_eq!(require("T-RED-1"), Ok(()));
+        assert_eq!(require("T-RED"), Err("no test names T-RED-10".to_owned()));
+        assert_eq!(
+            require("T-X"),
+            Err("no requirement begins with T-X".to_owned())
+        );
     }
 
     #[test]
