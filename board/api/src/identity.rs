@@ -89,6 +89,63 @@ impl fmt::Display for CoreId {
     }
 }
 
+/// A core of the controller: which core of which system. Shown as in `A0`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CoreAddress {
+    /// The system that the core belongs to.
+    pub system: SystemId,
+    /// The core's number within the system.
+    pub core: CoreId,
+}
+
+impl CoreAddress {
+    /// Control core of system A.
+    pub const A0: Self = Self::new(SystemId::A, CoreId::CONTROL);
+    /// Perception core of system A.
+    pub const A1: Self = Self::new(SystemId::A, CoreId::PERCEPTION);
+    /// Planning core of system A.
+    pub const A2: Self = Self::new(SystemId::A, CoreId::PLANNING);
+    /// Control core of system B.
+    pub const B0: Self = Self::new(SystemId::B, CoreId::CONTROL);
+    /// Perception core of system B.
+    pub const B1: Self = Self::new(SystemId::B, CoreId::PERCEPTION);
+    /// Planning core of system B.
+    pub const B2: Self = Self::new(SystemId::B, CoreId::PLANNING);
+    /// How many cores both systems have.
+    pub const COUNT: usize = SystemId::ALL.len() * CoreId::COUNT;
+    /// All cores in the order of [`CoreAddress::index`].
+    pub const ALL: [Self; Self::COUNT] =
+        [Self::A0, Self::A1, Self::A2, Self::B0, Self::B1, Self::B2];
+
+    /// Core `core` of system `system`.
+    #[must_use]
+    pub const fn new(system: SystemId, core: CoreId) -> Self {
+        Self { system, core }
+    }
+
+    /// 0 ..= 5: the place in [`CoreAddress::ALL`].
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self.system.index() * CoreId::COUNT + self.core.index()
+    }
+
+    /// The inverse of [`CoreAddress::index`]; `None` above 5.
+    #[must_use]
+    pub const fn from_index(index: usize) -> Option<Self> {
+        if index < Self::COUNT {
+            Some(Self::ALL[index])
+        } else {
+            None
+        }
+    }
+}
+
+impl fmt::Display for CoreAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}{}", self.system, self.core)
+    }
+}
+
 /// Which life of a core this is: 1 after power-on, one more after each reset of the core; 0 is "no
 /// core".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -103,4 +160,27 @@ pub struct Identity {
     pub core: CoreId,
     /// Which of its lives.
     pub generation: Generation,
+}
+
+impl Identity {
+    /// The core, whichever of its lives it is in.
+    #[must_use]
+    pub const fn address(self) -> CoreAddress {
+        CoreAddress::new(self.system, self.core)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_core_has_one_number_and_each_number_one_core() {
+        for (index, address) in CoreAddress::ALL.into_iter().enumerate() {
+            assert_eq!(address.index(), index);
+            assert_eq!(CoreAddress::from_index(index), Some(address));
+        }
+        assert_eq!(CoreAddress::from_index(CoreAddress::COUNT), None);
+        assert_eq!(CoreAddress::from_index(usize::MAX), None);
+    }
 }

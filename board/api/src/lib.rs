@@ -23,7 +23,7 @@ mod trace;
 
 pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
 pub use flash::{DataFlash, FlashError, FlashStatus};
-pub use identity::{CoreId, Generation, Identity, SystemId};
+pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};

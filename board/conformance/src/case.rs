@@ -2,58 +2,16 @@
 
 use core::fmt;
 use core::panic::Location;
-use tandem_board::{Board, CoreId, SystemId};
-
-/// A core of one of the systems.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Place {
-    /// The system.
-    pub system: SystemId,
-    /// The core.
-    pub core: CoreId,
-}
-
-impl Place {
-    pub(crate) const A0: Self = Self {
-        system: SystemId::A,
-        core: CoreId::CONTROL,
-    };
-    pub(crate) const A1: Self = Self {
-        system: SystemId::A,
-        core: CoreId::PERCEPTION,
-    };
-    pub(crate) const A2: Self = Self {
-        system: SystemId::A,
-        core: CoreId::PLANNING,
-    };
-    pub(crate) const B0: Self = Self {
-        system: SystemId::B,
-        core: CoreId::CONTROL,
-    };
-    pub(crate) const B1: Self = Self {
-        system: SystemId::B,
-        core: CoreId::PERCEPTION,
-    };
-    pub(crate) const B2: Self = Self {
-        system: SystemId::B,
-        core: CoreId::PLANNING,
-    };
-}
-
-impl fmt::Display for Place {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}{}", self.system, self.core)
-    }
-}
+use tandem_board::CoreAddress;
 
 /// What one core does in a case. It is told which core it is meant to be.
-pub type Role<B> = fn(&B, Place) -> Result<(), Failure>;
+pub type Role<B> = fn(&B, CoreAddress) -> Result<(), Failure>;
 
 /// A role and the core that plays it.
 #[derive(Clone, Copy, Debug)]
 pub struct Part<B: 'static> {
     /// The core.
-    pub place: Place,
+    pub place: CoreAddress,
     /// What it does.
     pub role: Role<B>,
 }
@@ -143,18 +101,4 @@ pub(crate) fn equal(
             at: Location::caller(),
         }),
     }
-}
-
-/// Plays part `part` of case `case` of [`cases`](crate::cases): how a process or a hart that was
-/// started for one role finds it.
-///
-/// # Errors
-/// The [`Failure`] that the role saw, also if there is no such case or part.
-pub fn run_role<B: Board + 'static>(case: usize, part: usize, board: &B) -> Result<(), Failure> {
-    let cases = crate::cases::<B>();
-    let found = cases.get(case).and_then(|case| case.parts.get(part));
-    let Some(Part { place, role }) = found else {
-        return fail("there is a case and a part with these numbers");
-    };
-    role(board, *place)
 }

@@ -22,6 +22,6 @@ mod cases;
 mod meet;
 mod rig;
 
-pub use case::{Case, Failure, Part, Place, Role, Setting, run_role};
+pub use case::{Case, Failure, Part, Role, Setting};
 pub use cases::cases;
-pub use rig::{Outcome, Rig, Summary, run_all};
+pub use rig::{Outcome, Rig, Summary, run_all, run_role};

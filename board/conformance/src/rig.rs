@@ -1,6 +1,7 @@
 //! How a board runs the suite.
 
-use crate::{Case, cases};
+use crate::case::{Case, Failure, Part, fail};
+use crate::cases::cases;
 use core::fmt::Display;
 use tandem_board::Board;
 
@@ -15,7 +16,7 @@ pub trait Rig {
     fn takes(&self, case: &Case<Self::Board>) -> bool;
 
     /// Powers both systems on, plays all parts of the case at the same time, and switches off.
-    /// `index` is the case's place in [`cases`], for [`run_role`](crate::run_role).
+    /// `index` is the case's place in [`cases`], for [`run_role`].
     ///
     /// # Errors
     /// The first fault, if a role fails or does not end.
@@ -66,4 +67,18 @@ pub fn run_all<R: Rig>(
         report(case, &outcome);
     }
     summary
+}
+
+/// Plays part `part` of case `case` of [`cases`]: how a process or a hart that was
+/// started for one role finds it.
+///
+/// # Errors
+/// The [`Failure`] that the role saw, also if there is no such case or part.
+pub fn run_role<B: Board + 'static>(case: usize, part: usize, board: &B) -> Result<(), Failure> {
+    let cases = cases::<B>();
+    let found = cases.get(case).and_then(|case| case.parts.get(part));
+    let Some(Part { place, role }) = found else {
+        return fail("there is a case and a part with these numbers");
+    };
+    role(board, *place)
 }

@@ -5,7 +5,6 @@ use std::path::PathBuf;
 
 use tandem_board::{CoreId, Generation, Identity, SystemId};
 
-use crate::backplane::core_index;
 use crate::name::RunName;
 use crate::realtime::{self, Claim, Grant};
 
@@ -151,7 +150,7 @@ impl CoreArgs {
     #[must_use]
     pub fn claim(&self) -> Grant {
         let of = self.identity;
-        let index = core_index(of.system, of.core);
+        let index = of.address().index();
         let cpu = match &self.common.schedule.pinning {
             Pinning::Auto => Some(index),
             Pinning::Off => None,

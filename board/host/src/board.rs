@@ -8,7 +8,7 @@ use tandem_board::{Board, CoreId, Identity, Instant, SystemId, TraceRecord, Wake
 use tandem_shm::FitError;
 
 use crate::args::CoreArgs;
-use crate::backplane::{Backplane, BackplaneError, core_index};
+use crate::backplane::{Backplane, BackplaneError};
 use crate::bell::{Bell, BellError, Ringers};
 use crate::can::HostCan;
 use crate::clock;
@@ -80,7 +80,7 @@ impl HostBoard {
         let backplane = Backplane::open(&args.common.run)?;
         let lmu = open_lmu(&args.common.run, of.system, backplane.power_ons(of.system))?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
-        let trace_ring = backplane.trace_ring(core_index(of.system, of.core));
+        let trace_ring = backplane.trace_ring(of.address().index());
         trace_ring.begin_life();
         let board = Self {
             of,

@@ -6,7 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
 use tandem_shm::{FitError, broadcast, fifo};
 
-use crate::backplane::{Backplane, RINGS, core_index};
+use crate::backplane::{Backplane, RINGS};
 use crate::clock;
 use crate::wire::{FRAME_WORDS, Origin, Wired};
 
@@ -23,7 +23,7 @@ pub struct HostCan {
 
 impl HostCan {
     pub(crate) fn attach(backplane: Backplane, of: Identity) -> Result<Self, FitError> {
-        let transmit = RINGS.transmit[core_index(of.system, of.core)];
+        let transmit = RINGS.transmit[of.address().index()];
         backplane.set_wakes_on_receive(of.system, of.core, false);
         Ok(Self {
             backplane,

@@ -27,7 +27,7 @@ use tandem_board::{
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
-use crate::backplane::{Backplane, BackplaneError, Place, RINGS, supply_trace_ring};
+use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::board::create_lmu;
 use crate::clock;
@@ -155,7 +155,7 @@ struct Supply<'a> {
     lmu: &'static [AtomicU32],
     ringers: Ringers,
     services: fifo::Consumer<'static>,
-    link: Place,
+    link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
     state: State,
     /// How long the next reset holds the system down.

@@ -1,12 +1,13 @@
 //! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
 
 use tandem_board::{
-    CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
+    Traced,
 };
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
-use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, core_index, supply_trace_ring};
+use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::clock;
 use crate::spawn::Watched;
@@ -71,18 +72,15 @@ impl WorldPort {
         let backplane = Backplane::open(&args.common.run)?;
         wait_until_assembled(backplane)?;
         let mut from_cores = vec![];
-        for system in SystemId::ALL {
-            for core in CoreId::ALL {
-                let index = core_index(system, core);
-                let frames = RINGS.transmit[index];
-                from_cores.push(Node {
-                    system,
-                    core,
-                    frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
-                    trace: Reader::new(backplane.trace_ring(index)),
-                    lost: backplane.lost_trace(system, core),
-                });
-            }
+        for (index, CoreAddress { system, core }) in CoreAddress::ALL.into_iter().enumerate() {
+            let frames = RINGS.transmit[index];
+            from_cores.push(Node {
+                system,
+                core,
+                frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
+                trace: Reader::new(backplane.trace_ring(index)),
+                lost: backplane.lost_trace(system, core),
+            });
         }
         let bus = RINGS.receive;
         Ok(Self {
@@ -301,7 +299,7 @@ mod tests {
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (run, mut world) = world();
-        let ring = RINGS.transmit[core_index(SystemId::A, CoreId::CONTROL)];
+        let ring = RINGS.transmit[CoreAddress::A0.index()];
         let words = world.backplane.ring(ring);
         let mut transmit = fifo::Producer::attach(words, ring.shape).unwrap();
         let mut sent = |world: &mut WorldPort, at: Instant| {

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
-use tandem_exchange::{Item, NO_CORE, PERIOD_NS, core_from, frame_from, frame_words, trace_from};
+use tandem_board::{CanFrame, CoreAddress, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
+use tandem_exchange::{Item, NO_CORE, PERIOD_NS, frame_from, frame_words, trace_from};
 
 use crate::machine::{Machine, MachineError};
 
@@ -197,11 +197,12 @@ impl EmulatedWorld {
     fn take(&mut self, index: usize, item: Item) {
         match item {
             Item::Frame { from, words } => {
-                let (Some((system, core)), Some(received)) = (core_from(from), frame_from(&words))
+                let (Some(sender), Some(received)) =
+                    (CoreAddress::from_index(from), frame_from(&words))
                 else {
                     return;
                 };
-                self.sent.push((system, core, received));
+                self.sent.push((sender.system, sender.core, received));
                 for (other, node) in self.machines.iter_mut().enumerate() {
                     if other != index {
                         node.outgoing.push(item);
@@ -209,7 +210,7 @@ impl EmulatedWorld {
                 }
             }
             Item::Trace { from, words } => {
-                if let Some((system, core)) = core_from(from) {
+                if let Some(CoreAddress { system, core }) = CoreAddress::from_index(from) {
                     let (at, record) = trace_from(words);
                     self.traced.push(Traced {
                         at,

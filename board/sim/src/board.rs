@@ -4,21 +4,21 @@ use crate::blocking::Baton;
 use crate::config::Defect;
 use crate::fabric::LINK_WORDS;
 use crate::flash;
-use crate::machine::{Attention, EventKind, Place, Sender, Shared};
+use crate::machine::{Attention, EventKind, Sender, Shared};
 use crate::watchdog;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus, Generation,
-    Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp,
-    Supply, TraceRecord, Traced, TransmitFull, Wake,
+    Board, Can, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus,
+    Generation, Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest,
+    RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
 
 /// A core's connection to the machine, for one life of the core.
 #[derive(Clone)]
 pub(crate) struct Port {
     pub(crate) shared: Arc<Shared>,
-    pub(crate) place: Place,
+    pub(crate) place: CoreAddress,
     pub(crate) generation: Generation,
     pub(crate) life: u64,
     pub(crate) baton: Option<Arc<Baton>>,
@@ -162,7 +162,7 @@ impl Board for SimBoard {
     type Supply = SimSupply;
 
     fn identity(&self) -> Identity {
-        let Place { system, core } = self.port.place;
+        let CoreAddress { system, core } = self.port.place;
         Identity {
             system,
             core,
@@ -210,7 +210,7 @@ impl Board for SimBoard {
 
     fn trace(&self, record: TraceRecord) {
         self.port.alive(|machine| {
-            let Place { system, core } = self.port.place;
+            let CoreAddress { system, core } = self.port.place;
             if machine.trace.len() < machine.config.trace_records {
                 let at = machine.at();
                 machine.trace.push(Traced {
@@ -228,7 +228,7 @@ impl Board for SimBoard {
 
 impl Can for SimCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
-        let Place { system, core } = self.0.place;
+        let CoreAddress { system, core } = self.0.place;
         self.0
             .alive(|machine| machine.send_can(Sender::Core(system, core), frame));
         Ok(())

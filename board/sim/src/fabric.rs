@@ -1,8 +1,8 @@
 //! What lies between the two systems: lines, data link, CAN bus.
 
 use crate::config::Defect;
-use crate::machine::{Machine, OnBus, Place, Power, Sender, Wire};
-use tandem_board::{CanFrame, CoreId, Edge, Line, LinkFull, Received, SystemId};
+use crate::machine::{Machine, OnBus, Power, Sender, Wire};
+use tandem_board::{CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId};
 
 /// The largest datagram of the link, in words.
 pub(crate) const LINK_WORDS: usize = 64;
@@ -85,7 +85,7 @@ impl Machine {
         };
         self.bus.push(on_bus);
         self.unheard.push(on_bus);
-        for place in Place::all() {
+        for place in CoreAddress::ALL {
             let own = sender == Sender::Core(place.system, place.core);
             let deaf = self.has(Defect::NoBroadcast)
                 && matches!(sender, Sender::Core(system, _) if system != place.system);
@@ -95,7 +95,7 @@ impl Machine {
         }
     }
 
-    fn hear_can(&mut self, place: Place, sender: Sender, frame: &CanFrame) {
+    fn hear_can(&mut self, place: CoreAddress, sender: Sender, frame: &CanFrame) {
         let at = self.local(place.system);
         if self.systems[place.system.index()].is_cut(Wire::Can) || !self.core(place).alive {
             return;
@@ -126,11 +126,11 @@ impl Machine {
         core.pending |= (core.can_wakes && !mute) || eager;
     }
 
-    pub(crate) fn receive_can(&mut self, place: Place) -> Option<Received> {
+    pub(crate) fn receive_can(&mut self, place: CoreAddress) -> Option<Received> {
         self.core(place).can_fifo.pop_front()
     }
 
-    pub(crate) fn wake_on_receive(&mut self, place: Place, on: bool) {
+    pub(crate) fn wake_on_receive(&mut self, place: CoreAddress, on: bool) {
         let mute = self.has(Defect::NoWakeOnReceive);
         let core = self.core(place);
         core.can_wakes = on;

@@ -9,27 +9,12 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp, SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp,
+    SystemId, Traced,
 };
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;
-
-/// A core of a system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Place {
-    pub(crate) system: SystemId,
-    pub(crate) core: CoreId,
-}
-
-impl Place {
-    /// All six, in a fixed order.
-    pub(crate) fn all() -> impl Iterator<Item = Self> {
-        SystemId::ALL
-            .into_iter()
-            .flat_map(|system| CoreId::ALL.map(|core| Self { system, core }))
-    }
-}
 
 /// Who put a frame on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -273,7 +258,7 @@ impl Shared {
             events: Vec::new(),
             noise: ChaCha8Rng::seed_from_u64(config.seed),
         };
-        let lmus = Place::all().map(|_| lmu()).collect();
+        let lmus = CoreAddress::ALL.map(|_| lmu()).into();
         Self {
             config,
             lmus,
@@ -290,7 +275,7 @@ impl Shared {
         self.config.defect == Some(defect)
     }
 
-    pub(crate) fn lmu(&self, place: Place) -> &[AtomicU32] {
+    pub(crate) fn lmu(&self, place: CoreAddress) -> &[AtomicU32] {
         let system = if self.has(Defect::OneLmu) {
             SystemId::A
         } else {
@@ -301,7 +286,7 @@ impl Shared {
         } else {
             CoreId::CONTROL
         };
-        let words = &self.lmus[system.index() * CoreId::COUNT + core.index()];
+        let words = &self.lmus[CoreAddress { system, core }.index()];
         &words[words.as_ptr().align_offset(LINE_BYTES)..][..LMU_WORDS]
     }
 
@@ -311,7 +296,7 @@ impl Shared {
             return;
         }
         for core in CoreId::ALL {
-            for (index, word) in self.lmu(Place { system, core }).iter().enumerate() {
+            for (index, word) in self.lmu(CoreAddress { system, core }).iter().enumerate() {
                 let dirt = u32::from(self.has(Defect::DirtyLmu) && index == LMU_WORDS - 7);
                 // Relaxed: the lock orders it before the start of the cores.
                 word.store(dirt, Ordering::Relaxed);
@@ -330,7 +315,7 @@ impl Machine {
         Instant::from_ns(self.now_ns)
     }
 
-    pub(crate) fn core(&mut self, place: Place) -> &mut Core {
+    pub(crate) fn core(&mut self, place: CoreAddress) -> &mut Core {
         &mut self.systems[place.system.index()].cores[place.core.index()]
     }
 
@@ -344,7 +329,7 @@ impl Machine {
     }
 
     /// The time as a core sees it, with the defects of its clock.
-    pub(crate) fn look(&mut self, place: Place) -> Instant {
+    pub(crate) fn look(&mut self, place: CoreAddress) -> Instant {
         let now = self.local(place.system);
         let defect = self.config.defect;
         let core = self.core(place);
@@ -362,14 +347,14 @@ impl Machine {
         self.events.push(Event { at, system, kind });
     }
 
-    pub(crate) fn raise(&mut self, place: Place) {
+    pub(crate) fn raise(&mut self, place: CoreAddress) {
         let core = self.core(place);
         core.pending = core.alive;
     }
 
     /// Interrupts core 0 of the other system.
     pub(crate) fn raise_peer(&mut self, system: SystemId) {
-        self.raise(Place {
+        self.raise(CoreAddress {
             system: system.peer(),
             core: CoreId::CONTROL,
         });
@@ -380,7 +365,7 @@ impl Machine {
             true => CoreId::ALL[(to.index() + 1) % CoreId::COUNT],
             false => to,
         };
-        let place = Place { system, core };
+        let place = CoreAddress { system, core };
         if self.has(Defect::LostRing) && self.core(place).attention == Attention::Runs {
             return;
         }

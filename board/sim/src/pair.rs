@@ -2,14 +2,16 @@
 
 use crate::board::{Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, Event, OnBus, Place, Power, Sender, Shared, Wire};
+use crate::machine::{Attention, Event, OnBus, Power, Sender, Shared, Wire};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
-use tandem_board::{CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced};
+use tandem_board::{
+    CoreAddress, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced,
+};
 
 /// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
 /// on its system's clock.
@@ -74,10 +76,10 @@ impl SimPair {
     /// The board of a core in its present life.
     #[must_use]
     pub fn board(&self, system: SystemId, core: CoreId) -> SimBoard {
-        self.board_at(Place { system, core })
+        self.board_at(CoreAddress { system, core })
     }
 
-    fn board_at(&self, place: Place) -> SimBoard {
+    fn board_at(&self, place: CoreAddress) -> SimBoard {
         let mut machine = self.shared.lock();
         let core = machine.core(place);
         let (generation, life) = (Generation(core.generation), core.life);
@@ -202,7 +204,7 @@ impl SimPair {
 
     /// Ends the code of cores whose life is over, and makes the code of those that began one.
     fn follow_lives(&mut self) {
-        for place in Place::all() {
+        for place in CoreAddress::ALL {
             let (alive, life) = {
                 let mut machine = self.shared.lock();
                 let core = machine.core(place);
@@ -224,15 +226,16 @@ impl SimPair {
         }
     }
 
-    fn due(&self) -> Vec<Place> {
+    fn due(&self) -> Vec<CoreAddress> {
         let mut machine = self.shared.lock();
         let now_ns = machine.now_ns;
-        Place::all()
+        CoreAddress::ALL
+            .into_iter()
             .filter(|place| machine.core(*place).is_due(now_ns))
             .collect()
     }
 
-    fn poll(&mut self, place: Place) {
+    fn poll(&mut self, place: CoreAddress) {
         let slot = &mut self.cores[place.system.index()][place.core.index()];
         let Some(running) = slot else { return };
         {
@@ -283,13 +286,15 @@ impl SimPair {
 
     /// A core dies and stays dead; nobody is told.
     pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
-        self.shared.lock().kill_core(Place { system, core });
+        self.shared.lock().kill_core(CoreAddress { system, core });
         self.follow_lives();
     }
 
     /// A single core begins its next life; the LMU keeps its content.
     pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
-        self.shared.lock().restart_core(Place { system, core });
+        self.shared
+            .lock()
+            .restart_core(CoreAddress { system, core });
         self.follow_lives();
     }
 
@@ -297,7 +302,7 @@ impl SimPair {
     pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
         let mut machine = self.shared.lock();
         let thaws = (machine.at() + span).as_ns();
-        machine.core(Place { system, core }).frozen_until_ns = thaws;
+        machine.core(CoreAddress { system, core }).frozen_until_ns = thaws;
     }
 
     /// All cores of a system do nothing for a span of virtual time; the supply goes on.
@@ -343,7 +348,7 @@ impl SimPair {
     /// The LMU of a system.
     #[must_use]
     pub fn lmu(&self, system: SystemId) -> &[AtomicU32] {
-        self.shared.lmu(Place {
+        self.shared.lmu(CoreAddress {
             system,
             core: CoreId::CONTROL,
         })

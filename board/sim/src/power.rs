@@ -2,10 +2,10 @@
 
 use crate::config::Defect;
 use crate::flash::{Flash, PAGE_BYTES};
-use crate::machine::{Core, EventKind, Machine, Place, Power, Wire};
+use crate::machine::{Core, EventKind, Machine, Power, Wire};
 use crate::watchdog::{Service, Watchdog};
 use tandem_board::{
-    CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
+    CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
 
 impl Machine {
@@ -98,14 +98,14 @@ impl Machine {
         }
     }
 
-    pub(crate) fn kill_core(&mut self, place: Place) {
+    pub(crate) fn kill_core(&mut self, place: CoreAddress) {
         if self.core(place).alive {
             self.core(place).alive = false;
             self.log(place.system, EventKind::CoreDied(place.core));
         }
     }
 
-    pub(crate) fn restart_core(&mut self, place: Place) {
+    pub(crate) fn restart_core(&mut self, place: CoreAddress) {
         if self.is_powered(place.system) {
             let now_ns = self.now_ns;
             let core = self.core(place);
@@ -114,7 +114,7 @@ impl Machine {
         }
     }
 
-    pub(crate) fn request_reset(&mut self, place: Place, request: ResetRequest) {
+    pub(crate) fn request_reset(&mut self, place: CoreAddress, request: ResetRequest) {
         self.system(place.system).request.get_or_insert(request);
         self.log(place.system, EventKind::Requested(place.core, request));
     }

@@ -4,9 +4,9 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::sync::{Arc, Mutex};
-use tandem_board::{Board, Duration, Identity, Instant, SystemId};
+use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
-    Case, Failure, Outcome, Part, Place, Rig, Setting, Summary, cases, run_all,
+    Case, Failure, Outcome, Part, Rig, Setting, Summary, cases, run_all,
 };
 use tandem_board_sim::{Config, Defect, EventKind, Order, SimBoard, SimPair, blocking};
 
@@ -21,7 +21,7 @@ struct SimRig {
 /// How a role did not pass.
 #[derive(Debug, PartialEq)]
 enum Fault {
-    Failed(Place, Failure),
+    Failed(CoreAddress, Failure),
     Hung,
     Reset(SystemId),
 }
@@ -39,8 +39,9 @@ impl fmt::Display for Fault {
 type Results = Arc<Mutex<Vec<Option<Result<(), Failure>>>>>;
 
 fn part_of(identity: Identity, parts: &[Part<SimBoard>]) -> Option<usize> {
-    let is = |place: Place| place.system == identity.system && place.core == identity.core;
-    parts.iter().position(|part| is(part.place))
+    parts
+        .iter()
+        .position(|part| part.place == identity.address())
 }
 
 impl Rig for SimRig {

@@ -13,7 +13,7 @@
 
 pub mod outputs;
 
-use tandem_board::{CanFrame, CanId, CoreId, Instant, Received, SystemId, TraceRecord};
+use tandem_board::{CanFrame, CanId, Instant, Received, SystemId, TraceRecord};
 
 /// Virtual time from one exchange to the next, ns.
 pub const PERIOD_NS: u64 = 1_000_000;
@@ -38,29 +38,13 @@ pub const ANSWER_WORDS: usize = 2;
 const EXTENDED: u32 = 1 << 31;
 const FD: u32 = 1 << 30;
 
-/// The number of a core among all, 0 ..= 5, as items name it.
-#[must_use]
-pub const fn core_number(system: SystemId, core: CoreId) -> usize {
-    system.index() * CoreId::COUNT + core.index()
-}
-
-/// The inverse of [`core_number`].
-#[must_use]
-pub const fn core_from(number: usize) -> Option<(SystemId, CoreId)> {
-    let core = CoreId::new((number % CoreId::COUNT) as u8);
-    match (SystemId::from_index(number / CoreId::COUNT), core) {
-        (Some(system), Some(core)) => Some((system, core)),
-        _ => None,
-    }
-}
-
 /// Who sent a frame that no core sent.
 pub const NO_CORE: usize = 0xFF;
 
 /// One thing that happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
-    /// A frame on the bus, by this core or [`NO_CORE`].
+    /// A frame on the bus, by this core (its [`tandem_board::CoreAddress::index`]) or [`NO_CORE`].
     Frame {
         /// The sender.
         from: usize,

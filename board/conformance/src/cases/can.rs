@@ -1,9 +1,9 @@
 //! The CAN controller and the bus.
 
-use crate::case::{Failure, Place, check, equal, fail};
+use crate::case::{Failure, check, equal, fail};
 use crate::meet::{PATIENCE, SETTLE, meet, meet_all, sleep, sleep_until, woken_until, word};
 use core::sync::atomic::Ordering;
-use tandem_board::{Board, Can, CanFrame, CanId, CoreId, Duration, Received, Wake};
+use tandem_board::{Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, Received, Wake};
 
 const HERE: &[CoreId] = &[CoreId::CONTROL, CoreId::PERCEPTION];
 const PAUSE: Duration = Duration::from_ms(1);
@@ -66,7 +66,7 @@ fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
 
 const ORDERED: u32 = 200;
 
-pub(super) fn order_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_all(board, HERE, 1)?;
     for number in 0..ORDERED {
         send(board, &numbered(0xA0, number)?)?;
@@ -78,7 +78,7 @@ pub(super) fn order_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure>
 }
 
 /// Every other core, in both systems, hears the frames in order, each with its time.
-pub(super) fn order_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let begin = board.now();
     meet_all(board, HERE, 1)?;
     let mut last_at = begin;
@@ -106,7 +106,7 @@ pub(super) fn order_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failur
 const CHATTER: u32 = 60;
 
 /// Core 0 of both systems sends at the same time.
-pub(super) fn chatter<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     meet_all(board, HERE, 1)?;
     for number in 0..CHATTER {
         send(board, &numbered(place.system.index() as u8, number)?)?;
@@ -118,7 +118,7 @@ pub(super) fn chatter<B: Board>(board: &B, place: Place) -> Result<(), Failure> 
 }
 
 /// Core 1 of both systems hears both senders, and in the same order: they compare what they heard.
-pub(super) fn listener<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     meet_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];
     let mut heard = 0x811C_9DC5_u32;
@@ -144,7 +144,7 @@ pub(super) fn listener<B: Board>(board: &B, place: Place) -> Result<(), Failure>
     meet_all(board, HERE, 3)
 }
 
-pub(super) fn lonely_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     for number in 0..5 {
         send(board, &numbered(0xA0, number)?)?;
@@ -158,7 +158,7 @@ pub(super) fn lonely_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure
 }
 
 /// Proves to the sender that its frames have been on the bus.
-pub(super) fn witness<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     for _ in 0..5 {
         receive(board)?;
@@ -189,7 +189,7 @@ fn payloads() -> impl Iterator<Item = CanFrame> {
         })
 }
 
-pub(super) fn payload_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     for frame in payloads() {
         send(board, &frame)?;
@@ -198,7 +198,7 @@ pub(super) fn payload_sender<B: Board>(board: &B, _: Place) -> Result<(), Failur
     Ok(())
 }
 
-pub(super) fn payload_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     for expected in payloads() {
         let Received { frame, .. } = receive(board)?;
@@ -220,7 +220,7 @@ pub(super) fn payload_receiver<B: Board>(board: &B, _: Place) -> Result<(), Fail
 const WAKES: u32 = 10;
 
 /// Sends when the receiver sleeps.
-pub(super) fn paced_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn paced_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for number in 1..=WAKES {
         let ready = || word(board, 0).load(Ordering::Acquire) >= number;
         sleep_until(board, "the receiver goes to sleep", ready)?;
@@ -232,7 +232,7 @@ pub(super) fn paced_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure>
     Ok(())
 }
 
-pub(super) fn woken_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     board.can().wake_on_receive(true);
     for number in 1..=WAKES {
         word(board, 0).store(number, Ordering::Release);
@@ -248,7 +248,7 @@ pub(super) fn woken_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failur
 }
 
 /// Sends until the other core has seen enough.
-pub(super) fn steady_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     let mut number = 0;
     let limit = board.now() + PATIENCE;
@@ -262,7 +262,7 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure
 }
 
 /// Interrupts may be spurious, but not in every one of many waits.
-pub(super) fn deaf_sleeper<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     let mut quiet = 0_u32;
     for _ in 0..20 {
@@ -281,7 +281,7 @@ const QUIET: Duration = Duration::from_ms(1_000);
 /// More than any receive FIFO holds.
 const FLOOD: u32 = 6_000;
 
-pub(super) fn flood<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, HERE, 1)?;
     for number in 0..FLOOD {
         send(board, &numbered(0xA0, number)?)?;
@@ -292,7 +292,7 @@ pub(super) fn flood<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// Fetches nothing until all has been sent; what it then gets and what was lost make the whole.
-pub(super) fn late_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let before = board.can().overruns();
     meet(board, HERE, 1)?;
     sleep_until(board, "the flood ends", || {

@@ -1,11 +1,11 @@
 //! The clock, and `wait` as far as it is about time.
 
-use crate::case::{Failure, Place, check};
+use crate::case::{Failure, check};
 use crate::meet::{SETTLE, meet, spin_until, word};
 use core::sync::atomic::Ordering;
-use tandem_board::{Board, CoreId, Duration, Instant, Wake};
+use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, Wake};
 
-pub(super) fn monotonic<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn monotonic<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let mut last = board.now();
     let first = last;
     for _ in 0..500 {
@@ -17,7 +17,7 @@ pub(super) fn monotonic<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     check(board.now() > first, "the clock goes on")
 }
 
-pub(super) fn deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for span_us in [0, 1, 100, 1_000, 5_000, 20_000] {
         for _ in 0..3 {
             let end = board.now() + Duration::from_us(span_us);
@@ -32,7 +32,7 @@ pub(super) fn deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     Ok(())
 }
 
-pub(super) fn past_deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for end in [Instant::ORIGIN, board.now()] {
         let mut interrupts = 0;
         while board.wait(end) == Wake::Interrupt {
@@ -47,7 +47,7 @@ pub(super) fn past_deadline<B: Board>(board: &B, _: Place) -> Result<(), Failure
 }
 
 /// Two cores hand a time to and fro; each sees it as past.
-pub(super) fn shared<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let own_turn = place.core.index() as u32;
     for turn in 0..20 {

@@ -1,14 +1,14 @@
 //! The doorbells: rings wake, are merged, and are never lost.
 
-use crate::case::{Failure, Place, check, equal};
+use crate::case::{Failure, check, equal};
 use crate::meet::{PATIENCE, SETTLE, meet, sleep, sleep_until, spin_until, woken_until, word};
 use core::sync::atomic::Ordering;
-use tandem_board::{Board, CoreId, Duration, Wake};
+use tandem_board::{Board, CoreAddress, CoreId, Duration, Wake};
 
 const ROUNDS: u32 = 10;
 
 /// Rings while the other core is awake.
-pub(super) fn early_ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core gets ready for a ring", ready)?;
@@ -20,7 +20,7 @@ pub(super) fn early_ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure>
 }
 
 /// Begins to wait when the ring has been.
-pub(super) fn late_waiter<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
         // Consumes whatever is pending, so that the next interrupt can only be the ring.
         sleep(board, Duration::from_ms(2))?;
@@ -34,7 +34,7 @@ pub(super) fn late_waiter<B: Board>(board: &B, _: Place) -> Result<(), Failure> 
 }
 
 /// Writes, then rings a core that sleeps.
-pub(super) fn ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core goes to sleep", ready)?;
@@ -46,7 +46,7 @@ pub(super) fn ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     Ok(())
 }
 
-pub(super) fn sleeper<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
         word(board, 0).store(round, Ordering::Release);
         woken_until(
@@ -61,7 +61,7 @@ pub(super) fn sleeper<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 const HASTY_ROUNDS: u32 = 1_000;
 
 /// Writes and rings without a pause.
-pub(super) fn hasty_ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     for value in 1..=HASTY_ROUNDS {
         word(board, 0).store(value, Ordering::Relaxed);
@@ -73,7 +73,7 @@ pub(super) fn hasty_ringer<B: Board>(board: &B, _: Place) -> Result<(), Failure>
     Ok(())
 }
 
-pub(super) fn last_value<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let mut wakes = 0_u32;
     woken_until(board, "the last of many rings is not lost", || {
@@ -88,7 +88,7 @@ pub(super) fn last_value<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// A token goes round, forwards and backwards: every core rings every other one.
-pub(super) fn relay<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const LAPS: u32 = 4;
     let token = word(board, 0);
     let cores = CoreId::COUNT as u32;
@@ -107,7 +107,7 @@ pub(super) fn relay<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
     Ok(())
 }
 
-pub(super) fn own<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn own<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     for _ in 0..ROUNDS {
         sleep(board, Duration::from_ms(1))?;
         board.ring(place.core);
@@ -118,7 +118,7 @@ pub(super) fn own<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
 }
 
 /// The other cores of this system have never started.
-pub(super) fn absent<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn absent<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for _ in 0..100 {
         board.ring(CoreId::PERCEPTION);
         board.ring(CoreId::PLANNING);

@@ -1,8 +1,8 @@
 //! The data flash.
 
-use crate::case::{Failure, Place, check, equal, fail};
+use crate::case::{Failure, check, equal, fail};
 use crate::meet::{PATIENCE, sleep, sleep_until};
-use tandem_board::{Board, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
+use tandem_board::{Board, CoreAddress, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
 
 /// Room for the largest page that the suite programs.
 const PAGE: usize = 64;
@@ -76,7 +76,7 @@ fn holds<B: Board>(board: &B, offset: u32, expected: &[u8]) -> Result<(), Failur
     Ok(())
 }
 
-pub(super) fn erase_program<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn erase_program<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
     let last = sector_bytes / page_bytes - 1;
     check(B::Flash::SECTORS >= 2, "the flash has two sectors at least")?;
@@ -105,7 +105,7 @@ pub(super) fn erase_program<B: Board>(board: &B, _: Place) -> Result<(), Failure
 }
 
 /// What is not a whole page inside the flash is refused, and changes nothing.
-pub(super) fn ranges<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
     let size = sector_bytes * B::Flash::SECTORS;
     erase(board, 0)?;
@@ -153,7 +153,7 @@ pub(super) fn ranges<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// Starts a page while the one before may still be under way: both are programmed in the end.
-pub(super) fn one_at_a_time<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     erase(board, 0)?;
     for number in 0..16 {
@@ -181,7 +181,7 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: Place) -> Result<(), Failure
 }
 
 /// First life: programs a page and asks for a reset. Second life: reads it.
-pub(super) fn durable<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page = &data(7)[..B::Flash::PAGE_BYTES as usize];
     let offset = B::Flash::SECTOR_BYTES;
     if board.identity().generation.0 == 1 {

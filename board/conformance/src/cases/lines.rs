@@ -1,8 +1,8 @@
 //! The lines between the systems.
 
-use crate::case::{Failure, Place, equal};
+use crate::case::{Failure, equal};
 use crate::meet::{SETTLE, meet_peer, sleep, sleep_until, woken_until};
-use tandem_board::{Board, Duration, Edge, Line, Lines, SystemId};
+use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
 /// How many rising edges a system sends on a line; it ends low or high.
 fn rising(system: SystemId, line: Line) -> u32 {
@@ -15,7 +15,7 @@ fn falling(system: SystemId, line: Line) -> u32 {
 }
 
 /// Both systems send a number of edges of their own on each line; both count all of the other's.
-pub(super) fn counter<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let lines = board.lines();
     for line in Line::ALL {
         for edge in 0..rising(place.system, line) + falling(place.system, line) {
@@ -56,7 +56,7 @@ pub(super) fn counter<B: Board>(board: &B, place: Place) -> Result<(), Failure> 
 const STARTS: u32 = 6;
 
 /// Sends an edge on the start line whenever the other system says that it sleeps.
-pub(super) fn starter<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 0..STARTS {
         meet_peer(board, round + 1)?;
         sleep(board, Duration::from_ms(5))?;
@@ -72,7 +72,7 @@ pub(super) fn starter<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     Ok(())
 }
 
-pub(super) fn started<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let lines = board.lines();
     for round in 0..STARTS {
         meet_peer(board, round + 1)?;
@@ -93,7 +93,7 @@ pub(super) fn started<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
     )
 }
 
-pub(super) fn level<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn level<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_peer(board, 1)?;
     for _ in 0..10 {
         let high = board.lines().peer_powered();

@@ -1,8 +1,8 @@
 //! The data link between the systems.
 
-use crate::case::{Failure, Place, check, equal};
+use crate::case::{Failure, check, equal};
 use crate::meet::{SETTLE, meet_peer, sleep, sleep_until};
-use tandem_board::{Board, Link};
+use tandem_board::{Board, CoreAddress, Link};
 
 /// Beyond what any board's link can carry at once; the cases need no more.
 const WORDS: usize = 256;
@@ -57,7 +57,7 @@ fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, Failure>
 }
 
 /// Both systems send and receive at the same time.
-pub(super) fn order<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const DATAGRAMS: u32 = 300;
     let own = place.system.index();
     let peer = place.system.peer().index();
@@ -86,7 +86,7 @@ pub(super) fn order<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
 }
 
 /// Sends until there is no room, while the other system fetches nothing.
-pub(super) fn filler<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const MANY: u32 = 100_000;
     meet_peer(board, 1)?;
     let mut sent = 0;
@@ -102,7 +102,7 @@ pub(super) fn filler<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
     })
 }
 
-pub(super) fn drainer<B: Board>(board: &B, place: Place) -> Result<(), Failure> {
+pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let peer = place.system.peer().index();
     meet_peer(board, 1)?;
     meet_peer(board, 2)?;
@@ -134,7 +134,7 @@ pub(super) fn drainer<B: Board>(board: &B, place: Place) -> Result<(), Failure> 
     )
 }
 
-pub(super) fn long_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_peer(board, 1)?;
     for base in [10, 20] {
         let words: [u32; 8] = core::array::from_fn(|index| base + index as u32);
@@ -146,7 +146,7 @@ pub(super) fn long_sender<B: Board>(board: &B, _: Place) -> Result<(), Failure> 
 }
 
 /// Fetches the first datagram into a buffer that is too short.
-pub(super) fn short_receiver<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn short_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_peer(board, 1)?;
     let mut short = [0; 3];
     sleep_until(board, "a datagram comes", || {

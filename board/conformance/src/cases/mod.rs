@@ -9,10 +9,9 @@ mod link;
 mod lmu;
 mod supply;
 
-use crate::case::{Case, Part, Place, Setting};
-use tandem_board::Board;
+use crate::case::{Case, Part, Setting};
+use tandem_board::{Board, CoreAddress};
 
-use Place as P;
 use Setting::{Plain, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
@@ -24,7 +23,7 @@ macro_rules! case {
         Case {
             name: $name,
             setting: $setting,
-            parts: const { &[$(Part { place: P::$place, role: $role }),+] },
+            parts: const { &[$(Part { place: CoreAddress::$place, role: $role }),+] },
         }
     };
 }

@@ -1,9 +1,10 @@
 //! The supply with its watchdogs and reset causes, the trace and the lamp.
 
-use crate::case::{Failure, Place, check, equal, fail};
+use crate::case::{Failure, check, equal, fail};
 use crate::meet::{PATIENCE, meet_peer, sleep, woken_until};
 use tandem_board::{
-    Board, Duration, Lines, ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer,
+    Board, CoreAddress, Duration, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
+    watchdog_answer,
 };
 
 /// The middle of the window, counted from a service.
@@ -18,7 +19,7 @@ fn serve<B: Board>(board: &B) {
 }
 
 /// Every service comes in the middle of the window with the right answer: no reset.
-pub(super) fn good_service<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const ROUNDS: u32 = 20;
     let cause = board.supply().reset_cause();
     check(
@@ -81,7 +82,7 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
 }
 
 /// First life: a wrong answer. Second life: that was the cause.
-pub(super) fn wrong_answer<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         serve(board);
         sleep(board, middle::<B::Supply>())?;
@@ -94,7 +95,7 @@ pub(super) fn wrong_answer<B: Board>(board: &B, _: Place) -> Result<(), Failure>
 }
 
 /// First life: a right answer before the window opens.
-pub(super) fn early<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         check(
             B::Supply::WINDOW_OPENS_US > 0,
@@ -109,7 +110,7 @@ pub(super) fn early<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// First life: one service, and no second.
-pub(super) fn late<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         serve(board);
         return expect_reset(board, "no service in the window resets the system");
@@ -118,7 +119,7 @@ pub(super) fn late<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// First life: no service at all.
-pub(super) fn never<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         return expect_reset(board, "no first service resets the system");
     }
@@ -126,7 +127,7 @@ pub(super) fn never<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// First life: asks for a reset.
-pub(super) fn software_reset<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         board.supply().request_reset(ResetRequest::Software);
         return expect_reset(board, "a reset that was asked for comes");
@@ -135,7 +136,7 @@ pub(super) fn software_reset<B: Board>(board: &B, _: Place) -> Result<(), Failur
 }
 
 /// First life: reports a dead core of its system.
-pub(super) fn reports_core_dead<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         board.supply().request_reset(ResetRequest::CoreDead);
         return expect_reset(board, "a report of a dead core resets the system");
@@ -144,7 +145,7 @@ pub(super) fn reports_core_dead<B: Board>(board: &B, _: Place) -> Result<(), Fai
 }
 
 /// A core of a system that another core of it lets reset.
-pub(super) fn bystander<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
     }
@@ -156,7 +157,7 @@ pub(super) fn bystander<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// Asks to be held in reset, when the other system watches.
-pub(super) fn suspends<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_peer(board, 1)?;
     sleep(board, Duration::from_ms(5))?;
     board.supply().request_reset(ResetRequest::Suspend);
@@ -164,7 +165,7 @@ pub(super) fn suspends<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// Is woken by the level line of the other system.
-pub(super) fn sees_low<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     meet_peer(board, 1)?;
     let lines = board.lines();
     woken_until(board, "a fall of the level line interrupts core 0", || {
@@ -178,7 +179,7 @@ pub(super) fn sees_low<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
 }
 
 /// More records than a trace may hold, and every lamp: neither blocks.
-pub(super) fn trace_and_lamp<B: Board>(board: &B, _: Place) -> Result<(), Failure> {
+pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for number in 0..100_000 {
         board.trace([number, 0, 0, u32::MAX]);
     }

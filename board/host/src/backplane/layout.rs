@@ -1,16 +1,14 @@
 //! Where everything lies in the backplane, in words.
 
-use tandem_board::{CoreId, Edge, Line, SystemId};
+use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::{trace_ring, wire};
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
-/// Both systems' cores.
-const CORES: usize = 2 * CoreId::COUNT;
 /// Who writes a trace: the cores and the supplies.
-const TAPES: usize = CORES + 2;
+const TAPES: usize = CoreAddress::COUNT + 2;
 
 /// Registers of the run.
 #[derive(Clone, Copy)]
@@ -51,7 +49,7 @@ const SYSTEM_WORDS: usize = 2 * LINE;
 const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
 const CORE_WORDS: usize = 2 * LINE;
 /// Three lines, two edges: by the sender; then the receiver's baseline.
-const EDGES_AT: usize = CORES_AT + CORES * CORE_WORDS;
+const EDGES_AT: usize = CORES_AT + CoreAddress::COUNT * CORE_WORDS;
 const EDGE_WORDS: usize = LINE;
 const RINGS_AT: usize = EDGES_AT + 4 * EDGE_WORDS;
 
@@ -64,7 +62,7 @@ pub(super) const fn system(system: SystemId, register: System) -> usize {
 }
 
 pub(super) const fn core(system: SystemId, core: CoreId, register: Core) -> usize {
-    CORES_AT + core_index(system, core) * CORE_WORDS + register as usize
+    CORES_AT + CoreAddress::new(system, core).index() * CORE_WORDS + register as usize
 }
 
 pub(super) const fn edge(from: SystemId, line: Line, edge: Edge) -> usize {
@@ -75,19 +73,14 @@ pub(super) const fn edge_baseline(by: SystemId, line: Line, edge_type: Edge) -> 
     2 * EDGE_WORDS + edge(by, line, edge_type)
 }
 
-/// 0 ..= 5 over both systems.
-pub(crate) const fn core_index(system: SystemId, core: CoreId) -> usize {
-    system.index() * CoreId::COUNT + core.index()
-}
-
 /// Index of a supply's trace.
 pub(crate) const fn supply_trace_ring(system: SystemId) -> usize {
-    CORES + system.index()
+    CoreAddress::COUNT + system.index()
 }
 
 /// A ring in the backplane.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place {
+pub(crate) struct Ring {
     /// First word.
     pub(crate) at: usize,
     /// Number of words.
@@ -100,15 +93,15 @@ pub(crate) struct Place {
 #[derive(Debug)]
 pub(crate) struct Rings {
     /// From each core to the bus.
-    pub(crate) transmit: [Place; CORES],
+    pub(crate) transmit: [Ring; CoreAddress::COUNT],
     /// From the bus to all cores.
-    pub(crate) receive: Place,
+    pub(crate) receive: Ring,
     /// Out of each system.
-    pub(crate) link: [Place; 2],
+    pub(crate) link: [Ring; 2],
     /// Watchdog services of each system.
-    pub(crate) service: [Place; 2],
+    pub(crate) service: [Ring; 2],
     /// Trace of each core, then of each supply.
-    pub(crate) trace: [Place; TAPES],
+    pub(crate) trace: [Ring; TAPES],
 }
 
 /// Frames that wait for the bus, which fetches them every millisecond.
@@ -126,18 +119,18 @@ pub(crate) const RINGS: Rings = RINGS_AND_END.0;
 pub(super) const WORDS: usize = RINGS_AND_END.1;
 
 const RINGS_AND_END: (Rings, usize) = {
-    const fn end(place: Place) -> usize {
+    const fn end(place: Ring) -> usize {
         (place.at + place.words).next_multiple_of(LINE)
     }
-    const fn fifo_at(at: usize, shape: Shape) -> Place {
-        Place {
+    const fn fifo_at(at: usize, shape: Shape) -> Ring {
+        Ring {
             at,
             words: fifo::words(shape),
             shape,
         }
     }
-    const fn broadcast_at(at: usize, shape: Shape) -> Place {
-        Place {
+    const fn broadcast_at(at: usize, shape: Shape) -> Ring {
+        Ring {
             at,
             words: broadcast::words(shape),
             shape,
@@ -145,14 +138,14 @@ const RINGS_AND_END: (Rings, usize) = {
     }
     let receive = broadcast_at(RINGS_AT, RECEIVE);
     let mut at = end(receive);
-    let nothing = Place {
+    let nothing = Ring {
         at,
         words: 0,
         shape: LINK,
     };
-    let mut transmit = [nothing; CORES];
+    let mut transmit = [nothing; CoreAddress::COUNT];
     let mut n = 0;
-    while n < CORES {
+    while n < CoreAddress::COUNT {
         transmit[n] = fifo_at(at, TRANSMIT);
         at = end(transmit[n]);
         n += 1;
@@ -160,8 +153,8 @@ const RINGS_AND_END: (Rings, usize) = {
     let mut trace = [nothing; TAPES];
     let mut n = 0;
     while n < TAPES {
-        // Its slots are the trace_ring's own business.
-        trace[n] = Place {
+        // Its slots are the trace ring's own business.
+        trace[n] = Ring {
             at,
             words: trace_ring::WORDS,
             shape: LINK,

@@ -16,7 +16,7 @@ use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
 use layout::{Core, Run, System, WORDS};
-pub(crate) use layout::{Place, RINGS, core_index, supply_trace_ring};
+pub(crate) use layout::{RINGS, Ring, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
 const MAGIC: u32 = 0x5444_4D01;
@@ -114,13 +114,13 @@ impl Backplane {
         &self.words[layout::core(system, core, register)]
     }
 
-    /// The trace of a core by [`core_index`], or of a supply by [`supply_trace_ring`].
+    /// The trace of a core by its index among all, or of a supply by [`supply_trace_ring`].
     pub(crate) fn trace_ring(self, index: usize) -> TraceRing {
         TraceRing::new(self.ring(RINGS.trace[index]))
     }
 
     /// The words of a ring.
-    pub(crate) fn ring(self, place: Place) -> &'static [AtomicU32] {
+    pub(crate) fn ring(self, place: Ring) -> &'static [AtomicU32] {
         &self.words[place.at..place.at + place.words]
     }
 }

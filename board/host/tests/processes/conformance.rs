@@ -44,10 +44,10 @@ pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
         return false;
     };
     let me = args.identity;
-    let is_mine = |part: &suite::Part<HostBoard>| {
-        part.place.system == me.system && part.place.core == me.core
-    };
-    let part = case.parts.iter().position(is_mine);
+    let part = case
+        .parts
+        .iter()
+        .position(|part| part.place == me.address());
     // Cores without a part are absent, but a system without its core 0 would be reset.
     if part.is_none() && me.core != CoreId::CONTROL {
         return true;

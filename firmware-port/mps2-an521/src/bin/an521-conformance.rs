@@ -51,10 +51,7 @@ fn main(own: usize) -> ! {
         }
         rest()
     }
-    let cast: Cast = core::array::from_fn(|part| {
-        let place = case.parts.get(part)?.place;
-        Some((place.system, place.core))
-    });
+    let cast: Cast = core::array::from_fn(|part| Some(case.parts.get(part)?.place));
     let Some(board) = An521Board::new(cast) else {
         rest()
     };

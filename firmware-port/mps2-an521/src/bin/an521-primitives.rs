@@ -7,7 +7,7 @@
 #![deny(unsafe_code)]
 
 use core::sync::atomic::{AtomicU32, Ordering};
-use tandem_board::{Board, CoreId, Duration, SystemId};
+use tandem_board::{Board, CoreAddress, CoreId, Duration};
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log, memory};
 use tandem_shm::life::Life;
@@ -59,7 +59,7 @@ fn meet(own: usize, step: u32) {
 }
 
 fn main(own: usize) -> ! {
-    let cast = [0, 1].map(|core| Some((SystemId::A, CoreId::ALL[core])));
+    let cast = [Some(CoreAddress::A0), Some(CoreAddress::A1)];
     let Some(board) = An521Board::new(cast) else {
         exit::exit(1)
     };

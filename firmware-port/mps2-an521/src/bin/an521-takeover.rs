@@ -10,7 +10,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Lines, ResetCause, SystemId,
+    Board, Can, CanFrame, CanId, CoreAddress, Duration, Instant, Lines, ResetCause, SystemId,
 };
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{cpu, entry, exit, log};
@@ -30,7 +30,7 @@ const LIMIT: Duration = Duration::from_ms(3_000);
 static DIED_US: AtomicU32 = AtomicU32::new(0);
 
 fn main(own: usize) -> ! {
-    let cast = SystemId::ALL.map(|system| Some((system, CoreId::CONTROL)));
+    let cast = [Some(CoreAddress::A0), Some(CoreAddress::B0)];
     let Some(board) = An521Board::new(cast) else {
         exit::exit(1)
     };

@@ -11,16 +11,17 @@ use crate::mhu::{self, Unit};
 use core::cell::Cell;
 use core::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, CoreId, DataFlash, FlashError, FlashStatus, Generation, Identity, Instant, ResetCause,
-    ResetRequest, RoleLamp, Supply, SystemId, TraceRecord, Wake,
+    Board, CoreAddress, CoreId, DataFlash, FlashError, FlashStatus, Generation, Identity, Instant,
+    ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TraceRecord, Wake,
 };
 
 /// Which core each processor plays; `None` if it plays none.
-pub type Cast = [Option<(SystemId, CoreId)>; CPUS];
+pub type Cast = [Option<CoreAddress>; CPUS];
 
 /// Which processor plays this core.
 fn player(cast: &Cast, system: SystemId, core: CoreId) -> Option<usize> {
-    cast.iter().position(|part| *part == Some((system, core)))
+    cast.iter()
+        .position(|part| *part == Some(CoreAddress { system, core }))
 }
 
 /// A core on this machine.
@@ -43,7 +44,7 @@ impl An521Board {
     #[must_use]
     pub fn new(cast: Cast) -> Option<Self> {
         let own = cpu::number();
-        let (system, core) = cast[own]?;
+        let CoreAddress { system, core } = cast[own]?;
         Some(Self {
             identity: Identity {
                 system,

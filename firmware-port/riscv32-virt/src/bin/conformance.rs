@@ -8,10 +8,10 @@
 
 use core::fmt;
 use core::sync::atomic::{AtomicU32, Ordering};
-use tandem_board::{Board, SystemId};
-use tandem_board_conformance::{Case, Outcome, Place, Rig, Setting, run_all, run_role};
+use tandem_board::{Board, CoreAddress, SystemId};
+use tandem_board_conformance::{Case, Outcome, Rig, Setting, run_all, run_role};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
-use tandem_board_riscv32_virt::carrier::{Carrier, Event, hart_of};
+use tandem_board_riscv32_virt::carrier::{Carrier, Event};
 use tandem_board_riscv32_virt::{entry, exit, hart, log};
 
 entry!(main);
@@ -24,7 +24,7 @@ const HANGS_AFTER_TICKS: u64 = 60 * 10_000_000;
 /// The case that is played.
 static CASE: AtomicU32 = AtomicU32::new(0);
 /// How the role of each hart ended.
-static RESULTS: [AtomicU32; 6] = [const { AtomicU32::new(0) }; 6];
+static RESULTS: [AtomicU32; CoreAddress::COUNT] = [const { AtomicU32::new(0) }; CoreAddress::COUNT];
 const RUNS: u32 = 0;
 const PASSED: u32 = 1;
 const FAILED: u32 = 2;
@@ -33,20 +33,18 @@ fn main(hart: usize) -> ! {
     run(hart, SLICE_TICKS, play_role, play_all)
 }
 
-fn result_of(place: Place) -> &'static AtomicU32 {
-    &RESULTS[hart_of(place.system, place.core)]
+fn result_of(place: CoreAddress) -> &'static AtomicU32 {
+    &RESULTS[place.index()]
 }
 
 /// What each core does in each of its lives.
 fn play_role(board: &VirtBoard) {
     let case = CASE.load(Ordering::Relaxed) as usize;
-    let identity = board.identity();
-    let cases = tandem_board_conformance::cases::<VirtBoard>();
-    let own = |place: Place| place.system == identity.system && place.core == identity.core;
-    let Some(part) = cases[case].parts.iter().position(|part| own(part.place)) else {
+    let place = board.identity().address();
+    let parts = tandem_board_conformance::cases::<VirtBoard>()[case].parts;
+    let Some(part) = parts.iter().position(|part| part.place == place) else {
         return;
     };
-    let place = cases[case].parts[part].place;
     let result = match run_role(case, part, board) {
         Ok(()) => PASSED,
         Err(failure) => {
@@ -60,7 +58,7 @@ fn play_role(board: &VirtBoard) {
 
 /// How a case did not pass; what its role saw is in the log above.
 enum Fault {
-    Failed(Place),
+    Failed(CoreAddress),
     Hung,
     Reset(SystemId),
 }
@@ -82,12 +80,12 @@ struct VirtRig<'c> {
 impl VirtRig<'_> {
     fn outcome(&mut self, case: &Case<VirtBoard>) -> Result<(), Fault> {
         let until = hart::time() + HANGS_AFTER_TICKS;
-        let awaited = |place: Place| {
+        let awaited = |place: CoreAddress| {
             result_of(place).load(Ordering::Acquire) != PASSED
                 && !(case.setting == Setting::Suspends && place.system == SystemId::A)
         };
         while case.parts.iter().any(|part| awaited(part.place)) {
-            let failed = |place: Place| result_of(place).load(Ordering::Acquire) == FAILED;
+            let failed = |place: CoreAddress| result_of(place).load(Ordering::Acquire) == FAILED;
             if let Some(part) = case.parts.iter().find(|part| failed(part.place)) {
                 return Err(Fault::Failed(part.place));
             }

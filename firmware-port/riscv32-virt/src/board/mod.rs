@@ -4,13 +4,12 @@ mod parts;
 
 pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtSupply};
 
-use crate::carrier::{self, Carrier, hart_of, system};
+use crate::carrier::{self, Carrier, system};
 use crate::hart::CARRIER;
 use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
-use parts::Place;
-use tandem_board::{Board, CoreId, Generation, Identity, Instant, SystemId, TraceRecord, Wake};
+use tandem_board::{Board, CoreAddress, CoreId, Generation, Identity, Instant, TraceRecord, Wake};
 
 /// QEMU's `virt` machine as a core of one of the systems.
 ///
@@ -27,16 +26,12 @@ pub struct VirtBoard {
 }
 
 impl VirtBoard {
-    fn new(system_id: SystemId, core: CoreId) -> Self {
-        let place = Place {
-            system: system_id,
-            core,
-        };
+    fn new(place: CoreAddress) -> Self {
         Self {
             identity: Identity {
-                system: system_id,
-                core,
-                generation: Generation(system(system_id).generation.load(Relaxed)),
+                system: place.system,
+                core: place.core,
+                generation: Generation(system(place.system).generation.load(Relaxed)),
             },
             can: VirtCan(place),
             lines: VirtLines(place),
@@ -72,7 +67,7 @@ impl Board for VirtBoard {
     }
 
     fn ring(&self, to: CoreId) {
-        clint::post(hart_of(self.identity.system, to));
+        clint::post(CoreAddress::new(self.identity.system, to).index());
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
@@ -103,7 +98,7 @@ impl Board for VirtBoard {
     }
 
     fn trace(&self, record: TraceRecord) {
-        let registers = &system(self.identity.system).cores[self.identity.core.index()];
+        let registers = carrier::core(self.identity.address());
         let [low, high] = self.now().to_words();
         let [a, b, c, d] = record;
         if !registers.trace.put(&[low, high, a, b, c, d]) {
@@ -121,7 +116,7 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Carri
     if hart == CARRIER {
         outside(&mut Carrier::new());
     }
-    let Some((system_id, core_id)) = carrier::core_of(hart) else {
+    let Some(address) = CoreAddress::from_index(hart) else {
         loop {
             hart::sleep();
         }
@@ -130,7 +125,7 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Carri
     trap::sleep_while_held(hart);
     doorbell::set_slice(slice);
     hart::interrupts_on();
-    core(&VirtBoard::new(system_id, core_id));
+    core(&VirtBoard::new(address));
     loop {
         doorbell::wait(None);
     }

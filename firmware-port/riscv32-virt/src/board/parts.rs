@@ -1,57 +1,45 @@
 //! The parts of the board: each a window on the carrier's registers.
 
 use crate::carrier::run::{BY_WATCHDOG, cause_from, request_word};
-use crate::carrier::{self, CoreRegisters, SystemRegisters, flash, watchdog};
+use crate::carrier::{self, SystemRegisters, flash, watchdog};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
-    Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line, Lines, Link,
-    LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TransmitFull,
+    Can, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line,
+    Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
 };
 use tandem_exchange::{LINK_WORDS, frame_from, frame_words};
 
-/// Whose part it is.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Place {
-    pub(super) system: SystemId,
-    pub(super) core: CoreId,
+/// The registers of the system of core `of`.
+fn system(of: CoreAddress) -> &'static SystemRegisters {
+    carrier::system(of.system)
 }
 
-impl Place {
-    fn system(self) -> &'static SystemRegisters {
-        carrier::system(self.system)
-    }
-
-    fn core(self) -> &'static CoreRegisters {
-        &self.system().cores[self.core.index()]
-    }
-
-    fn must_be_control(self, what: &str) {
-        assert!(self.core == CoreId::CONTROL, "only core 0 {what}");
-    }
+fn must_be_control(of: CoreAddress, what: &str) {
+    assert!(of.core == CoreId::CONTROL, "only core 0 {what}");
 }
 
 /// The CAN controller of a core.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtCan(pub(super) Place);
+pub struct VirtCan(pub(super) CoreAddress);
 /// A system's ends of the lines.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtLines(pub(super) Place);
+pub struct VirtLines(pub(super) CoreAddress);
 /// A system's end of the data link.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtLink(pub(super) Place);
+pub struct VirtLink(pub(super) CoreAddress);
 /// The data flash of a system.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtFlash(pub(super) Place);
+pub struct VirtFlash(pub(super) CoreAddress);
 /// The supply of a system.
 #[derive(Clone, Copy, Debug)]
-pub struct VirtSupply(pub(super) Place);
+pub struct VirtSupply(pub(super) CoreAddress);
 
 impl Can for VirtCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         // The bus fills in the time.
         let words = frame_words(frame, Instant::ORIGIN);
-        if !self.0.core().transmit.put(&words) {
+        if !carrier::core(self.0).transmit.put(&words) {
             return Err(TransmitFull);
         }
         carrier::call();
@@ -59,11 +47,11 @@ impl Can for VirtCan {
     }
 
     fn try_receive(&self) -> Option<Received> {
-        frame_from(&self.0.core().receive.take()?)
+        frame_from(&carrier::core(self.0).receive.take()?)
     }
 
     fn wake_on_receive(&self, on: bool) {
-        let registers = self.0.core();
+        let registers = carrier::core(self.0);
         // Release pairs with the Acquire of the bus.
         registers.wake_on_receive.store(on, Release);
         if on && !registers.receive.is_empty() {
@@ -72,7 +60,7 @@ impl Can for VirtCan {
     }
 
     fn overruns(&self) -> u32 {
-        self.0.core().overruns.load(Relaxed)
+        carrier::core(self.0).overruns.load(Relaxed)
     }
 }
 
@@ -86,7 +74,7 @@ impl Lines for VirtLines {
     }
 
     fn received(&self, line: Line, edge: Edge) -> u32 {
-        self.0.system().edges[line.index()][edge as usize].load(Relaxed)
+        system(self.0).edges[line.index()][edge as usize].load(Relaxed)
     }
 
     fn peer_powered(&self) -> bool {
@@ -113,7 +101,7 @@ impl Link for VirtLink {
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
-        let record = self.0.system().link.take()?;
+        let record = system(self.0).link.take()?;
         let len = (record[0] as usize).min(LINK_WORDS).min(words.len());
         words[..len].copy_from_slice(&record[1..=len]);
         Some(len)
@@ -126,21 +114,21 @@ impl DataFlash for VirtFlash {
     const SECTORS: u32 = flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        self.0.system().flash.read(offset, into)
+        system(self.0).flash.read(offset, into)
     }
 
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
-        self.0.must_be_control("erases the flash");
-        self.0.system().flash.erase(sector)
+        must_be_control(self.0, "erases the flash");
+        system(self.0).flash.erase(sector)
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
-        self.0.must_be_control("programs the flash");
-        self.0.system().flash.program(offset, data)
+        must_be_control(self.0, "programs the flash");
+        system(self.0).flash.program(offset, data)
     }
 
     fn status(&self) -> FlashStatus {
-        match self.0.system().flash.is_busy() {
+        match system(self.0).flash.is_busy() {
             true => FlashStatus::Busy,
             false => FlashStatus::Idle,
         }
@@ -150,7 +138,7 @@ impl DataFlash for VirtFlash {
 impl VirtSupply {
     fn ask(&self, request: u32) {
         // Release pairs with the Acquire of the carrier: what came before is done.
-        self.0.system().request.store(request, Release);
+        system(self.0).request.store(request, Release);
         carrier::call();
     }
 }
@@ -161,16 +149,16 @@ impl Supply for VirtSupply {
     const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
 
     fn reset_cause(&self) -> ResetCause {
-        cause_from(self.0.system().cause.load(Acquire))
+        cause_from(system(self.0).cause.load(Acquire))
     }
 
     fn watchdog_question(&self) -> u8 {
-        self.0.system().watchdog.question()
+        system(self.0).watchdog.question()
     }
 
     fn service_watchdog(&self, answer: u8) {
-        self.0.must_be_control("serves the watchdog");
-        let watchdog = &self.0.system().watchdog;
+        must_be_control(self.0, "serves the watchdog");
+        let watchdog = &system(self.0).watchdog;
         if !watchdog.serve(answer, hart::time() as u32) && watchdog.watches.load(Relaxed) {
             self.ask(BY_WATCHDOG);
         }
@@ -181,6 +169,6 @@ impl Supply for VirtSupply {
     }
 
     fn show_role(&self, lamp: RoleLamp) {
-        self.0.system().lamp.store(lamp as u32, Relaxed);
+        system(self.0).lamp.store(lamp as u32, Relaxed);
     }
 }

@@ -10,10 +10,10 @@ use crate::semihosting::{File, HostError};
 use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
-use tandem_board::{CoreId, Instant, Line, SystemId};
+use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
 use tandem_exchange::{
     ANSWER_WORDS, FRAME_WORDS, ITEM_WORDS, Item, LINK_WORDS, MAGIC, MAX_WORDS, PERIOD_NS,
-    REPORT_WORDS, Report, core_number,
+    REPORT_WORDS, Report,
 };
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
@@ -144,7 +144,7 @@ impl Host {
             while self.has_room()
                 && let Some(words) = trace.take()
             {
-                let from = core_number(which, core);
+                let from = CoreAddress::new(which, core).index();
                 self.put(Item::Trace { from, words });
             }
         }

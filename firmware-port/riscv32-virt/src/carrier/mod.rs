@@ -22,7 +22,7 @@ use crate::clint;
 use crate::hart::CARRIER;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
-use tandem_board::{CoreId, Line, SystemId};
+use tandem_board::{CoreAddress, CoreId, Line, SystemId};
 use tandem_exchange::{FRAME_WORDS, LINK_WORDS, TRACE_WORDS};
 
 /// What the carrier has for one core.
@@ -103,22 +103,9 @@ pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {
     &SYSTEMS[system.index()]
 }
 
-/// The hart of a core.
-#[must_use]
-pub const fn hart_of(system: SystemId, core: CoreId) -> usize {
-    system.index() * CoreId::COUNT + core.index()
-}
-
-/// The core of a hart; `None` for the carrier's and those beyond.
-#[must_use]
-pub const fn core_of(hart: usize) -> Option<(SystemId, CoreId)> {
-    match (
-        SystemId::from_index(hart / CoreId::COUNT),
-        CoreId::new((hart % CoreId::COUNT) as u8),
-    ) {
-        (Some(system), Some(core)) => Some((system, core)),
-        _ => None,
-    }
+/// The registers of a core. Its hart has the number of [`CoreAddress::index`].
+pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
+    &system(address.system).cores[address.core.index()]
 }
 
 /// Tells the carrier that there is something to do.
@@ -128,5 +115,5 @@ pub(crate) fn call() {
 
 /// Interrupts core 0 of a system.
 pub(crate) fn interrupt(system: SystemId) {
-    clint::post(hart_of(system, CoreId::CONTROL));
+    clint::post(CoreAddress::new(system, CoreId::CONTROL).index());
 }

@@ -1,11 +1,11 @@
 //! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core_of, hart_of, system};
+use super::{core, system};
 use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
-use tandem_board::{CoreId, Instant, ResetCause, ResetRequest, SystemId};
+use tandem_board::{CoreAddress, CoreId, Instant, ResetCause, ResetRequest, SystemId};
 use tandem_exchange::FRAME_WORDS;
 
 /// What the carrier has to tell.
@@ -213,10 +213,10 @@ impl Carrier {
     fn hold(&mut self, which: SystemId) {
         let registers = system(which);
         for core in CoreId::ALL {
-            trap::hold(hart_of(which, core));
+            trap::hold(CoreAddress::new(which, core).index());
         }
         for core in CoreId::ALL {
-            while !trap::stands(hart_of(which, core)) {
+            while !trap::stands(CoreAddress::new(which, core).index()) {
                 hart::yield_turn();
             }
         }
@@ -243,7 +243,7 @@ impl Carrier {
         registers.watchdog.start(self.watchdogs, time() as u32);
         self.set_power(which, true);
         for core in CoreId::ALL {
-            trap::release(hart_of(which, core));
+            trap::release(CoreAddress::new(which, core).index());
         }
     }
 
@@ -251,16 +251,12 @@ impl Carrier {
     fn move_frames(&mut self) {
         loop {
             let mut moved = false;
-            for sender in 0..2 * CoreId::COUNT {
-                let Some((from, core)) = core_of(sender) else {
-                    continue;
-                };
-                let ring = &system(from).cores[core.index()].transmit;
-                if let Some(frame) = ring.take() {
+            for sender in CoreAddress::ALL {
+                if let Some(frame) = core(sender).transmit.take() {
                     moved = true;
-                    self.broadcast(sender, frame);
+                    self.broadcast(sender.index(), frame);
                     if let Some(host) = &mut self.host {
-                        host.on_bus(sender, frame);
+                        host.on_bus(sender.index(), frame);
                     }
                 }
             }
@@ -273,20 +269,19 @@ impl Carrier {
     /// Gives a frame to all cores but the one of hart `sender`.
     pub(super) fn broadcast(&self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
         stamp(&mut frame);
-        for receiver in (0..2 * CoreId::COUNT).filter(|receiver| *receiver != sender) {
-            let Some((to, core)) = core_of(receiver) else {
-                continue;
-            };
-            if !self.here[to.index()] || !system(to).powered.load(Relaxed) {
+        for receiver in CoreAddress::ALL {
+            let to = receiver.system;
+            let hears = self.here[to.index()] && system(to).powered.load(Relaxed);
+            if !hears || receiver.index() == sender {
                 continue;
             }
-            let registers = &system(to).cores[core.index()];
+            let registers = core(receiver);
             if !registers.receive.put(&frame) {
                 registers.overruns.fetch_add(1, Relaxed);
             }
             // Acquire pairs with the Release in `wake_on_receive`.
             if registers.wake_on_receive.load(Acquire) {
-                clint::post(receiver);
+                clint::post(receiver.index());
             }
         }
     }
