@@ -1,4 +1,4 @@
-//! Core 0 of a run: its jobs as tasks of FreeRTOS, in the process's main thread.
+//! Core 0 of a run: its jobs as tasks of FreeRTOS, in one thread of the process.
 //!
 //! The doorbell is a futex, which a thread of its own waits at; it raises the doorbell's interrupt,
 //! whose handler wakes the tasks that interrupts release. Waits end with a tick, so releases are
@@ -197,12 +197,10 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
     }
 }
 
-/// The ticks. Their origin is too early by less than a microsecond, so that what is due at a tick
-/// is due when its interrupt comes.
-fn ticks() -> TickGrid {
-    let now = host::now_ns();
+/// The kernel's ticks.
+fn ticks(ctx: &TaskContext) -> TickGrid {
     TickGrid {
-        origin: Instant::from_ns(now.saturating_sub(host::elapsed_ns())),
+        origin: Instant::from_ns(ctx.tick_origin_ns()),
         period: TICK,
     }
 }
@@ -244,7 +242,7 @@ fn run(
     task: Task,
 ) {
     let seat = OfTask { ctx, common, task };
-    let ticks = ticks();
+    let ticks = ticks(ctx);
     job.start(ticks.floor(common.board.now()));
     if task == Task::Roles {
         seat.shared(|shared| shared.set_ticks(ticks));

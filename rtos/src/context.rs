@@ -125,6 +125,13 @@ impl TaskContext {
         sys::task::now(false)
     }
 
+    /// When tick 0 was, in nanoseconds of the clock that times [`Event`](crate::Event)s. The same
+    /// value in every task and at every call, until the count of ticks wraps around (49 days).
+    #[must_use]
+    pub fn tick_origin_ns(&self) -> u64 {
+        port::tick_origin_ns()
+    }
+
     /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).
     pub fn yield_now(&self) {
         sys::task::yield_now();

@@ -152,7 +152,9 @@ impl Kernel {
     /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
     /// target for ever.
     ///
-    /// On the host all tasks are this thread: they keep the crate's rule about thread-locals.
+    /// On the host all tasks share one thread, which this call starts with the caller's scheduling
+    /// and waits for: they keep the crate's rule about thread-locals. After `TaskContext::stop`
+    /// that thread sleeps for ever: another thread may still use what an abandoned task lent it.
     ///
     /// # Errors
     /// [`StartError`]; the kernel is free again.

@@ -252,15 +252,16 @@ fn tasks_share_the_output() {
     }
 }
 
+#[allow(unconditional_recursion, reason = "that is what is tested")]
+fn recurse(depth: u64) -> u64 {
+    let frame = black_box([depth; 64]);
+    recurse(depth + 1) + frame[depth as usize % 64]
+}
+
 /// A stack that grows into its guard ends the process with the task's name.
 #[test]
 fn an_overflowed_stack_is_named() {
     const NAME: &str = "an_overflowed_stack_is_named";
-    #[allow(unconditional_recursion, reason = "that is what is tested")]
-    fn recurse(depth: u64) -> u64 {
-        let frame = black_box([depth; 64]);
-        recurse(depth + 1) + frame[depth as usize % 64]
-    }
     if is_child("deep") {
         run(Clock::Wall, |kernel| {
             let deep = |_: &TaskContext| assert!(black_box(recurse(0)) > 0);
@@ -271,29 +272,168 @@ fn an_overflowed_stack_is_named() {
     }
 }
 
-/// The kernel sees at the next switch that the end of a stack without guard was overwritten.
+/// A task in static memory has a guard below its stack, too.
+#[test]
+fn an_overflowed_static_stack_is_named() {
+    use tandem_rtos::TaskMemory;
+    const NAME: &str = "an_overflowed_static_stack_is_named";
+    static MEMORY: TaskMemory<8192> = TaskMemory::new();
+    if is_child("static") {
+        run(Clock::Wall, |kernel| {
+            let deep = |_: &TaskContext| assert!(black_box(recurse(0)) > 0);
+            kernel
+                .spawn_static(&MEMORY, &options("deep", 2), deep)
+                .expect("free");
+        });
+    } else {
+        let output = child(NAME, "static");
+        assert_aborted(&output, "task 'deep' has overflowed its stack");
+    }
+}
+
+/// A task lends a thread-local to another thread, and a second task stops the scheduler. The first
+/// one never returns from the call that lends, so the loan lasts for ever: the kernel's thread must
+/// not end, and the thread-local must stay.
+#[test]
+fn what_an_abandoned_task_has_lent_stays() {
+    const NAME: &str = "what_an_abandoned_task_has_lent_stays";
+    struct Lent(AtomicU32);
+    impl Drop for Lent {
+        fn drop(&mut self) {
+            DROPPED.store(true, Ordering::Relaxed);
+        }
+    }
+    std::thread_local! {
+        static LENT: Lent = const { Lent(AtomicU32::new(7)) };
+    }
+    static DROPPED: AtomicBool = AtomicBool::new(false);
+    static READS: AtomicU32 = AtomicU32::new(0);
+    if !is_child("lends") {
+        let output = child(NAME, "lends");
+        return assert!(output.status.success(), "{output:?}");
+    }
+    let life = || {
+        run(Clock::Wall, |kernel| {
+            let lends = |_: &TaskContext| {
+                LENT.with(|lent| {
+                    std::thread::scope(|scope| {
+                        scope.spawn(|| {
+                            while !DROPPED.load(Ordering::Relaxed) {
+                                READS.fetch_add(lent.0.load(Ordering::Relaxed), Ordering::Relaxed);
+                            }
+                        });
+                    });
+                });
+            };
+            kernel.spawn(&options("lends", 1), lends).expect("it fits");
+            let stops = |ctx: &TaskContext| {
+                while READS.load(Ordering::Relaxed) == 0 {
+                    ctx.delay(Ticks(1));
+                }
+                ctx.stop();
+            };
+            kernel.spawn(&options("stops", 2), stops).expect("it fits");
+        });
+    };
+    // Its thread-locals are dropped when it ends, before `join` returns.
+    std::thread::spawn(life).join().expect("it stops");
+    // A thread that ended late would drop them in this time.
+    std::thread::sleep(Duration::from_millis(200));
+    assert!(!DROPPED.load(Ordering::Relaxed), "a lent value was dropped");
+    let before = READS.load(Ordering::Relaxed);
+    while READS.load(Ordering::Relaxed) == before {
+        std::thread::yield_now();
+    }
+}
+
+/// A handle to an ended task does not reach the next one in the same static memory, not even in a
+/// handler that interrupts the making of it.
+#[test]
+fn an_old_handle_does_not_reach_a_new_task() {
+    use tandem_rtos::{TaskError, TaskMemory};
+    const NAME: &str = "an_old_handle_does_not_reach_a_new_task";
+    static MEMORY: TaskMemory<8192> = TaskMemory::new();
+    static OVER: AtomicBool = AtomicBool::new(false);
+    static REACHED: AtomicU32 = AtomicU32::new(0);
+    if !is_child("reuses") {
+        let output = child(NAME, "reuses");
+        return assert!(output.status.success(), "{output:?}");
+    }
+    let interrupter = std::thread::spawn(|| {
+        while !OVER.load(Ordering::Relaxed) {
+            raise(Interrupt::DOORBELL);
+        }
+    });
+    run(Clock::Wall, |kernel| {
+        let first = kernel
+            .spawn_static(&MEMORY, &options("first", 3), |_| ())
+            .expect("free");
+        let old = first.clone();
+        let handler = move |ctx: &InterruptContext| {
+            if old.number(ctx).is_ok() {
+                REACHED.fetch_add(1, Ordering::Relaxed);
+            }
+        };
+        let makes = move |ctx: &TaskContext| {
+            while first.is_alive() {
+                ctx.delay(Ticks(1));
+            }
+            // What the handler counted so far was the first task itself.
+            ctx.delay(Ticks(2));
+            REACHED.store(0, Ordering::Relaxed);
+            for _ in 0..300 {
+                // The idle task frees the memory of the last one.
+                while ctx
+                    .spawn_static(&MEMORY, &options("next", 3), |ctx| ctx.yield_now())
+                    .is_err()
+                {
+                    ctx.delay(Ticks(1));
+                }
+                assert!(!first.is_alive());
+                assert_eq!(first.notify(ctx), Err(TaskError::Ended));
+            }
+            ctx.stop();
+        };
+        kernel.spawn(&options("makes", 2), makes).expect("it fits");
+        kernel
+            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
+            .expect("free");
+    });
+    OVER.store(true, Ordering::Relaxed);
+    interrupter.join().expect("it ends");
+    assert_eq!(REACHED.load(Ordering::Relaxed), 0, "an old handle reached");
+}
+
+/// The lowest address of the stack of the running task: its mapping begins above the guard.
+fn own_stack() -> usize {
+    let local = 0u8;
+    let here = (&raw const local).addr();
+    let maps = deferred(|| std::fs::read_to_string("/proc/self/maps")).expect("Linux has it");
+    let ranges = maps
+        .lines()
+        .filter_map(|line| line.split(' ').next()?.split_once('-'));
+    let bounds = ranges.filter_map(|(low, high)| {
+        let hex = |text| usize::from_str_radix(text, 16).ok();
+        Some(hex(low)?..hex(high)?)
+    });
+    let mut own = bounds.filter(|range| range.contains(&here));
+    own.next().expect("it is mapped").start
+}
+
+/// The kernel sees at the next switch that the end of a stack was overwritten, by a jump over the
+/// guard or by a stray pointer.
 #[test]
 fn an_overwritten_stack_end_is_named() {
-    use tandem_rtos::TaskMemory;
     const NAME: &str = "an_overwritten_stack_end_is_named";
-    static MEMORY: TaskMemory<8192> = TaskMemory::new();
     if is_child("full") {
         run(Clock::Virtual, |kernel| {
             let full = |ctx: &TaskContext| {
-                // What the frame of a call too deep would do; the stack comes first in its memory.
-                // SAFETY: within the static, of which this task uses the other end.
-                unsafe {
-                    (&raw const MEMORY)
-                        .cast_mut()
-                        .cast::<[usize; 2]>()
-                        .write_volatile([0; 2])
-                };
+                // SAFETY: within this task's stack, far below what it uses.
+                unsafe { (own_stack() as *mut [usize; 2]).write_volatile([0; 2]) };
                 ctx.delay(Ticks(1));
                 ctx.stop();
             };
-            kernel
-                .spawn_static(&MEMORY, &options("full", 2), full)
-                .expect("free");
+            kernel.spawn(&options("full", 2), full).expect("it fits");
         });
     } else {
         assert_aborted(&child(NAME, "full"), "task 'full' has overflowed its stack");

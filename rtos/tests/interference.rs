@@ -77,6 +77,38 @@ fn an_abandoned_mutex_stays_locked() {
     });
 }
 
+/// The tasks run with the real-time priority of who starts the kernel, also if it was claimed such
+/// that new threads do not have it. Needs the permission for real time.
+#[test]
+fn tasks_have_the_priority_of_who_starts() {
+    static FOUND: AtomicU32 = AtomicU32::new(0);
+    let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
+    // On a thread of its own, which ends with its priority.
+    let starts = std::thread::spawn(move || {
+        let param = libc::sched_param { sched_priority: 3 };
+        // SAFETY: 0 is the calling thread; the place is read during the call.
+        if unsafe { libc::sched_setscheduler(0, policy, &raw const param) } != 0 {
+            let refused = std::io::Error::last_os_error();
+            return eprintln!("not tested without the permission for real time: {refused}");
+        }
+        run(Clock::Wall, |kernel| {
+            let look = |_: &TaskContext| {
+                let mut param = libc::sched_param { sched_priority: 0 };
+                // SAFETY: 0 is the calling thread; the place is written during the call.
+                let policy = unsafe {
+                    libc::sched_getparam(0, &raw mut param);
+                    libc::sched_getscheduler(0)
+                };
+                let found = policy as u32 | (param.sched_priority as u32) << 16;
+                FOUND.store(found, Ordering::Relaxed);
+            };
+            kernel.spawn(&task("look", 2), look).expect("it fits");
+        });
+        assert_eq!(FOUND.load(Ordering::Relaxed), policy as u32 | 3 << 16);
+    });
+    starts.join().expect("it is so");
+}
+
 /// T-RTOS-1: a switch at the end of a critical section (an allocation is one) leaves `errno` alone.
 #[test]
 fn a_task_keeps_its_errno() {

@@ -522,3 +522,109 @@ fn registers_survive_pre_emption() {
     );
     assert!(rounds.load(Ordering::Relaxed) > 0);
 }
+
+/// The origin of the ticks is one value, whenever a task asks for it: what waits until a tick on
+/// absolute time would else keep for ever how long it was interrupted between two looks.
+#[test]
+fn ticks_have_one_origin() {
+    let log = Log::new();
+    let ours = log.clone();
+    run(Clock::Wall, |kernel| {
+        for name in ["a", "b"] {
+            let log = ours.clone();
+            let body = move |ctx: &TaskContext| {
+                let (mut least, mut most) = (u64::MAX, 0);
+                while ctx.now() < Ticks(100) {
+                    let origin = ctx.tick_origin_ns();
+                    (least, most) = (least.min(origin), most.max(origin));
+                }
+                let now = tandem_rtos::host::now_ns();
+                log.note((least, most, now));
+            };
+            kernel.spawn(&task(name, 1), body).expect("it fits");
+        }
+    });
+    let found = log.take();
+    for (least, most, now) in &found {
+        assert_eq!((least, most), (&found[0].0, &found[0].0));
+        assert!(now - least >= 100_000_000, "tick 100 was before its time");
+    }
+}
+
+/// The control words of the floating-point units: rounding, precision, masked exceptions.
+#[cfg(target_arch = "x86_64")]
+mod control {
+    use std::arch::asm;
+
+    /// What a new task has: `mxcsr`, and the x87 unit's control word.
+    pub(super) const DEFAULT: (u32, u16) = (0x1F80, 0x037F);
+
+    pub(super) fn read() -> (u32, u16) {
+        let (mut mxcsr, mut x87) = (0, 0);
+        // SAFETY: both store to a valid place.
+        unsafe {
+            asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack));
+            asm!("fnstcw [{}]", in(reg) &raw mut x87, options(nostack));
+        }
+        // Of `mxcsr` only what controls: the lowest six bits say what happened.
+        (mxcsr & !0x3F, x87)
+    }
+
+    pub(super) fn write((mxcsr, x87): (u32, u16)) {
+        // SAFETY: both load from a valid place; the caller computes no floating-point numbers until
+        // it has put the default back.
+        unsafe {
+            asm!("ldmxcsr [{}]", in(reg) &raw const mxcsr, options(nostack));
+            asm!("fldcw [{}]", in(reg) &raw const x87, options(nostack));
+        }
+    }
+
+    /// Number 0 to 2: another rounding of SSE, and another one and another precision of x87.
+    pub(super) const fn variant(number: u16) -> (u32, u16) {
+        let rounding = number + 1;
+        (
+            DEFAULT.0 | (rounding as u32) << 13,
+            0x007F | rounding << 10 | (number & 2) << 8,
+        )
+    }
+}
+
+/// Each task keeps its control words over switches: at a yield, where they are saved by the switch,
+/// and at pre-emption, where the next task's must replace those of the interrupted one. A new task
+/// has the default ones. T-RTOS-1
+#[cfg(target_arch = "x86_64")]
+#[test]
+fn control_words_survive_switches() {
+    let log = Log::new();
+    let ours = log.clone();
+    run(Clock::Wall, |kernel| {
+        // Equals that yield, and one more urgent that interrupts them.
+        for (number, name, priority) in [(0, "a", 1), (1, "b", 1), (2, "c", 2)] {
+            let log = ours.clone();
+            let body = move |ctx: &TaskContext| {
+                let (at_first, mine) = (control::read(), control::variant(number));
+                control::write(mine);
+                let mut wrong = None;
+                let begin = ctx.now();
+                while ctx.now().since(begin) < Ticks(60) {
+                    if priority == 2 {
+                        ctx.delay(Ticks(1));
+                    } else {
+                        ctx.yield_now();
+                    }
+                    let found = control::read();
+                    if found != mine {
+                        wrong = Some(found);
+                    }
+                }
+                control::write(control::DEFAULT);
+                log.note((name, at_first, wrong));
+            };
+            kernel.spawn(&task(name, priority), body).expect("it fits");
+        }
+    });
+    for (name, at_first, wrong) in log.take() {
+        assert_eq!(at_first, control::DEFAULT, "task {name} at its start");
+        assert_eq!(wrong, None, "task {name} after a switch");
+    }
+}

@@ -8,6 +8,7 @@ use crate::context::InterruptContext;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
 use crate::kernel::{Clock, StartError};
 use crate::sys::{self, ffi, sink};
+use crate::time::TICK_RATE_HZ;
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ptr;
@@ -22,6 +23,8 @@ const SERVICE_WORDS: usize = 1024;
 const MSIP: usize = 0x0200_0000;
 /// The CLINT's counter, as configMTIME_BASE_ADDRESS.
 const MTIME: usize = 0x0200_BFF8;
+/// The CLINT's timer registers, two words for each hart, as configMTIMECMP_BASE_ADDRESS.
+const MTIMECMP: usize = 0x0200_4000;
 const CAUSE_SOFTWARE: u32 = 3;
 const CAUSE_EXTERNAL: u32 = 11;
 /// Enables of these two in `mie`; the kernel's port enables timer and external.
@@ -54,17 +57,21 @@ pub(crate) struct Stack {
 }
 
 impl Stack {
-    /// Memory of somebody else.
+    /// A stack in a static.
     ///
     /// # Safety
-    /// It is used by nobody else as long as this stack is.
-    pub(crate) unsafe fn borrowed(low: *mut usize, words: usize) -> Self {
-        Self {
+    /// The memory is used by nothing else as long as this stack is.
+    #[allow(
+        clippy::unnecessary_wraps,
+        reason = "on the host there may be no memory"
+    )]
+    pub(crate) unsafe fn in_static(low: *mut usize, words: usize) -> Option<Self> {
+        Some(Self {
             low,
             words,
             #[cfg(feature = "alloc")]
             on_heap: false,
-        }
+        })
     }
 
     #[cfg(feature = "alloc")]
@@ -98,10 +105,13 @@ impl Stack {
             let taken = *MEMORY.1.get();
             *MEMORY.1.get() = taken + 1;
             assert!(taken < 2, "the kernel has two tasks of its own");
-            Self::borrowed(
-                MEMORY.0.get().cast::<usize>().add(taken * SERVICE_WORDS),
-                SERVICE_WORDS,
-            )
+            let low = MEMORY.0.get().cast::<usize>().add(taken * SERVICE_WORDS);
+            Self {
+                low,
+                words: SERVICE_WORDS,
+                #[cfg(feature = "alloc")]
+                on_heap: false,
+            }
         }
     }
 }
@@ -190,6 +200,21 @@ pub(crate) fn run_time_span(counts: u64) -> Duration {
 /// The time of an event, in nanoseconds of `mtime`.
 pub(crate) fn timestamp_ns() -> u64 {
     run_time() * MTIME_NS
+}
+
+/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock: the timer's register holds when the next
+/// tick is.
+pub(crate) fn tick_origin_ns() -> u64 {
+    let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
+    // Neither changes while interrupts are masked: both do in the tick's interrupt.
+    let (next, ticks) = sys::critical(|| {
+        // SAFETY: the two words of the CLINT's register of this hart.
+        let (low, high) = unsafe { (register.read_volatile(), register.add(1).read_volatile()) };
+        let next = u64::from(high) << 32 | u64::from(low);
+        (next, sys::task::now(false).0)
+    });
+    let since = (u64::from(ticks) + 1) * (1_000_000_000 / u64::from(TICK_RATE_HZ));
+    (next * MTIME_NS).saturating_sub(since)
 }
 
 /// There is no virtual time.

@@ -27,14 +27,16 @@ enum Entry {
 
 /// No task: the memory may be used.
 const FREE: u8 = 0;
+/// The memory is taken, but the kernel does not know the task yet.
+const BEING_MADE: u8 = 1;
 /// The kernel knows the task.
-const ALIVE: u8 = 1;
+const ALIVE: u8 = 2;
 /// The task has returned; the idle task has yet to free its memory.
-const ENDED: u8 = 2;
+const ENDED: u8 = 3;
 /// The scheduler was stopped while the task was somewhere in its work. Something may still borrow
 /// from its stack, which therefore is never used again.
 #[cfg(target_os = "linux")]
-const ABANDONED: u8 = 3;
+const ABANDONED: u8 = 4;
 
 /// A task's place in memory. The control block comes first: a kernel's handle is a pointer to it.
 #[repr(C)]
@@ -43,6 +45,8 @@ pub(crate) struct Record {
     stack: UnsafeCell<Option<port::Stack>>,
     entry: UnsafeCell<Entry>,
     state: AtomicU8,
+    /// How many tasks have lived here: a handle to an earlier one does not reach this one.
+    life: AtomicU32,
     next: AtomicPtr<Record>,
     /// Where this is counted, for the count that the list holds.
     on_heap: AtomicBool,
@@ -68,6 +72,7 @@ impl Record {
             stack: UnsafeCell::new(None),
             entry: UnsafeCell::new(Entry::None),
             state: AtomicU8::new(FREE),
+            life: AtomicU32::new(0),
             next: AtomicPtr::new(ptr::null_mut()),
             on_heap: AtomicBool::new(false),
             mutexes: AtomicU32::new(0),
@@ -123,7 +128,8 @@ impl Record {
 
 /// A place for a task in a static, with a stack of `WORDS` machine words.
 ///
-/// On the host such a stack has no guard page; the kernel's check of the stack's end remains.
+/// On the host the stack has as many words, but is mapped with a guard page below it: the words
+/// here are not touched.
 #[repr(C, align(16))]
 pub struct TaskMemory<const WORDS: usize> {
     stack: UnsafeCell<[usize; WORDS]>,
@@ -152,6 +158,8 @@ impl<const WORDS: usize> TaskMemory<WORDS> {
 #[derive(Clone)]
 pub struct TaskHandle {
     record: Shared<Record>,
+    /// Which of the tasks that lived there.
+    life: u32,
 }
 
 /// A task cannot be reached.
@@ -176,6 +184,7 @@ impl TaskHandle {
     #[must_use]
     pub fn is_alive(&self) -> bool {
         self.record.state.load(Ordering::Relaxed) == ALIVE
+            && self.record.life.load(Ordering::Relaxed) == self.life
     }
 
     /// Runs `body` on the kernel's handle while the task cannot end: in an interrupt no task runs,
@@ -203,10 +212,14 @@ pub(crate) fn spawn_static<const WORDS: usize>(
     options: &TaskOptions<'_>,
     function: fn(&TaskContext),
 ) -> Result<TaskHandle, SpawnError> {
+    if WORDS < port::MIN_STACK_WORDS {
+        return Err(SpawnError::StackTooSmall);
+    }
+    // SAFETY: `create` takes the record first, so no other task uses this stack.
+    let stack = unsafe { port::Stack::in_static(memory.stack.get().cast(), WORDS) };
+    let stack = stack.ok_or(SpawnError::NoMemory)?;
     let record = Shared::Static(&memory.record);
-    // SAFETY: `create` takes the record first, so nobody else uses this stack.
-    let stack = unsafe { port::Stack::borrowed(memory.stack.get().cast(), WORDS) };
-    create(record, Some(stack), options, Entry::Function(function))
+    create(record, stack, options, Entry::Function(function))
 }
 
 /// Makes a task from memory of the heap.
@@ -217,12 +230,12 @@ pub(crate) fn spawn(
 ) -> Result<TaskHandle, SpawnError> {
     let stack = port::Stack::allocate(options.stack_bytes).ok_or(SpawnError::NoMemory)?;
     let record = Shared::Heap(Arc::new(Record::new()));
-    create(record, Some(stack), options, Entry::Closure(closure))
+    create(record, stack, options, Entry::Closure(closure))
 }
 
 fn create(
     record: Shared<Record>,
-    stack: Option<port::Stack>,
+    stack: port::Stack,
     options: &TaskOptions<'_>,
     entry: Entry,
 ) -> Result<TaskHandle, SpawnError> {
@@ -232,24 +245,23 @@ fn create(
         return Err(SpawnError::BadName);
     }
     name[..given.len()].copy_from_slice(given);
-    let Some(stack) = stack.filter(|stack| stack.words >= port::MIN_STACK_WORDS) else {
-        return Err(SpawnError::StackTooSmall);
-    };
     // A switch between these steps would show a half-made task to others, or, if one of them
     // stopped the scheduler, take the record without a task.
     let _no_switch = NoSwitch::begin();
     // Nobody else is on this thread: the exchange only has to be undivided against handlers.
-    let taken = record
-        .state
-        .compare_exchange(FREE, ALIVE, Ordering::Relaxed, Ordering::Relaxed);
+    let taken =
+        record
+            .state
+            .compare_exchange(FREE, BEING_MADE, Ordering::Relaxed, Ordering::Relaxed);
     taken.map_err(|_| SpawnError::InUse)?;
+    let life = record.life.load(Ordering::Relaxed).wrapping_add(1);
+    record.life.store(life, Ordering::Relaxed);
     let (low, words) = (stack.low, stack.words);
     // SAFETY: the record is ours by the exchange, and no task runs on it yet.
     unsafe {
         *record.stack.get() = Some(stack);
         *record.entry.get() = entry;
     }
-    record.link();
     #[cfg(feature = "alloc")]
     if let Shared::Heap(counted) = &record {
         record.on_heap.store(true, Ordering::Relaxed);
@@ -275,7 +287,10 @@ fn create(
         record.handle(),
         "the handle is the control block's address"
     );
-    Ok(TaskHandle { record })
+    // Only now: a handler may hold a handle, and a task runs when `_no_switch` ends.
+    record.state.store(ALIVE, Ordering::Relaxed);
+    record.link();
+    Ok(TaskHandle { record, life })
 }
 
 /// As long as this is, no other task runs; interrupts do. Nests. Its end may switch.

@@ -1,6 +1,6 @@
 //! The ends of a process that name a task: an overflowed stack, a panic.
 
-use super::stack::PAGE;
+use super::stack::page;
 use super::{fatal, state};
 use crate::sys::task;
 use core::mem::MaybeUninit;
@@ -80,9 +80,10 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     {
         // SAFETY: the operating system passes both to a handler with SA_SIGINFO.
         let (address, pointer) = unsafe { ((*info).si_addr() as usize, stack_pointer(context)) };
-        let guard = low - PAGE..low;
+        let guard = low - page()..low;
         // Either the task touched the guard, or a signal found no room for its frame.
-        let no_room = (low - PAGE..low + FRAME_BYTES).contains(&pointer) && !on_stack(address, low);
+        let no_room =
+            (low - page()..low + FRAME_BYTES).contains(&pointer) && !on_stack(address, low);
         if guard.contains(&address) || no_room {
             let name = task::current_name();
             fatal(format_args!("task '{name}' has overflowed its stack"));

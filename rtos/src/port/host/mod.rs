@@ -13,7 +13,7 @@ mod tick;
 pub use exclusive::{Output, TaskAllocator, deferred, print};
 pub use interrupts::raise;
 pub use tick::{TickStatistics, elapsed_ns, now_ns, observe as observe_ticks, statistics};
-pub(crate) use tick::{run_time, run_time_span, timestamp_ns, virtual_work};
+pub(crate) use tick::{run_time, run_time_span, tick_origin_ns, timestamp_ns, virtual_work};
 
 pub(crate) use interrupts::attach;
 pub(crate) use stack::{MIN_STACK_WORDS, Stack, idle};
@@ -22,23 +22,89 @@ pub(crate) use state::{assert_may_block, epoch, in_task};
 use crate::kernel::{Clock, StartError};
 use crate::sys::{self, ffi};
 use core::fmt::{self, Write};
+use std::sync::mpsc;
+use std::thread;
 
 /// Before the first task is made.
 pub(crate) fn prepare() {}
 
-/// Runs the scheduler until a task stops it.
+/// Bytes of the stack of the kernel's thread, which only starts and ends the scheduler.
+const THREAD_STACK_BYTES: usize = 64 << 10;
+
+/// Runs the scheduler on a thread of its own, until all tasks have returned or one stops it.
+///
+/// An abandoned task may have lent a thread-local of that thread to another thread, which reads it
+/// as long as the task's call has not returned: for ever. So after a stop the thread never ends,
+/// and its thread-locals stay.
 pub(crate) fn start(clock: Clock) -> Result<(), StartError> {
     if !exclusive::is_installed() {
         return Err(StartError::Allocator);
     }
     fault::name_panics();
-    let before = fault::begin().map_err(StartError::System)?;
-    let ran = run(clock).map_err(StartError::System);
+    let (stopped, stop) = mpsc::channel();
+    let scheduling = Scheduling::of_this_thread();
+    let life = move || {
+        scheduling.apply()?;
+        run(clock)?;
+        if !sys::task::none_left() {
+            let _ = stopped.send(());
+            loop {
+                thread::park();
+            }
+        }
+        Ok(())
+    };
+    let thread = thread::Builder::new()
+        .name("kernel".into())
+        .stack_size(THREAD_STACK_BYTES)
+        .spawn(life)
+        .map_err(|error| StartError::System(error.raw_os_error().unwrap_or(libc::EAGAIN)))?;
+    match stop.recv() {
+        Ok(()) => Ok(()),
+        // The thread has ended, and its thread-locals are gone when the caller goes on.
+        Err(mpsc::RecvError) => match thread.join() {
+            Ok(ran) => ran.map_err(StartError::System),
+            Err(panic) => std::panic::resume_unwind(panic),
+        },
+    }
+}
+
+/// The scheduling of a thread. A new thread does not have its maker's real-time priority if that
+/// was claimed with SCHED_RESET_ON_FORK.
+#[derive(Clone, Copy)]
+struct Scheduling {
+    policy: i32,
+    param: libc::sched_param,
+}
+
+impl Scheduling {
+    fn of_this_thread() -> Self {
+        let mut param = libc::sched_param { sched_priority: 0 };
+        // SAFETY: 0 is the calling thread; the place is written during the call.
+        let policy = unsafe {
+            libc::sched_getparam(0, &mut param);
+            libc::sched_getscheduler(0)
+        };
+        Self { policy, param }
+    }
+
+    /// Gives it to this thread, if it is a real-time one.
+    fn apply(self) -> Result<(), i32> {
+        // SAFETY: 0 is the calling thread; the place is read during the call.
+        let refused = self.param.sched_priority > 0
+            && unsafe { libc::sched_setscheduler(0, self.policy, &self.param) } != 0;
+        if refused { Err(errno()) } else { Ok(()) }
+    }
+}
+
+fn run(clock: Clock) -> Result<(), i32> {
+    let before = fault::begin()?;
+    let ran = run_with_faults_named(clock);
     fault::end(&before);
     ran
 }
 
-fn run(clock: Clock) -> Result<(), i32> {
+fn run_with_faults_named(clock: Clock) -> Result<(), i32> {
     tick::prepare(clock)?;
     if let Err(errno) = interrupts::begin() {
         tick::end();

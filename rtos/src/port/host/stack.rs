@@ -7,8 +7,6 @@ use core::ptr;
 /// The smallest stack in words: frames of signals with all vector registers (3.7 KiB with AVX-512),
 /// of which several lie on each other while interrupts come in quick succession.
 pub(crate) const MIN_STACK_WORDS: usize = (64 << 10) / size_of::<usize>();
-/// Bytes of a page, and of the guard.
-pub(super) const PAGE: usize = 4096;
 /// Bytes of the stacks of the idle task and of the timers' task.
 const SERVICE_BYTES: usize = 64 << 10;
 
@@ -18,28 +16,35 @@ pub(crate) struct Stack {
     pub(crate) low: *mut usize,
     /// How many words it has.
     pub(crate) words: usize,
-    mapped: bool,
+}
+
+/// Bytes of a page, and of the guard: 4 KiB on x86_64, 4 to 64 KiB on aarch64.
+pub(super) fn page() -> usize {
+    // SAFETY: reads what Linux told the process at its start; always there.
+    unsafe { libc::getauxval(libc::AT_PAGESZ) as usize }
+}
+
+/// Bytes of a stack that has room for `bytes`, and of its mapping with the guard.
+fn sizes(bytes: usize, page: usize) -> Option<(usize, usize)> {
+    let stack = bytes
+        .max(MIN_STACK_WORDS * size_of::<usize>())
+        .checked_next_multiple_of(page)?;
+    Some((stack, stack.checked_add(page)?))
 }
 
 impl Stack {
-    /// Memory of somebody else.
+    /// A stack for a task in a static: fresh pages with a guard, since the static has none.
     ///
     /// # Safety
-    /// It is used by nobody else as long as this stack is.
-    pub(crate) unsafe fn borrowed(low: *mut usize, words: usize) -> Self {
-        Self {
-            low,
-            words,
-            mapped: false,
-        }
+    /// None here; on a target the memory must be unused as long as this stack is.
+    pub(crate) unsafe fn in_static(_low: *mut usize, words: usize) -> Option<Self> {
+        Self::allocate(words.checked_mul(size_of::<usize>())?)
     }
 
     /// Fresh pages with a guard below them.
     pub(crate) fn allocate(bytes: usize) -> Option<Self> {
-        let bytes = bytes
-            .checked_next_multiple_of(PAGE)?
-            .max(MIN_STACK_WORDS * size_of::<usize>());
-        let whole = bytes.checked_add(PAGE)?;
+        let page = page();
+        let (bytes, whole) = sizes(bytes, page)?;
         let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_STACK | libc::MAP_NORESERVE;
         let access = libc::PROT_READ | libc::PROT_WRITE;
         // SAFETY: a fresh anonymous mapping, not at a fixed address, touches no other memory.
@@ -48,15 +53,14 @@ impl Stack {
             return None;
         }
         // SAFETY: the first page of the mapping above.
-        if unsafe { libc::mprotect(base, PAGE, libc::PROT_NONE) } != 0 {
+        if unsafe { libc::mprotect(base, page, libc::PROT_NONE) } != 0 {
             // SAFETY: the mapping above, which nobody uses.
             unsafe { libc::munmap(base, whole) };
             return None;
         }
         Some(Self {
-            low: base.wrapping_byte_add(PAGE).cast(),
+            low: base.wrapping_byte_add(page).cast(),
             words: bytes / size_of::<usize>(),
-            mapped: true,
         })
     }
 
@@ -71,11 +75,9 @@ impl Stack {
 
 impl Drop for Stack {
     fn drop(&mut self) {
-        if self.mapped {
-            let base = self.low.wrapping_byte_sub(PAGE).cast();
-            // SAFETY: the mapping of `allocate`; its task is gone.
-            unsafe { libc::munmap(base, self.words * size_of::<usize>() + PAGE) };
-        }
+        let base = self.low.wrapping_byte_sub(page()).cast();
+        // SAFETY: the mapping of `allocate`; its task is gone.
+        unsafe { libc::munmap(base, self.words * size_of::<usize>() + page()) };
     }
 }
 
@@ -90,5 +92,25 @@ pub(crate) fn idle() {
     } else {
         // SAFETY: no descriptors, no time limit, and the signal mask stays as it is.
         unsafe { libc::ppoll(ptr::null_mut(), 0, ptr::null(), ptr::null()) };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Linux on aarch64 has pages of 4, 16 or 64 KiB. A guard and a stack that are not whole pages
+    /// would share one: the stack's lower part could not be touched.
+    #[test]
+    fn a_stack_and_its_guard_are_whole_pages_of_any_size() {
+        for page in [4 << 10, 16 << 10, 64 << 10] {
+            for bytes in [0, 1, 64 << 10, (64 << 10) + 1, 1 << 20] {
+                let (stack, whole) = sizes(bytes, page).unwrap();
+                assert!(stack >= bytes.max(64 << 10));
+                assert_eq!((stack % page, whole - stack), (0, page));
+            }
+        }
+        assert_eq!(sizes(usize::MAX, 4096), None);
+        assert!(page().is_power_of_two() && page() >= 4096);
     }
 }

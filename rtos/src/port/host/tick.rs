@@ -76,6 +76,11 @@ pub fn elapsed_ns() -> u64 {
     }
 }
 
+/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock.
+pub(crate) fn tick_origin_ns() -> u64 {
+    START_NS.load(Relaxed)
+}
+
 /// Nanoseconds of CLOCK_MONOTONIC.
 #[must_use]
 pub fn now_ns() -> u64 {
