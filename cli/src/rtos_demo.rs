@@ -9,7 +9,7 @@ use plotters::prelude::*;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
-use tandem_exchange::outputs::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test};
+use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test};
 use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 

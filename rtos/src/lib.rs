@@ -21,6 +21,7 @@ extern crate alloc;
 extern crate std;
 
 mod context;
+pub mod demo;
 mod event;
 mod interrupt;
 mod kernel;

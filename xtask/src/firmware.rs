@@ -192,10 +192,6 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    // What the images share with the host has tests that run on the host.
-    let mut shared = crate::cargo(&port(root), &["test", "--quiet", "-p", "tandem-exchange"]);
-    shared.env("CARGO_TARGET_DIR", target_dir(root).join("firmware-host"));
-    crate::run(shared)?;
     let of_qemu = [
         "--test",
         "identical",

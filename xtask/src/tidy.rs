@@ -33,7 +33,8 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
     ("tandem-vehicle", &["tandem-bus"]),
     ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
     ("tandem-board-sim", &["tandem-board", "tandem-shm"]),
-    ("tandem-board-qemu", &["tandem-board", "tandem-exchange"]),
+    ("tandem-cosim", &["tandem-board"]),
+    ("tandem-board-qemu", &["tandem-board", "tandem-cosim"]),
 ];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
 /// peer.

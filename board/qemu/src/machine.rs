@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat, open};
 use tandem_board::SystemId;
-use tandem_exchange::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
+use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
 pub(crate) const QEMU: &str = "qemu-system-riscv32";

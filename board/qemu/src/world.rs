@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use tandem_board::{CanFrame, CoreAddress, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
-use tandem_exchange::{Item, NO_CORE, PERIOD_NS, frame_from, frame_words, trace_from};
+use tandem_cosim::{Item, NO_CORE, PERIOD_NS, frame_from, frame_words, trace_from};
 
 use crate::machine::{Machine, MachineError};
 

@@ -11,8 +11,8 @@ use std::process::{Command, Stdio};
 
 use tandem_board::{CanFrame, CanId};
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
-use tandem_exchange::frame_words;
-use tandem_replay::{Functions, instant, play};
+use tandem_cosim::frame_words;
+use tandem_golden::{Functions, instant, play};
 use tandem_vehicle::{Config, Scenario, World};
 
 /// How long the functions drive, ms.

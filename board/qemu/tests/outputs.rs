@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board_qemu::run_to_end;
-use tandem_exchange::outputs::{COMPLETE, Edge};
+use tandem_rtos::demo::{COMPLETE, Edge};
 
 /// How much the paths from a tick to an edge may differ: a switch for each task that comes before,
 /// at 1 ns an instruction. The tests are about milliseconds.

@@ -17,7 +17,7 @@ fn main(hart: usize) -> ! {
     }
     let recording = memory::recording();
     let begin = hart::cycles();
-    let digest = tandem_replay::play(recording, strap(Strap::First).into());
+    let digest = tandem_golden::play(recording, strap(Strap::First).into());
     log!("{digest:?}");
     log!("{} kilocycles", hart::cycles().wrapping_sub(begin) / 1_000);
     exit::exit(0)

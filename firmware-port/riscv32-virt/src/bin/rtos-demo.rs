@@ -10,7 +10,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::time::Duration;
 use tandem_board_riscv32_virt::{clint, entry, exit, hart, log};
-use tandem_exchange::outputs::{COMPLETE, Edge, Output, SPAN_MS, TESTS};
+use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 
 entry!(main);

@@ -8,7 +8,7 @@ use tandem_board::{
     Can, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line,
     Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
 };
-use tandem_exchange::{LINK_WORDS, frame_from, frame_words};
+use tandem_cosim::{LINK_WORDS, frame_from, frame_words};
 
 /// The registers of the system of core `of`.
 fn system(of: CoreAddress) -> &'static SystemRegisters {

@@ -11,7 +11,7 @@ use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
-use tandem_exchange::{
+use tandem_cosim::{
     ANSWER_WORDS, FRAME_WORDS, ITEM_WORDS, Item, LINK_WORDS, MAGIC, MAX_WORDS, PERIOD_NS,
     REPORT_WORDS, Report,
 };

@@ -23,7 +23,7 @@ use crate::hart::CARRIER;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{CoreAddress, CoreId, Line, SystemId};
-use tandem_exchange::{FRAME_WORDS, LINK_WORDS, TRACE_WORDS};
+use tandem_cosim::{FRAME_WORDS, LINK_WORDS, TRACE_WORDS};
 
 /// What the carrier has for one core.
 pub(crate) struct CoreRegisters {

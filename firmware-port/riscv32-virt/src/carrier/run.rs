@@ -6,7 +6,7 @@ use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{CoreAddress, CoreId, Instant, ResetCause, ResetRequest, SystemId};
-use tandem_exchange::FRAME_WORDS;
+use tandem_cosim::FRAME_WORDS;
 
 /// What the carrier has to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -15,7 +15,7 @@ use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
 use tandem_cores::words::Words;
-use tandem_exchange::{FRAME_WORDS, frame_from};
+use tandem_cosim::{FRAME_WORDS, frame_from};
 
 /// Period of perception and planning, ms.
 const PLAN_MS: u64 = 50;

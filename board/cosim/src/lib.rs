@@ -11,8 +11,6 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-pub mod outputs;
-
 use tandem_board::{CanFrame, CanId, Instant, Received, SystemId, TraceRecord};
 
 /// Virtual time from one exchange to the next, ns.
