@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use std::thread;
 
 use anyhow::Context as _;
-use tandem_board::{Board, Duration, Instant};
+use tandem_board::{Board, Duration, Instant, Wake};
 use tandem_board_host::HostBoard;
 use tandem_board_host::realtime::{self, Claim, Grant};
 use tandem_cores::Config;
 use tandem_cores::activity::IrqCode;
-use tandem_cores::core0::{Drive, Job, Jobs, Parts, Seat, Shared, Task, Woken};
+use tandem_cores::core0::{DOORBELL_DISTANCE, Drive, Job, Jobs, Parts, Seat, Shared, Task, Woken};
 use tandem_cores::schedule::TickGrid;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
@@ -30,7 +30,7 @@ const TICK: Duration = Duration::from_ms(1);
 const LONGEST: Ticks = Ticks::from_millis(1000);
 /// Bytes of a task's stack.
 const STACK_BYTES: usize = 64 << 10;
-/// So often a task reports on itself.
+/// Time between two reports of a task on itself.
 const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 
 /// Rate-monotonic: see `docs/rtos-tasks.md`.
@@ -64,6 +64,8 @@ struct Common {
     /// In the order of [`Task::ALL`]; complete before the first task runs.
     handles: [OnceLock<TaskHandle>; Task::ALL.len()],
     jobs: [JobState; Task::ALL.len()],
+    /// See [`Seat::held_back`].
+    held_back: AtomicU32,
 }
 
 /// What the trace has to know of a task, to tell switches within a job from those between jobs.
@@ -174,6 +176,10 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
                 let _ = handle.notify(self.ctx);
             }
         }
+    }
+
+    fn held_back(&self) -> u32 {
+        self.common.held_back.load(Relaxed)
     }
 
     fn begins(&self, task: Task, begin: Begin) {
@@ -292,6 +298,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
         drive: Mutex::new(&kernel, drive),
         handles: Default::default(),
         jobs: Default::default(),
+        held_back: AtomicU32::new(0),
     }));
     let Jobs {
         roles,
@@ -322,15 +329,18 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
     )?;
     thread::Builder::new()
         .name("doorbell".to_owned())
-        .spawn(move || listen(board, grant))
+        .spawn(move || listen(common, grant))
         .context("the thread at the doorbell")?;
     kernel.trace(common);
     kernel.start(Clock::Wall)?;
     anyhow::bail!("the kernel has stopped")
 }
 
-/// Makes an interrupt of the core of every ring.
-fn listen(board: &HostBoard, grant: Grant) -> ! {
+/// Raises the core's interrupt when its doorbell rings, at most once in [`DOORBELL_DISTANCE`].
+///
+/// This thread is more urgent than the core. It sleeps after each ring, so a doorbell that rings
+/// without a pause cannot take the CPU from the core. Rings in that time are merged into one.
+fn listen(common: &Common, grant: Grant) -> ! {
     // More urgent than the core, whose task it is to interrupt; the CPU is inherited.
     let _ = realtime::claim(Claim {
         priority: grant.fifo.map(|priority| priority.saturating_add(1)),
@@ -338,7 +348,15 @@ fn listen(board: &HostBoard, grant: Grant) -> ! {
         lock_memory: false,
     });
     loop {
-        board.wait(Instant::NEVER);
-        host::raise(Interrupt::DOORBELL);
+        common.board.wait(Instant::NEVER);
+        loop {
+            host::raise(Interrupt::DOORBELL);
+            thread::sleep(core::time::Duration::from_nanos(DOORBELL_DISTANCE.as_ns()));
+            // Does not wait: the deadline has passed.
+            if common.board.wait(Instant::ORIGIN) == Wake::Deadline {
+                break;
+            }
+            common.held_back.fetch_add(1, Relaxed);
+        }
     }
 }

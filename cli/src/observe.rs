@@ -2,7 +2,7 @@
 
 use tandem_board::Traced;
 use tandem_bus::Message;
-use tandem_cores::trace::Event;
+use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
@@ -171,6 +171,14 @@ fn note(event: Event) -> Option<String> {
         Event::StateLost => "the state in flash was lost".to_owned(),
         Event::Refused { id: 0 } => "has refused what the shared memory held".to_owned(),
         Event::Refused { id } => format!("has refused a frame with id {id:03X}"),
+        Event::Flood {
+            source,
+            times,
+            beyond,
+        } => format!(
+            "is flooded by {}: limit reached {times} times, {beyond} beyond it",
+            flood_source_in_words(source)
+        ),
         Event::Started { .. }
         | Event::Role { .. }
         | Event::TookOver { .. }
@@ -190,6 +198,16 @@ fn note(event: Event) -> Option<String> {
         | Event::Stack { .. }
         | Event::Held { .. } => return None,
     })
+}
+
+const fn flood_source_in_words(source: FloodSource) -> &'static str {
+    match source {
+        FloodSource::Can => "CAN frames",
+        FloodSource::Link => "datagrams on the link",
+        FloodSource::StartLine => "edges on the start line",
+        FloodSource::HeartbeatLines => "edges on a heartbeat line",
+        FloodSource::Doorbell => "doorbells",
+    }
 }
 
 const fn evidence_in_words(evidence: Evidence) -> &'static str {

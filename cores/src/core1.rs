@@ -15,6 +15,10 @@ use tandem_shm::mailbox::{Ring, Sender};
 /// The period of the sensors.
 pub const PERIOD: Duration = Duration::from_ms(50);
 
+/// Frames that one cycle takes from the CAN receiver: as many as a bus of 1 Mbit/s carries in a
+/// period. The rest waits for the next cycle.
+const CAN_FRAMES: u32 = 1_000;
+
 /// What core 1 has once it is attached to the LMU.
 struct Attached<'b> {
     map: ControllerMap<'b>,
@@ -85,7 +89,8 @@ impl<'b, B: Board> Core1<'b, B> {
     }
 
     fn cycle(&mut self) {
-        while let Some((at, message)) = read_can(self.board, &mut self.frames) {
+        let mut left = CAN_FRAMES;
+        while let Some((at, message)) = read_can(self.board, &mut self.frames, &mut left) {
             self.perception.on_message(at, &message);
         }
         let Some(attached) = &mut self.attached else {

@@ -72,13 +72,18 @@ impl Config {
 }
 
 /// The next received frame of the DBC that passes its end-to-end check, with the time at which it
-/// was on the bus. Other frames are other people's traffic.
+/// was on the bus. Skips other frames.
+///
+/// Takes at most `left` frames from the receiver, of whatever kind, and counts `left` down; 0 means
+/// that more may wait.
 fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::Receiver,
+    left: &mut u32,
 ) -> Option<(Instant, Message)> {
-    loop {
+    while *left > 0 {
         let received = board.can().try_receive()?;
+        *left -= 1;
         let CanId::Standard(id) = received.frame.id() else {
             continue;
         };
@@ -90,4 +95,5 @@ fn read_can<B: Board>(
             Err(ReceiveError::Decode(_)) => {}
         }
     }
+    None
 }

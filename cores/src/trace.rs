@@ -53,6 +53,32 @@ impl Leaves {
     }
 }
 
+/// A source of frames, edges or interrupts that core 0 does not control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FloodSource {
+    /// Frames on the CAN bus.
+    Can,
+    /// Datagrams of the other system on the link.
+    Link,
+    /// Edges of the other system on the start line.
+    StartLine,
+    /// Edges of the other system on a heartbeat line.
+    HeartbeatLines,
+    /// The doorbell: cores 1 and 2, edges on the start line, the other system's power level.
+    Doorbell,
+}
+
+impl FloodSource {
+    /// All, in the order of their codes.
+    pub const ALL: [Self; 5] = [
+        Self::Can,
+        Self::Link,
+        Self::StartLine,
+        Self::HeartbeatLines,
+        Self::Doorbell,
+    ];
+}
+
 /// One thing that happened on a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
@@ -147,6 +173,16 @@ pub enum Event {
     Refused {
         /// CAN id, or 0 for the LMU.
         id: u32,
+    },
+    /// A source sends faster than core 0 takes: the fault of another system or core.
+    Flood {
+        /// Which.
+        source: FloodSource,
+        /// Polls since the last report that reached the limit, or doorbells that were held back.
+        times: u32,
+        /// Frames that the receiver lost, datagrams that a newer one replaced, edges above the
+        /// limit, or doorbells that were held back.
+        beyond: u32,
     },
     /// A task has the CPU from now on.
     TaskIn {
@@ -306,6 +342,11 @@ impl Event {
             Self::Stack { task, free_bytes } => [head(25, task.0, 0, 0), free_bytes, 0, 0],
             Self::Held { task, longest_ns } => [head(27, task.0, 0, 0), longest_ns, 0, 0],
             Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
+            Self::Flood {
+                source,
+                times,
+                beyond,
+            } => [head(28, source as u8, 0, 0), times, beyond, 0],
         }
     }
 
@@ -397,6 +438,11 @@ impl Event {
             26 => Self::Ring {
                 core: CoreId::new(a)?,
             },
+            28 => Self::Flood {
+                source: *FloodSource::ALL.get(usize::from(a))?,
+                times: x,
+                beyond: y,
+            },
             _ => return None,
         })
     }
@@ -416,6 +462,11 @@ mod tests {
         let leaves = |leaves| Event::TaskOut {
             task: TaskCode::MONITORING,
             leaves,
+        };
+        let flood = |source| Event::Flood {
+            source,
+            times: 12,
+            beyond: 3,
         };
         let events = [
             Event::Started {
@@ -499,13 +550,22 @@ mod tests {
                 task: TaskCode::STATUS,
                 longest_ns: 1200,
             },
+            flood(FloodSource::Can),
+            flood(FloodSource::Doorbell),
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
         }
         assert_eq!(Event::decode([0; 4]), None);
         assert_eq!(Event::decode([0xFF03, 0, 0, 0]), None);
-        for strange in [0x0002_0011, 0x0004_0012, 0x0000_0317, 0x0000_0318, 28] {
+        for strange in [
+            0x0002_0011,
+            0x0004_0012,
+            0x0000_0317,
+            0x0000_0318,
+            0x051C,
+            29,
+        ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }
     }

@@ -53,7 +53,8 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
 struct Row {
     /// Its name in `metrics.json`.
     name: &'static str,
-    /// Shortest time between two releases, and the deadline, ms.
+    /// The deadline, ms. Also the shortest time between two releases, except for `follow`, which
+    /// the doorbell releases.
     period_ms: f64,
     /// How many of the two locks those below it share with it or with one above it: for so many
     /// critical sections it may have to wait.
@@ -78,9 +79,12 @@ const fn row(name: &'static str, period_ms: f64, locks: f64) -> Row {
     }
 }
 
-/// Handlers of core 0 and the shortest time between two, ms. The doorbell rings for a trajectory,
-/// and for a line's edge in the start protocol; each also releases the roles.
-const HANDLERS: [(&str, f64); 2] = [("tick", 1.0), ("doorbell", 5.0)];
+/// Shortest time between two interrupts of the doorbell, ms. Core 0 enforces it:
+/// `DOORBELL_DISTANCE` in `cores/src/core0/limits.rs`.
+const DOORBELL_MS: f64 = 5.0;
+
+/// Handlers of core 0 and the shortest time between two, ms. Each also releases the roles.
+const HANDLERS: [(&str, f64); 2] = [("tick", 1.0), ("doorbell", DOORBELL_MS)];
 
 /// What a run has measured of one task, the worst of both systems, µs.
 #[derive(Clone, Copy, Debug, Default)]
@@ -154,14 +158,18 @@ fn responses(metrics: &Value, overhead_us: f64, by: By) -> Vec<Option<f64>> {
         let limit = row.period_ms * 1e3;
         found.push(response(own, row.locks * held, &above, limit));
         above.push(Load {
-            period: limit,
+            period: if row.name == "follow" {
+                DOORBELL_MS * 1e3
+            } else {
+                limit
+            },
             jitter: 0.0,
             execution: own,
         });
         if index == 0 {
             // The roles once more, for the doorbell.
             above.push(Load {
-                period: HANDLERS[1].1 * 1e3,
+                period: DOORBELL_MS * 1e3,
                 jitter: 0.0,
                 execution: own,
             });
@@ -294,6 +302,18 @@ mod tests {
         // By itself 5 + 3; with 1 of jitter two releases fall into 8 > 7 - 1.
         assert_eq!(response(5.0, 0.0, &[load(3.0, 8.0)], 100.0), Some(8.0));
         assert_eq!(response(5.0, 0.0, &[late], 100.0), Some(11.0));
+    }
+
+    /// The distance that the analysis counts on is the one that core 0 enforces.
+    #[test]
+    fn the_distance_of_doorbells_is_that_of_the_code() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../cores/src/core0/limits.rs");
+        let code = fs::read_to_string(path).unwrap();
+        let line = format!("DOORBELL_DISTANCE: Duration = Duration::from_ms({DOORBELL_MS});");
+        assert!(code.contains(&line), "no line {line}");
+        let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PAGE);
+        let page = fs::read_to_string(page).unwrap();
+        assert!(page.contains(&format!("one interrupt in {DOORBELL_MS} ms")));
     }
 
     #[test]

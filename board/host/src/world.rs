@@ -14,6 +14,11 @@ use crate::spawn::Watched;
 use crate::trace_ring::Reader;
 use crate::wire::{FRAME_WORDS, Origin, Wired};
 
+/// Frames that one core can send in a millisecond. A bus of 1 Mbit/s carries at most 20, and a core
+/// without a fault sends 2 in 10 ms. A core that sends without a pause leaves the bus to the
+/// others; its frames wait in its transmit buffer until that is full.
+const FRAMES_PER_MS: u32 = 8;
+
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
 pub enum WorldError {
@@ -50,6 +55,8 @@ pub struct WorldPort {
     sent: Vec<(SystemId, CoreId, Received)>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
+    /// Start of the millisecond in which the cores' frames are counted.
+    counted_from: Instant,
     /// Frames were put on the bus that some core has not been told of.
     news: bool,
 }
@@ -61,6 +68,8 @@ struct Node {
     frames: fifo::Consumer<'static>,
     trace: Reader,
     lost: u32,
+    /// Frames that the core may still send in this millisecond.
+    may_send: u32,
 }
 
 impl WorldPort {
@@ -80,6 +89,7 @@ impl WorldPort {
                 frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
                 trace: Reader::new(backplane.trace_ring(index)),
                 lost: backplane.lost_trace(system, core),
+                may_send: FRAMES_PER_MS,
             });
         }
         let bus = RINGS.receive;
@@ -92,6 +102,7 @@ impl WorldPort {
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
             sent: vec![],
             emptied: clock::now(),
+            counted_from: clock::now(),
             news: false,
         })
     }
@@ -114,18 +125,30 @@ impl WorldPort {
     }
 
     /// Takes what the cores have sent since the last call, shows each frame to `seen`, with the
-    /// time of its sending, and puts it on the bus. A system without power, or cut off the bus,
-    /// sends nothing: what its cores had left to send is dropped.
+    /// time of its sending, and puts it on the bus. A core sends at most 8 frames in a millisecond;
+    /// the rest waits. A system without power, or cut off the bus, sends nothing: what its cores
+    /// had left to send is dropped.
     pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         let now = clock::now();
         let reaches = self.reaches();
         // What is found now was not there the last time. A core that was frozen between looking at
         // the clock and sending would say otherwise, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
+        let refill = now.since(self.counted_from) >= Duration::from_ms(1);
+        if refill {
+            self.counted_from = now;
+        }
         let mut words = [0; FRAME_WORDS];
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
-            while node.frames.receive_into(&mut words) {
+            if refill {
+                node.may_send = FRAMES_PER_MS;
+            }
+            for _ in 0..RINGS.transmit[0].shape.slots() {
+                if !silent && node.may_send == 0 || !node.frames.receive_into(&mut words) {
+                    break;
+                }
+                node.may_send = node.may_send.saturating_sub(1);
                 if let Some(sent) = Wired::decode(&words).filter(|_| !silent) {
                     // The clock anew: the vehicle itself may have been held up since it looked.
                     let at = sent.received.at.clamp(emptied, clock::now());

@@ -4,7 +4,7 @@ use crate::blocking::Baton;
 use crate::config::Defect;
 use crate::fabric::LINK_WORDS;
 use crate::flash;
-use crate::machine::{Attention, EventKind, Sender, Shared};
+use crate::machine::{Attention, EventKind, Shared};
 use crate::watchdog;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
@@ -228,10 +228,14 @@ impl Board for SimBoard {
 
 impl Can for SimCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
-        let CoreAddress { system, core } = self.0.place;
-        self.0
-            .alive(|machine| machine.send_can(Sender::Core(system, core), frame));
-        Ok(())
+        let sent = self
+            .0
+            .alive(|machine| machine.send_can(self.0.place, frame))
+            .unwrap_or(Ok(()));
+        if sent.is_err() {
+            self.0.look();
+        }
+        sent
     }
 
     fn try_receive(&self) -> Option<Received> {

@@ -2,10 +2,15 @@
 
 use crate::config::Defect;
 use crate::machine::{Machine, OnBus, Power, Sender, Wire};
-use tandem_board::{CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId};
+use tandem_board::{
+    CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
+};
 
 /// The largest datagram of the link, in words.
 pub(crate) const LINK_WORDS: usize = 64;
+
+/// Frames that one core can send in a millisecond of virtual time, as on the host board.
+const FRAMES_PER_MS: u32 = 8;
 
 impl Machine {
     pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
@@ -70,13 +75,30 @@ impl Machine {
         Some(datagram)
     }
 
-    /// Puts a frame on the bus: every core that is connected hears it, but its sender.
-    pub(crate) fn send_can(&mut self, sender: Sender, frame: &CanFrame) {
-        if let Sender::Core(system, _) = sender
-            && self.systems[system.index()].is_cut(Wire::Can)
-        {
-            return;
+    /// Sends a frame of a core, unless it has sent its share of this millisecond.
+    pub(crate) fn send_can(
+        &mut self,
+        from: CoreAddress,
+        frame: &CanFrame,
+    ) -> Result<(), TransmitFull> {
+        if self.systems[from.system.index()].is_cut(Wire::Can) {
+            return Ok(());
         }
+        let ms = self.now_ns / 1_000_000;
+        let core = self.core(from);
+        if core.sent.0 != ms {
+            core.sent = (ms, 0);
+        }
+        if core.sent.1 == FRAMES_PER_MS {
+            return Err(TransmitFull);
+        }
+        core.sent.1 += 1;
+        self.put_on_bus(Sender::Core(from.system, from.core), frame);
+        Ok(())
+    }
+
+    /// Puts a frame on the bus: every core that is connected hears it, but its sender.
+    pub(crate) fn put_on_bus(&mut self, sender: Sender, frame: &CanFrame) {
         let at = self.at();
         let on_bus = OnBus {
             at,

@@ -135,6 +135,8 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
+    /// Frames sent in a millisecond, and in which.
+    pub(crate) sent: (u64, u32),
     looks: u32,
 }
 
@@ -151,6 +153,7 @@ impl Core {
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
+            sent: (0, 0),
             looks: 0,
         }
     }

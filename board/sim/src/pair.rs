@@ -197,7 +197,7 @@ impl SimPair {
         world(&mut tick);
         let mut machine = self.shared.lock();
         for frame in &tick.sent {
-            machine.send_can(Sender::World, frame);
+            machine.put_on_bus(Sender::World, frame);
         }
         self.world_next += WORLD_PERIOD;
     }

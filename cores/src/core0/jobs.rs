@@ -1,6 +1,7 @@
 //! The tasks' bodies: each does what is due and says when it is due next.
 
 use super::alive::Alive;
+use super::limits::DOORBELL_DISTANCE;
 use super::shared::Shared;
 use super::{Job, MONITORING_PERIOD, STATUS_PERIOD, Seat, Task, frames};
 use crate::driving::types::{Scene, Trajectory};
@@ -40,7 +41,9 @@ impl<'b, B: Board> Job<'b, B> for Roles<'b, B> {
             // Everything that has come is handed on before the lines are judged: else the
             // redundancy would be told of silence while evidence waits in a buffer.
             let heard = shared.read_bus();
-            (heard | shared.poll_redundancy(), shared.redundancy_due)
+            let woken = heard | shared.poll_redundancy();
+            shared.tell_floods(seat.held_back());
+            (woken, shared.redundancy_due)
         });
         seat.wake(woken);
         seat.ends(Self::TASK);
@@ -325,7 +328,8 @@ impl<'b, B: Board> Job<'b, B> for Follow<'b, B> {
         if asleep {
             Instant::NEVER
         } else {
-            self.board.now()
+            // A signal has arrived meanwhile. Core 2 does not ring while this core is awake.
+            self.board.now() + DOORBELL_DISTANCE
         }
     }
 }

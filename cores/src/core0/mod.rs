@@ -12,6 +12,7 @@ mod alive;
 mod drive;
 mod frames;
 mod jobs;
+mod limits;
 mod shared;
 
 use crate::activity::TaskCode;
@@ -21,6 +22,8 @@ use core::cell::{Cell, RefCell};
 use core::ops::{BitOr, BitOrAssign};
 pub use drive::Drive;
 pub use jobs::{Control, Degraded, Follow, Monitoring, Roles, Status};
+use limits::Throttle;
+pub use limits::{CAN_FRAMES, DOORBELL_DISTANCE, EDGES_PER_MS, LINK_DATAGRAMS};
 pub use shared::Shared;
 use tandem_board::{Board, Duration, Instant};
 use tandem_redundancy::Phase;
@@ -129,6 +132,10 @@ pub trait Seat<'b, B: Board> {
     /// Releases tasks, all of them below the caller. Not within [`Seat::shared`].
     fn wake(&self, woken: Woken);
 
+    /// How many times it has held back doorbells that rang within [`DOORBELL_DISTANCE`]; wraps
+    /// around.
+    fn held_back(&self) -> u32;
+
     /// A job of this task, the caller, begins. For the trace.
     fn begins(&self, task: Task, begin: Begin);
 
@@ -195,6 +202,7 @@ struct OneAtATime<'b, B: Board> {
     shared: RefCell<Shared<'b, B>>,
     drive: RefCell<Drive>,
     woken: Cell<Woken>,
+    doorbells: Cell<Throttle>,
 }
 
 impl<'b, B: Board> Seat<'b, B> for OneAtATime<'b, B> {
@@ -208,6 +216,10 @@ impl<'b, B: Board> Seat<'b, B> for OneAtATime<'b, B> {
 
     fn wake(&self, woken: Woken) {
         self.woken.set(self.woken.get() | woken);
+    }
+
+    fn held_back(&self) -> u32 {
+        self.doorbells.get().held_back()
     }
 
     fn begins(&self, task: Task, begin: Begin) {
@@ -246,6 +258,7 @@ impl<'b, B: Board> Core0<'b, B> {
                 shared: RefCell::new(shared),
                 drive: RefCell::new(drive),
                 woken: Cell::new(Woken::NONE),
+                doorbells: Cell::new(Throttle::new(DOORBELL_DISTANCE)),
             },
             jobs,
             due: [board.now(); Task::ALL.len()],
@@ -274,16 +287,24 @@ impl<'b, B: Board> Core0<'b, B> {
 impl<B: Board> Core for Core0<'_, B> {
     fn poll(&mut self) -> Instant {
         self.seat.woken.set(Woken::NONE);
-        // One pass: jobs release only what comes after them. That an interrupt has come is all that
-        // a call says, so those for which one may have come look in any case.
+        let now = self.seat.board.now();
+        let for_deadline = self.due.iter().any(|due| *due <= now);
+        let mut doorbells = self.seat.doorbells.get();
+        let interrupted = doorbells.interrupt(now, !for_deadline);
+        self.seat.doorbells.set(doorbells);
+        // One pass: jobs release only tasks that stand after them. A call does not say whether an
+        // interrupt has caused it, so the tasks of interrupts run at each call that the throttle
+        // permits.
         for (index, task) in Task::ALL.into_iter().enumerate() {
-            let woken = self.seat.woken.get().contains(task);
-            if task.is_for_interrupts() || woken || self.due[index] <= self.seat.board.now() {
+            let woken =
+                self.seat.woken.get().contains(task) || (interrupted && task.is_for_interrupts());
+            if woken || self.due[index] <= self.seat.board.now() {
                 self.due[index] = self.run(task);
             }
         }
         // What a later job told the redundancy may have changed when it wants to be asked.
         self.due[0] = self.seat.shared.borrow().redundancy_due;
-        self.due.into_iter().min().unwrap_or(Instant::NEVER)
+        let next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
+        next.min(doorbells.due())
     }
 }

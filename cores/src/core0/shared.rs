@@ -3,6 +3,7 @@
 //! Whoever has it does what is to be done with it and gives it back within microseconds; nothing
 //! here computes a command.
 
+use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::{CONTROL_PERIOD, Drive, Task, Woken, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Ego};
@@ -11,7 +12,7 @@ use crate::trace::Event;
 use crate::{Config, read_can};
 use heapless::Deque;
 use tandem_board::{
-    Board, DataFlash, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId,
+    Board, Can, DataFlash, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId,
 };
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
@@ -60,6 +61,7 @@ pub struct Shared<'b, B: Board> {
     pub(super) transmitter: Transmitter,
     /// Valid frames received on CAN, of whatever kind; wraps around.
     can_frames: u32,
+    floods: Floods,
     store: StateStore,
     loaded: Loaded,
     /// `None` until cores 1 and 2 carry the drive.
@@ -106,6 +108,7 @@ impl<'b, B: Board> Shared<'b, B> {
             receiver: tandem_bus::Receiver::new(),
             transmitter: Transmitter::new(),
             can_frames: 0,
+            floods: Floods::new(started),
             store,
             loaded,
             redundancy: None,
@@ -134,21 +137,44 @@ impl<'b, B: Board> Shared<'b, B> {
         self.redundancy.as_ref().map(Redundancy::phase)
     }
 
-    /// Fetches all that came over CAN and the link, and hands it on.
+    /// Fetches what has arrived over CAN and the link, up to the limits, and tells the redundancy.
     pub(super) fn read_bus(&mut self) -> Woken {
         let mut woken = Woken::NONE;
-        while let Some((at, message)) = read_can(self.board, &mut self.receiver) {
+        let mut left = CAN_FRAMES;
+        while let Some((at, message)) = read_can(self.board, &mut self.receiver, &mut left) {
             self.can_frames = self.can_frames.wrapping_add(1);
             woken |= self.hear(at, message);
         }
-        let mut words = [0; PeerReport::WORDS];
-        while let Some(length) = self.board.link().try_receive(&mut words) {
-            let report = words.get(..length).and_then(PeerReport::from_words);
-            if let Some(report) = report {
-                woken |= self.tell(Input::LinkReport(report));
-            }
+        if left == 0 {
+            self.floods.can(self.board.can().overruns());
+        }
+        if let Some(report) = self.newest_report() {
+            woken |= self.tell(Input::LinkReport(report));
         }
         woken
+    }
+
+    /// The newest report that has arrived over the link. Datagrams that are none do not hide it.
+    fn newest_report(&mut self) -> Option<PeerReport> {
+        let mut newest = None;
+        let mut words = [0; PeerReport::WORDS];
+        for _ in 0..LINK_DATAGRAMS {
+            let Some(length) = self.board.link().try_receive(&mut words) else {
+                return newest;
+            };
+            let report = words.get(..length).and_then(PeerReport::from_words);
+            newest = report.or(newest);
+        }
+        self.floods.link();
+        newest
+    }
+
+    /// Tells of floods. `held_back`: running count of the interrupts that came too early.
+    pub(super) fn tell_floods(&mut self, held_back: u32) {
+        self.floods.doorbells(held_back);
+        for event in self.floods.told(self.board.now()) {
+            self.trace(event);
+        }
     }
 
     fn hear(&mut self, at: Instant, message: Message) -> Woken {
@@ -223,6 +249,7 @@ impl<'b, B: Board> Shared<'b, B> {
     /// Has the redundancy judge the lines, and does what it answers.
     pub(super) fn poll_redundancy(&mut self) -> Woken {
         let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
+        self.floods.lines(self.board.now(), &snapshot);
         let Some(redundancy) = &mut self.redundancy else {
             self.start_redundancy();
             return Woken::NONE;

@@ -1,0 +1,251 @@
+//! How much core 0 takes from sources that another system can flood, and how it tells of a flood.
+//!
+//! The most urgent task reads CAN, the link and the lines. Each limit here bounds the work of one
+//! poll, and [`DOORBELL_DISTANCE`] bounds how often an interrupt causes a poll, so the worst case
+//! of the task is a sum of constants: see `docs/rtos-tasks.md`.
+
+use crate::trace::{Event, FloodSource};
+use tandem_board::{Duration, Instant};
+use tandem_redundancy::Snapshot;
+
+/// Frames that one poll takes from the CAN receiver. A bus of 1 Mbit/s carries at most 20 frames
+/// in a millisecond, so one poll also empties what has arrived while the core was held up for 3 ms.
+/// Frames beyond the limit wait in the receiver for the next poll.
+pub const CAN_FRAMES: u32 = 64;
+
+/// Datagrams that one poll takes from the link, which is as many as a link holds. Of these the
+/// newest valid report counts. The other system sends one in a control cycle.
+pub const LINK_DATAGRAMS: u32 = 16;
+
+/// Edges in a millisecond beyond which a line is flooded. Edges are counters: a flood costs no time
+/// and loses nothing. A heartbeat line has 1 edge in a millisecond.
+pub const EDGES_PER_MS: u32 = 4;
+
+/// Least distance between two polls that doorbells cause. Doorbells that ring earlier are merged
+/// into one at the end of the distance. A doorbell announces a trajectory every 50 ms, an edge of
+/// the start protocol every 5 ms, or a change of the power level. None of these waits longer than
+/// 1 ms for the roles, which the tick releases too.
+pub const DOORBELL_DISTANCE: Duration = Duration::from_ms(5);
+
+/// Floods are told at most once in this time for each source.
+const WINDOW: Duration = Duration::from_ms(100);
+
+/// A source is flooded if it has exceeded its limit this often within [`WINDOW`]. One burst after a
+/// stall of this core is no flood; of 20 doorbells that the distance permits, half came early.
+const EXCEEDED: u32 = 10;
+
+/// Passes interrupts on with at least a given distance between two.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Throttle {
+    distance: Duration,
+    opens: Instant,
+    pending: bool,
+    held_back: u32,
+}
+
+impl Throttle {
+    pub(super) const fn new(distance: Duration) -> Self {
+        Self {
+            distance,
+            opens: Instant::ORIGIN,
+            pending: false,
+            held_back: 0,
+        }
+    }
+
+    /// An interrupt may have arrived; whether its tasks are to run now. If not, they are to run at
+    /// [`Throttle::due`].
+    ///
+    /// `certain`: nothing but an interrupt can have caused this call. Only such a call begins a
+    /// new distance.
+    pub(super) fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
+        if now < self.opens {
+            if certain {
+                self.held_back = self.held_back.wrapping_add(u32::from(!self.pending));
+            }
+            self.pending = true;
+            return false;
+        }
+        if certain || self.pending {
+            self.opens = now + self.distance;
+        }
+        self.pending = false;
+        true
+    }
+
+    /// When an interrupt that was held back is passed on.
+    pub(super) const fn due(&self) -> Instant {
+        if self.pending {
+            self.opens
+        } else {
+            Instant::NEVER
+        }
+    }
+
+    /// How many times interrupts were held back; wraps around.
+    pub(super) const fn held_back(&self) -> u32 {
+        self.held_back
+    }
+}
+
+/// What a source has done since the last report.
+#[derive(Clone, Copy, Debug, Default)]
+struct Excess {
+    times: u32,
+    beyond: u32,
+}
+
+/// Counts what is beyond the limits.
+#[derive(Debug)]
+pub(super) struct Floods {
+    since: Instant,
+    sources: [Excess; FloodSource::ALL.len()],
+    /// Counts of the last poll and when it was.
+    lines: Option<(Instant, Snapshot)>,
+    /// Running counts of the last poll.
+    can_overruns: u32,
+    doorbells: u32,
+}
+
+impl Floods {
+    pub(super) fn new(now: Instant) -> Self {
+        Self {
+            since: now,
+            sources: Default::default(),
+            lines: None,
+            can_overruns: 0,
+            doorbells: 0,
+        }
+    }
+
+    fn exceeded(&mut self, source: FloodSource, beyond: u32) {
+        let excess = &mut self.sources[source as usize];
+        excess.times = excess.times.saturating_add(1);
+        excess.beyond = excess.beyond.saturating_add(beyond);
+    }
+
+    /// The poll has taken as many frames as it may. `overruns`: running count of the frames that
+    /// the receiver has lost.
+    pub(super) fn can(&mut self, overruns: u32) {
+        let lost = overruns.wrapping_sub(core::mem::replace(&mut self.can_overruns, overruns));
+        self.exceeded(FloodSource::Can, lost);
+    }
+
+    /// The poll has taken as many datagrams as it may and used one of them.
+    pub(super) fn link(&mut self) {
+        self.exceeded(FloodSource::Link, LINK_DATAGRAMS - 1);
+    }
+
+    /// `held_back`: running count of [`super::Seat::held_back`].
+    pub(super) fn doorbells(&mut self, held_back: u32) {
+        let new = held_back.wrapping_sub(core::mem::replace(&mut self.doorbells, held_back));
+        for _ in 0..new.min(EXCEEDED) {
+            self.exceeded(FloodSource::Doorbell, 1);
+        }
+    }
+
+    /// Compares the counts of the lines with those of the last poll.
+    pub(super) fn lines(&mut self, now: Instant, counts: &Snapshot) {
+        let Some((at, last)) = self.lines.replace((now, *counts)) else {
+            return;
+        };
+        // The part of a millisecond before the first edge and after the last one counts as two.
+        let ms = u32::try_from(now.since(at).as_us() / 1_000).unwrap_or(u32::MAX);
+        let allowed = EDGES_PER_MS.saturating_mul(ms.saturating_add(2));
+        let new = |now: u32, last: u32| now.wrapping_sub(last);
+        let start =
+            new(counts.handshakes, last.handshakes).saturating_add(new(counts.syncs, last.syncs));
+        let [beats1, beats2] = [0, 1].map(|line: usize| new(counts.beats[line], last.beats[line]));
+        for (source, edges) in [
+            (FloodSource::StartLine, start),
+            (FloodSource::HeartbeatLines, beats1.max(beats2)),
+        ] {
+            if edges > allowed {
+                self.exceeded(source, edges - allowed);
+            }
+        }
+    }
+
+    /// What is to be told now.
+    pub(super) fn told(&mut self, now: Instant) -> impl Iterator<Item = Event> + use<> {
+        let over = now.since(self.since) >= WINDOW;
+        let sources = if over {
+            self.since = now;
+            core::mem::take(&mut self.sources)
+        } else {
+            Default::default()
+        };
+        let all = FloodSource::ALL.into_iter().zip(sources);
+        all.filter(|(_, excess)| excess.times >= EXCEEDED).map(
+            |(source, Excess { times, beyond })| Event::Flood {
+                source,
+                times,
+                beyond,
+            },
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn at_us(us: u64) -> Instant {
+        Instant::from_ns(us * 1_000)
+    }
+
+    #[test]
+    fn interrupts_are_passed_on_with_their_distance_and_none_is_lost() {
+        let mut throttle = Throttle::new(DOORBELL_DISTANCE);
+        let mut passed = Vec::new();
+        // An interrupt every 100 µs for 20 ms, and then none.
+        for us in (0..40_000).step_by(100) {
+            let due = throttle.due() <= at_us(us);
+            if (us < 20_000 || due) && throttle.interrupt(at_us(us), us < 20_000) {
+                passed.push(us);
+            }
+        }
+        assert_eq!(passed, [0, 5_000, 10_000, 15_000, 20_000]);
+        assert_eq!(throttle.held_back(), 4);
+        assert_eq!(throttle.due(), Instant::NEVER);
+    }
+
+    #[test]
+    fn a_call_for_a_deadline_does_not_delay_the_next_interrupt() {
+        let mut throttle = Throttle::new(DOORBELL_DISTANCE);
+        assert!(throttle.interrupt(at_us(1_000), false));
+        assert!(throttle.interrupt(at_us(1_100), true));
+        assert!(!throttle.interrupt(at_us(1_200), false));
+        assert_eq!(throttle.due(), at_us(6_100));
+        assert!(throttle.interrupt(at_us(6_100), false));
+        assert!(!throttle.interrupt(at_us(6_200), true));
+    }
+
+    fn snapshot(edges: u32) -> Snapshot {
+        Snapshot {
+            handshakes: 0,
+            syncs: 0,
+            beats: [edges, edges / 2],
+            peer_powered: true,
+            can_frames: 0,
+        }
+    }
+
+    /// One edge a millisecond is no flood, also not if they are counted after a stall.
+    #[test]
+    fn only_a_rate_that_lasts_is_a_flood() {
+        for (edges_per_ms, told) in [(1, 0), (100, 9)] {
+            let mut floods = Floods::new(at_us(0));
+            let mut events = 0;
+            let polls = (0..1_000).filter(|ms| !(300..350).contains(ms));
+            for ms in polls {
+                // Wraps around on the way.
+                let edges = (ms as u32 * edges_per_ms).wrapping_sub(5_000);
+                floods.lines(at_us(ms * 1_000), &snapshot(edges));
+                events += floods.told(at_us(ms * 1_000)).count();
+            }
+            assert_eq!(events, told, "{edges_per_ms} edges in a millisecond");
+        }
+    }
+}

@@ -1,0 +1,389 @@
+//! Sources that send without a pause: what core 0 takes of them and tells, and that it drives on.
+
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::atomic::AtomicU32;
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Identity, Instant, Line, Lines, Link,
+    LinkFull, Received, SystemId, TraceRecord, TransmitFull, Wake,
+};
+use tandem_board_sim::{Poller, SimBoard};
+use tandem_cores::activity::TaskCode;
+use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
+use tandem_cores::trace::{Event, FloodSource};
+use tandem_cores::{Config, Core};
+use tandem_tests::drive::{Drive, poller};
+
+const MS: fn(u64) -> Duration = Duration::from_ms;
+/// The flood begins and ends at these virtual times.
+const FLOOD: core::ops::Range<u64> = 10_000..12_000;
+/// How often the source sends.
+const PAUSE: Duration = Duration::from_us(50);
+/// What it sends each time. More than any buffer takes in a millisecond.
+const BURST: u32 = 20;
+
+/// Whether now is within the flood, on the clock of the board's system: the clocks of the
+/// simulator begin at 1 ms (A) and 7 s (B).
+fn is_flooding(board: &SimBoard) -> bool {
+    let origin_ms = [1, 7_000][board.identity().system.index()];
+    let ms = board.now().as_ns() / 1_000_000 - origin_ms;
+    FLOOD.contains(&ms)
+}
+
+/// A core that works as usual and sends `burst` all the time besides.
+fn babbler(board: &SimBoard, burst: fn(&SimBoard)) -> Poller {
+    let mut core = poller(board, Config::rt());
+    let mut due = Instant::ORIGIN;
+    Box::new(move |board| {
+        let now = board.now();
+        if is_flooding(board) {
+            burst(board);
+            if now >= due {
+                due = core(board);
+            }
+            due.min(now + PAUSE)
+        } else {
+            due = core(board);
+            due.min(now + MS(1))
+        }
+    })
+}
+
+/// Two systems of which one core babbles.
+fn drive(of: (SystemId, CoreId), burst: fn(&SimBoard)) -> Drive {
+    let mut drive = Drive::with("cut-in", 3, move |board| {
+        let Identity { system, core, .. } = board.identity();
+        if (system, core) == of {
+            babbler(board, burst)
+        } else {
+            poller(board, Config::rt())
+        }
+    });
+    drive.run_for(MS(20_000));
+    drive
+}
+
+/// Sources of which this system's core 0 told, and the first time.
+fn told(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
+    let mut told: Vec<(u64, FloodSource)> = vec![];
+    for (at, system, _, event) in &drive.events {
+        if let Event::Flood { source, .. } = event
+            && *system == by
+            && told.iter().all(|(_, known)| known != source)
+        {
+            told.push((at.as_ns() / 1_000_000, *source));
+        }
+    }
+    told
+}
+
+/// How often the roles of a system ran while the flood lasted.
+fn polls(drive: &Drive, of: SystemId) -> usize {
+    let roles = drive.events.iter().filter(|(at, system, _, event)| {
+        let begins = matches!(event, Event::TaskIn { task, .. } if *task == TaskCode::REDUNDANCY);
+        begins && *system == of && FLOOD.contains(&(at.as_ns() / 1_000_000))
+    });
+    roles.count()
+}
+
+/// The vehicle does not notice the flood, and the other system tells of it.
+fn assert_unimpressed(drive: &Drive, by: SystemId, source: FloodSource) {
+    assert_eq!(drive.masters(), [SystemId::A]);
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+    assert_eq!(drive.collisions(), 0);
+    assert!(drive.takeovers().is_empty());
+    let told = told(drive, by);
+    let [(at, first)] = told[..] else {
+        panic!("{told:?} instead of {source:?}");
+    };
+    assert_eq!(first, source);
+    assert!((FLOOD.start..FLOOD.start + 300).contains(&at), "{at} ms");
+    // One poll for the tick, and those that interrupts may cause.
+    let span = MS(FLOOD.end - FLOOD.start);
+    let most = span.as_ns() / MS(1).as_ns() + span.as_ns() / DOORBELL_DISTANCE.as_ns() + 2;
+    let polls = polls(drive, by);
+    assert!(polls as u64 <= most, "{polls} polls, at most {most}");
+}
+
+/// T-CHIP-5: datagrams without a pause.
+#[test]
+fn a_flooded_link_is_told_and_changes_nothing() {
+    let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
+        for _ in 0..BURST {
+            let _ = board.link().try_send(&[0xDEAD_BEEF; 4]);
+        }
+    });
+    assert_unimpressed(&drive, SystemId::A, FloodSource::Link);
+}
+
+/// T-CHIP-5: edges on the start line, each of which is an interrupt.
+#[test]
+fn a_flooded_start_line_is_told_and_changes_nothing() {
+    let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
+        for _ in 0..BURST {
+            board.lines().send(Line::Start, Edge::Falling);
+        }
+    });
+    let told_of: Vec<_> = told(&drive, SystemId::A)
+        .iter()
+        .map(|(_, it)| *it)
+        .collect();
+    assert!(told_of.contains(&FloodSource::StartLine), "{told_of:?}");
+    assert!(told_of.contains(&FloodSource::Doorbell), "{told_of:?}");
+    let mut line = drive;
+    line.events.retain(|(.., event)| {
+        !matches!(
+            event,
+            Event::Flood {
+                source: FloodSource::Doorbell,
+                ..
+            }
+        )
+    });
+    assert_unimpressed(&line, SystemId::A, FloodSource::StartLine);
+}
+
+/// T-RED-3: edges on both heartbeat lines.
+#[test]
+fn flooded_heartbeat_lines_are_told_and_change_nothing() {
+    let drive = drive((SystemId::B, CoreId::CONTROL), |board| {
+        for line in [Line::Heartbeat1, Line::Heartbeat2] {
+            for _ in 0..BURST {
+                board.lines().send(line, Edge::Rising);
+            }
+        }
+    });
+    assert_unimpressed(&drive, SystemId::A, FloodSource::HeartbeatLines);
+}
+
+/// T-SYNC-3: the doorbell of core 0, rung by a core of its own system.
+#[test]
+fn a_flooded_doorbell_is_told_and_changes_nothing() {
+    let drive = drive((SystemId::A, CoreId::PERCEPTION), |board| {
+        board.ring(CoreId::CONTROL);
+    });
+    assert_unimpressed(&drive, SystemId::A, FloodSource::Doorbell);
+}
+
+/// T-CHIP-5: CAN frames that pass for nothing. The bus gives a core its share and no more.
+#[test]
+fn a_core_that_floods_the_bus_leaves_it_to_the_others() {
+    let drive = drive((SystemId::B, CoreId::PLANNING), |board| {
+        let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).expect("a frame");
+        for _ in 0..BURST {
+            let _ = board.can().try_send(&frame);
+        }
+    });
+    assert_eq!(drive.masters(), [SystemId::A]);
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+    assert_eq!(drive.collisions(), 0);
+}
+
+/// Somebody who is no core puts this many frames on the bus in each of 1000 ms.
+fn forge_frames(a_ms: u32) -> Drive {
+    let mut drive = Drive::new("cut-in", 3);
+    drive.run_for(MS(10_000));
+    let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).expect("a frame");
+    for _ in 0..1_000 {
+        drive.seen.borrow_mut().forged = vec![frame; a_ms as usize];
+        drive.run_for(MS(1));
+    }
+    drive.run_for(MS(9_000));
+    assert_eq!(drive.collisions(), 0);
+    assert_eq!(drive.seen.borrow().world.gate().two_masters_ns(), 0);
+    drive
+}
+
+/// T-CHIP-5: as many as a bus carries are taken, and hide no frame of the master.
+#[test]
+fn a_busy_bus_changes_nothing() {
+    let drive = forge_frames(CAN_FRAMES / 2);
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+    assert_eq!(drive.masters(), [SystemId::A]);
+    assert_eq!(told(&drive, SystemId::A), []);
+}
+
+/// T-CHIP-5: more than a bus can carry is told. It hides the master's frames from the standby,
+/// which may take over once; there is no time without a master beyond the limit for a mute one.
+#[test]
+fn more_frames_than_a_bus_carries_are_told() {
+    let drive = forge_frames(2 * CAN_FRAMES);
+    for system in SystemId::ALL {
+        let told = told(&drive, system);
+        assert_eq!(told.len(), 1, "{system}: {told:?}");
+        assert_eq!(told[0].1, FloodSource::Can);
+    }
+    assert!(drive.gap_max() < MS(30), "{:?}", drive.gap_max());
+    assert!(drive.masters().len() <= 2, "{:?}", drive.masters());
+}
+
+/// T-RED-4, T-RED-9: the master goes mad: it drives no more and floods all that leads to the other,
+/// which takes over in time.
+#[test]
+fn the_standby_takes_over_from_a_master_that_floods_it() {
+    let mut drive = Drive::with("cut-in", 3, |board| {
+        let of = board.identity();
+        if (of.system, of.core) != (SystemId::A, CoreId::CONTROL) {
+            return poller(board, Config::rt());
+        }
+        let mut core = poller(board, Config::rt());
+        Box::new(move |board| {
+            if !is_flooding(board) {
+                let now = board.now();
+                return core(board).min(now + MS(1));
+            }
+            for _ in 0..BURST {
+                let _ = board.link().try_send(&[0xDEAD_BEEF; 4]);
+                board.lines().send(Line::Start, Edge::Rising);
+                let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]);
+                let _ = board.can().try_send(&frame.expect("a frame"));
+            }
+            board.now() + PAUSE
+        })
+    });
+    drive.run_for(MS(20_000));
+    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
+    assert!(drive.gap_max() < MS(20), "{:?}", drive.gap_max());
+    assert_eq!(drive.collisions(), 0);
+    assert!(told(&drive, SystemId::B).len() >= 3);
+}
+
+/// A board on which CAN and link never run dry.
+struct Endless {
+    board: SimBoard,
+    can: EndlessCan,
+    link: EndlessLink,
+}
+
+/// Frames or datagrams that were taken since the poll began. From this number on there are none:
+/// a core that wants them all fails the test instead of hanging.
+#[derive(Clone, Default)]
+struct Taken(Rc<Cell<u32>>);
+
+const ALL_OF_THEM: u32 = 5_000;
+
+impl Taken {
+    fn one_more(&self) -> bool {
+        self.0.set(self.0.get() + 1);
+        self.0.get() < ALL_OF_THEM
+    }
+}
+
+struct EndlessCan(SimBoard, Taken);
+struct EndlessLink(SimBoard, Taken);
+
+impl Can for EndlessCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        self.0.can().try_send(frame)
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).ok()?;
+        let at = self.0.now();
+        self.1.one_more().then_some(Received { frame, at })
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        self.0.can().wake_on_receive(on);
+    }
+
+    fn overruns(&self) -> u32 {
+        self.0.can().overruns()
+    }
+}
+
+impl Link for EndlessLink {
+    const MAX_WORDS: usize = <SimBoard as Board>::Link::MAX_WORDS;
+
+    fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
+        self.0.link().try_send(words)
+    }
+
+    fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
+        words.fill(0);
+        self.1.one_more().then_some(words.len())
+    }
+}
+
+impl Board for Endless {
+    type Can = EndlessCan;
+    type Lines = <SimBoard as Board>::Lines;
+    type Link = EndlessLink;
+    type Flash = <SimBoard as Board>::Flash;
+    type Supply = <SimBoard as Board>::Supply;
+
+    fn identity(&self) -> Identity {
+        self.board.identity()
+    }
+
+    fn now(&self) -> Instant {
+        self.board.now()
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        self.board.lmu()
+    }
+
+    fn ring(&self, to: CoreId) {
+        self.board.ring(to);
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        self.board.wait(deadline)
+    }
+
+    fn can(&self) -> &EndlessCan {
+        &self.can
+    }
+
+    fn lines(&self) -> &Self::Lines {
+        self.board.lines()
+    }
+
+    fn link(&self) -> &EndlessLink {
+        &self.link
+    }
+
+    fn flash(&self) -> &Self::Flash {
+        self.board.flash()
+    }
+
+    fn supply(&self) -> &Self::Supply {
+        self.board.supply()
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        self.board.trace(record);
+    }
+}
+
+/// The worst case of a poll is a constant, however fast the others send while it reads.
+#[test]
+fn one_poll_takes_no_more_than_its_limits() {
+    let most = Rc::new(Cell::new([0; 2]));
+    let seen = Rc::clone(&most);
+    let mut pair =
+        tandem_board_sim::SimPair::new(tandem_board_sim::Config::default(), move |board| {
+            let of = board.identity();
+            if (of.system, of.core) != (SystemId::A, CoreId::CONTROL) {
+                return poller(board, Config::rt());
+            }
+            let (frames, datagrams) = (Taken::default(), Taken::default());
+            let endless: &'static Endless = Box::leak(Box::new(Endless {
+                board: board.clone(),
+                can: EndlessCan(board.clone(), frames.clone()),
+                link: EndlessLink(board.clone(), datagrams.clone()),
+            }));
+            let (mut core, most) = (Core0::new(endless, Config::rt()), Rc::clone(&seen));
+            Box::new(move |_| {
+                let deadline = core.poll();
+                let taken = [&frames, &datagrams].map(|taken| taken.0.take());
+                let [can, link] = most.get();
+                most.set([can.max(taken[0]), link.max(taken[1])]);
+                deadline
+            })
+        });
+    pair.power_on(SystemId::A);
+    pair.run_for(MS(4_000));
+    assert_eq!(most.get(), [CAN_FRAMES, LINK_DATAGRAMS]);
+}
