@@ -13,9 +13,11 @@ use tandem_board::{Board, Duration, Instant, Wake};
 use tandem_board_host::HostBoard;
 use tandem_board_host::realtime::{self, Claim, Grant};
 use tandem_cores::Config;
-use tandem_cores::activity::IrqCode;
-use tandem_cores::core0::{DOORBELL_DISTANCE, Drive, Job, Jobs, Parts, Seat, Shared, Task, Woken};
+use tandem_cores::core0::{
+    DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks,
+};
 use tandem_cores::schedule::TickGrid;
+use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_rtos::{
     Clock, EventKind, Interrupt, InterruptPriority, Kernel, Mutex, Priority, TaskContext,
@@ -34,25 +36,25 @@ const STACK_BYTES: usize = 64 << 10;
 const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 
 /// Rate-monotonic: see `docs/rtos-tasks.md`.
-const fn priority(task: Task) -> Priority {
+const fn priority(task: TaskId) -> Priority {
     Priority::new(match task {
-        Task::Roles => 12,
-        Task::Monitoring => 10,
-        Task::Control => 8,
-        Task::Degraded => 7,
-        Task::Follow => 5,
-        Task::Status => 3,
+        TaskId::Roles => 12,
+        TaskId::Monitoring => 10,
+        TaskId::Control => 8,
+        TaskId::Degraded => 7,
+        TaskId::TrajectoryInput => 5,
+        TaskId::Status => 3,
     })
 }
 
-const fn name(task: Task) -> &'static str {
+const fn name(task: TaskId) -> &'static str {
     match task {
-        Task::Roles => "roles",
-        Task::Monitoring => "monitoring",
-        Task::Control => "control",
-        Task::Degraded => "degraded",
-        Task::Follow => "follow",
-        Task::Status => "status",
+        TaskId::Roles => "roles",
+        TaskId::Monitoring => "monitoring",
+        TaskId::Control => "control",
+        TaskId::Degraded => "degraded",
+        TaskId::TrajectoryInput => "trajectory",
+        TaskId::Status => "status",
     }
 }
 
@@ -61,10 +63,10 @@ struct Common {
     board: &'static HostBoard,
     shared: Mutex<SharedState>,
     drive: Mutex<Drive>,
-    /// In the order of [`Task::ALL`]; complete before the first task runs.
-    handles: [OnceLock<TaskHandle>; Task::ALL.len()],
-    jobs: [JobState; Task::ALL.len()],
-    /// See [`Seat::held_back`].
+    /// In the order of [`TaskId::ALL`]; complete before the first task runs.
+    handles: [OnceLock<TaskHandle>; TaskId::ALL.len()],
+    jobs: [JobState; TaskId::ALL.len()],
+    /// See [`Executor::held_back`].
     held_back: AtomicU32,
 }
 
@@ -99,14 +101,14 @@ impl TraceSink for Common {
             EventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
             EventKind::SwitchedIn | EventKind::SwitchedOut | EventKind::Ready => {}
         }
-        let is_it = |task: &Task| {
+        let is_it = |task: &TaskId| {
             let number = self.jobs[*task as usize].number.load(Relaxed);
             number == event.subject
         };
-        let Some(of) = Task::ALL.into_iter().find(is_it) else {
+        let Some(of) = TaskId::ALL.into_iter().find(is_it) else {
             return;
         };
-        let (job, task) = (&self.jobs[of as usize], of.code());
+        let (job, task) = (&self.jobs[of as usize], of.info().code);
         let under_way = job.under_way.load(Relaxed);
         match event.kind {
             EventKind::SwitchedIn if under_way => {
@@ -122,7 +124,7 @@ impl TraceSink for Common {
                 self.trace(Event::TaskOut { task, leaves });
             }
             // The signal of core 2 is the release of the other one.
-            EventKind::Ready if !under_way && of != Task::Follow => {
+            EventKind::Ready if !under_way && of != TaskId::TrajectoryInput => {
                 self.trace(Event::Ready { task });
             }
             _ => {}
@@ -130,11 +132,11 @@ impl TraceSink for Common {
     }
 }
 
-/// The seat of a task of the kernel.
+/// The executor of a task of the kernel.
 struct OfTask<'a> {
     ctx: &'a TaskContext,
     common: &'static Common,
-    task: Task,
+    task: TaskId,
 }
 
 impl OfTask<'_> {
@@ -158,7 +160,7 @@ impl OfTask<'_> {
     }
 }
 
-impl Seat<'static, HostBoard> for OfTask<'_> {
+impl Executor<'static, HostBoard> for OfTask<'_> {
     fn shared<R>(&self, body: impl FnOnce(&mut SharedState) -> R) -> R {
         self.locked(&self.common.shared, body)
     }
@@ -167,8 +169,8 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
         self.locked(&self.common.drive, body)
     }
 
-    fn wake(&self, woken: Woken) {
-        for task in Task::ALL {
+    fn release(&self, woken: TaskSet) {
+        for task in TaskId::ALL {
             if woken.contains(task)
                 && let Some(handle) = self.common.handles[task as usize].get()
             {
@@ -182,9 +184,9 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
         self.common.held_back.load(Relaxed)
     }
 
-    fn begins(&self, task: Task, begin: Begin) {
+    fn begins(&self, task: TaskId, begin: Begin) {
         self.ctx.critical(|| {
-            let task = task.code();
+            let task = task.info().code;
             self.common.trace(Event::TaskIn { task, begin });
             self.common.jobs[self.task as usize]
                 .under_way
@@ -192,9 +194,9 @@ impl Seat<'static, HostBoard> for OfTask<'_> {
         });
     }
 
-    fn ends(&self, task: Task) {
+    fn ends(&self, task: TaskId) {
         self.ctx.critical(|| {
-            let (task, leaves) = (task.code(), Leaves::Done);
+            let (task, leaves) = (task.info().code, Leaves::Done);
             self.common.trace(Event::TaskOut { task, leaves });
             self.common.jobs[self.task as usize]
                 .under_way
@@ -215,10 +217,10 @@ fn ticks(ctx: &TaskContext) -> TickGrid {
 ///
 /// The roles are asked at each tick: at the one before, if the deadline lies between two, since a
 /// heartbeat is rather asked for in vain than late by a tick.
-fn wait(ctx: &TaskContext, ticks: &TickGrid, task: Task, deadline: Instant) {
+fn wait(ctx: &TaskContext, ticks: &TickGrid, task: TaskId, deadline: Instant) {
     let now = ticks.before(Instant::from_ns(host::now_ns()));
     let due = match task {
-        Task::Roles => ticks.before(deadline).max(now + 1),
+        TaskId::Roles => ticks.before(deadline).max(now + 1),
         _ => ticks.after(deadline),
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
@@ -232,10 +234,10 @@ fn wait(ctx: &TaskContext, ticks: &TickGrid, task: Task, deadline: Instant) {
 }
 
 /// Tells how much of its stack the task needs, and for how long it keeps others waiting.
-fn report(ctx: &TaskContext, common: &Common, task: Task) {
+fn report(ctx: &TaskContext, common: &Common, task: TaskId) {
     let longest_ns = common.jobs[task as usize].held_ns.load(Relaxed);
     let free_bytes = u32::try_from(ctx.unused_stack_bytes()).unwrap_or(u32::MAX);
-    let task = task.code();
+    let task = task.info().code;
     common.trace(Event::Stack { task, free_bytes });
     common.trace(Event::Held { task, longest_ns });
 }
@@ -244,18 +246,18 @@ fn report(ctx: &TaskContext, common: &Common, task: Task) {
 fn run(
     ctx: &TaskContext,
     common: &'static Common,
-    mut job: impl Job<'static, HostBoard>,
-    task: Task,
+    mut job: impl Task<'static, HostBoard>,
+    task: TaskId,
 ) {
-    let seat = OfTask { ctx, common, task };
+    let executor = OfTask { ctx, common, task };
     let ticks = ticks(ctx);
     job.start(ticks.floor(common.board.now()));
-    if task == Task::Roles {
-        seat.shared(|shared| shared.set_ticks(ticks));
+    if task == TaskId::Roles {
+        executor.shared(|shared| shared.set_ticks(ticks));
     }
     let mut report_at = common.board.now() + REPORT_PERIOD;
     loop {
-        let deadline = job.poll(&seat);
+        let deadline = job.poll(&executor);
         let now = common.board.now();
         if now >= report_at {
             report_at = now + REPORT_PERIOD;
@@ -267,9 +269,9 @@ fn run(
 
 fn spawn<J>(kernel: &Kernel, common: &'static Common, job: J) -> anyhow::Result<()>
 where
-    J: Job<'static, HostBoard> + Send + 'static,
+    J: Task<'static, HostBoard> + Send + 'static,
 {
-    let task = J::TASK;
+    let task = J::ID;
     let options = TaskOptions::new(name(task), priority(task)).stack_bytes(STACK_BYTES);
     let handle = kernel
         .spawn(&options, move |ctx| run(ctx, common, job, task))
@@ -290,7 +292,7 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
     let Parts {
         shared,
         drive,
-        jobs,
+        tasks,
     } = Parts::new(board, config);
     let common: &'static Common = Box::leak(Box::new(Common {
         board,
@@ -300,27 +302,27 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
         jobs: Default::default(),
         held_back: AtomicU32::new(0),
     }));
-    let Jobs {
+    let Tasks {
         roles,
         monitoring,
         control,
         degraded,
-        follow,
+        trajectory_input,
         status,
-    } = jobs;
+    } = tasks;
     spawn(&kernel, common, roles)?;
     spawn(&kernel, common, monitoring)?;
     spawn(&kernel, common, control)?;
     spawn(&kernel, common, degraded)?;
-    spawn(&kernel, common, follow)?;
+    spawn(&kernel, common, trajectory_input)?;
     spawn(&kernel, common, status)?;
     kernel.attach(
         Interrupt::DOORBELL,
         InterruptPriority::new(10),
         move |ctx| {
-            let wanted = Task::ALL
+            let wanted = TaskId::ALL
                 .into_iter()
-                .filter(|task| task.is_for_interrupts());
+                .filter(|task| task.info().is_for_interrupts());
             for handle in wanted.filter_map(|task| common.handles[task as usize].get()) {
                 // It never ends.
                 let _ = handle.notify(ctx);

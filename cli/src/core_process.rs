@@ -5,9 +5,9 @@ use crate::plan::{Profile, RunPlan};
 use anyhow::Context as _;
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
-use tandem_cores::activity::IrqCode;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
+use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 

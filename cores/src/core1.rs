@@ -1,11 +1,11 @@
 //! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2.
 //! T-CHIP-3
 
-use crate::activity::TaskCode;
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
 use crate::layout::{ControllerMap, PLAN, Writer, age_ns};
 use crate::schedule::{Grid, Release};
+use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY, read_can};
 use tandem_board::{Board, CoreId, Duration, Instant};
@@ -13,7 +13,7 @@ use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
 
 /// The period of the sensors.
-pub const PERIOD: Duration = Duration::from_ms(50);
+pub const PERIOD: Duration = CORE_1[0].period;
 
 /// Frames that one cycle takes from the CAN receiver: as many as a bus of 1 Mbit/s carries in a
 /// period. The rest waits for the next cycle.

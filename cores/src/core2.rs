@@ -1,9 +1,9 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
-use crate::activity::TaskCode;
 use crate::driving::planning::Planner;
 use crate::driving::types::{Scene, Trajectory};
-use crate::layout::{ControllerMap, FOLLOW, PLAN, Reader, Writer};
+use crate::layout::{ControllerMap, PLAN, Reader, TRAJECTORY_READY, Writer};
+use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
 use tandem_board::{Board, CoreId, Duration, Instant};
@@ -42,9 +42,9 @@ impl<B: Board> Planning<'_, B> {
                 let trajectory = self.planner.plan(&scene);
                 self.trajectories.publish(&trajectory);
                 self.map.count_cycle();
-                let (core, task) = (CoreId::CONTROL, TaskCode::FOLLOW);
+                let (core, task) = (CoreId::CONTROL, TaskCode::TRAJECTORY_INPUT);
                 self.trace(Event::Wake { core, task, flow });
-                if self.to_control.signal(FOLLOW) == Ring::Needed {
+                if self.to_control.signal(TRAJECTORY_READY) == Ring::Needed {
                     self.trace(Event::Ring { core });
                     self.board.ring(core);
                 }

@@ -14,7 +14,7 @@ use tandem_shm::{LINE_WORDS, Shape};
 /// Task of core 2: plan for the newest scene.
 pub const PLAN: TaskId = task(1);
 /// Task of core 0: a new trajectory is there.
-pub const FOLLOW: TaskId = task(1);
+pub const TRAJECTORY_READY: TaskId = task(1);
 
 const fn task(number: u8) -> TaskId {
     match TaskId::new(number) {

@@ -13,13 +13,13 @@
 #[cfg(test)]
 extern crate std;
 
-pub mod activity;
 pub mod core0;
 pub mod core1;
 pub mod core2;
 pub mod driving;
 pub mod layout;
 pub mod schedule;
+pub mod task_table;
 pub mod trace;
 pub mod words;
 

@@ -1,7 +1,7 @@
 //! What the cores write to the board's trace: four words an event.
 //!
 //! The trace is for people and reports; nothing that drives reads it. `docs/tracing.md` shows what
-//! becomes of it. Codes of tasks and interrupts are those of [`crate::activity`].
+//! becomes of it. Codes of tasks and interrupts are those of [`crate::task_table`].
 //!
 //! Who schedules writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
 //! a kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with
@@ -10,7 +10,7 @@
 //! its release (`Ready`, [`Begin::Released`] or the signal of a [`Event::Woken`]) to the `TaskOut`
 //! that says [`Leaves::Done`].
 
-use crate::activity::{IrqCode, TaskCode};
+use crate::task_table::{IrqCode, TaskCode};
 use tandem_board::{CoreId, Duration, TraceRecord};
 use tandem_redundancy::{Evidence, Phase};
 
@@ -526,7 +526,9 @@ mod tests {
                 task: TaskCode::STATUS,
             },
             Event::IrqIn { irq: IrqCode::TICK },
-            Event::IrqOut { irq: IrqCode::CAN },
+            Event::IrqOut {
+                irq: IrqCode::DOORBELL,
+            },
             Event::Interrupted {
                 irq: IrqCode::DOORBELL,
             },
@@ -540,7 +542,7 @@ mod tests {
                 flow: 77,
             },
             Event::Stack {
-                task: TaskCode::IDLE,
+                task: TaskCode::CONTROL,
                 free_bytes: 900,
             },
             Event::Ring {

@@ -49,7 +49,7 @@ fn a_short_drive_ends_with_a_report() {
         "heartbeat and roles",
         "monitoring",
         "control",
-        "follow",
+        "trajectory input",
         "status",
     ] {
         let task = of_core_0("tasks", "task", name);

@@ -53,8 +53,8 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
 struct Row {
     /// Its name in `metrics.json`.
     name: &'static str,
-    /// The deadline, ms. Also the shortest time between two releases, except for `follow`, which
-    /// the doorbell releases.
+    /// The deadline, ms. Also the shortest time between two releases, except for the trajectory
+    /// input, which the doorbell releases.
     period_ms: f64,
     /// How many of the two locks those below it share with it or with one above it: for so many
     /// critical sections it may have to wait.
@@ -67,7 +67,7 @@ const ROWS: [Row; 6] = [
     row("monitoring", 5.0, 1.0),
     row("control", 10.0, 2.0),
     row("degraded mode", 10.0, 2.0),
-    row("follow", 50.0, 1.0),
+    row("trajectory input", 50.0, 1.0),
     row("status", 100.0, 0.0),
 ];
 
@@ -158,7 +158,7 @@ fn responses(metrics: &Value, overhead_us: f64, by: By) -> Vec<Option<f64>> {
         let limit = row.period_ms * 1e3;
         found.push(response(own, row.locks * held, &above, limit));
         above.push(Load {
-            period: if row.name == "follow" {
+            period: if row.name == "trajectory input" {
                 DOORBELL_MS * 1e3
             } else {
                 limit

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use maud::{Markup, PreEscaped, html};
 use plotters::style::RGBColor;
 use tandem_board::{CoreId, SupplyEvent, SystemId};
-use tandem_cores::activity::TaskCode;
+use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::Event;
 
 use super::charts::{color, plain, round_ticks};
@@ -32,15 +32,15 @@ const GAP: f64 = 12.0;
 const NARROWEST: f64 = 1.2;
 
 /// The legend: what the colours of slices mean.
-const LEGEND: [(TaskCode, &str, RGBColor); 8] = [
-    (TaskCode::CONTROL, "control", color::A),
-    (TaskCode::DEGRADED, "degraded mode", color::WARN),
-    (TaskCode::REDUNDANCY, "heartbeat and roles", color::CALM),
-    (TaskCode::MONITORING, "monitoring", color::MUTED),
-    (TaskCode::STATUS, "status", color::OTHER),
-    (TaskCode::FOLLOW, "follow", color::BAD),
-    (TaskCode::PERCEPTION, "perception", color::GOOD),
-    (TaskCode::PLANNING, "planning", color::B),
+const LEGEND: [(TaskCode, RGBColor); 8] = [
+    (TaskCode::CONTROL, color::A),
+    (TaskCode::DEGRADED, color::WARN),
+    (TaskCode::ROLES, color::CALM),
+    (TaskCode::MONITORING, color::MUTED),
+    (TaskCode::STATUS, color::OTHER),
+    (TaskCode::TRAJECTORY_INPUT, color::BAD),
+    (TaskCode::PERCEPTION, color::GOOD),
+    (TaskCode::PLANNING, color::B),
 ];
 
 /// The timeline around the first takeover from a master that failed, or of some moment of a run
@@ -71,8 +71,11 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
             div.head {
                 h2 { (title) }
                 div.legend {
-                    @for (_, name, RGBColor(r, g, b)) in LEGEND {
-                        span { i.box style=(format!("background:#{r:02x}{g:02x}{b:02x}")) {} (name) }
+                    @for (code, RGBColor(r, g, b)) in LEGEND {
+                        span {
+                            i.box style=(format!("background:#{r:02x}{g:02x}{b:02x}")) {}
+                            (code.name().unwrap_or_default())
+                        }
                     }
                 }
             }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, Duration, SystemId};
-use tandem_cores::activity::{self, IrqCode, TaskCode};
+use tandem_cores::task_table::{self, IrqCode, TaskCode};
 use tandem_cores::trace::Begin;
 
 use super::{CoreLine, Flow, Work, task_name};
@@ -290,7 +290,7 @@ impl Jobs {
     /// The figures, in the order of the core's table.
     pub(super) fn metrics(&self, system: SystemId, core: CoreId) -> Vec<TaskMetrics> {
         let rank = |code: TaskCode| {
-            let known = activity::tasks(core);
+            let known = task_table::tasks(core);
             known.iter().position(|info| info.code == code)
         };
         let mut tasks: Vec<(&TaskCode, &Task)> = self.tasks.iter().collect();
@@ -302,7 +302,7 @@ impl Jobs {
 
 impl Task {
     fn metrics(&self, system: SystemId, core: CoreId, code: TaskCode) -> TaskMetrics {
-        let info = activity::task(core, code);
+        let info = task_table::task(core, code);
         let ms = |span: Option<Duration>| span.map(Duration::as_ms_f64);
         let deadline_ms = ms(info.and_then(|info| info.deadline));
         let late = deadline_ms.map_or(0, |deadline_ms| {
@@ -315,7 +315,9 @@ impl Task {
             system: system.to_string(),
             core: core.index() as u8,
             task: task_name(core, code),
-            period_ms: ms(info.and_then(|info| info.period)),
+            period_ms: ms(info
+                .filter(|info| info.is_periodic())
+                .map(|info| info.period)),
             deadline_ms,
             jobs: self.begun,
             missed_releases: self.missed,

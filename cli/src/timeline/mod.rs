@@ -13,7 +13,7 @@ pub(crate) mod tests;
 use std::collections::HashMap;
 
 use tandem_board::{CoreId, SupplyEvent, SystemId};
-use tandem_cores::activity::{self, IrqCode, TaskCode};
+use tandem_cores::task_table::{self, IrqCode, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 
 use crate::tape::{Entry, Source};
@@ -42,7 +42,7 @@ impl Work {
 
 /// The name of a task of this core.
 pub(crate) fn task_name(core: CoreId, code: TaskCode) -> String {
-    match activity::task(core, code) {
+    match task_table::task(core, code) {
         Some(info) => info.name.to_owned(),
         None => format!("task {}", code.0),
     }

@@ -123,7 +123,7 @@ fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
 /// FreeRTOS says that a task is switched out, not why.
 #[test]
 fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
-    let task = TaskCode::HEARTBEAT;
+    let task = TaskCode::ROLES;
     let timeline = Timeline::new(&on_core(
         CONTROL,
         &[
@@ -138,7 +138,7 @@ fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
             (2_200, out(task, Leaves::Gives)),
         ],
     ));
-    let found = figures(&timeline, "heartbeat");
+    let found = figures(&timeline, "heartbeat and roles");
     assert_eq!((found.jobs, found.responses, found.cut), (2, 2, 0));
     assert_eq!(ms(found.response_max_ms), 0.6);
     assert_eq!(ms(found.response_p50_ms), 0.2);
@@ -150,12 +150,12 @@ fn a_nested_task_pauses_the_one_around_it() {
     let timeline = Timeline::new(&on_core(
         CONTROL,
         &[
-            (1_000, released(TaskCode::REDUNDANCY, 100, 0)),
+            (1_000, released(TaskCode::ROLES, 100, 0)),
             (1_200, released(TaskCode::CONTROL, 0, 0)),
             (1_300, released(TaskCode::DEGRADED, 0, 0)),
             (1_700, done(TaskCode::DEGRADED)),
             (1_800, done(TaskCode::CONTROL)),
-            (2_000, done(TaskCode::REDUNDANCY)),
+            (2_000, done(TaskCode::ROLES)),
         ],
     ));
     let depths: Vec<usize> = slices(&timeline, CONTROL).iter().map(|s| s.3).collect();
@@ -202,10 +202,10 @@ fn what_a_core_did_when_it_was_killed_ends_when_the_supply_saw_it() {
     let mut entries = on_core(
         CONTROL,
         &[
-            (100, released(TaskCode::REDUNDANCY, 0, 0)),
+            (100, released(TaskCode::ROLES, 0, 0)),
             (200, released(TaskCode::CONTROL, 0, 0)),
             (900, started),
-            (1_000, goes(TaskCode::REDUNDANCY)),
+            (1_000, goes(TaskCode::ROLES)),
         ],
     );
     entries.push(supply(250, died));

@@ -36,7 +36,7 @@ const EXCEEDED: u32 = 10;
 
 /// Passes interrupts on with at least a given distance between two.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Throttle {
+pub struct Throttle {
     distance: Duration,
     opens: Instant,
     pending: bool,
@@ -44,7 +44,9 @@ pub(super) struct Throttle {
 }
 
 impl Throttle {
-    pub(super) const fn new(distance: Duration) -> Self {
+    /// Lets the first interrupt pass.
+    #[must_use]
+    pub const fn new(distance: Duration) -> Self {
         Self {
             distance,
             opens: Instant::ORIGIN,
@@ -58,7 +60,7 @@ impl Throttle {
     ///
     /// `certain`: nothing but an interrupt can have caused this call. Only such a call begins a
     /// new distance.
-    pub(super) fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
+    pub fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
         if now < self.opens {
             if certain {
                 self.held_back = self.held_back.wrapping_add(u32::from(!self.pending));
@@ -74,7 +76,8 @@ impl Throttle {
     }
 
     /// When an interrupt that was held back is passed on.
-    pub(super) const fn due(&self) -> Instant {
+    #[must_use]
+    pub const fn due(&self) -> Instant {
         if self.pending {
             self.opens
         } else {
@@ -83,7 +86,8 @@ impl Throttle {
     }
 
     /// How many times interrupts were held back; wraps around.
-    pub(super) const fn held_back(&self) -> u32 {
+    #[must_use]
+    pub const fn held_back(&self) -> u32 {
         self.held_back
     }
 }
@@ -136,7 +140,7 @@ impl Floods {
         self.exceeded(FloodSource::Link, LINK_DATAGRAMS - 1);
     }
 
-    /// `held_back`: running count of [`super::Seat::held_back`].
+    /// `held_back`: running count of [`super::Executor::held_back`].
     pub(super) fn doorbells(&mut self, held_back: u32) {
         let new = held_back.wrapping_sub(core::mem::replace(&mut self.doorbells, held_back));
         for _ in 0..new.min(EXCEEDED) {

@@ -4,7 +4,7 @@
 //! here computes a command.
 
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
-use super::{CONTROL_PERIOD, Drive, Task, Woken, frames};
+use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames};
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
@@ -138,8 +138,8 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// Fetches what has arrived over CAN and the link, up to the limits, and tells the redundancy.
-    pub(super) fn read_bus(&mut self) -> Woken {
-        let mut woken = Woken::NONE;
+    pub(super) fn read_bus(&mut self) -> TaskSet {
+        let mut woken = TaskSet::NONE;
         let mut left = CAN_FRAMES;
         while let Some((at, message)) = read_can(self.board, &mut self.receiver, &mut left) {
             self.can_frames = self.can_frames.wrapping_add(1);
@@ -177,19 +177,19 @@ impl<'b, B: Board> Shared<'b, B> {
         }
     }
 
-    fn hear(&mut self, at: Instant, message: Message) -> Woken {
+    fn hear(&mut self, at: Instant, message: Message) -> TaskSet {
         match message {
             Message::EgoMotion(motion) => {
                 self.ego_seen = true;
                 self.inbox.on_ego(at, ego_of(&motion));
-                Woken::NONE
+                TaskSet::NONE
             }
             Message::Control {
                 system: from,
                 control,
             } if usize::from(from) != self.system.index() => {
                 let Some(frame) = frames::heard_control(from, &control) else {
-                    return Woken::NONE;
+                    return TaskSet::NONE;
                 };
                 let woken = self.tell(Input::ControlFrame(frame));
                 if self.is_of_master(frame) {
@@ -204,8 +204,10 @@ impl<'b, B: Board> Shared<'b, B> {
                 system: from,
                 status,
             } if usize::from(from) != self.system.index() => frames::heard_status(&status)
-                .map_or(Woken::NONE, |report| self.tell(Input::StatusFrame(report))),
-            _ => Woken::NONE,
+                .map_or(TaskSet::NONE, |report| {
+                    self.tell(Input::StatusFrame(report))
+                }),
+            _ => TaskSet::NONE,
         }
     }
 
@@ -219,10 +221,10 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Tells the redundancy what has come, and does what it answers. Each by itself: of a flood,
     /// the last frame counts as much as the first.
-    fn tell(&mut self, input: Input) -> Woken {
+    fn tell(&mut self, input: Input) -> TaskSet {
         let now = self.board.now();
         let Some(redundancy) = &mut self.redundancy else {
-            return Woken::NONE;
+            return TaskSet::NONE;
         };
         let actions = redundancy.on(now, input);
         self.act(actions)
@@ -247,12 +249,12 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// Has the redundancy judge the lines, and does what it answers.
-    pub(super) fn poll_redundancy(&mut self) -> Woken {
+    pub(super) fn poll_redundancy(&mut self) -> TaskSet {
         let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
         self.floods.lines(self.board.now(), &snapshot);
         let Some(redundancy) = &mut self.redundancy else {
             self.start_redundancy();
-            return Woken::NONE;
+            return TaskSet::NONE;
         };
         let actions = redundancy.on(self.board.now(), Input::Poll(snapshot));
         let woken = self.act(actions);
@@ -261,7 +263,7 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// Core 1 or 2 is dead.
-    pub(super) fn on_dead_core(&mut self, fault: FailureMode) -> Woken {
+    pub(super) fn on_dead_core(&mut self, fault: FailureMode) -> TaskSet {
         let now = self.board.now();
         match &mut self.redundancy {
             Some(redundancy) => {
@@ -270,14 +272,14 @@ impl<'b, B: Board> Shared<'b, B> {
             }
             None => {
                 self.board.supply().request_reset(ResetRequest::CoreDead);
-                Woken::NONE
+                TaskSet::NONE
             }
         }
     }
 
     /// Does what the redundancy asks for; the tasks that are to run for it.
-    fn act(&mut self, actions: Actions) -> Woken {
-        let mut woken = Woken::NONE;
+    fn act(&mut self, actions: Actions) -> TaskSet {
+        let mut woken = TaskSet::NONE;
         for (line, edge) in actions.edges() {
             self.board.lines().send(line, edge);
         }
@@ -291,7 +293,7 @@ impl<'b, B: Board> Shared<'b, B> {
             // Both systems begin their control cycle on the sync edge; and a takeover does not wait
             // for the grid of the cycle, it begins a new one.
             self.control.restart(self.ticks.floor(self.board.now()));
-            woken |= Woken::by(Task::Control);
+            woken |= TaskSet::of(TaskId::Control);
         }
         self.redundancy_due = actions.deadline;
         self.store.drive(self.board.flash());

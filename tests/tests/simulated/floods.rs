@@ -8,8 +8,8 @@ use tandem_board::{
     LinkFull, Received, SystemId, TraceRecord, TransmitFull, Wake,
 };
 use tandem_board_sim::{Poller, SimBoard};
-use tandem_cores::activity::TaskCode;
 use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
+use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_cores::{Config, Core};
 use tandem_tests::drive::{Drive, poller};
@@ -80,7 +80,7 @@ fn told(drive: &Drive, by: SystemId) -> Vec<(u64, FloodSource)> {
 /// How often the roles of a system ran while the flood lasted.
 fn polls(drive: &Drive, of: SystemId) -> usize {
     let roles = drive.events.iter().filter(|(at, system, _, event)| {
-        let begins = matches!(event, Event::TaskIn { task, .. } if *task == TaskCode::REDUNDANCY);
+        let begins = matches!(event, Event::TaskIn { task, .. } if *task == TaskCode::ROLES);
         begins && *system == of && FLOOD.contains(&(at.as_ns() / 1_000_000))
     });
     roles.count()

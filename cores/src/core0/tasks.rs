@@ -1,11 +1,11 @@
-//! The tasks' bodies: each does what is due and says when it is due next.
+//! The bodies of core 0's tasks: each does what is due and returns when it is due next.
 
 use super::alive::Alive;
 use super::limits::DOORBELL_DISTANCE;
 use super::shared::Shared;
-use super::{Job, MONITORING_PERIOD, STATUS_PERIOD, Seat, Task, frames};
+use super::{Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
-use crate::layout::{ControllerMap, FOLLOW, Reader, age_ns};
+use crate::layout::{ControllerMap, Reader, TRAJECTORY_READY, age_ns};
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
@@ -24,11 +24,11 @@ fn released(board: &impl Board, release: Release) -> Begin {
 /// Heartbeats, what has come from the other system, and the roles.
 pub struct Roles<'b, B>(pub(super) &'b B);
 
-impl<'b, B: Board> Job<'b, B> for Roles<'b, B> {
-    const TASK: Task = Task::Roles;
+impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
+    const ID: TaskId = TaskId::Roles;
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
-        let (woken, due) = seat.shared(|shared| {
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
+        let (tasks, due) = executor.shared(|shared| {
             let now = self.0.now();
             let due = shared.redundancy_due;
             let begin = if now < due {
@@ -37,16 +37,16 @@ impl<'b, B: Board> Job<'b, B> for Roles<'b, B> {
                 let late_ns = age_ns(now, due);
                 Begin::Released { late_ns, missed: 0 }
             };
-            seat.begins(Self::TASK, begin);
+            executor.begins(Self::ID, begin);
             // Everything that has come is handed on before the lines are judged: else the
             // redundancy would be told of silence while evidence waits in a buffer.
             let heard = shared.read_bus();
-            let woken = heard | shared.poll_redundancy();
-            shared.tell_floods(seat.held_back());
-            (woken, shared.redundancy_due)
+            let tasks = heard | shared.poll_redundancy();
+            shared.tell_floods(executor.held_back());
+            (tasks, shared.redundancy_due)
         });
-        seat.wake(woken);
-        seat.ends(Self::TASK);
+        executor.release(tasks);
+        executor.ends(Self::ID);
         due
     }
 }
@@ -67,7 +67,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
         Self {
             board,
             config,
-            grid: Grid::new(started, MONITORING_PERIOD),
+            grid: Grid::new(started, TaskId::Monitoring.info().period),
             map: None,
             alive: Alive::new(started, config.boot_limit, |_| 0),
             last_service: None,
@@ -101,12 +101,12 @@ impl<'b, B: Board> Monitoring<'b, B> {
     }
 
     /// Looks at the alive counters.
-    fn supervise(&mut self, seat: &impl Seat<'b, B>) {
+    fn supervise(&mut self, executor: &impl Executor<'b, B>) {
         let Some(map) = &self.map else { return };
         let (now, limit) = (self.board.now(), self.config.alive_limit);
         let silent = self.alive.silent(now, limit, |core| map.cycles(core));
         let all_seen = self.alive.all_seen();
-        let woken = seat.shared(|shared| {
+        let tasks = executor.shared(|shared| {
             shared.all_seen = all_seen;
             let core = silent?;
             shared.trace(Event::CoreSilent {
@@ -118,28 +118,28 @@ impl<'b, B: Board> Monitoring<'b, B> {
                 FailureMode::PlanningCore
             }))
         });
-        if let Some(woken) = woken {
-            seat.wake(woken);
+        if let Some(tasks) = tasks {
+            executor.release(tasks);
         }
     }
 }
 
-impl<'b, B: Board> Job<'b, B> for Monitoring<'b, B> {
-    const TASK: Task = Task::Monitoring;
+impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
+    const ID: TaskId = TaskId::Monitoring;
 
     fn start(&mut self, at: Instant) {
         self.grid.restart(at);
     }
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.map.is_none() {
             self.attach();
         }
         if let Some(release) = self.grid.release(self.board.now()) {
-            seat.begins(Self::TASK, released(self.board, release));
+            executor.begins(Self::ID, released(self.board, release));
             self.service_watchdog();
-            self.supervise(seat);
-            seat.ends(Self::TASK);
+            self.supervise(executor);
+            executor.ends(Self::ID);
         }
         match self.map {
             Some(_) => self.grid.next(),
@@ -151,12 +151,12 @@ impl<'b, B: Board> Job<'b, B> for Monitoring<'b, B> {
 /// Motion control and the control frame.
 pub struct Control<'b, B>(pub(super) &'b B);
 
-impl<'b, B: Board> Job<'b, B> for Control<'b, B> {
-    const TASK: Task = Task::Control;
+impl<'b, B: Board> Task<'b, B> for Control<'b, B> {
+    const ID: TaskId = TaskId::Control;
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         let now = self.0.now();
-        let (release, degraded, next) = seat.shared(|shared| {
+        let (release, degraded, next) = executor.shared(|shared| {
             let release = shared.control.release(now);
             let mode = shared.redundancy.as_ref().map(|it| it.mode());
             let degraded = mode == Some(Mode::DegradedL2);
@@ -167,9 +167,9 @@ impl<'b, B: Board> Job<'b, B> for Control<'b, B> {
         });
         let Some(release) = release else { return next };
         if degraded {
-            seat.wake(Task::Degraded.into());
+            executor.release(TaskId::Degraded.into());
         } else {
-            cycle(self.0, seat, Self::TASK, release);
+            cycle(self.0, executor, Self::ID, release);
         }
         next
     }
@@ -178,23 +178,28 @@ impl<'b, B: Board> Job<'b, B> for Control<'b, B> {
 /// The control cycle of a system that drives alone.
 pub struct Degraded<'b, B>(pub(super) &'b B);
 
-impl<'b, B: Board> Job<'b, B> for Degraded<'b, B> {
-    const TASK: Task = Task::Degraded;
+impl<'b, B: Board> Task<'b, B> for Degraded<'b, B> {
+    const ID: TaskId = TaskId::Degraded;
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
-        let release = seat.shared(|shared| shared.handed_over.take());
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
+        let release = executor.shared(|shared| shared.handed_over.take());
         if let Some(release) = release {
-            cycle(self.0, seat, Self::TASK, release);
+            cycle(self.0, executor, Self::ID, release);
         }
         Instant::NEVER
     }
 }
 
 /// One control cycle: what the drive knows becomes a command, and the command a frame.
-fn cycle<'b, B: Board>(board: &'b B, seat: &impl Seat<'b, B>, task: Task, release: Release) {
-    seat.begins(task, released(board, release));
+fn cycle<'b, B: Board>(
+    board: &'b B,
+    executor: &impl Executor<'b, B>,
+    task: TaskId,
+    release: Release,
+) {
+    executor.begins(task, released(board, release));
     let begin = board.now();
-    let inputs = seat.shared(|shared| {
+    let inputs = executor.shared(|shared| {
         if release.missed > 0 {
             shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
             shared.trace(Event::DeadlineMiss {
@@ -205,13 +210,13 @@ fn cycle<'b, B: Board>(board: &'b B, seat: &impl Seat<'b, B>, task: Task, releas
         Some((mode, core::mem::take(&mut shared.inbox)))
     });
     if let Some((mode, inbox)) = inputs {
-        let output = seat.drive(|drive| {
+        let output = executor.drive(|drive| {
             inbox.empty_into(drive);
             drive.cycle(begin, mode)
         });
-        seat.shared(|shared| shared.send_control(&output, begin, release.at));
+        executor.shared(|shared| shared.send_control(&output, begin, release.at));
     }
-    seat.ends(task);
+    executor.ends(task);
 }
 
 impl<B: Board> Shared<'_, B> {
@@ -258,12 +263,12 @@ impl<'b> Lmu<'b> {
 }
 
 /// Fetches what cores 1 and 2 have published.
-pub struct Follow<'b, B> {
+pub struct TrajectoryInput<'b, B> {
     board: &'b B,
     lmu: Option<Lmu<'b>>,
 }
 
-impl<'b, B: Board> Follow<'b, B> {
+impl<'b, B: Board> TrajectoryInput<'b, B> {
     pub(super) fn new(board: &'b B) -> Self {
         Self { board, lmu: None }
     }
@@ -273,10 +278,10 @@ impl<'b, B: Board> Follow<'b, B> {
     }
 }
 
-impl<'b, B: Board> Job<'b, B> for Follow<'b, B> {
-    const TASK: Task = Task::Follow;
+impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
+    const ID: TaskId = TaskId::TrajectoryInput;
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.lmu.is_none() {
             self.lmu = Lmu::attach(self.board);
         }
@@ -286,9 +291,9 @@ impl<'b, B: Board> Job<'b, B> for Follow<'b, B> {
         lmu.from_planning.awake();
         let mut signalled = false;
         lmu.from_planning
-            .poll(|open| signalled |= open.task == FOLLOW);
+            .poll(|open| signalled |= open.task == TRAJECTORY_READY);
         if signalled {
-            seat.begins(Self::TASK, Begin::Goes);
+            executor.begins(Self::ID, Begin::Goes);
         }
         let (scene, trajectory) = (lmu.scenes.fetch(), lmu.trajectories.fetch());
         let asleep = lmu.from_planning.prepare_sleep();
@@ -306,24 +311,24 @@ impl<'b, B: Board> Job<'b, B> for Follow<'b, B> {
                         cycle: trajectory.cycle,
                     });
                 }
-                seat.drive(|drive| drive.on_trajectory(trajectory));
+                executor.drive(|drive| drive.on_trajectory(trajectory));
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),
         }
         match scene {
             Ok(Some(scene)) => {
-                seat.shared(|shared| {
+                executor.shared(|shared| {
                     shared.tracks = scene.objects.len() as u8;
                     shared.lanes_seen = scene.lanes.is_some();
                 });
-                seat.drive(|drive| drive.on_scene(scene));
+                executor.drive(|drive| drive.on_scene(scene));
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),
         }
         if signalled {
-            seat.ends(Self::TASK);
+            executor.ends(Self::ID);
         }
         if asleep {
             Instant::NEVER
@@ -344,23 +349,23 @@ impl<'b, B: Board> Status<'b, B> {
     pub(super) fn new(board: &'b B) -> Self {
         Self {
             board,
-            grid: Grid::new(board.now(), STATUS_PERIOD),
+            grid: Grid::new(board.now(), TaskId::Status.info().period),
         }
     }
 }
 
-impl<'b, B: Board> Job<'b, B> for Status<'b, B> {
-    const TASK: Task = Task::Status;
+impl<'b, B: Board> Task<'b, B> for Status<'b, B> {
+    const ID: TaskId = TaskId::Status;
 
     fn start(&mut self, at: Instant) {
         self.grid.restart(at);
     }
 
-    fn poll(&mut self, seat: &impl Seat<'b, B>) -> Instant {
+    fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if let Some(release) = self.grid.release(self.board.now()) {
-            seat.begins(Self::TASK, released(self.board, release));
-            seat.shared(|shared| shared.send_status());
-            seat.ends(Self::TASK);
+            executor.begins(Self::ID, released(self.board, release));
+            executor.shared(|shared| shared.send_status());
+            executor.ends(Self::ID);
         }
         self.grid.next()
     }

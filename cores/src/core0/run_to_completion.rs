@@ -1,0 +1,122 @@
+//! The executor without a kernel: one pass runs what is due, each task to its end.
+
+use super::limits::{DOORBELL_DISTANCE, Throttle};
+use super::{Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
+use crate::trace::{Begin, Event, Leaves};
+use crate::{Config, Core};
+use core::cell::{Cell, RefCell};
+use tandem_board::{Board, Instant};
+use tandem_redundancy::Phase;
+
+/// What the tasks share where they run one after the other: no lock is needed.
+struct OneFlow<'b, B: Board> {
+    board: &'b B,
+    shared: RefCell<Shared<'b, B>>,
+    drive: RefCell<Drive>,
+    released: Cell<TaskSet>,
+    doorbells: Cell<Throttle>,
+}
+
+impl<'b, B: Board> Executor<'b, B> for OneFlow<'b, B> {
+    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'b, B>) -> R) -> R {
+        body(&mut self.shared.borrow_mut())
+    }
+
+    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+        body(&mut self.drive.borrow_mut())
+    }
+
+    fn release(&self, tasks: TaskSet) {
+        self.released.set(self.released.get() | tasks);
+    }
+
+    fn held_back(&self) -> u32 {
+        self.doorbells.get().held_back()
+    }
+
+    fn begins(&self, task: TaskId, begin: Begin) {
+        let task = task.info().code;
+        self.board.trace(Event::TaskIn { task, begin }.encode());
+    }
+
+    fn ends(&self, task: TaskId) {
+        let task = task.info().code;
+        let leaves = Leaves::Done;
+        self.board.trace(Event::TaskOut { task, leaves }.encode());
+    }
+}
+
+/// The control core without a kernel. Its tasks run to completion: of those that are due, the most
+/// urgent first. The longest task delays every other one.
+pub struct Core0<'b, B: Board> {
+    executor: OneFlow<'b, B>,
+    tasks: Tasks<'b, B>,
+    /// When each is due, as in [`TaskId::ALL`].
+    due: [Instant; TaskId::ALL.len()],
+}
+
+impl<'b, B: Board> Core0<'b, B> {
+    /// Starts the core's life on this board: reads the state from the data flash (bounded time).
+    #[must_use]
+    pub fn new(board: &'b B, config: Config) -> Self {
+        let Parts {
+            shared,
+            drive,
+            tasks,
+        } = Parts::new(board, config);
+        Self {
+            executor: OneFlow {
+                board,
+                shared: RefCell::new(shared),
+                drive: RefCell::new(drive),
+                released: Cell::new(TaskSet::NONE),
+                doorbells: Cell::new(Throttle::new(DOORBELL_DISTANCE)),
+            },
+            tasks,
+            due: [board.now(); TaskId::ALL.len()],
+        }
+    }
+
+    /// The phase of this system, once the start protocol has begun.
+    #[must_use]
+    pub fn phase(&self) -> Option<Phase> {
+        self.executor.shared.borrow().phase()
+    }
+
+    fn run(&mut self, task: TaskId) -> Instant {
+        let (tasks, executor) = (&mut self.tasks, &self.executor);
+        match task {
+            TaskId::Roles => tasks.roles.poll(executor),
+            TaskId::Monitoring => tasks.monitoring.poll(executor),
+            TaskId::Control => tasks.control.poll(executor),
+            TaskId::Degraded => tasks.degraded.poll(executor),
+            TaskId::TrajectoryInput => tasks.trajectory_input.poll(executor),
+            TaskId::Status => tasks.status.poll(executor),
+        }
+    }
+}
+
+impl<B: Board> Core for Core0<'_, B> {
+    fn poll(&mut self) -> Instant {
+        self.executor.released.set(TaskSet::NONE);
+        let now = self.executor.board.now();
+        let for_deadline = self.due.iter().any(|due| *due <= now);
+        let mut doorbells = self.executor.doorbells.get();
+        let interrupted = doorbells.interrupt(now, !for_deadline);
+        self.executor.doorbells.set(doorbells);
+        // One pass is enough: tasks release only less urgent ones. A call does not say whether an
+        // interrupt has caused it, so the tasks of interrupts run at each call that the throttle
+        // permits.
+        for (index, task) in TaskId::ALL.into_iter().enumerate() {
+            let released = self.executor.released.get().contains(task)
+                || (interrupted && task.info().is_for_interrupts());
+            if released || self.due[index] <= self.executor.board.now() {
+                self.due[index] = self.run(task);
+            }
+        }
+        // A later task may have told the redundancy something that changes its deadline.
+        self.due[0] = self.executor.shared.borrow().redundancy_due;
+        let next = self.due.into_iter().min().unwrap_or(Instant::NEVER);
+        next.min(doorbells.due())
+    }
+}

@@ -1,0 +1,312 @@
+//! The table of all tasks: what runs on which core, when, and how urgently.
+//!
+//! Everything that names a task reads this table: the executors of core 0, the trace, the report,
+//! the response-time analysis, and the tables in `docs/`. A code that is not in it is shown by its
+//! number.
+
+use crate::core0::DOORBELL_DISTANCE;
+use tandem_board::{CoreId, Duration};
+
+/// A task's number in the trace; 0 is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct TaskCode(pub u8);
+
+impl TaskCode {
+    /// Core 1: acquires the sensors' lists and fuses them.
+    pub const PERCEPTION: Self = Self(1);
+    /// Core 2: decides and plans.
+    pub const PLANNING: Self = Self(2);
+    /// Core 0: motion control and the control frame.
+    pub const CONTROL: Self = Self(3);
+    /// Core 0: the L2 functions of degraded mode, instead of [`Self::CONTROL`].
+    pub const DEGRADED: Self = Self(4);
+    /// Core 0: heartbeats, what has come from the other system, and the state machine of the roles.
+    pub const ROLES: Self = Self(5);
+    /// Core 0: watchdogs and the cores' alive counters.
+    pub const MONITORING: Self = Self(7);
+    /// Core 0: the status frame.
+    pub const STATUS: Self = Self(8);
+    /// Core 0: fetches scene and trajectory when core 2 signals.
+    pub const TRAJECTORY_INPUT: Self = Self(9);
+
+    /// Its name; `None` if it is in no table.
+    #[must_use]
+    pub fn name(self) -> Option<&'static str> {
+        let mut cores = CoreId::ALL.into_iter();
+        cores.find_map(|core| task(core, self).map(|info| info.name))
+    }
+}
+
+/// What releases a task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReleasedBy {
+    /// Its period: releases lie on a grid of absolute time.
+    Period,
+    /// A time that the task itself asks for at the end of each job.
+    OwnDeadline,
+    /// The doorbell's interrupt: a signal of another core, or an edge on a line.
+    Doorbell,
+    /// Another task of its core.
+    Task(TaskCode),
+}
+
+/// What tasks of core 0 share, each behind a lock of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Part {
+    /// The redundancy, CAN, link, flash and outputs: [`Shared`](crate::core0::Shared).
+    Shared,
+    /// Scene, trajectory and the controllers' state: [`Drive`](crate::core0::Drive).
+    Drive,
+}
+
+/// One task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TaskInfo {
+    /// Its code in the trace.
+    pub code: TaskCode,
+    /// Its name; at most 23 bytes, the limit of the kernel.
+    pub name: &'static str,
+    /// What releases it.
+    pub released_by: &'static [ReleasedBy],
+    /// Shortest time between two releases.
+    pub period: Duration,
+    /// A job must be done so long after its release. `None` if the trace does not tell the release;
+    /// then the analysis takes the period.
+    pub deadline: Option<Duration>,
+    /// Priority of the kernel's task, 1 to 30: a higher one pre-empts a lower one. 0 on cores
+    /// without a kernel.
+    pub priority: u8,
+    /// What it shares with others of its core.
+    pub uses: &'static [Part],
+    /// What it does, for the table in the documentation.
+    pub purpose: &'static str,
+}
+
+impl TaskInfo {
+    /// Whether its releases lie on a grid of its period.
+    #[must_use]
+    pub fn is_periodic(&self) -> bool {
+        self.released_by.contains(&ReleasedBy::Period)
+    }
+
+    /// Whether the doorbell's interrupt releases it.
+    #[must_use]
+    pub fn is_for_interrupts(&self) -> bool {
+        self.released_by.contains(&ReleasedBy::Doorbell)
+    }
+}
+
+use ReleasedBy::{Doorbell, OwnDeadline, Period, Task};
+
+/// The tasks of core 0, in falling order of priority: rate-monotonic.
+pub const CORE_0: [TaskInfo; 6] = [
+    TaskInfo {
+        code: TaskCode::ROLES,
+        name: "heartbeat and roles",
+        released_by: &[OwnDeadline, Doorbell],
+        // The kernel's tick.
+        period: Duration::from_ms(1),
+        deadline: None,
+        priority: 12,
+        uses: &[Part::Shared],
+        purpose: "reads CAN and the data link, judges the lines, sends heartbeats, changes roles, \
+                  drives the flash",
+    },
+    TaskInfo {
+        code: TaskCode::MONITORING,
+        name: "monitoring",
+        released_by: &[Period],
+        period: Duration::from_ms(5),
+        deadline: Some(Duration::from_ms(5)),
+        priority: 10,
+        uses: &[Part::Shared],
+        purpose: "window and functional watchdog, alive counters of cores 1 and 2",
+    },
+    TaskInfo {
+        code: TaskCode::CONTROL,
+        name: "control",
+        // A takeover begins the grid anew, at once.
+        released_by: &[Period, Task(TaskCode::ROLES)],
+        period: Duration::from_ms(10),
+        deadline: Some(Duration::from_ms(10)),
+        priority: 8,
+        uses: &[Part::Shared, Part::Drive],
+        purpose: "motion control, control frame, report over the link",
+    },
+    TaskInfo {
+        code: TaskCode::DEGRADED,
+        name: "degraded mode",
+        released_by: &[Task(TaskCode::CONTROL)],
+        period: Duration::from_ms(10),
+        deadline: None,
+        priority: 7,
+        uses: &[Part::Shared, Part::Drive],
+        purpose: "the same cycle with the L2 functions, when the system drives alone",
+    },
+    TaskInfo {
+        code: TaskCode::TRAJECTORY_INPUT,
+        name: "trajectory input",
+        released_by: &[Doorbell],
+        // Core 2 signals every 50 ms; the doorbell may ring more often.
+        period: Duration::from_ms(50),
+        deadline: None,
+        priority: 5,
+        uses: &[Part::Shared, Part::Drive],
+        purpose: "fetches scene and trajectory that cores 1 and 2 published",
+    },
+    TaskInfo {
+        code: TaskCode::STATUS,
+        name: "status",
+        released_by: &[Period],
+        period: Duration::from_ms(100),
+        deadline: Some(Duration::from_ms(100)),
+        priority: 3,
+        uses: &[Part::Shared],
+        purpose: "status frame",
+    },
+];
+
+/// The task of core 1.
+pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
+    code: TaskCode::PERCEPTION,
+    name: "perception",
+    released_by: &[Period],
+    period: Duration::from_ms(50),
+    deadline: Some(Duration::from_ms(50)),
+    priority: 0,
+    uses: &[],
+    purpose: "acquires the sensors' lists and fuses them to a scene",
+}];
+
+/// The task of core 2. Core 1's signal releases it; the next one comes a period later.
+pub const CORE_2: [TaskInfo; 1] = [TaskInfo {
+    code: TaskCode::PLANNING,
+    name: "planning",
+    released_by: &[Doorbell],
+    period: CORE_1[0].period,
+    deadline: Some(CORE_1[0].period),
+    priority: 0,
+    uses: &[],
+    purpose: "decides and plans a trajectory",
+}];
+
+/// The tasks of a core, in falling order of priority.
+#[must_use]
+pub const fn tasks(core: CoreId) -> &'static [TaskInfo] {
+    match core {
+        CoreId::CONTROL => &CORE_0,
+        CoreId::PERCEPTION => &CORE_1,
+        _ => &CORE_2,
+    }
+}
+
+/// What is known of a task of this core; `None` if it has no name.
+#[must_use]
+pub fn task(core: CoreId, code: TaskCode) -> Option<&'static TaskInfo> {
+    tasks(core).iter().find(|info| info.code == code)
+}
+
+/// An interrupt in the trace; 0 is none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct IrqCode(pub u8);
+
+impl IrqCode {
+    /// The doorbell: another core, an edge on a line, or a CAN frame that the core asked to be
+    /// woken for.
+    pub const DOORBELL: Self = Self(1);
+    /// The tick of the kernel.
+    pub const TICK: Self = Self(2);
+
+    /// Its name; `None` if it has none.
+    #[must_use]
+    pub fn name(self) -> Option<&'static str> {
+        let info = INTERRUPTS.iter().find(|info| info.code == self);
+        info.map(|info| info.name)
+    }
+}
+
+/// One interrupt of core 0; its handler is more urgent than every task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IrqInfo {
+    /// Its code in the trace.
+    pub code: IrqCode,
+    /// Its name.
+    pub name: &'static str,
+    /// Shortest time between two.
+    pub period: Duration,
+}
+
+/// The interrupts of core 0.
+pub const INTERRUPTS: [IrqInfo; 2] = [
+    IrqInfo {
+        code: IrqCode::TICK,
+        name: "tick",
+        period: Duration::from_ms(1),
+    },
+    IrqInfo {
+        code: IrqCode::DOORBELL,
+        name: "doorbell",
+        period: DOORBELL_DISTANCE,
+    },
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::core0::TaskId;
+
+    #[test]
+    fn each_code_is_one_task_and_zero_is_none() {
+        let mut codes: std::vec::Vec<u8> = CoreId::ALL
+            .iter()
+            .flat_map(|core| tasks(*core))
+            .map(|info| info.code.0)
+            .collect();
+        codes.sort_unstable();
+        let count = codes.len();
+        codes.dedup();
+        assert_eq!(codes.len(), count);
+        assert!(!codes.contains(&0));
+        assert_eq!(task(CoreId::PLANNING, TaskCode::CONTROL), None);
+        assert_eq!(IrqCode::TICK.name(), Some("tick"));
+        assert_eq!(IrqCode(9).name(), None);
+    }
+
+    /// Core 0 is scheduled rate-monotonically: the shorter the period, the more urgent. No two
+    /// tasks have one priority, so their order is never the kernel's to choose.
+    #[test]
+    fn the_priorities_of_core_0_are_rate_monotonic() {
+        for pair in CORE_0.windows(2) {
+            assert!(pair[0].period <= pair[1].period, "{}", pair[1].name);
+            assert!(pair[0].priority > pair[1].priority, "{}", pair[1].name);
+        }
+        assert!(CORE_0.iter().all(|info| (1..=30).contains(&info.priority)));
+        assert!(CORE_0.iter().all(|info| info.name.len() < 24));
+        assert!(
+            CORE_0
+                .iter()
+                .all(|info| info.deadline.unwrap_or(info.period) <= info.period)
+        );
+    }
+
+    /// A task releases only less urgent ones, so one pass in order of priority runs all of them.
+    #[test]
+    fn a_task_is_released_only_by_more_urgent_ones() {
+        for info in &CORE_0 {
+            for by in info.released_by {
+                if let Task(code) = by {
+                    let by = task(CoreId::CONTROL, *code).unwrap();
+                    assert!(by.priority > info.priority, "{}", info.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_ids_of_core_0_are_rows_of_the_table() {
+        assert_eq!(TaskId::ALL.map(|id| *id.info()), CORE_0);
+        for id in TaskId::ALL {
+            assert_eq!(TaskId::of(id.info().code), Some(id));
+        }
+    }
+}
