@@ -13,10 +13,11 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 /// Crates that run in firmware: no_std, and free of boards.
-const PORTABLE: [&str; 6] = [
+const PORTABLE: [&str; 7] = [
     "tandem-shm",
     "tandem-bus",
     "tandem-board",
+    "tandem-peripherals",
     "tandem-redundancy",
     "tandem-cores",
     "tandem-capi",

@@ -32,9 +32,13 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
     ),
     ("tandem-vehicle", &["tandem-bus"]),
     ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
-    ("tandem-board-sim", &["tandem-board", "tandem-shm"]),
-    ("tandem-cosim", &["tandem-board"]),
-    ("tandem-board-qemu", &["tandem-board", "tandem-cosim"]),
+    ("tandem-board-sim", &["tandem-board", "tandem-peripherals"]),
+    ("tandem-peripherals", &["tandem-board"]),
+    ("tandem-cosim", &["tandem-board", "tandem-peripherals"]),
+    (
+        "tandem-board-qemu",
+        &["tandem-board", "tandem-cosim", "tandem-peripherals"],
+    ),
 ];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
 /// peer.

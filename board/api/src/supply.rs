@@ -21,6 +21,23 @@ impl ResetCause {
     }
 }
 
+impl ResetCause {
+    /// All of them, in the order of their codes.
+    pub const ALL: [Self; 4] = [Self::PowerOn, Self::Software, Self::Watchdog, Self::Trap];
+
+    /// The number by which a cause is passed on.
+    #[must_use]
+    pub const fn code(self) -> u32 {
+        self as u32
+    }
+
+    /// The inverse of [`ResetCause::code`].
+    #[must_use]
+    pub fn from_code(code: u32) -> Option<Self> {
+        Self::ALL.get(code as usize).copied()
+    }
+}
+
 /// What a core asks of the reset generator. A request resets the whole system: all three cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetRequest {
@@ -30,6 +47,23 @@ pub enum ResetRequest {
     CoreDead,
     /// Hold the system in reset for good: it has failed and suspends (T-RED-5).
     Suspend,
+}
+
+impl ResetRequest {
+    /// All of them, in the order of their codes.
+    pub const ALL: [Self; 3] = [Self::Software, Self::CoreDead, Self::Suspend];
+
+    /// The number by which a request is passed on.
+    #[must_use]
+    pub const fn code(self) -> u32 {
+        self as u32
+    }
+
+    /// The inverse of [`ResetRequest::code`].
+    #[must_use]
+    pub fn from_code(code: u32) -> Option<Self> {
+        Self::ALL.get(code as usize).copied()
+    }
 }
 
 /// What the system shows of itself on its digital outputs, for a person or an oscilloscope.
@@ -45,6 +79,29 @@ pub enum RoleLamp {
     Standby,
     /// Has failed and stays silent.
     Suspended,
+}
+
+impl RoleLamp {
+    /// All of them, in the order of their codes.
+    pub const ALL: [Self; 5] = [
+        Self::Starting,
+        Self::Master,
+        Self::DegradedMaster,
+        Self::Standby,
+        Self::Suspended,
+    ];
+
+    /// The number by which a role is passed on.
+    #[must_use]
+    pub const fn code(self) -> u32 {
+        self as u32
+    }
+
+    /// The inverse of [`RoleLamp::code`].
+    #[must_use]
+    pub fn from_code(code: u32) -> Option<Self> {
+        Self::ALL.get(code as usize).copied()
+    }
 }
 
 /// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte
@@ -85,4 +142,25 @@ pub trait Supply {
 
     /// Shows the role on the system's digital outputs.
     fn show_role(&self, lamp: RoleLamp);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_are_unambiguous() {
+        for code in 0..=u32::from(u8::MAX) {
+            let cause = ResetCause::from_code(code);
+            assert!(cause.is_none_or(|cause| cause.code() == code));
+            let request = ResetRequest::from_code(code);
+            assert!(request.is_none_or(|request| request.code() == code));
+            let lamp = RoleLamp::from_code(code);
+            assert!(lamp.is_none_or(|lamp| lamp.code() == code));
+        }
+        let last = (ResetCause::Trap, ResetRequest::Suspend, RoleLamp::Suspended);
+        assert_eq!(ResetCause::from_code(3), Some(last.0));
+        assert_eq!(ResetRequest::from_code(2), Some(last.1));
+        assert_eq!(RoleLamp::from_code(4), Some(last.2));
+    }
 }

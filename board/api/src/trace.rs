@@ -52,7 +52,7 @@ impl SupplyEvent {
         match self {
             Self::CoreStarted { core, generation } => [1, core.index() as u32, generation.0, 0],
             Self::CoreDied { core, signal } => [2, core.index() as u32, signal.into(), 0],
-            Self::Reset(cause) => [3, cause as u32, 0, 0],
+            Self::Reset(cause) => [3, cause.code(), 0, 0],
             Self::Suspended => [4, 0, 0, 0],
         }
     }
@@ -70,13 +70,7 @@ impl SupplyEvent {
                 core: core()?,
                 signal: u8::try_from(y).ok()?,
             },
-            3 => Self::Reset(match x {
-                0 => ResetCause::PowerOn,
-                1 => ResetCause::Software,
-                2 => ResetCause::Watchdog,
-                3 => ResetCause::Trap,
-                _ => return None,
-            }),
+            3 => Self::Reset(ResetCause::from_code(x)?),
             4 => Self::Suspended,
             _ => return None,
         })

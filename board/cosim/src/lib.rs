@@ -11,20 +11,17 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-use tandem_board::{CanFrame, CanId, Instant, Received, SystemId, TraceRecord};
+use tandem_board::{CoreAddress, Instant, RoleLamp, SystemId};
+use tandem_peripherals::codec::{
+    DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, TRACE_WORDS, encode_datagram,
+};
 
 /// Virtual time from one exchange to the next, ns.
 pub const PERIOD_NS: u64 = 1_000_000;
 /// The largest message, in words: less than a pipe holds, so that writing never blocks.
 pub const MAX_WORDS: usize = 8_192;
-/// Words of a link's datagram.
-pub const LINK_WORDS: usize = 64;
-/// Words of a frame: head, length, time (2), data (16).
-pub const FRAME_WORDS: usize = 20;
-/// Words of a trace record with its time.
-pub const TRACE_WORDS: usize = 6;
 /// Words of an item at most.
-pub const ITEM_WORDS: usize = 2 + LINK_WORDS;
+pub const ITEM_WORDS: usize = 1 + DATAGRAM_WORDS;
 
 /// "TXCH", little-endian.
 pub const MAGIC: u32 = 0x4843_5854;
@@ -33,27 +30,16 @@ pub const REPORT_WORDS: usize = 7;
 /// Where the items of an answer begin.
 pub const ANSWER_WORDS: usize = 2;
 
-const EXTENDED: u32 = 1 << 31;
-const FD: u32 = 1 << 30;
-
-/// Who sent a frame that no core sent.
-pub const NO_CORE: usize = 0xFF;
-
 /// One thing that happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Item {
-    /// A frame on the bus, by this core (its [`tandem_board::CoreAddress::index`]) or [`NO_CORE`].
-    Frame {
-        /// The sender.
-        from: usize,
-        /// The frame.
-        words: [u32; FRAME_WORDS],
-    },
+    /// A frame on the bus: the words of a [`tandem_peripherals::codec::BusFrame`].
+    Frame([u32; FRAME_WORDS]),
     /// A core's trace record, with its time.
     Trace {
         /// The core.
-        from: usize,
-        /// Time (2) and record (4).
+        from: CoreAddress,
+        /// As [`tandem_peripherals::codec::encode_trace`] makes them.
         words: [u32; TRACE_WORDS],
     },
     /// Edges on a line to a system.
@@ -71,10 +57,8 @@ pub enum Item {
     Datagram {
         /// Whom it reaches.
         to: SystemId,
-        /// Words that count.
-        len: usize,
-        /// The words.
-        words: [u32; LINK_WORDS],
+        /// As [`tandem_peripherals::codec::encode_datagram`] makes them.
+        words: [u32; DATAGRAM_WORDS],
     },
     /// The level line of a system that is not in the machine.
     Level {
@@ -110,15 +94,18 @@ impl Item {
             1 + words.len()
         };
         match self {
-            Self::Frame { from, words } => put(head(1, *from, 0, 0), words),
-            Self::Trace { from, words } => put(head(2, *from, 0, 0), words),
+            Self::Frame(words) => put(head(1, 0, 0, 0), words),
+            Self::Trace { from, words } => put(head(2, from.index(), 0, 0), words),
             Self::Edges {
                 to,
                 line,
                 edge,
                 count,
             } => put(head(3, to.index(), *line, *edge), &[*count]),
-            Self::Datagram { to, len, words } => put(head(4, to.index(), *len, 0), &words[..*len]),
+            Self::Datagram { to, words } => {
+                let len = words[0] as usize;
+                put(head(4, to.index(), len, 0), &words[1..=len])
+            }
             Self::Level { of, high } => put(head(5, of.index(), usize::from(*high), 0), &[]),
             Self::Feed { of, on } => put(head(6, of.index(), usize::from(*on), 0), &[]),
             Self::End => put(head(7, 0, 0, 0), &[]),
@@ -134,12 +121,9 @@ impl Item {
         let [kind, a, b, c] = head.to_le_bytes().map(usize::from);
         let system = SystemId::from_index(a).ok_or(Malformed);
         let item = match kind {
-            1 => Self::Frame {
-                from: a,
-                words: take(&mut rest)?,
-            },
+            1 => Self::Frame(take(&mut rest)?),
             2 => Self::Trace {
-                from: a,
+                from: CoreAddress::from_index(a).ok_or(Malformed)?,
                 words: take(&mut rest)?,
             },
             3 => Self::Edges {
@@ -150,15 +134,12 @@ impl Item {
             },
             4 => {
                 let content = rest.split_off(..b).ok_or(Malformed)?;
-                let mut words = [0; LINK_WORDS];
-                words
-                    .get_mut(..b)
-                    .ok_or(Malformed)?
-                    .copy_from_slice(content);
+                if b > DATAGRAM_MAX_WORDS {
+                    return Err(Malformed);
+                }
                 Self::Datagram {
                     to: system?,
-                    len: b,
-                    words,
+                    words: encode_datagram(content),
                 }
             }
             5 => Self::Level {
@@ -184,12 +165,12 @@ fn take<const N: usize>(words: &mut &[u32]) -> Result<[u32; N], Malformed> {
 }
 
 /// The head of what the machine writes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Report {
     /// Its clock.
     pub now: Instant,
-    /// What A and B show of their roles, as [`tandem_board::RoleLamp`] counts.
-    pub lamps: [u8; 2],
+    /// What A and B show of their roles.
+    pub lamps: [RoleLamp; 2],
     /// Whether A and B have power and are out of reset.
     pub powered: [bool; 2],
     /// Trace records that were lost so far; wraps around.
@@ -201,7 +182,7 @@ impl Report {
     #[must_use]
     pub fn encode(&self, words: usize) -> [u32; REPORT_WORDS] {
         let [low, high] = self.now.to_words();
-        let lamps = u32::from(self.lamps[0]) | u32::from(self.lamps[1]) << 8;
+        let lamps = self.lamps[0].code() | self.lamps[1].code() << 8;
         let powered = u32::from(self.powered[0]) | u32::from(self.powered[1]) << 1;
         [MAGIC, words as u32, low, high, lamps, powered, self.lost]
     }
@@ -216,58 +197,14 @@ impl Report {
         if magic != MAGIC {
             return Err(Malformed);
         }
+        let lamp = |code| RoleLamp::from_code(code).ok_or(Malformed);
         Ok(Self {
             now: Instant::from_words([low, high]),
-            lamps: [lamps as u8, (lamps >> 8) as u8],
+            lamps: [lamp(lamps & 0xFF)?, lamp(lamps >> 8)?],
             powered: [powered & 1 != 0, powered & 2 != 0],
             lost,
         })
     }
-}
-
-/// A frame as words, sent at `at`.
-#[must_use]
-pub fn frame_words(frame: &CanFrame, at: Instant) -> [u32; FRAME_WORDS] {
-    let mut words = [0; FRAME_WORDS];
-    let head = match frame.id() {
-        CanId::Standard(id) => u32::from(id),
-        CanId::Extended(id) => id | EXTENDED,
-    };
-    words[0] = head | if frame.is_fd() { FD } else { 0 };
-    words[1] = frame.data().len() as u32;
-    [words[2], words[3]] = at.to_words();
-    for (word, bytes) in words[4..].iter_mut().zip(frame.data().chunks(4)) {
-        let mut four = [0; 4];
-        four[..bytes.len()].copy_from_slice(bytes);
-        *word = u32::from_le_bytes(four);
-    }
-    words
-}
-
-/// The inverse of [`frame_words`]; `None` if it is no frame.
-#[must_use]
-pub fn frame_from(words: &[u32; FRAME_WORDS]) -> Option<Received> {
-    let id = words[0] & !(EXTENDED | FD);
-    let id = match words[0] & EXTENDED {
-        0 => CanId::Standard(u16::try_from(id).ok()?),
-        _ => CanId::Extended(id),
-    };
-    let mut data = [0; 64];
-    for (bytes, word) in data.chunks_mut(4).zip(&words[4..]) {
-        bytes.copy_from_slice(&word.to_le_bytes());
-    }
-    let data = data.get(..words[1] as usize)?;
-    Some(Received {
-        frame: CanFrame::new(id, words[0] & FD != 0, data).ok()?,
-        at: Instant::from_words([words[2], words[3]]),
-    })
-}
-
-/// Time and content of a trace record.
-#[must_use]
-pub const fn trace_from(words: [u32; TRACE_WORDS]) -> (Instant, TraceRecord) {
-    let [low, high, a, b, c, d] = words;
-    (Instant::from_words([low, high]), [a, b, c, d])
 }
 
 #[cfg(test)]
@@ -276,16 +213,10 @@ mod tests {
 
     #[test]
     fn every_item_survives_the_way() {
-        let mut words = [0; LINK_WORDS];
-        words[..3].copy_from_slice(&[1, 2, 3]);
-        let frame = CanFrame::new(CanId::Extended(0x1234_5678), true, &[7; 12]).unwrap();
         let items = [
-            Item::Frame {
-                from: NO_CORE,
-                words: frame_words(&frame, Instant::from_ns(5 << 32)),
-            },
+            Item::Frame([0xA5A5_5A5A; FRAME_WORDS]),
             Item::Trace {
-                from: 4,
+                from: CoreAddress::B1,
                 words: [9; TRACE_WORDS],
             },
             Item::Edges {
@@ -296,8 +227,7 @@ mod tests {
             },
             Item::Datagram {
                 to: SystemId::A,
-                len: 3,
-                words,
+                words: encode_datagram(&[1, 2, 3]),
             },
             Item::Level {
                 of: SystemId::B,
@@ -317,20 +247,22 @@ mod tests {
             assert!(left.is_empty());
             assert_eq!(Item::decode(&mut &buffer[..len - 1]), Err(Malformed));
         }
-        let Item::Frame { words, .. } = items[0] else {
-            return;
-        };
-        assert_eq!(
-            frame_from(&words).map(|received| received.frame),
-            Some(frame)
-        );
+    }
+
+    #[test]
+    fn what_is_no_item_is_refused() {
+        for head in [0, 8, 2 | 6 << 8, 3 | 2 << 8, 4 | 2 << 8, 4 | 65 << 16] {
+            let mut words = [0; ITEM_WORDS];
+            words[0] = head;
+            assert_eq!(Item::decode(&mut &words[..]), Err(Malformed), "{head:#x}");
+        }
     }
 
     #[test]
     fn a_report_survives_the_way() {
         let report = Report {
             now: Instant::from_ns(0x1_2345_6789),
-            lamps: [3, 1],
+            lamps: [RoleLamp::Standby, RoleLamp::Master],
             powered: [false, true],
             lost: 8,
         };

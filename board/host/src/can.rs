@@ -4,11 +4,11 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
-use crate::wire::{FRAME_WORDS, Origin, Wired};
 
 /// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
 /// once a millisecond; without it nothing is received and the transmit buffer fills up.
@@ -40,25 +40,24 @@ impl HostCan {
         })
     }
 
-    fn is_for_this_core(&self, wired: &Wired) -> bool {
-        wired.reaches[self.of.system.index()]
-            && wired.origin != Origin::Core(self.of.system, self.of.core)
+    fn is_for_this_core(&self, frame: &BusFrame) -> bool {
+        frame.reaches[self.of.system.index()] && frame.sender != Sender::Core(self.of.address())
     }
 }
 
 impl Can for HostCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
-        let wired = Wired {
+        let frame = BusFrame {
             received: Received {
                 frame: *frame,
                 at: clock::now(),
             },
-            origin: Origin::Core(self.of.system, self.of.core),
+            sender: Sender::Core(self.of.address()),
             reaches: [false; 2],
         };
         let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
         transmit
-            .send(&wired.encode())
+            .send(&frame.encode())
             .map_err(|fifo::Full| TransmitFull)
     }
 
@@ -69,8 +68,8 @@ impl Can for HostCan {
         for _ in 0..RINGS.receive.shape.slots() {
             match receive.receive_into(&mut words) {
                 Ok(None) => return None,
-                Ok(Some(_)) => match Wired::decode(&words) {
-                    Some(wired) if self.is_for_this_core(&wired) => return Some(wired.received),
+                Ok(Some(_)) => match BusFrame::decode(&words) {
+                    Some(frame) if self.is_for_this_core(&frame) => return Some(frame.received),
                     _ => {}
                 },
                 Err(lost) => {

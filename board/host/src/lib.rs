@@ -34,7 +34,6 @@ mod spawn;
 pub mod supply;
 mod trace_ring;
 mod watchdog;
-mod wire;
 mod world;
 
 pub use args::{

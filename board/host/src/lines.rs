@@ -3,11 +3,13 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull};
+use tandem_peripherals::codec::{
+    DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, decode_datagram, encode_datagram,
+};
 use tandem_shm::{FitError, fifo};
 
 use crate::backplane::{Backplane, Cut, RINGS};
 use crate::bell::Ringers;
-use crate::wire::{LINK_MAX_WORDS, LINK_WORDS};
 
 /// A system's ends of the lines.
 #[derive(Debug)]
@@ -82,25 +84,18 @@ impl HostLink {
 }
 
 impl Link for HostLink {
-    const MAX_WORDS: usize = LINK_MAX_WORDS;
+    const MAX_WORDS: usize = DATAGRAM_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
-        assert!(
-            words.len() <= Self::MAX_WORDS,
-            "datagram of {} words",
-            words.len()
-        );
+        let datagram = encode_datagram(words);
         let Some(ends) = &self.ends else {
             return Err(LinkFull);
         };
         if self.backplane.is_cut(Cut::Link(self.of.system)) {
             return Ok(());
         }
-        let mut slot = [0; LINK_WORDS];
-        slot[0] = words.len() as u32;
-        slot[1..=words.len()].copy_from_slice(words);
         let mut send = ends.send.lock().unwrap_or_else(PoisonError::into_inner);
-        send.send(&slot).map_err(|fifo::Full| LinkFull)
+        send.send(&datagram).map_err(|fifo::Full| LinkFull)
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
@@ -110,13 +105,9 @@ impl Link for HostLink {
             .receive
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let mut slot = [0; LINK_WORDS];
-        if !receive.receive_into(&mut slot) {
-            return None;
-        }
-        // The length is an allegation.
-        let length = (slot[0] as usize).min(LINK_MAX_WORDS).min(words.len());
-        words[..length].copy_from_slice(&slot[1..=length]);
-        Some(length)
+        let mut datagram = [0; DATAGRAM_WORDS];
+        receive
+            .receive_into(&mut datagram)
+            .then(|| decode_datagram(&datagram, words))
     }
 }

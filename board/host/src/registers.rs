@@ -4,6 +4,7 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 use tandem_board::{Identity, ResetCause, ResetRequest, RoleLamp, Supply};
+use tandem_peripherals::codec::encode_service;
 use tandem_shm::{FitError, fifo};
 
 use crate::backplane::{Backplane, RINGS};
@@ -46,10 +47,10 @@ impl Supply for HostSupply {
     }
 
     fn service_watchdog(&self, answer: u8) {
-        let [low, high] = clock::now().to_words();
+        let service = encode_service(clock::now(), answer);
         let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
         // Full: the supply itself is behind, and the next service will do.
-        if services.send(&[low, high, u32::from(answer)]).is_ok() {
+        if services.send(&service).is_ok() {
             self.count.fetch_add(1, Relaxed);
         }
     }

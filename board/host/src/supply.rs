@@ -24,6 +24,7 @@ use tandem_board::{
     CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp, SupplyEvent,
     SystemId,
 };
+use tandem_peripherals::codec::{SERVICE_WORDS, decode_service};
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
@@ -35,7 +36,6 @@ use crate::flash::{FlashFileError, HostFlash};
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
 use crate::watchdog::{Watchdog, WatchdogFault};
-use crate::wire::SERVICE_WORDS;
 
 /// How often the supply looks at its registers.
 const PERIOD: Duration = Duration::from_ms(1);
@@ -267,9 +267,8 @@ impl Supply<'_> {
         };
         let mut words = [0; SERVICE_WORDS];
         while self.services.receive_into(&mut words) {
-            let at = Instant::from_words([words[0], words[1]]);
-            // An answer is a byte; what is more is wrong.
-            let answer = u8::try_from(words[2]).map_err(|_| WatchdogFault::WrongAnswer)?;
+            let (at, answer) = decode_service(words);
+            let answer = answer.ok_or(WatchdogFault::WrongAnswer)?;
             // Looked at anew: had this process been held up since `now`, all that came meanwhile
             // would lie ahead, and at one time.
             watchdog.on_service(clock::now(), at, answer)?;
@@ -394,6 +393,7 @@ mod tests {
     use crate::name::RunName;
     use crate::watchdog;
     use tandem_board::watchdog_answer;
+    use tandem_peripherals::codec::encode_service;
 
     fn args(run: &RunName) -> SupplyArgs {
         SupplyArgs {
@@ -436,9 +436,8 @@ mod tests {
         };
         for count in 0..3 {
             clock::sleep_until(clock::now() + Duration::from_ms(5));
-            let [low, high] = clock::now().to_words();
             let answer = watchdog_answer(watchdog::question(count));
-            core.send(&[low, high, answer.into()]).unwrap();
+            core.send(&encode_service(clock::now(), answer)).unwrap();
         }
         assert_eq!(supply.watchdog(looked, Duration::ZERO), Ok(()));
         Backplane::remove(&run);

@@ -14,8 +14,7 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 
 use tandem_board::{Instant, TraceRecord};
-
-use crate::wire::{TRACE_WORDS, decode_trace, encode_trace};
+use tandem_peripherals::codec::{TRACE_WORDS, decode_trace, encode_trace};
 
 /// Words of a cache line.
 const LINE: usize = 16;

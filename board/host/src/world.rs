@@ -4,6 +4,7 @@ use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
     Traced,
 };
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
@@ -12,7 +13,6 @@ use crate::bell::Ringers;
 use crate::clock;
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
-use crate::wire::{FRAME_WORDS, Origin, Wired};
 
 /// Frames that one core can send in a millisecond. A bus of 1 Mbit/s carries at most 20, and a core
 /// without a fault sends 2 in 10 ms. A core that sends without a pause leaves the bus to the
@@ -149,7 +149,7 @@ impl WorldPort {
                     break;
                 }
                 node.may_send = node.may_send.saturating_sub(1);
-                if let Some(sent) = Wired::decode(&words).filter(|_| !silent) {
+                if let Some(sent) = BusFrame::decode(&words).filter(|_| !silent) {
                     // The clock anew: the vehicle itself may have been held up since it looked.
                     let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
@@ -163,15 +163,15 @@ impl WorldPort {
         self.sent.sort_by_key(|(_, _, sent)| sent.at);
         for (system, core, sent) in self.sent.drain(..) {
             seen(system, core, sent);
-            let origin = Origin::Core(system, core);
+            let sender = Sender::Core(CoreAddress::new(system, core));
             let received = Received {
                 frame: sent.frame,
                 at: now,
             };
             self.bus.send(
-                &Wired {
+                &BusFrame {
                     received,
-                    origin,
+                    sender,
                     reaches,
                 }
                 .encode(),
@@ -188,12 +188,12 @@ impl WorldPort {
             frame: *frame,
             at: clock::now(),
         };
-        let wired = Wired {
+        let frame = BusFrame {
             received,
-            origin: Origin::Vehicle,
+            sender: Sender::Vehicle,
             reaches: self.reaches(),
         };
-        self.bus.send(&wired.encode());
+        self.bus.send(&frame.encode());
         self.news = true;
     }
 
@@ -327,12 +327,12 @@ mod tests {
         let mut transmit = fifo::Producer::attach(words, ring.shape).unwrap();
         let mut sent = |world: &mut WorldPort, at: Instant| {
             let frame = CanFrame::new(CanId::Standard(1), true, &[]).unwrap();
-            let wired = Wired {
+            let frame = BusFrame {
                 received: Received { frame, at },
-                origin: Origin::Core(SystemId::A, CoreId::CONTROL),
+                sender: Sender::Core(CoreAddress::A0),
                 reaches: [false; 2],
             };
-            transmit.send(&wired.encode()).unwrap();
+            transmit.send(&frame.encode()).unwrap();
             let mut seen = vec![];
             world.transmitted(&mut |_, _, received| seen.push(received.at));
             seen

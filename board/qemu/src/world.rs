@@ -2,8 +2,9 @@
 
 use std::path::Path;
 
-use tandem_board::{CanFrame, CoreAddress, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
-use tandem_cosim::{Item, NO_CORE, PERIOD_NS, frame_from, frame_words, trace_from};
+use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
+use tandem_cosim::{Item, PERIOD_NS};
+use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
 
 use crate::machine::{Machine, MachineError};
 
@@ -161,7 +162,7 @@ impl EmulatedWorld {
                 .wrapping_sub(std::mem::replace(&mut node.lost, report.lost)),
         );
         for system in node.systems.clone() {
-            self.lamps[system.index()] = lamp(report.lamps[system.index()]);
+            self.lamps[system.index()] = report.lamps[system.index()];
             self.set_level(system, report.powered[system.index()]);
         }
         for item in items {
@@ -196,13 +197,14 @@ impl EmulatedWorld {
 
     fn take(&mut self, index: usize, item: Item) {
         match item {
-            Item::Frame { from, words } => {
-                let (Some(sender), Some(received)) =
-                    (CoreAddress::from_index(from), frame_from(&words))
-                else {
+            Item::Frame(words) => {
+                let Some(frame) = BusFrame::decode(&words) else {
                     return;
                 };
-                self.sent.push((sender.system, sender.core, received));
+                let Sender::Core(sender) = frame.sender else {
+                    return;
+                };
+                self.sent.push((sender.system, sender.core, frame.received));
                 for (other, node) in self.machines.iter_mut().enumerate() {
                     if other != index {
                         node.outgoing.push(item);
@@ -210,15 +212,13 @@ impl EmulatedWorld {
                 }
             }
             Item::Trace { from, words } => {
-                if let Some(CoreAddress { system, core }) = CoreAddress::from_index(from) {
-                    let (at, record) = trace_from(words);
-                    self.traced.push(Traced {
-                        at,
-                        system,
-                        core,
-                        record,
-                    });
-                }
+                let (at, record) = decode_trace(words);
+                self.traced.push(Traced {
+                    at,
+                    system: from.system,
+                    core: from.core,
+                    record,
+                });
             }
             Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
             Item::Level { .. } | Item::Feed { .. } | Item::End => {}
@@ -250,12 +250,17 @@ impl EmulatedWorld {
 
     /// Sends a frame of one of the vehicle's own nodes; the cores get it with the next step.
     pub fn broadcast(&mut self, frame: &CanFrame) {
-        let words = frame_words(frame, self.now());
+        let frame = BusFrame {
+            received: Received {
+                frame: *frame,
+                at: self.now(),
+            },
+            sender: Sender::Vehicle,
+            reaches: [true; 2],
+        };
+        let item = Item::Frame(frame.encode());
         for node in &mut self.machines {
-            node.outgoing.push(Item::Frame {
-                from: NO_CORE,
-                words,
-            });
+            node.outgoing.push(item);
         }
     }
 
@@ -275,15 +280,5 @@ impl EmulatedWorld {
     #[must_use]
     pub const fn is_powered(&self, system: SystemId) -> bool {
         self.powered[system.index()]
-    }
-}
-
-const fn lamp(code: u8) -> RoleLamp {
-    match code {
-        1 => RoleLamp::Master,
-        2 => RoleLamp::DegradedMaster,
-        3 => RoleLamp::Standby,
-        4 => RoleLamp::Suspended,
-        _ => RoleLamp::Starting,
     }
 }

@@ -9,10 +9,10 @@
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-use tandem_board::{CanFrame, CanId};
+use tandem_board::{CanFrame, CanId, Received};
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
-use tandem_cosim::frame_words;
 use tandem_golden::{Functions, instant, play};
+use tandem_peripherals::codec::{BusFrame, Sender};
 use tandem_vehicle::{Config, Scenario, World};
 
 /// How long the functions drive, ms.
@@ -31,7 +31,15 @@ fn record(scenario: &str) -> Vec<u32> {
     for ms in 0..DRIVE_MS {
         world.step(ms * 1_000_000, &mut |id, data| {
             let frame = CanFrame::new(CanId::Standard(id), true, data).unwrap();
-            recording.extend(frame_words(&frame, instant(ms)));
+            let on_bus = BusFrame {
+                received: Received {
+                    frame,
+                    at: instant(ms),
+                },
+                sender: Sender::Vehicle,
+                reaches: [true; 2],
+            };
+            recording.extend(on_bus.encode());
             functions.on_frame(instant(ms), id, data);
         });
         if let Some(command) = functions.tick(ms) {

@@ -15,7 +15,7 @@ use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
 use tandem_cores::words::Words;
-use tandem_cosim::{FRAME_WORDS, frame_from};
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 
 /// Period of perception and planning, ms.
 const PLAN_MS: u64 = 50;
@@ -159,14 +159,15 @@ pub fn instant(ms: u64) -> Instant {
     Instant::ORIGIN + Duration::from_ms(ms + 1_000)
 }
 
-/// Plays frames that come with their times, in order, each [`FRAME_WORDS`] words of the exchange,
-/// for `end_ms` milliseconds.
+/// Plays recorded frames in order for `end_ms` milliseconds. Each is [`FRAME_WORDS`] words, as
+/// [`BusFrame::encode`] makes them, with its time.
 #[must_use]
 pub fn play(recording: &[u32], end_ms: u64) -> Digest {
     let mut functions = Functions::new();
     let mut ms = 0;
     for words in recording.chunks_exact(FRAME_WORDS) {
-        let Some(received) = words.try_into().ok().and_then(frame_from) else {
+        let Some(BusFrame { received, .. }) = words.try_into().ok().and_then(BusFrame::decode)
+        else {
             continue;
         };
         while instant(ms) < received.at {

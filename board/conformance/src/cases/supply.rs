@@ -183,13 +183,7 @@ pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     for number in 0..100_000 {
         board.trace([number, 0, 0, u32::MAX]);
     }
-    for lamp in [
-        RoleLamp::Starting,
-        RoleLamp::Master,
-        RoleLamp::DegradedMaster,
-        RoleLamp::Standby,
-        RoleLamp::Suspended,
-    ] {
+    for lamp in RoleLamp::ALL {
         board.supply().show_role(lamp);
     }
     Ok(())

@@ -1,9 +1,10 @@
 //! Where everything lies in the backplane, in words.
 
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
+use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
 use tandem_shm::{Shape, broadcast, fifo};
 
-use crate::{trace_ring, wire};
+use crate::trace_ring;
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
@@ -105,13 +106,13 @@ pub(crate) struct Rings {
 }
 
 /// Frames that wait for the bus, which fetches them every millisecond.
-const TRANSMIT: Shape = Shape::new(64, wire::FRAME_WORDS);
+const TRANSMIT: Shape = Shape::new(64, FRAME_WORDS);
 /// Frames that a core may be behind: at the load of the vehicle bus some hundred milliseconds.
-const RECEIVE: Shape = Shape::new(1024, wire::FRAME_WORDS);
+const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams under way.
-const LINK: Shape = Shape::new(16, wire::LINK_WORDS);
+const LINK: Shape = Shape::new(16, DATAGRAM_WORDS);
 /// Services that the supply may be behind.
-const SERVICE: Shape = Shape::new(16, wire::SERVICE_WORDS);
+const SERVICE: Shape = Shape::new(16, SERVICE_WORDS);
 
 /// Where the rings lie.
 pub(crate) const RINGS: Rings = RINGS_AND_END.0;

@@ -223,68 +223,40 @@ impl Backplane {
     }
 
     pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
-        let code = match cause {
-            ResetCause::PowerOn => 0,
-            ResetCause::Software => 1,
-            ResetCause::Watchdog => 2,
-            ResetCause::Trap => 3,
-        };
-        self.system(system, System::ResetCause).store(code, SeqCst);
+        self.system(system, System::ResetCause)
+            .store(cause.code(), SeqCst);
     }
 
     /// Why the system's current life began.
     #[must_use]
     pub fn reset_cause(self, system: SystemId) -> ResetCause {
-        match self.system(system, System::ResetCause).load(SeqCst) {
-            0 => ResetCause::PowerOn,
-            1 => ResetCause::Software,
-            2 => ResetCause::Watchdog,
-            // Anything else would be a scribbled register: the cautious reading.
-            _ => ResetCause::Trap,
-        }
+        let code = self.system(system, System::ResetCause).load(SeqCst);
+        // A code of no cause would be a scribbled register: the cautious reading.
+        ResetCause::from_code(code).unwrap_or(ResetCause::Trap)
     }
 
     pub(crate) fn request_reset(self, system: SystemId, request: ResetRequest) {
-        let code = match request {
-            ResetRequest::Software => 1,
-            ResetRequest::CoreDead => 2,
-            ResetRequest::Suspend => 3,
-        };
         self.system(system, System::ResetRequest)
-            .store(code, SeqCst);
+            .store(1 + request.code(), SeqCst);
     }
 
     /// Takes a pending request. Supply only.
     pub(crate) fn take_reset_request(self, system: SystemId) -> Option<ResetRequest> {
-        match self.system(system, System::ResetRequest).swap(0, SeqCst) {
-            0 => None,
-            1 => Some(ResetRequest::Software),
-            2 => Some(ResetRequest::CoreDead),
-            _ => Some(ResetRequest::Suspend),
-        }
+        let register = self.system(system, System::ResetRequest).swap(0, SeqCst);
+        let code = register.checked_sub(1)?;
+        // A code of no request would be a scribbled register: the cautious reading.
+        Some(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend))
     }
 
     pub(crate) fn show_role(self, system: SystemId, lamp: RoleLamp) {
-        let code = match lamp {
-            RoleLamp::Starting => 0,
-            RoleLamp::Master => 1,
-            RoleLamp::DegradedMaster => 2,
-            RoleLamp::Standby => 3,
-            RoleLamp::Suspended => 4,
-        };
-        self.system(system, System::Lamp).store(code, SeqCst);
+        self.system(system, System::Lamp).store(lamp.code(), SeqCst);
     }
 
     /// What the system shows of its role. A system without power shows [`RoleLamp::Starting`].
     #[must_use]
     pub fn role(self, system: SystemId) -> RoleLamp {
-        match self.system(system, System::Lamp).load(SeqCst) {
-            1 => RoleLamp::Master,
-            2 => RoleLamp::DegradedMaster,
-            3 => RoleLamp::Standby,
-            4 => RoleLamp::Suspended,
-            _ => RoleLamp::Starting,
-        }
+        let code = self.system(system, System::Lamp).load(SeqCst);
+        RoleLamp::from_code(code).unwrap_or(RoleLamp::Starting)
     }
 }
 

@@ -44,7 +44,8 @@ impl An521Board {
     #[must_use]
     pub fn new(cast: Cast) -> Option<Self> {
         let own = cpu::number();
-        let CoreAddress { system, core } = cast[own]?;
+        let of = cast[own]?;
+        let CoreAddress { system, core } = of;
         Some(Self {
             identity: Identity {
                 system,
@@ -53,7 +54,7 @@ impl An521Board {
                 generation: Generation(1),
             },
             cast,
-            can: An521Can::new(own, &cast),
+            can: An521Can::new(of, own, &cast),
             lines: An521Lines::new(system, &cast),
             link: An521Link::new(system),
             absent: Absent,

@@ -8,17 +8,20 @@ use crate::mhu::{self, Unit};
 use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Can, CanFrame, CanId, CoreId, Edge, Instant, Line, Lines, Link, LinkFull, Received, SystemId,
+    Can, CanFrame, CoreAddress, CoreId, Edge, Line, Lines, Link, LinkFull, Received, SystemId,
     TransmitFull,
+};
+use tandem_peripherals::codec::{
+    BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Sender, decode_datagram,
+    encode_datagram,
 };
 use tandem_shm::Shape;
 use tandem_shm::fifo::{self, Consumer, Producer};
 
-/// A datagram: its length and up to 32 words.
-const DATAGRAM_WORDS: usize = 32;
-const DATAGRAMS: Shape = Shape::new(16, 1 + DATAGRAM_WORDS);
-/// A frame: time (2), id, kind and length, data (16).
-const FRAMES: Shape = Shape::new(64, 20);
+/// Datagrams under way.
+const DATAGRAMS: Shape = Shape::new(16, DATAGRAM_WORDS);
+/// Frames under way.
+const FRAMES: Shape = Shape::new(64, FRAME_WORDS);
 
 /// Words from a cache line on.
 #[repr(C, align(64))]
@@ -117,37 +120,24 @@ impl An521Link {
 }
 
 impl Link for An521Link {
-    const MAX_WORDS: usize = DATAGRAM_WORDS;
+    const MAX_WORDS: usize = DATAGRAM_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
-        assert!(words.len() <= Self::MAX_WORDS);
-        let mut producer = self.to_peer.borrow_mut();
-        let mut loan = producer.loan().map_err(|_| LinkFull)?;
-        loan.words().set(0, words.len() as u32);
-        for (index, word) in words.iter().enumerate() {
-            loan.words().set(1 + index, *word);
-        }
-        loan.send();
-        Ok(())
+        let sent = self.to_peer.borrow_mut().send(&encode_datagram(words));
+        sent.map_err(|fifo::Full| LinkFull)
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
-        let mut consumer = self.from_peer.borrow_mut();
-        let item = consumer.receive()?;
-        let view = item.words();
-        // The length is an allegation.
-        let len = (view.get(0) as usize).min(Self::MAX_WORDS).min(words.len());
-        for (index, word) in words[..len].iter_mut().enumerate() {
-            *word = view.get(1 + index);
-        }
-        item.release();
-        Some(len)
+        let mut datagram = [0; DATAGRAM_WORDS];
+        let received = self.from_peer.borrow_mut().receive_into(&mut datagram);
+        received.then(|| decode_datagram(&datagram, words))
     }
 }
 
 /// The CAN controller of one core. With two cores the bus is a wire from each to the other.
 #[derive(Debug)]
 pub struct An521Can {
+    of: CoreAddress,
     own: usize,
     other: usize,
     /// Nobody is at the other end: frames go nowhere.
@@ -157,10 +147,11 @@ pub struct An521Can {
 }
 
 impl An521Can {
-    pub(super) fn new(own: usize, cast: &Cast) -> Self {
+    pub(super) fn new(of: CoreAddress, own: usize, cast: &Cast) -> Self {
         let other = 1 - own;
         let [transmit, receive] = [other, own].map(|to| &WIRES.can[to].0[..]);
         Self {
+            of,
             own,
             other,
             alone: cast[other].is_none(),
@@ -170,36 +161,24 @@ impl An521Can {
     }
 }
 
-const FD: u32 = 1 << 8;
-const EXTENDED: u32 = 1 << 9;
-
 impl Can for An521Can {
     /// The frame is on the bus at once; a receiver without room loses it.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         if self.alone {
             return Ok(());
         }
-        let mut transmit = self.transmit.borrow_mut();
-        let Ok(mut loan) = transmit.loan() else {
+        let frame = BusFrame {
+            received: Received {
+                frame: *frame,
+                at: clock::now(),
+            },
+            sender: Sender::Core(self.of),
+            reaches: [true; 2],
+        };
+        if self.transmit.borrow_mut().send(&frame.encode()).is_err() {
             WIRES.overruns[self.other].fetch_add(1, Ordering::Relaxed);
             return Ok(());
-        };
-        let (id, extended) = match frame.id() {
-            CanId::Standard(id) => (u32::from(id), 0),
-            CanId::Extended(id) => (id, EXTENDED),
-        };
-        let kind = frame.data().len() as u32 | extended | if frame.is_fd() { FD } else { 0 };
-        let words = loan.words();
-        let [low, high] = clock::now().to_words();
-        for (index, word) in [low, high, id, kind].into_iter().enumerate() {
-            words.set(index, word);
         }
-        for (index, bytes) in frame.data().chunks(4).enumerate() {
-            let mut word = [0; 4];
-            word[..bytes.len()].copy_from_slice(bytes);
-            words.set(4 + index, u32::from_le_bytes(word));
-        }
-        loan.send();
         if WIRES.wakes[self.other].load(Ordering::Relaxed) != 0 {
             mhu::interrupt(Unit::Wires, self.other);
         }
@@ -207,23 +186,10 @@ impl Can for An521Can {
     }
 
     fn try_receive(&self) -> Option<Received> {
-        let mut receive = self.receive.borrow_mut();
-        let item = receive.receive()?;
-        let words = item.words();
-        let at = Instant::from_words([words.get(0), words.get(1)]);
-        let kind = words.get(3);
-        let id = match kind & EXTENDED {
-            0 => CanId::Standard(words.get(2) as u16),
-            _ => CanId::Extended(words.get(2)),
-        };
-        let mut data = [0; 64];
-        for (index, bytes) in data.chunks_mut(4).enumerate() {
-            bytes.copy_from_slice(&words.get(4 + index).to_le_bytes());
-        }
-        let len = (kind as usize & 0x7F).min(data.len());
-        item.release();
-        let frame = CanFrame::new(id, kind & FD != 0, &data[..len]).ok()?;
-        Some(Received { frame, at })
+        let mut words = [0; FRAME_WORDS];
+        let received = self.receive.borrow_mut().receive_into(&mut words);
+        let frame = received.then(|| BusFrame::decode(&words)).flatten();
+        frame.map(|frame| frame.received)
     }
 
     fn wake_on_receive(&self, on: bool) {

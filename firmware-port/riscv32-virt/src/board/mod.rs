@@ -10,6 +10,7 @@ use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreAddress, CoreId, Generation, Identity, Instant, TraceRecord, Wake};
+use tandem_peripherals::codec::encode_trace;
 
 /// QEMU's `virt` machine as a core of one of the systems.
 ///
@@ -99,9 +100,7 @@ impl Board for VirtBoard {
 
     fn trace(&self, record: TraceRecord) {
         let registers = carrier::core(self.identity.address());
-        let [low, high] = self.now().to_words();
-        let [a, b, c, d] = record;
-        if !registers.trace.put(&[low, high, a, b, c, d]) {
+        if !registers.trace.put(&encode_trace(self.now(), record)) {
             registers.trace_lost.fetch_add(1, Relaxed);
         }
     }

@@ -1,6 +1,6 @@
 //! The parts of the board: each a window on the carrier's registers.
 
-use crate::carrier::run::{BY_WATCHDOG, cause_from, request_word};
+use crate::carrier::run::BY_WATCHDOG;
 use crate::carrier::{self, SystemRegisters, flash, watchdog};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -8,7 +8,9 @@ use tandem_board::{
     Can, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line,
     Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
 };
-use tandem_cosim::{LINK_WORDS, frame_from, frame_words};
+use tandem_peripherals::codec::{
+    BusFrame, DATAGRAM_MAX_WORDS, Sender, decode_datagram, encode_datagram,
+};
 
 /// The registers of the system of core `of`.
 fn system(of: CoreAddress) -> &'static SystemRegisters {
@@ -37,9 +39,16 @@ pub struct VirtSupply(pub(super) CoreAddress);
 
 impl Can for VirtCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
-        // The bus fills in the time.
-        let words = frame_words(frame, Instant::ORIGIN);
-        if !carrier::core(self.0).transmit.put(&words) {
+        let frame = BusFrame {
+            received: Received {
+                frame: *frame,
+                // The bus fills in the time.
+                at: Instant::ORIGIN,
+            },
+            sender: Sender::Core(self.0),
+            reaches: [true; 2],
+        };
+        if !carrier::core(self.0).transmit.put(&frame.encode()) {
             return Err(TransmitFull);
         }
         carrier::call();
@@ -47,7 +56,8 @@ impl Can for VirtCan {
     }
 
     fn try_receive(&self) -> Option<Received> {
-        frame_from(&carrier::core(self.0).receive.take()?)
+        let words = carrier::core(self.0).receive.take()?;
+        BusFrame::decode(&words).map(|frame| frame.received)
     }
 
     fn wake_on_receive(&self, on: bool) {
@@ -83,28 +93,19 @@ impl Lines for VirtLines {
 }
 
 impl Link for VirtLink {
-    const MAX_WORDS: usize = LINK_WORDS;
+    const MAX_WORDS: usize = DATAGRAM_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
-        let mut record = [0; LINK_WORDS + 1];
-        assert!(
-            words.len() <= LINK_WORDS,
-            "a datagram has at most {LINK_WORDS} words"
-        );
-        record[0] = words.len() as u32;
-        record[1..=words.len()].copy_from_slice(words);
         let to = carrier::system(self.0.system.peer());
-        match to.link.put(&record[..=words.len()]) {
+        match to.link.put(&encode_datagram(words)[..=words.len()]) {
             true => Ok(()),
             false => Err(LinkFull),
         }
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
-        let record = system(self.0).link.take()?;
-        let len = (record[0] as usize).min(LINK_WORDS).min(words.len());
-        words[..len].copy_from_slice(&record[1..=len]);
-        Some(len)
+        let datagram = system(self.0).link.take()?;
+        Some(decode_datagram(&datagram, words))
     }
 }
 
@@ -149,7 +150,7 @@ impl Supply for VirtSupply {
     const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
 
     fn reset_cause(&self) -> ResetCause {
-        cause_from(system(self.0).cause.load(Acquire))
+        ResetCause::from_code(system(self.0).cause.load(Acquire)).unwrap_or(ResetCause::Trap)
     }
 
     fn watchdog_question(&self) -> u8 {
@@ -165,10 +166,10 @@ impl Supply for VirtSupply {
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        self.ask(request_word(request));
+        self.ask(1 + request.code());
     }
 
     fn show_role(&self, lamp: RoleLamp) {
-        system(self.0).lamp.store(lamp as u32, Relaxed);
+        system(self.0).lamp.store(lamp.code(), Relaxed);
     }
 }

@@ -1,8 +1,8 @@
 //! The carrier's connection to the world outside, which runs on the host, in lock-step.
 
 use super::ring::Ring;
-use super::run::{Carrier, stamp};
-use super::{interrupt, system};
+use super::run::{Carrier, now};
+use super::{SystemRegisters, interrupt, system};
 use crate::exit::exit;
 use crate::hart::time;
 use crate::memory::stack_used;
@@ -10,11 +10,11 @@ use crate::semihosting::{File, HostError};
 use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
-use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
+use tandem_board::{CoreAddress, CoreId, Line, RoleLamp, SystemId};
 use tandem_cosim::{
-    ANSWER_WORDS, FRAME_WORDS, ITEM_WORDS, Item, LINK_WORDS, MAGIC, MAX_WORDS, PERIOD_NS,
-    REPORT_WORDS, Report,
+    ANSWER_WORDS, ITEM_WORDS, Item, MAGIC, MAX_WORDS, PERIOD_NS, REPORT_WORDS, Report,
 };
+use tandem_peripherals::codec::{FRAME_WORDS, set_time};
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
 /// The status of a machine whose world has gone.
@@ -26,9 +26,9 @@ type Buffer = [AtomicU32; MAX_WORDS];
 static OUT: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
 #[unsafe(link_section = ".bss.carrier")]
 static IN: Buffer = [const { AtomicU32::new(0) }; MAX_WORDS];
-/// Frames that were on the bus here since the last exchange: sender, and frame.
+/// Frames that were on the bus here since the last exchange.
 #[unsafe(link_section = ".bss.carrier")]
-static FRAMES: Ring<128, { 1 + FRAME_WORDS }> = Ring::new();
+static FRAMES: Ring<128, FRAME_WORDS> = Ring::new();
 
 pub(super) struct Host {
     to: File,
@@ -60,13 +60,9 @@ impl Host {
     }
 
     /// A frame was on the bus.
-    pub(super) fn on_bus(&mut self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
-        stamp(&mut frame);
-        let mut record = [0; 1 + FRAME_WORDS];
-        record[0] = sender as u32;
-        record[1..].copy_from_slice(&frame);
-        // More than 128 in a millisecond no CAN bus carries; the world does not hear of them.
-        let _ = FRAMES.put(&record);
+    pub(super) fn on_bus(&mut self, frame: &[u32; FRAME_WORDS]) {
+        // No CAN bus carries more than 128 in a millisecond; the world does not hear of them.
+        let _ = FRAMES.put(frame);
     }
 
     fn put(&mut self, item: Item) {
@@ -107,12 +103,9 @@ impl Host {
     fn write(&mut self, carrier: &Carrier) -> Result<(), HostError> {
         self.len = REPORT_WORDS;
         while self.has_room()
-            && let Some(record) = FRAMES.take()
+            && let Some(words) = FRAMES.take()
         {
-            let mut words = [0; FRAME_WORDS];
-            words.copy_from_slice(&record[1..]);
-            let from = record[0] as usize;
-            self.put(Item::Frame { from, words });
+            self.put(Item::Frame(words));
         }
         let mut here = [false; 2];
         for which in carrier.systems() {
@@ -127,8 +120,8 @@ impl Host {
         let of_systems = SystemId::ALL.map(system);
         let traces = of_systems.iter().flat_map(|system| &system.cores);
         let report = Report {
-            now: Instant::from_ns(time() * clint::TICK_NS),
-            lamps: of_systems.map(|system| system.lamp.load(Relaxed) as u8),
+            now: now(),
+            lamps: of_systems.map(lamp),
             powered: of_systems.map(|system| system.powered.load(Relaxed)),
             lost: traces.map(|core| core.trace_lost.load(Relaxed)).sum(),
         };
@@ -144,7 +137,7 @@ impl Host {
             while self.has_room()
                 && let Some(words) = trace.take()
             {
-                let from = CoreAddress::new(which, core).index();
+                let from = CoreAddress::new(which, core);
                 self.put(Item::Trace { from, words });
             }
         }
@@ -168,12 +161,9 @@ impl Host {
             }
         }
         while self.has_room()
-            && let Some(record) = registers.link.take()
+            && let Some(words) = registers.link.take()
         {
-            let len = (record[0] as usize).min(LINK_WORDS);
-            let mut words = [0; LINK_WORDS];
-            words.copy_from_slice(&record[1..]);
-            self.put(Item::Datagram { to, len, words });
+            self.put(Item::Datagram { to, words });
         }
     }
 
@@ -189,6 +179,11 @@ impl Host {
     }
 }
 
+/// What a system shows of its role.
+fn lamp(system: &SystemRegisters) -> RoleLamp {
+    RoleLamp::from_code(system.lamp.load(Relaxed)).unwrap_or(RoleLamp::Starting)
+}
+
 fn abandoned(what: &str, error: HostError) -> ! {
     log!("the world is gone: {what}: {error:?}");
     exit(ABANDONED)
@@ -196,7 +191,11 @@ fn abandoned(what: &str, error: HostError) -> ! {
 
 fn act(carrier: &mut Carrier, item: Item) {
     match item {
-        Item::Frame { from, words } => carrier.broadcast(from, words),
+        Item::Frame(mut words) => {
+            set_time(&mut words, now());
+            // No core here sent it.
+            carrier.broadcast(None, &words);
+        }
         Item::Edges {
             to,
             line,
@@ -211,12 +210,9 @@ fn act(carrier: &mut Carrier, item: Item) {
                 interrupt(to);
             }
         }
-        Item::Datagram { to, len, words } => {
-            let mut record = [0; 1 + LINK_WORDS];
-            record[0] = len as u32;
-            record[1..].copy_from_slice(&words);
+        Item::Datagram { to, words } => {
             // A core that does not fetch loses what comes.
-            let _ = system(to).link.put(&record);
+            let _ = system(to).link.put(&words);
         }
         Item::Level { of, high } => carrier.set_power(of, high),
         Item::Feed { of, on: true } if system(of).powered.load(Relaxed) => {}

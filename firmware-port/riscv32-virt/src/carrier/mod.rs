@@ -23,7 +23,7 @@ use crate::hart::CARRIER;
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{CoreAddress, CoreId, Line, SystemId};
-use tandem_cosim::{FRAME_WORDS, LINK_WORDS, TRACE_WORDS};
+use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, TRACE_WORDS};
 
 /// What the carrier has for one core.
 pub(crate) struct CoreRegisters {
@@ -44,7 +44,7 @@ pub(crate) struct SystemRegisters {
     /// Edges that came, by line and kind.
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams that came over the link, each with its length.
-    pub(crate) link: Ring<32, { LINK_WORDS + 1 }>,
+    pub(crate) link: Ring<32, DATAGRAM_WORDS>,
     pub(crate) flash: flash::Registers,
     pub(crate) watchdog: watchdog::Registers,
     /// The supply is on and holds the system out of reset.

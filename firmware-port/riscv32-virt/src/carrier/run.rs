@@ -5,8 +5,8 @@ use super::{core, system};
 use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
-use tandem_board::{CoreAddress, CoreId, Instant, ResetCause, ResetRequest, SystemId};
-use tandem_cosim::FRAME_WORDS;
+use tandem_board::{CoreAddress, CoreId, Instant, ResetCause, SystemId};
+use tandem_peripherals::codec::{FRAME_WORDS, Sender, set_sender, set_time};
 
 /// What the carrier has to tell.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,36 +17,8 @@ pub enum Event {
     Suspended(SystemId),
 }
 
-/// A request of the watchdog's, beside those of [`ResetRequest`].
+/// A request of the watchdog's: above one plus any [`tandem_board::ResetRequest::code`].
 pub(crate) const BY_WATCHDOG: u32 = 4;
-
-/// The word of a request in the register.
-pub(crate) const fn request_word(request: ResetRequest) -> u32 {
-    match request {
-        ResetRequest::Software => 1,
-        ResetRequest::CoreDead => 2,
-        ResetRequest::Suspend => 3,
-    }
-}
-
-/// The cause in the register.
-pub(crate) const fn cause_from(word: u32) -> ResetCause {
-    match word {
-        1 => ResetCause::Software,
-        2 => ResetCause::Watchdog,
-        3 => ResetCause::Trap,
-        _ => ResetCause::PowerOn,
-    }
-}
-
-const fn cause_word(cause: ResetCause) -> u32 {
-    match cause {
-        ResetCause::PowerOn => 0,
-        ResetCause::Software => 1,
-        ResetCause::Watchdog => 2,
-        ResetCause::Trap => 3,
-    }
-}
 
 /// Cycles from reading to reading of a turn that was given away and that nobody used: four, and
 /// fewer than any hart takes that does something.
@@ -237,7 +209,7 @@ impl Carrier {
         let registers = system(which);
         registers.cores.iter().for_each(super::CoreRegisters::clear);
         registers.request.store(0, Relaxed);
-        registers.cause.store(cause_word(cause), Relaxed);
+        registers.cause.store(cause.code(), Relaxed);
         let generation = registers.generation.load(Relaxed).wrapping_add(1);
         registers.generation.store(generation, Relaxed);
         registers.watchdog.start(self.watchdogs, time() as u32);
@@ -252,11 +224,14 @@ impl Carrier {
         loop {
             let mut moved = false;
             for sender in CoreAddress::ALL {
-                if let Some(frame) = core(sender).transmit.take() {
+                if let Some(mut frame) = core(sender).transmit.take() {
                     moved = true;
-                    self.broadcast(sender.index(), frame);
+                    set_time(&mut frame, now());
+                    // Who sent it is known from the ring, whatever the words say.
+                    set_sender(&mut frame, Sender::Core(sender));
+                    self.broadcast(Some(sender), &frame);
                     if let Some(host) = &mut self.host {
-                        host.on_bus(sender.index(), frame);
+                        host.on_bus(&frame);
                     }
                 }
             }
@@ -266,17 +241,16 @@ impl Carrier {
         }
     }
 
-    /// Gives a frame to all cores but the one of hart `sender`.
-    pub(super) fn broadcast(&self, sender: usize, mut frame: [u32; FRAME_WORDS]) {
-        stamp(&mut frame);
+    /// Gives a frame to all cores but its sender.
+    pub(super) fn broadcast(&self, sender: Option<CoreAddress>, frame: &[u32; FRAME_WORDS]) {
         for receiver in CoreAddress::ALL {
             let to = receiver.system;
             let hears = self.here[to.index()] && system(to).powered.load(Relaxed);
-            if !hears || receiver.index() == sender {
+            if !hears || sender == Some(receiver) {
                 continue;
             }
             let registers = core(receiver);
-            if !registers.receive.put(&frame) {
+            if !registers.receive.put(frame) {
                 registers.overruns.fetch_add(1, Relaxed);
             }
             // Acquire pairs with the Release in `wake_on_receive`.
@@ -287,7 +261,7 @@ impl Carrier {
     }
 }
 
-/// Gives a frame the time at which it is on the bus.
-pub(super) fn stamp(frame: &mut [u32; FRAME_WORDS]) {
-    [frame[2], frame[3]] = Instant::from_ns(time() * clint::TICK_NS).to_words();
+/// The time on the bus.
+pub(super) fn now() -> Instant {
+    Instant::from_ns(time() * clint::TICK_NS)
 }

@@ -1,0 +1,12 @@
+//! One model of the hardware around the cores, for every board that has to play it.
+//!
+//! A board with real hardware needs none of this. The host, the simulator and the emulated board
+//! are shells around these models: they move bytes and time, and the models decide. A model reads
+//! no clock and does no input or output; what it decides it returns.
+#![no_std]
+#![forbid(unsafe_code)]
+
+pub mod codec;
+
+#[cfg(test)]
+extern crate std;
