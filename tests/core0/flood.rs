@@ -1,0 +1,99 @@
+//! The other system sends without a pause, on all that leads to core 0.
+
+use crate::run::{Case, Script};
+use core::time::Duration as Span;
+use std::thread;
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Generation, Line, Lines, Link, RoleLamp,
+    Supply, SystemId, watchdog_answer,
+};
+use tandem_board_host::{CoreArgs, HostBoard};
+use tandem_cores::core0::DOORBELL_DISTANCE;
+use tandem_cores::task_table::IrqCode;
+use tandem_cores::trace::{Event, FloodSource};
+
+pub(crate) const CASE: Case = Case {
+    name: "a_system_that_floods_the_other_does_not_take_it_down",
+    peer: babble,
+    vehicle: drive_on,
+};
+
+/// How long the flood lasts.
+const FLOOD: Duration = Duration::from_ms(3_000);
+
+/// Serves the watchdog, and floods as soon as the other system drives.
+fn babble(_: &CoreArgs, board: HostBoard) {
+    let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).expect("a frame");
+    let mut served = board.now();
+    loop {
+        if board.now().since(served) >= Duration::from_ms(8) {
+            served = board.now();
+            let supply = board.supply();
+            supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
+        }
+        if drives(board.backplane().role(SystemId::A)) {
+            for _ in 0..200 {
+                let _ = board.link().try_send(&[0xDEAD_BEEF; 4]);
+                let _ = board.can().try_send(&frame);
+                for line in [Line::Start, Line::Heartbeat1, Line::Heartbeat2] {
+                    board.lines().send(line, Edge::Falling);
+                }
+            }
+        }
+        // A processor of its own floods all the time; this one is shared with the other system.
+        thread::sleep(Span::from_micros(200));
+    }
+}
+
+const fn drives(lamp: RoleLamp) -> bool {
+    matches!(lamp, RoleLamp::Master | RoleLamp::DegradedMaster)
+}
+
+/// T-CHIP-5, T-SYNC-3: core 0 drives on in its first life, takes no more interrupts than its limit
+/// permits, and tells of each source.
+fn drive_on(script: &mut Script) {
+    script.until("A drives", |script| {
+        drives(script.port().role(SystemId::A)) && !script.accepted.is_empty()
+    });
+    let (begin, frames) = (script.now(), script.accepted.len());
+    script.drive_for(FLOOD);
+    let span = script.now().since(begin);
+
+    let backplane = script.port().backplane();
+    let life = backplane.generation(SystemId::A, CoreId::CONTROL);
+    assert_eq!(life, Generation(1), "the flood has reset A");
+    let accepted = &script.accepted[frames..];
+    assert!(accepted.iter().all(|(_, by)| *by == SystemId::A));
+    // A third of those that are due: the machine may be busy.
+    let due = span.as_ns() / tandem_cores::core0::CONTROL_PERIOD.as_ns();
+    assert!(
+        accepted.len() as u64 > due / 3,
+        "{} of {due}",
+        accepted.len()
+    );
+
+    let events = script.traced.iter().filter(|(entry, _)| {
+        (entry.system, entry.core) == (SystemId::A, CoreId::CONTROL) && entry.at >= begin
+    });
+    let events: Vec<&Event> = events.map(|(_, event)| event).collect();
+    let doorbell = Event::IrqIn {
+        irq: IrqCode::DOORBELL,
+    };
+    let interrupts = events.iter().filter(|event| ***event == doorbell).count() as u64;
+    let most = span.as_ns() / DOORBELL_DISTANCE.as_ns() + 2;
+    assert!(
+        interrupts <= most,
+        "{interrupts} interrupts, at most {most}"
+    );
+    for wanted in [
+        FloodSource::Link,
+        FloodSource::StartLine,
+        FloodSource::HeartbeatLines,
+        FloodSource::Doorbell,
+    ] {
+        let told = events
+            .iter()
+            .any(|&&event| matches!(event, Event::Flood { source, .. } if source == wanted));
+        assert!(told, "no word of {wanted:?}");
+    }
+}

@@ -1,0 +1,228 @@
+//! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
+
+use crate::{control_core, flood};
+use std::ffi::OsString;
+use std::path::Path;
+use std::process::{Command, ExitCode, Stdio};
+use std::time::{Duration as Span, Instant as Clock};
+use std::{fs, thread};
+use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId, Traced, Wake};
+use tandem_board_host::clock::Ticker;
+use tandem_board_host::{
+    CoreArgs, HostBoard, Launcher, Plan, ProcessArgs, Schedule, WorldPort, isolation, supply,
+};
+use tandem_cores::core1::Core1;
+use tandem_cores::core2::Core2;
+use tandem_cores::trace::Event;
+use tandem_cores::{Config, Core};
+use tandem_vehicle::{Scenario, World};
+
+/// First argument of this program as a launcher; then the case and the folder.
+pub(crate) const LAUNCH: &str = "launch";
+/// A case that takes longer hangs.
+const PATIENCE: Span = Span::from_secs(60);
+
+/// One case.
+pub(crate) struct Case {
+    pub(crate) name: &'static str,
+    /// What core 0 of B does; core 0 of A works as usual, and so do the other cores.
+    pub(crate) peer: fn(&CoreArgs, HostBoard),
+    pub(crate) vehicle: fn(&mut Script),
+}
+
+pub(crate) const CASES: [Case; 1] = [flood::CASE];
+
+/// The vehicle's side of a case.
+pub(crate) struct Script {
+    port: WorldPort,
+    world: World,
+    ticker: Ticker,
+    /// What the cores have traced, in the order of each core.
+    pub(crate) traced: Vec<(Traced, Event)>,
+    /// When control frames were accepted, and from which system.
+    pub(crate) accepted: Vec<(Instant, SystemId)>,
+}
+
+/// Runs a case in processes of its own and says what they said if it failed.
+pub(crate) fn run_case(case: &Case) -> Result<(), String> {
+    let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
+    // A file: a pipe that nobody reads would stop the launcher.
+    let said = folder.path().join("stderr");
+    let file = fs::File::create(&said).map_err(|error| error.to_string())?;
+    let mut launcher = Command::new(std::env::current_exe().expect("own path"))
+        .args([LAUNCH, case.name])
+        .arg(folder.path())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(file)
+        .spawn()
+        .map_err(|error| error.to_string())?;
+    let deadline = Clock::now() + PATIENCE + Span::from_secs(10);
+    let status = loop {
+        if let Some(status) = launcher.try_wait().map_err(|error| error.to_string())? {
+            break status.to_string();
+        }
+        if Clock::now() > deadline {
+            let _ = launcher.kill();
+            let _ = launcher.wait();
+            break "hangs".to_owned();
+        }
+        thread::sleep(Span::from_millis(5));
+    };
+    if status == "exit status: 0" {
+        return Ok(());
+    }
+    let said = fs::read_to_string(said).unwrap_or_default();
+    Err(format!("{status}\n{said}"))
+}
+
+/// Is the launcher of a case.
+pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
+    let (name, folder) = (&argv[0], Path::new(&argv[1]));
+    let place = isolation::enter().expect("a place for the run");
+    let mut launcher = Launcher::prepare_in(place).expect("launcher");
+    let plan = Plan {
+        schedule: Schedule::default(),
+        flash: [folder.join("dflash-A"), folder.join("dflash-B")],
+        extra: vec![name.clone()],
+    };
+    launcher.start(&plan, &again).expect("start");
+    let ended = launcher.wait();
+    let leftovers = launcher.finish();
+    if leftovers.count() > 0 {
+        eprintln!("left behind: {leftovers:?}");
+        return ExitCode::from(3);
+    }
+    match ended.vehicle {
+        Some(status) if status.success() => ExitCode::SUCCESS,
+        status => {
+            eprintln!("the vehicle ended with {status:?}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn again(args: &ProcessArgs) -> Command {
+    let mut command = Command::new(std::env::current_exe().expect("own path"));
+    command.args(args.to_argv());
+    command
+}
+
+/// Is a process of a run.
+pub(crate) fn play(args: ProcessArgs) -> ExitCode {
+    let name = args.common().extra[0].clone();
+    let case = CASES.iter().find(|case| name == case.name);
+    let case = case.expect("a known case");
+    match args {
+        ProcessArgs::Supply(args) => {
+            supply::run(&args, &|core| again(&ProcessArgs::Core(core.clone()))).expect("a supply");
+        }
+        ProcessArgs::Core(args) => {
+            let grant = args.claim();
+            let board = HostBoard::attach(&args).expect("a board");
+            match (args.identity.system, args.identity.core) {
+                (SystemId::B, CoreId::CONTROL) => (case.peer)(&args, board),
+                (SystemId::A, CoreId::CONTROL) => {
+                    control_core::go(board, config(), grant).expect("core 0");
+                }
+                (_, CoreId::PERCEPTION) => compute(&board, Core1::new(&board)),
+                _ => compute(&board, Core2::new(&board)),
+            }
+        }
+        ProcessArgs::Vehicle(args) => {
+            thread::spawn(|| {
+                thread::sleep(PATIENCE);
+                eprintln!("the vehicle hangs");
+                std::process::exit(9);
+            });
+            let _ = args.claim();
+            let scenario = Scenario::load("free-lane").expect("an embedded scenario");
+            let mut script = Script {
+                port: WorldPort::attach(&args).expect("a run"),
+                world: World::new(&scenario, tandem_vehicle::Config { seed: 1 }),
+                ticker: Ticker::new(Duration::from_ms(1)),
+                traced: vec![],
+                accepted: vec![],
+            };
+            script.port.set_ignition(true);
+            (case.vehicle)(&mut script);
+            script.port.set_ignition(false);
+        }
+    }
+    ExitCode::SUCCESS
+}
+
+/// The usual limits, but for a start that waits for nobody.
+pub(crate) fn config() -> Config {
+    let mut config = Config::desktop();
+    config.redundancy.start_limit = Duration::from_ms(500);
+    config
+}
+
+fn compute(board: &HostBoard, mut core: impl Core) {
+    loop {
+        let deadline = core.poll();
+        let _: Wake = board.wait(deadline);
+    }
+}
+
+impl Script {
+    /// Lets the vehicle drive until `is_true`.
+    pub(crate) fn until(&mut self, what: &str, mut is_true: impl FnMut(&Self) -> bool) {
+        let deadline = Clock::now() + PATIENCE / 2;
+        while !is_true(self) {
+            if Clock::now() > deadline {
+                let told = self.traced.iter().filter(|(_, event)| {
+                    !matches!(
+                        event,
+                        Event::TaskIn { .. } | Event::TaskOut { .. } | Event::Ready { .. }
+                    )
+                });
+                panic!("never: {what}; {:?}", told.take(40).collect::<Vec<_>>());
+            }
+            self.tick();
+        }
+    }
+
+    /// Lets the vehicle drive for a time.
+    pub(crate) fn drive_for(&mut self, span: Duration) {
+        let end = self.port.now() + span;
+        self.until("time passes", |script| script.port.now() >= end);
+    }
+
+    /// One millisecond.
+    fn tick(&mut self) {
+        let due = self.ticker.wait().due;
+        let Self { port, world, .. } = self;
+        let now_ns = port.now().as_ns();
+        port.transmitted(&mut |_, _, received| {
+            if let CanId::Standard(id) = received.frame.id() {
+                world.on_frame(now_ns, id.into(), received.frame.data());
+            }
+        });
+        world.step(due.as_ns(), &mut |id, data| {
+            let frame = CanFrame::new(CanId::Standard(id), true, data);
+            port.broadcast(&frame.expect("a frame of the DBC"));
+        });
+        port.ring_receivers();
+        for acceptance in world.gate_mut().drain_log() {
+            if acceptance.verdict == tandem_vehicle::gate::Verdict::Accepted {
+                let system = SystemId::from_index(acceptance.system.into()).expect("a system");
+                let at = Instant::from_ns(acceptance.at_ns);
+                self.accepted.push((at, system));
+            }
+        }
+        let traced = &mut self.traced;
+        port.drain_trace(&mut |entry| {
+            traced.extend(Event::decode(entry.record).map(|event| (entry, event)));
+        });
+    }
+
+    pub(crate) fn now(&self) -> Instant {
+        self.port.now()
+    }
+
+    pub(crate) fn port(&self) -> &WorldPort {
+        &self.port
+    }
+}
