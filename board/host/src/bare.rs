@@ -5,10 +5,10 @@ use std::path::PathBuf;
 use tandem_board::{CoreId, Generation, Identity, SystemId};
 
 use crate::args::{Common, CoreArgs, Schedule};
-use crate::backplane::Backplane;
-use crate::board::{AttachError, HostBoard, create_lmu};
+use crate::board::{AttachError, HostBoard};
 use crate::flash::HostFlash;
 use crate::isolation::Isolation;
+use crate::memory;
 use crate::name::RunName;
 
 /// System A under power: LMU, doorbells and wires, but nobody who watches or resets its cores.
@@ -26,10 +26,8 @@ impl BareSystem {
     pub fn power_on(isolation: &Isolation) -> Result<Self, AttachError> {
         let run = isolation.run().clone();
         let flash = PathBuf::from(format!("/dev/shm/{}.dflash", run.as_str()));
-        let backplane = Backplane::create(&run)?;
+        memory::create(&run)?;
         HostFlash::prepare(&flash)?;
-        let power_on = backplane.power_on(SystemId::A);
-        create_lmu(&run, SystemId::A, power_on)?;
         Ok(Self { run, flash })
     }
 

@@ -1,7 +1,7 @@
 //! The board of one core that is a process.
 
 use core::sync::atomic::Ordering::SeqCst;
-use core::sync::atomic::{AtomicBool, AtomicU32, fence};
+use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
 use tandem_board::{Board, CoreId, Identity, Instant, SystemId, TraceRecord, Wake};
@@ -14,6 +14,7 @@ use crate::can::HostCan;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
+use crate::memory::MemoryError;
 use crate::name::RunName;
 use crate::registers::HostSupply;
 use crate::segment::{Segment, SegmentError};
@@ -28,6 +29,9 @@ pub enum AttachError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
+    /// The shared memory of the run cannot be created.
+    #[error(transparent)]
+    Memory(#[from] MemoryError),
     /// The LMU cannot be mapped.
     #[error("LMU: {0}")]
     Lmu(#[from] SegmentError),
@@ -55,8 +59,7 @@ pub struct HostBoard {
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     bell: Bell,
-    /// The first wait looks around without sleeping: whatever was written before the bell hung was
-    /// not rung.
+    /// The first wait returns at once: rings from before the bell was hung were forgotten.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,
@@ -78,7 +81,7 @@ impl HostBoard {
     pub fn attach(args: &CoreArgs) -> Result<Self, AttachError> {
         let of = args.identity;
         let backplane = Backplane::open(&args.common.run)?;
-        let lmu = open_lmu(&args.common.run, of.system, backplane.power_ons(of.system))?;
+        let lmu = open_lmu(&args.common.run, of.system)?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
         let trace_ring = backplane.trace_ring(of.address().index());
         trace_ring.begin_life();
@@ -96,10 +99,6 @@ impl HostBoard {
             supply: HostSupply::attach(backplane, of)?,
             trace_ring,
         };
-        backplane.set_bell_generation(of.system, of.core, of.generation);
-        // Pairs with the fence in `Ringers::ring`: a ringer that did not find this bell has written
-        // before what this core finds when it looks around.
-        fence(SeqCst);
         Ok(board)
     }
 
@@ -130,7 +129,7 @@ impl Board for HostBoard {
     }
 
     fn ring(&self, to: CoreId) {
-        self.ringers.ring(self.backplane, self.of.system, to);
+        self.ringers.ring(self.of.system, to);
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
@@ -172,30 +171,20 @@ impl Board for HostBoard {
     }
 }
 
-/// The name of the LMU: a new one for each power-on, so that a supply which was killed half-way
-/// leaves nothing that the next one could trip over.
-fn lmu_name(system: SystemId, power_on: u32) -> String {
-    format!("lmu-{system}-{power_on}")
+fn lmu_name(system: SystemId) -> String {
+    format!("lmu-{system}")
 }
 
-/// Creates the LMU of a system, zero as after power-on. Supply only.
-pub(crate) fn create_lmu(
-    run: &RunName,
-    system: SystemId,
-    power_on: u32,
-) -> Result<&'static [AtomicU32], SegmentError> {
-    if let Some(before) = power_on.checked_sub(1) {
-        Segment::<LMU_WORDS>::remove(run, &lmu_name(system, before))?;
-    }
-    let segment = Segment::<LMU_WORDS>::create(run, &lmu_name(system, power_on))?;
-    Ok(Box::leak(Box::new(segment)).words())
+/// Creates the LMU of a system, zero.
+pub(crate) fn create_lmu(run: &RunName, system: SystemId) -> Result<(), SegmentError> {
+    Segment::<LMU_WORDS>::create(run, &lmu_name(system)).map(drop)
 }
 
-fn open_lmu(
+/// Maps the LMU of a system as long as this process lives.
+pub(crate) fn open_lmu(
     run: &RunName,
     system: SystemId,
-    power_on: u32,
 ) -> Result<&'static [AtomicU32], SegmentError> {
-    let segment = Segment::<LMU_WORDS>::open(run, &lmu_name(system, power_on))?;
+    let segment = Segment::<LMU_WORDS>::open(run, &lmu_name(system))?;
     Ok(Box::leak(Box::new(segment)).words())
 }

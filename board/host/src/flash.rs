@@ -1,8 +1,8 @@
 //! Data flash as a file: NOR semantics, programmed in the background, durable when idle again.
 
 use std::fs::{self, File, OpenOptions};
-use std::io;
-use std::os::unix::fs::FileExt;
+use std::io::{self, Write as _};
+use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU8, Ordering};
@@ -10,9 +10,11 @@ use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use rustix::fs::{FlockOperation, flock};
+use rustix::fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with};
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use tandem_board::{DataFlash, FlashError, FlashStatus};
+
+use crate::clock;
 
 const PAGE: u64 = HostFlash::PAGE_BYTES as u64;
 const SECTOR: u64 = HostFlash::SECTOR_BYTES as u64;
@@ -105,32 +107,40 @@ impl HostFlash {
     /// # Errors
     /// [`FlashFileError`], among them that it is taken.
     pub(crate) fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
-        Self::prepare(path)?;
         let failed = |source| FlashFileError::Io {
             path: path.to_owned(),
             source,
         };
-        let file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .open(path)
-            .map_err(failed)?;
         let deadline = Instant::now() + LAST_OWNER_ENDS;
         loop {
+            Self::prepare(path)?;
+            let file = OpenOptions::new()
+                .read(true)
+                .write(true)
+                .open(path)
+                .map_err(failed)?;
             match flock(&file, FlockOperation::NonBlockingLockExclusive) {
                 Err(Errno::WOULDBLOCK) if Instant::now() < deadline => {
                     thread::sleep(Duration::from_millis(2));
+                    continue;
                 }
                 Err(Errno::WOULDBLOCK) => {
                     let path = path.to_owned();
                     return Err(FlashFileError::InUse { path });
                 }
-                locked => break locked.map_err(|errno| failed(errno.into()))?,
+                locked => locked.map_err(|errno| failed(errno.into()))?,
             }
+            // The name may stand for another file by now: whoever opens it would lock that one.
+            let locked = file.metadata().map_err(failed)?;
+            let named = fs::metadata(path);
+            if !named.is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino()))
+            {
+                continue;
+            }
+            // The children inherit it, and with it the lock: a launcher may die before its run.
+            fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;
+            return Ok(Claimed { _lock: file });
         }
-        // The children inherit it, and with it the lock: a launcher may die before its run.
-        fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;
-        Ok(Claimed { _lock: file })
     }
 
     /// Opens the data flash and starts its background thread.
@@ -255,7 +265,8 @@ fn carry_out(file: &File, operation: &Operation) -> io::Result<()> {
     file.sync_data()
 }
 
-/// Creates the file whole or not at all, whenever the power goes.
+/// Creates the file whole or not at all, whenever the power goes; leaves one that another process
+/// has created at the same time.
 fn create(path: &Path) -> io::Result<()> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -263,15 +274,30 @@ fn create(path: &Path) -> io::Result<()> {
     };
     fs::create_dir_all(folder)?;
     let mut draft = path.as_os_str().to_owned();
-    draft.push(format!(".{}", std::process::id()));
+    // Nobody else's: of this process, and of this moment in it.
+    draft.push(format!(
+        ".{}-{:x}",
+        std::process::id(),
+        clock::now().as_ns()
+    ));
     let draft = PathBuf::from(draft);
-    let written = fs::write(&draft, [ERASED; SIZE as usize])
-        .and_then(|()| File::open(&draft)?.sync_all())
-        .and_then(|()| fs::rename(&draft, path))
-        .and_then(|()| File::open(folder)?.sync_all());
-    if written.is_err() {
-        let _ = fs::remove_file(&draft);
-    }
+    let written = File::create_new(&draft).and_then(|mut file| {
+        file.write_all(&[ERASED; SIZE as usize])?;
+        file.sync_all()?;
+        // Never in the place of a file that another run has claimed. Not every file system can
+        // rename so; those have links.
+        let renamed = match renameat_with(CWD, &draft, CWD, path, RenameFlags::NOREPLACE) {
+            Err(Errno::INVAL) => linkat(CWD, &draft, CWD, path, AtFlags::empty()),
+            renamed => renamed,
+        };
+        match renamed {
+            Err(Errno::EXIST) => {}
+            renamed => renamed?,
+        }
+        File::open(folder)?.sync_all()
+    });
+    // Renamed or not.
+    let _ = fs::remove_file(&draft);
     written
 }
 
@@ -361,6 +387,49 @@ mod tests {
         let error = HostFlash::open(&path).unwrap_err();
         assert!(error.to_string().contains("has 4 bytes"), "{error}");
         assert_eq!(fs::read(&path).unwrap(), b"mine");
+    }
+
+    /// T-RED-1: two runs that start at the same time, with a data flash that is not there yet: one
+    /// of them gets it.
+    #[test]
+    fn a_new_data_flash_is_claimed_once() {
+        for round in 0..3 {
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("A.dflash");
+            let start = std::sync::Barrier::new(8);
+            let claims: Vec<_> = thread::scope(|scope| {
+                let claim = || {
+                    start.wait();
+                    HostFlash::claim(&path)
+                };
+                let all: Vec<_> = (0..8).map(|_| scope.spawn(claim)).collect();
+                all.into_iter().map(|one| one.join().unwrap()).collect()
+            });
+            let granted = claims.iter().filter(|claim| claim.is_ok()).count();
+            assert_eq!(granted, 1, "round {round}");
+            let files = fs::read_dir(folder.path()).unwrap().count();
+            assert_eq!(files, 1, "no draft stays");
+        }
+    }
+
+    /// A file whose name was given to another one while it was locked is not the data flash.
+    #[test]
+    fn what_was_locked_is_what_the_name_stands_for() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("A.dflash");
+        let first = HostFlash::claim(&path).unwrap();
+        let renamed = thread::scope(|scope| {
+            // It waits for the first one's lock, with the first one's file open.
+            let second = scope.spawn(|| HostFlash::claim(&path));
+            thread::sleep(Duration::from_millis(100));
+            fs::remove_file(&path).unwrap();
+            HostFlash::prepare(&path).unwrap();
+            drop(first);
+            second.join().unwrap()
+        });
+        let second = renamed.unwrap();
+        let there = fs::metadata(&path).unwrap();
+        assert_eq!(second._lock.metadata().unwrap().ino(), there.ino());
     }
 
     /// T-RED-1: a run beside another does not write over its state.

@@ -16,9 +16,10 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use tandem_board::SystemId;
 
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
-use crate::backplane::{Backplane, BackplaneError};
+use crate::backplane::Backplane;
 use crate::flash::{Claimed, FlashFileError, HostFlash};
 use crate::isolation::{self, Isolation, IsolationError};
+use crate::memory::{self, MemoryError};
 use crate::processes::{self, Process};
 use crate::spawn;
 
@@ -36,9 +37,9 @@ pub enum LaunchError {
     /// There is no place for its files.
     #[error(transparent)]
     Isolation(#[from] IsolationError),
-    /// The backplane cannot be created.
+    /// Its shared memory cannot be created, or has no room.
     #[error(transparent)]
-    Backplane(#[from] BackplaneError),
+    Memory(#[from] MemoryError),
     /// The data flash of a system cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
@@ -122,7 +123,7 @@ impl Launcher {
     /// # Errors
     /// [`LaunchError`] if shared memory or signals cannot be had.
     pub fn prepare_in(isolation: Isolation) -> Result<Self, LaunchError> {
-        let backplane = Backplane::create(isolation.run())?;
+        let backplane = create_memory(&isolation)?;
         backplane.set_launcher(std::process::id());
         // Cores whose supply was killed become children of this process, which waits for them.
         let _ = set_child_subreaper(Pid::from_raw(1));
@@ -300,6 +301,11 @@ impl Drop for Launcher {
             self.end();
         }
     }
+}
+
+/// Creates the run's memory; leaves nothing of it if there is not room for all.
+fn create_memory(isolation: &Isolation) -> Result<Backplane, MemoryError> {
+    memory::create(isolation.run()).inspect_err(|_| isolation.wipe())
 }
 
 /// Cores whose supply was killed were handed to this process.

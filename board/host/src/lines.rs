@@ -33,8 +33,7 @@ impl Lines for HostLines {
     fn send(&self, line: Line, edge: Edge) {
         self.backplane.send_edge(self.of.system, line, edge);
         if line == Line::Start && !self.backplane.is_cut(Cut::Line(self.of.system, line)) {
-            self.ringers
-                .ring(self.backplane, self.of.system.peer(), CoreId::CONTROL);
+            self.ringers.ring(self.of.system.peer(), CoreId::CONTROL);
         }
     }
 

@@ -1,4 +1,4 @@
-//! Named memory that several processes map read-write: iceoryx2 storage of words.
+//! Named memory that several processes map read-write: words whose pages are reserved.
 
 use core::fmt;
 use core::sync::atomic::AtomicU32;
@@ -8,13 +8,15 @@ use iceoryx2_bb_container::semantic_string::SemanticString;
 use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
 use iceoryx2_bb_posix::access_mode::AccessMode;
 use iceoryx2_bb_system_types::file_name::FileName;
-use iceoryx2_cal::dynamic_storage::posix_shared_memory::{Configuration, Storage};
-use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
-use iceoryx2_cal::dynamic_storage::{DynamicStorageCreateError, DynamicStorageOpenError};
+use iceoryx2_cal::dynamic_storage::{
+    DynamicStorage, DynamicStorageBuilder, DynamicStorageOpenError,
+};
+#[cfg(test)]
+use iceoryx2_cal::named_concept::NamedConceptMgmt;
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
-use iceoryx2_cal::named_concept::{NamedConceptMgmt, NamedConceptRemoveError};
 
 use crate::name::RunName;
+use crate::storage::{Builder, Configuration, CreateError, Storage};
 
 /// `N` words on pages of their own. Zero is its initial content, as the kernel hands it out.
 #[repr(C, align(4096))]
@@ -66,16 +68,15 @@ pub(crate) struct Segment<const N: usize> {
 }
 
 impl<const N: usize> Segment<N> {
-    /// Creates the segment, all words zero.
+    /// Creates the segment, all words zero, and reserves its pages.
     pub(crate) fn create(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
-        let built =
-            <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
-                .config(&config(run))
-                .has_ownership(false)
-                // Fresh shared memory is zero, and zero is a valid content.
-                .initializer(|_, _| true)
-                .create();
+        let built = Builder::new(&file(run, name)?)
+            .config(&config(run))
+            .has_ownership(false)
+            // Fresh shared memory is zero, and zero is a valid content.
+            .initializer(|_, _| true)
+            .create_reserved();
         match built {
             Ok(storage) => Ok(Self { storage }),
             Err(error) => Err(refused(run, name, create_reason(error))),
@@ -85,12 +86,10 @@ impl<const N: usize> Segment<N> {
     /// Maps a segment that was created before. Does not wait.
     pub(crate) fn open(run: &RunName, name: &str) -> Result<Self, SegmentError> {
         quiet();
-        let built =
-            <Storage<Words<N>> as DynamicStorage<Words<N>>>::Builder::new(&file(run, name)?)
-                .config(&config(run))
-                .has_ownership(false)
-                .timeout(Duration::ZERO)
-                .open(AccessMode::ReadWrite);
+        let built = Builder::<Words<N>>::new(&file(run, name)?)
+            .config(&config(run))
+            .timeout(Duration::ZERO)
+            .open(AccessMode::ReadWrite);
         match built {
             Ok(storage) => Ok(Self { storage }),
             Err(DynamicStorageOpenError::DoesNotExist) => Err(SegmentError::DoesNotExist {
@@ -101,16 +100,12 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Removes the name; processes that have the segment mapped keep it. Nothing happens if there
-    /// is none.
-    pub(crate) fn remove(run: &RunName, name: &str) -> Result<(), SegmentError> {
-        quiet();
-        // SAFETY: the contract asks that nobody uses the segment, because its content would go
-        // away; POSIX shared memory keeps its content for those who have it mapped.
-        let removed = unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name)?, &config(run)) };
-        removed
-            .map(|_| ())
-            .map_err(|error| refused(run, name, remove_reason(error)))
+    /// Removes the segment that a test has made. Nothing happens if there is none.
+    #[cfg(test)]
+    pub(crate) fn remove(run: &RunName, name: &str) {
+        // SAFETY: POSIX shared memory keeps its content for those who have it mapped.
+        unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name).unwrap(), &config(run)) }
+            .unwrap();
     }
 
     pub(crate) fn words(&self) -> &[AtomicU32] {
@@ -134,11 +129,13 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
     Configuration::default().prefix(&prefix(run))
 }
 
+/// Stands where a name cannot be formed, which is never: run names are short and plain.
+// SAFETY: letters are a valid file name.
+pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
+
 /// What the file names of a run begin with.
 pub(crate) fn prefix(run: &RunName) -> FileName {
-    // A run name is short and plain, so this cannot fail; the fallback only keeps it total.
-    FileName::new(format!("{run}_").as_bytes())
-        .unwrap_or_else(|_| Storage::<Words<1>>::default_prefix())
+    FileName::new(format!("{run}_").as_bytes()).unwrap_or(FALLBACK)
 }
 
 fn file(run: &RunName, name: &str) -> Result<FileName, SegmentError> {
@@ -154,18 +151,20 @@ fn refused(run: &RunName, name: &str, reason: String) -> SegmentError {
     }
 }
 
-fn create_reason(error: DynamicStorageCreateError) -> String {
+fn create_reason(error: CreateError) -> String {
     match error {
-        DynamicStorageCreateError::AlreadyExists => "exists already".to_owned(),
-        DynamicStorageCreateError::InsufficientPermissions => {
-            "no permission to create it in /dev/shm".to_owned()
+        CreateError::AlreadyExists => "exists already".to_owned(),
+        CreateError::InsufficientPermissions => "no permission to create it in /dev/shm".to_owned(),
+        CreateError::NoSpace { bytes } => {
+            format!(
+                "/dev/shm has no room for its {} KiB; make room there",
+                bytes.div_ceil(1024)
+            )
         }
-        other => format!("could not be created in /dev/shm ({other:?}); is it full?"),
+        CreateError::InitializationFailed | CreateError::Refused => {
+            "could not be created in /dev/shm".to_owned()
+        }
     }
-}
-
-fn remove_reason(error: NamedConceptRemoveError) -> String {
-    format!("could not be removed ({error:?})")
 }
 
 #[cfg(test)]
@@ -182,7 +181,7 @@ mod tests {
         a.words()[1023].store(7, Relaxed);
         assert_eq!(b.words()[1023].load(Relaxed), 7);
         assert_eq!(b.words().as_ptr() as usize % 4096, 0);
-        Segment::<1024>::remove(&run, "t").unwrap();
+        Segment::<1024>::remove(&run, "t");
         assert!(matches!(
             Segment::<1024>::open(&run, "t"),
             Err(SegmentError::DoesNotExist { .. })
@@ -195,6 +194,6 @@ mod tests {
         let _first = Segment::<16>::create(&run, "once").unwrap();
         let error = Segment::<16>::create(&run, "once").unwrap_err();
         assert!(error.to_string().contains("exists already"), "{error}");
-        Segment::<16>::remove(&run, "once").unwrap();
+        Segment::<16>::remove(&run, "once");
     }
 }

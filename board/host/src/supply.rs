@@ -30,7 +30,7 @@ use tandem_shm::{FitError, fifo};
 use crate::args::{CoreArgs, SupplyArgs};
 use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
 use crate::bell::Ringers;
-use crate::board::create_lmu;
+use crate::board::open_lmu;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::segment::SegmentError;
@@ -56,7 +56,7 @@ pub enum SupplyError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
-    /// The LMU cannot be created.
+    /// The LMU cannot be mapped.
     #[error("LMU: {0}")]
     Lmu(#[from] SegmentError),
     /// The data flash cannot be used.
@@ -87,7 +87,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
-    let lmu = create_lmu(&args.common.run, args.system, power_on)?;
+    let lmu = open_lmu(&args.common.run, args.system)?;
     backplane
         .trace_ring(supply_trace_ring(args.system))
         .begin_life();
@@ -381,8 +381,7 @@ impl Supply<'_> {
     /// Changes a level line, which interrupts core 0 of the system on the other end.
     fn set_level(&self, of: SystemId, high: bool) {
         self.backplane.set_level(of, high);
-        self.ringers
-            .ring(self.backplane, of.peer(), CoreId::CONTROL);
+        self.ringers.ring(of.peer(), CoreId::CONTROL);
     }
 }
 

@@ -204,7 +204,7 @@ impl WorldPort {
         }
         for node in &self.from_cores {
             if self.backplane.wakes_on_receive(node.system, node.core) {
-                self.ringers.ring(self.backplane, node.system, node.core);
+                self.ringers.ring(node.system, node.core);
             }
         }
     }

@@ -39,8 +39,7 @@ pub(super) enum System {
 pub(super) enum Core {
     Pid,
     Generation,
-    BellGeneration = LINE as isize,
-    WakeOnReceive,
+    WakeOnReceive = LINE as isize,
     TraceLost,
 }
 

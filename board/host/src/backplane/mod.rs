@@ -19,7 +19,7 @@ use layout::{Core, Run, System, WORDS};
 pub(crate) use layout::{RINGS, Ring, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
-const MAGIC: u32 = 0x5444_4D01;
+const MAGIC: u32 = 0x5444_4D02;
 const NAME: &str = "backplane";
 
 /// A connection that can be cut to see what happens.
@@ -99,7 +99,7 @@ impl Backplane {
     /// Removes the backplane of a run that a test has made.
     #[cfg(test)]
     pub(crate) fn remove(run: &RunName) {
-        Segment::<WORDS>::remove(run, NAME).unwrap();
+        Segment::<WORDS>::remove(run, NAME);
     }
 
     fn run(self, register: Run) -> &'static AtomicU32 {
@@ -206,11 +206,6 @@ impl Backplane {
         self.system(system, System::PowerOns).fetch_add(1, SeqCst) + 1
     }
 
-    /// How often the system was powered on.
-    pub(crate) fn power_ons(self, system: SystemId) -> u32 {
-        self.system(system, System::PowerOns).load(SeqCst)
-    }
-
     pub(crate) fn set_level(self, system: SystemId, high: bool) {
         self.system(system, System::LevelLow)
             .store(u32::from(!high), SeqCst);
@@ -281,16 +276,6 @@ impl Backplane {
     #[must_use]
     pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
         Generation(self.core(system, core, Core::Generation).load(SeqCst))
-    }
-
-    pub(crate) fn set_bell_generation(self, system: SystemId, core: CoreId, life: Generation) {
-        self.core(system, core, Core::BellGeneration)
-            .store(life.0, SeqCst);
-    }
-
-    /// The life of the core whose doorbell hangs.
-    pub(crate) fn bell_generation(self, system: SystemId, core: CoreId) -> Generation {
-        Generation(self.core(system, core, Core::BellGeneration).load(SeqCst))
     }
 
     pub(crate) fn set_wakes_on_receive(self, system: SystemId, core: CoreId, on: bool) {

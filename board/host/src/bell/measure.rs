@@ -15,7 +15,7 @@ use iceoryx2_cal::event::implementations::{SemaphoreShmBitSet, UnixDatagramShmBi
 use iceoryx2_cal::event::{Event, EventId, Listener, ListenerBuilder, Notifier, NotifierBuilder};
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
 
-use super::BellEvent;
+use super::FutexEvent;
 use crate::name::RunName;
 use crate::{clock, realtime, segment};
 
@@ -207,5 +207,5 @@ fn bells_beside_the_triggers_of_iceoryx2() {
     });
     measure::<UnixDatagramShmBitSet>("unix datagram socket (the default of iceoryx2)");
     measure::<SemaphoreShmBitSet>("semaphore");
-    measure::<BellEvent>("futex");
+    measure::<FutexEvent<State, false>>("futex");
 }

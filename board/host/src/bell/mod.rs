@@ -1,41 +1,54 @@
 //! Doorbells: iceoryx2 events between the cores.
 //!
-//! Every life of a core has a bell of its own, named with the generation. Whoever rings looks up
-//! which life is the current one, so that a core that was reset is found again and one that is dead
-//! is rung in vain, which is what ringing a dead core means.
+//! A core has one bell for the whole run, created and reserved before the first process starts
+//! ([`install`]). Each life of the core takes it over with [`Bell::hang`], in the same memory:
+//! those who ring keep what they have mapped, find the core again after a reset, and make no system
+//! call unless it sleeps. A dead core is rung in vain, which is what ringing a dead core means.
+//!
+//! The types are public so that iceoryx2's own suite can test them: `tests/iceoryx2.rs`.
 
+mod bits;
 #[cfg(test)]
 mod measure;
 mod trigger;
 
 use core::fmt;
 use core::sync::atomic::Ordering::SeqCst;
+use core::sync::atomic::fence;
 use core::time::Duration as Span;
-use std::sync::{Mutex, PoisonError};
 
 use iceoryx2_bb_container::semantic_string::SemanticString;
+use iceoryx2_bb_posix::access_mode::AccessMode;
 use iceoryx2_bb_system_types::file_name::FileName;
-use iceoryx2_cal::dynamic_storage::posix_shared_memory as shm;
+use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
 use iceoryx2_cal::event::common::{Configuration, EventImpl, Handle, Waiter};
-use iceoryx2_cal::event::event_state::bit_set::RelocatableBitSet;
 use iceoryx2_cal::event::trigger::State;
 use iceoryx2_cal::event::{
     Event, EventId, Listener, ListenerBuilder, ListenerWaitError, Notifier, NotifierBuilder,
 };
+#[cfg(test)]
 use iceoryx2_cal::named_concept::NamedConceptMgmt;
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
-use tandem_board::{CoreId, Generation, Identity, Instant, SystemId};
+use tandem_board::{CoreId, Identity, Instant, SystemId};
 
-use crate::backplane::Backplane;
 use crate::clock;
 use crate::name::RunName;
 use crate::segment;
-use trigger::{FutexHandle, FutexWaiter};
+use crate::storage::Storage;
 
-type EventStorage = shm::Storage<State<RelocatableBitSet, ()>>;
-type BellEvent = EventImpl<RelocatableBitSet, (), EventStorage, FutexHandle, FutexWaiter>;
-type BellListener = Waiter<RelocatableBitSet, (), EventStorage, FutexWaiter>;
-type BellNotifier = Handle<RelocatableBitSet, (), EventStorage, FutexHandle>;
+pub use bits::PendingBits;
+pub use trigger::{Futex, FutexHandle, FutexWaiter};
+
+/// An iceoryx2 event with the state `E`, in memory that is reserved, on which the listener sleeps
+/// on a futex.
+pub type FutexEvent<E, const LASTING: bool> =
+    EventImpl<E, Futex, Storage<State<E, Futex>, LASTING>, FutexHandle, FutexWaiter>;
+
+type BellEvent = FutexEvent<PendingBits, true>;
+type BellState = State<PendingBits, Futex>;
+type BellStorage = Storage<BellState, true>;
+type BellListener = Waiter<PendingBits, Futex, BellStorage, FutexWaiter>;
+type BellNotifier = Handle<PendingBits, Futex, BellStorage, FutexHandle>;
 
 /// What is pending is in the memory that the receiver looks at; the bell carries one bit.
 const RUNG: EventId = EventId::new(0);
@@ -48,33 +61,41 @@ pub struct BellError {
     reason: String,
 }
 
-/// The bell of one life of a core, on the side of the core that is woken by it.
+/// Creates the bells of all cores and reserves their memory.
+pub(crate) fn install(run: &RunName) -> Result<(), BellError> {
+    for system in SystemId::ALL {
+        for core in CoreId::ALL {
+            listener(run, system, core)?;
+        }
+    }
+    Ok(())
+}
+
+fn listener(run: &RunName, system: SystemId, core: CoreId) -> Result<BellListener, BellError> {
+    segment::quiet();
+    <BellEvent as Event<_>>::ListenerBuilder::new(&file(system, core))
+        .config(&config(run))
+        .event_id_max(RUNG)
+        .create()
+        .map_err(|cause| BellError {
+            core: format!("{system}{core}"),
+            reason: format!("{cause}; is /dev/shm full?"),
+        })
+}
+
+/// The bell of a core, on the side of the core that is woken by it.
 pub(crate) struct Bell {
     listener: BellListener,
 }
 
 impl Bell {
-    /// Hangs the bell of this life and removes that of the life before.
+    /// Takes over the bell of this core. What rang before is forgotten, so the caller looks around
+    /// before it first sleeps.
     pub(crate) fn hang(run: &RunName, of: Identity) -> Result<Self, BellError> {
-        segment::quiet();
-        let error = |reason: String| BellError {
-            core: format!("{}{}", of.system, of.core),
-            reason,
-        };
-        if let Some(before) = of.generation.0.checked_sub(1) {
-            let before = Identity {
-                generation: Generation(before),
-                ..of
-            };
-            // SAFETY: that life is over, and those who still ring it have it mapped, which a
-            // removed name does not disturb.
-            let _ = unsafe { BellEvent::remove_cfg(&file(before), &config(run)) };
-        }
-        let listener = <BellEvent as Event<_>>::ListenerBuilder::new(&file(of))
-            .config(&config(run))
-            .event_id_max(RUNG)
-            .create()
-            .map_err(|cause| error(cause.to_string()))?;
+        let listener = listener(run, of.system, of.core)?;
+        // Pairs with the fence in `Ringers::ring`: a ring that was forgotten just now came from one
+        // who had written before what this core finds when it looks around.
+        fence(SeqCst);
         Ok(Self { listener })
     }
 
@@ -108,71 +129,59 @@ impl fmt::Debug for Bell {
 /// The bells of all cores, on the side of those who ring.
 pub(crate) struct Ringers {
     run: RunName,
-    open: [[Mutex<Option<Opened>>; CoreId::COUNT]; 2],
+    bells: [[Option<Ringer>; CoreId::COUNT]; 2],
 }
 
-struct Opened {
-    generation: Generation,
+struct Ringer {
     notifier: BellNotifier,
-    futex: FutexHandle,
+    storage: BellStorage,
 }
 
 impl Ringers {
+    /// Maps the bells of the run. One that is missing is rung in vain.
     pub(crate) fn new(run: &RunName) -> Self {
+        segment::quiet();
         Self {
             run: run.clone(),
-            open: Default::default(),
+            bells: SystemId::ALL
+                .map(|system| CoreId::ALL.map(|core| Ringer::open(run, system, core))),
         }
     }
 
     /// Rings the core, in whichever life it is. Does nothing if it has none. Never waits for it.
-    pub(crate) fn ring(&self, backplane: Backplane, system: SystemId, core: CoreId) {
-        // What the caller has written before must be seen by a life that hangs its bell just now
-        // and is therefore not rung: pairs with the fence in `HostBoard::attach`.
-        core::sync::atomic::fence(SeqCst);
-        let generation = backplane.bell_generation(system, core);
-        if generation == Generation(0) {
-            return;
-        }
-        let mut open = self.open[system.index()][core.index()]
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        if open
-            .as_ref()
-            .is_none_or(|opened| opened.generation != generation)
-        {
-            let of = Identity {
-                system,
-                core,
-                generation,
-            };
-            *open = self.open(of);
-        }
-        if let Some(opened) = open.as_ref() {
-            // The only refusals are those of a receiver that has gone.
-            let woken = trigger::has_woken(|| opened.notifier.notify(RUNG));
-            // iceoryx2 leaves a listener asleep whom another notifier is about to mark as notified;
-            // if that one was stalled since the listener took its event, nobody wakes it any more.
-            // Not always: on one CPU the listener may have come, answered and gone to sleep again
-            // by now, and a second wake would cost it a look for nothing.
-            if !woken {
-                opened.futex.wake();
-            }
+    pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
+        // Pairs with the fence in `Bell::hang`.
+        fence(SeqCst);
+        if let Some(ringer) = &self.bells[system.index()][core.index()] {
+            ringer.ring();
         }
     }
+}
 
-    fn open(&self, of: Identity) -> Option<Opened> {
-        segment::quiet();
-        let notifier = <BellEvent as Event<_>>::NotifierBuilder::new(&file(of))
-            .config(&config(&self.run))
+impl Ringer {
+    fn open(run: &RunName, system: SystemId, core: CoreId) -> Option<Self> {
+        let notifier = <BellEvent as Event<_>>::NotifierBuilder::new(&file(system, core))
+            .config(&config(run))
             .open()
             .ok()?;
-        let futex = FutexHandle::open(&file(of), &segment::prefix(&self.run)).ok()?;
-        Some(Opened {
-            generation: of.generation,
+        Some(Self {
             notifier,
-            futex,
+            storage: storage_of(run, system, core)?,
         })
+    }
+
+    fn ring(&self) {
+        // The only refusals are those of a receiver that has gone.
+        let woken = trigger::has_woken(|| self.notifier.notify(RUNG));
+        // iceoryx2 leaves a listener asleep whom another notifier is about to mark as notified; if
+        // that one was stalled since the listener took its event, nobody wakes it any more. Not
+        // always: on one CPU the listener may have come, answered and gone to sleep again by now,
+        // and a second wake would cost it a look for nothing.
+        if !woken {
+            // SAFETY: the listener that created the event has initialized it; any bits are a
+            // `Futex`.
+            unsafe { self.storage.get().handle.assume_init_ref() }.wake();
+        }
     }
 }
 
@@ -182,24 +191,34 @@ impl fmt::Debug for Ringers {
     }
 }
 
-fn config(run: &RunName) -> Configuration<RelocatableBitSet, (), EventStorage> {
+/// The memory of a bell, named as iceoryx2's event names it.
+fn storage_of(run: &RunName, system: SystemId, core: CoreId) -> Option<BellStorage> {
+    let suffix = FileName::new(b".trigger_mgmt").ok()?;
+    let config = crate::storage::Configuration::default()
+        .prefix(&segment::prefix(run))
+        .suffix(&suffix);
+    <BellStorage as DynamicStorage<_>>::Builder::new(&file(system, core))
+        .config(&config)
+        .open(AccessMode::ReadWrite)
+        .ok()
+}
+
+fn config(run: &RunName) -> Configuration<PendingBits, Futex, BellStorage> {
     Configuration::default().prefix(&segment::prefix(run))
 }
 
-fn file(of: Identity) -> FileName {
-    let name = format!("bell-{}{}-{}", of.system, of.core, of.generation.0);
+fn file(system: SystemId, core: CoreId) -> FileName {
+    let name = format!("bell-{system}{core}");
     // Letters, digits and dashes: always a valid name. The fallback only keeps it total.
-    FileName::new(name.as_bytes()).unwrap_or_else(|_| BellEvent::default_prefix())
+    FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::sync::atomic::AtomicBool;
-    use iceoryx2_bb_posix::access_mode::AccessMode;
-    use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
+    use core::sync::atomic::{AtomicBool, AtomicU8};
     use std::thread;
-    use tandem_board::Duration;
+    use tandem_board::{Duration, Generation};
 
     const OF: Identity = Identity {
         system: SystemId::A,
@@ -207,28 +226,39 @@ mod tests {
         generation: Generation(1),
     };
 
-    /// The state that iceoryx2 keeps of an event, as a stalled notifier would reach it.
-    fn state_of(run: &RunName) -> EventStorage {
-        let suffix = FileName::new(b".trigger_mgmt").unwrap();
-        let config = shm::Configuration::default()
-            .prefix(&segment::prefix(run))
-            .suffix(&suffix);
-        <EventStorage as DynamicStorage<_>>::Builder::new(&file(OF))
-            .config(&config)
-            .has_ownership(false)
-            .open(AccessMode::ReadWrite)
-            .unwrap()
+    /// A run with nothing but its bells; what it has is removed with it.
+    struct Bells(RunName);
+
+    impl Bells {
+        fn install() -> Self {
+            let run = RunName::unique();
+            install(&run).unwrap();
+            Self(run)
+        }
+
+        fn storage(&self) -> BellStorage {
+            storage_of(&self.0, OF.system, OF.core).unwrap()
+        }
     }
 
-    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and
-    /// does so when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
-    #[test]
-    fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
-        const NOTIFIED: u8 = 2;
-        let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
-        let bell = Bell::hang(&run, OF).unwrap();
-        backplane.set_bell_generation(OF.system, OF.core, OF.generation);
+    impl Drop for Bells {
+        fn drop(&mut self) {
+            for system in SystemId::ALL {
+                for core in CoreId::ALL {
+                    // SAFETY: POSIX shared memory keeps its content for those who have it mapped.
+                    let removed =
+                        unsafe { BellEvent::remove_cfg(&file(system, core), &config(&self.0)) };
+                    assert!(removed.unwrap());
+                }
+            }
+        }
+    }
+
+    /// Whether a ring wakes a listener that sleeps; `harm` is done while it does.
+    fn a_ring_wakes(harm: impl FnOnce(&BellState)) -> bool {
+        let bells = Bells::install();
+        let bell = Bell::hang(&bells.0, OF).unwrap();
+        let ringers = Ringers::new(&bells.0);
         let asleep = AtomicBool::new(false);
         thread::scope(|scope| {
             let sleeper = scope.spawn(|| {
@@ -240,25 +270,72 @@ mod tests {
                 thread::yield_now();
             }
             thread::sleep(Span::from_millis(50));
-            state_of(&run)
-                .get()
-                .notification_state
-                .store(NOTIFIED, SeqCst);
-            Ringers::new(&run).ring(backplane, OF.system, OF.core);
-            assert!(sleeper.join().unwrap(), "slept through a ring");
-        });
-        Backplane::remove(&run);
+            harm(bells.storage().get());
+            ringers.ring(OF.system, OF.core);
+            sleeper.join().unwrap()
+        })
+    }
+
+    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and
+    /// does so when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
+    #[test]
+    fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
+        const NOTIFIED: u8 = 2;
+        assert!(a_ring_wakes(|state| state
+            .notification_state
+            .store(NOTIFIED, SeqCst)));
+    }
+
+    /// Any byte of the bell's memory may be any: a peer can write there. Nobody who rings or sleeps
+    /// is harmed, and the bell of the next life is as good as new.
+    #[test]
+    fn a_scribbled_bell_harms_nobody_who_rings_it() {
+        let bells = Bells::install();
+        let bell = Bell::hang(&bells.0, OF).unwrap();
+        let ringers = Ringers::new(&bells.0);
+        let storage = bells.storage();
+        let state: *const BellState = storage.get();
+        // SAFETY: the state is so many bytes of a mapping that is shared and writable.
+        let bytes = unsafe {
+            core::slice::from_raw_parts(state.cast::<AtomicU8>(), size_of::<BellState>())
+        };
+        for scribble in [0x00, 0x01, 0x7F, 0x80, 0xAA, 0xFF] {
+            for at in 0..bytes.len() {
+                let before = bytes[at].swap(scribble, SeqCst);
+                ringers.ring(OF.system, OF.core);
+                bell.wait(clock::now() + Duration::from_us(10));
+                bytes[at].store(before, SeqCst);
+            }
+            bytes.iter().for_each(|byte| byte.store(scribble, SeqCst));
+            ringers.ring(OF.system, OF.core);
+            bell.wait(clock::now() + Duration::from_us(10));
+            // The next life.
+            let bell = Bell::hang(&bells.0, OF).unwrap();
+            assert!(!bell.wait(clock::now()), "silent after {scribble:#x}");
+            ringers.ring(OF.system, OF.core);
+            assert!(bell.wait(Instant::NEVER), "rung after {scribble:#x}");
+        }
+    }
+
+    /// T-SYNC-3: those who ring keep their end over the lives of the core.
+    #[test]
+    fn the_next_life_is_rung_through_the_same_end() {
+        let bells = Bells::install();
+        let ringers = Ringers::new(&bells.0);
+        for _life in 0..3 {
+            ringers.ring(OF.system, OF.core);
+            let bell = Bell::hang(&bells.0, OF).unwrap();
+            assert!(!bell.wait(clock::now()), "rung in the life before");
+            ringers.ring(OF.system, OF.core);
+            assert!(bell.wait(Instant::NEVER));
+        }
     }
 
     #[test]
     fn a_bell_that_never_hung_is_rung_in_vain() {
         let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
-        let ringers = Ringers::new(&run);
-        ringers.ring(backplane, OF.system, OF.core);
-        // The life is announced, but what it left is gone.
-        backplane.set_bell_generation(OF.system, OF.core, Generation(7));
-        ringers.ring(backplane, OF.system, OF.core);
-        Backplane::remove(&run);
+        Ringers::new(&run).ring(OF.system, OF.core);
+        let bells = Bells::install();
+        Ringers::new(&bells.0).ring(OF.system, OF.core);
     }
 }

@@ -1,0 +1,543 @@
+//! iceoryx2's dynamic storage over POSIX shared memory whose pages are reserved at its creation.
+//!
+//! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file and
+//! lets the kernel find a page at the first touch. In a full `/dev/shm` that touch ends the process
+//! with SIGBUS, and it may be the touch of a process that did nothing but ring a bell. Here
+//! [`Builder::create`] calls `fallocate` before anything touches the memory: a place that is too
+//! small refuses the creator, and nobody later.
+//!
+//! A *lasting* storage belongs to the run and not to the process that created it: no process that
+//! drops it removes it, and [`Builder::create`] takes over the one that is there and initializes
+//! its value anew, in the same memory. Those who have it mapped go on to use it, and must expect
+//! that.
+//!
+//! The suite of iceoryx2 for a dynamic storage is a test of this one: `tests/iceoryx2.rs`.
+
+use core::fmt::Debug;
+use core::marker::PhantomData;
+use core::mem::MaybeUninit;
+use core::ptr::NonNull;
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::{Acquire, Release};
+use core::time::Duration;
+use std::os::fd::BorrowedFd;
+use std::thread;
+use std::time::Instant;
+
+use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
+use iceoryx2_bb_elementary_traits::zero_copy_send::ZeroCopySend;
+use iceoryx2_bb_memory::bump_allocator::BumpAllocator;
+use iceoryx2_bb_posix::access_mode::AccessMode;
+use iceoryx2_bb_posix::creation_mode::CreationMode;
+use iceoryx2_bb_posix::file_descriptor::{FileDescriptorBased, FileDescriptorManagement};
+use iceoryx2_bb_posix::permission::Permission;
+use iceoryx2_bb_posix::shared_memory::{
+    SharedMemory, SharedMemoryBuilder, SharedMemoryCreationError, SharedMemoryRemoveError,
+};
+use iceoryx2_bb_system_types::file_name::FileName;
+use iceoryx2_bb_system_types::file_path::FilePath;
+use iceoryx2_bb_system_types::path::Path;
+use iceoryx2_cal::dynamic_storage::dynamic_storage_configuration::DynamicStorageConfiguration;
+use iceoryx2_cal::dynamic_storage::{
+    DynamicStorage, DynamicStorageBuilder, DynamicStorageCreateError, DynamicStorageOpenError,
+    DynamicStorageOpenOrCreateError, Initializer,
+};
+use iceoryx2_cal::named_concept::{
+    NamedConcept, NamedConceptBuilder, NamedConceptConfiguration, NamedConceptDoesExistError,
+    NamedConceptListError, NamedConceptMgmt, NamedConceptPathHintRemoveError,
+    NamedConceptRemoveError,
+};
+use rustix::fs::FallocateFlags;
+use rustix::io::Errno;
+
+/// Nobody but root can read a storage that is not complete.
+const UNFINISHED: Permission = Permission::OWNER_WRITE;
+const FINISHED: Permission = Permission::OWNER_READ_WRITE;
+const FINISHED_FOR_ALL: Permission = FINISHED
+    .const_bitor(Permission::GROUP_READ_WRITE)
+    .const_bitor(Permission::OTHERS_READ_WRITE);
+/// Content of [`Content::complete`] once the value is there: "TDMS" and the version of the layout.
+const COMPLETE: u32 = 0x5444_4D01;
+const LOOK_AGAIN: Duration = Duration::from_millis(1);
+
+/// What a `T` of a storage has to be.
+pub trait Value: Send + Sync + Debug + ZeroCopySend {}
+impl<T: Send + Sync + Debug + ZeroCopySend> Value for T {}
+
+/// What lies in the memory.
+#[repr(C)]
+struct Content<T> {
+    complete: AtomicU32,
+    value: MaybeUninit<T>,
+}
+
+/// Why a storage could not be created.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CreateError {
+    /// There is one of this name.
+    AlreadyExists,
+    /// This user may not create one.
+    InsufficientPermissions,
+    /// The file system has no room for so many bytes.
+    NoSpace {
+        /// What was asked for.
+        bytes: usize,
+    },
+    /// The initializer has refused.
+    InitializationFailed,
+    /// The operating system refused something else.
+    Refused,
+}
+
+impl From<CreateError> for DynamicStorageCreateError {
+    fn from(error: CreateError) -> Self {
+        match error {
+            CreateError::AlreadyExists => Self::AlreadyExists,
+            CreateError::InsufficientPermissions => Self::InsufficientPermissions,
+            CreateError::InitializationFailed => Self::InitializationFailed,
+            CreateError::NoSpace { .. } | CreateError::Refused => Self::InternalError,
+        }
+    }
+}
+
+/// How the file of a storage is named, and whose it is.
+#[derive(Debug)]
+pub struct Configuration<T, const LASTING: bool = false> {
+    prefix: FileName,
+    suffix: FileName,
+    path_hint: Path,
+    type_name: String,
+    _value: PhantomData<fn() -> T>,
+}
+
+// Derived, it would demand that `T` is `Clone`.
+impl<T, const LASTING: bool> Clone for Configuration<T, LASTING> {
+    fn clone(&self) -> Self {
+        Self {
+            type_name: self.type_name.clone(),
+            ..*self
+        }
+    }
+}
+
+impl<T: Value, const LASTING: bool> Default for Configuration<T, LASTING> {
+    fn default() -> Self {
+        Self {
+            prefix: Storage::<T, LASTING>::default_prefix(),
+            suffix: Storage::<T, LASTING>::default_suffix(),
+            path_hint: Storage::<T, LASTING>::default_path_hint(),
+            type_name: core::any::type_name::<T>().to_owned(),
+            _value: PhantomData,
+        }
+    }
+}
+
+impl<T: Value, const LASTING: bool> NamedConceptConfiguration for Configuration<T, LASTING> {
+    fn prefix(mut self, value: &FileName) -> Self {
+        self.prefix = *value;
+        self
+    }
+
+    fn get_prefix(&self) -> &FileName {
+        &self.prefix
+    }
+
+    fn suffix(mut self, value: &FileName) -> Self {
+        self.suffix = *value;
+        self
+    }
+
+    fn get_suffix(&self) -> &FileName {
+        &self.suffix
+    }
+
+    fn path_hint(mut self, value: &Path) -> Self {
+        self.path_hint = *value;
+        self
+    }
+
+    fn get_path_hint(&self) -> &Path {
+        &self.path_hint
+    }
+
+    fn path_for(&self, value: &FileName) -> FilePath {
+        self.path_for_with_type(value)
+    }
+
+    fn extract_name_from_file(&self, value: &FileName) -> Option<FileName> {
+        self.extract_name_from_file_with_type(value)
+    }
+}
+
+impl<T: Value, const LASTING: bool> DynamicStorageConfiguration for Configuration<T, LASTING> {
+    fn type_name(&self) -> &str {
+        &self.type_name
+    }
+}
+
+/// Creates or opens a [`Storage`].
+#[derive(Debug)]
+pub struct Builder<'builder, T, const LASTING: bool = false> {
+    name: FileName,
+    config: Configuration<T, LASTING>,
+    supplementary_size: usize,
+    for_all: bool,
+    has_ownership: bool,
+    timeout: Duration,
+    initializer: Initializer<'builder, T>,
+}
+
+impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
+    fn file_name(&self) -> FileName {
+        self.config.path_for(&self.name).file_name()
+    }
+
+    /// As [`DynamicStorageBuilder::create`], but says whether it was the space.
+    ///
+    /// # Errors
+    /// [`CreateError`]
+    pub fn create_reserved(mut self) -> Result<Storage<T, LASTING>, CreateError> {
+        let bytes = size_of::<Content<T>>() + self.supplementary_size;
+        let created = SharedMemoryBuilder::new(&self.file_name())
+            .creation_mode(CreationMode::CreateExclusive)
+            .size(bytes)
+            .permission(UNFINISHED)
+            .zero_memory(false)
+            .has_ownership(true)
+            .create();
+        let memory = match created {
+            Ok(memory) => memory,
+            Err(SharedMemoryCreationError::AlreadyExist) if LASTING => {
+                return self.take_over(bytes);
+            }
+            Err(SharedMemoryCreationError::AlreadyExist) => {
+                return Err(CreateError::AlreadyExists);
+            }
+            Err(SharedMemoryCreationError::InsufficientPermissions) => {
+                return Err(CreateError::InsufficientPermissions);
+            }
+            Err(_) => return Err(CreateError::Refused),
+        };
+        // From here on a refusal removes the file: `memory` owns it.
+        reserve(&memory, bytes)?;
+        let mut storage = self.initialize(memory)?;
+        let permission = if self.for_all {
+            FINISHED_FOR_ALL
+        } else {
+            FINISHED
+        };
+        storage
+            .memory
+            .set_permission(permission)
+            .map_err(|_| CreateError::Refused)?;
+        if !self.has_ownership || LASTING {
+            storage.release_ownership();
+        }
+        Ok(storage)
+    }
+
+    /// Initializes the storage that is there, in its memory.
+    fn take_over(mut self, bytes: usize) -> Result<Storage<T, LASTING>, CreateError> {
+        let memory = SharedMemoryBuilder::new(&self.file_name())
+            .open_existing(AccessMode::ReadWrite)
+            .map_err(|_| CreateError::Refused)?;
+        if memory.size() < bytes {
+            return Err(CreateError::Refused);
+        }
+        self.initialize(memory)
+    }
+
+    fn initialize(&mut self, memory: SharedMemory) -> Result<Storage<T, LASTING>, CreateError> {
+        let content = memory.base_address().cast::<Content<T>>();
+        let beyond = size_of::<Content<T>>();
+        // SAFETY: the memory is at least as large as a `Content`, aligned to a page, and mapped as
+        // long as `memory` lives. Fresh memory is zero, and any bits are a `Content`. What is
+        // behind it is in the mapping as well.
+        let (content, rest) =
+            unsafe { (&mut *content.as_ptr(), memory.base_address().add(beyond)) };
+        let mut allocator = BumpAllocator::new(rest, memory.size() - beyond);
+        if !self.initializer.call(&mut content.value, &mut allocator) {
+            return Err(CreateError::InitializationFailed);
+        }
+        // Release pairs with the Acquire in `open_now`: who sees it complete sees the value.
+        content.complete.store(COMPLETE, Release);
+        let name = self.name;
+        Ok(Storage {
+            memory,
+            name,
+            _value: PhantomData,
+        })
+    }
+
+    /// The storage as it is now; an unfinished one is an error.
+    fn open_now(&self, access: AccessMode) -> Result<Storage<T, LASTING>, DynamicStorageOpenError> {
+        let unfinished = Err(DynamicStorageOpenError::InitializationNotYetFinalized);
+        let memory = match SharedMemoryBuilder::new(&self.file_name()).open_existing(access) {
+            Ok(memory) => memory,
+            Err(SharedMemoryCreationError::DoesNotExist) => {
+                return Err(DynamicStorageOpenError::DoesNotExist);
+            }
+            // Its size is zero, or it may only be written.
+            Err(
+                SharedMemoryCreationError::InsufficientPermissions
+                | SharedMemoryCreationError::MemoryMappingCreationError(_),
+            ) => return unfinished,
+            Err(_) => return Err(DynamicStorageOpenError::InternalError),
+        };
+        // Root may read what nobody can. Before the memory is reserved no page may be touched.
+        match memory.permission() {
+            Ok(permission) if permission.has(Permission::OWNER_READ) => {}
+            Ok(_) => return unfinished,
+            Err(_) => return Err(DynamicStorageOpenError::InternalError),
+        }
+        if memory.size() < size_of::<Content<T>>() {
+            return Err(DynamicStorageOpenError::VersionMismatch);
+        }
+        let name = self.name;
+        let storage = Storage {
+            memory,
+            name,
+            _value: PhantomData,
+        };
+        // Acquire pairs with the Release in `initialize`.
+        match storage.content().complete.load(Acquire) {
+            COMPLETE => Ok(storage),
+            0 => unfinished,
+            _ => Err(DynamicStorageOpenError::VersionMismatch),
+        }
+    }
+
+    fn open_in_time(
+        &self,
+        access: AccessMode,
+    ) -> Result<Storage<T, LASTING>, DynamicStorageOpenError> {
+        let begun = Instant::now();
+        loop {
+            match self.open_now(access) {
+                Err(DynamicStorageOpenError::InitializationNotYetFinalized)
+                    if begun.elapsed() < self.timeout =>
+                {
+                    thread::sleep(LOOK_AGAIN);
+                }
+                settled => return settled,
+            }
+        }
+    }
+}
+
+/// Finds a page for every byte, or refuses.
+fn reserve(memory: &SharedMemory, bytes: usize) -> Result<(), CreateError> {
+    // SAFETY: the descriptor is open as long as `memory`, which the borrow does not outlive.
+    let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
+    loop {
+        match rustix::fs::fallocate(file, FallocateFlags::empty(), 0, bytes as u64) {
+            Ok(()) => return Ok(()),
+            Err(Errno::INTR) => {}
+            Err(Errno::NOSPC | Errno::NOMEM | Errno::DQUOT) => {
+                return Err(CreateError::NoSpace { bytes });
+            }
+            Err(_) => return Err(CreateError::Refused),
+        }
+    }
+}
+
+impl<T: Value, const LASTING: bool> NamedConceptBuilder<Storage<T, LASTING>>
+    for Builder<'_, T, LASTING>
+{
+    fn new(name: &FileName) -> Self {
+        Self {
+            name: *name,
+            config: Configuration::default(),
+            supplementary_size: 0,
+            for_all: false,
+            has_ownership: true,
+            timeout: Duration::ZERO,
+            initializer: Initializer::new(|_, _| false),
+        }
+    }
+
+    fn config(mut self, config: &Configuration<T, LASTING>) -> Self {
+        self.config = config.clone();
+        self
+    }
+}
+
+impl<'builder, T: Value, const LASTING: bool>
+    DynamicStorageBuilder<'builder, T, Storage<T, LASTING>> for Builder<'builder, T, LASTING>
+{
+    fn has_ownership(mut self, value: bool) -> Self {
+        self.has_ownership = value;
+        self
+    }
+
+    fn enable_global_access(mut self, value: bool) -> Self {
+        self.for_all = value;
+        self
+    }
+
+    fn supplementary_size(mut self, value: usize) -> Self {
+        self.supplementary_size = value;
+        self
+    }
+
+    fn timeout(mut self, value: Duration) -> Self {
+        self.timeout = value;
+        self
+    }
+
+    fn initializer<F>(mut self, value: F) -> Self
+    where
+        F: FnMut(&mut MaybeUninit<T>, &mut BumpAllocator) -> bool + 'builder,
+    {
+        self.initializer = Initializer::new(value);
+        self
+    }
+
+    fn create(self) -> Result<Storage<T, LASTING>, DynamicStorageCreateError> {
+        Ok(self.create_reserved()?)
+    }
+
+    fn open(self, access: AccessMode) -> Result<Storage<T, LASTING>, DynamicStorageOpenError> {
+        self.open_in_time(access)
+    }
+
+    fn open_or_create(self) -> Result<Storage<T, LASTING>, DynamicStorageOpenOrCreateError> {
+        match self.open_in_time(AccessMode::ReadWrite) {
+            Ok(storage) => Ok(storage),
+            Err(DynamicStorageOpenError::DoesNotExist) => {
+                let again = Builder {
+                    initializer: Initializer::new(|_, _| false),
+                    config: self.config.clone(),
+                    ..self
+                };
+                match self.create_reserved() {
+                    Err(CreateError::AlreadyExists) => {
+                        Ok(again.open_in_time(AccessMode::ReadWrite)?)
+                    }
+                    created => Ok(created.map_err(DynamicStorageCreateError::from)?),
+                }
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+/// A value in shared memory.
+#[derive(Debug)]
+pub struct Storage<T, const LASTING: bool = false> {
+    memory: SharedMemory,
+    name: FileName,
+    _value: PhantomData<T>,
+}
+
+// SAFETY: the storage gives out shared references to a `T` only, and `Value` says that `T` is
+// `Sync` and `Send`; the mapping belongs to the process, not to a thread.
+unsafe impl<T: Value, const LASTING: bool> Send for Storage<T, LASTING> {}
+// SAFETY: as above.
+unsafe impl<T: Value, const LASTING: bool> Sync for Storage<T, LASTING> {}
+
+impl<T, const LASTING: bool> Storage<T, LASTING> {
+    fn content(&self) -> &Content<T> {
+        let content = self.memory.base_address().cast::<Content<T>>();
+        // SAFETY: the mapping is as large as a `Content`, which was checked when this storage was
+        // built; every page of it is reserved; it lives as long as `self.memory`.
+        unsafe { content.as_ref() }
+    }
+}
+
+impl<T, const LASTING: bool> Drop for Storage<T, LASTING> {
+    fn drop(&mut self) {
+        if self.memory.has_ownership() {
+            let content = self.memory.base_address().cast::<Content<T>>();
+            // SAFETY: the value was initialized by this storage's builder. As iceoryx2 has it, its
+            // owner is the last who uses it.
+            unsafe { (*content.as_ptr()).value.assume_init_drop() };
+        }
+    }
+}
+
+impl<T, const LASTING: bool> Abandonable for Storage<T, LASTING> {
+    unsafe fn abandon_in_place(mut this: NonNull<Self>) {
+        // SAFETY: the caller promises a valid, constructed `Self` that is not used afterwards.
+        unsafe {
+            SharedMemory::abandon_in_place(NonNull::from_mut(&mut this.as_mut().memory));
+        }
+    }
+}
+
+impl<T: Value, const LASTING: bool> NamedConcept for Storage<T, LASTING> {
+    fn name(&self) -> &FileName {
+        &self.name
+    }
+}
+
+impl<T: Value, const LASTING: bool> NamedConceptMgmt for Storage<T, LASTING> {
+    type Configuration = Configuration<T, LASTING>;
+
+    unsafe fn remove_cfg(
+        name: &FileName,
+        config: &Configuration<T, LASTING>,
+    ) -> Result<bool, NamedConceptRemoveError> {
+        let file = config.path_for(name).file_name();
+        SharedMemory::remove(&file).map_err(|error| match error {
+            SharedMemoryRemoveError::InsufficientPermissions => {
+                NamedConceptRemoveError::InsufficientPermissions
+            }
+            SharedMemoryRemoveError::UnknownError(_) => NamedConceptRemoveError::InternalError,
+        })
+    }
+
+    fn does_exist_cfg(
+        name: &FileName,
+        config: &Configuration<T, LASTING>,
+    ) -> Result<bool, NamedConceptDoesExistError> {
+        Ok(SharedMemory::does_exist(&config.path_for(name).file_name()))
+    }
+
+    fn list_cfg(
+        config: &Configuration<T, LASTING>,
+    ) -> Result<Vec<FileName>, NamedConceptListError> {
+        let all = SharedMemory::list();
+        let ours = all
+            .iter()
+            .filter_map(|file| config.extract_name_from_file(file));
+        Ok(ours.collect())
+    }
+
+    fn remove_path_hint(_: &Path) -> Result<(), NamedConceptPathHintRemoveError> {
+        // POSIX shared memory has no folders.
+        Ok(())
+    }
+}
+
+impl<T: Value, const LASTING: bool> DynamicStorage<T> for Storage<T, LASTING> {
+    type Builder<'builder> = Builder<'builder, T, LASTING>;
+
+    fn does_support_persistency() -> bool {
+        SharedMemory::does_support_persistency()
+    }
+
+    fn has_ownership(&self) -> bool {
+        self.memory.has_ownership()
+    }
+
+    fn release_ownership(&self) {
+        self.memory.release_ownership();
+    }
+
+    fn acquire_ownership(&self) {
+        self.memory.acquire_ownership();
+    }
+
+    fn get(&self) -> &T {
+        // SAFETY: a storage is built when its value is complete, and nobody makes it incomplete.
+        unsafe { self.content().value.assume_init_ref() }
+    }
+
+    unsafe fn __internal_set_type_name_in_config(
+        config: &mut Configuration<T, LASTING>,
+        name: &str,
+    ) {
+        name.clone_into(&mut config.type_name);
+    }
+}
