@@ -18,6 +18,7 @@ use crate::memory::MemoryError;
 use crate::name::RunName;
 use crate::registers::HostSupply;
 use crate::segment::{Segment, SegmentError};
+use crate::spawn;
 use crate::trace_ring::TraceRing;
 
 /// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
@@ -38,6 +39,9 @@ pub enum AttachError {
     /// The doorbell cannot be made.
     #[error(transparent)]
     Bell(#[from] BellError),
+    /// The supply that started this core has died, or the core cannot be bound to it.
+    #[error("the supply of system {0} has died")]
+    NoPower(SystemId),
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
@@ -73,14 +77,15 @@ pub struct HostBoard {
 impl HostBoard {
     /// Attaches this process as the core that `args` says, in the life that `args` says.
     ///
-    /// From then on the core's doorbell can be rung. A process attaches once: the memory stays
-    /// mapped until it ends.
+    /// From then on the core's doorbell can be rung. A process attaches once, on its main thread:
+    /// the memory stays mapped until it ends, and it ends when its supply does.
     ///
     /// # Errors
     /// [`AttachError`] if the run is over, or something of it cannot be mapped or opened.
     pub fn attach(args: &CoreArgs) -> Result<Self, AttachError> {
         let of = args.identity;
         let backplane = Backplane::open(&args.common.run)?;
+        bind_to_supply(backplane, of.system)?;
         let lmu = open_lmu(&args.common.run, of.system)?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
         let trace_ring = backplane.trace_ring(of.address().index());
@@ -168,6 +173,17 @@ impl Board for HostBoard {
             self.backplane
                 .count_lost_trace(self.of.system, self.of.core);
         }
+    }
+}
+
+/// A core dies with its supply. A system without a supply has no process of one.
+fn bind_to_supply(backplane: Backplane, system: SystemId) -> Result<(), AttachError> {
+    match backplane.supply_pid(system) {
+        0 => Ok(()),
+        supply => match spawn::bind_to_parent(supply) {
+            Ok(true) => Ok(()),
+            Ok(false) | Err(_) => Err(AttachError::NoPower(system)),
+        },
     }
 }
 

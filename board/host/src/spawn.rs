@@ -31,6 +31,17 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
+/// Binds this process to its parent, as [`spawn_bound`] does, in the process itself: a program with
+/// file capabilities loses the binding when it is executed. `false` if its parent is another one:
+/// then that has died.
+///
+/// The calling thread must live as long as the process.
+pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
+    set_parent_process_death_signal(Some(Signal::KILL))?;
+    let found = getppid().map(|pid| pid.as_raw_nonzero().get().unsigned_abs());
+    Ok(found == Some(parent))
+}
+
 /// Starts a process that outlives the calling one.
 pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()

@@ -9,6 +9,7 @@
 mod cases;
 mod conformance;
 mod deaths;
+mod environment;
 mod residue;
 mod stage;
 
@@ -29,5 +30,6 @@ fn main() -> ExitCode {
         .map(|case| Trial::test(case.name, move || stage::run_case(case).map_err(Into::into)))
         .collect();
     trials.extend(residue::trials());
+    trials.extend(environment::trials());
     libtest_mimic::run(&Arguments::from_args(), trials).exit_code()
 }

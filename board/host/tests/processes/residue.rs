@@ -57,15 +57,15 @@ pub(crate) fn trials() -> Vec<Trial> {
     ]
 }
 
-type Outcome = Result<(), libtest_mimic::Failed>;
+pub(crate) type Outcome = Result<(), libtest_mimic::Failed>;
 
 /// A run of this launcher, once it has any process besides.
-struct Started {
-    launcher: Child,
-    run: RunName,
+pub(crate) struct Started {
+    pub(crate) launcher: Child,
+    pub(crate) run: RunName,
 }
 
-fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String> {
+pub(crate) fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String> {
     let deadline = Instant::now() + PATIENCE / 2;
     while Instant::now() < deadline {
         if let Some(value) = get() {
@@ -78,7 +78,11 @@ fn until<T>(what: &str, mut get: impl FnMut() -> Option<T>) -> Result<T, String>
 
 /// Starts a run that lasts, and waits until `count` of its processes are there.
 fn start(folder: &Path, place: &str, count: usize) -> Result<Started, String> {
-    let launcher = start_launcher(LASTING.name, folder, place);
+    started(start_launcher(LASTING.name, folder, place), count)
+}
+
+/// Waits until `count` processes of the run are there.
+pub(crate) fn started(launcher: Child, count: usize) -> Result<Started, String> {
     let prefix = format!("tandem-{}-", launcher.id());
     let found = until("the run starts", || {
         let all = processes::list();
@@ -108,14 +112,20 @@ fn gone(run: &RunName) -> Result<(), String> {
 
 fn interrupt(place: &str) -> Outcome {
     let folder = tempfile::tempdir()?;
-    let mut started = start(folder.path(), place, 9)?;
+    end_in_order(start(folder.path(), place, 9)?)
+}
+
+/// Ends a run by Ctrl-C: it says that all is well, and leaves nothing.
+pub(crate) fn end_in_order(mut started: Started) -> Outcome {
     let launchers = [started.launcher.id()];
     signal(started.launcher.id(), Signal::INT);
-    let status = until("the launcher ends", || {
+    until("the launcher ends", || {
         started.launcher.try_wait().ok().flatten()
     })?;
-    if !status.success() {
-        return Err(format!("{status}").into());
+    let ended = started.launcher.wait_with_output()?;
+    if !ended.status.success() {
+        let said = String::from_utf8_lossy(&ended.stderr);
+        return Err(format!("{}: {said}", ended.status).into());
     }
     gone(&started.run)?;
     assert_clean(&launchers)

@@ -1,6 +1,6 @@
 //! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
 
-use std::ffi::OsString;
+use std::ffi::{OsStr, OsString};
 use std::path::Path;
 use std::process::{Child, Command, ExitCode, Stdio};
 use std::thread;
@@ -9,14 +9,17 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use tandem_board::{Board, CoreId, Generation, SystemId, Traced};
 use tandem_board_host::{
-    HostBoard, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock, isolation,
-    processes, supply,
+    HostBoard, LaunchError, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock,
+    isolation, processes, supply,
 };
 
 /// First argument of this program as a launcher; then the case, the folder, the place.
 pub(crate) const LAUNCH: &str = "launch";
 /// How long anything may take before it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
+
+/// Exit status of a launcher that could not prepare its run.
+pub(crate) const REFUSED: u8 = 4;
 
 /// First trace record of every core in the case of that name: whether it was granted real-time
 /// priority.
@@ -50,14 +53,18 @@ pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
 }
 
 fn case(name: &str) -> Case {
-    let mut all = all_cases().chain([crate::residue::LASTING]);
+    let mut all = all_cases().chain([crate::residue::LASTING, crate::environment::GRANTED_CASE]);
     all.find(|case| case.name == name).expect("a known case")
 }
 
 /// Runs a case in processes of its own and reports what they said if it failed.
 pub(crate) fn run_case(case: Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
-    let mut launcher = start_launcher(case.name, folder.path(), "own");
+    finish(start_launcher(case.name, folder.path(), "own"))
+}
+
+/// Waits until a case has ended, and says what went wrong.
+pub(crate) fn finish(mut launcher: Child) -> Result<(), String> {
     let deadline = Instant::now() + PATIENCE + Duration::from_secs(10);
     while launcher
         .try_wait()
@@ -91,15 +98,29 @@ pub(crate) fn run_case(case: Case) -> Result<(), String> {
 
 /// Starts this program as the launcher of a run.
 pub(crate) fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
-    Command::new(std::env::current_exe().expect("own path"))
-        .args([LAUNCH, case])
-        .arg(folder)
-        .arg(place)
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
+    let program = std::env::current_exe().expect("own path");
+    launcher(&program, case, folder, place)
         .spawn()
         .expect("launcher")
+}
+
+/// The command that is the launcher of a run; `program` is this program or a copy of it.
+pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -> Command {
+    let mut command = Command::new(program);
+    command.args([LAUNCH, case]).arg(folder).arg(place);
+    command.stdin(Stdio::null());
+    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+/// Whether the processes of a case claim real time.
+fn claims_realtime(case: impl AsRef<OsStr>) -> bool {
+    [
+        crate::deaths::REALTIME,
+        crate::environment::GRANTED_REALTIME,
+    ]
+    .iter()
+    .any(|name| case.as_ref() == *name)
 }
 
 /// Is the launcher of a case.
@@ -110,10 +131,19 @@ pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
     } else {
         isolation::enter_shared()
     };
-    let mut launcher = Launcher::prepare_in(place.expect("place")).expect("launcher");
+    let prepared = place
+        .map_err(LaunchError::from)
+        .and_then(Launcher::prepare_in);
+    let mut launcher = match prepared {
+        Ok(launcher) => launcher,
+        Err(error) => {
+            eprintln!("{error}");
+            return ExitCode::from(REFUSED);
+        }
+    };
     let plan = Plan {
         schedule: Schedule {
-            realtime: name == crate::deaths::REALTIME,
+            realtime: claims_realtime(name),
             ..Schedule::default()
         },
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
@@ -157,7 +187,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
         ProcessArgs::Core(args) => match HostBoard::attach(&args) {
             Ok(board) => {
                 let grant = args.claim();
-                if case.name == crate::deaths::REALTIME {
+                if claims_realtime(case.name) {
                     board.trace([GRANTED, u32::from(grant.is_realtime()), 0, 0]);
                 }
                 (case.core)(&board);

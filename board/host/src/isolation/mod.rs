@@ -5,29 +5,33 @@
 //! files lie in the machine's `/dev/shm` under the run's name, beside a lock file that all
 //! processes of the run hold open. The run wipes them at its end, and every start sweeps what runs
 //! left whose processes are all dead, which is when their lock is free.
+//!
+//! An ordinary user needs a user namespace as well, and that has two costs:
+//!
+//! - A process that has entered one and is then refused the rest has lost its identity. So a child
+//!   goes all the way first, and only if it arrives does the process itself follow.
+//! - Capabilities do not count outside of it. A process that holds one for real time
+//!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) keeps it and uses the machine's `/dev/shm`. A limit on
+//!   priorities (`RLIMIT_RTPRIO`) counts everywhere.
+
+mod namespace;
 
 use core::fmt;
 use std::ffi::OsStr;
-use std::fs;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
 
 use rustix::fs::{
-    AtFlags, CWD, Dir, FlockOperation, Mode, OFlags, flock, fstat, fstatvfs, openat, statat,
+    AtFlags, CWD, Dir, FlockOperation, Mode as FileMode, OFlags, flock, fstat, openat, statat,
     unlinkat,
 };
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
-use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
-use rustix::process::{getegid, geteuid};
-use rustix::thread::UnshareFlags;
 
 use crate::name::RunName;
 
 const SHM: &str = "/dev/shm";
 const TMP: &str = "/tmp";
-/// Bytes that a run needs there, and some.
-const SPACE: u64 = 8 << 20;
 const LOCK_SUFFIX: &str = ".lock";
 
 /// Why a run cannot have shared memory.
@@ -60,6 +64,12 @@ enum Place {
     },
 }
 
+#[derive(Clone, Copy)]
+enum Mode {
+    Own,
+    Shared,
+}
+
 /// Gives the calling process, and all that it starts, a place for the files of a new run: one of
 /// its own if that is permitted.
 ///
@@ -68,7 +78,7 @@ enum Place {
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
 pub fn enter() -> Result<Isolation, IsolationError> {
-    enter_with(unshare)
+    enter_with(Mode::Own)
 }
 
 /// As [`enter`], but in the machine's `/dev/shm` even if a place of its own is permitted.
@@ -76,17 +86,23 @@ pub fn enter() -> Result<Isolation, IsolationError> {
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
 pub fn enter_shared() -> Result<Isolation, IsolationError> {
-    enter_with(|| Err("not asked for".to_owned()))
+    enter_with(Mode::Shared)
 }
 
-fn enter_with(unshare: fn() -> Result<(), String>) -> Result<Isolation, IsolationError> {
+fn enter_with(mode: Mode) -> Result<Isolation, IsolationError> {
     let run = RunName::unique();
     let outside = [open_folder(SHM)?, open_folder(TMP)?];
     sweep(&outside[0]);
-    let place = match unshare() {
-        Ok(()) => Place::Private,
-        Err(refused) => {
-            check_space(&outside[0])?;
+    let refused = match mode {
+        Mode::Shared => Some("not asked for".to_owned()),
+        Mode::Own => namespace::enter().map_err(|source| IsolationError {
+            place: "a mount namespace".to_owned(),
+            source,
+        })?,
+    };
+    let place = match refused {
+        None => Place::Private,
+        Some(refused) => {
             let lock = lock(&outside[0], &run)?;
             Place::Shared {
                 _lock: lock,
@@ -155,66 +171,17 @@ impl fmt::Display for Isolation {
     }
 }
 
-/// A mount namespace whose `/dev/shm` is fresh; or what was refused.
-fn unshare() -> Result<(), String> {
-    // Known only before; and mapped to themselves, so that files keep their owner.
-    let (uid, gid) = (geteuid().as_raw(), getegid().as_raw());
-    let namespace = UnshareFlags::NEWNS;
-    if unshare_flags(namespace).is_err() {
-        unshare_flags(namespace | UnshareFlags::NEWUSER).map_err(|errno| errno.to_string())?;
-        let map = |file: &str, text: String| {
-            fs::write(file, text).map_err(|error| format!("{file}: {error}"))
-        };
-        map("/proc/self/setgroups", "deny".to_owned())?;
-        map("/proc/self/uid_map", format!("{uid} {uid} 1"))?;
-        map("/proc/self/gid_map", format!("{gid} {gid} 1"))?;
-    }
-    let failed = |errno: Errno| format!("mount: {errno}");
-    let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
-    mount_change("/", private).map_err(failed)?;
-    // By default it may grow to half of the memory: the logs of a long run need some of that.
-    let options = c"mode=1777";
-    mount(
-        "tmpfs",
-        SHM,
-        "tmpfs",
-        MountFlags::NOSUID | MountFlags::NODEV,
-        options,
-    )
-    .map_err(failed)
-}
-
-fn unshare_flags(flags: UnshareFlags) -> rustix::io::Result<()> {
-    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared
-    // between threads (CLONE_FILES), which is not asked for here.
-    unsafe { rustix::thread::unshare_unsafe(flags) }
-}
-
 fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
     openat(
         CWD,
         path,
         OFlags::RDONLY | OFlags::DIRECTORY | OFlags::CLOEXEC,
-        Mode::empty(),
+        FileMode::empty(),
     )
     .map_err(|errno| IsolationError {
         place: path.to_owned(),
         source: errno.into(),
     })
-}
-
-/// Writing to shared memory that the file system has no room for would kill the writer.
-fn check_space(shm: &OwnedFd) -> Result<(), IsolationError> {
-    let failed = |source| IsolationError {
-        place: SHM.to_owned(),
-        source,
-    };
-    let found = fstatvfs(shm).map_err(|errno| failed(errno.into()))?;
-    if found.f_bavail * found.f_frsize < SPACE {
-        let full = format!("less than {} MiB free", SPACE >> 20);
-        return Err(failed(io::Error::new(io::ErrorKind::StorageFull, full)));
-    }
-    Ok(())
 }
 
 /// Creates the run's lock file and takes the lock for this process and all its children.
@@ -226,7 +193,8 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
     };
     loop {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
-        let file = openat(shm, name.as_str(), flags, Mode::RUSR | Mode::WUSR).map_err(failed)?;
+        let file =
+            openat(shm, name.as_str(), flags, FileMode::RUSR | FileMode::WUSR).map_err(failed)?;
         // A sweep may have locked it in between, and removes it then: that is waited for.
         match flock(&file, FlockOperation::LockExclusive) {
             Err(Errno::INTR) => continue,
@@ -251,7 +219,12 @@ fn sweep(shm: &OwnedFd) {
         let Ok(run) = run.parse::<RunName>() else {
             continue;
         };
-        let Ok(file) = openat(shm, &*name, OFlags::RDWR | OFlags::CLOEXEC, Mode::empty()) else {
+        let Ok(file) = openat(
+            shm,
+            &*name,
+            OFlags::RDWR | OFlags::CLOEXEC,
+            FileMode::empty(),
+        ) else {
             continue;
         };
         if flock(&file, FlockOperation::NonBlockingLockExclusive).is_ok() {
@@ -285,6 +258,7 @@ fn names(folder: &OwnedFd) -> impl Iterator<Item = String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs;
 
     /// A run that starts beside this one sweeps, and finds the lock file before it is locked.
     #[test]

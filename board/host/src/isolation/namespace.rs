@@ -1,0 +1,164 @@
+//! Entering a mount namespace with a fresh `/dev/shm`: all the way, or not at all.
+
+use core::ffi::CStr;
+use std::ffi::CString;
+use std::fmt;
+use std::io::{self, Read as _};
+use std::os::fd::AsFd as _;
+use std::os::unix::net::UnixStream;
+
+use rustix::fs::{CWD, Mode, OFlags, openat};
+use rustix::io::{Errno, write};
+use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
+use rustix::process::{Pid, WaitOptions, getegid, geteuid, waitpid};
+use rustix::thread::{CapabilitySet, UnshareFlags, capabilities, unshare_unsafe};
+
+/// One step of the way, in their order.
+#[derive(Clone, Copy, Debug)]
+enum Step {
+    /// Nothing is changed by a refusal of this one.
+    Namespace,
+    SetGroups,
+    UserMap,
+    GroupMap,
+    Private,
+    Mount,
+}
+
+impl Step {
+    const ALL: [Self; 6] = [
+        Self::Namespace,
+        Self::SetGroups,
+        Self::UserMap,
+        Self::GroupMap,
+        Self::Private,
+        Self::Mount,
+    ];
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Namespace => "unshare",
+            Self::SetGroups => "setgroups",
+            Self::UserMap => "uid_map",
+            Self::GroupMap => "gid_map",
+            Self::Private => "private mounts",
+            Self::Mount => "mount",
+        })
+    }
+}
+
+/// What the kernel did not permit.
+#[derive(Clone, Copy, Debug)]
+struct Refused {
+    step: Step,
+    errno: Errno,
+}
+
+impl fmt::Display for Refused {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.step, self.errno)
+    }
+}
+
+/// Enters a mount namespace whose `/dev/shm` is fresh. `Some` is what was refused; the calling
+/// process is then as it was before.
+///
+/// # Errors
+/// If a child cannot try it, or the process was refused what its child was granted: it may then be
+/// half in a namespace, and must not go on.
+pub(super) fn enter() -> io::Result<Option<String>> {
+    let way = Way::of_this_process();
+    match way.rehearse()? {
+        Some(refused) => Ok(Some(refused.to_string())),
+        None => match way.go() {
+            Ok(()) => Ok(None),
+            Err(refused) => Err(io::Error::other(refused.to_string())),
+        },
+    }
+}
+
+/// What this process needs for the way. Nothing is allocated on it: the child of a process with
+/// threads must not.
+struct Way {
+    may_enter_user_namespace: bool,
+    users: CString,
+    groups: CString,
+}
+
+impl Way {
+    fn of_this_process() -> Self {
+        // Known only before; and mapped to themselves, so that files keep their owner.
+        let map = |id: u32| CString::new(format!("{id} {id} 1")).unwrap_or_default();
+        let for_realtime = CapabilitySet::SYS_NICE | CapabilitySet::IPC_LOCK;
+        let held = capabilities(None).map(|sets| sets.effective);
+        Self {
+            may_enter_user_namespace: held.is_ok_and(|held| !held.intersects(for_realtime)),
+            users: map(geteuid().as_raw()),
+            groups: map(getegid().as_raw()),
+        }
+    }
+
+    /// Lets a child go the way and end there; says what it was refused.
+    fn rehearse(&self) -> io::Result<Option<Refused>> {
+        let (mut told, tells) = UnixStream::pair()?;
+        // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.
+        let child = match unsafe { libc::fork() } {
+            -1 => return Err(io::Error::last_os_error()),
+            0 => {
+                if let Err(refused) = self.go() {
+                    let errno = refused.errno.raw_os_error() as u8;
+                    let _ = write(tells.as_fd(), &[refused.step as u8, errno]);
+                }
+                // SAFETY: ends the process, without what `exit` would run of its parent's.
+                unsafe { libc::_exit(0) }
+            }
+            child => child,
+        };
+        drop(tells);
+        let mut said = vec![];
+        told.read_to_end(&mut said)?;
+        while matches!(
+            waitpid(Pid::from_raw(child), WaitOptions::empty()),
+            Err(Errno::INTR)
+        ) {}
+        Ok(match said[..] {
+            [step, errno] => Some(Refused {
+                step: Step::ALL[usize::from(step) % Step::ALL.len()],
+                errno: Errno::from_raw_os_error(errno.into()),
+            }),
+            _ => None,
+        })
+    }
+
+    fn go(&self) -> Result<(), Refused> {
+        let refused = |step| move |errno| Refused { step, errno };
+        if let Err(errno) = unshare(UnshareFlags::NEWNS) {
+            if !self.may_enter_user_namespace {
+                return Err(refused(Step::Namespace)(errno));
+            }
+            unshare(UnshareFlags::NEWNS | UnshareFlags::NEWUSER)
+                .map_err(refused(Step::Namespace))?;
+            set(c"/proc/self/setgroups", c"deny").map_err(refused(Step::SetGroups))?;
+            set(c"/proc/self/uid_map", &self.users).map_err(refused(Step::UserMap))?;
+            set(c"/proc/self/gid_map", &self.groups).map_err(refused(Step::GroupMap))?;
+        }
+        let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
+        mount_change(c"/", private).map_err(refused(Step::Private))?;
+        let flags = MountFlags::NOSUID | MountFlags::NODEV;
+        // By default it may grow to half of the memory: the logs of a long run need some of that.
+        mount(c"tmpfs", c"/dev/shm", c"tmpfs", flags, c"mode=1777").map_err(refused(Step::Mount))
+    }
+}
+
+fn unshare(flags: UnshareFlags) -> rustix::io::Result<()> {
+    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared
+    // between threads (CLONE_FILES), which is not asked for here.
+    unsafe { unshare_unsafe(flags) }
+}
+
+fn set(file: &CStr, text: &CStr) -> rustix::io::Result<()> {
+    let file = openat(CWD, file, OFlags::WRONLY | OFlags::CLOEXEC, Mode::empty())?;
+    write(&file, text.to_bytes()).map(drop)
+}
