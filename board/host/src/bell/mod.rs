@@ -300,11 +300,11 @@ mod tests {
             core::slice::from_raw_parts(state.cast::<AtomicU8>(), size_of::<BellState>())
         };
         for scribble in [0x00, 0x01, 0x7F, 0x80, 0xAA, 0xFF] {
-            for at in 0..bytes.len() {
-                let before = bytes[at].swap(scribble, SeqCst);
+            for byte in bytes {
+                let before = byte.swap(scribble, SeqCst);
                 ringers.ring(OF.system, OF.core);
                 bell.wait(clock::now() + Duration::from_us(10));
-                bytes[at].store(before, SeqCst);
+                byte.store(before, SeqCst);
             }
             bytes.iter().for_each(|byte| byte.store(scribble, SeqCst));
             ringers.ring(OF.system, OF.core);

@@ -52,7 +52,8 @@ fn check_granted(script: &mut Script) {
 }
 
 pub(crate) fn trials() -> Vec<Trial> {
-    let all: [(&str, fn() -> Outcome); 13] = [
+    type Named = (&'static str, fn() -> Outcome);
+    let all: [Named; 13] = [
         ("a_small_dev_shm_refuses_the_run_before_it_starts", small),
         ("a_full_dev_shm_takes_no_supply_and_core_0_comes_back", full),
         ("an_ordinary_user_runs", || as_ordinary_user("own")),
