@@ -1,7 +1,7 @@
 //! The process that is one core of one system.
 
 use crate::control_core;
-use crate::plan::{Profile, RunPlan};
+use crate::run_config::{Profile, RunConfig};
 use anyhow::Context as _;
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
@@ -17,7 +17,7 @@ use tandem_cores::{Config, Core};
 /// If the run that it belongs to is gone, or its arguments are not this program's.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let grant = args.claim();
-    let config = config(&RunPlan::from_extra(&args.common.extra)?);
+    let config = config(&RunConfig::from_extra(&args.common.extra)?);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
     match args.identity.core {
         CoreId::CONTROL => control_core::go(board, config, grant),
@@ -27,12 +27,12 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
 }
 
 /// The limits of a run.
-pub(crate) fn config(plan: &RunPlan) -> Config {
-    let mut config = match plan.profile {
+pub(crate) fn config(run: &RunConfig) -> Config {
+    let mut config = match run.profile {
         Profile::Rt => Config::rt(),
         Profile::Desktop => Config::desktop(),
     };
-    config.redundancy.reintegrate = plan.reintegrate;
+    config.redundancy.reintegrate = run.reintegrate;
     config
 }
 

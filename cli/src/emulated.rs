@@ -13,10 +13,10 @@ use tandem_vehicle::Scenario;
 use crate::args::{BoardKind, RunArgs};
 use crate::files::RunFiles;
 use crate::live::Progress;
-use crate::outside::OnQemu;
-use crate::plan::RunPlan;
 use crate::recorder::Recorder;
+use crate::run_config::RunConfig;
 use crate::vehicle::{self, Ended};
+use crate::vehicle_port::OnQemu;
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -60,16 +60,16 @@ pub(crate) fn controller(args: &RunArgs) -> anyhow::Result<PathBuf> {
 /// If the emulator cannot be started, hangs or fails.
 pub(crate) fn drive(
     args: &RunArgs,
-    plan: &RunPlan,
+    config: &RunConfig,
     files: &RunFiles,
 ) -> anyhow::Result<Option<String>> {
     let layout = match args.board {
         BoardKind::QemuOne => Layout::One,
         BoardKind::Host | BoardKind::Qemu => Layout::Two,
     };
-    let scenario = Scenario::load(&plan.scenario)?;
+    let scenario = Scenario::load(&config.scenario)?;
     let image = controller(args)?;
-    let world = EmulatedWorld::start(&image, layout, plan.reintegrate)?;
+    let world = EmulatedWorld::start(&image, layout, config.reintegrate)?;
     if !args.quiet {
         for (pid, systems) in world.processes() {
             let names: Vec<_> = systems.iter().map(ToString::to_string).collect();
@@ -78,13 +78,13 @@ pub(crate) fn drive(
     }
     let recorder = Recorder::create(files)?;
     let begin = Instant::now();
-    let progress = (!args.quiet).then(|| Progress::show(files.live(), plan.duration_s));
+    let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
     let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, Arc::clone(&stop)).context("watching for Ctrl-C")?;
     }
     let port = OnQemu { world, stop };
-    let ended = vehicle::drive(plan, &scenario, port, recorder);
+    let ended = vehicle::drive(config, &scenario, port, recorder);
     if let Some(progress) = progress {
         progress.end();
     }

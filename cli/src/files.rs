@@ -29,19 +29,9 @@ impl RunFiles {
         }
     }
 
-    /// The log that the vehicle writes.
-    pub(crate) fn log(&self) -> PathBuf {
-        self.path("run.jsonl")
-    }
-
-    /// The CAN log.
-    pub(crate) fn candump(&self) -> PathBuf {
-        self.path("candump.log")
-    }
-
-    /// The trace records of all cores and supplies.
-    pub(crate) fn tape(&self) -> PathBuf {
-        self.path("trace.words")
+    /// The recording that the vehicle writes.
+    pub(crate) fn recording(&self) -> PathBuf {
+        self.path("recording")
     }
 
     /// How the run stands, for those who watch.

@@ -1,10 +1,12 @@
 //! The figures of one run, as `metrics.json` has them.
 
 use serde::{Deserialize, Serialize};
+use tandem_cores::trace::Event;
+use tandem_record::log::Sample;
+use tandem_record::{RunLog, ms_between, takeovers};
+use tandem_vehicle::Verdict;
 
-use crate::mastership::{self, ms_between};
 use crate::percentiles::Spans;
-use crate::runlog::{RunLog, Sample, Verdict, What};
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
@@ -160,13 +162,13 @@ pub(crate) fn control_periods_ms(log: &RunLog) -> Vec<f64> {
 
 /// Latencies of the chain core 1 → 2 → 0, ms.
 pub(crate) fn chain_ms(log: &RunLog) -> Vec<f64> {
-    let latency = |what: &What| match what {
-        What::ChainDone { latency_ms } => Some(*latency_ms),
+    let latency = |event: Event| match event {
+        Event::Chain { latency_ns, .. } => Some(f64::from(latency_ns) * 1e-6),
         _ => None,
     };
     log.events
         .iter()
-        .filter_map(|event| latency(&event.what))
+        .filter_map(|event| latency(event.event))
         .collect()
 }
 
@@ -195,26 +197,19 @@ pub(crate) fn jerk(log: &RunLog) -> Vec<(f64, f64)> {
 /// Longest time without an accepted control frame, ms: between two of them, or from the last one to
 /// the end of the run.
 fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
-    let accepted: Vec<_> = log.accepted().collect();
-    let to_end = log
-        .end_ns
-        .zip(accepted.last())
-        .map(|(end, last)| ms_between(last.at_ns, end));
-    accepted
-        .windows(2)
-        .map(|pair| ms_between(pair[0].at_ns, pair[1].at_ns))
-        .chain(to_end)
-        .reduce(f64::max)
+    let last_ns = log.accepted().last()?.at_ns;
+    let until_ns = log.end_ns.unwrap_or(last_ns);
+    Some(log.mastership().gap_max_ns(until_ns) as f64 * 1e-6)
 }
 
 fn deadline_misses(log: &RunLog) -> u64 {
-    let missed = |what: &What| match what {
-        What::DeadlineMiss { missed } => Some(u64::from(*missed)),
+    let missed = |event: Event| match event {
+        Event::DeadlineMiss { missed } => Some(u64::from(missed)),
         _ => None,
     };
     log.events
         .iter()
-        .filter_map(|event| missed(&event.what))
+        .filter_map(|event| missed(event.event))
         .sum()
 }
 
@@ -222,7 +217,7 @@ fn deadline_misses(log: &RunLog) -> u64 {
 pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) -> Metrics {
     let period = Spans::from_ms(control_periods_ms(log));
     let chain = Spans::from_ms(chain_ms(log));
-    let takeovers = mastership::takeovers(log);
+    let takeovers = takeovers(log);
     let count = |verdict| {
         log.control
             .iter()
@@ -250,7 +245,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         chain_p99_ms: chain.percentile_ms(99.0),
         chain_p99_9_ms: chain.percentile_ms(99.9),
         chain_max_ms: chain.max_ms(),
-        two_masters_ms: mastership::two_masters_ms(log),
+        two_masters_ms: log.mastership().two_masters_ns() as f64 * 1e-6,
         false_takeovers: takeovers
             .iter()
             .filter(|takeover| takeover.is_false)
@@ -258,10 +253,10 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         takeovers: takeovers
             .into_iter()
             .map(|takeover| TakeoverMetrics {
-                from: takeover.from.name().to_owned(),
-                to: takeover.to.name().to_owned(),
+                from: takeover.from.to_string(),
+                to: takeover.to.to_string(),
                 at_s: log.seconds(takeover.at_ns),
-                cause: takeover.cause.unwrap_or_else(|| "not reported".to_owned()),
+                cause: takeover.cause_in_words().to_owned(),
                 detected_ms: takeover.detected_ms,
                 gap_ms: takeover.gap_ms,
                 is_false: takeover.is_false,

@@ -1,98 +1,78 @@
-//! Writing a run's logs without disturbing the thread that has the data.
+//! Writing a run's recording without disturbing the thread that has the data.
 
 use std::fs::File;
-use std::io::{self, BufWriter, Write as _};
-use std::path::PathBuf;
+use std::io::{BufWriter, Write as _};
+use std::path::Path;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow};
-use tandem_board::{CanFrame, CanId};
-use tandem_bus::candump;
+use tandem_board::Traced;
+use tandem_cores::trace::Event;
+use tandem_record::Entry;
+use tandem_record::file::TRACE_BYTES;
 
 use crate::files::RunFiles;
 use crate::live::Live;
-use crate::runlog::Record;
-use crate::tape::{self, Entry};
 
-/// Name of the bus in the CAN log.
-const INTERFACE: &str = "can0";
-
-/// A frame on the bus, with the time of day in µs.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct LoggedFrame {
-    /// Microseconds since 1970.
-    pub(crate) at_us: u64,
-    /// The frame.
-    pub(crate) frame: CanFrame,
-}
+/// The recording lies in shared memory. Beyond this many bytes of trace records the events of the
+/// schedulers are left out: after about six minutes of a run.
+const TRACE_LIMIT_BYTES: u64 = 64 << 20;
 
 /// What is handed over at once.
 #[derive(Debug, Default)]
 struct Batch {
-    frames: Vec<LoggedFrame>,
-    records: Vec<Record>,
-    tape: Vec<Entry>,
+    entries: Vec<Entry>,
     live: Option<Live>,
 }
 
-/// The side of the thread that has the data: it collects, and hands over now and then. Nothing here
-/// blocks or makes a system call but [`Recorder::hand_over`], which wakes the writer.
+/// The side of the thread that has the data: it collects, and hands over from time to time. Nothing
+/// here blocks or makes a system call but [`Recorder::hand_over`], which wakes the writer.
 #[derive(Debug)]
 pub(crate) struct Recorder {
     batch: Batch,
-    /// Entries that the trace's file was given.
-    taped: usize,
+    /// Bytes of trace records in the recording.
+    trace_bytes: u64,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
 }
 
 impl Recorder {
-    /// Creates the files and starts the writer.
+    /// Creates the file and starts the writer.
     ///
     /// # Errors
-    /// If a file cannot be created.
+    /// If the file cannot be created.
     pub(crate) fn create(files: &RunFiles) -> anyhow::Result<Self> {
-        let create = |path: PathBuf| {
-            File::create(&path).with_context(|| format!("creating {}", path.display()))
-        };
-        let logs = Logs {
-            run: BufWriter::new(create(files.log())?),
-            candump: BufWriter::new(create(files.candump())?),
-            tape: BufWriter::new(create(files.tape())?),
-            live: files.live(),
-        };
+        let path = files.recording();
+        let file = File::create(&path).with_context(|| format!("creating {}", path.display()))?;
+        let live = files.live();
         let (to_writer, batches) = channel();
         let writer = std::thread::Builder::new()
             .name("recorder".to_owned())
-            .spawn(move || logs.write_all(&batches))
+            .spawn(move || write_all(BufWriter::new(file), &live, &batches))
             .context("starting the recorder")?;
         Ok(Self {
             batch: Batch::default(),
-            taped: 0,
+            trace_bytes: 0,
             to_writer,
             writer,
         })
     }
 
-    /// Takes a frame for the CAN log.
-    pub(crate) fn frame(&mut self, at_us: u64, frame: CanFrame) {
-        self.batch.frames.push(LoggedFrame { at_us, frame });
+    /// Takes an entry.
+    pub(crate) fn record(&mut self, entry: impl Into<Entry>) {
+        self.batch.entries.push(entry.into());
     }
 
-    /// Takes a record for the run log.
-    pub(crate) fn record(&mut self, record: Record) {
-        self.batch.records.push(record);
-    }
-
-    /// Takes an entry for the trace. Whether it did: the file has a limit.
-    pub(crate) fn trace(&mut self, entry: Entry) -> bool {
-        let fits = tape::bytes(self.taped + 1) <= tape::LIMIT_BYTES;
-        if fits {
-            self.taped += 1;
-            self.batch.tape.push(entry);
+    /// Takes a record of a core's trace; `false` if the recording has no room for it.
+    pub(crate) fn trace(&mut self, traced: Traced) -> bool {
+        let is_full = self.trace_bytes >= TRACE_LIMIT_BYTES;
+        if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {
+            return false;
         }
-        fits
+        self.trace_bytes += TRACE_BYTES;
+        self.record(Entry::Trace(traced));
+        true
     }
 
     /// Takes how the run stands.
@@ -100,16 +80,13 @@ impl Recorder {
         self.batch.live = Some(live);
     }
 
-    /// Hands everything to the writer. If that has failed it is forgotten; [`Recorder::close`]
-    /// tells.
+    /// Hands everything to the writer. If the writer has failed, the entries are dropped;
+    /// [`Recorder::close`] reports the error.
     pub(crate) fn hand_over(&mut self) {
-        let (frames, records) = (self.batch.frames.len(), self.batch.records.len());
-        let tape = self.batch.tape.len();
+        let count = self.batch.entries.len();
         // The next batch will be about as large.
         let next = Batch {
-            frames: Vec::with_capacity(frames + frames / 4),
-            records: Vec::with_capacity(records + records / 4),
-            tape: Vec::with_capacity(tape + tape / 4),
+            entries: Vec::with_capacity(count + count / 4),
             live: None,
         };
         let _ = self
@@ -130,51 +107,57 @@ impl Recorder {
     }
 }
 
-struct Logs {
-    run: BufWriter<File>,
-    candump: BufWriter<File>,
-    tape: BufWriter<File>,
-    live: PathBuf,
+fn write_all(
+    mut recording: BufWriter<File>,
+    live: &Path,
+    batches: &Receiver<Batch>,
+) -> anyhow::Result<()> {
+    for batch in batches {
+        let written = batch
+            .entries
+            .iter()
+            .try_for_each(|entry| entry.write(&mut recording))
+            // Whole entries at every time, for a run that is cut short.
+            .and_then(|()| recording.flush())
+            .and_then(|()| batch.live.map_or(Ok(()), |state| state.write(live)));
+        written.context("the run's recording (is /dev/shm full?)")?;
+    }
+    Ok(())
 }
 
-impl Logs {
-    fn write_all(mut self, batches: &Receiver<Batch>) -> anyhow::Result<()> {
-        for batch in batches {
-            self.write(&batch)
-                .context("the run's log (is /dev/shm full?)")?;
-        }
-        self.run
-            .flush()
-            .and_then(|()| self.candump.flush())
-            .and_then(|()| self.tape.flush())
-            .context("the run's log")
-    }
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::{CoreId, Instant, SystemId};
+    use tandem_cores::task_table::TaskCode;
+    use tandem_record::{RunLog, file};
 
-    fn write(&mut self, batch: &Batch) -> io::Result<()> {
-        for logged in &batch.frames {
-            let id = match logged.frame.id() {
-                CanId::Standard(id) => candump::Id::Standard(id),
-                CanId::Extended(id) => candump::Id::Extended(id),
-            };
-            let flags = logged.frame.is_fd().then_some(candump::BIT_RATE_SWITCH);
-            // A `CanFrame` carries no more than a frame can, so a line always exists.
-            if let Ok(line) = candump::Record::new(INTERFACE, id, flags, logged.frame.data()) {
-                writeln!(self.candump, "{}", line.at_us(logged.at_us))?;
-            }
-        }
-        for record in &batch.records {
-            serde_json::to_writer(&mut self.run, record)?;
-            self.run.write_all(b"\n")?;
-        }
-        for entry in &batch.tape {
-            entry.write(&mut self.tape)?;
-        }
-        // Whole lines at every time, for a run that is cut short.
-        self.run.flush()?;
-        self.candump.flush()?;
-        batch
-            .live
-            .as_ref()
-            .map_or(Ok(()), |live| live.write(&self.live))
+    /// A long run loses detail, and none of what the analysis needs.
+    #[test]
+    fn a_full_recording_leaves_out_what_schedulers_write_and_nothing_else() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = RunFiles::within(folder.path());
+        let mut recorder = Recorder::create(&files).unwrap();
+        let traced = |event: Event| Traced {
+            at: Instant::ORIGIN,
+            system: SystemId::A,
+            core: CoreId::CONTROL,
+            record: event.encode(),
+        };
+        let ready = Event::Ready {
+            task: TaskCode::CONTROL,
+        };
+        assert!(recorder.trace(traced(ready)));
+        recorder.trace_bytes = TRACE_LIMIT_BYTES;
+        assert!(!recorder.trace(traced(ready)));
+        assert!(recorder.trace(traced(Event::LinesSplit)));
+        recorder.close().unwrap();
+        let mut log = RunLog::default();
+        file::read(&files.recording(), |entry| {
+            log.push(entry);
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!((log.trace.len(), log.events.len()), (2, 1));
     }
 }

@@ -1,6 +1,7 @@
 //! `tandem run`: checks, starts both systems and the vehicle, waits, writes the report.
 
 use std::fs::{self, File};
+use std::io::{BufWriter, Write as _};
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -11,6 +12,7 @@ use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
+use tandem_record::{RunLog, file};
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, CpuList, RunArgs, Timing};
@@ -18,12 +20,11 @@ use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::live::Progress;
 use crate::metrics::{self, Metrics, Surroundings};
-use crate::out_dir::{self, OutDir};
+use crate::output::{self, Output};
 use crate::percentiles::Spans;
-use crate::plan::{Profile, RunPlan};
-use crate::runlog::RunLog;
+use crate::run_config::{Profile, RunConfig};
 use crate::timeline::{self, Timeline};
-use crate::{core_process, emulated, report, summary, tape};
+use crate::{core_process, emulated, report, summary};
 
 /// Drives the scenario and writes the report.
 ///
@@ -39,7 +40,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     if !args.quiet {
         eprintln!("{granted}");
     }
-    let plan = RunPlan {
+    let config = RunConfig {
         scenario: args.scenario.clone(),
         seed: args.seed,
         duration_s: args.duration,
@@ -47,7 +48,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         reintegrate: args.reintegrate,
     };
     let files = RunFiles::of(launcher.isolation().run());
-    let ended = drive(args, &checked, &plan, &files, &mut launcher).map_err(Failure::Run)?;
+    let ended = drive(args, &checked, &config, &files, &mut launcher).map_err(Failure::Run)?;
     if ended.interrupted {
         launcher.finish();
         return Err(Failure::Interrupted);
@@ -59,14 +60,14 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     let collected = Collected::new(&checked.out, &files, &because);
     let around = Surroundings {
         leftovers: leftovers(&launcher.finish()),
-        ..surroundings(&plan, granted)
+        ..surroundings(&config, granted)
     };
     conclude(args, &checked, collected, &around)
 }
 
 /// The same with a controller in emulated machines.
 fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
-    let plan = RunPlan {
+    let config = RunConfig {
         scenario: args.scenario.clone(),
         seed: args.seed,
         duration_s: args.duration,
@@ -79,21 +80,21 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
     let files = RunFiles::within(folder.path());
-    let Some(told) = emulated::drive(args, &plan, &files).map_err(Failure::Run)? else {
+    let Some(told) = emulated::drive(args, &config, &files).map_err(Failure::Run)? else {
         return Err(Failure::Interrupted);
     };
     if !args.quiet {
         eprintln!("{told}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
-    conclude(args, checked, collected, &surroundings(&plan, told))
+    conclude(args, checked, collected, &surroundings(&config, told))
 }
 
-fn surroundings(plan: &RunPlan, granted: String) -> Surroundings {
-    let limits = core_process::config(plan).redundancy;
+fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
+    let limits = core_process::config(config).redundancy;
     Surroundings {
         granted,
-        timing: plan.profile.name().to_owned(),
+        timing: config.profile.name().to_owned(),
         detection_bound_ms: Some(limits.takeover_bound().as_ms_f64()),
         // The bus moves frames once a millisecond.
         gap_bound_ms: Some(limits.gap_bound().as_ms_f64() + 1.0),
@@ -120,7 +121,7 @@ fn conclude(
 
 /// What was found to be right before anything is started.
 struct Checked {
-    out: OutDir,
+    out: Output,
     pinning: Pinning,
     cpus: Vec<usize>,
     dflash: Option<PathBuf>,
@@ -130,7 +131,7 @@ impl Checked {
     fn new(args: &RunArgs) -> anyhow::Result<Self> {
         check_board(args)?;
         check_scenario(&args.scenario)?;
-        let out = OutDir::check(&args.out)?;
+        let out = Output::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
         let (pinning, cpus) = match &args.cpus {
@@ -278,7 +279,7 @@ fn grant(
 fn drive(
     args: &RunArgs,
     checked: &Checked,
-    plan: &RunPlan,
+    config: &RunConfig,
     files: &RunFiles,
     launcher: &mut Launcher,
 ) -> anyhow::Result<Ended> {
@@ -287,7 +288,7 @@ fn drive(
         None => files.flash(system),
     });
     let schedule = Schedule {
-        realtime: plan.profile == Profile::Rt,
+        realtime: config.profile == Profile::Rt,
         pinning: checked.pinning.clone(),
     };
     let errors = File::create(files.errors()).context("creating the log of errors")?;
@@ -295,7 +296,7 @@ fn drive(
         &Plan {
             schedule,
             flash,
-            extra: plan.to_extra()?,
+            extra: config.to_extra()?,
         },
         &|args| {
             let mut command = this_program(args);
@@ -306,7 +307,7 @@ fn drive(
             command
         },
     )?;
-    let progress = (!args.quiet).then(|| Progress::show(files.live(), plan.duration_s));
+    let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
     let ended = launcher.wait();
     if let Some(progress) = progress {
         progress.end();
@@ -344,18 +345,16 @@ struct Collected {
 }
 
 impl Collected {
-    fn new(out: &OutDir, files: &RunFiles, because: &dyn Fn() -> String) -> anyhow::Result<Self> {
+    fn new(out: &Output, files: &RunFiles, because: &dyn Fn() -> String) -> anyhow::Result<Self> {
         let errors = fs::read_to_string(files.errors()).unwrap_or_default();
         let errors = errors.trim();
         if !errors.is_empty() {
             eprintln!("the processes of the run said:\n{errors}");
         }
-        let log = RunLog::read(&files.log()).with_context(because)?;
         let stage = out.stage()?;
-        let candump = stage.path().join(out_dir::CANDUMP);
-        fs::copy(files.candump(), &candump)
-            .with_context(|| format!("writing {}", candump.display()))?;
-        let timeline = Timeline::new(&tape::read(&files.tape())?);
+        let candump = stage.path().join(output::CANDUMP);
+        let log = read(&files.recording(), &candump).with_context(because)?;
+        let timeline = Timeline::new(&log);
         Ok(Self {
             log,
             timeline,
@@ -363,7 +362,7 @@ impl Collected {
         })
     }
 
-    fn write(self, out: &OutDir, around: &Surroundings) -> anyhow::Result<Metrics> {
+    fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
         let metrics = metrics::compute(&self.log, &self.timeline, around);
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
@@ -371,11 +370,11 @@ impl Collected {
         let page = report::page(&self.log, &self.timeline, &metrics)?;
         let trace = timeline::encode(&self.timeline, &self.log);
         for (name, content) in [
-            (out_dir::REPORT, page.into_bytes()),
-            (out_dir::METRICS, json.into_bytes()),
-            (out_dir::CONTROL_PERIOD, period.into_bytes()),
-            (out_dir::CHAIN, chain.into_bytes()),
-            (out_dir::TRACE, trace),
+            (output::REPORT, page.into_bytes()),
+            (output::METRICS, json.into_bytes()),
+            (output::CONTROL_PERIOD, period.into_bytes()),
+            (output::CHAIN, chain.into_bytes()),
+            (output::TRACE, trace),
         ] {
             let path = self.stage.path().join(name);
             fs::write(&path, content).with_context(|| format!("writing {}", path.display()))?;
@@ -385,9 +384,28 @@ impl Collected {
     }
 }
 
+/// The recording; its frames become the CAN log.
+fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
+    let writing = || format!("writing {}", candump.display());
+    let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);
+    let mut log = RunLog::default();
+    file::read(recording, |entry| {
+        if let file::Entry::Frame(frame) = &entry
+            && let Some(line) = frame.candump_line(log.header.epoch_us)
+        {
+            writeln!(lines, "{line}").with_context(writing)?;
+        }
+        log.push(entry);
+        Ok(())
+    })?;
+    lines.flush().with_context(writing)?;
+    log.sort();
+    Ok(log)
+}
+
 /// The end of the run on the terminal.
-fn tell(args: &RunArgs, out: &OutDir, metrics: &Metrics) -> anyhow::Result<()> {
-    let report = out.path().join(out_dir::REPORT);
+fn tell(args: &RunArgs, out: &Output, metrics: &Metrics) -> anyhow::Result<()> {
+    let report = out.path().join(output::REPORT);
     if args.json {
         let json = serde_json::to_string_pretty(metrics).context("metrics.json")?;
         return crate::print(&format!("{json}\n"));

@@ -1,9 +1,15 @@
 //! A made-up run for the tests of the figures and of the report.
 
-use crate::runlog::{
-    ControlSeen, CoreEvent, Figures, Header, Lane, Mode, Other, PowerSeen, Record, RoadSeen, Role,
-    RunLog, Sample, StatusSeen, System, Verdict, What,
+use tandem_board::{CoreId, SystemId};
+use tandem_bus::{Mode, Role};
+use tandem_cores::trace::Event;
+use tandem_record::RunLog;
+use tandem_record::log::{
+    ControlFrame, CoreEvent, DriveFigures, Header, Lane, Other, RoadPiece, Sample, StatusFrame,
+    VehicleRecord,
 };
+use tandem_redundancy::Evidence;
+use tandem_vehicle::Verdict;
 
 /// The clock at the start of the world.
 const START_NS: u64 = 1_700_000_000;
@@ -25,44 +31,64 @@ impl Noise {
 /// A run of `duration_s` in which A loses power in the middle and B takes over.
 pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
     let mut log = RunLog::default();
-    log.push(Record::Header(Header {
-        scenario: "cut-in".into(),
-        seed: 1,
-        duration_s,
-    }));
-    log.push(Record::Road(RoadSeen {
-        at_ns: START_NS,
-        lanes: (0..3).map(lane).collect(),
-    }));
-    log.push(Record::Start { at_ns: START_NS });
+    push(
+        &mut log,
+        VehicleRecord::Header(Header {
+            scenario: "cut-in".into(),
+            seed: 1,
+            duration_s,
+            epoch_us: 0,
+        }),
+    );
+    push(
+        &mut log,
+        VehicleRecord::Road(RoadPiece {
+            at_ns: START_NS,
+            lanes: (0..3).map(lane).collect(),
+        }),
+    );
+    push(&mut log, VehicleRecord::Start { at_ns: START_NS });
     let middle_ns = START_NS + (duration_s * 0.5e9) as u64;
     let end_ns = START_NS + (duration_s * 1e9) as u64;
     add_samples(&mut log, end_ns);
     add_control(&mut log, middle_ns, end_ns);
     add_status(&mut log, middle_ns, end_ns);
-    log.push(Record::Power(PowerSeen {
-        at_ns: middle_ns,
-        system: System::A,
-        on: false,
-    }));
-    log.push(Record::Figures(Figures {
-        lateral_error_max_m: 0.13,
-        gap_min_m: Some(22.0),
-        ttc_min_s: Some(21.7),
-        accel_max: 1.1,
-        brake_max: 0.8,
-        lat_accel_max: 0.5,
-        jerk_p99: 0.6,
-        distance_m: 22.0 * duration_s,
-        ..Figures::default()
-    }));
-    log.push(Record::End {
-        at_ns: end_ns,
-        lost_trace: 0,
-        stalled_ms: 0.0,
-    });
-    log.events.sort_by_key(|event| event.at_ns);
+    push(
+        &mut log,
+        VehicleRecord::Power {
+            at_ns: middle_ns,
+            system: 0,
+            on: false,
+        },
+    );
+    push(
+        &mut log,
+        VehicleRecord::Figures(DriveFigures {
+            lateral_error_max_m: 0.13,
+            gap_min_m: Some(22.0),
+            ttc_min_s: Some(21.7),
+            accel_max: 1.1,
+            brake_max: 0.8,
+            lat_accel_max: 0.5,
+            jerk_p99: 0.6,
+            distance_m: 22.0 * duration_s,
+            ..DriveFigures::default()
+        }),
+    );
+    push(
+        &mut log,
+        VehicleRecord::End {
+            at_ns: end_ns,
+            lost_trace: 0,
+            stalled_ms: 0.0,
+        },
+    );
+    log.sort();
     log
+}
+
+fn push(log: &mut RunLog, record: VehicleRecord) {
+    log.push(record.into());
 }
 
 /// Where the middle of the road is at `x`.
@@ -100,104 +126,110 @@ fn add_samples(log: &mut RunLog, end_ns: u64) {
             length,
             width: if length > 6.0 { 2.5 } else { 1.85 },
         };
-        log.push(Record::Sample(Sample {
-            at_ns,
-            x,
-            y: road(x) + lateral_error,
-            heading,
-            speed,
-            set_speed: Some(27.0),
-            accel,
-            lat_accel: 0.5 * (t / 3.0).cos(),
-            lane: 1,
-            lateral_error,
-            lead_gap: (t > 6.0).then_some(gap),
-            closing_speed: Some(8.0 / 6.0 * (t / 6.0).cos()),
-            others: vec![
-                other(gap + 4.6, 0.0, 4.6),
-                other(12.0, 3.5, 4.4),
-                other(-22.0, -3.5, 12.0),
-                other(55.0, -3.5, 4.5),
-            ],
-        }));
+        push(
+            log,
+            VehicleRecord::Sample(Sample {
+                at_ns,
+                x,
+                y: road(x) + lateral_error,
+                heading,
+                speed,
+                set_speed: Some(27.0),
+                accel,
+                lat_accel: 0.5 * (t / 3.0).cos(),
+                lane: 1,
+                lateral_error,
+                lead_gap: (t > 6.0).then_some(gap),
+                closing_speed: Some(8.0 / 6.0 * (t / 6.0).cos()),
+                others: vec![
+                    other(gap + 4.6, 0.0, 4.6),
+                    other(12.0, 3.5, 4.4),
+                    other(-22.0, -3.5, 12.0),
+                    other(55.0, -3.5, 4.5),
+                ],
+            }),
+        );
     }
 }
 
 fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     let mut noise = Noise(99);
-    let mut event = |at_ns, system, core, what| {
+    let mut event = |at_ns, system, event| {
         log.events.push(CoreEvent {
             at_ns,
             system,
-            core,
-            what,
+            core: CoreId::CONTROL,
+            event,
         });
     };
     event(
         START_NS - 300_000_000,
-        System::A,
-        0,
-        What::Started {
+        SystemId::A,
+        Event::Started {
             generation: 1,
-            cause: "power-on".into(),
+            cause: 0,
         },
     );
     event(
         START_NS - 290_000_000,
-        System::B,
-        0,
-        What::Started {
+        SystemId::B,
+        Event::Started {
             generation: 1,
-            cause: "power-on".into(),
+            cause: 0,
         },
     );
-    let role = |role, mode, term| What::RoleChanged { role, mode, term };
+    let role = |role: Role, mode: Mode, term| Event::Role {
+        role: role as u8,
+        mode: mode as u8,
+        term,
+    };
     event(
         START_NS - 20_000_000,
-        System::A,
-        0,
+        SystemId::A,
         role(Role::Master, Mode::L3, 2),
     );
     event(
         START_NS - 19_000_000,
-        System::B,
-        0,
+        SystemId::B,
         role(Role::Standby, Mode::L3, 2),
     );
-    let took = What::TookOver {
-        cause: "power line fell".into(),
-        detected_ms: 1.1,
+    let took = Event::TookOver {
+        cause: Evidence::PeerOff,
+        since_heartbeat_us: 1_100,
+        since_control_us: 9_000,
+        term: 3,
     };
-    event(middle_ns + 620_000, System::B, 0, took);
+    event(middle_ns + 620_000, SystemId::B, took);
     event(
         middle_ns + 630_000,
-        System::B,
-        0,
+        SystemId::B,
         role(Role::Master, Mode::DegradedL2, 3),
     );
     for cycle_ns in (START_NS..end_ns).step_by(50_000_000) {
         let latency_ms = 14.0 + 3.0 * noise.next();
         let system = if cycle_ns < middle_ns {
-            System::A
+            SystemId::A
         } else {
-            System::B
+            SystemId::B
         };
         event(
             cycle_ns + 15_000_000,
             system,
-            0,
-            What::ChainDone { latency_ms },
+            Event::Chain {
+                latency_ns: (latency_ms * 1e6) as u32,
+                cycle: 0,
+            },
         );
     }
     for cycle_ns in (START_NS..end_ns).step_by(10_000_000) {
         let late_ns = 60_000 + (50_000.0 * (1.0 + noise.next())) as u64;
         let (system, term, phase_ns) = if cycle_ns < middle_ns {
-            (System::A, 2, 0)
+            (SystemId::A, 2, 0)
         } else {
-            (System::B, 3, 3_300_000)
+            (SystemId::B, 3, 3_300_000)
         };
         let sent_ns = cycle_ns + phase_ns + late_ns;
-        log.control.push(ControlSeen {
+        log.control.push(ControlFrame {
             at_ns: (sent_ns + 40_000) / 1_000_000 * 1_000_000 + 1_000_000,
             sent_ns,
             system,
@@ -216,21 +248,20 @@ fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     for at_ns in (START_NS..end_ns).step_by(100_000_000) {
         let dead = at_ns >= middle_ns;
         let b = if dead {
-            (Role::Master, Mode::DegradedL2, 3)
+            (Role::Master, Mode::DegradedL2)
         } else {
-            (Role::Standby, Mode::L3, 2)
+            (Role::Standby, Mode::L3)
         };
-        let status = |system, (role, mode, term)| StatusSeen {
+        let status = |system, (role, mode)| StatusFrame {
             at_ns,
             system,
             role,
             mode,
-            term,
         };
         if !dead {
             log.status
-                .push(status(System::A, (Role::Master, Mode::L3, 2)));
+                .push(status(SystemId::A, (Role::Master, Mode::L3)));
         }
-        log.status.push(status(System::B, b));
+        log.status.push(status(SystemId::B, b));
     }
 }

@@ -1,28 +1,28 @@
-//! The vehicle's process: the world at 1 kHz, the CAN bus, and the log of everything on it.
+//! The vehicle's process: the world at 1 kHz, the CAN bus, and the recording of the run.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{CanFrame, CanId, Received, RoleLamp, SystemId, Traced};
+use tandem_board::{CanFrame, CanId, Instant, Received, RoleLamp, SystemId};
 use tandem_board_host::VehicleArgs;
-use tandem_bus::Message;
+use tandem_record::Entry;
+use tandem_record::file::BusFrame;
+use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::{Config, Scenario, Snapshot, World};
 
 use crate::files::RunFiles;
 use crate::live::Live;
-use crate::observe;
-use crate::outside::{OnHost, Outside};
-use crate::plan::RunPlan;
 use crate::recorder::Recorder;
-use crate::runlog::{Header, PowerSeen, Record, RoadSeen, Sample, System};
-use crate::tape::{Entry, Source};
+use crate::run_config::RunConfig;
+use crate::vehicle_port::{OnHost, VehiclePort};
+use crate::world_record;
 
-/// The log gets the state of the world every so many ticks, the other vehicles and the road more
-/// seldom.
+/// The recording gets the state of the world every 20 ticks, the other vehicles and the road less
+/// often.
 const SAMPLE_TICKS: u64 = 20;
 const OTHERS_TICKS: u64 = 100;
 const ROAD_TICKS: u64 = 5_000;
-/// The recorder gets what was collected every so many ticks.
+/// The recorder gets what was collected every 100 ticks.
 const HAND_OVER_TICKS: u64 = 100;
 /// If no control frame was accepted by then, none will be, ms of 1 kHz ticks.
 const GIVE_UP_TICKS: u64 = 15_000;
@@ -30,28 +30,28 @@ const GIVE_UP_TICKS: u64 = 15_000;
 /// Drives the scenario to its end.
 ///
 /// # Errors
-/// If the scenario cannot be loaded, the run is over, or its log cannot be written.
+/// If the scenario cannot be loaded, the run is over, or its recording cannot be written.
 pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
-    let plan = RunPlan::from_extra(&args.common.extra)?;
-    let scenario = Scenario::load(&plan.scenario)?;
+    let run = RunConfig::from_extra(&args.common.extra)?;
+    let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
     let _ = args.claim();
     let port = OnHost::attach(args).context("the vehicle cannot connect to the run")?;
-    drive(&plan, &scenario, port, recorder).map(drop)
+    drive(&run, &scenario, port, recorder).map(drop)
 }
 
-/// Drives the scenario to its end, with a controller on whatever board.
+/// Drives the scenario to its end, with a controller on any board.
 ///
 /// # Errors
-/// If the board fails, or the log cannot be written.
-pub(crate) fn drive<P: Outside>(
-    plan: &RunPlan,
+/// If the board fails, or the recording cannot be written.
+pub(crate) fn drive<P: VehiclePort>(
+    run: &RunConfig,
     scenario: &Scenario,
     port: P,
     recorder: Recorder,
 ) -> anyhow::Result<Ended> {
-    let mut drive = Drive::new(plan, scenario, port, recorder);
+    let mut drive = Drive::new(run, scenario, port, recorder);
     let ended = drive.work()?;
     drive.finish(ended)?;
     Ok(ended)
@@ -60,7 +60,7 @@ pub(crate) fn drive<P: Outside>(
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ended {
-    /// After its whole duration, or for want of a controller: the log is complete.
+    /// After its whole duration, or because no controller drove: the recording is complete.
     ByItself,
     /// A person asked for it.
     Stopped,
@@ -77,32 +77,30 @@ struct Drive<P> {
     collides: bool,
     powered: [bool; 2],
     lost_trace: u64,
-    /// Time of day less the clock's time, µs: the CAN log has the time of day.
-    epoch_us: u64,
 }
 
-impl<P: Outside> Drive<P> {
-    fn new(plan: &RunPlan, scenario: &Scenario, port: P, mut recorder: Recorder) -> Self {
-        recorder.record(Record::Header(Header {
-            scenario: scenario.name().to_owned(),
-            seed: plan.seed,
-            duration_s: plan.duration_s,
-        }));
+impl<P: VehiclePort> Drive<P> {
+    fn new(run: &RunConfig, scenario: &Scenario, port: P, mut recorder: Recorder) -> Self {
         let now_us = port.now().as_ns() / 1_000;
         let today = SystemTime::now()
             .duration_since(UNIX_EPOCH)
             .unwrap_or_default();
+        recorder.record(VehicleRecord::Header(Header {
+            scenario: scenario.name().to_owned(),
+            seed: run.seed,
+            duration_s: run.duration_s,
+            epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
+        }));
         Self {
-            world: World::new(scenario, Config { seed: plan.seed }),
+            world: World::new(scenario, Config { seed: run.seed }),
             port,
             recorder,
-            duration_s: plan.duration_s,
+            duration_s: run.duration_s,
             ticks: 0,
             running: false,
             collides: false,
             powered: [false; 2],
             lost_trace: 0,
-            epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
         }
     }
 
@@ -115,7 +113,7 @@ impl<P: Outside> Drive<P> {
             }
             self.receive();
             // The tick's own time, not the time of waking: the world does not feel jitter.
-            self.send(due.as_ns());
+            self.send(due);
             self.look(due.as_ns());
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
@@ -125,53 +123,54 @@ impl<P: Outside> Drive<P> {
         }
     }
 
-    /// Frames of the controller: on the bus, into the log, to the world.
+    /// Frames of the controller: on the bus, into the recording, to the world.
     fn receive(&mut self) {
         let Self {
             world,
             port,
             recorder,
-            epoch_us,
             ..
         } = self;
-        let now_ns = port.now().as_ns();
-        port.transmitted(&mut |_, _, Received { frame, at }| {
-            recorder.frame(*epoch_us + now_ns / 1_000, frame);
-            let CanId::Standard(id) = frame.id() else {
-                return;
-            };
-            world.on_frame(now_ns, u32::from(id), frame.data());
-            let message = Message::decode(u32::from(id), frame.data()).ok();
-            if let Some(seen) = message.and_then(|m| observe::status(now_ns, &m)) {
-                recorder.record(Record::Status(seen));
+        let now = port.now();
+        port.transmitted(&mut |_, _, Received { frame, at: sent }| {
+            if let CanId::Standard(id) = frame.id() {
+                world.on_frame(now.as_ns(), u32::from(id), frame.data());
             }
-            for acceptance in world.gate_mut().drain_log() {
-                let seen = observe::control(acceptance, at.as_ns(), message.as_ref());
-                recorder.record(Record::Control(seen));
-            }
+            // One entry for a control frame, none for another one.
+            let judged = world.gate_mut().drain_log().next_back();
+            recorder.record(Entry::Frame(BusFrame {
+                at: now,
+                sent,
+                frame,
+                verdict: judged.map(|acceptance| acceptance.verdict),
+            }));
         });
     }
 
     /// Lets the world run, and sends what its sensors send.
-    fn send(&mut self, now_ns: u64) {
+    fn send(&mut self, now: Instant) {
         let Self {
             world,
             port,
             recorder,
-            epoch_us,
             ..
         } = self;
-        world.step(now_ns, &mut |id, data| {
+        world.step(now.as_ns(), &mut |id, data| {
             // The world sends what the DBC has, which is always a frame.
             if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
                 port.broadcast(&frame);
-                recorder.frame(*epoch_us + now_ns / 1_000, frame);
+                recorder.record(Entry::Frame(BusFrame {
+                    at: now,
+                    sent: now,
+                    frame,
+                    verdict: None,
+                }));
             }
         });
         port.ring_receivers();
     }
 
-    /// Everything that the log is to know.
+    /// Everything that the recording needs.
     fn look(&mut self, now_ns: u64) {
         self.drain_traces();
         let recorder = &mut self.recorder;
@@ -179,22 +178,21 @@ impl<P: Outside> Drive<P> {
             let on = self.port.is_powered(system);
             if on != self.powered[system.index()] {
                 self.powered[system.index()] = on;
-                let system = System::from(system);
-                recorder.record(Record::Power(PowerSeen {
+                recorder.record(VehicleRecord::Power {
                     at_ns: now_ns,
-                    system,
+                    system: system.index() as u8,
                     on,
-                }));
+                });
             }
         }
         let snapshot = self.world.snapshot();
         if snapshot.running && !self.running {
             self.running = true;
             let at_ns = snapshot.accepted.map_or(now_ns, |accepted| accepted.at_ns);
-            recorder.record(Record::Start { at_ns });
+            recorder.record(VehicleRecord::Start { at_ns });
         }
         if snapshot.collides && !self.collides {
-            recorder.record(Record::Collision { at_ns: now_ns });
+            recorder.record(VehicleRecord::Collision { at_ns: now_ns });
         }
         self.collides = snapshot.collides;
         if self.running {
@@ -204,7 +202,9 @@ impl<P: Outside> Drive<P> {
             let live = self.live(now_ns);
             self.recorder.live(live);
             self.recorder
-                .record(Record::Figures(observe::figures(&self.world.metrics())));
+                .record(VehicleRecord::Figures(world_record::figures(
+                    &self.world.metrics(),
+                )));
             self.recorder.hand_over();
         }
     }
@@ -213,11 +213,9 @@ impl<P: Outside> Drive<P> {
     fn drain_traces(&mut self) {
         let Self { port, recorder, .. } = self;
         let mut lost = 0;
-        let dropped = port.drain_trace(&mut |traced| lost += u64::from(!keep(recorder, traced)));
+        let dropped = port.drain_trace(&mut |traced| lost += u64::from(!recorder.trace(traced)));
         port.drain_supplies(&mut |at, system, event| {
-            let (source, record) = (Source::Supply(system), event.encode());
-            let kept = recorder.trace(Entry { at, source, record });
-            lost += u64::from(!kept);
+            recorder.record(Entry::Supply(at, system, event));
         });
         self.lost_trace += lost + u64::from(dropped);
     }
@@ -225,8 +223,8 @@ impl<P: Outside> Drive<P> {
     fn sample(&mut self, now_ns: u64) {
         let snapshot = self.world.snapshot();
         if self.ticks.is_multiple_of(ROAD_TICKS) || snapshot.time_s <= 0.0015 {
-            let lanes = observe::lanes(self.world.road(), snapshot.pose.position);
-            self.recorder.record(Record::Road(RoadSeen {
+            let lanes = world_record::lanes(self.world.road(), snapshot.pose.position);
+            self.recorder.record(VehicleRecord::Road(RoadPiece {
                 at_ns: now_ns,
                 lanes,
             }));
@@ -234,9 +232,9 @@ impl<P: Outside> Drive<P> {
         if self.ticks.is_multiple_of(SAMPLE_TICKS) {
             let mut sample = self.state(now_ns, snapshot);
             if self.ticks.is_multiple_of(OTHERS_TICKS) {
-                sample.others = snapshot.vehicles.iter().map(observe::other).collect();
+                sample.others = snapshot.vehicles.iter().map(world_record::other).collect();
             }
-            self.recorder.record(Record::Sample(sample));
+            self.recorder.record(VehicleRecord::Sample(sample));
         }
     }
 
@@ -261,7 +259,7 @@ impl<P: Outside> Drive<P> {
 
     fn live(&self, now_ns: u64) -> Live {
         let snapshot = self.world.snapshot();
-        let gate = self.world.gate();
+        let mastership = self.world.gate().mastership();
         Live {
             time_s: snapshot.time_s,
             speed: snapshot.speed,
@@ -273,26 +271,28 @@ impl<P: Outside> Drive<P> {
                 };
                 role.to_owned()
             }),
-            gap_max_ms: gate.gap_max_ns(now_ns) as f64 * 1e-6,
-            takeovers: gate.switches(),
+            gap_max_ms: mastership.gap_max_ns(now_ns) as f64 * 1e-6,
+            takeovers: mastership.changes(),
         }
     }
 
-    /// Ends the run for all, and the log.
+    /// Ends the run for all, and the recording.
     fn finish(mut self, ended: Ended) -> anyhow::Result<()> {
         let at_ns = self.port.now().as_ns();
         self.port.set_ignition(false);
         self.drain_traces();
         let Self { port, recorder, .. } = &mut self;
         port.salvage_trace(&mut |traced| {
-            keep(recorder, traced);
+            recorder.trace(traced);
         });
         self.recorder
-            .record(Record::Figures(observe::figures(&self.world.metrics())));
+            .record(VehicleRecord::Figures(world_record::figures(
+                &self.world.metrics(),
+            )));
         if ended == Ended::ByItself {
             let stalled_ms = self.world.stalled_ns() as f64 * 1e-6;
             let lost_trace = self.lost_trace;
-            self.recorder.record(Record::End {
+            self.recorder.record(VehicleRecord::End {
                 at_ns,
                 lost_trace,
                 stalled_ms,
@@ -300,18 +300,6 @@ impl<P: Outside> Drive<P> {
         }
         self.recorder.close()
     }
-}
-
-/// Puts a core's record into both logs. Whether the trace has room for it.
-fn keep(recorder: &mut Recorder, traced: Traced) -> bool {
-    if let Some(event) = observe::event(traced) {
-        recorder.record(Record::Event(event));
-    }
-    recorder.trace(Entry {
-        at: traced.at,
-        source: Source::Core(traced.system, traced.core),
-        record: traced.record,
-    })
 }
 
 const fn role_name(lamp: RoleLamp) -> &'static str {

@@ -284,6 +284,26 @@ impl From<tandem_redundancy::Event> for Event {
 }
 
 impl Event {
+    /// Whether a scheduler or a signal writes it, thousands of times in a second. The others stand
+    /// for themselves.
+    #[must_use]
+    pub const fn is_scheduling(self) -> bool {
+        matches!(
+            self,
+            Self::TaskIn { .. }
+                | Self::TaskOut { .. }
+                | Self::Ready { .. }
+                | Self::IrqIn { .. }
+                | Self::IrqOut { .. }
+                | Self::Interrupted { .. }
+                | Self::Wake { .. }
+                | Self::Woken { .. }
+                | Self::Ring { .. }
+                | Self::Stack { .. }
+                | Self::Held { .. }
+        )
+    }
+
     /// The event as four words: kind and up to three small fields in the first, then three numbers.
     #[must_use]
     pub const fn encode(self) -> TraceRecord {

@@ -9,14 +9,16 @@ use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
+use tandem_record::file::BusFrame;
+use tandem_record::{Entry, RunLog, Takeover, takeovers};
 use tandem_vehicle::{Scenario, World};
 
 /// What the vehicle saw during a drive.
 pub struct Seen {
     /// The vehicle, its traffic and its gate for control frames.
     pub world: World,
-    /// Times in ns at which control frames were accepted, and from which system.
-    pub accepted: Vec<(u64, SystemId)>,
+    /// The recording until now.
+    pub log: RunLog,
     /// Frames that somebody else sends with the next tick.
     pub forged: Vec<CanFrame>,
 }
@@ -59,6 +61,13 @@ fn tick(seen: &mut Seen, tick: &mut WorldTick) {
             seen.world
                 .on_frame(on_bus.at.as_ns(), id.into(), on_bus.frame.data());
         }
+        let judged = seen.world.gate_mut().drain_log().next_back();
+        seen.log.push(Entry::Frame(BusFrame {
+            at: on_bus.at,
+            sent: on_bus.at,
+            frame: on_bus.frame,
+            verdict: judged.map(|acceptance| acceptance.verdict),
+        }));
     }
     let mut frames = Vec::new();
     seen.world.step(now, &mut |id, data| {
@@ -66,12 +75,6 @@ fn tick(seen: &mut Seen, tick: &mut WorldTick) {
     });
     frames.append(&mut seen.forged);
     frames.into_iter().for_each(|frame| tick.send(frame));
-    for acceptance in seen.world.gate_mut().drain_log() {
-        if acceptance.verdict == tandem_vehicle::gate::Verdict::Accepted {
-            let system = SystemId::from_index(acceptance.system.into()).expect("a system");
-            seen.accepted.push((acceptance.at_ns, system));
-        }
-    }
 }
 
 impl Drive {
@@ -98,7 +101,7 @@ impl Drive {
         let world = World::new(&scenario, tandem_vehicle::Config { seed });
         let seen = Rc::new(RefCell::new(Seen {
             world,
-            accepted: vec![],
+            log: RunLog::default(),
             forged: vec![],
         }));
         let board_config = Config {
@@ -130,48 +133,48 @@ impl Drive {
             self.pair.run_for(step.min(Duration::from_ms(1000)));
             let (entries, lost) = self.pair.take_trace();
             assert_eq!(lost, 0, "the trace ran over");
-            self.events.extend(entries.into_iter().filter_map(|entry| {
-                Some((
-                    entry.at,
-                    entry.system,
-                    entry.core,
-                    Event::decode(entry.record)?,
-                ))
-            }));
+            let log = &mut self.seen.borrow_mut().log;
+            for traced in entries {
+                let event = Event::decode(traced.record);
+                self.events
+                    .extend(event.map(|event| (traced.at, traced.system, traced.core, event)));
+                log.push(Entry::Trace(traced));
+            }
+            log.sort();
             self.pair.take_bus_log();
         }
     }
 
-    /// Takeovers in the trace: when, by whom, the event.
+    /// All takeovers, as the report has them.
+    ///
+    /// # Panics
+    /// If one of them was from a master that had not failed.
     #[must_use]
-    pub fn takeovers(&self) -> Vec<(Instant, SystemId, Event)> {
-        let takeover = |event: &Event| matches!(event, Event::TookOver { .. });
-        let events = self.events.iter().filter(|(.., event)| takeover(event));
-        events
-            .map(|(at, system, _, event)| (*at, *system, *event))
-            .collect()
+    pub fn takeovers(&self) -> Vec<Takeover> {
+        let takeovers = takeovers(&self.seen.borrow().log);
+        let false_one = takeovers.iter().find(|takeover| takeover.is_false);
+        assert_eq!(false_one, None, "a takeover from a master that drove");
+        takeovers
     }
 
     /// The largest time between two accepted control frames.
     #[must_use]
     pub fn gap_max(&self) -> Duration {
         let seen = self.seen.borrow();
-        let gaps = seen.accepted.windows(2).map(|pair| pair[1].0 - pair[0].0);
-        Duration::from_ns(gaps.max().unwrap_or(u64::MAX))
+        let last_ns = seen.log.accepted().last().map_or(0, |frame| frame.at_ns);
+        Duration::from_ns(seen.log.mastership().gap_max_ns(last_ns))
+    }
+
+    /// Time in which both systems drove, ns.
+    #[must_use]
+    pub fn two_masters_ns(&self) -> u64 {
+        self.seen.borrow().log.mastership().two_masters_ns()
     }
 
     /// Systems in the order in which they drove, without repetition.
     #[must_use]
     pub fn masters(&self) -> Vec<SystemId> {
-        let mut masters: Vec<_> = self
-            .seen
-            .borrow()
-            .accepted
-            .iter()
-            .map(|(_, s)| *s)
-            .collect();
-        masters.dedup();
-        masters
+        self.seen.borrow().log.masters()
     }
 
     /// How often the vehicle has hit another.

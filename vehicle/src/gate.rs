@@ -14,9 +14,8 @@
 use tandem_bus::e2e::{Check, Checker};
 use tandem_bus::{Control, Message, Role};
 
-/// Two systems have both been master if the vehicle accepted X, then Y, then X again within this
-/// time, ns. A takeover and a second one back take a restart in between, which is far longer.
-const TWO_MASTERS_WITHIN_NS: u64 = 200_000_000;
+use crate::mastership::Mastership;
+
 /// After this silence a sender may start with any counter, ns: it was down, and frames that were
 /// lost meanwhile are not news.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
@@ -70,11 +69,7 @@ pub struct Gate {
     highest_term: u32,
     accepted: Option<Acceptance>,
     counts: FrameCounts,
-    gap_max_ns: u64,
-    /// When the system that is accepted now took over from the other one.
-    switched_ns: Option<u64>,
-    switches: u32,
-    two_masters_ns: u64,
+    mastership: Mastership,
     log: Vec<Acceptance>,
 }
 
@@ -88,10 +83,7 @@ impl Gate {
             highest_term: 0,
             accepted: None,
             counts: FrameCounts::default(),
-            gap_max_ns: 0,
-            switched_ns: None,
-            switches: 0,
-            two_masters_ns: 0,
+            mastership: Mastership::default(),
             log: Vec::new(),
         }
     }
@@ -150,17 +142,8 @@ impl Gate {
     fn accept(&mut self, entry: Acceptance) {
         self.counts.accepted += 1;
         self.highest_term = entry.term;
-        if let Some(last) = self.accepted {
-            self.gap_max_ns = self.gap_max_ns.max(entry.at_ns.saturating_sub(last.at_ns));
-            if last.system != entry.system {
-                let since = self.switched_ns.map(|at| entry.at_ns.saturating_sub(at));
-                if let Some(since) = since.filter(|since| *since < TWO_MASTERS_WITHIN_NS) {
-                    self.two_masters_ns += since;
-                }
-                self.switched_ns = Some(entry.at_ns);
-                self.switches += 1;
-            }
-        }
+        self.mastership
+            .accept(entry.at_ns, entry.system, entry.term);
         self.accepted = Some(entry);
     }
 
@@ -176,25 +159,10 @@ impl Gate {
         self.counts
     }
 
-    /// Longest time between two frames that acted, or since the last one, ns.
+    /// Gaps, changes and two masters, from the frames that acted.
     #[must_use]
-    pub fn gap_max_ns(&self, now_ns: u64) -> u64 {
-        let open = self
-            .accepted
-            .map_or(0, |last| now_ns.saturating_sub(last.at_ns));
-        self.gap_max_ns.max(open)
-    }
-
-    /// How often the acting system changed.
-    #[must_use]
-    pub fn switches(&self) -> u32 {
-        self.switches
-    }
-
-    /// Time in which frames of both systems acted in turn, ns.
-    #[must_use]
-    pub fn two_masters_ns(&self) -> u64 {
-        self.two_masters_ns
+    pub const fn mastership(&self) -> &Mastership {
+        &self.mastership
     }
 
     /// Takes the log's entries since the last call, oldest first.
@@ -255,8 +223,9 @@ mod tests {
         ];
         let expected = [Accepted, Accepted, Accepted, Fenced, Accepted, Fenced];
         assert_eq!(verdicts(&mut gate, &frames), expected);
-        assert_eq!((gate.switches(), gate.two_masters_ns()), (1, 0));
-        assert_eq!(gate.gap_max_ns(36 * MS), 15 * MS);
+        let mastership = gate.mastership();
+        assert_eq!((mastership.changes(), mastership.two_masters_ns()), (1, 0));
+        assert_eq!(mastership.gap_max_ns(36 * MS), 15 * MS);
         assert_eq!(
             gate.counts(),
             FrameCounts {
@@ -265,13 +234,6 @@ mod tests {
                 ..Default::default()
             }
         );
-    }
-
-    #[test]
-    fn two_systems_that_raise_their_terms_in_turn_are_two_masters() {
-        let mut gate = Gate::new();
-        verdicts(&mut gate, &[(0, 0, 2), (10, 1, 3), (20, 0, 4), (30, 1, 5)]);
-        assert_eq!(gate.two_masters_ns(), 20 * MS);
     }
 
     #[test]

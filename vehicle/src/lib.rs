@@ -21,6 +21,7 @@ pub mod actuators;
 pub mod commonroad;
 pub mod gate;
 pub mod geometry;
+pub mod mastership;
 pub mod metrics;
 pub mod plant;
 pub mod road;

@@ -186,7 +186,7 @@ fn without_a_controller_it_brakes_gently_until_the_next_master() {
     assert_eq!(run.now().accepted.map(|a| (a.system, a.term)), Some((1, 3)));
     let last = run.world.gate_mut().drain_log().next_back().unwrap();
     assert_eq!((last.system, last.verdict), (0, Verdict::Fenced));
-    assert!(run.world.gate().gap_max_ns(run.now_ms * MS) >= 1_090 * MS);
+    assert!(run.world.gate().mastership().gap_max_ns(run.now_ms * MS) >= 1_090 * MS);
 }
 
 #[test]

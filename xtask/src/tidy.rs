@@ -31,6 +31,16 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
         &["tandem-shm", "tandem-board", "tandem-redundancy"],
     ),
     ("tandem-vehicle", &["tandem-bus"]),
+    (
+        "tandem-record",
+        &[
+            "tandem-board",
+            "tandem-bus",
+            "tandem-cores",
+            "tandem-redundancy",
+            "tandem-vehicle",
+        ],
+    ),
     ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
     ("tandem-board-sim", &["tandem-board", "tandem-peripherals"]),
     ("tandem-peripherals", &["tandem-board"]),

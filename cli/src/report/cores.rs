@@ -8,10 +8,11 @@ use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::Event;
 
+use tandem_record::{RunLog, Takeover};
+use tandem_vehicle::Verdict;
+
 use super::charts::{color, plain, round_ticks};
-use crate::mastership::Takeover;
 use crate::metrics::Metrics;
-use crate::runlog::{RunLog, System, Verdict};
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
 /// What the timeline shows before and after its moment, ms: a period of perception and more.
@@ -348,11 +349,8 @@ impl Drawing {
                 continue;
             }
             let x = self.x(frame.at_ns);
-            let color = match frame.system {
-                System::A => color::A,
-                System::B => color::B,
-            };
-            let (name, ms, fill) = (frame.system.name(), self.ms(frame.at_ns), hex(color));
+            let color = system_color(frame.system);
+            let (name, ms, fill) = (frame.system, self.ms(frame.at_ns), hex(color));
             let _ = match frame.verdict {
                 Verdict::Accepted => write!(
                     self.svg,

@@ -7,11 +7,10 @@ mod top_view;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use plotters::style::RGBColor;
+use tandem_record::roles::State;
+use tandem_record::{RunLog, Takeover, takeovers, words};
 
-use crate::mastership::{Takeover, takeovers};
 use crate::metrics::Metrics;
-use crate::roles::State;
-use crate::runlog::{Mode, RunLog, What};
 use crate::timeline::Timeline;
 use charts::Chart;
 
@@ -383,8 +382,9 @@ fn events(log: &RunLog) -> Markup {
         .events
         .iter()
         .filter_map(|event| {
-            let who = format!("{}{}", event.system.name(), event.core);
-            Some((log.seconds(event.at_ns), who, describe(&event.what)?))
+            let who = format!("{}{}", event.system, event.core);
+            let what = words::core_event(event.event)?;
+            Some((log.seconds(event.at_ns), who, what))
         })
         .collect();
     let vehicle =
@@ -406,7 +406,7 @@ fn events(log: &RunLog) -> Markup {
         };
         (
             log.seconds(power.at_ns),
-            format!("system {}", power.system.name()),
+            format!("system {}", power.system),
             what.to_owned(),
         )
     }));
@@ -441,34 +441,6 @@ fn merged(rows: Vec<EventRow>) -> Vec<EventRow> {
         _ => (at_s, who, format!("{what} ({times} times)")),
     };
     merged.into_iter().map(counted).collect()
-}
-
-/// An event in words; `None` for those that come in every cycle.
-fn describe(what: &What) -> Option<String> {
-    Some(match what {
-        What::Started { generation, cause } => format!("starts, life {generation}: {cause}"),
-        What::RoleChanged { role, mode, term } => {
-            let function = match mode {
-                Mode::L3 => ", L3",
-                Mode::None | Mode::DegradedL2 | Mode::SafeStop => "",
-            };
-            format!(
-                "is {}{function}, term {term}",
-                State::of(*role, *mode).name()
-            )
-        }
-        What::TookOver { cause, detected_ms } => {
-            format!("takes over: {cause}, detected in {detected_ms:.2} ms")
-        }
-        What::HeldUp => {
-            "was held up, and listens whether the other system drives by now".to_owned()
-        }
-        What::LateCycle { late_ms } => format!("began a control cycle {late_ms:.1} ms late"),
-        What::CoreSilent { core } => format!("core {core} of its own system does not answer"),
-        What::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
-        What::Note { text } => text.clone(),
-        What::ChainDone { .. } => return None,
-    })
 }
 
 #[cfg(test)]

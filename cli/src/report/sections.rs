@@ -1,13 +1,14 @@
 //! The charts of a report: which data of the run each one shows.
 
 use super::charts::{Axis, Chart, Series, Shape, Style, color, plain, thin};
-use crate::mastership::{Takeover, ms_between};
 use crate::metrics::{chain_ms, control_periods_ms, jerk};
 use crate::percentiles::Spans;
-use crate::roles::{State, timeline};
-use crate::runlog::{RunLog, Sample, System};
 
 use plotters::style::RGBColor;
+use tandem_board::SystemId;
+use tandem_record::log::Sample;
+use tandem_record::roles::{State, timeline};
+use tandem_record::{RunLog, Takeover, ms_between};
 
 /// More points than this in a line cannot be told apart.
 const LINE_POINTS: usize = 1_500;
@@ -18,10 +19,10 @@ const DOTS: usize = 3_000;
 const SHORTEST_MS: f64 = 0.001;
 
 /// The colour of a system.
-pub(super) const fn system_color(system: System) -> RGBColor {
+pub(super) const fn system_color(system: SystemId) -> RGBColor {
     match system {
-        System::A => color::A,
-        System::B => color::B,
+        SystemId::A => color::A,
+        SystemId::B => color::B,
     }
 }
 
@@ -112,7 +113,7 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     };
     let mut chart = Chart::new(150, Axis::time(log.driven_s()), y);
     chart.grid = false;
-    for (system, base) in [(System::A, 1.0), (System::B, 0.0)] {
+    for (system, base) in [(SystemId::A, 1.0), (SystemId::B, 0.0)] {
         for span in timeline(log, system) {
             if let Some(color) = state_color(span.state) {
                 let (left, right) = (span.from_s, span.to_s);
@@ -215,14 +216,14 @@ pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
     let top = gaps.iter().map(|gap| gap.2.ceil() as i32).fold(2, i32::max);
     let y = Axis::decades("ms", (0, top), |power| plain(10.0_f64.powf(power)));
     let mut chart = Chart::new(230, Axis::time(log.driven_s()), y);
-    for system in System::ALL {
+    for system in SystemId::ALL {
         let points: Vec<_> = gaps
             .iter()
             .filter(|gap| gap.0 == system)
             .map(|gap| (gap.1, gap.2.max(0.0)))
             .collect();
         chart.series.push(Series {
-            name: format!("accepted from {}", system.name()),
+            name: format!("accepted from {}", system),
             color: system_color(system),
             style: Style::Dots,
             points: thin(&points, DOTS),

@@ -1,7 +1,8 @@
 //! The road from above at one moment: lanes, the own path, the vehicles.
 
 use super::charts::{Axis, Chart, Series, Shape, Style, color};
-use crate::runlog::{Lane, Other, RunLog, Sample};
+use tandem_record::RunLog;
+use tandem_record::log::{Lane, Other, Sample};
 
 /// Height of the chart in its own units.
 const HEIGHT: u32 = 230;

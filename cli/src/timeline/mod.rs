@@ -15,8 +15,8 @@ use std::collections::HashMap;
 use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::task_table::{self, IrqCode, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_record::RunLog;
 
-use crate::tape::{Entry, Source};
 use jobs::Jobs;
 pub(crate) use jobs::{InterruptMetrics, TaskMetrics, WakeMetrics};
 pub(crate) use perfetto::encode;
@@ -147,26 +147,16 @@ pub(crate) struct Timeline {
 
 impl Timeline {
     /// Puts the records of a run together.
-    pub(crate) fn new(entries: &[Entry]) -> Self {
-        let mut supplies = Vec::new();
+    pub(crate) fn new(log: &RunLog) -> Self {
+        let supplies = log.supplies.clone();
         let mut by_core: Vec<Vec<(u64, Event)>> = vec![Vec::new(); 2 * CoreId::COUNT];
-        for entry in entries {
-            let at_ns = entry.at.as_ns();
-            match entry.source {
-                Source::Supply(system) => {
-                    let event = SupplyEvent::decode(entry.record);
-                    supplies.extend(event.map(|event| (at_ns, system, event)));
-                }
-                Source::Core(system, core) => {
-                    let records = &mut by_core[place(system, core)];
-                    // Times of one core never go back, whatever it says.
-                    let last_ns = records.last().map_or(0, |(last_ns, _)| *last_ns);
-                    let event = Event::decode(entry.record);
-                    records.extend(event.map(|event| (at_ns.max(last_ns), event)));
-                }
-            }
+        for traced in &log.trace {
+            let records = &mut by_core[place(traced.system, traced.core)];
+            // Times of one core never go back, whatever it says.
+            let last_ns = records.last().map_or(0, |(last_ns, _)| *last_ns);
+            let event = Event::decode(traced.record);
+            records.extend(event.map(|event| (traced.at.as_ns().max(last_ns), event)));
         }
-        supplies.sort_by_key(|(at_ns, ..)| *at_ns);
         let mut wakes = Wakes::new(&by_core);
         let mut flows = Vec::new();
         let mut tasks = Vec::new();

@@ -7,7 +7,7 @@
 use std::collections::HashMap;
 
 use prost::Message as _;
-use tandem_board::{CoreId, ResetCause, SupplyEvent, SystemId};
+use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::trace::Event;
 
 use super::schema::{
@@ -15,9 +15,9 @@ use super::schema::{
     STATE_CLEARED, ThreadDescriptor, TracePacket, TrackDescriptor, TrackEvent, event_type,
 };
 use super::{CoreLine, Step, Timeline, irq_name, task_name};
-use crate::mastership::takeovers;
-use crate::observe;
-use crate::runlog::{RunLog, System, Verdict, What};
+use tandem_record::roles::State;
+use tandem_record::{RunLog, takeovers, words};
+use tandem_vehicle::Verdict;
 
 const SEQUENCE: u32 = 1;
 /// Key of a packet in a trace: field 1, with a length.
@@ -242,21 +242,8 @@ impl Trace {
         let track = self.thread(pid(system), 9, "supply");
         let mine = timeline.supplies.iter().filter(|(_, of, _)| *of == system);
         for (at_ns, _, event) in mine {
-            let (name, is_marker) = match event {
-                SupplyEvent::CoreStarted { core, generation } => (
-                    format!("core {} starts, life {}", core.index(), generation.0),
-                    false,
-                ),
-                SupplyEvent::CoreDied { core, signal: 0 } => {
-                    (format!("core {} died", core.index()), true)
-                }
-                SupplyEvent::CoreDied { core, signal } => (
-                    format!("core {} died of signal {signal}", core.index()),
-                    true,
-                ),
-                SupplyEvent::Reset(cause) => (format!("reset: {}", cause_name(*cause)), true),
-                SupplyEvent::Suspended => ("suspended".to_owned(), true),
-            };
+            let is_marker = !matches!(event, SupplyEvent::CoreStarted { .. });
+            let name = words::supply_event(*event);
             self.moment(track, *at_ns, Kind::Instant, &name);
             if is_marker {
                 let name = format!("{system}: {name}");
@@ -271,7 +258,7 @@ impl Trace {
         let mine = log
             .events
             .iter()
-            .filter(|event| event.core == 0 && event.system == System::from(system));
+            .filter(|event| event.core == CoreId::CONTROL && event.system == system);
         let mut open = false;
         let mut last_ns = 0;
         let mut change = |trace: &mut Self, at_ns: u64, name: Option<&str>| {
@@ -287,19 +274,20 @@ impl Trace {
         let off = log
             .power
             .iter()
-            .filter(|power| !power.on && power.system == System::from(system))
+            .filter(|power| !power.on && power.system == system)
             .map(|power| (power.at_ns, None));
-        let roles = mine.filter_map(|event| match &event.what {
-            What::RoleChanged { role, mode, .. } => {
-                Some((event.at_ns, Some(role_name(*role, *mode))))
+        let roles = mine.filter_map(|event| match event.event {
+            Event::Role { role, mode, .. } => {
+                let state = State::of_codes(role, mode)?;
+                Some((event.at_ns, Some(state.name())))
             }
-            What::Started { .. } => Some((event.at_ns, None)),
+            Event::Started { .. } => Some((event.at_ns, None)),
             _ => None,
         });
-        let mut changes: Vec<(u64, Option<String>)> = off.chain(roles).collect();
+        let mut changes: Vec<(u64, Option<&str>)> = off.chain(roles).collect();
         changes.sort_by_key(|(at_ns, _)| *at_ns);
         for (at_ns, name) in &changes {
-            change(self, *at_ns, name.as_deref());
+            change(self, *at_ns, *name);
         }
         let end_ns = log.end_ns.unwrap_or(0);
         change(self, end_ns, None);
@@ -350,7 +338,7 @@ impl Trace {
                 Verdict::NotMaster => "not a master's",
                 Verdict::Invalid => "invalid",
             };
-            let name = format!("{} {verdict}", frame.system.name());
+            let name = format!("{} {verdict}", frame.system);
             self.moment(bus, frame.at_ns, Kind::Instant, &name);
         }
         let gap = self.counter(process, "gap between obeyed frames", "ms");
@@ -367,8 +355,8 @@ impl Trace {
         }
         let mut events: Vec<(u64, String)> = Vec::new();
         events.extend(takeovers(log).iter().map(|takeover| {
-            let (from, to) = (takeover.from.name(), takeover.to.name());
-            let cause = takeover.cause.as_deref().unwrap_or("no sign known");
+            let (from, to) = (takeover.from, takeover.to);
+            let cause = takeover.cause_in_words();
             (
                 takeover.at_ns,
                 format!("{to} drives in place of {from}: {cause}"),
@@ -376,7 +364,7 @@ impl Trace {
         }));
         events.extend(log.power.iter().map(|power| {
             let state = if power.on { "has power" } else { "is off" };
-            (power.at_ns, format!("{} {state}", power.system.name()))
+            (power.at_ns, format!("{} {state}", power.system))
         }));
         let collisions = log.collisions_ns.iter();
         events.extend(collisions.map(|at_ns| (*at_ns, "collision".to_owned())));
@@ -455,31 +443,6 @@ impl Moment {
     }
 }
 
-const fn cause_name(cause: ResetCause) -> &'static str {
-    match cause {
-        ResetCause::PowerOn => "power-on",
-        ResetCause::Software => "software",
-        ResetCause::Watchdog => "watchdog",
-        ResetCause::Trap => "trap or dead core",
-    }
-}
-
-fn role_name(role: crate::runlog::Role, mode: crate::runlog::Mode) -> String {
-    use crate::runlog::{Mode, Role};
-    let role = match role {
-        Role::Starting => "starting",
-        Role::Master => "master",
-        Role::Standby => "standby",
-        Role::Suspended => "suspended",
-    };
-    match mode {
-        Mode::None => role.to_owned(),
-        Mode::L3 => format!("{role}, L3"),
-        Mode::DegradedL2 => format!("{role}, degraded L2"),
-        Mode::SafeStop => format!("{role}, safe stop"),
-    }
-}
-
 /// Category and name of a moment on a core; `None` if counters show it.
 fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
     Some(match event {
@@ -491,7 +454,6 @@ fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
         Event::Woken { core, .. } => ("wake", format!("woken by core {}", core.index())),
         Event::Ring { core } => ("interrupt", format!("rings core {}", core.index())),
         Event::Ready { task } => ("ready", format!("{} is ready", task_name(line.core, task))),
-        Event::ControlCycle { .. } | Event::Chain { .. } => return None,
-        other => ("event", observe::words(other)?),
+        other => ("event", words::core_event(other)?),
     })
 }

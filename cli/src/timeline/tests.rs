@@ -5,7 +5,8 @@ use std::io::Write as _;
 use std::process::{Command, Stdio};
 
 use prost::Message as _;
-use tandem_board::{Instant, ResetCause};
+use tandem_board::{Instant, ResetCause, Traced};
+use tandem_record::Entry;
 
 use super::schema::{TracePacket, event_type};
 use super::*;
@@ -15,19 +16,23 @@ const A: SystemId = SystemId::A;
 const CONTROL: CoreId = CoreId::CONTROL;
 
 fn at(us: u64, core: CoreId, event: Event) -> Entry {
-    Entry {
+    Entry::Trace(Traced {
         at: Instant::from_ns(us * 1_000),
-        source: Source::Core(A, core),
+        system: A,
+        core,
         record: event.encode(),
-    }
+    })
+}
+
+fn timeline_of(entries: &[Entry]) -> Timeline {
+    let mut log = RunLog::default();
+    entries.iter().cloned().for_each(|entry| log.push(entry));
+    log.sort();
+    Timeline::new(&log)
 }
 
 fn supply(us: u64, event: SupplyEvent) -> Entry {
-    Entry {
-        at: Instant::from_ns(us * 1_000),
-        source: Source::Supply(A),
-        record: event.encode(),
-    }
+    Entry::Supply(Instant::from_ns(us * 1_000), A, event)
 }
 
 fn goes(task: TaskCode) -> Event {
@@ -82,7 +87,7 @@ fn ms(value: Option<f64>) -> f64 {
 fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
     let (low, high) = (TaskCode::STATUS, TaskCode::CONTROL);
     let irq = IrqCode::TICK;
-    let timeline = Timeline::new(&on_core(
+    let timeline = timeline_of(&on_core(
         CONTROL,
         &[
             (1_000, Event::Ready { task: low }),
@@ -124,7 +129,7 @@ fn a_pre_empted_task_is_not_charged_for_what_ran_instead() {
 #[test]
 fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
     let task = TaskCode::ROLES;
-    let timeline = Timeline::new(&on_core(
+    let timeline = timeline_of(&on_core(
         CONTROL,
         &[
             (1_000, Event::Ready { task }),
@@ -147,7 +152,7 @@ fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
 
 #[test]
 fn a_nested_task_pauses_the_one_around_it() {
-    let timeline = Timeline::new(&on_core(
+    let timeline = timeline_of(&on_core(
         CONTROL,
         &[
             (1_000, released(TaskCode::ROLES, 100, 0)),
@@ -171,7 +176,7 @@ fn a_nested_task_pauses_the_one_around_it() {
 #[test]
 fn deadlines_are_missed_by_late_jobs_and_by_releases_without_a_job() {
     let task = TaskCode::MONITORING;
-    let timeline = Timeline::new(&on_core(
+    let timeline = timeline_of(&on_core(
         CONTROL,
         &[
             (10_000, released(task, 0, 0)),
@@ -210,7 +215,7 @@ fn what_a_core_did_when_it_was_killed_ends_when_the_supply_saw_it() {
     );
     entries.push(supply(250, died));
     entries.push(supply(260, SupplyEvent::Reset(ResetCause::Trap)));
-    let timeline = Timeline::new(&entries);
+    let timeline = timeline_of(&entries);
     let shown = slices(&timeline, CONTROL);
     assert_eq!(shown[1], ("control".into(), 200, 250, 1, true));
     assert_eq!(shown[0], ("heartbeat and roles".into(), 100, 250, 0, true));
@@ -222,7 +227,7 @@ fn what_a_core_did_when_it_was_killed_ends_when_the_supply_saw_it() {
 
 #[test]
 fn a_slice_whose_end_was_lost_ends_with_the_one_around_it() {
-    let timeline = Timeline::new(&on_core(
+    let timeline = timeline_of(&on_core(
         CONTROL,
         &[
             (100, goes(TaskCode::CONTROL)),
@@ -270,7 +275,7 @@ fn a_signal_is_joined_to_the_last_one_of_its_number_and_only_once() {
             (5_300, done(TaskCode::PLANNING)),
         ],
     ));
-    let timeline = Timeline::new(&entries);
+    let timeline = timeline_of(&entries);
     let times: Vec<(u64, u64)> = timeline
         .flows
         .iter()
@@ -293,7 +298,7 @@ fn a_signal_is_joined_to_the_last_one_of_its_number_and_only_once() {
 fn the_fullest_stack_counts() {
     let task = TaskCode::CONTROL;
     let stack = |free_bytes| Event::Stack { task, free_bytes };
-    let timeline = Timeline::new(&on_core(CONTROL, &[(1, stack(900)), (2, stack(700))]));
+    let timeline = timeline_of(&on_core(CONTROL, &[(1, stack(900)), (2, stack(700))]));
     assert_eq!(figures(&timeline, "control").stack_free_bytes, Some(700));
 }
 
@@ -317,15 +322,15 @@ fn random(seed: u64, count: usize) -> Vec<Entry> {
             let kind = [1, 17, 17, 17, 18, 18, 18, 18, 19, 20, 21, 22, 23, 24][next(14) as usize];
             let fields = (next(4) << 8) | (next(3) << 16);
             if next(50) == 0 {
-                let record = [2 + next(2) as u32, next(3) as u32, 9, 0];
-                let source = Source::Supply(system);
-                return Entry { at, source, record };
+                let signal = 9;
+                return Entry::Supply(at, system, SupplyEvent::CoreDied { core, signal });
             }
-            Entry {
+            Entry::Trace(Traced {
                 at,
-                source: Source::Core(system, core),
+                system,
+                core,
                 record: [kind | fields as u32, next(4) as u32, next(2) as u32, 0],
-            }
+            })
         })
         .collect()
 }
@@ -334,10 +339,12 @@ fn random(seed: u64, count: usize) -> Vec<Entry> {
 pub(crate) fn around(at_ns: u64) -> Timeline {
     let mut entries = random(7, 2_000);
     for entry in &mut entries {
-        let ns = at_ns + entry.at.as_ns();
-        entry.at = Instant::from_ns(ns.saturating_sub(20_000_000));
+        if let Entry::Trace(Traced { at, .. }) | Entry::Supply(at, ..) = entry {
+            let ns = at_ns + at.as_ns();
+            *at = Instant::from_ns(ns.saturating_sub(20_000_000));
+        }
     }
-    Timeline::new(&entries)
+    timeline_of(&entries)
 }
 
 /// Slices of a track nest and end, time does not go back, arrows have both ends in order.
@@ -389,7 +396,7 @@ fn check(bytes: &[u8]) {
 fn whatever_the_cores_wrote_the_trace_is_well_formed() {
     let log = synthetic::with_takeover(1.0);
     for seed in 0..100 {
-        let timeline = Timeline::new(&random(seed, 400));
+        let timeline = timeline_of(&random(seed, 400));
         check(&encode(&timeline, &log));
         for line in &timeline.cores {
             for pair in line.steps.windows(2) {
@@ -397,10 +404,7 @@ fn whatever_the_cores_wrote_the_trace_is_well_formed() {
             }
         }
     }
-    check(&encode(
-        &Timeline::default(),
-        &crate::runlog::RunLog::default(),
-    ));
+    check(&encode(&Timeline::default(), &RunLog::default()));
 }
 
 /// Perfetto's own description of the format reads the trace, and finds in it what was meant.
@@ -422,7 +426,7 @@ fn perfetto_oracle_reads_what_was_written() {
         );
         return;
     }
-    let timeline = Timeline::new(&random(7, 2_000));
+    let timeline = timeline_of(&random(7, 2_000));
     let mut child = Command::new("python3")
         .arg(SCRIPT)
         .stdin(Stdio::piped())

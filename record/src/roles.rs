@@ -1,13 +1,18 @@
 //! The role of each system over time, from everything in the log that shows it.
 
-use crate::runlog::{Mode, Role, RunLog, System, Verdict, What};
+use tandem_board::{CoreId, SystemId};
+use tandem_bus::{Mode, Role};
+use tandem_cores::trace::Event;
+use tandem_vehicle::Verdict;
+
+use crate::RunLog;
 
 /// A system of which nothing was seen for this long was off, ns: two and a half status periods.
 const SILENT_NS: u64 = 250_000_000;
 
 /// What a system is, as a person tells it apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum State {
+pub enum State {
     /// Not seen: without power, in reset, or dead.
     Off,
     /// Not yet in a role.
@@ -26,7 +31,7 @@ pub(crate) enum State {
 
 impl State {
     /// All states, in the order of a legend.
-    pub(crate) const ALL: [Self; 7] = [
+    pub const ALL: [Self; 7] = [
         Self::Master,
         Self::Degraded,
         Self::SafeStop,
@@ -37,7 +42,8 @@ impl State {
     ];
 
     /// What a legend calls it.
-    pub(crate) const fn name(self) -> &'static str {
+    #[must_use]
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Off => "off",
             Self::Starting => "starting",
@@ -49,8 +55,16 @@ impl State {
         }
     }
 
+    /// As [`State::of`], from the codes of a trace record; `None` if there is no such code.
+    #[must_use]
+    pub fn of_codes(role: u8, mode: u8) -> Option<Self> {
+        let role = Role::ALL.get(usize::from(role))?;
+        Some(Self::of(*role, *Mode::ALL.get(usize::from(mode))?))
+    }
+
     /// The state that a role and a function make.
-    pub(crate) const fn of(role: Role, mode: Mode) -> Self {
+    #[must_use]
+    pub const fn of(role: Role, mode: Mode) -> Self {
         match (role, mode) {
             (Role::Starting, _) => Self::Starting,
             (Role::Standby, _) => Self::Standby,
@@ -64,17 +78,18 @@ impl State {
 
 /// A time in which a system was in one state: scenario time in s.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Span {
+pub struct Span {
     /// From.
-    pub(crate) from_s: f64,
+    pub from_s: f64,
     /// To.
-    pub(crate) to_s: f64,
+    pub to_s: f64,
     /// The state.
-    pub(crate) state: State,
+    pub state: State,
 }
 
 /// The states of one system, without gaps from the start to the end of the run.
-pub(crate) fn timeline(log: &RunLog, system: System) -> Vec<Span> {
+#[must_use]
+pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
     let mut seen = observations(log, system);
     seen.sort_by_key(|(at_ns, _)| *at_ns);
     let end_s = log.driven_s();
@@ -113,7 +128,7 @@ pub(crate) fn timeline(log: &RunLog, system: System) -> Vec<Span> {
     spans
 }
 
-fn observations(log: &RunLog, system: System) -> Vec<(u64, State)> {
+fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
     let status = log.status.iter().filter(|status| status.system == system);
     let control = log
         .control
@@ -122,7 +137,7 @@ fn observations(log: &RunLog, system: System) -> Vec<(u64, State)> {
     let events = log
         .events
         .iter()
-        .filter(|event| event.system == system && event.core == 0);
+        .filter(|event| event.system == system && event.core == CoreId::CONTROL);
     let mut seen: Vec<(u64, State)> = status
         .map(|status| (status.at_ns, State::of(status.role, status.mode)))
         .collect();
@@ -132,9 +147,9 @@ fn observations(log: &RunLog, system: System) -> Vec<(u64, State)> {
         .iter()
         .filter(|power| power.system == system && !power.on);
     seen.extend(off.map(|power| (power.at_ns, State::Off)));
-    seen.extend(events.filter_map(|event| match event.what {
-        What::RoleChanged { role, mode, .. } => Some((event.at_ns, State::of(role, mode))),
-        What::Started { .. } => Some((event.at_ns, State::Starting)),
+    seen.extend(events.filter_map(|event| match event.event {
+        Event::Role { role, mode, .. } => Some((event.at_ns, State::of_codes(role, mode)?)),
+        Event::Started { .. } => Some((event.at_ns, State::Starting)),
         _ => None,
     }));
     seen
@@ -143,38 +158,65 @@ fn observations(log: &RunLog, system: System) -> Vec<(u64, State)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic;
+    use crate::log::{PowerChange, StatusFrame};
 
-    #[test]
-    fn a_master_that_loses_power_is_off_and_the_other_goes_from_standby_to_degraded() {
-        let log = synthetic::with_takeover(20.0);
-        let states = |system| -> Vec<State> {
-            timeline(&log, system)
-                .into_iter()
-                .map(|span| span.state)
-                .collect()
+    const SECOND_NS: u64 = 1_000_000_000;
+
+    /// A drives for two seconds and loses power; B is its standby and drives two seconds more.
+    fn log() -> RunLog {
+        let mut log = RunLog {
+            start_ns: Some(SECOND_NS),
+            end_ns: Some(5 * SECOND_NS),
+            ..RunLog::default()
         };
-        assert_eq!(states(System::A), [State::Master, State::Off]);
-        assert_eq!(states(System::B), [State::Standby, State::Degraded]);
-        let off = timeline(&log, System::A)[1];
-        assert!((off.from_s - 10.0).abs() < 0.03, "{off:?}");
-        assert!((off.to_s - 20.0).abs() < 1e-6);
+        for tenth in 0..40 {
+            let at_ns = SECOND_NS + tenth * SECOND_NS / 10;
+            let mut say = |system, role, mode| {
+                log.status.push(StatusFrame {
+                    at_ns,
+                    system,
+                    role,
+                    mode,
+                });
+            };
+            if tenth < 20 {
+                say(SystemId::A, Role::Master, Mode::L3);
+                say(SystemId::B, Role::Standby, Mode::L3);
+            } else {
+                say(SystemId::B, Role::Master, Mode::DegradedL2);
+            }
+        }
+        log.power.push(PowerChange {
+            at_ns: 3 * SECOND_NS,
+            system: SystemId::A,
+            on: false,
+        });
+        log
     }
 
     #[test]
-    fn a_system_that_nobody_saw_was_off_all_the_time() {
-        let mut log = synthetic::with_takeover(4.0);
+    fn a_master_that_loses_power_is_off_and_the_other_goes_from_standby_to_degraded() {
+        let log = log();
+        let states = |system| -> Vec<State> {
+            let spans = timeline(&log, system).into_iter();
+            spans.map(|span| span.state).collect()
+        };
+        assert_eq!(states(SystemId::A), [State::Master, State::Off]);
+        assert_eq!(states(SystemId::B), [State::Standby, State::Degraded]);
+        let off = timeline(&log, SystemId::A)[1];
+        assert_eq!((off.from_s, off.to_s), (2.0, 4.0));
+    }
+
+    #[test]
+    fn a_system_without_any_sign_was_off_all_the_time() {
+        let mut log = log();
         log.status.clear();
-        log.control.clear();
-        log.events.clear();
-        let spans = timeline(&log, System::B);
-        assert_eq!(
-            spans,
-            [Span {
-                from_s: 0.0,
-                to_s: 4.0,
-                state: State::Off
-            }]
-        );
+        let spans = timeline(&log, SystemId::B);
+        let all = Span {
+            from_s: 0.0,
+            to_s: 4.0,
+            state: State::Off,
+        };
+        assert_eq!(spans, [all]);
     }
 }

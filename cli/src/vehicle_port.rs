@@ -14,7 +14,7 @@ use tandem_board_qemu::EmulatedWorld;
 const TICK: Duration = Duration::from_ms(1);
 
 /// A board as the vehicle sees it.
-pub(crate) trait Outside {
+pub(crate) trait VehiclePort {
     /// Waits for the next tick of 1 ms, and returns when it was due.
     ///
     /// # Errors
@@ -63,7 +63,7 @@ impl OnHost {
     }
 }
 
-impl Outside for OnHost {
+impl VehiclePort for OnHost {
     fn tick(&mut self) -> anyhow::Result<Instant> {
         let ticker = self.ticker.get_or_insert_with(|| Ticker::new(TICK));
         Ok(ticker.wait().due)
@@ -122,7 +122,7 @@ pub(crate) struct OnQemu {
     pub(crate) stop: Arc<AtomicBool>,
 }
 
-impl Outside for OnQemu {
+impl VehiclePort for OnQemu {
     fn tick(&mut self) -> anyhow::Result<Instant> {
         Ok(self.world.step()?)
     }

@@ -5,7 +5,7 @@ use std::ffi::OsString;
 use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 
-/// By which limits the cores are to judge time.
+/// The time limits of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum Profile {
@@ -27,7 +27,7 @@ impl Profile {
 
 /// What all processes of a run are told, as one argument.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct RunPlan {
+pub(crate) struct RunConfig {
     /// Name or path of the scenario.
     pub(crate) scenario: String,
     /// Seed of the sensors' noise.
@@ -40,20 +40,20 @@ pub(crate) struct RunPlan {
     pub(crate) reintegrate: bool,
 }
 
-impl RunPlan {
+impl RunConfig {
     /// The argument.
     ///
     /// # Errors
-    /// Never in practice: the plan has no content that JSON cannot hold.
+    /// Never in practice: it has no content that JSON cannot hold.
     pub(crate) fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
         Ok(vec![
             serde_json::to_string(self)
-                .context("the plan of the run")?
+                .context("the configuration of the run")?
                 .into(),
         ])
     }
 
-    /// The plan from a process's argument.
+    /// The configuration from a process's argument.
     ///
     /// # Errors
     /// If this program has not made it.
@@ -61,8 +61,9 @@ impl RunPlan {
         let text = extra
             .first()
             .and_then(|text| text.to_str())
-            .context("the plan is missing")?;
-        serde_json::from_str(text).context("the plan of the run (made by this program itself)")
+            .context("the configuration of the run is missing")?;
+        serde_json::from_str(text)
+            .context("the configuration of the run (made by this program itself)")
     }
 }
 
@@ -71,8 +72,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_plan_survives_the_command_line() {
-        let plan = RunPlan {
+    fn a_configuration_survives_the_command_line() {
+        let config = RunConfig {
             scenario: "/tmp/a \"b\".xml".into(),
             seed: u64::MAX,
             duration_s: 0.5,
@@ -80,9 +81,9 @@ mod tests {
             reintegrate: true,
         };
         assert_eq!(
-            RunPlan::from_extra(&plan.to_extra().unwrap()).unwrap(),
-            plan
+            RunConfig::from_extra(&config.to_extra().unwrap()).unwrap(),
+            config
         );
-        assert!(RunPlan::from_extra(&[]).is_err());
+        assert!(RunConfig::from_extra(&[]).is_err());
     }
 }

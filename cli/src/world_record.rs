@@ -1,0 +1,67 @@
+//! The world as a recording has it.
+
+use tandem_record::log::{DriveFigures, Lane, Other};
+use tandem_vehicle::geometry::Vec2;
+use tandem_vehicle::road::{Frenet, Road};
+use tandem_vehicle::{Metrics, VehicleSnapshot};
+
+/// The road is recorded from this far behind to this far ahead of the vehicle, m.
+const ROAD_BACK_M: f64 = 100.0;
+const ROAD_AHEAD_M: f64 = 400.0;
+const ROAD_STEP_M: f64 = 4.0;
+/// Lanes further to the side belong to other roads, m.
+const ROAD_ASIDE_M: f64 = 30.0;
+
+/// The vehicle's own figures.
+pub(crate) fn figures(metrics: &Metrics) -> DriveFigures {
+    let finite = |value: f64| Some(value).filter(|value| value.is_finite());
+    DriveFigures {
+        collisions: metrics.collisions,
+        lateral_error_max_m: metrics.lateral_error_max_m,
+        lane_changes: metrics.lane_changes,
+        gap_min_m: finite(metrics.gap_min_m),
+        ttc_min_s: finite(metrics.ttc_min_s),
+        accel_max: metrics.acceleration_max,
+        brake_max: metrics.deceleration_max,
+        lat_accel_max: metrics.lateral_acceleration_max,
+        jerk_p99: metrics.jerk_p99,
+        distance_m: metrics.distance_m,
+    }
+}
+
+/// Another vehicle.
+pub(crate) fn other(vehicle: &VehicleSnapshot) -> Other {
+    Other {
+        x: vehicle.pose.position.x,
+        y: vehicle.pose.position.y,
+        heading: vehicle.pose.yaw,
+        length: vehicle.length,
+        width: vehicle.width,
+    }
+}
+
+/// The lanes around a point.
+pub(crate) fn lanes(road: &Road, near: Vec2) -> Vec<Lane> {
+    let count = ((ROAD_BACK_M + ROAD_AHEAD_M) / ROAD_STEP_M) as u32;
+    let around = |lane: &tandem_vehicle::road::Lane| {
+        let place = lane.project(near);
+        let mut borders = Lane::default();
+        let stations =
+            (0..=count).map(|step| place.s - ROAD_BACK_M + f64::from(step) * ROAD_STEP_M);
+        for s in stations.filter(|s| lane.exists_at(*s)) {
+            let half = lane.at(s).width / 2.0;
+            let at = |d: f64| {
+                let point = lane.point(Frenet { s, d });
+                // A tenth of a metre is finer than any screen.
+                [
+                    (point.x * 10.0).round() / 10.0,
+                    (point.y * 10.0).round() / 10.0,
+                ]
+            };
+            borders.left.push(at(half));
+            borders.right.push(at(-half));
+        }
+        (place.d.abs() <= ROAD_ASIDE_M && borders.left.len() > 1).then_some(borders)
+    };
+    road.lanes().iter().filter_map(around).collect()
+}

@@ -1,0 +1,361 @@
+//! The file of a run: one entry after the other, as the vehicle's process sees them.
+//!
+//! An entry is its length (4 bytes), its kind (1 byte) and its content. Numbers are little-endian.
+//! Trace records and frames are binary, because there are thousands in a second; what the vehicle
+//! adds is JSON. A recording whose writer was killed can be read up to its last whole entry.
+
+use std::fs::File;
+use std::io::{self, BufReader, Read as _, Write};
+use std::path::Path;
+
+use anyhow::Context as _;
+use tandem_board::{CanFrame, CanId, CoreId, Instant, SupplyEvent, SystemId, Traced};
+use tandem_bus::{Message, candump};
+use tandem_vehicle::Verdict;
+
+use crate::log::VehicleRecord;
+
+/// Longest entry that a reader believes, bytes.
+const LONGEST: u32 = 1 << 24;
+/// Name of the bus in the CAN log.
+const INTERFACE: &str = "can0";
+const VERDICTS: [Verdict; 4] = [
+    Verdict::Accepted,
+    Verdict::Fenced,
+    Verdict::NotMaster,
+    Verdict::Invalid,
+];
+
+/// A frame on the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct BusFrame {
+    /// When it was on the bus.
+    pub at: Instant,
+    /// When its sender sent it.
+    pub sent: Instant,
+    /// The frame.
+    pub frame: CanFrame,
+    /// What the vehicle did with it, if it is a control frame.
+    pub verdict: Option<Verdict>,
+}
+
+impl BusFrame {
+    /// Its standard id; `None` if it has an extended one, as no frame of the DBC has.
+    #[must_use]
+    pub fn id(&self) -> Option<u16> {
+        match self.frame.id() {
+            CanId::Standard(id) => Some(id),
+            CanId::Extended(_) => None,
+        }
+    }
+
+    /// What it says; `None` if the DBC has no such frame.
+    #[must_use]
+    pub fn message(&self) -> Option<Message> {
+        Message::decode(self.id()?.into(), self.frame.data()).ok()
+    }
+
+    /// Its line in a CAN log, without a line feed; `epoch_us` is the time of day at the clock's 0.
+    #[must_use]
+    pub fn candump_line(&self, epoch_us: u64) -> Option<String> {
+        let id = match self.frame.id() {
+            CanId::Standard(id) => candump::Id::Standard(id),
+            CanId::Extended(id) => candump::Id::Extended(id),
+        };
+        let flags = self.frame.is_fd().then_some(candump::BIT_RATE_SWITCH);
+        let record = candump::Record::new(INTERFACE, id, flags, self.frame.data()).ok()?;
+        let at_us = epoch_us + self.at.as_ns() / 1_000;
+        Some(record.at_us(at_us).to_string())
+    }
+}
+
+/// One entry of a recording.
+#[derive(Clone, Debug)]
+pub enum Entry {
+    /// A record of a core's trace.
+    Trace(Traced),
+    /// Something that a supply did or saw.
+    Supply(Instant, SystemId, SupplyEvent),
+    /// A frame on the bus.
+    Frame(BusFrame),
+    /// What the vehicle adds.
+    Vehicle(Box<VehicleRecord>),
+}
+
+const TRACE: u8 = 1;
+const SUPPLY: u8 = 2;
+const FRAME: u8 = 3;
+const VEHICLE: u8 = 4;
+/// Bytes of an [`Entry::Trace`] in the file.
+pub const TRACE_BYTES: u64 = 4 + 1 + 1 + 8 + 16;
+
+impl From<VehicleRecord> for Entry {
+    fn from(record: VehicleRecord) -> Self {
+        Self::Vehicle(Box::new(record))
+    }
+}
+
+impl Entry {
+    /// Appends the entry.
+    ///
+    /// # Errors
+    /// Those of the writer.
+    pub fn write(&self, into: &mut impl Write) -> io::Result<()> {
+        let (kind, content) = match self {
+            Self::Trace(traced) => (TRACE, trace_bytes(traced)),
+            Self::Supply(at, system, event) => (SUPPLY, {
+                let mut bytes = vec![system.index() as u8];
+                bytes.extend(at.as_ns().to_le_bytes());
+                bytes.extend(event.encode().iter().flat_map(|word| word.to_le_bytes()));
+                bytes
+            }),
+            Self::Frame(frame) => (FRAME, frame_bytes(frame)),
+            Self::Vehicle(record) => (VEHICLE, serde_json::to_vec(record)?),
+        };
+        into.write_all(&(1 + content.len() as u32).to_le_bytes())?;
+        into.write_all(&[kind])?;
+        into.write_all(&content)
+    }
+
+    fn read(kind: u8, content: &[u8]) -> Option<Self> {
+        let mut bytes = Bytes(content);
+        Some(match kind {
+            TRACE => {
+                let [source] = bytes.take()?;
+                Self::Trace(Traced {
+                    system: SystemId::from_index(usize::from(source) / CoreId::COUNT)?,
+                    core: CoreId::new(source % CoreId::COUNT as u8)?,
+                    at: bytes.instant()?,
+                    record: bytes.record()?,
+                })
+            }
+            SUPPLY => {
+                let [system] = bytes.take()?;
+                let system = SystemId::from_index(system.into())?;
+                let at = bytes.instant()?;
+                Self::Supply(at, system, SupplyEvent::decode(bytes.record()?)?)
+            }
+            FRAME => Self::Frame(bytes.frame()?),
+            VEHICLE => serde_json::from_slice::<VehicleRecord>(content)
+                .ok()?
+                .into(),
+            _ => return None,
+        })
+    }
+}
+
+fn trace_bytes(traced: &Traced) -> Vec<u8> {
+    let source = traced.system.index() * CoreId::COUNT + traced.core.index();
+    let mut bytes = vec![source as u8];
+    bytes.extend(traced.at.as_ns().to_le_bytes());
+    bytes.extend(traced.record.iter().flat_map(|word| word.to_le_bytes()));
+    bytes
+}
+
+const EXTENDED: u8 = 1;
+const FD: u8 = 2;
+
+fn frame_bytes(of: &BusFrame) -> Vec<u8> {
+    let (id, extended) = match of.frame.id() {
+        CanId::Standard(id) => (u32::from(id), 0),
+        CanId::Extended(id) => (id, EXTENDED),
+    };
+    let fd = if of.frame.is_fd() { FD } else { 0 };
+    let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
+    // 0: not judged.
+    let verdict = of.verdict.and_then(judged).map_or(0, |place| place + 1);
+    let mut bytes = vec![extended | fd, verdict as u8];
+    bytes.extend(of.at.as_ns().to_le_bytes());
+    bytes.extend(of.sent.as_ns().to_le_bytes());
+    bytes.extend(id.to_le_bytes());
+    bytes.extend(of.frame.data());
+    bytes
+}
+
+/// What is left of an entry's content.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Option<[u8; N]> {
+        let (taken, rest) = self.0.split_first_chunk::<N>()?;
+        self.0 = rest;
+        Some(*taken)
+    }
+
+    fn instant(&mut self) -> Option<Instant> {
+        Some(Instant::from_ns(u64::from_le_bytes(self.take()?)))
+    }
+
+    fn record(&mut self) -> Option<[u32; 4]> {
+        let mut record = [0; 4];
+        for word in &mut record {
+            *word = u32::from_le_bytes(self.take()?);
+        }
+        Some(record)
+    }
+
+    fn frame(mut self) -> Option<BusFrame> {
+        let [flags, verdict] = self.take()?;
+        let (at, sent) = (self.instant()?, self.instant()?);
+        let id = u32::from_le_bytes(self.take()?);
+        let id = if flags & EXTENDED != 0 {
+            CanId::Extended(id)
+        } else {
+            CanId::Standard(u16::try_from(id).ok()?)
+        };
+        let verdict = match verdict {
+            0 => None,
+            place => Some(*VERDICTS.get(usize::from(place) - 1)?),
+        };
+        Some(BusFrame {
+            at,
+            sent,
+            frame: CanFrame::new(id, flags & FD != 0, self.0).ok()?,
+            verdict,
+        })
+    }
+}
+
+/// Reads a recording and gives each entry to `into`.
+///
+/// # Errors
+/// If the file cannot be read, holds what no writer wrote, or `into` fails.
+pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let file = File::open(path)
+        .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
+    let mut file = BufReader::new(file);
+    let mut at = 0;
+    // A writer that was killed leaves a part of an entry: the recording ends before it.
+    while let Some(length) = whole(file.read_exact_into::<4>())? {
+        let length = u32::from_le_bytes(length);
+        let foreign = || format!("{}: no entry at byte {at}", path.display());
+        anyhow::ensure!((1..=LONGEST).contains(&length), foreign());
+        let mut content = vec![0; length as usize];
+        if whole(file.read_exact(&mut content))?.is_none() {
+            break;
+        }
+        into(Entry::read(content[0], &content[1..]).with_context(foreign)?)?;
+        at += 4 + u64::from(length);
+    }
+    Ok(())
+}
+
+/// `None` if the file ended before.
+fn whole<T>(read: io::Result<T>) -> io::Result<Option<T>> {
+    match read {
+        Ok(read) => Ok(Some(read)),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+trait ReadArray {
+    fn read_exact_into<const N: usize>(&mut self) -> io::Result<[u8; N]>;
+}
+
+impl<R: io::Read> ReadArray for R {
+    fn read_exact_into<const N: usize>(&mut self) -> io::Result<[u8; N]> {
+        let mut bytes = [0; N];
+        self.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::RunLog;
+    use tandem_bus::{Control, Mode, Role, Transmitter};
+
+    fn entries() -> Vec<Entry> {
+        let mut transmitter = Transmitter::new();
+        let control = Control {
+            role: Role::Master,
+            mode: Mode::L3,
+            term: 3,
+            ..Control::default()
+        };
+        let encoded = transmitter.encode(&Message::Control { system: 1, control });
+        let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data()).unwrap();
+        let at = Instant::from_ns(0x1_2345_6789_ABCD);
+        let mut entries = vec![
+            Entry::from(VehicleRecord::Start { at_ns: 7 }),
+            Entry::Frame(BusFrame {
+                at,
+                sent: Instant::from_ns(5),
+                frame,
+                verdict: Some(Verdict::Fenced),
+            }),
+            Entry::Supply(at, SystemId::B, SupplyEvent::Suspended),
+        ];
+        for system in SystemId::ALL {
+            entries.extend(CoreId::ALL.map(|core| {
+                Entry::Trace(Traced {
+                    at,
+                    system,
+                    core,
+                    record: [1, 2, 3, u32::MAX],
+                })
+            }));
+        }
+        entries
+    }
+
+    fn written(entries: &[Entry]) -> Vec<u8> {
+        let mut bytes = vec![];
+        entries
+            .iter()
+            .for_each(|entry| entry.write(&mut bytes).unwrap());
+        bytes
+    }
+
+    fn read_back(bytes: &[u8]) -> anyhow::Result<Vec<Entry>> {
+        let mut file = tempfile::NamedTempFile::new()?;
+        file.write_all(bytes)?;
+        let mut found = vec![];
+        read(file.path(), |entry| {
+            found.push(entry);
+            Ok(())
+        })?;
+        Ok(found)
+    }
+
+    #[test]
+    fn every_entry_survives_the_file() {
+        let bytes = written(&entries());
+        let found = read_back(&bytes).unwrap();
+        assert_eq!(found.len(), entries().len());
+        assert_eq!(written(&found), bytes);
+        let mut log = RunLog::default();
+        found.into_iter().for_each(|entry| log.push(entry));
+        assert_eq!((log.start_ns, log.trace.len()), (Some(7), 6));
+        let control = log.control[0];
+        assert_eq!((control.system, control.term), (SystemId::B, 3));
+        assert_eq!((control.sent_ns, control.verdict), (5, Verdict::Fenced));
+        let one = written(&[Entry::Trace(log.trace[0])]);
+        assert_eq!(one.len() as u64, TRACE_BYTES);
+    }
+
+    /// Cut after any byte, as a kill of the writer may: whole entries are read, nothing fails.
+    #[test]
+    fn a_recording_that_was_cut_is_read_up_to_its_last_whole_entry() {
+        let bytes = written(&entries());
+        let mut most = 0;
+        for end in 0..bytes.len() {
+            let found = read_back(&bytes[..end]).unwrap().len();
+            assert!(found >= most && found < entries().len());
+            most = found;
+        }
+        assert_eq!(most, entries().len() - 1);
+    }
+
+    #[test]
+    fn what_no_writer_wrote_is_an_error_that_says_where() {
+        let mut bytes = written(&entries()[..1]);
+        let at = bytes.len();
+        bytes.extend([2, 0, 0, 0, 99, 0]);
+        let error = format!("{:#}", read_back(&bytes).unwrap_err());
+        assert!(error.contains(&format!("byte {at}")), "{error}");
+        assert!(read_back(&[0xFF; 64]).is_err());
+    }
+}

@@ -1,0 +1,23 @@
+//! The recording of a run, and its analysis: who drove, who took over and why, in which roles.
+//!
+//! Events have one vocabulary: [`tandem_cores::trace::Event`] for what a core says,
+//! [`tandem_board::SupplyEvent`] for what a supply says. The vehicle adds what it saw of the bus
+//! and of the world. A run on processes, in emulated machines or in virtual time fills the same
+//! [`RunLog`].
+#![forbid(unsafe_code)]
+
+pub mod file;
+pub mod log;
+pub mod roles;
+pub mod takeover;
+pub mod words;
+
+pub use file::Entry;
+pub use log::RunLog;
+pub use takeover::{Takeover, takeovers};
+
+/// The span between two points on one clock, ms; negative if `to` is the earlier one.
+#[must_use]
+pub fn ms_between(from_ns: u64, to_ns: u64) -> f64 {
+    (to_ns as f64 - from_ns as f64) * 1e-6
+}

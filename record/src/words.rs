@@ -1,0 +1,169 @@
+//! Events in words, for people.
+
+use tandem_board::{ResetCause, SupplyEvent};
+use tandem_bus::Mode;
+use tandem_cores::trace::{Event, FloodSource};
+use tandem_redundancy::{Evidence, Phase};
+
+use crate::roles::State;
+use crate::takeover::{detected_ms, is_late};
+
+/// What a core reports; `None` for what comes in every cycle and for the events of a scheduler.
+#[must_use]
+pub fn core_event(event: Event) -> Option<String> {
+    Some(match event {
+        Event::Started { generation, cause } => {
+            let causes = ["power-on", "software", "watchdog", "trap"];
+            let cause = causes.get(usize::from(cause)).unwrap_or(&"unknown cause");
+            format!("starts, life {generation}: {cause}")
+        }
+        Event::Role { role, mode, term } => {
+            let full = mode == Mode::L3 as u8;
+            let state = State::of_codes(role, mode)?.name();
+            format!("is {state}{}, term {term}", if full { ", L3" } else { "" })
+        }
+        Event::TookOver { cause, .. } => format!(
+            "takes over: {}, detected in {:.2} ms",
+            evidence(cause),
+            detected_ms(event)?
+        ),
+        Event::Phase {
+            to: Phase::Thawed, ..
+        } => "was held up, and listens whether the other system drives by now".to_owned(),
+        Event::Phase { from, to, on } => format!("from {from:?} to {to:?}: {}", evidence(on)),
+        Event::ControlCycle { lateness_ns, .. } if is_late(event) => format!(
+            "began a control cycle {:.1} ms late",
+            f64::from(lateness_ns) * 1e-6
+        ),
+        Event::CoreSilent { core } => format!("core {core} of its own system does not answer"),
+        Event::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
+        Event::PeerFailed(true) => "considers the other system failed".to_owned(),
+        Event::PeerFailed(false) => "no longer considers the other system failed".to_owned(),
+        Event::Line { line, silent } => {
+            let state = if silent { "silent" } else { "back" };
+            format!("heartbeat line {line} is {state}")
+        }
+        Event::LinesSplit => "both heartbeat lines are cut, the other system lives".to_owned(),
+        Event::CanSilent(true) => "hears nothing on CAN".to_owned(),
+        Event::CanSilent(false) => "hears CAN again".to_owned(),
+        Event::Ignored { term: 0 } => "ignored an implausible frame".to_owned(),
+        Event::Ignored { term } => format!("ignored a frame of the outdated term {term}"),
+        Event::TermRaised { term } => format!("raises its term to {term}"),
+        Event::StateLost => "the state in flash was lost".to_owned(),
+        Event::Refused { id: 0 } => "refused what the shared memory held".to_owned(),
+        Event::Refused { id } => format!("refused a frame with id {id:03X}"),
+        Event::Flood {
+            source,
+            times,
+            beyond,
+        } => format!(
+            "is flooded by {}: limit reached {times} times, {beyond} beyond it",
+            flood_source(source)
+        ),
+        _ => return None,
+    })
+}
+
+const fn flood_source(source: FloodSource) -> &'static str {
+    match source {
+        FloodSource::Can => "CAN frames",
+        FloodSource::Link => "datagrams on the link",
+        FloodSource::StartLine => "edges on the start line",
+        FloodSource::HeartbeatLines => "edges on a heartbeat line",
+        FloodSource::Doorbell => "doorbells",
+    }
+}
+
+/// What a supply did or saw.
+#[must_use]
+pub fn supply_event(event: SupplyEvent) -> String {
+    match event {
+        SupplyEvent::CoreStarted { core, generation } => {
+            format!("core {core} starts, life {}", generation.0)
+        }
+        SupplyEvent::CoreDied { core, signal: 0 } => format!("core {core} died"),
+        SupplyEvent::CoreDied { core, signal } => format!("core {core} died of signal {signal}"),
+        SupplyEvent::Reset(cause) => format!(
+            "reset: {}",
+            match cause {
+                ResetCause::PowerOn => "power-on",
+                ResetCause::Software => "software",
+                ResetCause::Watchdog => "watchdog",
+                ResetCause::Trap => "trap or dead core",
+            }
+        ),
+        SupplyEvent::Suspended => "suspended".to_owned(),
+    }
+}
+
+/// The sign that a change of phase rests on.
+#[must_use]
+pub const fn evidence(evidence: Evidence) -> &'static str {
+    match evidence {
+        Evidence::SyncHeard => "sync edge of the other system",
+        Evidence::PeerRuns => "the other system is running",
+        Evidence::HandshakeDone => "handshake done",
+        Evidence::NobodyThere => "nobody has answered",
+        Evidence::PeerOff => "power level fell",
+        Evidence::PeerSilent => "heartbeats and control frames silent",
+        Evidence::BeatsSilent => "heartbeats silent",
+        Evidence::MasterMute => "control frames missing",
+        Evidence::HigherTerm => "the other system drives in a higher term",
+        Evidence::BeatsBack => "heartbeats are back",
+        Evidence::PeerStable => "the other system is back for good",
+        Evidence::Stalled => "was held up",
+        Evidence::ListenOver => "the other system has not taken over",
+        Evidence::FaultReset => "own fault, a reset may cure it",
+        Evidence::FaultStop => "own fault while alone",
+        Evidence::FaultSuspend => "own fault that stays",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::CoreId;
+    use tandem_cores::task_table::TaskCode;
+
+    #[test]
+    fn events_are_told_as_people_say_them() {
+        let took_over = Event::TookOver {
+            cause: Evidence::PeerOff,
+            since_heartbeat_us: 830,
+            since_control_us: 9_000,
+            term: 3,
+        };
+        let cycle = |lateness_ns| Event::ControlCycle {
+            lateness_ns,
+            execution_ns: 1,
+            transmitted: true,
+        };
+        let role = Event::Role {
+            role: 1,
+            mode: 1,
+            term: 2,
+        };
+        for (event, words) in [
+            (
+                took_over,
+                Some("takes over: power level fell, detected in 0.83 ms"),
+            ),
+            (role, Some("is master, L3, term 2")),
+            (cycle(60_000), None),
+            (cycle(9_000_000), Some("began a control cycle 9.0 ms late")),
+            (
+                Event::Ready {
+                    task: TaskCode::STATUS,
+                },
+                None,
+            ),
+        ] {
+            assert_eq!(core_event(event).as_deref(), words);
+        }
+        let died = SupplyEvent::CoreDied {
+            core: CoreId::CONTROL,
+            signal: 9,
+        };
+        assert_eq!(supply_event(died), "core 0 died of signal 9");
+    }
+}
