@@ -7,6 +7,8 @@
 #![forbid(unsafe_code)]
 
 pub mod codec;
+pub mod supply;
+pub mod watchdog;
 
 #[cfg(test)]
 extern crate std;

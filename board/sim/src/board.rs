@@ -5,7 +5,6 @@ use crate::config::Defect;
 use crate::fabric::LINK_WORDS;
 use crate::flash;
 use crate::machine::{Attention, EventKind, Shared};
-use crate::watchdog;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
@@ -13,6 +12,7 @@ use tandem_board::{
     Generation, Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest,
     RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
+use tandem_peripherals::watchdog::Window;
 
 /// A core's connection to the machine, for one life of the core.
 #[derive(Clone)]
@@ -358,21 +358,16 @@ impl DataFlash for SimFlash {
 }
 
 impl Supply for SimSupply {
-    const WINDOW_OPENS_US: u32 = watchdog::OPENS_US;
-    const WINDOW_CLOSES_US: u32 = watchdog::CLOSES_US;
-    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+    const WINDOW_OPENS_US: u32 = Window::TARGET.opens_us;
+    const WINDOW_CLOSES_US: u32 = Window::TARGET.closes_us;
+    const FIRST_SERVICE_US: u32 = Window::TARGET.first_us;
 
     fn reset_cause(&self) -> ResetCause {
-        self.0.shared.lock().system(self.0.place.system).cause
+        self.0.shared.lock().reset_cause(self.0.place.system)
     }
 
     fn watchdog_question(&self) -> u8 {
-        self.0
-            .shared
-            .lock()
-            .system(self.0.place.system)
-            .watchdog
-            .question()
+        self.0.shared.lock().watchdog_question(self.0.place.system)
     }
 
     fn service_watchdog(&self, answer: u8) {

@@ -1,6 +1,8 @@
 //! What a run of the simulated pair depends on.
 
 use tandem_board::Duration;
+use tandem_peripherals::supply;
+use tandem_peripherals::watchdog::Window;
 
 /// How a system's clock relates to virtual time: `local = offset + time × (1 + drift / 10⁹)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -92,12 +94,33 @@ impl Default for Config {
             ],
             order: Order::Fixed,
             watchdog: true,
-            reset_hold: Duration::from_ms(2),
+            reset_hold: supply::Config::TARGET.hold,
             look_at_clock: Duration::from_us(2),
             can_fifo_frames: 512,
             link_datagrams: 16,
             trace_records: 1 << 16,
             defect: None,
+        }
+    }
+}
+
+impl Config {
+    /// How the supplies are set up, with the defects of the watchdog's window.
+    pub(crate) fn supply(&self) -> supply::Config {
+        let mut window = Window::TARGET;
+        match self.defect {
+            Some(Defect::WindowIgnored) => window.opens_us = 0,
+            Some(Defect::WatchdogSleeps) => {
+                (window.closes_us, window.first_us) = (u32::MAX, u32::MAX)
+            }
+            _ => {}
+        }
+        supply::Config {
+            window,
+            watches: self.watchdog,
+            hold: self.reset_hold,
+            longest_hold: self.reset_hold,
+            ..supply::Config::TARGET
         }
     }
 }

@@ -1,10 +1,11 @@
 //! What lies between the two systems: lines, data link, CAN bus.
 
 use crate::config::Defect;
-use crate::machine::{Machine, OnBus, Power, Sender, Wire};
+use crate::machine::{Machine, OnBus, Sender, Wire};
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
 };
+use tandem_peripherals::supply::Power;
 
 /// The largest datagram of the link, in words.
 pub(crate) const LINK_WORDS: usize = 64;
@@ -22,7 +23,7 @@ impl Machine {
         } else {
             from.peer()
         };
-        if self.systems[to.index()].power == Power::Off {
+        if self.systems[to.index()].supply.power() == Power::Off {
             return;
         }
         let counted = if self.has(Defect::WrongEdge) {

@@ -18,12 +18,12 @@ mod flash;
 mod machine;
 mod pair;
 mod power;
-mod watchdog;
 mod world;
 
 pub use blocking::{CoreKilled, blocking};
 pub use board::{SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
 pub use config::{Clock, Config, Defect, Order};
-pub use machine::{Event, EventKind, OnBus, Power, Sender, Wire};
+pub use machine::{Event, EventKind, OnBus, Sender, Wire};
 pub use pair::{Poller, SimPair};
+pub use tandem_peripherals::supply::Power;
 pub use world::WorldTick;

@@ -2,7 +2,6 @@
 
 use crate::config::{Config, Defect};
 use crate::flash::Flash;
-use crate::watchdog::Watchdog;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::VecDeque;
@@ -12,6 +11,7 @@ use tandem_board::{
     CanFrame, CoreAddress, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp,
     SystemId, Traced,
 };
+use tandem_peripherals::supply::{self, Power, Supply};
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;
@@ -66,24 +66,6 @@ pub enum EventKind {
     CoreRestarted(CoreId),
     /// The system shows another role.
     Lamp(RoleLamp),
-}
-
-/// The state of a supply.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Power {
-    /// No power.
-    Off,
-    /// The system runs.
-    On,
-    /// The supply holds the system in reset until this virtual time.
-    Reset {
-        /// When the reset is released.
-        until: Instant,
-        /// The cause that the system will read.
-        cause: ResetCause,
-    },
-    /// The supply holds the system in reset until power is switched off and on.
-    Suspended,
 }
 
 /// A connection that a test can cut.
@@ -182,33 +164,27 @@ impl Core {
 }
 
 pub(crate) struct System {
-    pub(crate) power: Power,
-    pub(crate) cause: ResetCause,
+    pub(crate) supply: Supply,
     pub(crate) cores: [Core; CoreId::COUNT],
-    pub(crate) watchdog: Watchdog,
     pub(crate) flash: Flash,
     /// Power fails when the flash has changed this many bytes more.
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
     pub(crate) edges: [[u32; 2]; 3],
     pub(crate) inbox: VecDeque<Vec<u32>>,
-    pub(crate) request: Option<ResetRequest>,
     pub(crate) cut: [bool; Wire::COUNT],
 }
 
 impl System {
-    fn new() -> Self {
+    fn new(supply: supply::Config) -> Self {
         Self {
-            power: Power::Off,
-            cause: ResetCause::PowerOn,
+            supply: Supply::new(supply),
             cores: core::array::from_fn(|_| Core::new()),
-            watchdog: Watchdog::start(0),
             flash: Flash::new(),
             flash_bytes_to_live: None,
             lamp: RoleLamp::Starting,
             edges: [[0; 2]; 3],
             inbox: VecDeque::new(),
-            request: None,
             cut: [false; Wire::COUNT],
         }
     }
@@ -250,10 +226,11 @@ impl Shared {
                 .map(|_| AtomicU32::new(0xDEAD_BEEF))
                 .collect()
         };
+        let supply = config.supply();
         let machine = Machine {
             config: config.clone(),
             now_ns: 0,
-            systems: [System::new(), System::new()],
+            systems: [System::new(supply), System::new(supply)],
             bus: Vec::new(),
             unheard: Vec::new(),
             trace: Vec::new(),
@@ -295,7 +272,7 @@ impl Shared {
 
     pub(crate) fn power_on(&self, system: SystemId) {
         let mut machine = self.lock();
-        if machine.systems[system.index()].power != Power::Off {
+        if machine.systems[system.index()].supply.power() != Power::Off {
             return;
         }
         for core in CoreId::ALL {

@@ -2,7 +2,7 @@
 
 use crate::board::{Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, Event, OnBus, Power, Sender, Shared, Wire};
+use crate::machine::{Attention, Event, OnBus, Sender, Shared, Wire};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -12,6 +12,7 @@ use std::sync::atomic::AtomicU32;
 use tandem_board::{
     CoreAddress, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced,
 };
+use tandem_peripherals::supply::Power;
 
 /// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
 /// on its system's clock.
@@ -333,7 +334,7 @@ impl SimPair {
     /// The state of a supply.
     #[must_use]
     pub fn power(&self, system: SystemId) -> Power {
-        self.shared.lock().systems[system.index()].power
+        self.shared.lock().systems[system.index()].supply.power()
     }
 
     /// The role that a system shows, if it runs.

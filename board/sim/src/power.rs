@@ -2,15 +2,15 @@
 
 use crate::config::Defect;
 use crate::flash::{Flash, PAGE_BYTES};
-use crate::machine::{Core, EventKind, Machine, Power, Wire};
-use crate::watchdog::{Service, Watchdog};
+use crate::machine::{Core, EventKind, Machine, Wire};
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
+use tandem_peripherals::supply::{Change, Supply};
 
 impl Machine {
     pub(crate) fn is_powered(&self, system: SystemId) -> bool {
-        self.systems[system.index()].power == Power::On
+        self.systems[system.index()].supply.is_on()
     }
 
     /// What the level line shows of `system` to its peer.
@@ -20,10 +20,21 @@ impl Machine {
         shown || stuck || self.systems[system.index()].is_cut(Wire::Level)
     }
 
-    /// Changes the state of a supply; a change of the level line interrupts the other system.
-    fn set_power(&mut self, system: SystemId, power: Power) {
+    /// Lets a supply act; a change of the level line interrupts the other system.
+    pub(crate) fn with_supply(
+        &mut self,
+        system: SystemId,
+        act: impl FnOnce(&mut Supply) -> Option<Change>,
+    ) {
         let before = self.level(system);
-        self.system(system).power = power;
+        let change = act(&mut self.system(system).supply);
+        match change {
+            None => return,
+            Some(Change::Start(cause)) => self.start(system, cause),
+            Some(Change::Reset(cause)) => self.stop(system, EventKind::Reset(cause)),
+            Some(Change::Suspend) => self.stop(system, EventKind::Suspended),
+            Some(Change::PowerOff) => self.stop(system, EventKind::PowerLost),
+        }
         if self.level(system) != before && !self.has(Defect::SilentLevel) {
             self.raise_peer(system);
         }
@@ -38,10 +49,11 @@ impl Machine {
     }
 
     pub(crate) fn power_on(&mut self, system: SystemId) {
+        let now = self.at();
         let state = self.system(system);
         state.edges = [[0; 2]; 3];
         state.cores.iter_mut().for_each(|core| core.generation = 0);
-        self.start(system, ResetCause::PowerOn);
+        self.with_supply(system, |supply| supply.power_on(now));
     }
 
     /// The cores of a system begin a new life.
@@ -49,22 +61,18 @@ impl Machine {
         let now_ns = self.now_ns;
         let skipped = u32::from(self.has(Defect::WrongGeneration));
         let state = self.system(system);
-        state.cause = cause;
-        state.watchdog = Watchdog::start(now_ns);
         state.lamp = RoleLamp::Starting;
-        state.request = None;
         // All are dead here, but for a defect.
         for core in state.cores.iter_mut().filter(|core| !core.alive) {
             core.start(core.generation + 1 + skipped, now_ns);
         }
-        self.set_power(system, Power::On);
         self.log(system, EventKind::Started(cause));
     }
 
     /// The cores of a system and what the chip was doing end.
-    fn stop(&mut self, system: SystemId, power: Power) {
+    fn stop(&mut self, system: SystemId, why: EventKind) {
         let now_ns = self.now_ns;
-        let resets = matches!(power, Power::Reset { .. });
+        let resets = matches!(why, EventKind::Reset(_));
         let partial = resets && self.has(Defect::PartialReset);
         let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
@@ -80,22 +88,16 @@ impl Machine {
         state.cores[..reached]
             .iter_mut()
             .for_each(|core| core.alive = false);
-        self.set_power(system, power);
+        self.log(system, why);
     }
 
     pub(crate) fn power_off(&mut self, system: SystemId) {
-        if self.systems[system.index()].power != Power::Off {
-            self.stop(system, Power::Off);
-            self.log(system, EventKind::PowerLost);
-        }
+        self.with_supply(system, Supply::power_off);
     }
 
     pub(crate) fn reset(&mut self, system: SystemId, cause: ResetCause) {
-        if self.is_powered(system) {
-            let until = self.at() + self.config.reset_hold;
-            self.stop(system, Power::Reset { until, cause });
-            self.log(system, EventKind::Reset(cause));
-        }
+        let now = self.at();
+        self.with_supply(system, |supply| supply.reset(now, cause));
     }
 
     pub(crate) fn kill_core(&mut self, place: CoreAddress) {
@@ -115,71 +117,48 @@ impl Machine {
     }
 
     pub(crate) fn request_reset(&mut self, place: CoreAddress, request: ResetRequest) {
-        self.system(place.system).request.get_or_insert(request);
+        if !self.has(Defect::RequestIgnored) {
+            self.system(place.system).supply.request(request);
+        }
         self.log(place.system, EventKind::Requested(place.core, request));
     }
 
+    /// Why the life of the system began, as its cores read it.
+    pub(crate) fn reset_cause(&self, system: SystemId) -> ResetCause {
+        match self.has(Defect::CauseForgotten) {
+            true => ResetCause::PowerOn,
+            false => self.systems[system.index()].supply.cause(),
+        }
+    }
+
+    /// The question of the functional watchdog, as a core reads it.
+    pub(crate) fn watchdog_question(&self, system: SystemId) -> u8 {
+        match self.has(Defect::SameQuestion) {
+            true => 0,
+            false => self.systems[system.index()].supply.question(),
+        }
+    }
+
     pub(crate) fn service_watchdog(&mut self, system: SystemId, answer: u8) {
-        let (now_ns, defect) = (self.now_ns, self.config.defect);
-        let watchdog = &mut self.system(system).watchdog;
-        let before = *watchdog;
-        let answer = match defect {
-            Some(Defect::AnyAnswer) => watchdog_answer(before.question()),
-            Some(Defect::WatchdogRefuses) if before.question() == 2 => !answer,
+        let now = self.at();
+        let question = self.systems[system.index()].supply.question();
+        let right = watchdog_answer(question);
+        let answer = match self.config.defect {
+            Some(Defect::AnyAnswer) => right,
+            Some(Defect::SameQuestion) if answer == watchdog_answer(0) => right,
+            Some(Defect::WatchdogRefuses) if question == 8 => !answer,
             _ => answer,
         };
-        let service = watchdog.service(answer, now_ns);
-        match defect {
-            Some(Defect::SameQuestion) => watchdog.ask_again(&before),
-            Some(Defect::WindowIgnored) => watchdog.open(),
-            _ => {}
-        }
-        if service == Service::Refused && self.config.watchdog {
-            self.reset(system, ResetCause::Watchdog);
-        }
+        self.with_supply(system, |supply| supply.service(now, now, Some(answer)));
     }
 
     /// What the supplies and the flash do at this instant.
     pub(crate) fn settle(&mut self) {
+        let now = self.at();
         for system in SystemId::ALL {
             self.settle_flash(system);
-            if let Some(request) = self.system(system).request.take() {
-                self.obey(system, request);
-            }
-            let sleeps = self.has(Defect::WatchdogSleeps);
-            match self.systems[system.index()].power {
-                Power::On => {
-                    let late = self.now_ns > self.systems[system.index()].watchdog.closes_ns();
-                    if late && self.config.watchdog && !sleeps {
-                        self.reset(system, ResetCause::Watchdog);
-                    }
-                }
-                Power::Reset { until, cause } if self.at() >= until => {
-                    let forgotten = self.has(Defect::CauseForgotten);
-                    self.start(
-                        system,
-                        if forgotten {
-                            ResetCause::PowerOn
-                        } else {
-                            cause
-                        },
-                    );
-                }
-                _ => {}
-            }
-        }
-    }
-
-    fn obey(&mut self, system: SystemId, request: ResetRequest) {
-        if !self.is_powered(system) || self.has(Defect::RequestIgnored) {
-            return;
-        }
-        match request {
-            ResetRequest::Software => self.reset(system, ResetCause::Software),
-            ResetRequest::CoreDead => self.reset(system, ResetCause::Trap),
-            ResetRequest::Suspend => {
-                self.stop(system, Power::Suspended);
-                self.log(system, EventKind::Suspended);
+            if self.systems[system.index()].supply.next() <= now {
+                self.with_supply(system, |supply| supply.poll(now, true));
             }
         }
     }
@@ -207,16 +186,9 @@ impl Machine {
 
     /// The next virtual time at which something happens by itself.
     pub(crate) fn next_ns(&self) -> u64 {
-        let sleeps = self.has(Defect::WatchdogSleeps);
         let of_system = |system: SystemId| {
             let state = &self.systems[system.index()];
-            let supply = match state.power {
-                Power::On if self.config.watchdog && !sleeps => {
-                    state.watchdog.closes_ns().saturating_add(1)
-                }
-                Power::Reset { until, .. } => until.as_ns(),
-                _ => u64::MAX,
-            };
+            let supply = state.supply.next().as_ns();
             let flash = state.flash.ends_ns().unwrap_or(u64::MAX);
             let cut = self.flash_dies_ns(system).unwrap_or(u64::MAX);
             let cores = state
