@@ -12,7 +12,7 @@
 #define configMAX_PRIORITIES                       32
 #define configUSE_PORT_OPTIMISED_TASK_SELECTION    1
 #define configIDLE_SHOULD_YIELD                    1
-#define configMAX_TASK_NAME_LEN                    16
+#define configMAX_TASK_NAME_LEN                    24
 #define configUSE_TICKLESS_IDLE                    0
 #define configUSE_IDLE_HOOK                        1
 #define configUSE_TICK_HOOK                        0

@@ -36,7 +36,7 @@ impl Priority {
 /// What a task is to be.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskOptions<'a> {
-    /// 1 to 15 bytes, for messages and traces.
+    /// 1 to 23 bytes, for messages and traces.
     pub name: &'a str,
     /// How urgent it is.
     pub priority: Priority,
@@ -73,7 +73,7 @@ impl<'a> TaskOptions<'a> {
 /// Why there is no task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpawnError {
-    /// The name is empty, longer than 15 bytes, or contains a zero.
+    /// The name is empty, longer than 23 bytes, or contains a zero.
     BadName,
     /// The stack would not even hold an interrupt.
     StackTooSmall,
@@ -86,7 +86,7 @@ pub enum SpawnError {
 impl fmt::Display for SpawnError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
-            Self::BadName => "a task's name has 1 to 15 bytes, none of them zero",
+            Self::BadName => "a task's name has 1 to 23 bytes, none of them zero",
             Self::StackTooSmall => "the stack is too small for an interrupt",
             Self::NoMemory => "no memory for the stack",
             Self::InUse => "the static memory belongs to another task",

@@ -27,6 +27,10 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
     ),
     ("tandem-rtos", &[]),
     (
+        "tandem-runtime",
+        &["tandem-board", "tandem-cores", "tandem-rtos"],
+    ),
+    (
         "tandem-capi",
         &["tandem-shm", "tandem-board", "tandem-redundancy"],
     ),

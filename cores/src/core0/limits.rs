@@ -36,7 +36,7 @@ const EXCEEDED: u32 = 10;
 
 /// Passes interrupts on with at least a given distance between two.
 #[derive(Clone, Copy, Debug)]
-pub struct Throttle {
+pub(super) struct Throttle {
     distance: Duration,
     opens: Instant,
     pending: bool,
@@ -44,9 +44,7 @@ pub struct Throttle {
 }
 
 impl Throttle {
-    /// Lets the first interrupt pass.
-    #[must_use]
-    pub const fn new(distance: Duration) -> Self {
+    pub(super) const fn new(distance: Duration) -> Self {
         Self {
             distance,
             opens: Instant::ORIGIN,
@@ -60,7 +58,7 @@ impl Throttle {
     ///
     /// `certain`: nothing but an interrupt can have caused this call. Only such a call begins a
     /// new distance.
-    pub fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
+    pub(super) fn interrupt(&mut self, now: Instant, certain: bool) -> bool {
         if now < self.opens {
             if certain {
                 self.held_back = self.held_back.wrapping_add(u32::from(!self.pending));
@@ -76,8 +74,7 @@ impl Throttle {
     }
 
     /// When an interrupt that was held back is passed on.
-    #[must_use]
-    pub const fn due(&self) -> Instant {
+    pub(super) const fn due(&self) -> Instant {
         if self.pending {
             self.opens
         } else {
@@ -86,8 +83,7 @@ impl Throttle {
     }
 
     /// How many times interrupts were held back; wraps around.
-    #[must_use]
-    pub const fn held_back(&self) -> u32 {
+    pub(super) const fn held_back(&self) -> u32 {
         self.held_back
     }
 }

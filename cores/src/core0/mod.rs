@@ -21,7 +21,7 @@ use crate::task_table::{CORE_0, TaskCode, TaskInfo};
 use crate::trace::Begin;
 use core::ops::{BitOr, BitOrAssign};
 pub use drive::Drive;
-pub use limits::{CAN_FRAMES, DOORBELL_DISTANCE, EDGES_PER_MS, LINK_DATAGRAMS, Throttle};
+pub use limits::{CAN_FRAMES, DOORBELL_DISTANCE, EDGES_PER_MS, LINK_DATAGRAMS};
 pub use run_to_completion::Core0;
 pub use shared::Shared;
 use tandem_board::{Board, Duration, Instant};

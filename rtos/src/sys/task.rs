@@ -15,7 +15,7 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU8, AtomicU32, Ordering};
 use core::time::Duration;
 
 /// Bytes of a task's name with the closing zero; as configMAX_TASK_NAME_LEN.
-pub(crate) const NAME_BYTES: usize = 16;
+pub(crate) const NAME_BYTES: usize = 24;
 
 /// What a task runs.
 enum Entry {

@@ -1,0 +1,375 @@
+//! Core 0 as tasks of FreeRTOS, over any board: one kernel task for each row of the task table.
+//!
+//! [`start`] is the whole interface. The board's clock must be the one that drives the kernel's
+//! tick: CLOCK_MONOTONIC on the host, `mtime` on riscv32. Waits end with a tick, so releases are
+//! laid on ticks. Memory comes from the heap, all of it before the kernel starts.
+#![no_std]
+#![forbid(unsafe_code)]
+
+extern crate alloc;
+
+mod doorbell;
+mod trace;
+
+use alloc::boxed::Box;
+use core::cell::Cell;
+use core::convert::Infallible;
+use core::fmt;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
+use doorbell::{Doorbell, Releases};
+use tandem_board::{Board, Duration, Instant};
+use tandem_cores::Config;
+use tandem_cores::core0::{Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
+use tandem_cores::schedule::TickGrid;
+use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_rtos::{
+    AttachError, Clock, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority,
+    SpawnError, StartError, TaskContext, TaskHandle, TaskOptions, Ticks,
+};
+
+/// A tick of the kernel.
+const TICK: Duration = Duration::from_ms(1);
+/// No wait is longer, so that sums of ticks cannot overflow.
+const LONGEST: Ticks = Ticks::from_millis(1000);
+/// Time between two reports of a task on itself.
+const REPORT_PERIOD: Duration = Duration::from_ms(1000);
+/// Above the tick.
+const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
+
+/// The task that waits for the end of the distance when the doorbell has rung too early. The other
+/// one that it releases, the roles, looks at every tick.
+const DOORBELL_WAITER: TaskId = TaskId::TrajectoryInput;
+
+/// What the machine decides.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// Bytes of each task's stack.
+    pub stack_bytes: usize,
+    /// Counts the doorbells that ring within
+    /// [`DOORBELL_DISTANCE`](tandem_cores::core0::DOORBELL_DISTANCE) and are held back, here or by
+    /// the machine; wraps around.
+    pub held_back: &'static AtomicU32,
+    /// An overload to test with.
+    pub overload: Option<Overload>,
+}
+
+/// Jobs that take longer than they should, to test what the others do meanwhile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Overload {
+    /// Whose jobs.
+    pub task: TaskId,
+    /// Every `every`-th job is longer. At least 1.
+    pub every: u32,
+    /// By this much of the task's own time.
+    pub span: core::time::Duration,
+}
+
+/// Core 0 does not run under the kernel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RunError {
+    /// A task cannot be made.
+    Spawn(TaskId, SpawnError),
+    /// The doorbell has another handler.
+    Doorbell(AttachError),
+    /// The kernel does not start.
+    Start(StartError),
+    /// A task has stopped the kernel.
+    Stopped,
+}
+
+impl fmt::Display for RunError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Spawn(task, error) => write!(out, "the task {}: {error}", task.info().name),
+            Self::Doorbell(error) => write!(out, "the handler of the doorbell: {error}"),
+            Self::Start(error) => error.fmt(out),
+            Self::Stopped => out.write_str("the kernel has stopped"),
+        }
+    }
+}
+
+impl core::error::Error for RunError {}
+
+/// What all tasks reach.
+struct Runtime<B: Board + 'static> {
+    board: &'static B,
+    shared: Mutex<Shared<'static, B>>,
+    drive: Mutex<Drive>,
+    /// By [`TaskId`].
+    states: [TaskState; TaskId::ALL.len()],
+    doorbell: Doorbell,
+    options: Options,
+}
+
+/// What the trace knows of a task, to tell switches within a job from those between jobs.
+#[derive(Default)]
+struct TaskState {
+    /// The kernel's number of it.
+    number: AtomicU32,
+    in_job: AtomicBool,
+    waits_for_lock: AtomicBool,
+    /// The longest time in which it held a lock, ns.
+    held_ns: AtomicU32,
+}
+
+impl<B: Board> Runtime<B> {
+    fn state(&self, task: TaskId) -> &TaskState {
+        &self.states[task as usize]
+    }
+
+    fn trace(&self, event: Event) {
+        self.board.trace(event.encode());
+    }
+}
+
+/// Handles of tasks by [`TaskId`], as far as they are made.
+type Handles = [Option<TaskHandle>; TaskId::ALL.len()];
+
+/// The executor as one task has it.
+struct OfTask<'a, B: Board + 'static> {
+    ctx: &'a TaskContext,
+    runtime: &'static Runtime<B>,
+    task: TaskId,
+    /// Of all less urgent tasks.
+    below: Handles,
+    /// Jobs until the next one that is overloaded.
+    jobs_left: Cell<u32>,
+}
+
+impl<B: Board + Sync> OfTask<'_, B> {
+    fn locked<T: Send, R>(&self, mutex: &Mutex<T>, body: impl FnOnce(&mut T) -> R) -> R {
+        let (runtime, state) = (self.runtime, self.runtime.state(self.task));
+        state.waits_for_lock.store(true, Relaxed);
+        loop {
+            // Without a limit the wait cannot time out; if it did, wait again.
+            if let Ok(mut guard) = mutex.lock(self.ctx, Ticks::FOREVER) {
+                state.waits_for_lock.store(false, Relaxed);
+                let since = runtime.board.now();
+                let result = body(&mut guard);
+                drop(guard);
+                let held = runtime.board.now().since(since);
+                let held_ns = u32::try_from(held.as_ns()).unwrap_or(u32::MAX);
+                if held_ns > state.held_ns.load(Relaxed) {
+                    state.held_ns.store(held_ns, Relaxed);
+                }
+                return result;
+            }
+        }
+    }
+
+    /// Takes longer than it should, if this job is to.
+    fn overload(&self) {
+        if let Some(overload) = self.runtime.options.overload
+            && overload.task == self.task
+        {
+            let left = self.jobs_left.get();
+            self.jobs_left.set(left.saturating_sub(1));
+            if left == 0 {
+                self.jobs_left.set(overload.every.saturating_sub(1));
+                self.ctx.burn(overload.span);
+            }
+        }
+    }
+}
+
+impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
+    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, B>) -> R) -> R {
+        self.locked(&self.runtime.shared, body)
+    }
+
+    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+        self.locked(&self.runtime.drive, body)
+    }
+
+    fn release(&self, tasks: TaskSet) {
+        for (task, handle) in TaskId::ALL.into_iter().zip(&self.below) {
+            if let (true, Some(handle)) = (tasks.contains(task), handle) {
+                // It never ends.
+                let _ = handle.notify(self.ctx);
+            }
+        }
+    }
+
+    fn held_back(&self) -> u32 {
+        self.runtime.options.held_back.load(Relaxed)
+    }
+
+    fn begins(&self, task: TaskId, begin: Begin) {
+        self.ctx.critical(|| {
+            let code = task.info().code;
+            self.runtime.trace(Event::TaskIn { task: code, begin });
+            self.runtime.state(self.task).in_job.store(true, Relaxed);
+        });
+    }
+
+    fn ends(&self, task: TaskId) {
+        self.overload();
+        self.ctx.critical(|| {
+            let (task, leaves) = (task.info().code, Leaves::Done);
+            self.runtime.trace(Event::TaskOut { task, leaves });
+            self.runtime.state(self.task).in_job.store(false, Relaxed);
+        });
+    }
+}
+
+/// Waits for a notification, at the longest until the tick at which `deadline` has come.
+///
+/// The roles are asked at each tick. If their deadline lies between two ticks, they are asked at
+/// the one before: a wasted poll is cheaper than a late heartbeat.
+fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: Instant) {
+    let ctx = executor.ctx;
+    let now = ticks.before(executor.runtime.board.now());
+    let due = match executor.task {
+        TaskId::Roles => ticks.before(deadline).max(now + 1),
+        _ => ticks.after(deadline),
+    };
+    let far = due.saturating_sub(now) > u64::from(LONGEST.0);
+    // The kernel's count may be behind the clock, and both wrap around after 49 days.
+    let left = Ticks(due as u32).since(ctx.now());
+    if far {
+        ctx.take_notifications(LONGEST);
+    } else if due > now {
+        ctx.take_notifications(left.min(LONGEST));
+    }
+}
+
+/// Writes to the trace how much of its stack the task needs, and for how long it keeps others
+/// waiting.
+fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
+    let state = executor.runtime.state(executor.task);
+    let longest_ns = state.held_ns.load(Relaxed);
+    let free_bytes = u32::try_from(executor.ctx.unused_stack_bytes()).unwrap_or(u32::MAX);
+    let task = executor.task.info().code;
+    executor.runtime.trace(Event::Stack { task, free_bytes });
+    executor.runtime.trace(Event::Held { task, longest_ns });
+}
+
+/// The life of a task.
+fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl Task<'static, B>) {
+    let board = executor.runtime.board;
+    let ticks = TickGrid {
+        origin: Instant::from_ns(executor.ctx.tick_origin_ns()),
+        period: TICK,
+    };
+    task.start(ticks.floor(board.now()));
+    if executor.task == TaskId::Roles {
+        executor.shared(|shared| shared.set_ticks(ticks));
+    }
+    let mut report_at = board.now() + REPORT_PERIOD;
+    loop {
+        let deadline = task.poll(executor);
+        let now = board.now();
+        if now >= report_at {
+            report_at = now + REPORT_PERIOD;
+            report(executor);
+        }
+        wait(executor, &ticks, deadline);
+        if executor.task == DOORBELL_WAITER {
+            while let Some(until) = executor.runtime.doorbell.waits_until(board.now()) {
+                wait(executor, &ticks, until);
+            }
+        }
+    }
+}
+
+/// Makes a task; those below it are made.
+fn spawn<B, T>(
+    kernel: &Kernel,
+    runtime: &'static Runtime<B>,
+    made: &mut Handles,
+    body: T,
+) -> Result<(), RunError>
+where
+    B: Board + Sync + 'static,
+    T: Task<'static, B> + Send + 'static,
+{
+    let task = T::ID;
+    let info = task.info();
+    let options = TaskOptions::new(info.name, Priority::new(info.priority))
+        .stack_bytes(runtime.options.stack_bytes);
+    let below = made.clone();
+    let life = move |ctx: &TaskContext| {
+        let executor = OfTask {
+            ctx,
+            runtime,
+            task,
+            below,
+            jobs_left: Cell::new(runtime.options.overload.map_or(0, |it| it.every)),
+        };
+        run(&executor, body);
+    };
+    let handle = kernel.spawn(&options, life);
+    let handle = handle.map_err(|error| RunError::Spawn(task, error))?;
+    let number = handle.number(kernel).unwrap_or(0);
+    runtime.state(task).number.store(number, Relaxed);
+    made[task as usize] = Some(handle);
+    Ok(())
+}
+
+/// Runs core 0 under the kernel. Returns only if it cannot start, or stops.
+///
+/// `on_doorbell` is called in each interrupt of the doorbell, before anything else.
+///
+/// # Errors
+/// [`RunError`]
+pub fn start<B: Board + Sync>(
+    kernel: Kernel,
+    board: &'static B,
+    config: Config,
+    options: Options,
+    mut on_doorbell: impl FnMut() + Send + 'static,
+) -> Result<Infallible, RunError> {
+    let Parts {
+        shared,
+        drive,
+        tasks,
+    } = Parts::new(board, config);
+    let runtime: &'static Runtime<B> = Box::leak(Box::new(Runtime {
+        board,
+        shared: Mutex::new(&kernel, shared),
+        drive: Mutex::new(&kernel, drive),
+        states: Default::default(),
+        doorbell: Doorbell::default(),
+        options,
+    }));
+    let Tasks {
+        roles,
+        monitoring,
+        control,
+        degraded,
+        trajectory_input,
+        status,
+    } = tasks;
+    // The least urgent first: a task releases only less urgent ones.
+    let mut made = Handles::default();
+    spawn(&kernel, runtime, &mut made, status)?;
+    spawn(&kernel, runtime, &mut made, trajectory_input)?;
+    spawn(&kernel, runtime, &mut made, degraded)?;
+    spawn(&kernel, runtime, &mut made, control)?;
+    spawn(&kernel, runtime, &mut made, monitoring)?;
+    spawn(&kernel, runtime, &mut made, roles)?;
+    let interrupt = move |ctx: &InterruptContext| {
+        on_doorbell();
+        let releases = runtime.doorbell.interrupt(board.now());
+        if releases != Releases::All {
+            runtime.options.held_back.fetch_add(1, Relaxed);
+        }
+        for (task, handle) in TaskId::ALL.into_iter().zip(&made) {
+            let released = match releases {
+                Releases::All => task.info().is_for_interrupts(),
+                Releases::Waiter => task == DOORBELL_WAITER,
+                Releases::Nothing => false,
+            };
+            if let (true, Some(handle)) = (released, handle) {
+                // It never ends.
+                let _ = handle.notify(ctx);
+            }
+        }
+    };
+    kernel
+        .attach(Interrupt::DOORBELL, DOORBELL_PRIORITY, interrupt)
+        .map_err(RunError::Doorbell)?;
+    kernel.trace(runtime);
+    kernel.start(Clock::Wall).map_err(RunError::Start)?;
+    Err(RunError::Stopped)
+}

@@ -1,0 +1,51 @@
+//! What the kernel's hooks tell, in the words of the cores' trace.
+
+use crate::Runtime;
+use core::sync::atomic::Ordering::Relaxed;
+use tandem_board::Board;
+use tandem_cores::core0::TaskId;
+use tandem_cores::task_table::IrqCode;
+use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_rtos::{EventKind, Interrupt, TraceSink};
+
+/// Between two jobs a task only waits for the next, which is not traced; nor are the kernel's own
+/// tasks.
+impl<B: Board + Sync> TraceSink for Runtime<B> {
+    fn record(&self, event: tandem_rtos::Event) {
+        let irq = if event.subject == u32::from(Interrupt::DOORBELL.number()) {
+            IrqCode::DOORBELL
+        } else {
+            IrqCode::TICK
+        };
+        match event.kind {
+            EventKind::InterruptEntered => return self.trace(Event::IrqIn { irq }),
+            EventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
+            EventKind::SwitchedIn | EventKind::SwitchedOut | EventKind::Ready => {}
+        }
+        let is_it = |task: &TaskId| self.state(*task).number.load(Relaxed) == event.subject;
+        let Some(id) = TaskId::ALL.into_iter().find(is_it) else {
+            return;
+        };
+        let (state, task) = (self.state(id), id.info().code);
+        let in_job = state.in_job.load(Relaxed);
+        match event.kind {
+            EventKind::SwitchedIn if in_job => {
+                let begin = Begin::Goes;
+                self.trace(Event::TaskIn { task, begin });
+            }
+            EventKind::SwitchedOut if in_job => {
+                let leaves = if state.waits_for_lock.load(Relaxed) {
+                    Leaves::Blocked
+                } else {
+                    Leaves::Preempted
+                };
+                self.trace(Event::TaskOut { task, leaves });
+            }
+            // The release of the trajectory input is core 2's signal.
+            EventKind::Ready if !in_job && id != TaskId::TrajectoryInput => {
+                self.trace(Event::Ready { task });
+            }
+            _ => {}
+        }
+    }
+}
