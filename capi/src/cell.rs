@@ -56,8 +56,9 @@ fn checked<T>(pointer: *mut T) -> Result<*mut T, TandemStatus> {
     Ok(pointer)
 }
 
-/// Puts a value into the memory of an object, whatever was there. An earlier value is forgotten,
-/// not dropped: the memory may hold anything.
+/// Puts a value into the memory of an object. An earlier value is forgotten, not dropped: the
+/// memory may hold anything. Refused with `Busy` while a handler of C runs inside a call of this
+/// very object, which has a reference to the earlier value.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -66,7 +67,12 @@ pub(crate) unsafe fn put<O: Opaque>(
     value: O::Inner,
 ) -> Result<TandemStatus, TandemStatus> {
     let cell = checked(object)?.cast::<Cell<O::Inner>>();
-    // SAFETY: not null and aligned; room by `Opaque`; ours alone for the call by 1 and 3.
+    // SAFETY: not null and aligned, memory of the type by 1; any bits are a mark.
+    if unsafe { (&raw const (*cell).mark).read() } == IN_USE {
+        return Err(TandemStatus::Busy);
+    }
+    // SAFETY: not null and aligned; room by `Opaque`; ours alone for the call by 1 and 3, and no
+    // reference to the value is alive, as the mark says.
     unsafe {
         (&raw mut (*cell).value).write(MaybeUninit::new(value));
         (&raw mut (*cell).mark).write(O::MARK);

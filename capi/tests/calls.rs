@@ -114,6 +114,11 @@ unsafe extern "C" fn on_task(context: *mut c_void, task: u32, count: u32, value:
             S::Busy
         );
         assert_eq!(tandem_mailbox_awake(&raw mut (*o).receiver), S::Busy);
+        let map = &raw const (*o).map;
+        assert_eq!(
+            tandem_mailbox_receiver_attach(&raw mut (*o).receiver, map, 0),
+            S::Busy
+        );
         assert_eq!(tandem_mailbox_signal(&raw mut (*o).sender, 3), S::Ok);
         assert_eq!(tandem_lock_try_acquire(&raw mut (*o).lock), S::Ok);
     }
@@ -172,6 +177,11 @@ unsafe extern "C" fn give_way(context: *mut c_void, spins: u32) {
             tandem_lock_release(&raw mut (*o).other_lock),
             S::Busy,
             "it is waiting"
+        );
+        let map = &raw const (*o).map;
+        assert_eq!(
+            tandem_lock_attach(&raw mut (*o).other_lock, map, 1, 1, 1),
+            S::Busy
         );
         assert_eq!(tandem_lock_release(&raw mut (*o).lock), S::Ok);
     }
