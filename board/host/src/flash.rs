@@ -4,10 +4,9 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU8, Ordering};
-use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
-use std::thread;
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, Thread};
 use std::time::{Duration, Instant};
 
 use rustix::fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with};
@@ -68,17 +67,35 @@ pub(crate) struct Claimed {
 /// A background thread does what was started and calls `fdatasync`, so that "idle" means durable.
 /// The death of the process at any time leaves in the range of the operation what NOR flash leaves
 /// there: any mixture of old and new.
+///
+/// To start an operation allocates nothing and makes one system call, which wakes the thread. The
+/// thread has a lower priority than the core, so the two share no lock at the same time.
 #[derive(Debug)]
 pub struct HostFlash {
-    file: Arc<File>,
-    status: Arc<AtomicU8>,
-    worker: SyncSender<Operation>,
+    device: Arc<Device>,
+    worker: Thread,
 }
 
 #[derive(Debug)]
-enum Operation {
-    Erase { at: u64 },
-    Program { at: u64, data: Vec<u8> },
+struct Device {
+    file: File,
+    /// [`IDLE`], [`BUSY`] or [`FAILED`]. Who sets it to `BUSY` owns `operation` until the thread
+    /// sets it to another value.
+    status: AtomicU8,
+    /// Never waited for: see `status`.
+    operation: Mutex<Operation>,
+    /// The operation is complete; the thread clears it when it begins.
+    requested: AtomicBool,
+    /// The flash was dropped; the thread ends.
+    closed: AtomicBool,
+}
+
+#[derive(Debug)]
+struct Operation {
+    at: u64,
+    length: usize,
+    erases: bool,
+    data: [u8; SECTOR as usize],
 }
 
 impl HostFlash {
@@ -158,41 +175,76 @@ impl HostFlash {
             .write(true)
             .open(path)
             .map_err(failed)?;
-        let file = Arc::new(file);
-        let status = Arc::new(AtomicU8::new(IDLE));
-        // One operation at a time is the contract, so one place is enough.
-        let (worker, operations) = sync_channel::<Operation>(1);
-        let (its_file, its_status) = (Arc::clone(&file), Arc::clone(&status));
-        thread::Builder::new()
+        let device = Arc::new(Device {
+            file,
+            status: AtomicU8::new(IDLE),
+            operation: Mutex::new(Operation {
+                at: 0,
+                length: 0,
+                erases: false,
+                data: [ERASED; SECTOR as usize],
+            }),
+            requested: AtomicBool::new(false),
+            closed: AtomicBool::new(false),
+        });
+        let its = Arc::clone(&device);
+        let worker = thread::Builder::new()
             .name("data flash".to_owned())
-            .spawn(move || {
-                for operation in operations {
-                    let done = carry_out(&its_file, &operation);
-                    let after = if done.is_ok() { IDLE } else { FAILED };
-                    // Pairs with the loads in `status` and `begin`.
-                    its_status.store(after, Ordering::Release);
-                }
-            })
+            .spawn(move || its.work())
             .map_err(failed)?;
         Ok(Self {
-            file,
-            status,
-            worker,
+            device,
+            worker: worker.thread().clone(),
         })
     }
 
-    fn begin(&self, operation: Operation) -> Result<(), FlashError> {
-        let before = self.status.swap(BUSY, Ordering::AcqRel);
-        if before == BUSY {
+    /// Starts an operation that `fill` completes.
+    fn begin(&self, fill: impl FnOnce(&mut Operation)) -> Result<(), FlashError> {
+        let Device {
+            status,
+            operation,
+            requested,
+            ..
+        } = &*self.device;
+        // Acquire pairs with the release in `Device::work`: the thread is done with the operation.
+        if status.swap(BUSY, Ordering::AcqRel) == BUSY {
             return Err(FlashError::Busy);
         }
-        match self.worker.try_send(operation) {
-            Ok(()) => Ok(()),
-            Err(TrySendError::Full(_)) => Err(FlashError::Busy),
-            // The thread is gone: nothing will ever be written.
-            Err(TrySendError::Disconnected(_)) => {
-                self.status.store(FAILED, Ordering::Release);
-                Err(FlashError::Failed)
+        fill(&mut operation.lock().unwrap_or_else(PoisonError::into_inner));
+        // Pairs with the swap in `Device::work`.
+        requested.store(true, Ordering::Release);
+        self.worker.unpark();
+        Ok(())
+    }
+}
+
+impl Drop for HostFlash {
+    fn drop(&mut self) {
+        // Pairs with the load in `Device::work`.
+        self.device.closed.store(true, Ordering::Release);
+        self.worker.unpark();
+    }
+}
+
+impl Device {
+    /// The life of the background thread.
+    fn work(&self) {
+        // What programming reads back, kept for its memory.
+        let mut present = [ERASED; SECTOR as usize];
+        loop {
+            // Acquire pairs with the store in `HostFlash::begin`.
+            if self.requested.swap(false, Ordering::Acquire) {
+                let operation = self.operation.lock();
+                let operation = operation.unwrap_or_else(PoisonError::into_inner);
+                let done = carry_out(&self.file, &operation, &mut present);
+                drop(operation);
+                let after = if done.is_ok() { IDLE } else { FAILED };
+                // Pairs with the loads in `status` and `begin`.
+                self.status.store(after, Ordering::Release);
+            } else if self.closed.load(Ordering::Acquire) {
+                return;
+            } else {
+                thread::park();
             }
         }
     }
@@ -200,11 +252,12 @@ impl HostFlash {
 
 impl DataFlash for HostFlash {
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        if self.status.load(Ordering::Acquire) == BUSY {
+        if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
         check(u64::from(offset), into.len())?;
-        self.file
+        self.device
+            .file
             .read_exact_at(into, u64::from(offset))
             .map_err(|_| FlashError::Failed)
     }
@@ -213,8 +266,10 @@ impl DataFlash for HostFlash {
         if sector >= Self::SECTORS {
             return Err(FlashError::OutOfRange);
         }
-        self.begin(Operation::Erase {
-            at: u64::from(sector) * SECTOR,
+        self.begin(|operation| {
+            operation.at = u64::from(sector) * SECTOR;
+            operation.length = SECTOR as usize;
+            operation.erases = true;
         })
     }
 
@@ -226,14 +281,16 @@ impl DataFlash for HostFlash {
         if !in_one_sector || !at.is_multiple_of(PAGE) || !length.is_multiple_of(PAGE) {
             return Err(FlashError::OutOfRange);
         }
-        self.begin(Operation::Program {
-            at,
-            data: data.to_vec(),
+        self.begin(|operation| {
+            operation.at = at;
+            operation.length = data.len();
+            operation.erases = false;
+            operation.data[..data.len()].copy_from_slice(data);
         })
     }
 
     fn status(&self) -> FlashStatus {
-        match self.status.load(Ordering::Acquire) {
+        match self.device.status.load(Ordering::Acquire) {
             IDLE => FlashStatus::Idle,
             BUSY => FlashStatus::Busy,
             _ => FlashStatus::Failed,
@@ -249,19 +306,21 @@ fn check(at: u64, length: usize) -> Result<(), FlashError> {
     }
 }
 
-fn carry_out(file: &File, operation: &Operation) -> io::Result<()> {
-    match operation {
-        Operation::Erase { at } => file.write_all_at(&[ERASED; SECTOR as usize], *at)?,
-        Operation::Program { at, data } => {
-            let mut now = vec![0; data.len()];
-            file.read_exact_at(&mut now, *at)?;
-            // NOR flash: programming only clears bits.
-            for (old, new) in now.iter_mut().zip(data) {
-                *old &= new;
-            }
-            file.write_all_at(&now, *at)?;
+fn carry_out(file: &File, operation: &Operation, present: &mut [u8]) -> io::Result<()> {
+    let Operation {
+        at, length, erases, ..
+    } = *operation;
+    let present = &mut present[..length];
+    if erases {
+        present.fill(ERASED);
+    } else {
+        file.read_exact_at(present, at)?;
+        // NOR flash: programming only clears bits.
+        for (old, new) in present.iter_mut().zip(&operation.data) {
+            *old &= new;
         }
     }
+    file.write_all_at(present, at)?;
     file.sync_data()
 }
 

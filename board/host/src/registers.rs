@@ -1,5 +1,7 @@
 //! The supply as core 0 sees it: registers in the backplane.
 
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
@@ -19,6 +21,8 @@ pub struct HostSupply {
     services: Mutex<fifo::Producer<'static>>,
     /// Services in this life.
     count: AtomicU32,
+    /// The name of this process in `ps`, if Linux shows it as a file.
+    comm: Option<File>,
 }
 
 impl HostSupply {
@@ -29,6 +33,7 @@ impl HostSupply {
             of,
             services: Mutex::new(fifo::Producer::attach(backplane.ring(ring), ring.shape)?),
             count: AtomicU32::new(0),
+            comm: OpenOptions::new().write(true).open("/proc/self/comm").ok(),
         })
     }
 }
@@ -61,14 +66,19 @@ impl Supply for HostSupply {
 
     fn show_role(&self, lamp: RoleLamp) {
         self.backplane.show_role(self.of.system, lamp);
-        let name = process_name(self.of, lamp);
-        // Only for the eye of a person in `ps` and `top`: failure is no loss.
-        let _ = std::fs::write("/proc/self/comm", name);
+        // One system call and no allocation, for a person who looks at `ps`: failure is no loss.
+        if let Some(mut comm) = self.comm.as_ref() {
+            let (name, length) = process_name(self.of, lamp);
+            let _ = comm.write(&name[..length]);
+        }
     }
 }
 
-/// What `ps` shows of a core, at most 15 bytes: `A0 master`.
-fn process_name(of: Identity, lamp: RoleLamp) -> String {
+/// Bytes that Linux keeps of a process's name.
+const NAME_BYTES: usize = 15;
+
+/// What `ps` shows of a core, and its length: `A0 master`.
+fn process_name(of: Identity, lamp: RoleLamp) -> ([u8; NAME_BYTES], usize) {
     let role = match lamp {
         RoleLamp::Starting => "starting",
         RoleLamp::Master => "master",
@@ -76,5 +86,10 @@ fn process_name(of: Identity, lamp: RoleLamp) -> String {
         RoleLamp::Standby => "standby",
         RoleLamp::Suspended => "suspended",
     };
-    format!("{}{} {role}", of.system, of.core)
+    let mut name = [0; NAME_BYTES];
+    let mut rest = &mut name[..];
+    // What does not fit is cut off.
+    let _ = write!(rest, "{}{} {role}", of.system, of.core);
+    let length = NAME_BYTES - rest.len();
+    (name, length)
 }
