@@ -94,6 +94,13 @@ pub trait Can {
     /// [`TransmitFull`] if the buffer is full.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
 
+    /// Discards the frames of this core that wait in the transmit buffer. Never blocks.
+    ///
+    /// A frame that is already on its way to the bus is not stopped: of the frames handed over
+    /// before this call, the first few may still be sent, the others never. A frame handed over
+    /// after this call is sent as usual.
+    fn discard_unsent(&self);
+
     /// The next received frame. Never blocks.
     fn try_receive(&self) -> Option<Received>;
 

@@ -10,6 +10,22 @@ use tandem_shm::{FitError, broadcast, fifo};
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
 
+/// A frame on its way to the bus: frame, number of discards before it.
+pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
+
+/// A frame for the transmit ring. `discards`: how often the sender has discarded what waits.
+pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
+    let mut words = [discards; TRANSMIT_WORDS];
+    words[..FRAME_WORDS].copy_from_slice(&frame.encode());
+    words
+}
+
+/// The frame in the transmit ring, and the sender's discards before it.
+pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
+    let frame = words.first_chunk()?;
+    Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
+}
+
 /// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
 /// once a millisecond; without it nothing is received and the transmit buffer fills up.
 #[derive(Debug)]
@@ -56,9 +72,15 @@ impl Can for HostCan {
             reaches: [false; 2],
         };
         let mut transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
+        let discards = self.backplane.discards(self.of.system, self.of.core);
         transmit
-            .send(&frame.encode())
+            .send(&encode_transmit(&frame, discards))
             .map_err(|fifo::Full| TransmitFull)
+    }
+
+    fn discard_unsent(&self) {
+        let _transmit = self.transmit.lock().unwrap_or_else(PoisonError::into_inner);
+        self.backplane.count_discard(self.of.system, self.of.core);
     }
 
     fn try_receive(&self) -> Option<Received> {

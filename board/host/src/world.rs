@@ -4,12 +4,13 @@ use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
     Traced,
 };
-use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
+use tandem_peripherals::codec::{BusFrame, Sender};
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
 use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, supply_trace_ring};
 use crate::bell::Ringers;
+use crate::can::{TRANSMIT_WORDS, decode_transmit};
 use crate::clock;
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
@@ -138,7 +139,7 @@ impl WorldPort {
         if refill {
             self.counted_from = now;
         }
-        let mut words = [0; FRAME_WORDS];
+        let mut words = [0; TRANSMIT_WORDS];
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             if refill {
@@ -148,8 +149,10 @@ impl WorldPort {
                 if !silent && node.may_send == 0 || !node.frames.receive_into(&mut words) {
                     break;
                 }
-                node.may_send = node.may_send.saturating_sub(1);
-                if let Some(sent) = BusFrame::decode(&words).filter(|_| !silent) {
+                let discards = self.backplane.discards(node.system, node.core);
+                let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
+                if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
+                    node.may_send = node.may_send.saturating_sub(1);
                     // The clock anew: the vehicle itself may have been held up since it looked.
                     let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
@@ -298,8 +301,9 @@ fn wait_until_assembled(backplane: Backplane) -> Result<(), WorldError> {
 mod tests {
     use super::*;
     use crate::args::{Common, Schedule};
+    use crate::can::{HostCan, encode_transmit};
     use crate::name::RunName;
-    use tandem_board::CanId;
+    use tandem_board::{Can, CanId, Generation, Identity};
 
     /// A run without processes, of which this one is launcher and vehicle.
     fn world() -> (RunName, WorldPort) {
@@ -332,7 +336,7 @@ mod tests {
                 sender: Sender::Core(CoreAddress::A0),
                 reaches: [false; 2],
             };
-            transmit.send(&frame.encode()).unwrap();
+            transmit.send(&encode_transmit(&frame, 0)).unwrap();
             let mut seen = vec![];
             world.transmitted(&mut |_, _, received| seen.push(received.at));
             seen
@@ -344,6 +348,28 @@ mod tests {
             panic!("one frame was sent");
         };
         assert!(ahead <= clock::now(), "in the future");
+        Backplane::remove(&run);
+    }
+
+    /// T-RED-9: what waits when the output closes is not sent; what is sent later is.
+    #[test]
+    fn discarded_frames_do_not_reach_the_bus() {
+        let (run, mut world) = world();
+        let of = Identity {
+            system: SystemId::A,
+            core: CoreId::CONTROL,
+            generation: Generation(1),
+        };
+        let can = HostCan::attach(world.backplane, of).unwrap();
+        let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
+        for id in 1..4 {
+            can.try_send(&frame(id)).unwrap();
+        }
+        can.discard_unsent();
+        can.try_send(&frame(4)).unwrap();
+        let mut seen = vec![];
+        world.transmitted(&mut |_, _, received| seen.push(received.frame));
+        assert_eq!(seen, [frame(4)]);
         Backplane::remove(&run);
     }
 }

@@ -156,6 +156,8 @@ pub enum Defect {
     SelfReception,
     /// The other system does not hear this system's CAN frames.
     NoBroadcast,
+    /// A discard of the frames that wait also discards the next one.
+    DiscardsLaterFrame,
     /// Two CAN frames change places.
     CanReordered,
     /// System B hears its own frames before those of system A.
@@ -218,7 +220,7 @@ pub enum Defect {
 
 impl Defect {
     /// All of them.
-    pub const ALL: [Self; 42] = [
+    pub const ALL: [Self; 43] = [
         Self::LostRing,
         Self::MisdirectedRing,
         Self::EarlyDeadline,
@@ -232,6 +234,7 @@ impl Defect {
         Self::WrongGeneration,
         Self::SelfReception,
         Self::NoBroadcast,
+        Self::DiscardsLaterFrame,
         Self::CanReordered,
         Self::CanTwoOrders,
         Self::FdTruncated,

@@ -76,6 +76,10 @@ impl Machine {
         Some(datagram)
     }
 
+    pub(crate) fn discard_unsent(&mut self, from: CoreAddress) {
+        self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
+    }
+
     /// Sends a frame of a core, unless it has sent its share of this millisecond.
     pub(crate) fn send_can(
         &mut self,
@@ -94,6 +98,9 @@ impl Machine {
             return Err(TransmitFull);
         }
         core.sent.1 += 1;
+        if core::mem::take(&mut core.loses_next) {
+            return Ok(());
+        }
         self.put_on_bus(Sender::Core(from.system, from.core), frame);
         Ok(())
     }

@@ -119,6 +119,8 @@ pub(crate) struct Core {
     pub(crate) overruns: u32,
     /// Frames sent in a millisecond, and in which.
     pub(crate) sent: (u64, u32),
+    /// A defect: the next frame is lost.
+    pub(crate) loses_next: bool,
     looks: u32,
 }
 
@@ -136,6 +138,7 @@ impl Core {
             can_wakes: false,
             overruns: 0,
             sent: (0, 0),
+            loses_next: false,
             looks: 0,
         }
     }

@@ -78,6 +78,10 @@ impl Can for Counted<'_> {
         uncounted(|| self.board.can().try_send(frame))
     }
 
+    fn discard_unsent(&self) {
+        uncounted(|| self.board.can().discard_unsent());
+    }
+
     fn try_receive(&self) -> Option<Received> {
         uncounted(|| self.board.can().try_receive())
     }

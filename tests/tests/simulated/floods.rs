@@ -277,6 +277,10 @@ impl Can for EndlessCan {
         self.0.can().try_send(frame)
     }
 
+    fn discard_unsent(&self) {
+        self.0.can().discard_unsent();
+    }
+
     fn try_receive(&self) -> Option<Received> {
         let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).ok()?;
         let at = self.0.now();

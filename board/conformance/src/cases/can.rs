@@ -217,6 +217,51 @@ pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<()
     Ok(())
 }
 
+/// Bursts that are discarded, and the most frames of each.
+const BURSTS: u8 = 10;
+const BURST: u32 = 100;
+
+/// Fills the transmit buffer, discards what waits there, and sends one frame that says how many
+/// there were.
+pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for burst in 0..BURSTS {
+        let mut sent = 0;
+        while sent < BURST && board.can().try_send(&numbered(burst, sent)?).is_ok() {
+            sent += 1;
+        }
+        board.can().discard_unsent();
+        send(board, &numbered(0x80 | burst, sent)?)?;
+        let heard = || word(board, 0).load(Ordering::Acquire) > u32::from(burst);
+        sleep_until(board, "the frame after a discard is sent", heard)?;
+    }
+    meet(board, HERE, 2)
+}
+
+/// Hears the first frames of each burst, how many is not determined, and then the frame that was
+/// sent after the discard.
+pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    meet(board, HERE, 1)?;
+    for burst in 0..BURSTS {
+        let mut heard = 0;
+        let sent = loop {
+            let (kind, number) = number_of(&receive(board)?.frame).unwrap_or_default();
+            if kind == 0x80 | burst {
+                break number;
+            }
+            equal(kind, burst, "what was discarded is not sent later")?;
+            equal(number, heard, "a discard leaves no hole in what was sent")?;
+            heard += 1;
+        };
+        check(heard <= sent, "no frame comes twice")?;
+        // Release pairs with Acquire in `discarding_sender`.
+        word(board, 0).store(u32::from(burst) + 1, Ordering::Release);
+    }
+    meet(board, HERE, 2)?;
+    sleep(board, PAUSE)?;
+    check(board.can().try_receive().is_none(), "no frame comes twice")
+}
+
 const WAKES: u32 = 10;
 
 /// Sends when the receiver sleeps.

@@ -15,7 +15,7 @@ use tandem_board::{Board, CoreAddress};
 use Setting::{Plain, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
-const COUNT: usize = 40;
+const COUNT: usize = 41;
 
 /// Makes the parts of a case live as long as the program.
 macro_rules! case {
@@ -63,6 +63,8 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
             B0: can::chatter::<B>, B1: can::listener::<B>),
         case!("can-not-self", Plain, A0: can::lonely_sender::<B>, A1: can::witness::<B>),
         case!("can-payload", Plain, A0: can::payload_sender::<B>, A1: can::payload_receiver::<B>),
+        case!("can-discard", Plain,
+            A0: can::discarding_sender::<B>, A1: can::discard_witness::<B>),
         case!("can-wakes", Plain, A0: can::paced_sender::<B>, A1: can::woken_receiver::<B>),
         case!("can-wakes-only-if-asked", Plain,
             A0: can::steady_sender::<B>, A1: can::deaf_sleeper::<B>),

@@ -4,6 +4,7 @@ use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
 use tandem_shm::{Shape, broadcast, fifo};
 
+use crate::can::TRANSMIT_WORDS;
 use crate::trace_ring;
 
 /// Words of a cache line: what different writers write lies on different lines.
@@ -41,6 +42,7 @@ pub(super) enum Core {
     Generation,
     WakeOnReceive = LINE as isize,
     TraceLost,
+    Discards,
 }
 
 const RUN_AT: usize = 0;
@@ -105,7 +107,7 @@ pub(crate) struct Rings {
 }
 
 /// Frames that wait for the bus, which fetches them every millisecond.
-const TRANSMIT: Shape = Shape::new(64, FRAME_WORDS);
+const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
 /// Frames that a core may be behind: at the load of the vehicle bus some hundred milliseconds.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams under way.

@@ -287,6 +287,18 @@ impl Backplane {
         self.core(system, core, Core::WakeOnReceive).load(SeqCst) != 0
     }
 
+    /// How often the core has discarded what waits in its transmit ring; wraps around.
+    pub(crate) fn discards(self, system: SystemId, core: CoreId) -> u32 {
+        self.core(system, core, Core::Discards).load(Relaxed)
+    }
+
+    /// Counts one discard: the bus drops the frames that carry an older count. Relaxed is enough:
+    /// the ring orders a frame that carries the new count after this.
+    pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
+        self.core(system, core, Core::Discards)
+            .fetch_add(1, Relaxed);
+    }
+
     /// Counts one lost trace record of the core.
     pub(crate) fn count_lost_trace(self, system: SystemId, core: CoreId) {
         self.core(system, core, Core::TraceLost)

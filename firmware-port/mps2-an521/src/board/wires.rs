@@ -185,6 +185,9 @@ impl Can for An521Can {
         Ok(())
     }
 
+    /// Nothing waits here: a frame is on the bus when it is handed over.
+    fn discard_unsent(&self) {}
+
     fn try_receive(&self) -> Option<Received> {
         let mut words = [0; FRAME_WORDS];
         let received = self.receive.borrow_mut().receive_into(&mut words);

@@ -55,6 +55,10 @@ impl Can for VirtCan {
         Ok(())
     }
 
+    fn discard_unsent(&self) {
+        carrier::core(self.0).transmit.discard();
+    }
+
     fn try_receive(&self) -> Option<Received> {
         let words = carrier::core(self.0).receive.take()?;
         BusFrame::decode(&words).map(|frame| frame.received)

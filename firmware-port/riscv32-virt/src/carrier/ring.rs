@@ -8,6 +8,8 @@ pub(crate) struct Ring<const SLOTS: usize, const WORDS: usize> {
     put: AtomicU32,
     /// Records taken so far; the taking hart's. Wraps around.
     taken: AtomicU32,
+    /// Records put before the last discard; the putting hart's. Wraps around.
+    discarded: AtomicU32,
     slots: [[AtomicU32; WORDS]; SLOTS],
 }
 
@@ -17,6 +19,7 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         Self {
             put: AtomicU32::new(0),
             taken: AtomicU32::new(0),
+            discarded: AtomicU32::new(0),
             slots: [const { [const { AtomicU32::new(0) }; WORDS] }; SLOTS],
         }
     }
@@ -36,9 +39,28 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         true
     }
 
+    /// Discards what was put and not yet taken. For the putting hart.
+    pub(crate) fn discard(&self) {
+        // Relaxed: `put` orders a record that is put later after this.
+        self.discarded
+            .store(self.put.load(Ordering::Relaxed), Ordering::Relaxed);
+    }
+
+    /// The number of the next record to take. What was discarded counts as taken.
+    fn first_wanted(&self) -> u32 {
+        let taken = self.taken.load(Ordering::Relaxed);
+        let discarded = self.discarded.load(Ordering::Relaxed);
+        if discarded.wrapping_sub(taken).cast_signed() > 0 {
+            // Release pairs with the Acquire in `put`.
+            self.taken.store(discarded, Ordering::Release);
+            return discarded;
+        }
+        taken
+    }
+
     /// Takes the oldest record.
     pub(crate) fn take(&self) -> Option<[u32; WORDS]> {
-        let taken = self.taken.load(Ordering::Relaxed);
+        let taken = self.first_wanted();
         if self.put.load(Ordering::Acquire) == taken {
             return None;
         }
@@ -56,5 +78,6 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
     pub(crate) fn clear(&self) {
         self.put.store(0, Ordering::Relaxed);
         self.taken.store(0, Ordering::Relaxed);
+        self.discarded.store(0, Ordering::Relaxed);
     }
 }
