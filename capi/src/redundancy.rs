@@ -4,9 +4,9 @@ use crate::cell::{self, opaque};
 use crate::config::TandemConfig;
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use crate::store::{TandemLoaded, TandemState, failure_mode};
-use tandem_board::{Edge, Instant, ResetCause, ResetRequest, SystemId};
+use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Actions, ControlFrame, Input, Mode, PeerReport, Redundancy, Role, Snapshot, Term,
+    Action, Actions, ControlFrame, Event, Input, Mode, PeerReport, Redundancy, Role, Snapshot, Term,
 };
 
 /// System A.
@@ -70,6 +70,8 @@ pub const TANDEM_RESET_SUSPEND: u32 = 3;
 
 /// Room for the events of one call.
 pub const TANDEM_MAX_EVENTS: usize = 8;
+
+const _: () = assert!(TANDEM_MAX_EVENTS == Actions::EVENTS);
 
 /// The redundancy of one system. Static, zero at first.
 #[repr(C)]
@@ -162,38 +164,66 @@ pub struct TandemActions {
     pub deadline_ns: u64,
 }
 
-impl From<Actions> for TandemActions {
-    fn from(actions: Actions) -> Self {
-        let mut events = [[0; 3]; TANDEM_MAX_EVENTS];
-        let mut event_count = 0;
-        for (place, event) in events.iter_mut().zip(actions.events.iter()) {
-            *place = event.to_words();
-            event_count += 1;
-        }
-        let factory = tandem_redundancy::SystemState::factory(SystemId::A);
+impl TandemActions {
+    const fn none(deadline: Instant) -> Self {
         Self {
-            handshake: actions.handshake.into(),
-            sync: actions.sync.into(),
-            beat: match actions.beat.map(|beat| beat.edge) {
-                None => TANDEM_EDGE_NONE,
-                Some(Edge::Rising) => TANDEM_EDGE_RISING,
-                Some(Edge::Falling) => TANDEM_EDGE_FALLING,
-            },
-            transmit_now: actions.transmit_now.into(),
-            output_closed: actions.output_closed.into(),
-            synchronised: actions.synchronised.into(),
-            persist: actions.persist.is_some().into(),
-            state: actions.persist.unwrap_or(factory).into(),
-            reset: match actions.reset {
-                None => TANDEM_RESET_NONE,
-                Some(ResetRequest::Software) => TANDEM_RESET_SOFTWARE,
-                Some(ResetRequest::CoreDead) => TANDEM_RESET_CORE_DEAD,
-                Some(ResetRequest::Suspend) => TANDEM_RESET_SUSPEND,
-            },
-            event_count,
-            events,
-            deadline_ns: actions.deadline.as_ns(),
+            handshake: 0,
+            sync: 0,
+            beat: TANDEM_EDGE_NONE,
+            transmit_now: 0,
+            output_closed: 0,
+            synchronised: 0,
+            persist: 0,
+            state: TandemState::factory(SystemId::A),
+            reset: TANDEM_RESET_NONE,
+            event_count: 0,
+            events: [[0; 3]; TANDEM_MAX_EVENTS],
+            deadline_ns: deadline.as_ns(),
         }
+    }
+
+    fn send_edge(&mut self, line: Line, edge: Edge) {
+        match (line, edge) {
+            (Line::Start, Edge::Rising) => self.handshake = 1,
+            (Line::Start, Edge::Falling) => self.sync = 1,
+            (Line::Heartbeat1 | Line::Heartbeat2, Edge::Rising) => self.beat = TANDEM_EDGE_RISING,
+            (Line::Heartbeat1 | Line::Heartbeat2, Edge::Falling) => self.beat = TANDEM_EDGE_FALLING,
+        }
+    }
+
+    fn record(&mut self, event: Event) {
+        if let Some(place) = self.events.get_mut(self.event_count as usize) {
+            *place = event.to_words();
+            self.event_count += 1;
+        }
+    }
+}
+
+impl From<Actions> for TandemActions {
+    #[deny(clippy::wildcard_enum_match_arm, reason = "no action may be forgotten")]
+    fn from(actions: Actions) -> Self {
+        let mut made = Self::none(actions.deadline());
+        for action in actions.iter() {
+            match action {
+                Action::SendEdge(line, edge) => made.send_edge(line, edge),
+                Action::Transmit => made.transmit_now = 1,
+                Action::DiscardUnsent => made.output_closed = 1,
+                Action::AlignControl => made.synchronised = 1,
+                Action::Persist(state) => {
+                    made.persist = 1;
+                    made.state = state.into();
+                }
+                Action::Reset(request) => {
+                    made.reset = match request {
+                        ResetRequest::Software => TANDEM_RESET_SOFTWARE,
+                        ResetRequest::CoreDead => TANDEM_RESET_CORE_DEAD,
+                        ResetRequest::Suspend => TANDEM_RESET_SUSPEND,
+                    }
+                }
+                Action::Record(event) => made.record(event),
+            }
+        }
+        made
     }
 }
 

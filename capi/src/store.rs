@@ -4,7 +4,7 @@ use crate::cell::{self, opaque};
 use crate::redundancy::system_id;
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::c_void;
-use tandem_board::{FlashError, FlashStatus};
+use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
 
 /// Bytes of a record in the flash.
@@ -123,18 +123,28 @@ pub type TandemFlashRead = Option<
     unsafe extern "C" fn(context: *mut c_void, offset: u32, into: *mut u8, count: u32) -> i32,
 >;
 
-impl From<SystemState> for TandemState {
-    fn from(state: SystemState) -> Self {
+impl TandemState {
+    const fn new(state: SystemState) -> Self {
         Self {
-            is_master: state.is_master.into(),
-            sys_failure: state.sys_failure.into(),
-            failure_mode: state.failure_mode.code().into(),
-            cpsys_failure: state.cpsys_failure.into(),
+            is_master: state.is_master as u32,
+            sys_failure: state.sys_failure as u32,
+            failure_mode: state.failure_mode.code() as u32,
+            cpsys_failure: state.cpsys_failure as u32,
             abn_resets: state.abn_resets,
             total_resets: state.total_resets,
-            abn_in_a_row: state.abn_in_a_row.into(),
+            abn_in_a_row: state.abn_in_a_row as u32,
             term: state.term.bits(),
         }
+    }
+
+    pub(crate) const fn factory(system: SystemId) -> Self {
+        Self::new(SystemState::factory(system))
+    }
+}
+
+impl From<SystemState> for TandemState {
+    fn from(state: SystemState) -> Self {
+        Self::new(state)
     }
 }
 
@@ -179,9 +189,9 @@ pub unsafe extern "C" fn tandem_state_factory(
     system: u32,
 ) -> TandemStatus {
     status(|| {
-        let factory = SystemState::factory(system_id(system)?);
+        let factory = TandemState::factory(system_id(system)?);
         // SAFETY: the caller's contract is passed on.
-        unsafe { cell::write(state, factory.into()) }?;
+        unsafe { cell::write(state, factory) }?;
         Ok(S::Ok)
     })
 }
@@ -223,7 +233,7 @@ pub unsafe extern "C" fn tandem_store_load(
                 _ => Err(FlashError::Failed),
             }
         });
-        let blank = SystemState::factory(tandem_board::SystemId::A);
+        let blank = SystemState::factory(SystemId::A);
         let (kind, state) = match what {
             Loaded::State(state) => (TANDEM_LOADED_STATE, state),
             Loaded::Blank => (TANDEM_LOADED_BLANK, blank),

@@ -1,6 +1,6 @@
 //! The checks at power-on and after a reset, in the order of T-RED-7.
 
-use crate::start::StartKind;
+use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 

@@ -2,13 +2,14 @@
 //!
 //! [`Redundancy`] is told the time and what was seen, and answers with [`Actions`]; it reads no
 //! clock and touches no board. [`StateStore`] keeps the [`SystemState`] in data flash over power
-//! loss. Tables, bounds and reasons stand in `docs/redundancy.md`.
+//! loss; it says which operation to start and touches no flash. Tables, bounds and reasons stand in
+//! `docs/redundancy.md`.
 //!
 //! One cycle of core 0:
 //!
-//! 1. hand every control frame, status frame and link report that has come to [`Redundancy::on`];
+//! 1. hand every received control frame, status frame and link report to [`Redundancy::on`];
 //! 2. take a [`Snapshot`] of the lines and hand it over as [`Input::Poll`];
-//! 3. do what the [`Actions`] say; call again no later than [`Actions::deadline`];
+//! 3. carry out each [`Action`]; call again no later than [`Actions::deadline`];
 //! 4. ask [`Redundancy::may_transmit`] right before each control frame.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -16,25 +17,28 @@
 #[cfg(test)]
 extern crate std;
 
+mod action;
 mod boot;
-mod can_watch;
 mod config;
-mod heartbeat;
-mod io;
+mod driving;
+mod input;
 mod machine;
+mod phase;
 mod report;
-mod roles;
-mod start;
+mod standby;
+mod starting;
 mod state;
 mod store;
 mod term;
+mod transition;
+mod witness;
 
+pub use action::{Action, Actions, Event, Takeover};
 pub use config::Config;
-pub use heartbeat::{Beat, BeatReceiver, BeatSender, LineChange};
-pub use io::{Actions, ControlFrame, Event, Events, Input, Snapshot, Takeover};
+pub use input::{ControlFrame, Input, Snapshot};
 pub use machine::Redundancy;
+pub use phase::{Evidence, Mode, Phase, Role};
 pub use report::PeerReport;
-pub use roles::{Evidence, Mode, Phase, Role, next};
 pub use state::{DecodeError, FailureMode, SystemState};
 pub use store::{FlashOp, Geometry, Loaded, StateStore};
 pub use term::Term;

@@ -1,24 +1,73 @@
-//! The machine: gathers evidence from inputs, applies the transition table, says what to do.
+//! The machine: asks the phase what the witnesses add up to, follows the transition table, and says
+//! what to do.
 
 mod hear;
-mod poll;
+#[cfg(test)]
+mod table;
 
 use crate::boot::{self, Boot};
-use crate::can_watch::CanWatch;
-use crate::start::{Start, StartKind};
+use crate::driving::{Driving, Thawed};
+use crate::input::{Polls, Seen};
+use crate::standby::Standby;
+use crate::starting::Starting;
+use crate::transition::{Effect, rule};
+use crate::witness::{BeatSender, Witnesses};
 use crate::{
-    Actions, BeatReceiver, BeatSender, Config, Event, Evidence, FailureMode, Input, Loaded, Mode,
-    PeerReport, Phase, Role, Snapshot, SystemState, Takeover, Term, next,
+    Action, Actions, Config, Event, Evidence, FailureMode, Input, Loaded, Mode, PeerReport, Phase,
+    Role, Snapshot, SystemState, Takeover, Term,
 };
-use tandem_board::{Instant, ResetCause, ResetRequest, SystemId};
+use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
-/// How far the first term after a start lies above the highest known one: more masterships than can
-/// have gone unwritten when the power failed.
+/// The first term after a start lies this far above the highest known one: more masterships than
+/// can have gone unwritten when the power failed.
 const TERM_STEP_AT_START: u32 = 8;
-/// The same if nobody has told the highest term since power-on: more masterships than the other is
-/// likely to have had while this system was off. A term that the vehicle refuses would leave nobody
-/// driving.
+/// The same if nothing was heard of the highest term since power-on: more masterships than the
+/// other is likely to have had while this system was off. If the term were too low, the vehicle
+/// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
+
+/// The phase, with what is known in this phase only.
+#[derive(Clone, Debug)]
+enum PhaseState {
+    Starting(Starting),
+    Standby(Standby),
+    Master(Driving),
+    DegradedMaster(Driving),
+    Thawed(Thawed),
+    Resetting,
+    Suspended,
+}
+
+impl PhaseState {
+    const fn phase(&self) -> Phase {
+        match self {
+            Self::Starting(_) => Phase::Starting,
+            Self::Standby(_) => Phase::Standby,
+            Self::Master(_) => Phase::Master,
+            Self::DegradedMaster(_) => Phase::DegradedMaster,
+            Self::Thawed(_) => Phase::Thawed,
+            Self::Resetting => Phase::Resetting,
+            Self::Suspended => Phase::Suspended,
+        }
+    }
+
+    /// The mastership, while the output is open.
+    const fn driving(&mut self) -> Option<&mut Driving> {
+        match self {
+            Self::Master(driving) | Self::DegradedMaster(driving) => Some(driving),
+            _ => None,
+        }
+    }
+
+    /// The mastership that this system has, open or interrupted by a stall.
+    const fn mastership(&self) -> Option<Driving> {
+        match self {
+            Self::Master(driving) | Self::DegradedMaster(driving) => Some(*driving),
+            Self::Thawed(thawed) => Some(thawed.driving),
+            _ => None,
+        }
+    }
+}
 
 /// The redundancy of one system.
 ///
@@ -27,52 +76,22 @@ const TERM_STEP_UNHEARD: u32 = 1024;
 pub struct Redundancy {
     config: Config,
     system: SystemId,
-    phase: Phase,
-    start: Start,
+    phase: PhaseState,
     state: SystemState,
     /// What was last handed out to be written.
-    written: Option<SystemState>,
-    /// The term that this system drives in, once it drives.
-    term: Term,
+    persisted: Option<SystemState>,
+    /// The record was lost, and this is not yet told.
+    untold_loss: bool,
     /// The highest term is known well enough: told since the start, or the system was not off
     /// before.
     term_known: bool,
-    /// The vehicle was heard to obey a higher term than this master's.
-    outvoted: bool,
-    beat_sender: BeatSender,
-    beats: BeatReceiver,
-    can: CanWatch,
-    last: Option<Snapshot>,
-    last_poll: Instant,
-    /// When it last was permitted to transmit.
-    last_permit: Instant,
-    /// A transmission was refused because the last poll was too long ago.
-    refused: bool,
-    /// When the peer's last valid control frame was heard, or when this system became standby.
-    last_control: Instant,
-    control_known: bool,
-    control_while_starting: bool,
-    peer_mode: Mode,
-    peer_low_since: Option<Instant>,
-    /// The level line says "off" while the peer is seen to live.
-    level_broken: bool,
-    /// The peer's last word over the link, and when.
-    peer_link: Option<(PeerReport, Instant)>,
-    /// Since when the peer says over the link, without a pause, that it drives in a higher term
-    /// and hears the bus.
-    peer_claims_since: Option<Instant>,
-    /// When the peer was last heard on CAN as standby.
-    peer_standby_at: Option<Instant>,
-    running_since: Option<Instant>,
-    thawed_at: Instant,
-    stopping: bool,
-    can_silent: bool,
-    lines_split: bool,
-    /// The master was silent or in its start since its last control frame.
-    suspected: bool,
+    /// The last stale term that was told.
     stale_told: Term,
-    pending: Option<Event>,
-    reset: Option<ResetRequest>,
+    beats: BeatSender,
+    polls: Polls,
+    witnesses: Witnesses,
+    /// When this system was first ready for a role.
+    running_since: Option<Instant>,
 }
 
 impl Redundancy {
@@ -87,82 +106,52 @@ impl Redundancy {
         now: Instant,
     ) -> Self {
         let (state, verdict) = boot::check(&config, system, cause, loaded);
-        let (phase, kind, claims_master) = match verdict {
-            Boot::Suspend => (Phase::Suspended, StartKind::Listen, false),
+        let phase = match verdict {
+            Boot::Suspend => PhaseState::Suspended,
             Boot::Start {
                 kind,
                 claims_master,
-            } => (Phase::Starting, kind, claims_master),
+            } => PhaseState::Starting(Starting::new(kind, claims_master, system, now)),
         };
-        let suspended = phase == Phase::Suspended;
         Self {
             config,
             system,
             phase,
-            start: Start::new(kind, claims_master, system, now),
             state,
-            written: None,
-            term: Term::NONE,
+            persisted: None,
+            untold_loss: loaded == Loaded::Lost,
             term_known: cause != ResetCause::PowerOn,
-            outvoted: false,
-            beat_sender: BeatSender::new(config.heartbeat_period),
-            beats: BeatReceiver::new(config.silent_limit(), [0; 2], now),
-            can: CanWatch::new(0, now),
-            last: None,
-            last_poll: now,
-            last_permit: now,
-            refused: false,
-            last_control: now,
-            control_known: false,
-            control_while_starting: false,
-            peer_mode: Mode::DegradedL2,
-            peer_low_since: None,
-            level_broken: false,
-            peer_link: None,
-            peer_claims_since: None,
-            peer_standby_at: None,
-            running_since: None,
-            thawed_at: now,
-            stopping: false,
-            can_silent: false,
-            lines_split: false,
-            suspected: false,
             stale_told: Term::NONE,
-            pending: matches!(loaded, Loaded::Lost).then_some(Event::StateLost),
-            reset: suspended.then_some(ResetRequest::Suspend),
+            beats: BeatSender::new(config.heartbeat_period),
+            polls: Polls::new(now),
+            witnesses: Witnesses::new(&config, now),
+            running_since: None,
         }
     }
 
     /// Takes one input at time `now`.
     pub fn on(&mut self, now: Instant, input: Input) -> Actions {
-        let mut actions = Actions::none(now);
-        if let Some(event) = self.pending.take() {
-            actions.events.push(event);
+        let mut actions = Actions::none();
+        if core::mem::take(&mut self.untold_loss) {
+            actions.record(Event::StateLost);
         }
         match input {
-            Input::Poll(snapshot) => self.poll(now, snapshot, &mut actions),
+            Input::Poll(snapshot) => self.poll(now, &snapshot, &mut actions),
             Input::ControlFrame(frame) => self.control_frame(now, frame, &mut actions),
-            Input::StatusFrame(report) => {
-                if report.role == Role::Standby {
-                    self.peer_standby_at = Some(now);
-                }
-                self.report(now, report, true, &mut actions);
-            }
-            Input::LinkReport(report) => {
-                self.peer_link = Some((report, now));
-                let reaches_bus = self.claim_holds(now, report);
-                self.report(now, report, reaches_bus, &mut actions);
-            }
+            Input::StatusFrame(report) => self.status_frame(now, report, &mut actions),
+            Input::LinkReport(report) => self.link_report_of_peer(now, report, &mut actions),
             Input::VehicleTerm(term) => self.vehicle_term(now, term, &mut actions),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
         }
-        if self.written != Some(self.state) {
-            self.written = Some(self.state);
-            actions.persist = Some(self.state);
+        if self.persisted != Some(self.state) {
+            self.persisted = Some(self.state);
+            actions.push(Action::Persist(self.state));
         }
-        actions.reset = self.reset;
-        let poll_due = self.last_poll + self.config.poll_interval;
-        actions.deadline = poll_due.min(self.beat_sender.due());
+        if let Some(request) = self.reset_request() {
+            actions.push(Action::Reset(request));
+        }
+        let poll_due = self.polls.last() + self.config.poll_interval;
+        actions.set_deadline(poll_due.min(self.beats.due()));
         actions
     }
 
@@ -170,49 +159,52 @@ impl Redundancy {
     /// at once if the answer is yes.
     ///
     /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a
-    /// core that was held up must first look whether the other system has taken over meanwhile. If
-    /// it has not, the next poll says [`Actions::transmit_now`], so the frame that was refused is
-    /// only late. A core that is frozen between the answer and the transmission can still send one
-    /// stale frame; no software can prevent that, and the vehicle refuses it by its term.
+    /// core that was held up must first poll, to learn whether the other system has taken over. If
+    /// it has not, the next poll says [`Action::Transmit`], so the frame that was refused is only
+    /// late. A core that is frozen between the answer and the transmission can still send one stale
+    /// frame. No software can prevent that; the vehicle refuses the frame by its term.
     #[must_use]
     pub fn may_transmit(&mut self, now: Instant) -> bool {
-        let leased = now.since(self.last_poll) <= self.config.lease();
-        let granted = self.phase.is_driving() && leased;
-        if granted {
-            self.last_permit = now;
-        }
-        self.refused = self.phase.is_driving() && !leased;
-        granted
+        let since_poll = now.since(self.polls.last());
+        let config = &self.config;
+        self.phase
+            .driving()
+            .is_some_and(|driving| driving.may_transmit(config, now, since_poll))
     }
 
     /// The phase.
     #[must_use]
     pub const fn phase(&self) -> Phase {
-        self.phase
+        self.phase.phase()
     }
 
     /// The role, as in the frames.
     #[must_use]
     pub const fn role(&self) -> Role {
-        self.phase.role()
+        self.phase().role()
     }
 
     /// The driving function to run. A standby computes what the master drives.
     #[must_use]
     pub const fn mode(&self) -> Mode {
-        match self.phase {
-            Phase::Starting | Phase::Thawed | Phase::Resetting | Phase::Suspended => Mode::None,
-            Phase::Master => Mode::L3,
-            Phase::DegradedMaster if self.stopping => Mode::SafeStop,
-            Phase::DegradedMaster => Mode::DegradedL2,
-            Phase::Standby => self.peer_mode,
+        match &self.phase {
+            PhaseState::Starting(_)
+            | PhaseState::Thawed(_)
+            | PhaseState::Resetting
+            | PhaseState::Suspended => Mode::None,
+            PhaseState::Master(_) => Mode::L3,
+            PhaseState::DegradedMaster(driving) if driving.is_stopping() => Mode::SafeStop,
+            PhaseState::DegradedMaster(_) => Mode::DegradedL2,
+            PhaseState::Standby(standby) => standby.mode(),
         }
     }
 
-    /// The term for control frames; meaningful while the system drives.
+    /// The term for control frames; [`Term::NONE`] unless the system has a mastership.
     #[must_use]
-    pub const fn term(&self) -> Term {
-        self.term
+    pub fn term(&self) -> Term {
+        self.phase
+            .mastership()
+            .map_or(Term::NONE, |driving| driving.term())
     }
 
     /// The highest term seen or used, for the status frame.
@@ -230,13 +222,13 @@ impl Redundancy {
     /// Whether heartbeat line 1 and 2 are silent.
     #[must_use]
     pub fn lines_silent(&self) -> [bool; 2] {
-        self.beats.silent()
+        self.witnesses.beats.silent()
     }
 
     /// Heartbeats sent, and received on line 1 and 2; wrap around. T-RED-3
     #[must_use]
     pub fn heartbeat_counts(&self) -> (u32, [u32; 2]) {
-        (self.beat_sender.sent(), self.beats.received())
+        (self.beats.sent(), self.witnesses.beats.received())
     }
 
     /// What to tell the other system over the link every control cycle.
@@ -246,97 +238,182 @@ impl Redundancy {
             role: self.role(),
             mode: self.mode(),
             term: self.state.term,
-            can_alive: self.can.is_alive(),
+            can_alive: self.witnesses.can.is_alive(),
         }
     }
 
+    const fn reset_request(&self) -> Option<ResetRequest> {
+        match self.phase {
+            PhaseState::Resetting => Some(ResetRequest::CoreDead),
+            PhaseState::Suspended => Some(ResetRequest::Suspend),
+            _ => None,
+        }
+    }
+
+    fn poll(&mut self, now: Instant, snapshot: &Snapshot, actions: &mut Actions) {
+        let seen = self.polls.take(now, snapshot);
+        if seen
+            .since_last
+            .is_none_or(|span| span > self.config.stall_limit())
+        {
+            // Only polled time counts as silence: own absence is no evidence against the other.
+            self.witnesses.forgive(now);
+            if let PhaseState::Standby(standby) = &mut self.phase {
+                standby.forgive(now);
+            }
+        }
+        self.witnesses.update(&self.config, now, &seen, actions);
+        if self.can_is_open(now) {
+            self.own_fault(now, FailureMode::CanOpenCircuit, actions);
+        }
+        if let PhaseState::Starting(starting) = &mut self.phase
+            && starting.handshake_due(&self.config, now)
+        {
+            actions.push(Action::SendEdge(Line::Start, Edge::Rising));
+        }
+        if let Some(evidence) = self.judge(now, &seen) {
+            self.apply(now, evidence, actions);
+        }
+        if let Some(driving) = self.phase.driving() {
+            if driving.take_refused() {
+                actions.push(Action::Transmit);
+            }
+            if seen.handshakes > 0 {
+                // The other starts while this system drives: tell it to follow.
+                answer_handshake(actions);
+            }
+        }
+        self.note_health(now);
+        if let Some(edge) = self.beats.poll(now) {
+            actions.push(Action::SendEdge(Line::Heartbeat1, edge));
+            actions.push(Action::SendEdge(Line::Heartbeat2, edge));
+        }
+    }
+
+    /// What the witnesses add up to in this phase.
+    fn judge(&mut self, now: Instant, seen: &Seen) -> Option<Evidence> {
+        let (config, witnesses) = (&self.config, &self.witnesses);
+        if let Some(driving) = self.phase.driving()
+            && seen.since_last.is_some_and(|span| span > config.lease())
+            && driving.may_be_deposed(config, now, witnesses, seen.heartbeats())
+        {
+            return Some(Evidence::Stalled);
+        }
+        match &mut self.phase {
+            PhaseState::Starting(starting) => {
+                starting.judge(config, now, seen, witnesses.level.is_off())
+            }
+            PhaseState::Standby(standby) => standby.judge(config, now, witnesses, seen.handshakes),
+            PhaseState::Master(_) => Driving::judge_dual(config, now, witnesses),
+            PhaseState::DegradedMaster(driving) => {
+                driving.judge_alone(config, now, witnesses, &self.state)
+            }
+            PhaseState::Thawed(thawed) => thawed.judge(config, now, witnesses),
+            PhaseState::Resetting | PhaseState::Suspended => None,
+        }
+    }
+
+    /// Whether the own CAN connection is open: this system hears nothing, but the other hears the
+    /// bus. Nothing heard may also mean that the whole bus is dead; if that counted, both systems
+    /// would suspend. T-RED-6
+    fn can_is_open(&self, now: Instant) -> bool {
+        self.witnesses.can_is_silent(&self.config, now)
+            && self
+                .witnesses
+                .reports
+                .fresh(now, self.config.report_limit)
+                .is_some_and(|report| report.can_alive)
+    }
+
+    /// A fault that this system found in itself. T-RED-5, T-RED-6
     fn own_fault(&mut self, now: Instant, mode: FailureMode, actions: &mut Actions) {
-        if mode == FailureMode::None || matches!(self.phase, Phase::Suspended) {
+        if mode == FailureMode::None || self.phase() == Phase::Suspended {
             return;
         }
-        let alone = matches!(self.phase, Phase::DegradedMaster) && !self.peer_is_there();
-        // Without CAN or a term there is nothing left to drive with.
-        let can_drive = !matches!(
-            mode,
-            FailureMode::CanOpenCircuit | FailureMode::TermsExhausted
-        );
         if self.state.failure_mode != mode && !self.state.sys_failure {
             self.state.failure_mode = mode;
         }
-        if !mode.reset_may_cure() {
-            self.state.sys_failure = true;
-        }
-        let evidence = if alone && can_drive {
-            Evidence::FaultStop
-        } else if mode.reset_may_cure() {
-            Evidence::FaultReset
-        } else {
-            Evidence::FaultSuspend
+        self.state.sys_failure |= !mode.reset_may_cure();
+        let alone = self.phase() == Phase::DegradedMaster && !self.witnesses.peer_is_there();
+        let evidence = match mode {
+            _ if alone && mode.leaves_control() => Evidence::FaultStop,
+            _ if mode.reset_may_cure() => Evidence::FaultReset,
+            _ => Evidence::FaultSuspend,
         };
-        self.stopping |= evidence == Evidence::FaultStop;
         self.apply(now, evidence, actions);
+    }
+
+    /// Follows the transition table.
+    fn apply(&mut self, now: Instant, on: Evidence, actions: &mut Actions) {
+        let rule = rule(self.phase(), on);
+        if let Some(effect) = rule.effect {
+            self.do_effect(effect, actions);
+        }
+        if let Some(to) = rule.enter {
+            self.enter(now, to, on, actions);
+        }
+    }
+
+    fn do_effect(&mut self, effect: Effect, actions: &mut Actions) {
+        match effect {
+            Effect::LeadStart => {
+                answer_handshake(actions);
+                actions.push(Action::AlignControl);
+            }
+            Effect::FollowStart => actions.push(Action::AlignControl),
+            Effect::MarkPeerFailed => self.set_peer_failed(true, actions),
+            Effect::MarkPeerRecovered => self.set_peer_failed(false, actions),
+            Effect::TellLinesSplit => actions.record(Event::LinesSplit),
+            Effect::StopVehicle => {
+                if let Some(driving) = self.phase.driving() {
+                    driving.stop_vehicle();
+                }
+            }
+        }
     }
 
     fn set_peer_failed(&mut self, failed: bool, actions: &mut Actions) {
         if self.state.cpsys_failure != failed {
             self.state.cpsys_failure = failed;
-            actions.events.push(Event::PeerFailed(failed));
+            actions.record(Event::PeerFailed(failed));
         }
     }
 
-    /// Follows the transition table.
-    fn apply(&mut self, now: Instant, on: Evidence, actions: &mut Actions) {
-        if on == Evidence::BeatsBack {
-            self.set_peer_failed(false, actions);
-        }
-        if on == Evidence::HigherTerm && self.peer_low_since.is_some() {
-            // It drives without power: the level line is broken.
-            self.level_broken = true;
-        }
-        let Some(to) = next(self.phase, on) else {
-            return;
-        };
-        let from = self.phase;
-        if to.is_driving() && !self.take_term(from) {
+    /// Enters a phase: the only place that changes it.
+    fn enter(&mut self, now: Instant, to: Phase, on: Evidence, actions: &mut Actions) {
+        let from = self.phase();
+        let Ok(entered) = self.prepare(now, to, on) else {
             self.own_fault(now, FailureMode::TermsExhausted, actions);
             return;
-        }
-        self.phase = to;
-        actions.events.push(Event::Phase { from, to, on });
-        actions.output_closed = from.is_driving() && !to.is_driving();
-        actions.transmit_now = to.is_driving() && !from.is_driving();
-        if actions.transmit_now {
-            self.last_permit = now;
+        };
+        let left = core::mem::replace(&mut self.phase, entered);
+        actions.record(Event::Phase { from, to, on });
+        match (from.is_driving(), to.is_driving()) {
+            (true, false) => actions.push(Action::DiscardUnsent),
+            (false, true) => actions.push(Action::Transmit),
+            _ => {}
         }
         if to.sends_heartbeats() {
-            self.beat_sender.start(now);
+            self.beats.start(now);
             self.running_since.get_or_insert(now);
         } else {
-            self.beat_sender.stop();
+            self.beats.stop();
         }
-        if from == Phase::Standby && to == Phase::DegradedMaster {
-            actions.events.push(Event::Takeover(Takeover {
+        if let (PhaseState::Standby(standby), true) = (&left, to.is_driving()) {
+            actions.record(Event::Takeover(Takeover {
                 cause: on,
-                since_heartbeat: self.beats.silent_for(now),
-                since_control: now.since(self.last_control),
-                term: self.term,
+                since_heartbeat: self.witnesses.beats.silent_for(now),
+                since_control: now.since(standby.last_control()),
+                term: self.term(),
             }));
         }
-        self.enter(now, from, actions);
-    }
-
-    fn enter(&mut self, now: Instant, from: Phase, actions: &mut Actions) {
-        if from == Phase::Starting && matches!(self.phase, Phase::Standby | Phase::Master) {
-            self.beats.expect(now + self.config.silent_limit());
+        if from == Phase::Starting && matches!(to, Phase::Standby | Phase::Master) {
+            let silent_limit = self.config.silent_limit();
+            self.witnesses.beats.expect(now + silent_limit);
         }
-        match self.phase {
-            Phase::Starting => {}
+        match to {
             Phase::Standby => {
                 self.state.is_master = false;
-                self.last_control = now;
-                self.control_known = false;
-                self.suspected = false;
-                self.peer_mode = Mode::DegradedL2;
                 self.set_peer_failed(false, actions);
             }
             Phase::Master => {
@@ -347,32 +424,56 @@ impl Redundancy {
                 self.state.is_master = true;
                 self.set_peer_failed(true, actions);
             }
-            Phase::Thawed => self.thawed_at = now,
-            Phase::Resetting => self.reset = Some(ResetRequest::CoreDead),
-            Phase::Suspended => {
-                self.state.sys_failure = true;
-                self.reset = Some(ResetRequest::Suspend);
-            }
+            Phase::Suspended => self.state.sys_failure = true,
+            Phase::Starting | Phase::Thawed | Phase::Resetting => {}
         }
     }
 
-    /// A term to drive in: above all known ones, unless this system still has one. `false` if no
-    /// term is left.
-    fn take_term(&mut self, from: Phase) -> bool {
-        let step = match from {
-            Phase::Starting | Phase::Standby if !self.term_known => TERM_STEP_UNHEARD,
-            Phase::Starting => TERM_STEP_AT_START,
-            Phase::Standby => 1,
-            // Between the driving phases, and after a stall: had the other taken over unheard, a
-            // new term would depose it.
-            _ => return true,
+    /// The phase `to` with its data. Fails if it needs a term and none is left.
+    fn prepare(&mut self, now: Instant, to: Phase, on: Evidence) -> Result<PhaseState, NoTermLeft> {
+        Ok(match to {
+            Phase::Standby => {
+                let mode = match on {
+                    Evidence::SyncHeard => Mode::L3,
+                    _ => Mode::DegradedL2,
+                };
+                PhaseState::Standby(Standby::new(self.system, now, mode))
+            }
+            Phase::Master => PhaseState::Master(self.drive(now)?),
+            Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),
+            Phase::Thawed => PhaseState::Thawed(Thawed {
+                driving: self.drive(now)?,
+                since: now,
+            }),
+            Phase::Resetting => PhaseState::Resetting,
+            // No rule enters it: only a reset starts anew.
+            Phase::Starting | Phase::Suspended => PhaseState::Suspended,
+        })
+    }
+
+    /// The mastership to drive in: the one that this system has, or a new one in a term above all
+    /// known ones.
+    fn drive(&mut self, now: Instant) -> Result<Driving, NoTermLeft> {
+        if let Some(mut driving) = self.phase.mastership() {
+            if let PhaseState::Thawed(_) = self.phase {
+                driving.reopen(now);
+            }
+            return Ok(driving);
+        }
+        let step = match self.phase {
+            _ if !self.term_known => TERM_STEP_UNHEARD,
+            PhaseState::Starting(_) => TERM_STEP_AT_START,
+            _ => 1,
         };
-        let Some(term) = self.state.term.above(step, self.system) else {
-            return false;
-        };
-        self.term = term;
+        let term = self.next_term(step)?;
+        Ok(Driving::new(term, now, self.state.sys_failure))
+    }
+
+    /// A term `step` masterships above the highest known one; it is the highest from now on.
+    fn next_term(&mut self, step: u32) -> Result<Term, NoTermLeft> {
+        let term = self.state.term.above(step, self.system).ok_or(NoTermLeft)?;
         self.state.term = term;
-        true
+        Ok(term)
     }
 
     /// A long time without a reset ends a row of abnormal ones. T-RED-5
@@ -380,8 +481,17 @@ impl Redundancy {
         let healthy = self
             .running_since
             .is_some_and(|since| now.since(since) >= self.config.healthy_after);
-        if healthy && self.phase.sends_heartbeats() {
+        if healthy && self.phase().sends_heartbeats() {
             self.state.abn_in_a_row = 0;
         }
     }
+}
+
+/// The terms are used up.
+struct NoTermLeft;
+
+/// Handshake and sync edge: the other begins on the sync edge.
+fn answer_handshake(actions: &mut Actions) {
+    actions.push(Action::SendEdge(Line::Start, Edge::Rising));
+    actions.push(Action::SendEdge(Line::Start, Edge::Falling));
 }

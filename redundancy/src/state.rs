@@ -71,6 +71,13 @@ impl FailureMode {
             Self::PerceptionCore | Self::PlanningCore | Self::Deadline
         )
     }
+
+    /// Whether a system with this fault can still bring the vehicle to a stop. Without CAN or a
+    /// term it has nothing to drive with.
+    #[must_use]
+    pub const fn leaves_control(self) -> bool {
+        !matches!(self, Self::CanOpenCircuit | Self::TermsExhausted)
+    }
 }
 
 /// What a system knows about itself and the other beyond its own life. T-RED-1

@@ -7,7 +7,7 @@
 //! one.
 
 use crate::{DecodeError, SystemState};
-use tandem_board::{DataFlash, FlashError, FlashStatus};
+use tandem_board::{FlashError, FlashStatus};
 
 const SLOT: u32 = SystemState::BYTES as u32;
 /// Failed operations in a row after which the medium is taken for broken.
@@ -25,9 +25,9 @@ pub struct Geometry {
 impl Geometry {
     /// The first two sectors of a flash.
     #[must_use]
-    pub const fn of<F: DataFlash>() -> Self {
+    pub const fn first_sectors(sector_bytes: u32) -> Self {
         Self {
-            sector_bytes: F::SECTOR_BYTES,
+            sector_bytes,
             first_sector: 0,
         }
     }
@@ -78,8 +78,7 @@ enum Running {
 
 /// Writes states to the flash, one operation at a time, without ever waiting.
 ///
-/// Sans-IO: [`StateStore::poll`] says what to start; [`StateStore::drive`] does it on a
-/// [`DataFlash`].
+/// Sans-IO: [`StateStore::poll`] is told what the flash does and says which operation to start.
 #[derive(Clone, Debug)]
 pub struct StateStore {
     geometry: Geometry,
@@ -189,18 +188,6 @@ impl StateStore {
             Running::Nothing => {}
             Running::Erase => self.step_back(),
             Running::Program(state) => self.wanted = self.wanted.or(Some(state)),
-        }
-    }
-
-    /// One step on a flash: takes its status and starts what is to be done. Never blocks.
-    pub fn drive(&mut self, flash: &impl DataFlash) {
-        let started = match self.poll(flash.status()) {
-            None => return,
-            Some(FlashOp::Erase { sector }) => flash.start_erase(sector),
-            Some(FlashOp::Program { offset, data }) => flash.start_program(offset, &data),
-        };
-        if started.is_err() {
-            self.refused();
         }
     }
 

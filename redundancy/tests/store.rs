@@ -3,8 +3,7 @@
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
-use std::cell::{Cell, RefCell};
-use tandem_board::{DataFlash, FlashError, FlashStatus, SystemId};
+use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
 
 /// How an operation that was cut off after `n` bytes' worth of work left its range.
@@ -344,83 +343,5 @@ proptest! {
             }
             prop_assert!(!store.is_broken());
         }
-    }
-}
-
-/// A flash behind the board's trait, on which an operation takes some calls of `status`.
-struct BoardFlash {
-    flash: RefCell<Flash>,
-    running: RefCell<Option<FlashOp>>,
-    left: Cell<u32>,
-}
-
-impl DataFlash for BoardFlash {
-    const SECTOR_BYTES: u32 = 128;
-
-    fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        let at = offset as usize;
-        into.copy_from_slice(&self.flash.borrow().bytes[at..at + into.len()]);
-        Ok(())
-    }
-
-    fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
-        self.start(FlashOp::Erase { sector })
-    }
-
-    fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
-        let data = data.try_into().map_err(|_| FlashError::OutOfRange)?;
-        self.start(FlashOp::Program { offset, data })
-    }
-
-    fn status(&self) -> FlashStatus {
-        match self.left.get() {
-            0 => FlashStatus::Idle,
-            1 => {
-                let op = self.running.take().unwrap();
-                self.flash.borrow_mut().apply(&op);
-                self.left.set(0);
-                FlashStatus::Busy
-            }
-            n => {
-                self.left.set(n - 1);
-                FlashStatus::Busy
-            }
-        }
-    }
-}
-
-impl BoardFlash {
-    fn start(&self, op: FlashOp) -> Result<(), FlashError> {
-        if self.left.get() > 0 {
-            return Err(FlashError::Busy);
-        }
-        *self.running.borrow_mut() = Some(op);
-        self.left.set(3);
-        Ok(())
-    }
-}
-
-/// T-RED-1: the store drives a flash through the board's trait, without waiting.
-#[test]
-fn drives_a_board_flash() {
-    let board = BoardFlash {
-        flash: RefCell::new(Flash::new(128)),
-        running: RefCell::new(None),
-        left: Cell::new(0),
-    };
-    let geometry = Geometry {
-        first_sector: 1,
-        ..Geometry::of::<BoardFlash>()
-    };
-    let (mut store, _) = StateStore::load(geometry, |offset, into| board.read(offset, into));
-    for n in 0..20 {
-        store.request(state(n));
-        let mut calls = 0;
-        while !store.is_settled() {
-            store.drive(&board);
-            calls += 1;
-            assert!(calls < 20);
-        }
-        assert_eq!(read(&board.flash.borrow()), Some(state(n)));
     }
 }

@@ -14,6 +14,7 @@ mod frames;
 mod limits;
 mod run_to_completion;
 mod shared;
+mod state_flash;
 mod tasks;
 
 use crate::Config;

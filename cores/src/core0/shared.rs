@@ -4,20 +4,18 @@
 //! here computes a command.
 
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
-use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames};
+use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
 use crate::trace::Event;
 use crate::{Config, read_can};
 use heapless::Deque;
-use tandem_board::{
-    Board, Can, DataFlash, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId,
-};
+use tandem_board::{Board, Can, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId};
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
-    Actions, ControlFrame, FailureMode, Geometry, Input, Loaded, Mode, PeerReport, Phase,
-    Redundancy, Snapshot, StateStore,
+    Action, Actions, ControlFrame, FailureMode, Input, Loaded, Mode, PeerReport, Phase, Redundancy,
+    Snapshot, StateStore,
 };
 
 /// While the start protocol waits for cores 1 and 2, core 0 looks this often.
@@ -89,9 +87,7 @@ impl<'b, B: Board> Shared<'b, B> {
         let started = board.now();
         let identity = board.identity();
         let cause = board.supply().reset_cause();
-        let (store, loaded) = StateStore::load(Geometry::of::<B::Flash>(), |offset, into| {
-            board.flash().read(offset, into)
-        });
+        let (store, loaded) = state_flash::load(board.flash());
         let generation = identity.generation.0;
         board.trace(
             Event::Started {
@@ -250,7 +246,9 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Has the redundancy judge the lines, and does what it answers.
     pub(super) fn poll_redundancy(&mut self) -> TaskSet {
-        let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
+        let lines = self.board.lines();
+        let received = |line, edge| lines.received(line, edge);
+        let snapshot = Snapshot::new(received, lines.peer_powered(), self.can_frames);
         self.floods.lines(self.board.now(), &snapshot);
         let Some(redundancy) = &mut self.redundancy else {
             self.start_redundancy();
@@ -258,7 +256,7 @@ impl<'b, B: Board> Shared<'b, B> {
         };
         let actions = redundancy.on(self.board.now(), Input::Poll(snapshot));
         let woken = self.act(actions);
-        self.store.drive(self.board.flash());
+        state_flash::drive(&mut self.store, self.board.flash());
         woken
     }
 
@@ -277,27 +275,29 @@ impl<'b, B: Board> Shared<'b, B> {
         }
     }
 
-    /// Does what the redundancy asks for; the tasks that are to run for it.
+    /// Carries out what the redundancy asks for; returns the tasks to run for it.
+    #[deny(clippy::wildcard_enum_match_arm, reason = "no action may be forgotten")]
     fn act(&mut self, actions: Actions) -> TaskSet {
         let mut woken = TaskSet::NONE;
-        for (line, edge) in actions.edges() {
-            self.board.lines().send(line, edge);
+        let mut reset = None;
+        for action in actions.iter() {
+            match action {
+                Action::SendEdge(line, edge) => self.board.lines().send(line, edge),
+                Action::DiscardUnsent => self.board.can().discard_unsent(),
+                Action::Transmit | Action::AlignControl => {
+                    // Both systems begin their control cycle on the sync edge. A takeover does not
+                    // wait for the next cycle; it begins a new grid of cycles.
+                    self.control.restart(self.ticks.floor(self.board.now()));
+                    woken |= TaskSet::of(TaskId::Control);
+                }
+                Action::Persist(state) => self.store.request(state),
+                Action::Reset(request) => reset = Some(request),
+                Action::Record(event) => self.trace(event.into()),
+            }
         }
-        if let Some(state) = actions.persist {
-            self.store.request(state);
-        }
-        for event in actions.events.iter() {
-            self.trace(event.into());
-        }
-        if actions.synchronised || actions.transmit_now {
-            // Both systems begin their control cycle on the sync edge; and a takeover does not wait
-            // for the grid of the cycle, it begins a new one.
-            self.control.restart(self.ticks.floor(self.board.now()));
-            woken |= TaskSet::of(TaskId::Control);
-        }
-        self.redundancy_due = actions.deadline;
-        self.store.drive(self.board.flash());
-        if let Some(request) = actions.reset
+        self.redundancy_due = actions.deadline();
+        state_flash::drive(&mut self.store, self.board.flash());
+        if let Some(request) = reset
             && self.store.is_settled()
         {
             self.board.supply().request_reset(request);

@@ -5,6 +5,7 @@
 mod docs;
 mod faults;
 mod model;
+mod page;
 mod schedules;
 mod start;
 mod truth;

@@ -4,7 +4,7 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, PeerReport, Phase,
+    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, PeerReport, Phase,
     Redundancy, Role, Snapshot, SystemState, Takeover, Term,
 };
 
@@ -382,33 +382,37 @@ impl Pair {
         }
     }
 
+    #[deny(clippy::wildcard_enum_match_arm)]
     fn act(&mut self, id: SystemId, actions: &Actions) {
-        for event in actions.events.iter() {
-            self.events.push((self.now_us, id, event));
-        }
-        if actions.synchronised {
-            self.synchronised.push((self.now_us, id));
-        }
-        for (line, edge) in actions.edges() {
-            self.edge(id, line, edge);
-        }
+        assert!(actions.events().count() < Actions::EVENTS, "{actions:?}");
         let now = self.now_us;
-        let system = &mut self.systems[id.index()];
-        if let Some(state) = actions.persist {
-            system.writing = Some((now + FLASH_US, state));
+        for action in actions.iter() {
+            match action {
+                Action::SendEdge(line, edge) => self.edge(id, line, edge),
+                Action::Transmit => self.control_cycle(id),
+                // The worst case: its frames are on the bus at once, where nothing stops them.
+                Action::DiscardUnsent => {}
+                Action::AlignControl => self.synchronised.push((now, id)),
+                Action::Persist(state) => {
+                    self.systems[id.index()].writing = Some((now + FLASH_US, state));
+                }
+                Action::Reset(request) => self.ask_reset(id, request),
+                Action::Record(event) => self.events.push((now, id, event)),
+            }
         }
-        match actions.reset {
-            Some(_) if system.writing.is_some() => {}
-            Some(ResetRequest::Suspend) => {
+    }
+
+    /// The supply resets the system when its state is in flash.
+    fn ask_reset(&mut self, id: SystemId, request: ResetRequest) {
+        let system = &mut self.systems[id.index()];
+        match request {
+            _ if system.writing.is_some() => {}
+            ResetRequest::Suspend => {
                 system.held = true;
                 system.machine = None;
             }
-            Some(ResetRequest::CoreDead) => self.reset(id, ResetCause::Trap),
-            Some(ResetRequest::Software) => self.reset(id, ResetCause::Software),
-            None => {}
-        }
-        if actions.transmit_now {
-            self.control_cycle(id);
+            ResetRequest::CoreDead => self.reset(id, ResetCause::Trap),
+            ResetRequest::Software => self.reset(id, ResetCause::Software),
         }
     }
 

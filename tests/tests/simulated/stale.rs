@@ -1,6 +1,6 @@
 //! Control frames that come late, in the name of a system that no longer drives, or many at once.
 
-use tandem_board::{CanFrame, CanId, CoreId, Duration, FlashError, SystemId};
+use tandem_board::{Board, CanFrame, CanId, CoreId, DataFlash, Duration, FlashError, SystemId};
 use tandem_board_sim::SimBoard;
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 use tandem_redundancy::{Geometry, Loaded, StateStore, Term};
@@ -46,12 +46,8 @@ fn term_in_flash(drive: &Drive, system: SystemId) -> Term {
         into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
         Ok(())
     };
-    match StateStore::load(
-        Geometry::of::<<SimBoard as tandem_board::Board>::Flash>(),
-        read,
-    )
-    .1
-    {
+    let sector_bytes = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
+    match StateStore::load(Geometry::first_sectors(sector_bytes), read).1 {
         Loaded::State(state) => state.term,
         other => panic!("{other:?}"),
     }

@@ -15,8 +15,10 @@ use tandem_board::{
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{cpu, entry, exit, log};
 use tandem_bus::{Control, Message, Receiver, Transmitter};
-use tandem_redundancy::{Config, ControlFrame, Input, Loaded, Mode, Redundancy, Role, Snapshot};
-use tandem_redundancy::{Takeover, Term};
+use tandem_redundancy::{
+    Action, Actions, Config, ControlFrame, Event, Input, Loaded, Mode, Redundancy, Role, Snapshot,
+    Takeover, Term,
+};
 
 entry!(main);
 
@@ -87,16 +89,18 @@ impl<'b> Core<'b> {
             }
         }
         let now = self.board.now();
-        let snapshot = Snapshot::read(self.board.lines(), self.can_frames);
+        let lines = self.board.lines();
+        let received = |line, edge| lines.received(line, edge);
+        let snapshot = Snapshot::new(received, lines.peer_powered(), self.can_frames);
         let actions = self.machine.on(now, Input::Poll(snapshot));
         self.carry_out(&actions);
-        let due = actions.transmit_now || now >= self.next_frame;
+        let due = actions.contains(Action::Transmit) || now >= self.next_frame;
         let sent = due && self.machine.may_transmit(self.board.now());
         if sent {
             self.next_frame = now + CONFIG.control_period;
             self.send_control();
         }
-        (actions.deadline, sent)
+        (actions.deadline(), sent)
     }
 
     /// A control frame of the other system that passed its protection.
@@ -139,11 +143,22 @@ impl<'b> Core<'b> {
         assert!(sent, "a control frame is one that the bus carries");
     }
 
-    fn carry_out(&mut self, actions: &tandem_redundancy::Actions) {
-        for (line, edge) in actions.edges() {
-            self.board.lines().send(line, edge);
+    fn carry_out(&mut self, actions: &Actions) {
+        for action in actions.iter() {
+            match action {
+                Action::SendEdge(line, edge) => self.board.lines().send(line, edge),
+                Action::DiscardUnsent => self.board.can().discard_unsent(),
+                // `cycle` sends at once, and has no grid to align.
+                Action::Transmit | Action::AlignControl => {}
+                // These processors have no flash and no supply.
+                Action::Persist(_) | Action::Reset(_) => {}
+                Action::Record(event) => {
+                    if let Event::Takeover(takeover) = event {
+                        self.takeover.get_or_insert(takeover);
+                    }
+                }
+            }
         }
-        self.takeover = self.takeover.or(actions.events.takeover());
     }
 }
 

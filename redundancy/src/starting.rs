@@ -1,14 +1,15 @@
-//! The start protocol: handshake, sync, time limits, and who leads. T-RED-2
+//! The start protocol: handshake, sync, time limits, and which system leads. T-RED-2
 //!
-//! Each system repeats its handshake edge until the start is decided, so it does not matter which
-//! was switched on first. The system that leads sends a handshake and the sync edge when it has
-//! heard the other; the other begins on the sync edge. A master that is already running answers a
-//! handshake in the same way, so a late system becomes its standby.
+//! Each system repeats its handshake edge until the start is decided, so the order of switching on
+//! does not matter. The system that leads sends a handshake and the sync edge when it has heard the
+//! other. The other begins on the sync edge. A master that already runs answers a handshake in the
+//! same way, so a late system becomes its standby.
 
-use crate::Config;
+use crate::input::Seen;
+use crate::{Config, Evidence};
 use tandem_board::{Duration, Instant, SystemId};
 
-/// Heartbeats of a running system that must be heard to believe it: more than a stray edge or two.
+/// This many heartbeats show that the other system runs: more than a stray edge or two.
 const BEATS_OF_A_RUNNING_SYSTEM: u32 = 3;
 
 /// How a system begins.
@@ -16,37 +17,13 @@ const BEATS_OF_A_RUNNING_SYSTEM: u32 = 3;
 pub(crate) enum StartKind {
     /// Power-on with both systems taken for healthy: wait for the other's handshake.
     Handshake,
-    /// After a reset, or with the other taken for failed: only make sure that no master is running.
+    /// After a reset, or with the other taken for failed: only listen for a running master.
     Listen,
 }
 
-/// What was seen since the last poll.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Seen {
-    pub(crate) handshakes: u32,
-    pub(crate) syncs: u32,
-    pub(crate) beats: u32,
-    pub(crate) control_frame: bool,
-    pub(crate) peer_off: bool,
-}
-
-/// How the start ends.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Verdict {
-    /// The other leads: begin on its sync edge.
-    FollowSync,
-    /// The other is already running.
-    Join,
-    /// Both are there and this system leads.
-    Lead,
-    /// Nobody answered within the time limit.
-    Alone,
-    /// The other is without power, and there was no need to wait for it.
-    PeerOff,
-}
-
+/// The phase `Starting`.
 #[derive(Clone, Debug)]
-pub(crate) struct Start {
+pub(crate) struct Starting {
     kind: StartKind,
     claims_master: bool,
     system: SystemId,
@@ -57,8 +34,8 @@ pub(crate) struct Start {
     control_frame: bool,
 }
 
-impl Start {
-    pub(crate) fn new(
+impl Starting {
+    pub(crate) const fn new(
         kind: StartKind,
         claims_master: bool,
         system: SystemId,
@@ -76,40 +53,46 @@ impl Start {
         }
     }
 
-    /// Whether to send a handshake now, and how the start ends if it does.
-    pub(crate) fn poll(
+    /// A control frame of the other system was heard: it drives.
+    pub(crate) fn on_control_frame(&mut self) {
+        self.control_frame = true;
+    }
+
+    /// Whether to send a handshake now.
+    pub(crate) fn handshake_due(&mut self, config: &Config, now: Instant) -> bool {
+        let due = now >= self.next_handshake;
+        if due {
+            self.next_handshake = now + config.handshake_period;
+        }
+        due
+    }
+
+    /// How the start ends, if it does.
+    pub(crate) fn judge(
         &mut self,
         config: &Config,
         now: Instant,
-        seen: Seen,
-    ) -> (bool, Option<Verdict>) {
-        let handshake = now >= self.next_handshake;
-        if handshake {
-            self.next_handshake = now + config.handshake_period;
-        }
+        seen: &Seen,
+        peer_off: bool,
+    ) -> Option<Evidence> {
         if seen.handshakes > 0 && self.heard_at.is_none() {
             self.heard_at = Some(now);
         }
-        self.beats = self.beats.saturating_add(seen.beats);
-        self.control_frame |= seen.control_frame;
-        (handshake, self.verdict(config, now, seen))
-    }
-
-    fn verdict(&self, config: &Config, now: Instant, seen: Seen) -> Option<Verdict> {
+        self.beats = self.beats.saturating_add(seen.heartbeats());
         if seen.syncs > 0 {
-            return Some(Verdict::FollowSync);
+            return Some(Evidence::SyncHeard);
         }
         if self.control_frame || self.beats >= BEATS_OF_A_RUNNING_SYSTEM {
-            return Some(Verdict::Join);
+            return Some(Evidence::PeerRuns);
         }
         if let Some(heard_at) = self.heard_at {
             let lead = now.since(heard_at) >= self.lead_after(config);
-            return lead.then_some(Verdict::Lead);
+            return lead.then_some(Evidence::HandshakeDone);
         }
-        if self.kind == StartKind::Listen && seen.peer_off {
-            return Some(Verdict::PeerOff);
+        if self.kind == StartKind::Listen && peer_off {
+            return Some(Evidence::PeerOff);
         }
-        (now.since(self.since) >= self.alone_after(config)).then_some(Verdict::Alone)
+        (now.since(self.since) >= self.alone_after(config)).then_some(Evidence::NobodyThere)
     }
 
     /// How long after the other's handshake this system takes the lead. A before B among equals, so

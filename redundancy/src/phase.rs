@@ -193,30 +193,3 @@ impl Evidence {
         Self::FaultSuspend,
     ];
 }
-
-/// The transition table: the phase that follows on this evidence; `None` where it changes nothing.
-#[must_use]
-pub const fn next(phase: Phase, evidence: Evidence) -> Option<Phase> {
-    use Evidence as E;
-    use Phase as P;
-    match (phase, evidence) {
-        // What has failed or waits for its reset does nothing more; only the worse fault counts.
-        (P::Suspended, _) => None,
-        (_, E::FaultSuspend) => Some(P::Suspended),
-        (P::Resetting, _) => None,
-        (_, E::FaultReset) => Some(P::Resetting),
-
-        (P::Starting, E::SyncHeard | E::PeerRuns) => Some(P::Standby),
-        (P::Starting, E::HandshakeDone) => Some(P::Master),
-        (P::Starting, E::NobodyThere | E::PeerOff) => Some(P::DegradedMaster),
-
-        (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute) => Some(P::DegradedMaster),
-
-        (P::Master, E::PeerOff | E::BeatsSilent) => Some(P::DegradedMaster),
-        (P::DegradedMaster, E::PeerStable) => Some(P::Master),
-        (P::Master | P::DegradedMaster | P::Thawed, E::HigherTerm) => Some(P::Standby),
-        (P::Master | P::DegradedMaster, E::Stalled) => Some(P::Thawed),
-        (P::Thawed, E::ListenOver | E::PeerOff) => Some(P::DegradedMaster),
-        _ => None,
-    }
-}

@@ -1,29 +1,28 @@
-//! Whether anything is heard on CAN, and since when without a pause.
+//! The witness of the CAN bus: whether anything is heard, and since when without a pause.
 
 use tandem_board::{Duration, Instant};
 
-/// Watches the count of received CAN frames.
+/// Watches the number of received CAN frames.
 #[derive(Clone, Debug)]
 pub(crate) struct CanWatch {
-    count: u32,
     last: Instant,
     since: Option<Instant>,
+    told_silent: bool,
 }
 
 impl CanWatch {
-    pub(crate) const fn new(count: u32, now: Instant) -> Self {
+    pub(crate) const fn new(now: Instant) -> Self {
         Self {
-            count,
             last: now,
             since: None,
+            told_silent: false,
         }
     }
 
-    /// Takes the current count. A pause longer than `pause` begins a new time of traffic.
-    pub(crate) fn update(&mut self, now: Instant, count: u32, pause: Duration) {
+    /// Takes the number of new frames. A pause longer than `pause` begins a new time of traffic.
+    pub(crate) fn update(&mut self, now: Instant, new: u32, pause: Duration) {
         let paused = now.since(self.last) > pause;
-        if count != self.count {
-            self.count = count;
+        if new > 0 {
             self.last = now;
             if paused || self.since.is_none() {
                 self.since = Some(now);
@@ -48,8 +47,13 @@ impl CanWatch {
         self.since.is_some()
     }
 
-    /// Time since the last frame, or since the beginning if none came.
-    pub(crate) fn silent_for(&self, now: Instant) -> Duration {
-        now.since(self.last)
+    /// Whether the last frame, or the start, is longer ago than `limit`.
+    pub(crate) fn is_silent(&self, now: Instant, limit: Duration) -> bool {
+        now.since(self.last) > limit
+    }
+
+    /// Whether this differs from what was told last; takes note of it.
+    pub(crate) fn is_news(&mut self, silent: bool) -> bool {
+        core::mem::replace(&mut self.told_silent, silent) != silent
     }
 }

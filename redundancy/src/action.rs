@@ -1,0 +1,190 @@
+//! What the machine answers: a list of actions, and the time of the next poll.
+
+use crate::{Evidence, Phase, SystemState, Term};
+use tandem_board::{Duration, Edge, Instant, Line, ResetRequest};
+
+/// One thing that the caller must do now.
+///
+/// Match it without a wildcard, so that a new action does not compile until it is carried out:
+///
+/// ```compile_fail,E0004
+/// use tandem_redundancy::Action;
+///
+/// fn carry_out(action: Action) {
+///     match action {
+///         Action::SendEdge(..) | Action::Transmit | Action::AlignControl => {}
+///         Action::Persist(_) | Action::Reset(_) | Action::Record(_) => {}
+///         // error[E0004]: pattern `Action::DiscardUnsent` not covered
+///     }
+/// }
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Send this edge to the other system.
+    SendEdge(Line, Edge),
+    /// The output has just opened, or a frame was refused until this poll. Send a control frame now
+    /// (ask [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)); do not wait for the
+    /// next cycle.
+    Transmit,
+    /// The output has just closed: discard the control frames that wait in the transmit buffer.
+    DiscardUnsent,
+    /// Dual operation begins now in both systems: align the control cycle to this moment.
+    AlignControl,
+    /// Write this state to the flash: hand it to
+    /// [`StateStore::request`](crate::StateStore::request). It replaces a state that was asked for
+    /// earlier and is not yet written.
+    Persist(SystemState),
+    /// Ask the supply for this reset as soon as the store is settled: the reason for the reset must
+    /// be in flash before the reset. Comes with every later call too; asking twice does no harm.
+    Reset(ResetRequest),
+    /// Write this event to the trace.
+    Record(Event),
+}
+
+/// A takeover, for the record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Takeover {
+    /// On what evidence.
+    pub cause: Evidence,
+    /// Time since the last heartbeat of the failed master.
+    pub since_heartbeat: Duration,
+    /// Time since the last control frame of the failed master, or since this system became standby
+    /// if it heard none.
+    pub since_control: Duration,
+    /// The new term.
+    pub term: Term,
+}
+
+/// Something worth a line in the trace.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Event {
+    /// The phase changed.
+    Phase {
+        /// Before.
+        from: Phase,
+        /// After.
+        to: Phase,
+        /// On what evidence.
+        on: Evidence,
+    },
+    /// This system took over.
+    Takeover(Takeover),
+    /// Heartbeat line 1 or 2 went silent.
+    LineSilent(u8),
+    /// Heartbeat line 1 or 2 carries edges again.
+    LineBack(u8),
+    /// Both heartbeat lines are silent, but the other system is seen to live: the lines are cut.
+    LinesSplit,
+    /// The other system is taken for failed (`true`), or no longer.
+    PeerFailed(bool),
+    /// A frame arrived that no correct peer sends; it was ignored.
+    Implausible,
+    /// A control frame of a lower term was heard and ignored; the vehicle refuses it.
+    StaleTerm(Term),
+    /// This system takes a higher term without a change of role, because the other knows a higher
+    /// one.
+    TermRaised(Term),
+    /// Nothing is heard on CAN (`true`), or something again.
+    CanSilent(bool),
+    /// The state in flash was lost; this system began with the factory state.
+    StateLost,
+}
+
+impl Event {
+    /// Kind and two details, for a trace record.
+    #[must_use]
+    pub fn to_words(&self) -> [u32; 3] {
+        let us = |span: Duration| u32::try_from(span.as_us()).unwrap_or(u32::MAX);
+        match *self {
+            Self::Phase { from, to, on } => [1, (from as u32) << 8 | to as u32, on as u32],
+            Self::Takeover(takeover) => [2, takeover.term.bits(), us(takeover.since_heartbeat)],
+            Self::LineSilent(line) => [3, line.into(), 0],
+            Self::LineBack(line) => [4, line.into(), 0],
+            Self::LinesSplit => [5, 0, 0],
+            Self::PeerFailed(failed) => [6, failed.into(), 0],
+            Self::Implausible => [7, 0, 0],
+            Self::StaleTerm(term) => [8, term.bits(), 0],
+            Self::TermRaised(term) => [9, term.bits(), 0],
+            Self::CanSilent(silent) => [10, silent.into(), 0],
+            Self::StateLost => [11, 0, 0],
+        }
+    }
+}
+
+/// The actions of one call, in the order in which they are to be carried out, and the time of the
+/// next poll.
+#[must_use = "edges, states and resets that the machine asks for must be carried out"]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Actions {
+    list: [Option<Action>; Self::CAPACITY],
+    deadline: Instant,
+}
+
+impl Actions {
+    /// Room for this many actions: every kind once, heartbeats on both lines, and
+    /// [`Actions::EVENTS`] events.
+    pub const CAPACITY: usize = 18;
+    /// Room for this many events, which is more than one call causes. What exceeds it is lost; no
+    /// other action ever is.
+    pub const EVENTS: usize = 8;
+
+    pub(crate) fn none() -> Self {
+        Self {
+            list: [None; Self::CAPACITY],
+            deadline: Instant::NEVER,
+        }
+    }
+
+    /// Adds an action unless it is in the list.
+    pub(crate) fn push(&mut self, action: Action) {
+        if !self.contains(action)
+            && let Some(place) = self.list.iter_mut().find(|place| place.is_none())
+        {
+            *place = Some(action);
+        }
+    }
+
+    pub(crate) fn record(&mut self, event: Event) {
+        if self.events().count() < Self::EVENTS {
+            self.push(Action::Record(event));
+        }
+    }
+
+    pub(crate) fn set_deadline(&mut self, deadline: Instant) {
+        self.deadline = deadline;
+    }
+
+    /// The actions, in order.
+    pub fn iter(&self) -> impl Iterator<Item = Action> + '_ {
+        self.list.iter().flatten().copied()
+    }
+
+    /// The events among them.
+    pub fn events(&self) -> impl Iterator<Item = Event> + '_ {
+        self.iter().filter_map(|action| match action {
+            Action::Record(event) => Some(event),
+            _ => None,
+        })
+    }
+
+    /// The takeover among the events.
+    #[must_use]
+    pub fn takeover(&self) -> Option<Takeover> {
+        self.events().find_map(|event| match event {
+            Event::Takeover(takeover) => Some(takeover),
+            _ => None,
+        })
+    }
+
+    /// Whether this action is among them.
+    #[must_use]
+    pub fn contains(&self, action: Action) -> bool {
+        self.iter().any(|one| one == action)
+    }
+
+    /// Call again with [`Input::Poll`](crate::Input::Poll) no later than this.
+    #[must_use]
+    pub const fn deadline(&self) -> Instant {
+        self.deadline
+    }
+}

@@ -1,0 +1,155 @@
+//! The phases that drive, `Master` and `DegradedMaster`, and `Thawed`, which drove.
+
+use crate::witness::Witnesses;
+use crate::{Config, Evidence, SystemState, Term};
+use tandem_board::{Duration, Instant};
+
+/// One mastership.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Driving {
+    /// The term in control frames.
+    term: Term,
+    /// When the system was last permitted to transmit.
+    last_permit: Instant,
+    /// A transmission was refused because the last poll was too long ago.
+    refused: bool,
+    /// The vehicle was heard to obey a higher term.
+    outvoted: bool,
+    /// A fault of its own: the system brings the vehicle to a stop.
+    stopping: bool,
+}
+
+impl Driving {
+    /// `stopping`: the system has a fault that stays.
+    pub(crate) const fn new(term: Term, now: Instant, stopping: bool) -> Self {
+        Self {
+            term,
+            last_permit: now,
+            refused: false,
+            outvoted: false,
+            stopping,
+        }
+    }
+
+    pub(crate) const fn term(&self) -> Term {
+        self.term
+    }
+
+    pub(crate) fn raise(&mut self, term: Term) {
+        self.term = term;
+        self.outvoted = false;
+    }
+
+    /// The vehicle obeys `term`. Returns whether it has now said twice that this is a higher one.
+    pub(crate) fn is_outvoted(&mut self, term: Term) -> bool {
+        let higher = term > self.term;
+        core::mem::replace(&mut self.outvoted, higher) && higher
+    }
+
+    pub(crate) const fn is_stopping(&self) -> bool {
+        self.stopping
+    }
+
+    pub(crate) fn stop_vehicle(&mut self) {
+        self.stopping = true;
+    }
+
+    /// Whether a frame may be sent `since_poll` after the last poll.
+    pub(crate) fn may_transmit(
+        &mut self,
+        config: &Config,
+        now: Instant,
+        since_poll: Duration,
+    ) -> bool {
+        let leased = since_poll <= config.lease();
+        if leased {
+            self.last_permit = now;
+        }
+        self.refused = !leased;
+        leased
+    }
+
+    /// The output opens again.
+    pub(crate) fn reopen(&mut self, now: Instant) {
+        self.last_permit = now;
+    }
+
+    /// Whether a transmission was refused since the last call.
+    pub(crate) fn take_refused(&mut self) -> bool {
+        core::mem::take(&mut self.refused)
+    }
+
+    /// Whether the other may have taken over since this master last showed a sign of life. It
+    /// cannot have while the third witness was not yet silent for its limit, nor if it is not
+    /// there.
+    pub(crate) fn may_be_deposed(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+        heartbeats: u32,
+    ) -> bool {
+        let others = witnesses.peer_is_there() || heartbeats > 0 || witnesses.reports.was_standby();
+        let earliest = self.last_permit + config.witness_limit();
+        others && !witnesses.level.is_off() && now >= earliest
+    }
+
+    /// In dual operation: is the standby lost?
+    pub(crate) fn judge_dual(
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+    ) -> Option<Evidence> {
+        if witnesses.level.is_off() {
+            return Some(Evidence::PeerOff);
+        }
+        witnesses
+            .standby_is_gone(config, now)
+            .then_some(Evidence::BeatsSilent)
+    }
+
+    /// Alone: is the other back, and may it be the standby again?
+    pub(crate) fn judge_alone(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+        state: &SystemState,
+    ) -> Option<Evidence> {
+        if let gone @ Some(_) = Self::judge_dual(config, now, witnesses) {
+            return gone;
+        }
+        let alive_for = witnesses.beats.alive_for(now);
+        if state.cpsys_failure {
+            return (alive_for >= config.recover_after).then_some(Evidence::BeatsBack);
+        }
+        // A backup that is not heard on CAN is none.
+        let heard = witnesses.reports.standby_within(now, config.can_open_limit);
+        let stable = alive_for >= config.recover_after.times(2) && heard;
+        (config.reintegrate && stable && !self.stopping).then_some(Evidence::PeerStable)
+    }
+}
+
+/// The phase `Thawed`: this master was held up, and listens whether the other drives by now.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Thawed {
+    /// The mastership to resume. After a stall no new term is taken: if the other took over
+    /// unheard, a new term would depose it.
+    pub(crate) driving: Driving,
+    /// Since when it listens.
+    pub(crate) since: Instant,
+}
+
+impl Thawed {
+    pub(crate) fn judge(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+    ) -> Option<Evidence> {
+        if witnesses.level.is_off() {
+            return Some(Evidence::PeerOff);
+        }
+        (now.since(self.since) > config.mute_limit()).then_some(Evidence::ListenOver)
+    }
+}

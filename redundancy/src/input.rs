@@ -1,0 +1,158 @@
+//! What the machine is told.
+
+use crate::{FailureMode, Mode, PeerReport, Role, Term};
+use tandem_board::{Duration, Edge, Instant, Line, SystemId};
+
+/// The lines and the CAN receiver at one moment. Counts are running counts. They wrap around, and
+/// their first value does not matter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Snapshot {
+    /// Rising edges on [`Line::Start`].
+    pub handshakes: u32,
+    /// Falling edges on [`Line::Start`].
+    pub syncs: u32,
+    /// Edges of either type on [`Line::Heartbeat1`] and [`Line::Heartbeat2`].
+    pub beats: [u32; 2],
+    /// The other system's power level.
+    pub peer_powered: bool,
+    /// Valid frames received on CAN, from any sender.
+    pub can_frames: u32,
+}
+
+impl Snapshot {
+    /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
+    /// valid frames received on CAN.
+    ///
+    /// Fetch everything from the CAN receiver and hand it to the machine *before* this. Otherwise
+    /// the machine is told of silence while evidence waits in a buffer.
+    #[must_use]
+    pub fn new(received: impl Fn(Line, Edge) -> u32, peer_powered: bool, can_frames: u32) -> Self {
+        let both = |line| received(line, Edge::Rising).wrapping_add(received(line, Edge::Falling));
+        Self {
+            handshakes: received(Line::Start, Edge::Rising),
+            syncs: received(Line::Start, Edge::Falling),
+            beats: [both(Line::Heartbeat1), both(Line::Heartbeat2)],
+            peer_powered,
+            can_frames,
+        }
+    }
+}
+
+/// A control frame that passed its end-to-end protection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ControlFrame {
+    /// The system that the frame names as its sender.
+    pub system: SystemId,
+    /// Its mastership term.
+    pub term: Term,
+    /// Its role; a control frame of anything but a master is implausible.
+    pub role: Role,
+    /// The function that produced the command.
+    pub mode: Mode,
+}
+
+/// What the machine is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Input {
+    /// The periodic look at the lines; also at once when an edge or the power level interrupts.
+    Poll(Snapshot),
+    /// A control frame was received on CAN.
+    ControlFrame(ControlFrame),
+    /// A status frame of the other system was received on CAN.
+    StatusFrame(PeerReport),
+    /// A report of the other system was received over the link.
+    LinkReport(PeerReport),
+    /// The vehicle told the highest term that it has accepted. Optional. Without it, a system may
+    /// drive in a term that the vehicle refuses if it was off during very many masterships of the
+    /// other.
+    VehicleTerm(Term),
+    /// This system found a fault in itself. Repeat it while the fault lasts.
+    OwnFault(FailureMode),
+}
+
+/// What is new at a poll.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    pub(crate) handshakes: u32,
+    pub(crate) syncs: u32,
+    pub(crate) beats: [u32; 2],
+    pub(crate) can_frames: u32,
+    pub(crate) peer_powered: bool,
+    /// Time since the last poll; `None` at the first.
+    pub(crate) since_last: Option<Duration>,
+}
+
+impl Seen {
+    /// Heartbeats: on the line that carried more of them.
+    pub(crate) fn heartbeats(&self) -> u32 {
+        self.beats[0].max(self.beats[1])
+    }
+}
+
+/// Takes differences between two snapshots.
+#[derive(Clone, Debug)]
+pub(crate) struct Polls {
+    last: Option<Snapshot>,
+    at: Instant,
+}
+
+impl Polls {
+    pub(crate) const fn new(now: Instant) -> Self {
+        Self {
+            last: None,
+            at: now,
+        }
+    }
+
+    /// When the last poll was, or the start.
+    pub(crate) const fn last(&self) -> Instant {
+        self.at
+    }
+
+    pub(crate) fn take(&mut self, now: Instant, snapshot: &Snapshot) -> Seen {
+        let since_last = self.last.map(|_| now.since(self.at));
+        let last = self.last.replace(*snapshot).unwrap_or(*snapshot);
+        self.at = now;
+        Seen {
+            handshakes: snapshot.handshakes.wrapping_sub(last.handshakes),
+            syncs: snapshot.syncs.wrapping_sub(last.syncs),
+            beats: [0, 1].map(|line| snapshot.beats[line].wrapping_sub(last.beats[line])),
+            can_frames: snapshot.can_frames.wrapping_sub(last.can_frames),
+            peer_powered: snapshot.peer_powered,
+            since_last,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// T-RED-3: only differences count, also where a count wraps around; the first snapshot is the
+    /// origin.
+    #[test]
+    fn differences_across_the_wrap_around() {
+        let first = Snapshot {
+            handshakes: u32::MAX,
+            syncs: u32::MAX - 1,
+            beats: [u32::MAX - 5, u32::MAX],
+            peer_powered: true,
+            can_frames: u32::MAX,
+        };
+        let mut polls = Polls::new(Instant::ORIGIN);
+        let seen = polls.take(Instant::from_ns(7), &first);
+        assert_eq!((seen.handshakes, seen.syncs, seen.beats), (0, 0, [0; 2]));
+        assert_eq!((seen.can_frames, seen.since_last), (0, None));
+        let next = Snapshot {
+            handshakes: 1,
+            syncs: u32::MAX,
+            beats: [0, 3],
+            peer_powered: false,
+            can_frames: 4,
+        };
+        let seen = polls.take(Instant::from_ns(17), &next);
+        assert_eq!((seen.handshakes, seen.syncs, seen.beats), (2, 1, [6, 4]));
+        assert_eq!((seen.can_frames, seen.heartbeats()), (5, 6));
+        assert_eq!(seen.since_last, Some(Duration::from_ns(10)));
+    }
+}

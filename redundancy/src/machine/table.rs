@@ -1,0 +1,435 @@
+//! The transition table as the machine follows it: every cell is run, checked, and compared with
+//! the docs.
+#![allow(clippy::unwrap_used)]
+
+#[path = "../../tests/pair/page.rs"]
+mod page;
+
+use super::*;
+use crate::ControlFrame;
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::format;
+use std::string::{String, ToString};
+use std::vec::Vec;
+use tandem_board::Duration;
+
+const CONFIG: Config = Config::rt();
+
+/// A machine of system A and what its lines show.
+struct Bench {
+    machine: Redundancy,
+    snapshot: Snapshot,
+    now: Instant,
+}
+
+impl Bench {
+    fn starting() -> Self {
+        let now = Instant::from_ns(3_000_000_000);
+        let loaded = Loaded::State(SystemState::factory(SystemId::A));
+        let mut bench = Self {
+            machine: Redundancy::new(CONFIG, SystemId::A, ResetCause::PowerOn, loaded, now),
+            snapshot: Snapshot {
+                handshakes: 0,
+                syncs: 0,
+                beats: [0; 2],
+                peer_powered: true,
+                can_frames: 0,
+            },
+            now,
+        };
+        let _ = bench.poll();
+        bench
+    }
+
+    fn poll(&mut self) -> Actions {
+        self.now += Duration::from_ms(1);
+        self.snapshot.beats = self.snapshot.beats.map(|count| count + 1);
+        self.snapshot.can_frames += 1;
+        self.machine.on(self.now, Input::Poll(self.snapshot))
+    }
+
+    /// A machine that inputs have led to this phase.
+    fn of(phase: Phase) -> Self {
+        let mut bench = Self::starting();
+        match phase {
+            Phase::Starting => {}
+            Phase::Standby => {
+                bench.snapshot.syncs += 1;
+                let _ = bench.poll();
+            }
+            Phase::Master => {
+                bench.snapshot.handshakes += 1;
+                let _ = bench.poll();
+            }
+            Phase::DegradedMaster => {
+                bench = Self::of(Phase::Master);
+                bench.snapshot.peer_powered = false;
+                let _ = bench.poll();
+                bench.snapshot.peer_powered = true;
+                let _ = bench.poll();
+            }
+            Phase::Thawed => {
+                bench = Self::of(Phase::Master);
+                bench.now += CONFIG.witness_limit();
+                let _ = bench.poll();
+            }
+            Phase::Resetting => bench.fails(FailureMode::Deadline),
+            Phase::Suspended => bench.fails(FailureMode::IoModule),
+        }
+        assert_eq!(bench.machine.phase(), phase);
+        bench
+    }
+
+    fn fails(&mut self, mode: FailureMode) {
+        let _ = self.machine.on(self.now, Input::OwnFault(mode));
+    }
+}
+
+/// What following the table once came to.
+struct Cell {
+    from: Phase,
+    to: Phase,
+    actions: Actions,
+    before: Redundancy,
+    after: Redundancy,
+}
+
+/// Follows the table in this phase on this evidence. `peer_failed`: the flag before.
+fn follow(phase: Phase, evidence: Evidence, peer_failed: bool) -> Cell {
+    let mut bench = Bench::of(phase);
+    bench.machine.state.cpsys_failure = peer_failed;
+    let before = bench.machine.clone();
+    let mut actions = Actions::none();
+    bench.machine.apply(bench.now, evidence, &mut actions);
+    Cell {
+        from: phase,
+        to: bench.machine.phase(),
+        actions,
+        before,
+        after: bench.machine,
+    }
+}
+
+/// Every cell of the table, with the flag clear and set.
+fn cells() -> impl Iterator<Item = (Phase, Evidence, [Cell; 2])> {
+    Phase::ALL.into_iter().flat_map(|phase| {
+        Evidence::ALL.into_iter().map(move |evidence| {
+            let cells = [false, true].map(|failed| follow(phase, evidence, failed));
+            (phase, evidence, cells)
+        })
+    })
+}
+
+impl Cell {
+    /// What was done, beyond the phase.
+    fn effects(&self) -> BTreeSet<&'static str> {
+        let mut effects = BTreeSet::new();
+        for action in self.actions.iter() {
+            effects.insert(match action {
+                Action::SendEdge(Line::Start, Edge::Rising) => "handshake",
+                Action::SendEdge(Line::Start, Edge::Falling) => "sync",
+                Action::SendEdge(..) => "heartbeat",
+                Action::Transmit => "transmit",
+                Action::DiscardUnsent => "discard",
+                Action::AlignControl => "align",
+                Action::Record(Event::PeerFailed(true)) => "set flag",
+                Action::Record(Event::PeerFailed(false)) => "clear flag",
+                Action::Record(Event::LinesSplit) => "tell",
+                Action::Record(_) => continue,
+                Action::Persist(_) => "persist",
+                Action::Reset(_) => "reset",
+            });
+        }
+        if self.after.term() > self.before.term() && self.before.term() == Term::NONE {
+            effects.insert("new term");
+        }
+        if self.from == self.to && self.after.mode() != self.before.mode() {
+            effects.insert("safe stop");
+        }
+        effects
+    }
+}
+
+fn text(cells: &[Cell; 2]) -> String {
+    let mut effects = cells[0].effects();
+    effects.extend(cells[1].effects());
+    let effects: Vec<&str> = effects.into_iter().collect();
+    let effects = effects.join(", ");
+    let [Cell { from, to, .. }, _] = cells;
+    match (from == to, effects.is_empty()) {
+        (true, true) => "\u{b7}".to_string(),
+        (true, false) => format!("({effects})"),
+        (false, true) => format!("{to:?}"),
+        (false, false) => format!("{to:?} ({effects})"),
+    }
+}
+
+fn transitions() -> String {
+    let mut page = String::from("| evidence |");
+    for phase in Phase::ALL {
+        write!(page, " {phase:?} |").unwrap();
+    }
+    page.push_str("\n|---|");
+    page.push_str(&"---|".repeat(Phase::ALL.len()));
+    for evidence in Evidence::ALL {
+        write!(page, "\n| {evidence:?} |").unwrap();
+        for phase in Phase::ALL {
+            let cells = [false, true].map(|failed| follow(phase, evidence, failed));
+            write!(page, " {} |", text(&cells)).unwrap();
+        }
+    }
+    page.push('\n');
+    page
+}
+
+fn yes(is: bool) -> &'static str {
+    if is { "yes" } else { "no" }
+}
+
+/// What a machine in each phase does and says.
+fn phases() -> String {
+    let mut page = String::from(
+        "| phase | output open | heartbeats | role in frames | mode | master in record \
+         | flag in record | asks for |\n|---|---|---|---|---|---|---|---|\n",
+    );
+    for phase in Phase::ALL {
+        let mut bench = Bench::of(phase);
+        let open = bench.machine.may_transmit(bench.now);
+        let (machine, state) = (&bench.machine, bench.machine.state());
+        let (role, mode) = (machine.role(), machine.mode());
+        let (master, flag) = (yes(state.is_master), yes(state.cpsys_failure));
+        let actions = bench.poll();
+        let beats = actions
+            .iter()
+            .any(|action| matches!(action, Action::SendEdge(Line::Heartbeat1, _)));
+        let reset = actions.iter().find_map(|action| match action {
+            Action::Reset(request) => Some(format!("{request:?}")),
+            _ => None,
+        });
+        let reset = reset.unwrap_or_else(|| "\u{b7}".to_string());
+        let (open, beats) = (yes(open), yes(beats));
+        writeln!(
+            page,
+            "| {phase:?} | {open} | {beats} | {role:?} | {mode:?} | {master} | {flag} | {reset} |"
+        )
+        .unwrap();
+    }
+    page
+}
+
+/// T-RED-9: the tables of the docs are what the machine does; set `UPDATE_DOCS=1` to write them
+/// anew.
+#[test]
+fn tables_in_the_docs_are_what_the_machine_does() {
+    page::check(&[("transitions", transitions()), ("phases", phases())]);
+}
+
+/// T-RED-9: what opens an output is evidence that the other system does not drive, and nothing
+/// else.
+#[test]
+fn only_the_absence_of_a_master_opens_an_output() {
+    use Evidence as E;
+    use Phase as P;
+    for (from, on, cells) in cells() {
+        for cell in cells {
+            if cell.to.is_driving() && !from.is_driving() {
+                assert!(matches!(
+                    (from, on),
+                    (P::Starting, E::HandshakeDone | E::NobodyThere | E::PeerOff)
+                        | (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute)
+                        | (P::Thawed, E::ListenOver | E::PeerOff)
+                ));
+                assert!(cell.actions.contains(Action::Transmit));
+                let (term, known) = (cell.after.term(), cell.before.highest_term());
+                assert_eq!(term.system(), SystemId::A);
+                assert!(term > known || from == P::Thawed, "{from:?} {on:?}");
+                assert!(cell.after.highest_term() >= term, "it goes to the flash");
+            } else {
+                assert!(!cell.actions.contains(Action::Transmit));
+            }
+        }
+    }
+}
+
+/// T-RED-9: an output that closes discards what waits, in the same call; nothing else does.
+#[test]
+fn an_output_that_closes_discards_what_waits() {
+    let mut closed = 0;
+    for (from, on, cells) in cells() {
+        for mut cell in cells {
+            let closes = from.is_driving() && !cell.to.is_driving();
+            let discards = cell.actions.contains(Action::DiscardUnsent);
+            assert_eq!(closes, discards, "{from:?} {on:?}");
+            closed += u32::from(closes);
+            let now = Bench::of(from).now;
+            assert_eq!(cell.after.may_transmit(now), cell.to.is_driving());
+        }
+    }
+    assert_eq!(
+        closed,
+        2 * 2 * 4,
+        "two phases; higher term, stall, two faults"
+    );
+}
+
+/// T-RED-5, T-RED-9: a failed system stays silent; a fault and a higher term work in every phase
+/// that they concern; each change of phase is told, and only that.
+#[test]
+fn faults_and_higher_terms_work_in_every_phase() {
+    use Evidence as E;
+    for (from, on, cells) in cells() {
+        for cell in cells {
+            let told = cell.actions.events().any(|event| {
+                event
+                    == Event::Phase {
+                        from,
+                        to: cell.to,
+                        on,
+                    }
+            });
+            assert_eq!(told, from != cell.to, "{from:?} {on:?}");
+            assert_ne!((cell.to, from == Phase::Starting), (Phase::Starting, false));
+            let expected = match (from, on) {
+                (Phase::Suspended, _) | (_, E::FaultSuspend) => Some(Phase::Suspended),
+                (Phase::Resetting, _) | (_, E::FaultReset) => Some(Phase::Resetting),
+                (_, E::HigherTerm) if from.is_driving() => Some(Phase::Standby),
+                _ => None,
+            };
+            if let Some(expected) = expected {
+                assert_eq!(cell.to, expected, "{from:?} {on:?}");
+            }
+        }
+    }
+}
+
+/// T-RED-5, T-RED-9: without a term left, every cell that would open an output suspends instead.
+#[test]
+fn no_cell_drives_without_a_term() {
+    let mut suspended = 0;
+    for (from, on, [cell, _]) in cells() {
+        let mut bench = Bench::of(from);
+        bench.machine.state.term = Term::from_bits(u32::MAX);
+        let mut actions = Actions::none();
+        bench.machine.apply(bench.now, on, &mut actions);
+        let needs_one = cell.to.is_driving() && cell.before.term() == Term::NONE;
+        if needs_one {
+            assert_eq!(bench.machine.phase(), Phase::Suspended, "{from:?} {on:?}");
+            assert!(!actions.contains(Action::Transmit));
+            suspended += 1;
+        } else {
+            assert_eq!(bench.machine.phase(), cell.to);
+        }
+    }
+    assert_eq!(suspended, 6);
+}
+
+fn every_input() -> Vec<Input> {
+    let quiet = Bench::starting().snapshot;
+    let mut inputs = Vec::new();
+    for peer_powered in [false, true] {
+        for new in [0, 1, u32::MAX] {
+            inputs.push(Input::Poll(Snapshot {
+                handshakes: new,
+                syncs: new / 2,
+                beats: [new, new.wrapping_mul(3)],
+                peer_powered,
+                can_frames: new,
+            }));
+            inputs.push(Input::Poll(Snapshot {
+                peer_powered,
+                syncs: new,
+                ..quiet
+            }));
+        }
+    }
+    for term in [0, 1, 16, 17, 2048, u32::MAX - 1, u32::MAX].map(Term::from_bits) {
+        inputs.push(Input::VehicleTerm(term));
+        for role in Role::ALL {
+            for mode in Mode::ALL {
+                for system in SystemId::ALL {
+                    inputs.push(Input::ControlFrame(ControlFrame {
+                        system,
+                        term,
+                        role,
+                        mode,
+                    }));
+                }
+                for can_alive in [false, true] {
+                    let report = PeerReport {
+                        role,
+                        mode,
+                        term,
+                        can_alive,
+                    };
+                    inputs.extend([Input::StatusFrame(report), Input::LinkReport(report)]);
+                }
+            }
+        }
+    }
+    inputs.extend(FailureMode::ALL.map(Input::OwnFault));
+    inputs
+}
+
+/// T-RED-9: every input in every phase, at once and after a stall, twice: the machine does not
+/// panic, tells each change of phase in order, opens and closes its output as it says, and never
+/// has more to say than the list holds.
+#[test]
+fn every_input_in_every_phase() {
+    for phase in Phase::ALL {
+        for input in every_input() {
+            for stall in [
+                Duration::ZERO,
+                Duration::from_ms(1),
+                Duration::from_ms(10_000),
+            ] {
+                let mut bench = Bench::of(phase);
+                for _ in 0..2 {
+                    bench.now += stall;
+                    check_step(&mut bench.machine, bench.now, input);
+                }
+            }
+        }
+    }
+}
+
+/// Tells the machine one thing and checks its answer.
+fn check_step(machine: &mut Redundancy, now: Instant, input: Input) {
+    let what = format!("{:?} {input:?}", machine.phase());
+    let (from, before) = (machine.phase(), *machine.state());
+    let actions = machine.on(now, input);
+    let to = machine.phase();
+    let mut told = from;
+    for event in actions.events() {
+        if let Event::Phase { from, to, .. } = event {
+            assert_eq!(from, told, "{what}");
+            told = to;
+        }
+    }
+    assert_eq!(told, to, "{what}");
+    assert!(actions.events().count() < Actions::EVENTS, "{what}");
+    assert!(actions.iter().count() < Actions::CAPACITY, "{what}");
+    if from.is_driving() && !to.is_driving() {
+        assert!(actions.contains(Action::DiscardUnsent), "{what}");
+    }
+    if !from.is_driving() && to.is_driving() {
+        assert!(actions.contains(Action::Transmit), "{what}");
+    }
+    let persists = actions.contains(Action::Persist(*machine.state()));
+    assert_eq!(persists, before != *machine.state(), "{what}");
+    assert!(
+        machine.state().term >= before.term,
+        "{what}: known terms rise"
+    );
+    let resets = actions
+        .iter()
+        .any(|action| matches!(action, Action::Reset(_)));
+    assert_eq!(
+        resets,
+        matches!(to, Phase::Resetting | Phase::Suspended),
+        "{what}"
+    );
+    if from == Phase::Suspended {
+        assert_eq!(to, Phase::Suspended, "{what}");
+    }
+}

@@ -1,0 +1,87 @@
+//! The transition table: what one piece of evidence does in one phase.
+
+use crate::{Evidence, Phase};
+
+/// One cell of the table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Rule {
+    /// What is done first.
+    pub(crate) effect: Option<Effect>,
+    /// The phase that the system enters; `None` leaves it in its phase.
+    pub(crate) enter: Option<Phase>,
+}
+
+/// What a rule does beyond entering a phase.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Effect {
+    /// Answers the other's handshake with handshake and sync edge: both begin now.
+    LeadStart,
+    /// Begins on the other's sync edge.
+    FollowStart,
+    /// The other system is taken for failed.
+    MarkPeerFailed,
+    /// The other system is no longer taken for failed.
+    MarkPeerRecovered,
+    /// Tells that the heartbeat lines are cut.
+    TellLinesSplit,
+    /// Drives on, to bring the vehicle to a stop.
+    StopVehicle,
+}
+
+const NOTHING: Rule = Rule {
+    effect: None,
+    enter: None,
+};
+
+const fn enter(phase: Phase) -> Rule {
+    Rule {
+        enter: Some(phase),
+        ..NOTHING
+    }
+}
+
+const fn only(effect: Effect) -> Rule {
+    Rule {
+        effect: Some(effect),
+        ..NOTHING
+    }
+}
+
+const fn both(effect: Effect, phase: Phase) -> Rule {
+    Rule {
+        effect: Some(effect),
+        enter: Some(phase),
+    }
+}
+
+/// The cell of this phase and this evidence.
+pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
+    use Evidence as E;
+    use Phase as P;
+    match (phase, evidence) {
+        // A system that has failed or waits for its reset does nothing more. Only the worse fault
+        // counts.
+        (P::Suspended, _) => NOTHING,
+        (_, E::FaultSuspend) => enter(P::Suspended),
+        (P::Resetting, _) => NOTHING,
+        (_, E::FaultReset) => enter(P::Resetting),
+
+        (P::Starting, E::SyncHeard) => both(Effect::FollowStart, P::Standby),
+        (P::Starting, E::PeerRuns) => enter(P::Standby),
+        (P::Starting, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
+        (P::Starting, E::NobodyThere | E::PeerOff) => enter(P::DegradedMaster),
+
+        (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute) => enter(P::DegradedMaster),
+        (P::Standby, E::BeatsSilent) => only(Effect::TellLinesSplit),
+
+        (P::Master, E::PeerOff | E::BeatsSilent) => enter(P::DegradedMaster),
+        (P::DegradedMaster, E::PeerOff | E::BeatsSilent) => only(Effect::MarkPeerFailed),
+        (P::DegradedMaster, E::BeatsBack) => only(Effect::MarkPeerRecovered),
+        (P::DegradedMaster, E::PeerStable) => enter(P::Master),
+        (P::DegradedMaster, E::FaultStop) => only(Effect::StopVehicle),
+        (P::Master | P::DegradedMaster | P::Thawed, E::HigherTerm) => enter(P::Standby),
+        (P::Master | P::DegradedMaster, E::Stalled) => enter(P::Thawed),
+        (P::Thawed, E::ListenOver | E::PeerOff) => enter(P::DegradedMaster),
+        _ => NOTHING,
+    }
+}

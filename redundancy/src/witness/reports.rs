@@ -1,0 +1,55 @@
+//! The witness of the reports: what the other system says about itself, over the link and on CAN.
+
+use crate::{PeerReport, Role, Term};
+use tandem_board::{Duration, Instant};
+
+/// What the other system said last.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Reports {
+    /// Its last report over the link, and when it came.
+    link: Option<(PeerReport, Instant)>,
+    /// Since when it says over the link, without a pause, that it drives in a higher term than this
+    /// system and hears the bus.
+    claims_since: Option<Instant>,
+    /// When its status frame last said on CAN that it is standby.
+    standby_at: Option<Instant>,
+}
+
+impl Reports {
+    /// A report over the link. `own`: the term of this system. Returns for how long the other has
+    /// claimed to drive in a higher one, if it claims that now.
+    pub(crate) fn on_link(
+        &mut self,
+        now: Instant,
+        report: PeerReport,
+        own: Term,
+    ) -> Option<Duration> {
+        self.link = Some((report, now));
+        let claims = report.role == Role::Master && report.can_alive && report.term > own;
+        self.claims_since = claims.then(|| self.claims_since.unwrap_or(now));
+        self.claims_since.map(|since| now.since(since))
+    }
+
+    pub(crate) fn on_status(&mut self, now: Instant, report: PeerReport) {
+        if report.role == Role::Standby {
+            self.standby_at = Some(now);
+        }
+    }
+
+    /// The last report over the link, unless it is older than `limit`.
+    pub(crate) fn fresh(&self, now: Instant, limit: Duration) -> Option<PeerReport> {
+        self.link
+            .filter(|(_, at)| now.since(*at) <= limit)
+            .map(|(report, _)| report)
+    }
+
+    /// Whether the other was heard on CAN as standby within `limit`.
+    pub(crate) fn standby_within(&self, now: Instant, limit: Duration) -> bool {
+        self.standby_at.is_some_and(|at| now.since(at) <= limit)
+    }
+
+    /// Whether the other was ever heard on CAN as standby.
+    pub(crate) const fn was_standby(&self) -> bool {
+        self.standby_at.is_some()
+    }
+}
