@@ -32,8 +32,8 @@ impl BeatSender {
         self.next = None;
     }
 
-    /// The edge to send now on both lines, if a heartbeat is due. The schedule does not drift. After
-    /// a stall it continues from `now`, without a burst of the missed heartbeats.
+    /// The edge to send now on both lines, if a heartbeat is due. The schedule does not drift.
+    /// After a stall it continues from `now`, without a burst of the missed heartbeats.
     pub(crate) fn poll(&mut self, now: Instant) -> Option<Edge> {
         let due = self.next.filter(|&due| due <= now)?;
         let following = due + self.period;
