@@ -35,7 +35,6 @@ mod spawn;
 pub mod storage;
 pub mod supply;
 mod trace_ring;
-mod watchdog;
 mod world;
 
 pub use args::{
@@ -54,5 +53,4 @@ pub use memory::MemoryError;
 pub use name::{InvalidRunName, RunName};
 pub use registers::HostSupply;
 pub use segment::SegmentError;
-pub use watchdog::WatchdogFault;
 pub use world::{WorldError, WorldPort};

@@ -7,11 +7,11 @@ use std::sync::{Mutex, PoisonError};
 
 use tandem_board::{Identity, ResetCause, ResetRequest, RoleLamp, Supply};
 use tandem_peripherals::codec::encode_service;
+use tandem_peripherals::watchdog::{Window, question};
 use tandem_shm::{FitError, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
-use crate::watchdog;
 
 /// The registers of a system's supply. Only core 0 services the watchdog.
 #[derive(Debug)]
@@ -39,16 +39,16 @@ impl HostSupply {
 }
 
 impl Supply for HostSupply {
-    const WINDOW_OPENS_US: u32 = watchdog::WINDOW_OPENS_US;
-    const WINDOW_CLOSES_US: u32 = watchdog::WINDOW_CLOSES_US;
-    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+    const WINDOW_OPENS_US: u32 = Window::DESKTOP.opens_us;
+    const WINDOW_CLOSES_US: u32 = Window::DESKTOP.closes_us;
+    const FIRST_SERVICE_US: u32 = Window::DESKTOP.first_us;
 
     fn reset_cause(&self) -> ResetCause {
         self.backplane.reset_cause(self.of.system)
     }
 
     fn watchdog_question(&self) -> u8 {
-        watchdog::question(self.count.load(Relaxed))
+        question(self.count.load(Relaxed))
     }
 
     fn service_watchdog(&self, answer: u8) {

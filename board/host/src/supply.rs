@@ -5,14 +5,9 @@
 //! supply to tell its own system at once when that loses power. It depends on the vehicle (which is
 //! the battery: without it all is dark), not on the launcher.
 //!
-//! | state | level | goes on when |
-//! |---|---|---|
-//! | dark | high | ignition → on; vehicle or launcher gone → end |
-//! | on | high | core 0 died, watchdog fault, reset request → off |
-//! | off | low | all cores are dead and the pause is over → on |
-//! | suspended | low | – |
-//!
-//! From every state: ignition off or vehicle gone → cores are killed, end.
+//! What a supply decides is in `tandem_peripherals::supply`; this is the process around that model.
+//! The level line is high before the ignition. When the ignition goes off, or the vehicle ends, the
+//! supply kills its cores and ends.
 
 use std::os::fd::OwnedFd;
 use std::os::unix::process::ExitStatusExt as _;
@@ -21,10 +16,10 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
 use tandem_board::{
-    CoreId, Duration, Generation, Instant, ResetCause, ResetRequest, RoleLamp, SupplyEvent,
-    SystemId,
+    CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
 };
 use tandem_peripherals::codec::{SERVICE_WORDS, decode_service};
+use tandem_peripherals::supply::{Change, Config, Supply as Model};
 use tandem_shm::{FitError, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
@@ -35,21 +30,11 @@ use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
-use crate::watchdog::{Watchdog, WatchdogFault};
 
 /// How often the supply looks at its registers.
 const PERIOD: Duration = Duration::from_ms(1);
 /// A supply that is later than this was held up itself: it was stopped, or the machine was.
 const HELD_UP: Duration = Duration::from_ms(50);
-/// Shortest time that a reset holds the system down. It also gives the bus time to drop what the
-/// dead cores had not sent.
-const SHORTEST_PAUSE: Duration = Duration::from_ms(20);
-/// Longest pause. It doubles with each reset up to here, so that a program which dies at its start
-/// does not use up the machine.
-const LONGEST_PAUSE: Duration = Duration::from_ms(1_000);
-/// A life that lasted this long ends the doubling.
-const STABLE: Duration = Duration::from_ms(3_000);
-
 /// Why a supply cannot work.
 #[derive(Debug, thiserror::Error)]
 pub enum SupplyError {
@@ -105,11 +90,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         services: fifo::Consumer::attach(backplane.ring(services), services.shape)?,
         link,
         cores: [None, None, None],
-        state: State::Off {
-            cause: ResetCause::PowerOn,
-            until: clock::now(),
-        },
-        pause: SHORTEST_PAUSE,
+        model: Model::new(Config::DESKTOP),
         peer,
     };
     if power_on > 1 {
@@ -157,9 +138,7 @@ struct Supply<'a> {
     services: fifo::Consumer<'static>,
     link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
-    state: State,
-    /// How long the next reset holds the system down.
-    pause: Duration,
+    model: Model,
     peer: Option<Watched>,
 }
 
@@ -168,19 +147,18 @@ struct PoweredCore {
     watched: Option<Watched>,
 }
 
-enum State {
-    On { since: Instant, watchdog: Watchdog },
-    Off { cause: ResetCause, until: Instant },
-    Suspended,
-}
-
 impl Supply<'_> {
     fn work(&mut self, vehicle: &Watched) {
-        let mut next = clock::now() + PERIOD;
+        let now = clock::now();
+        let change = self.model.power_on(now);
+        self.carry_out(change);
+        let mut next = now + PERIOD;
         loop {
             self.sleep(vehicle.fd(), next);
             let now = clock::now();
-            let late = now.since(next);
+            if now.since(next) > HELD_UP {
+                self.model.was_blind(next, now);
+            }
             if now >= next {
                 // Ticks that were missed carry nothing.
                 next = now + PERIOD;
@@ -192,8 +170,10 @@ impl Supply<'_> {
             }
             self.look_at_peer();
             self.look_at_cores(now);
-            self.look_at_registers(now, late);
-            self.release_if_due(now);
+            self.look_at_registers();
+            let cores_stand = self.cores.iter().all(Option::is_none);
+            let change = self.model.poll(now, cores_stand);
+            self.carry_out(change);
         }
     }
 
@@ -219,7 +199,7 @@ impl Supply<'_> {
     }
 
     fn look_at_cores(&mut self, now: Instant) {
-        let on = matches!(self.state, State::On { .. });
+        let on = self.model.is_on();
         for core in CoreId::ALL {
             let place = &mut self.cores[core.index()];
             let Some(powered) = place else { continue };
@@ -235,87 +215,53 @@ impl Supply<'_> {
                 }
                 // Cores 1 and 2 are core 0's to supervise: it notices and asks for a reset.
                 if core == CoreId::CONTROL && on {
-                    self.reset(now, ResetCause::Trap);
+                    let change = self.model.reset(now, ResetCause::Trap);
+                    self.carry_out(change);
                 }
             }
         }
     }
 
-    fn look_at_registers(&mut self, now: Instant, late: Duration) {
-        let request = self.backplane.take_reset_request(self.args.system);
-        let State::On { .. } = self.state else { return };
-        if self.watchdog(now, late).is_err() {
-            self.reset(now, ResetCause::Watchdog);
+    fn look_at_registers(&mut self) {
+        if let Some(request) = self.backplane.take_reset_request(self.args.system) {
+            self.model.request(request);
         }
-        match request {
-            None => {}
-            Some(ResetRequest::Software) => self.reset(now, ResetCause::Software),
-            Some(ResetRequest::CoreDead) => self.reset(now, ResetCause::Trap),
-            Some(ResetRequest::Suspend) => {
-                self.reset(now, ResetCause::Software);
-                self.state = State::Suspended;
-                self.trace(SupplyEvent::Suspended);
-                self.backplane
-                    .show_role(self.args.system, RoleLamp::Suspended);
-            }
-        }
-    }
-
-    fn watchdog(&mut self, now: Instant, late: Duration) -> Result<(), WatchdogFault> {
-        let State::On { watchdog, .. } = &mut self.state else {
-            return Ok(());
-        };
         let mut words = [0; SERVICE_WORDS];
-        while self.services.receive_into(&mut words) {
+        while self.model.is_on() && self.services.receive_into(&mut words) {
             let (at, answer) = decode_service(words);
-            let answer = answer.ok_or(WatchdogFault::WrongAnswer)?;
-            // Looked at anew: had this process been held up since `now`, all that came meanwhile
-            // would lie ahead, and at one time.
-            watchdog.on_service(clock::now(), at, answer)?;
+            // Read the clock again: had this process been held up since it woke, these services
+            // would lie ahead of that time.
+            let change = self.model.service(clock::now(), at, answer);
+            self.carry_out(change);
         }
-        // Only now: the ring keeps the first services of a long time, and each ends what was
-        // excused before it.
-        if late > HELD_UP {
-            watchdog.excuse(late);
-        }
-        watchdog.check(now)
     }
 
-    /// Takes the system down at once; it comes back after a pause.
-    fn reset(&mut self, now: Instant, cause: ResetCause) {
-        let State::On { since, .. } = self.state else {
-            return;
-        };
+    fn carry_out(&mut self, change: Option<Change>) {
+        match change {
+            None => {}
+            Some(Change::Start(cause)) => self.start_all(cause),
+            Some(Change::Reset(cause)) => self.stop_all(cause, RoleLamp::Starting),
+            Some(Change::Suspend) => {
+                self.stop_all(ResetCause::Software, RoleLamp::Suspended);
+                self.trace(SupplyEvent::Suspended);
+            }
+            // The end of the run ends this process, too.
+            Some(Change::PowerOff) => self.kill_cores(),
+        }
+    }
+
+    fn stop_all(&mut self, cause: ResetCause, lamp: RoleLamp) {
         self.set_level(self.args.system, false);
         self.kill_cores();
         self.trace(SupplyEvent::Reset(cause));
-        self.backplane
-            .show_role(self.args.system, RoleLamp::Starting);
-        if now.since(since) >= STABLE {
-            self.pause = SHORTEST_PAUSE;
-        }
-        self.state = State::Off {
-            cause,
-            until: now + self.pause,
-        };
-        self.pause = LONGEST_PAUSE.min(self.pause.times(2));
+        self.backplane.show_role(self.args.system, lamp);
     }
 
-    fn release_if_due(&mut self, now: Instant) {
-        let State::Off { cause, until } = self.state else {
-            return;
-        };
-        if now < until || self.cores.iter().any(Option::is_some) {
-            return;
-        }
+    fn start_all(&mut self, cause: ResetCause) {
         self.clear_memory();
         self.backplane.set_reset_cause(self.args.system, cause);
         // Requests of the life that is over.
         self.backplane.take_reset_request(self.args.system);
-        self.state = State::On {
-            since: now,
-            watchdog: Watchdog::new(now),
-        };
         self.set_level(self.args.system, true);
         for core in CoreId::ALL {
             self.start(core);
@@ -390,9 +336,9 @@ mod tests {
     use super::*;
     use crate::args::{Common, Schedule};
     use crate::name::RunName;
-    use crate::watchdog;
     use tandem_board::watchdog_answer;
     use tandem_peripherals::codec::encode_service;
+    use tandem_peripherals::watchdog::question;
 
     fn args(run: &RunName) -> SupplyArgs {
         SupplyArgs {
@@ -406,17 +352,15 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: services that came while the supply was held up, after it had looked at the clock,
-    /// are as far apart as they were sent.
+    /// T-CHIP-6: services that wait in the ring are as far apart as they were sent.
     #[test]
-    fn services_after_the_look_at_the_clock_are_not_early() {
+    fn services_that_are_seen_together_are_not_early() {
         let run = RunName::unique();
         let backplane = Backplane::create(&run).unwrap();
         let args = args(&run);
         let ring = RINGS.service[args.system.index()];
         let words = backplane.ring(ring);
         let mut core = fifo::Producer::attach(words, ring.shape).unwrap();
-        let looked = clock::now();
         let mut supply = Supply {
             args: &args,
             command: &|_| Command::new("false"),
@@ -426,19 +370,19 @@ mod tests {
             services: fifo::Consumer::attach(words, ring.shape).unwrap(),
             link: RINGS.link[args.system.peer().index()],
             cores: [None, None, None],
-            state: State::On {
-                since: looked,
-                watchdog: Watchdog::new(looked),
-            },
-            pause: SHORTEST_PAUSE,
+            model: Model::new(Config::DESKTOP),
             peer: None,
         };
+        // Its cores are not started here.
+        assert!(supply.model.power_on(clock::now()).is_some());
         for count in 0..3 {
-            clock::sleep_until(clock::now() + Duration::from_ms(5));
-            let answer = watchdog_answer(watchdog::question(count));
+            let answer = watchdog_answer(question(count));
             core.send(&encode_service(clock::now(), answer)).unwrap();
+            clock::sleep_until(clock::now() + Duration::from_ms(7));
         }
-        assert_eq!(supply.watchdog(looked, Duration::ZERO), Ok(()));
+        supply.look_at_registers();
+        assert!(supply.model.is_on());
+        assert_eq!(supply.model.question(), question(3), "all were accepted");
         Backplane::remove(&run);
     }
 

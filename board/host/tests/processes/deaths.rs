@@ -152,7 +152,7 @@ fn report_power(board: &HostBoard) {
     while board.lines().peer_powered() {
         let question = board.supply().watchdog_question();
         board.supply().service_watchdog(watchdog_answer(question));
-        std::thread::sleep(Span::from_millis(2));
+        std::thread::sleep(Span::from_millis(6));
     }
     // The level line has rung as well.
     await_interrupt(board);
