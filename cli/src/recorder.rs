@@ -8,6 +8,7 @@ use std::thread::JoinHandle;
 
 use anyhow::{Context as _, anyhow};
 use tandem_board::Traced;
+use tandem_board_host::isolation;
 use tandem_cores::trace::Event;
 use tandem_record::Entry;
 use tandem_record::file::TRACE_BYTES;
@@ -18,6 +19,12 @@ use crate::live::Live;
 /// The recording lies in shared memory. Beyond this many bytes of trace records the events of the
 /// schedulers are left out: after about six minutes of a run.
 const TRACE_LIMIT_BYTES: u64 = 64 << 20;
+
+/// Bytes of trace records in a place with so much free space at the start: half of it is for the
+/// rest of the recording, which grows more slowly and without which there is no report.
+fn trace_limit_bytes(free_bytes: u64) -> u64 {
+    TRACE_LIMIT_BYTES.min(free_bytes / 2)
+}
 
 /// What is handed over at once.
 #[derive(Debug, Default)]
@@ -33,6 +40,8 @@ pub(crate) struct Recorder {
     batch: Batch,
     /// Bytes of trace records in the recording.
     trace_bytes: u64,
+    /// How many it may have, but for those that the analysis needs.
+    trace_limit_bytes: u64,
     to_writer: Sender<Batch>,
     writer: JoinHandle<anyhow::Result<()>>,
 }
@@ -45,6 +54,7 @@ impl Recorder {
     pub(crate) fn create(files: &RunFiles) -> anyhow::Result<Self> {
         let path = files.recording();
         let file = File::create(&path).with_context(|| format!("creating {}", path.display()))?;
+        let free = isolation::free_bytes(&path).unwrap_or(u64::MAX);
         let live = files.live();
         let (to_writer, batches) = channel();
         let writer = std::thread::Builder::new()
@@ -54,6 +64,7 @@ impl Recorder {
         Ok(Self {
             batch: Batch::default(),
             trace_bytes: 0,
+            trace_limit_bytes: trace_limit_bytes(free),
             to_writer,
             writer,
         })
@@ -66,7 +77,7 @@ impl Recorder {
 
     /// Takes a record of a core's trace; `false` if the recording has no room for it.
     pub(crate) fn trace(&mut self, traced: Traced) -> bool {
-        let is_full = self.trace_bytes >= TRACE_LIMIT_BYTES;
+        let is_full = self.trace_bytes >= self.trace_limit_bytes;
         if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {
             return false;
         }
@@ -132,6 +143,13 @@ mod tests {
     use tandem_cores::task_table::TaskCode;
     use tandem_record::{RunLog, file};
 
+    #[test]
+    fn the_trace_leaves_half_of_the_free_space_to_the_rest() {
+        assert_eq!(trace_limit_bytes(0), 0);
+        assert_eq!(trace_limit_bytes(10 << 20), 5 << 20);
+        assert_eq!(trace_limit_bytes(u64::MAX), TRACE_LIMIT_BYTES);
+    }
+
     /// A long run loses detail, and none of what the analysis needs.
     #[test]
     fn a_full_recording_leaves_out_what_schedulers_write_and_nothing_else() {
@@ -148,7 +166,7 @@ mod tests {
             task: TaskCode::CONTROL,
         };
         assert!(recorder.trace(traced(ready)));
-        recorder.trace_bytes = TRACE_LIMIT_BYTES;
+        recorder.trace_bytes = recorder.trace_limit_bytes;
         assert!(!recorder.trace(traced(ready)));
         assert!(recorder.trace(traced(Event::LinesSplit)));
         recorder.close().unwrap();

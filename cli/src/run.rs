@@ -246,8 +246,8 @@ fn grant(
     };
     if args.timing == Timing::Rt && !granted.is_realtime() {
         bail!(
-            "--timing rt: SCHED_FIFO was refused; run as root, grant CAP_SYS_NICE, raise \
-             RLIMIT_RTPRIO to 80, or use --timing auto"
+            "--timing rt: SCHED_FIFO was refused; raise RLIMIT_RTPRIO to 80 (`ulimit -r 80`, or \
+             rtprio in /etc/security/limits.conf), run as root, or use --timing auto"
         );
     }
     let profile = if granted.is_realtime() {

@@ -21,10 +21,11 @@ use std::ffi::OsStr;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
 
 use rustix::fs::{
     AtFlags, CWD, Dir, FlockOperation, Mode as FileMode, OFlags, flock, fstat, openat, statat,
-    unlinkat,
+    statvfs, unlinkat,
 };
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 
@@ -169,6 +170,14 @@ impl fmt::Display for Isolation {
             }
         }
     }
+}
+
+/// Bytes that this process may still write to the file system that holds `path`; `None` if the
+/// kernel does not say.
+#[must_use]
+pub fn free_bytes(path: &Path) -> Option<u64> {
+    let found = statvfs(path).ok()?;
+    Some(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
 fn open_folder(path: &str) -> Result<OwnedFd, IsolationError> {
