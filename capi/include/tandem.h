@@ -987,7 +987,8 @@ tandem_status_t tandem_newest_read(struct tandem_newest_reader_t *reader,
 size_t tandem_pool_words(size_t blocks);
 
 // Attaches to the pool of `blocks` blocks in region `region`, as life `generation` of core `core`,
-// which was announced. Task; does not block.
+// which was announced. The first attachment of a life frees what earlier lives of its core own.
+// Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -998,11 +999,10 @@ tandem_status_t tandem_pool_attach(struct tandem_pool_t *pool,
                                    uint32_t core,
                                    uint32_t generation);
 
-// Borrows `count` words; they hold whatever an earlier owner left. Task; blocks for a bounded,
-// short time.
+// Borrows `count` words; they hold what an earlier owner left. Any context; does not block.
 //
 // `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
-// `TANDEM_STATUS_BUSY` if another core is allocating and did not come to an end.
+// `TANDEM_STATUS_BUSY` if other cores took what this one had found free: try again later.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -1041,8 +1041,8 @@ tandem_status_t tandem_pool_hand_over(struct tandem_pool_t *pool,
                                       struct tandem_handle_t handle,
                                       uint32_t to);
 
-// Frees what lives that are not alive own, and returns how many words that were. To be done at the
-// start of each life. Any context; bounded.
+// Frees what lives that are not alive own, and returns how many words that were.
+// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.

@@ -54,7 +54,8 @@ pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
 }
 
 /// Attaches to the pool of `blocks` blocks in region `region`, as life `generation` of core `core`,
-/// which was announced. Task; does not block.
+/// which was announced. The first attachment of a life frees what earlier lives of its core own.
+/// Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -80,11 +81,10 @@ pub unsafe extern "C" fn tandem_pool_attach(
     })
 }
 
-/// Borrows `count` words; they hold whatever an earlier owner left. Task; blocks for a bounded,
-/// short time.
+/// Borrows `count` words; they hold what an earlier owner left. Any context; does not block.
 ///
 /// `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
-/// `TANDEM_STATUS_BUSY` if another core is allocating and did not come to an end.
+/// `TANDEM_STATUS_BUSY` if other cores took what this one had found free: try again later.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -180,8 +180,8 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
     })
 }
 
-/// Frees what lives that are not alive own, and returns how many words that were. To be done at the
-/// start of each life. Any context; bounded.
+/// Frees what lives that are not alive own, and returns how many words that were.
+/// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.

@@ -1,9 +1,14 @@
 //! The life table: which life of each core is the current one, and whether it still runs.
 //!
-//! One word a core: `generation << 1 | dead`, 0 before the first life. A core announces its
+//! One word for each core: `generation << 1 | dead`, 0 before the first life. A core announces its
 //! generation when it starts; a supervisor that has seen it die marks it dead. A life is alive
-//! while it is the announced one and not marked. Whoever finds words in the LMU that belong to a
-//! life which is not alive may take them over.
+//! while it is the announced one and not marked. Any core may take over words in the LMU whose
+//! owner is not alive.
+//!
+//! An owner word of a lock or a pool has room for a few bits of a generation only. Beside it
+//! `Attached` keeps, for each core, the whole generation of the last life that attached. The first
+//! attachment of a life disowns what its predecessors left. So no later life is taken for the
+//! owner, however many lives lie between them.
 
 use crate::region::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering};
@@ -15,6 +20,10 @@ pub const CORES: usize = 3;
 pub const MAX_GENERATION: u32 = (1 << 30) - 1;
 
 const DEAD: u32 = 1;
+
+/// How many lives a straggler may be behind and still be refused. A word that is further ahead of a
+/// core's generation is scribble: it must not lock the core out.
+const MAX_LIVES_BEHIND: u32 = 7;
 
 /// One life of one core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -83,25 +92,28 @@ impl<'a> Lives<'a> {
         Self { words }
     }
 
-    /// Announces a life at its start. Whatever an earlier life of this core owned is free to be
-    /// taken over from here on. Announcing the same life again changes nothing, unless it was
-    /// marked dead.
+    /// Announces a life at its start. What earlier lives of this core owned may be taken over from
+    /// here on. Announcing the same life again changes nothing, unless it was marked dead.
+    ///
+    /// A generation that is more than 7 ahead of this one is not of a later life: the word was
+    /// scribbled on, and is overwritten. A smaller scribble costs the core at most 8 resets.
     ///
     /// # Errors
-    /// [`Outdated`] if this life is not the latest, or was marked dead: it must not go on.
+    /// [`Outdated`] if this life is not the latest, or was marked dead: it must stop.
     pub fn announce(&self, life: Life) -> Result<(), Outdated> {
         let word = &self.words[life.core()];
         let new = life.generation << 1;
         let mut seen = word.load(Ordering::Relaxed);
-        // Only a supervisor's mark or a competing life can come between; neither comes often.
+        // Only a supervisor's mark or a competing life can change the word here; both are rare.
         for _ in 0..4 {
             if seen == new {
                 return Ok(());
             }
-            if seen >> 1 >= life.generation {
+            if (seen >> 1).wrapping_sub(life.generation) <= MAX_LIVES_BEHIND {
                 break;
             }
-            // Release pairs with the Acquire in `is_current`: what this life did before is seen.
+            // Release pairs with the Acquire in `is_announced` and `current`: a core that sees this
+            // life sees what this core did before.
             match word.compare_exchange(seen, new, Ordering::Release, Ordering::Relaxed) {
                 Ok(_) => return Ok(()),
                 Err(now) => seen = now,
@@ -114,7 +126,8 @@ impl<'a> Lives<'a> {
     /// announced life (else there is nothing to mark). For the supervisor of the cores.
     pub fn mark_dead(&self, life: Life) -> bool {
         let alive = life.generation << 1;
-        // Release pairs with the Acquire in `is_current`.
+        // Release pairs with the Acquire in `is_announced`: a core that sees the mark sees what the
+        // dead life did, as far as the supervisor has seen it.
         self.words[life.core()]
             .compare_exchange(alive, alive | DEAD, Ordering::Release, Ordering::Relaxed)
             .is_ok()
@@ -123,7 +136,7 @@ impl<'a> Lives<'a> {
     /// Whether this is the announced life of its core and not marked dead.
     #[must_use]
     pub fn is_alive(&self, life: Life) -> bool {
-        self.is_current(life.core(), life.generation, MAX_GENERATION)
+        self.is_announced(life.core(), life.generation)
     }
 
     /// The announced life of a core, if it is not marked dead.
@@ -141,15 +154,63 @@ impl<'a> Lives<'a> {
         }
     }
 
-    /// Whether the living life of `core` has these generation bits; for words that have no room for
-    /// more of them. False for a core that does not exist.
-    pub(crate) fn is_current(&self, core: usize, generation: u32, mask: u32) -> bool {
-        if core >= CORES {
-            return false;
-        }
+    /// Whether this generation of the core is announced and not marked dead. False for 0.
+    ///
+    /// # Panics
+    /// If `core` is not below [`CORES`].
+    fn is_announced(&self, core: usize, generation: u32) -> bool {
         // Acquire pairs with the Release in `announce` and `mark_dead`.
         let word = self.words[core].load(Ordering::Acquire);
-        word & DEAD == 0 && word != 0 && (word >> 1) & mask == generation & mask
+        generation != 0 && word == generation << 1
+    }
+}
+
+/// The lives that use one object: for each core the generation that attached last.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Attached<'a> {
+    generations: &'a [AtomicU32; CORES],
+    lives: Lives<'a>,
+}
+
+impl<'a> Attached<'a> {
+    pub(crate) const fn new(generations: &'a [AtomicU32; CORES], lives: Lives<'a>) -> Self {
+        Self { generations, lives }
+    }
+
+    pub(crate) const fn lives(&self) -> Lives<'a> {
+        self.lives
+    }
+
+    /// `None` if this life has attached, else what to give to [`Attached::insert`].
+    pub(crate) fn earlier(&self, life: Life) -> Option<u32> {
+        // Acquire pairs with the Release in `insert`.
+        let generation = self.generations[life.core()].load(Ordering::Acquire);
+        (generation != life.generation).then_some(generation)
+    }
+
+    /// This life attaches, now that what earlier lives of its core left in the object is disowned.
+    /// Does nothing if another life, or the same by another end, came first.
+    pub(crate) fn insert(&self, life: Life, earlier: u32) {
+        // Release pairs with the Acquire in `earlier`: a core that sees this life attached sees
+        // what was disowned.
+        let _ = self.generations[life.core()].compare_exchange(
+            earlier,
+            life.generation,
+            Ordering::Release,
+            Ordering::Relaxed,
+        );
+    }
+
+    /// Whether an owner word that names `core` and has these bits of a generation is of a life that
+    /// is alive. False for a core that does not exist. The caller has acquired the owner word, and
+    /// its owner has released it after it was announced and had attached.
+    #[inline]
+    pub(crate) fn is_alive(&self, core: usize, bits: u32, mask: u32) -> bool {
+        let Some(word) = self.generations.get(core) else {
+            return false;
+        };
+        let generation = word.load(Ordering::Relaxed);
+        generation & mask == bits && self.lives.is_announced(core, generation)
     }
 }
 
@@ -193,6 +254,26 @@ mod tests {
         assert_eq!(Life::new(CORES, 1), None);
         assert_eq!(Life::new(0, 0), None);
         assert_eq!(Life::new(0, MAX_GENERATION + 1), None);
+    }
+
+    /// Whatever was scribbled on its word, a core is alive again after a few resets.
+    #[test]
+    fn a_scribbled_word_locks_no_core_out() {
+        let words = zeroed(Lives::WORDS);
+        let lives = Lives::attach(words).unwrap();
+        for generation in [1, 2, 1000, MAX_GENERATION - 100] {
+            for scribble in (0..32).map(|bit| 1 << bit).chain([u32::MAX, 0x1234_5678]) {
+                for scribble in [scribble, scribble ^ (generation << 1), !scribble] {
+                    words[1].store(scribble, Ordering::Relaxed);
+                    let mut resets = (generation..).map(|g| lives.announce(life(1, g)));
+                    let refused = resets.by_ref().position(|end| end.is_ok()).unwrap();
+                    assert!(
+                        refused <= 8,
+                        "{generation}: {scribble:#x}, {refused} resets"
+                    );
+                }
+            }
+        }
     }
 
     #[test]

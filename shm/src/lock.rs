@@ -1,35 +1,37 @@
 //! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, fair turns.
 //!
-//! One cache line. Word 0 is the *token* of the last acquisition: who took the lock, in which of
-//! its lives, in which turn (one more with each acquisition), and which cores wait. The other words
-//! are one *released* word for each core and life (by its generation mod 4): the owner gives the
-//! lock back by storing its token there. So the lock is free if the token's owner has released that
-//! very token, and taking it is one compare-and-swap from that token to one's own. T-LOCK-1,
-//! T-LOCK-3
+//! One cache line. Word 0 is the *token* of the last acquisition: which core took the lock, in
+//! which of its lives, in which turn (one more with each acquisition), and which cores wait. Words
+//! 1 to 12 are one *released* word for each core and life (by its generation mod 4): the owner
+//! gives the lock back by storing its token there. So the lock is free if the token's owner has
+//! released that very token, and taking it is one compare-and-swap from that token to one's own.
+//! Words 13 to 15 say which life of each core attached last. T-LOCK-1, T-LOCK-3
 //!
 //! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
 //!   token into a word of its own life. The next three lives of its core use other words.
 //! - **Recovery**: a token that is not released and whose life is not alive is an orphan. Any core
 //!   may take over from it by the same compare-and-swap, and is told so by [`Acquired::Recovered`].
+//!   The token has 4 bits of the generation; the first attachment of a life marks a token of an
+//!   earlier life with equal bits as an orphan.
 //! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
-//!   performance of spin lock alternatives", 1990): waiting cores read, and end after the given
-//!   number of looks.
+//!   performance of spin lock alternatives", 1990): waiting cores read, and give up after the given
+//!   number of polls.
 //! - **Turns**: a waiting core sets its bit in the token. Of the waiting cores the next one after
-//!   the last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so
-//!   whoever takes the lock has seen the bit, and the cyclic distance from the last owner to a
+//!   the last owner, in the cyclic order 0, 1, 2, may take the lock. The token is one word, so the
+//!   core that takes the lock has seen the bit, and the cyclic distance from the last owner to a
 //!   waiting core shrinks with each turn: **a waiting core is passed at most [`MAX_WAITED_TURNS`] =
 //!   2 times**.
-//! - A waiting core that does not look (frozen, pre-empted, dead) would stop the others: who has
-//!   looked [`PATIENCE`] times at a free lock that is another's turn takes it and strikes the
-//!   other's bit. The bound above holds for cores that look at least once in that time.
+//! - A waiting core that does not poll (frozen, pre-empted, dead) would stop the others. After
+//!   [`PATIENCE`] polls of a free lock, a waiter takes it out of turn and clears the bit of the
+//!   absent one. The bound above holds for cores that poll at least once in that time.
 //!
 //! Limit: the turn has 23 bits. A core that is stopped between its look at the token and its
 //! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's,
-//! would take a lock that is held. At 100 ns a turn that is 0.8 s, the watchdog's business.
+//! would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such a core.
 
-use crate::life::{CORES, Life, Lives};
-use crate::region::{FitError, LINE_WORDS, fit};
-use crate::sync::{AtomicU32, Ordering};
+use crate::life::{Attached, CORES, Life, Lives};
+use crate::region::{FitError, LINE_WORDS, fit_exactly};
+use crate::sync::{AtomicU32, Ordering, fence};
 
 /// Words of a lock.
 pub const WORDS: usize = LINE_WORDS;
@@ -51,6 +53,7 @@ const MAX_PAUSE: u32 = 64;
 const TOKEN_AT: usize = 0;
 /// Lives of a core that have released words of their own.
 const RELEASED_LIVES: usize = 4;
+const ATTACHED_AT: usize = 1 + CORES * RELEASED_LIVES;
 
 // The token, from the lowest bit: core + 1, generation, waiting cores, turn.
 const CORE_MASK: u32 = 0x3;
@@ -61,7 +64,10 @@ const WAITING: u32 = 0b111 << WAITING_SHIFT;
 const TURN_SHIFT: u32 = 9;
 const ONE_TURN: u32 = 1 << TURN_SHIFT;
 
-const _: () = assert!(CORES == 3 && CORES * RELEASED_LIVES < WORDS);
+/// Core and generation of a token whose owner is gone for good: no core.
+const ORPHAN: u32 = GENERATION_MASK << GENERATION_SHIFT;
+
+const _: () = assert!(CORES == 3 && ATTACHED_AT + CORES == WORDS);
 
 /// The core that the token names; [`CORES`] if it names none.
 const fn core_of(token: u32) -> usize {
@@ -101,43 +107,78 @@ enum Missed {
 /// For tasks; a handler uses [`Lock::try_lock`] only, or it waits for the task that it interrupts.
 #[derive(Debug)]
 pub struct Lock<'a> {
-    token: &'a AtomicU32,
-    /// All words of the lock, for the released words of all lives.
-    words: &'a [AtomicU32],
+    words: &'a [AtomicU32; WORDS],
     /// The released word of this life.
     own_released: &'a AtomicU32,
-    lives: Lives<'a>,
+    attached: Attached<'a>,
     core: usize,
     /// Core and generation in their places.
     identity: u32,
     /// The token of the last acquisition through this end, without waiting bits.
     mine: u32,
-    /// How many turns others took during the last waiting.
-    waited: u32,
 }
 
 impl<'a> Lock<'a> {
-    /// Attaches to the lock. `life` must have been [announced](Lives::announce).
+    /// Attaches to the lock. `life` must have been [announced](Lives::announce). Never blocks.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
     pub fn attach(words: &'a [AtomicU32], life: Life, lives: Lives<'a>) -> Result<Self, FitError> {
-        let words = fit(words, WORDS)?;
-        // An earlier life may have died waiting. Another waiting task of this core sets the bit
-        // again.
-        words[TOKEN_AT].fetch_and(!waiting_bit(life.core()), Ordering::Relaxed);
+        let words: &[AtomicU32; WORDS] = fit_exactly(words)?;
+        let generations = words.last_chunk().ok_or(FitError::TooSmall)?;
         let generation = life.generation() & GENERATION_MASK;
-        let identity = (life.core() as u32 + 1) | generation << GENERATION_SHIFT;
-        Ok(Self {
-            token: &words[TOKEN_AT],
+        let lock = Self {
             words,
             own_released: &words[released_at(life.core(), generation)],
-            lives,
+            attached: Attached::new(generations, lives),
             core: life.core(),
-            identity,
+            identity: (life.core() as u32 + 1) | generation << GENERATION_SHIFT,
             mine: 0,
-            waited: 0,
-        })
+        };
+        lock.disown_earlier_lives(life);
+        Ok(lock)
+    }
+
+    /// Undoes what earlier lives of this core left: a waiting bit, and perhaps a token that looks
+    /// like one of this life.
+    #[cold]
+    fn disown_earlier_lives(&self, life: Life) {
+        // Each failed attempt is a change by one of two other cores, which takes the orphan or
+        // begins or ends waiting.
+        for attempt in 1.. {
+            // Acquire pairs with the Release in `take`. Read before `earlier`: a token that was
+            // there before this life had attached is not its own.
+            let token = self.token().load(Ordering::Acquire);
+            let Some(earlier) = self.attached.earlier(life) else {
+                return;
+            };
+            let is_alike = token & (CORE_MASK | ORPHAN) == self.identity;
+            let new = if is_alike && !self.is_released(token) {
+                token & !CORE_MASK | ORPHAN
+            } else {
+                token
+            } & !waiting_bit(self.core);
+            if new == token || self.take(token, new) || attempt == 16 {
+                self.attached.insert(life, earlier);
+                return;
+            }
+        }
+    }
+
+    #[inline]
+    const fn token(&self) -> &'a AtomicU32 {
+        &self.words[TOKEN_AT]
+    }
+
+    /// Replaces the token, if it is still the expected one.
+    #[inline]
+    fn take(&self, expected: u32, new: u32) -> bool {
+        // Release pairs with the Acquire in `look`: a core that sees this token sees that its owner
+        // was announced and had attached. Not Acquire: what the last owner did was acquired by
+        // `is_released`, and since the token is the expected one, no other has had the lock since.
+        self.token()
+            .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
+            .is_ok()
     }
 
     /// Takes the lock if it is free and no waiting core comes before this one. Never blocks. `None`
@@ -145,11 +186,13 @@ impl<'a> Lock<'a> {
     #[inline]
     #[must_use]
     pub fn try_lock(&mut self) -> Option<Acquired<'_, 'a>> {
-        self.waited = 0;
         if self.retake() {
-            return Some(Acquired::Clean(Guard { lock: self }));
+            return Some(Acquired::Clean(Guard {
+                lock: self,
+                waited: 0,
+            }));
         }
-        self.look(false).ok().map(|orphan| self.acquired(orphan))
+        self.look(false).ok().map(|orphan| self.acquired(orphan, 0))
     }
 
     /// Takes the lock, waiting for at most `looks` looks at it. `relax(n)` is called between two
@@ -164,17 +207,19 @@ impl<'a> Lock<'a> {
         looks: u32,
         relax: impl FnMut(u32),
     ) -> Result<Acquired<'_, 'a>, TimedOut> {
-        self.waited = 0;
         if self.retake() {
-            return Ok(Acquired::Clean(Guard { lock: self }));
+            return Ok(Acquired::Clean(Guard {
+                lock: self,
+                waited: 0,
+            }));
         }
-        let orphan = self.wait(looks, relax)?;
-        Ok(self.acquired(orphan))
+        let (orphan, waited) = self.wait(looks, relax)?;
+        Ok(self.acquired(orphan, waited))
     }
 
     #[inline]
-    fn acquired(&mut self, orphan: bool) -> Acquired<'_, 'a> {
-        let guard = Guard { lock: self };
+    fn acquired(&mut self, orphan: bool, waited: u32) -> Acquired<'_, 'a> {
+        let guard = Guard { lock: self, waited };
         if orphan {
             Acquired::Recovered(guard)
         } else {
@@ -191,11 +236,7 @@ impl<'a> Lock<'a> {
             return false;
         }
         let next = self.token_after(self.mine);
-        // Relaxed: nobody had the lock since this end released it, there is nothing to pair with.
-        let taken = self
-            .token
-            .compare_exchange(self.mine, next, Ordering::Relaxed, Ordering::Relaxed)
-            .is_ok();
+        let taken = self.take(self.mine, next);
         if taken {
             self.mine = next;
         }
@@ -207,8 +248,9 @@ impl<'a> Lock<'a> {
         (token & !(ONE_TURN - 1)).wrapping_add(ONE_TURN) | self.identity
     }
 
+    /// Returns whether it took the lock from an orphan, and the turns of others that it waited.
     #[cold]
-    fn wait(&mut self, looks: u32, mut relax: impl FnMut(u32)) -> Result<bool, TimedOut> {
+    fn wait(&mut self, looks: u32, mut relax: impl FnMut(u32)) -> Result<(bool, u32), TimedOut> {
         let own_bit = waiting_bit(self.core);
         let mut announced = None;
         let mut pause = 1;
@@ -216,38 +258,44 @@ impl<'a> Lock<'a> {
         for _ in 0..looks {
             match self.look(passed.1 >= PATIENCE) {
                 Ok(orphan) => {
-                    if let Some(first) = announced {
-                        self.waited =
-                            (self.mine.wrapping_sub(first) >> TURN_SHIFT).saturating_sub(1);
-                    }
-                    return Ok(orphan);
+                    let turns = |first| self.mine.wrapping_sub(first) >> TURN_SHIFT;
+                    let waited = announced.map_or(0, |first| turns(first).saturating_sub(1));
+                    return Ok((orphan, waited));
                 }
                 Err(Missed::Held) => passed.1 = 0,
                 Err(Missed::Passed { turn }) if turn == passed.0 => passed.1 += 1,
                 Err(Missed::Passed { turn }) => passed = (turn, 1),
             }
-            if self.token.load(Ordering::Relaxed) & own_bit == 0 {
-                let token = self.token.fetch_or(own_bit, Ordering::Relaxed);
+            if self.token().load(Ordering::Relaxed) & own_bit == 0 {
+                let token = self.token().fetch_or(own_bit, Ordering::Relaxed);
                 announced.get_or_insert(token & !(ONE_TURN - 1));
             }
             relax(pause);
             pause = (pause * 2).min(MAX_PAUSE);
         }
-        self.token.fetch_and(!own_bit, Ordering::Relaxed);
+        self.token().fetch_and(!own_bit, Ordering::Relaxed);
         Err(TimedOut)
     }
 
     /// Looks once and takes the lock if that is possible, with `impatient` also out of turn.
     /// Returns whether it was an orphan's.
     fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
-        let token = self.token.load(Ordering::Relaxed);
-        let free = self.is_released(token);
-        if !free
-            && self
-                .lives
-                .is_current(core_of(token), generation_of(token), GENERATION_MASK)
-        {
-            return Err(Missed::Held);
+        let token = self.token().load(Ordering::Relaxed);
+        let mut free = self.is_released(token);
+        if !free {
+            // Acquire pairs with the Release in `take`: the owner's announcement and attachment are
+            // seen with its token.
+            fence(Ordering::Acquire);
+            let bits = generation_of(token);
+            if self
+                .attached
+                .is_alive(core_of(token), bits, GENERATION_MASK)
+            {
+                return Err(Missed::Held);
+            }
+            // The owner may have released and died after the first look at its released word. Its
+            // end was acquired, so this look sees that.
+            free = self.is_released(token);
         }
         let before = self.waiting_before(token);
         if before != 0 && !impatient {
@@ -261,16 +309,9 @@ impl<'a> Lock<'a> {
             mine = mine.wrapping_add(ONE_TURN);
         }
         let still_waiting = token & WAITING & !before & !waiting_bit(self.core);
-        // Relaxed: what the last owner did was acquired by `is_released`, and since the token is
-        // still the same, nobody had the lock after it.
-        self.token
-            .compare_exchange(
-                token,
-                mine | still_waiting,
-                Ordering::Relaxed,
-                Ordering::Relaxed,
-            )
-            .map_err(|_| Missed::Held)?;
+        if !self.take(token, mine | still_waiting) {
+            return Err(Missed::Held);
+        }
         self.mine = mine;
         Ok(!free)
     }
@@ -295,7 +336,7 @@ impl<'a> Lock<'a> {
         (last + 1..=last + CORES)
             .map(|core| core % CORES)
             .take_while(|&core| core != self.core)
-            .filter(|&core| self.lives.current(core).is_some())
+            .filter(|&core| self.attached.lives().current(core).is_some())
             .fold(0, |bits, core| bits | token & waiting_bit(core))
     }
 }
@@ -332,13 +373,15 @@ impl<'l, 'a> Acquired<'l, 'a> {
 #[must_use = "dropping it releases the lock"]
 pub struct Guard<'l, 'a> {
     lock: &'l mut Lock<'a>,
+    /// How many turns others took while this end waited.
+    waited: u32,
 }
 
 impl<'a> Guard<'_, 'a> {
     /// How many turns others took between this core's announcement that it waits and its own turn.
     #[must_use]
     pub const fn waited_turns(&self) -> u32 {
-        self.lock.waited
+        self.waited
     }
 
     /// Keeps the lock beyond the borrow of this end: for a caller that cannot hold a guard, such as
@@ -489,6 +532,54 @@ mod tests {
         drop(bench.start(0, 1).try_lock());
         bench.kill(0, 1);
         assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
+    }
+
+    /// An owner that releases and then dies, while another core is frozen at any step of its own
+    /// attempt: the taker is told of no death.
+    #[test]
+    fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() {
+        for at in 0.. {
+            let bench = Bench::new();
+            let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+            let held = a.try_lock().unwrap().into_guard().detach();
+            let lives = bench.lives;
+            let meanwhile = move || {
+                drop(held);
+                assert!(lives.mark_dead(Life::new(0, 1).unwrap()));
+            };
+            let (recovered, hit) = freeze_at(at, meanwhile, || {
+                b.lock(2, |_| ())
+                    .ok()
+                    .map(|acquired| acquired.is_recovered())
+            });
+            if !hit {
+                break;
+            }
+            assert_ne!(recovered, Some(true), "frozen at {at}");
+        }
+    }
+
+    /// T-LOCK-3: generations that are equal in the bits that a token has do not make the dead
+    /// alive, whether the lives between them attach to the lock or not.
+    #[test]
+    fn a_dead_owner_is_replaced_after_any_number_of_lives() {
+        for lives in [1, 3, 4, 15, 16, 17, 32, 64] {
+            for attach_from in [2, lives, lives + 1, lives + 2] {
+                let bench = Bench::new();
+                let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+                core::mem::forget(a.try_lock().unwrap());
+                for generation in 2..lives + 2 {
+                    if generation >= attach_from {
+                        bench.start(0, generation);
+                    } else {
+                        let life = Life::new(0, generation).unwrap();
+                        bench.lives.announce(life).unwrap();
+                    }
+                }
+                let recovered = b.try_lock().map(|acquired| acquired.is_recovered());
+                assert_eq!(recovered, Some(true), "{lives} lives, {attach_from}");
+            }
+        }
     }
 
     /// T-LOCK-3: an owner killed at any step leaves a lock that the next taker gets.

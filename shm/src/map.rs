@@ -20,7 +20,7 @@ const HEADER_WORDS: usize = LIVES_AT + Lives::WORDS;
 /// "TLMU"
 const MAGIC: u32 = 0x544C_4D55;
 /// Goes up whenever a primitive's words change their meaning.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// No value that zeroed or erased memory has.
 const READY: u32 = 0x5EAD_1E55;
 

@@ -146,13 +146,13 @@ fn two_cores_get_different_blocks() {
         let other = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut pool = attach(&words, 1);
+                let pool = attach(&words, 1);
                 let handle = pool.get(1).unwrap();
                 pool.open(handle).unwrap()[0].store(1, Ordering::Relaxed);
                 handle
             })
         };
-        let mut pool = attach(&words, 0);
+        let pool = attach(&words, 0);
         let first = pool.get(1).unwrap();
         pool.give_back(first).unwrap();
         let handle = pool.get(BLOCK_WORDS).unwrap();
@@ -170,7 +170,7 @@ fn two_cores_get_different_blocks() {
 fn handing_over_carries_the_words() {
     model(3, || {
         let words = pool_words();
-        let mut pool = attach(&words, 0);
+        let pool = attach(&words, 0);
         let handle = pool.get(1).unwrap();
         let other = {
             let words = words.clone();

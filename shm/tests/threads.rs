@@ -164,7 +164,7 @@ fn words_go_round_and_the_lock_guards_a_counter() {
         let core = |life: Life| {
             let other = 1 - life.core();
             let mut lock = Lock::attach(&words[Lives::WORDS..], life, lives).unwrap();
-            let mut pool = Pool::attach(&words[POOL_AT..], BLOCKS, life, lives).unwrap();
+            let pool = Pool::attach(&words[POOL_AT..], BLOCKS, life, lives).unwrap();
             let mut to = fifo::Producer::attach(queue(life.core()), HANDLES).unwrap();
             let mut from = fifo::Consumer::attach(queue(other), HANDLES).unwrap();
             let handle = pool.get(2).unwrap();

@@ -198,7 +198,7 @@ fn words_of_the_pool_are_handed_to_c_and_back() {
     let child = bench.start(1);
     // Words go to no core that is not there yet.
     bench.ask(&[Order::Echo as u32]);
-    let mut pool = bench.pool(0, 1);
+    let pool = bench.pool(0, 1);
     let free = pool.free_words();
     for round in 1..=50_u32 {
         let count = (round as usize * 5) % 37 + 1;

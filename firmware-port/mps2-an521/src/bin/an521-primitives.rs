@@ -236,7 +236,7 @@ fn look(own: usize, _: &An521Board, map: Map<'_>, _: Life) -> Checked {
 /// Words are handed over and given back by whoever got them.
 fn lend(own: usize, _: &An521Board, map: Map<'_>, life: Life) -> Checked {
     let fit = "the regions fit";
-    let mut pool = Pool::attach(map.region(POOL), BLOCKS, life, map.lives()).map_err(|_| fit)?;
+    let pool = Pool::attach(map.region(POOL), BLOCKS, life, map.lives()).map_err(|_| fit)?;
     let words = map.region(QUEUED);
     if own == 0 {
         let mut producer = fifo::Producer::attach(words, QUEUE).map_err(|_| fit)?;

@@ -158,7 +158,7 @@ fn measure() {
     let mut queue = must(fifo::Producer::attach(map.region(1), CHANNEL));
     let mut newest = must(newest::Writer::attach(map.region(2), CHANNEL));
     let mut lock = lock_of(&map, 0);
-    let mut pool = must(Pool::attach(
+    let pool = must(Pool::attach(
         map.region(4),
         POOL_BLOCKS,
         life(0),

@@ -335,8 +335,7 @@ fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
 
 /// T-SHM-1: nobody gets words that another one has, and all come back.
 fn test_pool(map: &Map<'static>, hart: usize, life: Life) -> Checked {
-    let mut pool =
-        Pool::attach(map.region(POOL), POOL_BLOCKS, life, map.lives()).map_err(|_| 3u32)?;
+    let pool = Pool::attach(map.region(POOL), POOL_BLOCKS, life, map.lives()).map_err(|_| 3u32)?;
     for round in 0..ROUNDS {
         let words = 1 + (round as usize * 7 + hart * 5) % 40;
         let Ok(handle) = pool.get(words) else {

@@ -48,7 +48,7 @@ fn share(life: Life) -> Option<()> {
     map.lives().announce(life).ok()?;
     let mut lock = Lock::attach(map.region(4), life, map.lives()).ok()?;
     drop(lock.lock(black_box(10), tandem_shm::sync::spin).ok()?);
-    let mut pool = Pool::attach(map.region(5), BLOCKS, life, map.lives()).ok()?;
+    let pool = Pool::attach(map.region(5), BLOCKS, life, map.lives()).ok()?;
     pool.reclaim_dead();
     let handle = pool.get(black_box(20)).ok()?;
     black_box(pool.open(handle).ok()?);

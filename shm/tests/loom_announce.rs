@@ -1,0 +1,115 @@
+//! loom models of lives that begin while others run: nothing is taken from a life that is alive.
+#![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod common;
+
+use common::{model, zeroed};
+use loom::cell::UnsafeCell;
+use loom::sync::Arc;
+use loom::thread;
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::pool::{self, Pool};
+use tandem_shm::sync::{AtomicU32, spin};
+
+const LIVES_AT: usize = 0;
+const OBJECT_AT: usize = Lives::WORDS;
+const LOCK_WORDS: usize = OBJECT_AT + lock::WORDS;
+
+fn lives(words: &[AtomicU32]) -> Lives<'_> {
+    Lives::attach(&words[LIVES_AT..]).unwrap()
+}
+
+/// A new life of this core: announced, then attached.
+fn start_lock(words: &[AtomicU32], core: usize, generation: u32) -> Lock<'_> {
+    let life = Life::new(core, generation).unwrap();
+    lives(words).announce(life).unwrap();
+    Lock::attach(&words[OBJECT_AT..], life, lives(words)).unwrap()
+}
+
+/// T-LOCK-1: a core announces itself and takes the lock by its first acquisition while another core
+/// looks at it. No taker is told of a death, and never are two inside.
+#[test]
+fn a_new_life_that_holds_the_lock_is_seen_alive() {
+    model(3, || {
+        let words = zeroed(LOCK_WORDS);
+        let guarded = Arc::new(UnsafeCell::new(()));
+        let other = {
+            let (words, guarded) = (words.clone(), guarded.clone());
+            thread::spawn(move || {
+                let mut lock = start_lock(&words, 1, 1);
+                if let Ok(acquired) = lock.lock(2, spin) {
+                    assert!(!acquired.is_recovered(), "nobody died");
+                    guarded.with_mut(|_| ());
+                }
+            })
+        };
+        let mut lock = start_lock(&words, 0, 1);
+        if let Ok(acquired) = lock.lock(2, spin) {
+            assert!(!acquired.is_recovered(), "nobody died");
+            guarded.with_mut(|_| ());
+        }
+        other.join().unwrap();
+    });
+}
+
+/// T-LOCK-1: the same by a token that the taker did not find as its own: `look` instead of
+/// `retake`.
+#[test]
+fn a_new_life_that_takes_the_lock_after_another_is_seen_alive() {
+    model(3, || {
+        let words = zeroed(LOCK_WORDS);
+        let mut first = start_lock(&words, 0, 1);
+        drop(first.try_lock());
+        let guarded = Arc::new(UnsafeCell::new(()));
+        let other = {
+            let (words, guarded) = (words.clone(), guarded.clone());
+            thread::spawn(move || {
+                let mut lock = start_lock(&words, 1, 1);
+                if let Ok(acquired) = lock.lock(2, spin) {
+                    assert!(!acquired.is_recovered(), "nobody died");
+                    guarded.with_mut(|_| ());
+                }
+            })
+        };
+        if let Ok(acquired) = first.lock(2, spin) {
+            assert!(!acquired.is_recovered(), "nobody died");
+            guarded.with_mut(|_| ());
+        }
+        other.join().unwrap();
+    });
+}
+
+const BLOCKS: usize = 2;
+const POOL_WORDS: usize = OBJECT_AT + pool::words(BLOCKS);
+
+fn start_pool(words: &[AtomicU32], core: usize, generation: u32) -> Pool<'_> {
+    let life = Life::new(core, generation).unwrap();
+    lives(words).announce(life).unwrap();
+    Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives(words)).unwrap()
+}
+
+/// T-SHM-2: a core announces itself and borrows while another core reclaims what dead lives own:
+/// that core frees nothing.
+#[test]
+fn the_words_of_a_new_life_are_not_reclaimed() {
+    model(3, || {
+        let words = zeroed(POOL_WORDS);
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let pool = start_pool(&words, 1, 1);
+                let handle = pool.get(1).unwrap();
+                assert!(pool.open(handle).is_ok());
+                handle
+            })
+        };
+        let pool = start_pool(&words, 0, 1);
+        assert_eq!(pool.reclaim_dead(), 0, "nobody died");
+        let handle = other.join().unwrap();
+        let owner = Life::new(1, 1).unwrap();
+        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, owner, lives(&words)).unwrap();
+        assert!(pool.open(handle).is_ok(), "its words were taken");
+    });
+}
