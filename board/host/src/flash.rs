@@ -12,13 +12,12 @@ use std::time::{Duration, Instant};
 use rustix::fs::{AtFlags, CWD, FlockOperation, RenameFlags, flock, linkat, renameat_with};
 use rustix::io::{Errno, FdFlags, fcntl_setfd};
 use tandem_board::{DataFlash, FlashError, FlashStatus};
+use tandem_peripherals::flash::{self, Operation};
 
 use crate::clock;
 
-const PAGE: u64 = HostFlash::PAGE_BYTES as u64;
-const SECTOR: u64 = HostFlash::SECTOR_BYTES as u64;
-const SIZE: u64 = SECTOR * HostFlash::SECTORS as u64;
-const ERASED: u8 = 0xFF;
+const SIZE: u64 = flash::SIZE as u64;
+const SECTOR: usize = flash::SECTOR_BYTES as usize;
 
 const IDLE: u8 = 0;
 const BUSY: u8 = 1;
@@ -83,7 +82,7 @@ struct Device {
     /// sets it to another value.
     status: AtomicU8,
     /// Never waited for: see `status`.
-    operation: Mutex<Operation>,
+    operation: Mutex<Started>,
     /// The operation is complete; the thread clears it when it begins.
     requested: AtomicBool,
     /// The flash was dropped; the thread ends.
@@ -91,11 +90,11 @@ struct Device {
 }
 
 #[derive(Debug)]
-struct Operation {
-    at: u64,
-    length: usize,
-    erases: bool,
-    data: [u8; SECTOR as usize],
+struct Started {
+    /// `None` before the first one.
+    operation: Option<Operation>,
+    /// What it programs.
+    data: [u8; SECTOR],
 }
 
 impl HostFlash {
@@ -178,11 +177,9 @@ impl HostFlash {
         let device = Arc::new(Device {
             file,
             status: AtomicU8::new(IDLE),
-            operation: Mutex::new(Operation {
-                at: 0,
-                length: 0,
-                erases: false,
-                data: [ERASED; SECTOR as usize],
+            operation: Mutex::new(Started {
+                operation: None,
+                data: [flash::ERASED; SECTOR],
             }),
             requested: AtomicBool::new(false),
             closed: AtomicBool::new(false),
@@ -198,11 +195,10 @@ impl HostFlash {
         })
     }
 
-    /// Starts an operation that `fill` completes.
-    fn begin(&self, fill: impl FnOnce(&mut Operation)) -> Result<(), FlashError> {
+    fn begin(&self, operation: Operation, data: &[u8]) -> Result<(), FlashError> {
         let Device {
             status,
-            operation,
+            operation: started,
             requested,
             ..
         } = &*self.device;
@@ -210,7 +206,10 @@ impl HostFlash {
         if status.swap(BUSY, Ordering::AcqRel) == BUSY {
             return Err(FlashError::Busy);
         }
-        fill(&mut operation.lock().unwrap_or_else(PoisonError::into_inner));
+        let mut started = started.lock().unwrap_or_else(PoisonError::into_inner);
+        started.operation = Some(operation);
+        started.data[..data.len()].copy_from_slice(data);
+        drop(started);
         // Pairs with the swap in `Device::work`.
         requested.store(true, Ordering::Release);
         self.worker.unpark();
@@ -230,14 +229,14 @@ impl Device {
     /// The life of the background thread.
     fn work(&self) {
         // What programming reads back, kept for its memory.
-        let mut present = [ERASED; SECTOR as usize];
+        let mut present = [flash::ERASED; SECTOR];
         loop {
             // Acquire pairs with the store in `HostFlash::begin`.
             if self.requested.swap(false, Ordering::Acquire) {
-                let operation = self.operation.lock();
-                let operation = operation.unwrap_or_else(PoisonError::into_inner);
-                let done = carry_out(&self.file, &operation, &mut present);
-                drop(operation);
+                let started = self.operation.lock();
+                let started = started.unwrap_or_else(PoisonError::into_inner);
+                let done = carry_out(&self.file, &started, &mut present);
+                drop(started);
                 let after = if done.is_ok() { IDLE } else { FAILED };
                 // Pairs with the loads in `status` and `begin`.
                 self.status.store(after, Ordering::Release);
@@ -251,11 +250,15 @@ impl Device {
 }
 
 impl DataFlash for HostFlash {
+    const PAGE_BYTES: u32 = flash::PAGE_BYTES;
+    const SECTOR_BYTES: u32 = flash::SECTOR_BYTES;
+    const SECTORS: u32 = flash::SECTORS;
+
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
         if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
-        check(u64::from(offset), into.len())?;
+        flash::range(offset, into.len())?;
         self.device
             .file
             .read_exact_at(into, u64::from(offset))
@@ -263,30 +266,11 @@ impl DataFlash for HostFlash {
     }
 
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
-        if sector >= Self::SECTORS {
-            return Err(FlashError::OutOfRange);
-        }
-        self.begin(|operation| {
-            operation.at = u64::from(sector) * SECTOR;
-            operation.length = SECTOR as usize;
-            operation.erases = true;
-        })
+        self.begin(Operation::erase(sector)?, &[])
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
-        let at = u64::from(offset);
-        check(at, data.len())?;
-        let length = data.len() as u64;
-        let in_one_sector = length > 0 && at / SECTOR == (at + length - 1) / SECTOR;
-        if !in_one_sector || !at.is_multiple_of(PAGE) || !length.is_multiple_of(PAGE) {
-            return Err(FlashError::OutOfRange);
-        }
-        self.begin(|operation| {
-            operation.at = at;
-            operation.length = data.len();
-            operation.erases = false;
-            operation.data[..data.len()].copy_from_slice(data);
-        })
+        self.begin(Operation::program(offset, data.len())?, data)
     }
 
     fn status(&self) -> FlashStatus {
@@ -298,29 +282,15 @@ impl DataFlash for HostFlash {
     }
 }
 
-fn check(at: u64, length: usize) -> Result<(), FlashError> {
-    if at + length as u64 > SIZE {
-        Err(FlashError::OutOfRange)
-    } else {
-        Ok(())
-    }
-}
-
-fn carry_out(file: &File, operation: &Operation, present: &mut [u8]) -> io::Result<()> {
-    let Operation {
-        at, length, erases, ..
-    } = *operation;
-    let present = &mut present[..length];
-    if erases {
-        present.fill(ERASED);
-    } else {
-        file.read_exact_at(present, at)?;
-        // NOR flash: programming only clears bits.
-        for (old, new) in present.iter_mut().zip(&operation.data) {
-            *old &= new;
-        }
-    }
-    file.write_all_at(present, at)?;
+fn carry_out(file: &File, started: &Started, present: &mut [u8; SECTOR]) -> io::Result<()> {
+    let Some(operation) = started.operation else {
+        return Ok(());
+    };
+    let range = operation.range();
+    let (bytes, at) = (&mut present[..range.len()], range.start as u64);
+    file.read_exact_at(bytes, at)?;
+    operation.apply(bytes, &started.data);
+    file.write_all_at(bytes, at)?;
     file.sync_data()
 }
 
@@ -341,7 +311,7 @@ fn create(path: &Path) -> io::Result<()> {
     ));
     let draft = PathBuf::from(draft);
     let written = File::create_new(&draft).and_then(|mut file| {
-        file.write_all(&[ERASED; SIZE as usize])?;
+        file.write_all(&[flash::ERASED; flash::SIZE])?;
         file.sync_all()?;
         // Never in the place of a file that another run has claimed. Not every file system can
         // rename so; those have links.
@@ -409,33 +379,6 @@ mod tests {
         let mut bytes = [0; 8];
         flash.read(0, &mut bytes).unwrap();
         assert_eq!(bytes, [0x30; 8]);
-    }
-
-    #[test]
-    fn ranges_are_checked() {
-        let folder = tempfile::tempdir().unwrap();
-        let flash = HostFlash::open(&folder.path().join("f")).unwrap();
-        let refused = Err(FlashError::OutOfRange);
-        assert_eq!(flash.start_erase(HostFlash::SECTORS), refused);
-        assert_eq!(flash.start_program(4, &[0; 8]), refused, "not aligned");
-        assert_eq!(flash.start_program(0, &[0; 7]), refused, "not a page");
-        assert_eq!(flash.start_program(0, &[]), refused, "nothing");
-        assert_eq!(
-            flash.start_program(HostFlash::SECTOR_BYTES - 8, &[0; 16]),
-            refused,
-            "across"
-        );
-        assert_eq!(
-            flash.start_program(SIZE as u32, &[0; 8]),
-            refused,
-            "outside"
-        );
-        assert_eq!(
-            flash.start_program(u32::MAX - 7, &[0; 8]),
-            refused,
-            "far outside"
-        );
-        assert_eq!(flash.read(SIZE as u32 - 1, &mut [0; 2]), refused);
     }
 
     #[test]

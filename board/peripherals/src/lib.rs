@@ -7,6 +7,7 @@
 #![forbid(unsafe_code)]
 
 pub mod codec;
+pub mod flash;
 pub mod supply;
 pub mod watchdog;
 

@@ -3,7 +3,6 @@
 use crate::blocking::Baton;
 use crate::config::Defect;
 use crate::fabric::LINK_WORDS;
-use crate::flash;
 use crate::machine::{Attention, EventKind, Shared};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
@@ -12,6 +11,7 @@ use tandem_board::{
     Generation, Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest,
     RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
+use tandem_peripherals::flash;
 use tandem_peripherals::watchdog::Window;
 
 /// A core's connection to the machine, for one life of the core.

@@ -1,11 +1,12 @@
 //! What the supplies do: power, resets, watchdogs, and what a loss of power does to the flash.
 
 use crate::config::Defect;
-use crate::flash::{Flash, PAGE_BYTES};
+use crate::flash::Flash;
 use crate::machine::{Core, EventKind, Machine, Wire};
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
+use tandem_peripherals::flash::PAGE_BYTES;
 use tandem_peripherals::supply::{Change, Supply};
 
 impl Machine {
@@ -71,12 +72,12 @@ impl Machine {
 
     /// The cores of a system and what the chip was doing end.
     fn stop(&mut self, system: SystemId, why: EventKind) {
-        let now_ns = self.now_ns;
+        let now = self.at();
         let resets = matches!(why, EventKind::Reset(_));
         let partial = resets && self.has(Defect::PartialReset);
         let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
-        let changed = state.flash.lose_power(now_ns, &mut self.noise);
+        let changed = state.flash.lose_power(now, &mut self.noise);
         state.flash_bytes_to_live = state
             .flash_bytes_to_live
             .map(|left| left - changed.min(left));
@@ -206,12 +207,12 @@ impl Machine {
 /// What core 0 asks of the flash, with the defects of the medium.
 impl Machine {
     pub(crate) fn start_erase(&mut self, system: SystemId, sector: u32) -> Result<(), FlashError> {
-        let (now_ns, defect) = (self.now_ns, self.config.defect);
+        let (now, defect) = (self.at(), self.config.defect);
         let flash = &mut self.system(system).flash;
         if defect == Some(Defect::NeverBusy) {
             flash.abandon();
         }
-        flash.start_erase(sector, now_ns)?;
+        flash.start_erase(sector, now)?;
         if defect == Some(Defect::EraseToZero) {
             flash.spoil(|_, target| target.fill(0));
         }
@@ -224,7 +225,7 @@ impl Machine {
         offset: u32,
         data: &[u8],
     ) -> Result<(), FlashError> {
-        let (now_ns, defect) = (self.now_ns, self.config.defect);
+        let (now, defect) = (self.at(), self.config.defect);
         let flash = &mut self.system(system).flash;
         if defect == Some(Defect::NeverBusy) {
             flash.abandon();
@@ -233,7 +234,7 @@ impl Machine {
             Some(Defect::MisalignedProgram) => offset & !(PAGE_BYTES - 1),
             _ => offset,
         };
-        flash.start_program(offset, data, now_ns)?;
+        flash.start_program(offset, data, now)?;
         if defect == Some(Defect::ProgramDisturbs) {
             flash.spoil(|behind, _| behind.fill(0));
         }
