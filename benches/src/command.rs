@@ -9,7 +9,7 @@ use crate::{hgrm, html};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
-use tandem_board_host::{AttachError, BareSystem, IsolationError, isolation};
+use tandem_board_host::{AttachError, IsolationError, UnsupervisedSystem, isolation};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -202,7 +202,7 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     };
     let cpus = [near.id, far.id];
     let isolation = isolation::enter()?;
-    let system = BareSystem::power_on(&isolation)?;
+    let system = UnsupervisedSystem::power_on(&isolation)?;
     let begin = Instant::now();
     let all = measure(&system, args, cpus);
     let duration_s = begin.elapsed().as_secs_f64();
@@ -226,7 +226,7 @@ fn nothing(results: &Results) -> BenchError {
     BenchError::NothingMeasured(why.join("; "))
 }
 
-fn measure(system: &BareSystem, args: &BenchArgs, cpus: [usize; 2]) -> Vec<Measurement> {
+fn measure(system: &UnsupervisedSystem, args: &BenchArgs, cpus: [usize; 2]) -> Vec<Measurement> {
     let wanted = |case: &&Case| args.groups.is_empty() || args.groups.contains(&case.group);
     let span = if args.quick {
         measure::QUICK

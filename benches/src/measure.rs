@@ -5,7 +5,7 @@ use crate::harness::{Batch, Plan};
 use hdrhistogram::Histogram;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
-use tandem_board_host::BareSystem;
+use tandem_board_host::UnsupervisedSystem;
 
 /// What was measured of one case so far.
 pub struct Measurement {
@@ -128,7 +128,7 @@ pub fn was_interrupted() -> bool {
 ///
 /// To be called while the process has one thread.
 pub fn run(
-    system: &BareSystem,
+    system: &UnsupervisedSystem,
     cases: impl IntoIterator<Item = &'static Case>,
     cpus: [usize; 2],
     span: Span,
@@ -164,7 +164,7 @@ pub fn run(
     }
 }
 
-fn turn(system: &BareSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
+fn turn(system: &UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
     let case = measurement.case;
     let plan = Plan {
         rounds: case.rounds,

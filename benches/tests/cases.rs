@@ -6,7 +6,7 @@ use std::collections::HashMap;
 use std::ops::RangeInclusive;
 use tandem_benches::cases::{self, Case};
 use tandem_benches::harness::Plan;
-use tandem_board_host::{BareSystem, isolation};
+use tandem_board_host::{UnsupervisedSystem, isolation};
 use tandem_rtos::host::TaskAllocator;
 
 /// Of the cases that run tasks of FreeRTOS.
@@ -66,7 +66,7 @@ fn main() {
         return;
     }
     let place = isolation::enter().unwrap();
-    let system = BareSystem::power_on(&place).unwrap();
+    let system = UnsupervisedSystem::power_on(&place).unwrap();
     let cpus = core_affinity::get_core_ids().unwrap();
     let cpus = [cpus[0].id, cpus[cpus.len() - 1].id];
     let ran = cases.map(|case| run(case, &system, cpus)).count();
@@ -74,7 +74,7 @@ fn main() {
     println!("test result: ok. {ran} passed; 0 failed");
 }
 
-fn run(case: &Case, system: &BareSystem, cpus: [usize; 2]) {
+fn run(case: &Case, system: &UnsupervisedSystem, cpus: [usize; 2]) {
     let name = case.full_name();
     let plan = Plan {
         rounds: case.rounds.min(20),

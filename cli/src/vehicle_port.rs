@@ -7,7 +7,7 @@ use tandem_board::{
     CanFrame, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId, Traced,
 };
 use tandem_board_host::clock::Ticker;
-use tandem_board_host::{VehicleArgs, WorldError, WorldPort};
+use tandem_board_host::{HostVehiclePort, VehicleArgs, VehiclePortError};
 use tandem_board_qemu::EmulatedWorld;
 
 /// One tick of the vehicle.
@@ -46,7 +46,7 @@ pub(crate) trait VehiclePort {
 
 /// The run's processes on this machine, in real time.
 pub(crate) struct OnHost {
-    port: WorldPort,
+    port: HostVehiclePort,
     ticker: Option<Ticker>,
 }
 
@@ -55,9 +55,9 @@ impl OnHost {
     ///
     /// # Errors
     /// If the run is over.
-    pub(crate) fn attach(args: &VehicleArgs) -> Result<Self, WorldError> {
+    pub(crate) fn attach(args: &VehicleArgs) -> Result<Self, VehiclePortError> {
         Ok(Self {
-            port: WorldPort::attach(args)?,
+            port: HostVehiclePort::attach(args)?,
             ticker: None,
         })
     }

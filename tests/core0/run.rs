@@ -9,7 +9,7 @@ use std::{fs, thread};
 use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId, Traced, Wake};
 use tandem_board_host::clock::Ticker;
 use tandem_board_host::{
-    CoreArgs, HostBoard, Launcher, Plan, ProcessArgs, Schedule, WorldPort, isolation, supply,
+    CoreArgs, HostBoard, HostVehiclePort, Launcher, Plan, ProcessArgs, Schedule, isolation, supply,
 };
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -34,7 +34,7 @@ pub(crate) const CASES: [Case; 1] = [flood::CASE];
 
 /// The vehicle's side of a case.
 pub(crate) struct Script {
-    port: WorldPort,
+    port: HostVehiclePort,
     world: World,
     ticker: Ticker,
     /// What the cores have traced, in the order of each core.
@@ -138,7 +138,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
             let _ = args.claim();
             let scenario = Scenario::load("free-lane").expect("an embedded scenario");
             let mut script = Script {
-                port: WorldPort::attach(&args).expect("a run"),
+                port: HostVehiclePort::attach(&args).expect("a run"),
                 world: World::new(&scenario, tandem_vehicle::Config { seed: 1 }),
                 ticker: Ticker::new(Duration::from_ms(1)),
                 traced: vec![],
@@ -222,7 +222,7 @@ impl Script {
         self.port.now()
     }
 
-    pub(crate) fn port(&self) -> &WorldPort {
+    pub(crate) fn port(&self) -> &HostVehiclePort {
         &self.port
     }
 }

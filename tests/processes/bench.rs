@@ -8,7 +8,7 @@ use std::time::Duration;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-use crate::stage::Stage;
+use crate::fixture::Fixture;
 
 /// Presses Ctrl-C on the command, not on what it has started.
 fn interrupt(child: &Child) {
@@ -34,9 +34,9 @@ fn scaled(results: &Value, case: &str, factor: f64) -> Value {
 /// A measurement that is cut short gives what there is, says so everywhere, and can be compared.
 #[test]
 fn a_measurement_that_is_cut_short_gives_what_there_is() {
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     let outputs = ["--json", "a.json", "--html", "a.html", "--hgrm", "h"];
-    let mut command = stage.command(&[&["bench", "pool"][..], &outputs].concat());
+    let mut command = fixture.command(&[&["bench", "pool"][..], &outputs].concat());
     let child = command
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -44,7 +44,11 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
         .unwrap();
     // Time for a turn of four short cases, whatever else the machine does.
     sleep(Duration::from_secs(6));
-    assert_eq!(stage.names(), Vec::<String>::new(), "files before figures");
+    assert_eq!(
+        fixture.names(),
+        Vec::<String>::new(),
+        "files before figures"
+    );
     interrupt(&child);
     let output = child.wait_with_output().unwrap();
     let said = String::from_utf8_lossy(&output.stderr);
@@ -54,7 +58,7 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
         table.contains("take-give") && table.contains("interrupted"),
         "{table}"
     );
-    let read = |name: &str| fs::read_to_string(stage.folder().join(name)).unwrap();
+    let read = |name: &str| fs::read_to_string(fixture.folder().join(name)).unwrap();
     let mut results: Value = serde_json::from_str(&read("a.json")).unwrap();
     assert_eq!(results["interrupted"], true);
     assert!(read("a.html").contains("Interrupted"));
@@ -70,9 +74,9 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
     let compare = |case: &str, factor: f64| {
         for (name, factor) in [("a.json", 1.0), ("b.json", factor)] {
             let text = scaled(&results, case, factor).to_string();
-            fs::write(stage.folder().join(name), text).unwrap();
+            fs::write(fixture.folder().join(name), text).unwrap();
         }
-        stage.output(&["bench", "compare", "a.json", "b.json", "--json", "c.json"])
+        fixture.output(&["bench", "compare", "a.json", "b.json", "--json", "c.json"])
     };
     assert_eq!(compare("pool/take-give", 1.0).status.code(), Some(0));
     assert_eq!(compare("pool/take-give", 0.5).status.code(), Some(0));
@@ -87,9 +91,9 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
 /// What is wrong is said at once, with exit status 2, and leaves nothing behind.
 #[test]
 fn a_benchmark_that_cannot_be_is_refused_at_once() {
-    let stage = Stage::new();
-    fs::write(stage.folder().join("other.json"), "{}").unwrap();
-    let before = stage.names();
+    let fixture = Fixture::new();
+    fs::write(fixture.folder().join("other.json"), "{}").unwrap();
+    let before = fixture.names();
     for (args, word) in [
         (&["bench", "spni"][..], "possible values: spin"),
         (&["bench", "--json", "no/such/a.json"], "create it first"),
@@ -106,13 +110,13 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
         ),
         (&["bench", "compare", "other.json"], "B.json"),
     ] {
-        let output = stage.output(args);
+        let output = fixture.output(args);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
         assert!(
             said.contains(word),
             "{args:?} does not say {word:?}: {said}"
         );
-        assert_eq!(stage.names(), before, "{args:?} has left something");
+        assert_eq!(fixture.names(), before, "{args:?} has left something");
     }
 }

@@ -3,7 +3,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::stage::{Run, Stage, kill, send};
+use crate::fixture::{Fixture, Run, kill, send};
 
 /// Takeovers that were not because a busy machine held up a core.
 fn takeovers(metrics: &Value) -> Vec<&Value> {
@@ -32,8 +32,8 @@ fn one_takeover(run: &mut Run, from: &str) {
 /// T-CHIP-5, T-RED-4, T-RED-9: loss of power.
 #[test]
 fn the_vehicle_goes_on_when_the_supply_of_the_master_is_killed() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "5"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "5"]);
     run.until_dual();
     let supply = run.master_supply();
     kill(supply.pid);
@@ -43,9 +43,9 @@ fn the_vehicle_goes_on_when_the_supply_of_the_master_is_killed() {
 /// T-RED-3, T-RED-9: the heartbeats of a processor that is dead fail.
 #[test]
 fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     for core in 0..3 {
-        let mut run = stage.run(&["--duration", "5"]);
+        let mut run = fixture.run(&["--duration", "5"]);
         run.until_dual();
         let master = run.master_supply().system.unwrap();
         let victim = run.until("the core", |processes| {
@@ -57,15 +57,15 @@ fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
     }
 }
 
-fn is_core(process: &crate::stage::Process, system: &str, core: u64) -> bool {
+fn is_core(process: &crate::fixture::Process, system: &str, core: u64) -> bool {
     process.core == Some(core) && process.system.as_deref() == Some(system)
 }
 
 /// T-RED-9: a master that thaws after the other took over does not drive, not for one frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "5"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "5"]);
     run.until_dual();
     let master = run.master_supply().system.unwrap();
     let victim = run.until("core 0", |processes| {
@@ -85,8 +85,8 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
 
 #[test]
 fn ctrl_c_stops_everything_and_leaves_nothing() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "60"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "60"]);
     run.until_dual();
     send(run.launcher_pid(), Signal::INT);
     let status = run.end();
@@ -94,13 +94,13 @@ fn ctrl_c_stops_everything_and_leaves_nothing() {
     assert!(run.said().contains("no report"), "{}", run.said());
     run.until_vanished();
     assert!(run.files().is_empty(), "{:?}", run.files());
-    assert!(stage.names().is_empty(), "{:?}", stage.names());
+    assert!(fixture.names().is_empty(), "{:?}", fixture.names());
 }
 
 #[test]
 fn the_start_after_everything_was_killed_works_and_nothing_is_left() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "60"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "60"]);
     run.until_dual();
     let victims = run.processes();
     assert_eq!(victims.len(), 9);
@@ -110,30 +110,30 @@ fn the_start_after_everything_was_killed_works_and_nothing_is_left() {
     }
     run.end();
     run.until_vanished();
-    stage.run(&["--duration", "1"]).metrics();
+    fixture.run(&["--duration", "1"]).metrics();
     assert!(run.files().is_empty(), "{:?}", run.files());
-    assert_eq!(stage.names(), ["tandem-report"]);
+    assert_eq!(fixture.names(), ["tandem-report"]);
 }
 
 #[test]
 fn the_systems_drive_on_without_tandem_run_and_then_vanish() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "3"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "3"]);
     run.until_dual();
     kill(run.launcher_pid());
     run.end();
     run.until_dual();
     run.until_vanished();
     // What a machine without namespaces keeps goes with the next start.
-    stage.run(&["--duration", "1"]).metrics();
+    fixture.run(&["--duration", "1"]).metrics();
     assert!(run.files().is_empty(), "{:?}", run.files());
 }
 
 /// Nothing in the controller needs the vehicle's process to end well.
 #[test]
 fn a_run_whose_vehicle_was_killed_has_failed_and_leaves_nothing() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "60", "--out", "cut-short"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "60", "--out", "cut-short"]);
     run.until_dual();
     let vehicle = run.until("the vehicle", |processes| {
         processes

@@ -4,7 +4,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::stage::Stage;
+use crate::fixture::Fixture;
 
 fn takeovers(metrics: &Value) -> &[Value] {
     metrics["takeovers"].as_array().unwrap()
@@ -14,8 +14,8 @@ fn takeovers(metrics: &Value) -> &[Value] {
 /// report is there.
 #[test]
 fn a_short_drive_ends_with_a_report() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "5", "--out", "report"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "5", "--out", "report"]);
     let metrics = run.metrics();
     assert_eq!(metrics["scenario"], "cut-in");
     assert_eq!(metrics["collisions"], 0);
@@ -58,7 +58,7 @@ fn a_short_drive_ends_with_a_report() {
         assert!(task["lock_held_max_ms"].as_f64().unwrap() > 0.0, "{task}");
     }
 
-    let report = stage.folder().join("report");
+    let report = fixture.folder().join("report");
     let read = |name: &str| fs::read_to_string(report.join(name)).unwrap();
     assert_eq!(
         serde_json::from_str::<Value>(&read("metrics.json")).unwrap(),
@@ -73,17 +73,17 @@ fn a_short_drive_ends_with_a_report() {
     }
     assert!(log.contains(" 0A0##"), "control frames of A");
     assert!(log.contains(" 0B1##"), "status frames of B");
-    assert_eq!(stage.names(), ["report"]);
+    assert_eq!(fixture.names(), ["report"]);
     run.until_vanished();
     assert_eq!(run.files(), Vec::<std::path::PathBuf>::new());
 }
 
 #[test]
 fn a_second_run_beside_the_first_is_none_of_its_business() {
-    let stage = Stage::new();
-    let mut first = stage.run(&["--duration", "6", "--out", "first", "--timing", "desktop"]);
+    let fixture = Fixture::new();
+    let mut first = fixture.run(&["--duration", "6", "--out", "first", "--timing", "desktop"]);
     first.until_dual();
-    let mut second = stage.run(&["--duration", "2", "--out", "second", "--timing", "desktop"]);
+    let mut second = fixture.run(&["--duration", "2", "--out", "second", "--timing", "desktop"]);
     second.until_dual();
     assert_eq!(first.processes().len(), 9);
     assert_eq!(second.processes().len(), 9);
@@ -100,10 +100,10 @@ fn a_second_run_beside_the_first_is_none_of_its_business() {
 
 #[test]
 fn the_processes_are_listed_with_exactly_the_promised_names() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "2"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "2"]);
     run.until_dual();
-    let listed = stage.output(&["ps", "--json"]);
+    let listed = fixture.output(&["ps", "--json"]);
     let listed: Vec<Value> = serde_json::from_slice(&listed.stdout).unwrap();
     for process in &listed {
         let mut names: Vec<&String> = process.as_object().unwrap().keys().collect();
@@ -120,17 +120,17 @@ fn the_processes_are_listed_with_exactly_the_promised_names() {
 
 #[test]
 fn data_flash_is_kept_from_run_to_run_if_it_has_a_folder() {
-    let stage = Stage::new();
-    fs::create_dir(stage.folder().join("flash")).unwrap();
-    stage
+    let fixture = Fixture::new();
+    fs::create_dir(fixture.folder().join("flash")).unwrap();
+    fixture
         .run(&["--duration", "1", "--dflash", "flash"])
         .metrics();
-    let written = fs::read(stage.folder().join("flash/A.dflash")).unwrap();
+    let written = fs::read(fixture.folder().join("flash/A.dflash")).unwrap();
     assert!(
         written.iter().any(|byte| *byte != 0xFF),
         "the state was never written"
     );
-    stage
+    fixture
         .run(&["--duration", "1", "--dflash", "flash"])
         .metrics();
 }

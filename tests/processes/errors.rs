@@ -2,12 +2,12 @@
 
 use std::fs;
 
-use crate::stage::Stage;
+use crate::fixture::Fixture;
 
 /// The command must refuse these arguments and say all of `words`.
-fn refuses(stage: &Stage, args: &[&str], words: &[&str]) {
-    let before = stage.names();
-    let output = stage.output(args);
+fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
+    let before = fixture.names();
+    let output = fixture.output(args);
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
     for word in words {
@@ -17,19 +17,19 @@ fn refuses(stage: &Stage, args: &[&str], words: &[&str]) {
         );
     }
     assert!(output.stdout.is_empty(), "{args:?}");
-    assert_eq!(stage.names(), before, "{args:?} has left something");
+    assert_eq!(fixture.names(), before, "{args:?} has left something");
 }
 
 #[test]
 fn a_scenario_that_is_none() {
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     refuses(
-        &stage,
+        &fixture,
         &["run", "--scenario", "cutin"],
         &["cutin", "did you mean", "cut-in"],
     );
     refuses(
-        &stage,
+        &fixture,
         &["run", "--scenario", "no/such.xml"],
         &["no/such.xml"],
     );
@@ -39,12 +39,12 @@ fn a_scenario_that_is_none() {
         ("other.xml", "<html/>"),
         ("binary.xml", "\0\u{1}\u{2}"),
     ] {
-        fs::write(stage.folder().join(name), text).unwrap();
-        refuses(&stage, &["run", "--scenario", name], &[name]);
+        fs::write(fixture.folder().join(name), text).unwrap();
+        refuses(&fixture, &["run", "--scenario", name], &[name]);
     }
-    refuses(&stage, &["run", "--scenario", "."], &["."]);
+    refuses(&fixture, &["run", "--scenario", "."], &["."]);
     refuses(
-        &stage,
+        &fixture,
         &["run", "--scenario", "/dev/null"],
         &["no regular file"],
     );
@@ -52,19 +52,19 @@ fn a_scenario_that_is_none() {
 
 #[test]
 fn a_duration_that_is_none() {
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     for duration in ["0", "-5", "NaN", "inf", "soon", "0s", "1e99", ""] {
-        refuses(&stage, &["run", "--duration", duration], &["--duration"]);
+        refuses(&fixture, &["run", "--duration", duration], &["--duration"]);
     }
 }
 
 #[test]
 fn a_folder_that_cannot_take_a_report() {
-    let stage = Stage::new();
-    fs::write(stage.folder().join("file"), "mine").unwrap();
-    fs::create_dir(stage.folder().join("full")).unwrap();
-    fs::write(stage.folder().join("full/thesis.txt"), "mine").unwrap();
-    fs::create_dir(stage.folder().join("folder")).unwrap();
+    let fixture = Fixture::new();
+    fs::write(fixture.folder().join("file"), "mine").unwrap();
+    fs::create_dir(fixture.folder().join("full")).unwrap();
+    fs::write(fixture.folder().join("full/thesis.txt"), "mine").unwrap();
+    fs::create_dir(fixture.folder().join("folder")).unwrap();
     for (out, words) in [
         ("file", "it is a file"),
         ("full", "thesis.txt"),
@@ -75,36 +75,36 @@ fn a_folder_that_cannot_take_a_report() {
         ("/", "root folder"),
         ("/dev/shm/report", "of its own"),
     ] {
-        refuses(&stage, &["run", "--out", out], &["--out", words]);
+        refuses(&fixture, &["run", "--out", out], &["--out", words]);
     }
     assert_eq!(
-        fs::read_to_string(stage.folder().join("full/thesis.txt")).unwrap(),
+        fs::read_to_string(fixture.folder().join("full/thesis.txt")).unwrap(),
         "mine"
     );
 }
 
 #[test]
 fn a_machine_that_is_not_there() {
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     refuses(
-        &stage,
+        &fixture,
         &["run", "--cpus", "4000"],
         &["--cpus", "4000", "may use"],
     );
-    refuses(&stage, &["run", "--cpus", "one"], &["--cpus"]);
+    refuses(&fixture, &["run", "--cpus", "one"], &["--cpus"]);
     refuses(
-        &stage,
+        &fixture,
         &["run", "--dflash", "missing"],
         &["--dflash", "missing"],
     );
-    refuses(&stage, &["run", "--timing", "soon"], &["--timing"]);
-    refuses(&stage, &["drive"], &["drive"]);
+    refuses(&fixture, &["run", "--timing", "soon"], &["--timing"]);
+    refuses(&fixture, &["drive"], &["drive"]);
 }
 
 #[test]
 fn a_reader_that_has_seen_enough_is_no_error() {
-    let stage = Stage::new();
-    let mut child = stage
+    let fixture = Fixture::new();
+    let mut child = fixture
         .command(&["scenarios"])
         .stdout(std::process::Stdio::piped())
         .spawn()

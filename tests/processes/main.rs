@@ -11,6 +11,6 @@ mod bench;
 mod deaths;
 mod drive;
 mod errors;
-mod stage;
+mod fixture;
 mod startup;
 mod trace;

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::stage::{Stage, kill};
+use crate::fixture::{Fixture, kill};
 
 /// How many starts are killed, unless `TANDEM_STARTUP_KILLS` says otherwise.
 const KILLS: u64 = 6;
@@ -24,10 +24,10 @@ fn any_start_may_be_killed() {
     let kills = std::env::var("TANDEM_STARTUP_KILLS")
         .ok()
         .and_then(|n| n.parse().ok());
-    let stage = Stage::new();
+    let fixture = Fixture::new();
     let mut killed = Vec::new();
     for attempt in 0..kills.unwrap_or(KILLS) {
-        let mut run = stage.run(&["--duration", "0.2", "--quiet", "--out", "cut-short"]);
+        let mut run = fixture.run(&["--duration", "0.2", "--quiet", "--out", "cut-short"]);
         let at_us = scattered(2 * attempt) % (WITHIN_MS * 1_000);
         std::thread::sleep(Duration::from_micros(at_us));
         let processes = run.processes();
@@ -42,7 +42,7 @@ fn any_start_may_be_killed() {
         run.until_vanished();
         killed.push(run);
     }
-    let metrics = stage.run(&["--duration", "1"]).metrics();
+    let metrics = fixture.run(&["--duration", "1"]).metrics();
     assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
     for run in &killed {
         assert!(run.files().is_empty(), "{:?}", run.files());

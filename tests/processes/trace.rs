@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::stage::{Stage, kill};
+use crate::fixture::{Fixture, kill};
 
 /// One field of a protobuf message: its number, and its content.
 enum Field<'b> {
@@ -103,19 +103,20 @@ fn events(trace: &[u8]) -> Vec<Moment> {
 /// A core that is killed leaves its trace up to the kill, and the trace of all stays well-formed.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
-    let stage = Stage::new();
-    let mut run = stage.run(&["--duration", "5"]);
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "5"]);
     run.until_dual();
     let master = run.master_supply().system.unwrap();
     let victim = run.until("core 0", |processes| {
-        let is_it =
-            |p: &&crate::stage::Process| p.core == Some(0) && p.system.as_deref() == Some(&*master);
+        let is_it = |p: &&crate::fixture::Process| {
+            p.core == Some(0) && p.system.as_deref() == Some(&*master)
+        };
         processes.iter().find(is_it).map(|p| p.pid)
     });
     kill(victim);
     let metrics = run.metrics();
     assert_eq!(metrics["lost_trace"], 0, "{metrics:#}");
-    let path = stage.folder().join("tandem-report/trace.perfetto-trace");
+    let path = fixture.folder().join("tandem-report/trace.perfetto-trace");
     let events = events(&std::fs::read(path).unwrap());
 
     let pid = if master == "A" { 1 } else { 2 };

@@ -33,10 +33,10 @@ pub struct Drive {
     pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
-/// A new life of the core that this board belongs to.
+/// A new incarnation of the core that this board belongs to.
 #[must_use]
 pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
-    // A core's life ends with its reset, which this process outlives: a few boards are leaked.
+    // A reset ends the core but not this process: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     match board.identity().core {
         CoreId::CONTROL => {
@@ -88,7 +88,7 @@ impl Drive {
         Self::with(scenario, seed, move |board| poller(board, config))
     }
 
-    /// As [`Drive::new`], with cores that `core` makes: one for each life.
+    /// As [`Drive::new`], with cores that `core` makes: one for each incarnation.
     ///
     /// # Panics
     /// If there is no embedded scenario of this name.

@@ -15,7 +15,7 @@ mod throughput;
 
 use crate::harness::{Batch, Plan};
 use std::io;
-use tandem_board_host::BareSystem;
+use tandem_board_host::UnsupervisedSystem;
 
 /// What is compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
@@ -68,7 +68,7 @@ impl Group {
 }
 
 /// Runs one batch of a case.
-pub type Run = fn(&BareSystem, &Plan) -> io::Result<Batch>;
+pub type Run = fn(&UnsupervisedSystem, &Plan) -> io::Result<Batch>;
 
 /// One way of doing what its group compares.
 #[derive(Clone, Copy)]

@@ -17,7 +17,7 @@ use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
-use tandem_board_host::{BareSystem, HostBoard};
+use tandem_board_host::{HostBoard, UnsupervisedSystem};
 use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
 use tandem_shm::wait::{Event, WaitPolicy};
 use tandem_shm::{Shape, newest as channel};
@@ -99,7 +99,7 @@ pub(crate) struct Core {
 
 impl Core {
     pub(crate) fn start(
-        system: &BareSystem,
+        system: &UnsupervisedSystem,
         core: CoreId,
         peer: CoreId,
         life: u32,
@@ -166,7 +166,12 @@ impl End for Core {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
+pub fn sync(
+    system: &UnsupervisedSystem,
+    plan: &Plan,
+    policy: WaitPolicy,
+    way: Way,
+) -> io::Result<Batch> {
     let life = next_life();
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, way);
@@ -177,7 +182,11 @@ pub fn sync(system: &BareSystem, plan: &Plan, policy: WaitPolicy, way: Way) -> i
 ///
 /// # Errors
 /// As [`through_three`].
-pub fn chain(system: &BareSystem, plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
+pub fn chain(
+    system: &UnsupervisedSystem,
+    plan: &Plan,
+    policies: [WaitPolicy; 3],
+) -> io::Result<Batch> {
     const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
     let life = next_life();
     through_three(plan, 0, |part, _| {
@@ -190,7 +199,7 @@ pub fn chain(system: &BareSystem, plan: &Plan, policies: [WaitPolicy; 3]) -> io:
 ///
 /// # Errors
 /// As [`at_fixed_rate`].
-pub fn at_rate(system: &BareSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+pub fn at_rate(system: &UnsupervisedSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
     let life = next_life();
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start =

@@ -11,7 +11,7 @@ use crate::shared::Shared;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::CoreId;
-use tandem_board_host::BareSystem;
+use tandem_board_host::UnsupervisedSystem;
 use tandem_shm::wait::WaitPolicy;
 
 const PAYLOADS: usize = 2;
@@ -66,7 +66,7 @@ impl End for InPlace {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn in_place(system: &BareSystem, plan: &Plan, bytes: usize) -> io::Result<Batch> {
+pub fn in_place(system: &UnsupervisedSystem, plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let words = (bytes / 4).next_multiple_of(LINE);
     let payloads = Shared::with_case_words(2 * PAYLOADS * words)?;
     let ways = payloads.case().split_at(PAYLOADS * words);

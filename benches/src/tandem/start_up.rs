@@ -7,7 +7,7 @@ use crate::stage::{Child, Part, perform};
 use std::io;
 use std::sync::atomic::Ordering;
 use tandem_board::{Board, CoreId, Duration, Generation};
-use tandem_board_host::{BareSystem, HostBoard, isolation};
+use tandem_board_host::{HostBoard, UnsupervisedSystem, isolation};
 use tandem_shm::life::Life;
 use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId};
 use tandem_shm::map::{AttachError, Layout, Map, Region};
@@ -42,7 +42,7 @@ pub fn start_up(plan: &Plan) -> io::Result<Batch> {
         let place = isolation::enter().map_err(io::Error::other)?;
         for round in 0..plan.warm_up + plan.rounds {
             let begin = ticks();
-            let system = BareSystem::power_on(&place).map_err(io::Error::other)?;
+            let system = UnsupervisedSystem::power_on(&place).map_err(io::Error::other)?;
             let start = |core: CoreId| {
                 let in_sync = role.shared.line(core.index());
                 Child::start(plan.cpus[core.index() % 2], || {
@@ -74,7 +74,7 @@ pub fn start_up(plan: &Plan) -> io::Result<Batch> {
 }
 
 /// The life of a core until it has heard of both others.
-fn start_core(system: &BareSystem, core: CoreId) -> Result<(), Box<dyn std::error::Error>> {
+fn start_core(system: &UnsupervisedSystem, core: CoreId) -> Result<(), Box<dyn std::error::Error>> {
     let board = system.attach(core, Generation(1))?;
     let map = map(&board, core);
     let life = Life::new(core.index(), 1).ok_or("no life")?;

@@ -146,24 +146,24 @@ impl fmt::Display for CoreAddress {
     }
 }
 
-/// Which life of a core this is: 1 after power-on, one more after each reset of the core; 0 is "no
-/// core".
+/// Number of a core's incarnation: 1 after power-on, one more after each reset of the core.
+/// 0 stands for no core.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Generation(pub u32);
 
-/// A core, in one of its lives.
+/// A core, in one of its incarnations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
     /// The system that the core belongs to.
     pub system: SystemId,
     /// The core's number within the system.
     pub core: CoreId,
-    /// Which of its lives.
+    /// Which of its incarnations.
     pub generation: Generation,
 }
 
 impl Identity {
-    /// The core, whichever of its lives it is in.
+    /// The core, whichever of its incarnations it is in.
     #[must_use]
     pub const fn address(self) -> CoreAddress {
         CoreAddress::new(self.system, self.core)

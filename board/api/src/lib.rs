@@ -57,7 +57,7 @@ pub trait Board {
     /// The supply (TLF35584): watchdogs, reset, reset cause.
     type Supply: Supply;
 
-    /// Which core of which system this is, and which of its lives.
+    /// Which core of which system this is, and which of its incarnations.
     fn identity(&self) -> Identity;
 
     /// The monotonic clock of this system. Never goes back; the two systems' clocks are not

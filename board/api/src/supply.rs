@@ -117,7 +117,7 @@ pub const fn watchdog_answer(question: u8) -> u8 {
 
 /// The supply as its system's core 0 sees it.
 pub trait Supply {
-    /// Why this life of the system began.
+    /// Why this incarnation of the system began.
     fn reset_cause(&self) -> ResetCause;
 
     /// The current question of the functional watchdog, 0 ..= 15. A new one follows each service.

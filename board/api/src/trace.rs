@@ -29,7 +29,7 @@ pub enum SupplyEvent {
     CoreStarted {
         /// Which.
         core: CoreId,
-        /// In which of its lives.
+        /// In which of its incarnations.
         generation: Generation,
     },
     /// A core ended while the system was on: by itself or by a signal from outside.

@@ -25,7 +25,7 @@ pub enum Setting {
     /// other system does not matter.
     Watchdog,
     /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the
-    /// next generation. The case has passed when every role has returned `Ok` in some life.
+    /// next generation. The case has passed when every role has returned `Ok` in some incarnation.
     Restarts,
     /// System A asks to be held in reset for good: its roles need not end. Those of system B must
     /// return `Ok`. The watchdogs do not reset anybody.

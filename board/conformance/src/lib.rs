@@ -17,9 +17,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+mod barrier;
 mod case;
 mod cases;
-mod meet;
 mod rig;
 
 pub use case::{Case, Failure, Part, Role, Setting};

@@ -90,7 +90,7 @@ pub struct SupplyArgs {
 pub struct CoreArgs {
     /// The run.
     pub common: Common,
-    /// Which core, in which life.
+    /// Which core, in which incarnation.
     pub identity: Identity,
     /// The file that is the system's data flash.
     pub flash: PathBuf,

@@ -16,9 +16,9 @@ use crate::flash::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
 use crate::memory::MemoryError;
 use crate::name::RunName;
-use crate::registers::HostSupply;
 use crate::segment::{Segment, SegmentError};
 use crate::spawn;
+use crate::supply_client::HostSupply;
 use crate::trace_ring::TraceRing;
 
 /// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
@@ -75,7 +75,7 @@ pub struct HostBoard {
 }
 
 impl HostBoard {
-    /// Attaches this process as the core that `args` says, in the life that `args` says.
+    /// Attaches this process as the core that `args` says, in the incarnation that `args` says.
     ///
     /// From then on the core's doorbell can be rung. A process attaches once, on its main thread:
     /// the memory stays mapped until it ends, and it ends when its supply does.
@@ -89,7 +89,7 @@ impl HostBoard {
         let lmu = open_lmu(&args.common.run, of.system)?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
         let trace_ring = backplane.trace_ring(of.address().index());
-        trace_ring.begin_life();
+        trace_ring.begin_incarnation();
         let board = Self {
             of,
             backplane,

@@ -16,7 +16,6 @@ extern crate iceoryx2_bb_loggers as _;
 
 mod args;
 mod backplane;
-mod bare;
 pub mod bell;
 mod board;
 mod can;
@@ -29,19 +28,19 @@ mod memory;
 mod name;
 pub mod processes;
 pub mod realtime;
-mod registers;
 mod segment;
 mod spawn;
 pub mod storage;
 pub mod supply;
+mod supply_client;
 mod trace_ring;
-mod world;
+mod unsupervised;
+mod vehicle_port;
 
 pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
 pub use backplane::{Backplane, BackplaneError, Cut};
-pub use bare::BareSystem;
 pub use bell::BellError;
 pub use board::{AttachError, HostBoard, LMU_WORDS};
 pub use can::HostCan;
@@ -51,6 +50,7 @@ pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};
 pub use lines::{HostLines, HostLink};
 pub use memory::MemoryError;
 pub use name::{InvalidRunName, RunName};
-pub use registers::HostSupply;
 pub use segment::SegmentError;
-pub use world::{WorldError, WorldPort};
+pub use supply_client::HostSupply;
+pub use unsupervised::UnsupervisedSystem;
+pub use vehicle_port::{HostVehiclePort, VehiclePortError};

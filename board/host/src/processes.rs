@@ -15,7 +15,7 @@ use crate::name::RunName;
 pub enum Kind {
     /// The supply of a system.
     Supply,
-    /// A core, in one of its lives.
+    /// A core, in one of its incarnations.
     Core(CoreId, Generation),
     /// The vehicle.
     Vehicle,

@@ -75,7 +75,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     let lmu = open_lmu(&args.common.run, args.system)?;
     backplane
         .trace_ring(supply_trace_ring(args.system))
-        .begin_life();
+        .begin_incarnation();
     let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else {
         return Ok(());
     };
@@ -260,7 +260,7 @@ impl Supply<'_> {
     fn start_all(&mut self, cause: ResetCause) {
         self.clear_memory();
         self.backplane.set_reset_cause(self.args.system, cause);
-        // Requests of the life that is over.
+        // Requests of the incarnation that is over.
         self.backplane.take_reset_request(self.args.system);
         self.set_level(self.args.system, true);
         for core in CoreId::ALL {

@@ -6,9 +6,9 @@
 //! steps, or killed, stops nobody but the reader, and that only at this slot. A full ring refuses
 //! the record: what is there stays, and the caller counts what is not.
 //!
-//! A life that ended never fills the slots that it had reserved. [`TraceRing::begin_life`] of the
-//! next life, which the supply starts only after the death of the one before, marks these slots as
-//! void, and [`Reader::salvage`] reads around them when nobody writes any more.
+//! An incarnation that ended never fills the slots that it had reserved. The supply starts the next
+//! one only after that death: [`TraceRing::begin_incarnation`] then marks these slots as void.
+//! [`Reader::salvage`] reads around them when no core writes any more.
 
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -59,9 +59,9 @@ impl TraceRing {
         &self.words[first..first + SLOT_WORDS]
     }
 
-    /// Marks what an earlier life of this core has reserved and not filled as void. To be called
-    /// once in a life, before its first record, when no earlier life runs any more.
-    pub(crate) fn begin_life(self) {
+    /// Marks as void what an earlier incarnation of this core has reserved and not filled. Call it
+    /// once in an incarnation, before its first record; no earlier incarnation may run any more.
+    pub(crate) fn begin_incarnation(self) {
         let reserved = self.words[RESERVED_AT].load(Relaxed);
         let read = self.words[READ_AT].load(Acquire);
         if reserved.wrapping_sub(read) > SLOTS {
@@ -247,7 +247,7 @@ mod tests {
         assert_eq!(all(&mut reader).len(), SLOTS as usize);
         ring.write(at(0), [100; 4]).unwrap();
         reserve_and_die(words);
-        TraceRing::new(words).begin_life();
+        TraceRing::new(words).begin_incarnation();
         ring.write(at(1), [101; 4]).unwrap();
         assert_eq!(all(&mut reader), [100, 101]);
         // The void slot is a good one in the next round.
@@ -279,7 +279,7 @@ mod tests {
             words[READ_AT].store(read, Relaxed);
             let (ring, mut reader) = ends(words);
             assert!(all(&mut reader).is_empty());
-            ring.begin_life();
+            ring.begin_incarnation();
             ring.write(at(0), [1; 4]).unwrap();
             assert_eq!(all(&mut reader), [1], "{reserved} {read}");
         }

@@ -1,4 +1,4 @@
-//! No core allocates in a poll, in neither role, from the first poll of its life on.
+//! No core allocates in a poll, in neither role, from the first poll of its incarnation on.
 
 mod allocator;
 mod board;
@@ -64,7 +64,7 @@ fn watched(board: &'static Counted<'static>, mut core: impl Core + 'static, tall
 
 /// Makes the core that belongs to this board, and watches it.
 fn core(board: &SimBoard, tally: &Log) -> Poller {
-    // A core's life ends with its reset, which this process outlives: a few boards are leaked.
+    // A reset ends the core but not this process: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     let board: &'static Counted<'static> = Box::leak(Box::new(Counted::new(board)));
     match board.identity().core {

@@ -1,7 +1,9 @@
 //! The CAN controller and the bus.
 
+use crate::barrier::{
+    PATIENCE, SETTLE, sleep, sleep_until, wait_for_all, wait_for_cores, woken_until, word,
+};
 use crate::case::{Failure, check, equal, fail};
-use crate::meet::{PATIENCE, SETTLE, meet, meet_all, sleep, sleep_until, woken_until, word};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, Can, CanFrame, CanId, CoreAddress, CoreId, Duration, Received, Wake};
 
@@ -67,20 +69,20 @@ fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
 const ORDERED: u32 = 200;
 
 pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_all(board, HERE, 1)?;
+    wait_for_all(board, HERE, 1)?;
     for number in 0..ORDERED {
         send(board, &numbered(0xA0, number)?)?;
         if number % 8 == 7 {
             sleep(board, PAUSE)?;
         }
     }
-    meet_all(board, HERE, 2)
+    wait_for_all(board, HERE, 2)
 }
 
 /// Every other core, in both systems, hears the frames in order, each with its time.
 pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let begin = board.now();
-    meet_all(board, HERE, 1)?;
+    wait_for_all(board, HERE, 1)?;
     let mut last_at = begin;
     for number in 0..ORDERED {
         let Received { frame, at } = receive(board)?;
@@ -99,7 +101,7 @@ pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
         )?;
         last_at = at;
     }
-    meet_all(board, HERE, 2)?;
+    wait_for_all(board, HERE, 2)?;
     check(board.can().try_receive().is_none(), "no frame comes twice")
 }
 
@@ -107,19 +109,19 @@ const CHATTER: u32 = 60;
 
 /// Core 0 of both systems sends at the same time.
 pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
-    meet_all(board, HERE, 1)?;
+    wait_for_all(board, HERE, 1)?;
     for number in 0..CHATTER {
         send(board, &numbered(place.system.index() as u8, number)?)?;
         sleep(board, Duration::from_us(300))?;
     }
     // The end of both, so that nobody else sends while the listeners compare.
-    meet_all(board, HERE, 2)?;
-    meet_all(board, HERE, 3)
+    wait_for_all(board, HERE, 2)?;
+    wait_for_all(board, HERE, 3)
 }
 
 /// Core 1 of both systems hears both senders, and in the same order: they compare what they heard.
 pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
-    meet_all(board, HERE, 1)?;
+    wait_for_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];
     let mut heard = 0x811C_9DC5_u32;
     for _ in 0..2 * CHATTER {
@@ -136,20 +138,20 @@ pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fa
         // FNV-1a over the order of senders.
         heard = (heard ^ u32::from(sender)).wrapping_mul(0x0100_0193);
     }
-    meet_all(board, HERE, 2)?;
+    wait_for_all(board, HERE, 2)?;
     send(board, &numbered(0x40 + place.system.index() as u8, heard)?)?;
     let Received { frame, .. } = receive(board)?;
     let theirs = number_of(&frame).map_or(0, |(_, heard)| heard);
     equal(theirs, heard, "all receivers see one order on the bus")?;
-    meet_all(board, HERE, 3)
+    wait_for_all(board, HERE, 3)
 }
 
 pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for number in 0..5 {
         send(board, &numbered(0xA0, number)?)?;
     }
-    meet(board, HERE, 2)?;
+    wait_for_cores(board, HERE, 2)?;
     sleep(board, PAUSE)?;
     check(
         board.can().try_receive().is_none(),
@@ -159,11 +161,11 @@ pub(super) fn lonely_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 
 /// Proves to the sender that its frames have been on the bus.
 pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for _ in 0..5 {
         receive(board)?;
     }
-    meet(board, HERE, 2)
+    wait_for_cores(board, HERE, 2)
 }
 
 /// Every length that CAN and CAN FD have.
@@ -190,7 +192,7 @@ fn payloads() -> impl Iterator<Item = CanFrame> {
 }
 
 pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for frame in payloads() {
         send(board, &frame)?;
         sleep(board, PAUSE)?;
@@ -199,7 +201,7 @@ pub(super) fn payload_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
 }
 
 pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for expected in payloads() {
         let Received { frame, .. } = receive(board)?;
         equal(
@@ -224,7 +226,7 @@ const BURST: u32 = 100;
 /// Fills the transmit buffer, discards what waits there, and sends one frame that says how many
 /// there were.
 pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
         let mut sent = 0;
         while sent < BURST && board.can().try_send(&numbered(burst, sent)?).is_ok() {
@@ -235,13 +237,13 @@ pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(
         let heard = || word(board, 0).load(Ordering::Acquire) > u32::from(burst);
         sleep_until(board, "the frame after a discard is sent", heard)?;
     }
-    meet(board, HERE, 2)
+    wait_for_cores(board, HERE, 2)
 }
 
 /// Hears the first frames of each burst, how many is not determined, and then the frame that was
 /// sent after the discard.
 pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
         let mut heard = 0;
         let sent = loop {
@@ -257,7 +259,7 @@ pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(),
         // Release pairs with Acquire in `discarding_sender`.
         word(board, 0).store(u32::from(burst) + 1, Ordering::Release);
     }
-    meet(board, HERE, 2)?;
+    wait_for_cores(board, HERE, 2)?;
     sleep(board, PAUSE)?;
     check(board.can().try_receive().is_none(), "no frame comes twice")
 }
@@ -294,7 +296,7 @@ pub(super) fn woken_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
 
 /// Sends until the other core has seen enough.
 pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     let mut number = 0;
     let limit = board.now() + PATIENCE;
     while word(board, 0).load(Ordering::Acquire) == 0 {
@@ -308,7 +310,7 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 
 /// Interrupts may be spurious, but not in every one of many waits.
 pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     let mut quiet = 0_u32;
     for _ in 0..20 {
         quiet += u32::from(board.wait(board.now() + Duration::from_ms(4)) == Wake::Deadline);
@@ -327,19 +329,19 @@ const QUIET: Duration = Duration::from_ms(1_000);
 const FLOOD: u32 = 6_000;
 
 pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     for number in 0..FLOOD {
         send(board, &numbered(0xA0, number)?)?;
     }
     // Release pairs with Acquire in `late_receiver`.
     word(board, 0).store(1, Ordering::Release);
-    meet(board, HERE, 2)
+    wait_for_cores(board, HERE, 2)
 }
 
 /// Fetches nothing until all has been sent; what it then gets and what was lost make the whole.
 pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let before = board.can().overruns();
-    meet(board, HERE, 1)?;
+    wait_for_cores(board, HERE, 1)?;
     sleep_until(board, "the flood ends", || {
         word(board, 0).load(Ordering::Acquire) == 1
     })?;
@@ -368,5 +370,5 @@ pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
         board.can().try_receive().is_none(),
         "what was counted as lost does not come",
     )?;
-    meet(board, HERE, 2)
+    wait_for_cores(board, HERE, 2)
 }

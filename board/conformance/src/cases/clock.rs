@@ -1,7 +1,7 @@
 //! The clock, and `wait` as far as it is about time.
 
+use crate::barrier::{SETTLE, spin_until, wait_for_cores, word};
 use crate::case::{Failure, check};
-use crate::meet::{SETTLE, meet, spin_until, word};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, Wake};
 
@@ -48,7 +48,7 @@ pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
 
 /// Two cores hand a time to and fro; each sees it as past.
 pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
-    meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
+    wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let own_turn = place.core.index() as u32;
     for turn in 0..20 {
         if turn % 2 == own_turn {

@@ -1,7 +1,9 @@
 //! The doorbells: rings wake, are merged, and are never lost.
 
+use crate::barrier::{
+    PATIENCE, SETTLE, sleep, sleep_until, spin_until, wait_for_cores, woken_until, word,
+};
 use crate::case::{Failure, check, equal};
-use crate::meet::{PATIENCE, SETTLE, meet, sleep, sleep_until, spin_until, woken_until, word};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Wake};
 
@@ -62,7 +64,7 @@ const HASTY_ROUNDS: u32 = 1_000;
 
 /// Writes and rings without a pause.
 pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
+    wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     for value in 1..=HASTY_ROUNDS {
         word(board, 0).store(value, Ordering::Relaxed);
         board.ring(CoreId::PERCEPTION);
@@ -74,7 +76,7 @@ pub(super) fn hasty_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 }
 
 pub(super) fn last_value<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
+    wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let mut wakes = 0_u32;
     woken_until(board, "the last of many rings is not lost", || {
         wakes += 1;
@@ -96,7 +98,7 @@ pub(super) fn relay<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
         0 => CoreId::ALL[(turn % cores) as usize],
         _ => CoreId::ALL[(cores - 1 - turn % cores) as usize],
     };
-    meet(board, &CoreId::ALL, 1)?;
+    wait_for_cores(board, &CoreId::ALL, 1)?;
     for turn in (0..2 * LAPS * cores).filter(|turn| at(*turn) == place.core) {
         woken_until(board, "each core can ring each other one", || {
             token.load(Ordering::Relaxed) == turn

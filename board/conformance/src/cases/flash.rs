@@ -1,7 +1,7 @@
 //! The data flash.
 
+use crate::barrier::{PATIENCE, sleep, sleep_until};
 use crate::case::{Failure, check, equal, fail};
-use crate::meet::{PATIENCE, sleep, sleep_until};
 use tandem_board::{Board, CoreAddress, DataFlash, FlashError, FlashStatus, ResetRequest, Supply};
 
 /// Room for the largest page that the suite programs.
@@ -180,7 +180,7 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// First life: programs a page and asks for a reset. Second life: reads it.
+/// First incarnation: programs a page and asks for a reset. Second incarnation: reads it.
 pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page = &data(7)[..B::Flash::PAGE_BYTES as usize];
     let offset = B::Flash::SECTOR_BYTES;

@@ -1,7 +1,7 @@
 //! The lines between the systems.
 
+use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer, woken_until};
 use crate::case::{Failure, equal};
-use crate::meet::{SETTLE, meet_peer, sleep, sleep_until, woken_until};
 use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
 /// How many rising edges a system sends on a line; it ends low or high.
@@ -58,7 +58,7 @@ const STARTS: u32 = 6;
 /// Sends an edge on the start line whenever the other system says that it sleeps.
 pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 0..STARTS {
-        meet_peer(board, round + 1)?;
+        wait_for_peer(board, round + 1)?;
         sleep(board, Duration::from_ms(5))?;
         board.lines().send(
             Line::Start,
@@ -75,7 +75,7 @@ pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
 pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let lines = board.lines();
     for round in 0..STARTS {
-        meet_peer(board, round + 1)?;
+        wait_for_peer(board, round + 1)?;
         woken_until(board, "an edge on the start line interrupts core 0", || {
             let rising = lines.received(Line::Start, Edge::Rising);
             rising + lines.received(Line::Start, Edge::Falling) > round
@@ -94,7 +94,7 @@ pub(super) fn started<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
 }
 
 pub(super) fn level<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     for _ in 0..10 {
         let high = board.lines().peer_powered();
         equal(
@@ -103,5 +103,5 @@ pub(super) fn level<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
             "the level line of a system that runs is high",
         )?;
     }
-    meet_peer(board, 2)
+    wait_for_peer(board, 2)
 }

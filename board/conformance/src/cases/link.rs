@@ -1,7 +1,7 @@
 //! The data link between the systems.
 
+use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer};
 use crate::case::{Failure, check, equal};
-use crate::meet::{SETTLE, meet_peer, sleep, sleep_until};
 use tandem_board::{Board, CoreAddress, Link};
 
 /// Beyond what any board's link can carry at once; the cases need no more.
@@ -65,7 +65,7 @@ pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
         B::Link::MAX_WORDS >= 8,
         "a datagram can have 8 words at least",
     )?;
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     let (mut sent, mut fetched) = (0, 0);
     let mut broken = Ok(());
     sleep_until(board, "all datagrams come", || {
@@ -82,20 +82,20 @@ pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
         broken.is_err() || (sent == DATAGRAMS && fetched == DATAGRAMS)
     })?;
     broken?;
-    meet_peer(board, 2)
+    wait_for_peer(board, 2)
 }
 
 /// Sends until there is no room, while the other system fetches nothing.
 pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const MANY: u32 = 100_000;
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     let mut sent = 0;
     while send(board, place.system.index(), sent) {
         sent += 1;
         check(sent < MANY, "a link that nobody empties fills up")?;
     }
     check(sent > 0, "an empty link has room")?;
-    meet_peer(board, 2)?;
+    wait_for_peer(board, 2)?;
     // The number of datagrams goes after them, as the next one.
     sleep_until(board, "a link that is emptied has room", || {
         board.link().try_send(&[u32::MAX, sent]).is_ok()
@@ -104,8 +104,8 @@ pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
 
 pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let peer = place.system.peer().index();
-    meet_peer(board, 1)?;
-    meet_peer(board, 2)?;
+    wait_for_peer(board, 1)?;
+    wait_for_peer(board, 2)?;
     let mut words = [0; WORDS];
     let mut fetched = 0_u32;
     let mut said = None;
@@ -135,7 +135,7 @@ pub(super) fn drainer<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
 }
 
 pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     for base in [10, 20] {
         let words: [u32; 8] = core::array::from_fn(|index| base + index as u32);
         sleep_until(board, "the link has room", || {
@@ -147,7 +147,7 @@ pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
 
 /// Fetches the first datagram into a buffer that is too short.
 pub(super) fn short_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     let mut short = [0; 3];
     sleep_until(board, "a datagram comes", || {
         board.link().try_receive(&mut short).is_some()

@@ -1,7 +1,7 @@
 //! Identity, and the memory that the cores of a system share.
 
+use crate::barrier::{FREE_WORDS, wait_for_cores, wait_for_peer, word};
 use crate::case::{Failure, check, equal};
-use crate::meet::{FREE_WORDS, meet, meet_peer, word};
 use core::sync::atomic::Ordering;
 use tandem_board::{Board, CoreAddress, CoreId};
 
@@ -15,7 +15,7 @@ pub(super) fn identity<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fa
         equal(
             identity.generation.0,
             1_u32,
-            "the first life is generation 1",
+            "the first incarnation is generation 1",
         )?;
     }
     Ok(())
@@ -46,7 +46,7 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
                 word.store(pattern(index, writer.index()), Ordering::Relaxed);
             }
         }
-        meet(board, ALL, step)?;
+        wait_for_cores(board, ALL, step)?;
         for (index, word) in words.iter().enumerate() {
             let seen = word.load(Ordering::Relaxed);
             equal(
@@ -55,17 +55,17 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
                 "what one core writes all cores read",
             )?;
         }
-        meet(board, ALL, step + 1)?;
+        wait_for_cores(board, ALL, step + 1)?;
     }
     match place.core {
-        CoreId::CONTROL => meet_peer(board, 1),
+        CoreId::CONTROL => wait_for_peer(board, 1),
         _ => Ok(()),
     }
 }
 
 /// The other system, meanwhile.
 pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     let untouched = board
         .lmu()
         .iter()
@@ -75,13 +75,13 @@ pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
 
 pub(super) fn atomic<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const ROUNDS: u32 = 20_000;
-    meet(board, ALL, 1)?;
+    wait_for_cores(board, ALL, 1)?;
     for round in 0..ROUNDS {
         word(board, 0).fetch_add(1, Ordering::Relaxed);
         let bit = 1 << (place.core.index() as u32 * 8 + round % 8);
         word(board, 1).fetch_xor(bit, Ordering::Relaxed);
     }
-    meet(board, ALL, 2)?;
+    wait_for_cores(board, ALL, 2)?;
     let added = word(board, 0).load(Ordering::Relaxed);
     equal(added, 3 * ROUNDS, "no core's atomic addition is lost")?;
     // Each bit was flipped 2500 times, an even number.

@@ -1,7 +1,7 @@
 //! The supply with its watchdogs and reset causes, the trace and the lamp.
 
+use crate::barrier::{PATIENCE, sleep, wait_for_peer, woken_until};
 use crate::case::{Failure, check, equal, fail};
-use crate::meet::{PATIENCE, meet_peer, sleep, woken_until};
 use tandem_board::{
     Board, CoreAddress, Duration, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
     watchdog_answer,
@@ -24,7 +24,7 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     let cause = board.supply().reset_cause();
     check(
         cause == ResetCause::PowerOn,
-        "the first life begins with power-on",
+        "the first incarnation begins with power-on",
     )?;
     equal(
         board.identity().generation.0,
@@ -58,14 +58,14 @@ fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The first life ends here, by a reset that is due.
+/// The first incarnation ends here, by a reset that is due.
 #[track_caller]
 fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
     sleep(board, PATIENCE)?;
     fail(what)
 }
 
-/// This is the second life, and began for this cause.
+/// This is the second incarnation, and began for this cause.
 #[track_caller]
 fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     equal(
@@ -81,7 +81,7 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     )
 }
 
-/// First life: a wrong answer. Second life: that was the cause.
+/// First incarnation: a wrong answer. Second incarnation: that was the cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         serve(board);
@@ -94,7 +94,7 @@ pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First life: a right answer before the window opens.
+/// First incarnation: a right answer before the window opens.
 pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         check(
@@ -109,7 +109,7 @@ pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First life: one service, and no second.
+/// First incarnation: one service, and no second.
 pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         serve(board);
@@ -118,7 +118,7 @@ pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First life: no service at all.
+/// First incarnation: no service at all.
 pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         return expect_reset(board, "no first service resets the system");
@@ -126,7 +126,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First life: asks for a reset.
+/// First incarnation: asks for a reset.
 pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         board.supply().request_reset(ResetRequest::Software);
@@ -135,7 +135,7 @@ pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
     reset_for(board, ResetCause::Software)
 }
 
-/// First life: reports a dead core of its system.
+/// First incarnation: reports a dead core of its system.
 pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_life(board) {
         board.supply().request_reset(ResetRequest::CoreDead);
@@ -158,7 +158,7 @@ pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failu
 
 /// Asks to be held in reset, when the other system watches.
 pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     sleep(board, Duration::from_ms(5))?;
     board.supply().request_reset(ResetRequest::Suspend);
     expect_reset(board, "a system that suspends is held in reset")
@@ -166,7 +166,7 @@ pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 
 /// Is woken by the level line of the other system.
 pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    meet_peer(board, 1)?;
+    wait_for_peer(board, 1)?;
     let lines = board.lines();
     woken_until(board, "a fall of the level line interrupts core 0", || {
         !lines.peer_powered()

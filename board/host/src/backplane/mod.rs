@@ -222,7 +222,7 @@ impl Backplane {
             .store(cause.code(), SeqCst);
     }
 
-    /// Why the system's current life began.
+    /// Why the system's current incarnation began.
     #[must_use]
     pub fn reset_cause(self, system: SystemId) -> ResetCause {
         let code = self.system(system, System::ResetCause).load(SeqCst);
@@ -267,12 +267,12 @@ impl Backplane {
         self.core(system, core, Core::Pid).load(SeqCst)
     }
 
-    pub(crate) fn set_generation(self, system: SystemId, core: CoreId, life: Generation) {
+    pub(crate) fn set_generation(self, system: SystemId, core: CoreId, incarnation: Generation) {
         self.core(system, core, Core::Generation)
-            .store(life.0, SeqCst);
+            .store(incarnation.0, SeqCst);
     }
 
-    /// The life of the core that the supply started last; 0 before the first.
+    /// The incarnation of the core that the supply started last; 0 before the first.
     #[must_use]
     pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
         Generation(self.core(system, core, Core::Generation).load(SeqCst))

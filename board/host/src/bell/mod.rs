@@ -1,9 +1,9 @@
 //! Doorbells: iceoryx2 events between the cores.
 //!
 //! A core has one bell for the whole run, created and reserved before the first process starts
-//! ([`install`]). Each life of the core takes it over with [`Bell::hang`], in the same memory:
-//! those who ring keep what they have mapped, find the core again after a reset, and make no system
-//! call unless it sleeps. A dead core is rung in vain, which is what ringing a dead core means.
+//! ([`install`]). Each incarnation of the core takes it over with [`Bell::hang`], in the same
+//! memory: a ringer keeps its mapping, finds the core again after a reset, and makes no system call
+//! unless the core sleeps. To ring a dead core has no effect.
 //!
 //! The types are public so that iceoryx2's own suite can test them: `tests/iceoryx2.rs`.
 
@@ -148,7 +148,7 @@ impl Ringers {
         }
     }
 
-    /// Rings the core, in whichever life it is. Does nothing if it has none. Never waits for it.
+    /// Rings the current incarnation of the core. Has no effect if there is none. Never waits.
     pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
         // Pairs with the fence in `Bell::hang`.
         fence(SeqCst);
@@ -287,7 +287,7 @@ mod tests {
     }
 
     /// Any byte of the bell's memory may be any: a peer can write there. Nobody who rings or sleeps
-    /// is harmed, and the bell of the next life is as good as new.
+    /// is harmed, and the bell of the next incarnation is as good as new.
     #[test]
     fn a_scribbled_bell_harms_nobody_who_rings_it() {
         let bells = Bells::install();
@@ -309,7 +309,7 @@ mod tests {
             bytes.iter().for_each(|byte| byte.store(scribble, SeqCst));
             ringers.ring(OF.system, OF.core);
             bell.wait(clock::now() + Duration::from_us(10));
-            // The next life.
+            // The next incarnation.
             let bell = Bell::hang(&bells.0, OF).unwrap();
             assert!(!bell.wait(clock::now()), "silent after {scribble:#x}");
             ringers.ring(OF.system, OF.core);
@@ -317,7 +317,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: those who ring keep their end over the lives of the core.
+    /// T-SYNC-3: those who ring keep their end over the incarnations of the core.
     #[test]
     fn the_next_life_is_rung_through_the_same_end() {
         let bells = Bells::install();
@@ -325,7 +325,7 @@ mod tests {
         for _life in 0..3 {
             ringers.ring(OF.system, OF.core);
             let bell = Bell::hang(&bells.0, OF).unwrap();
-            assert!(!bell.wait(clock::now()), "rung in the life before");
+            assert!(!bell.wait(clock::now()), "rung in the incarnation before");
             ringers.ring(OF.system, OF.core);
             assert!(bell.wait(Instant::NEVER));
         }

@@ -9,7 +9,7 @@ use tandem_board::{
 };
 use tandem_board_host::{Cut, HostBoard};
 
-use crate::stage::{Case, Script, await_interrupt, idle, live};
+use crate::fixture::{Case, Script, await_interrupt, idle, live};
 
 use SystemId::{A, B};
 
@@ -231,9 +231,9 @@ fn crossed(script: &mut Script) {
     for system in SystemId::ALL {
         script.await_trace(system, CONTROL, 1);
     }
-    script.world.set_cut(Cut::Line(A, Line::Heartbeat1), true);
-    script.world.set_cut(Cut::Link(A), true);
-    script.world.broadcast(&frame(0x700));
+    script.port.set_cut(Cut::Line(A, Line::Heartbeat1), true);
+    script.port.set_cut(Cut::Link(A), true);
+    script.port.broadcast(&frame(0x700));
     both_done(script);
 }
 
@@ -292,23 +292,23 @@ fn hear(script: &mut Script) {
     let mut ready = 0;
     script.until("all are there", |script| {
         script
-            .world
+            .port
             .drain_trace(&mut |traced| ready += u32::from(traced.record[0] == 1));
         ready == 6
     });
-    script.world.broadcast(&frame(0x700));
+    script.port.broadcast(&frame(0x700));
     let (mut bus, mut heard, mut finished) = (vec![], vec![vec![]; 6], 0);
     let patience = Clock::now() + Span::from_secs(15);
     while finished < 6 {
         assert!(Clock::now() < patience, "{finished} of 6 heard all");
-        script.world.transmitted(&mut |system, core, received| {
+        script.port.transmitted(&mut |system, core, received| {
             let CanId::Standard(id) = received.frame.id() else {
                 panic!("extended")
             };
             assert_eq!(usize::from(id / 0x10), system.index() * 3 + core.index());
             bus.push(u32::from(id));
         });
-        script.world.drain_trace(&mut |traced| {
+        script.port.drain_trace(&mut |traced| {
             let core = traced.system.index() * 3 + traced.core.index();
             match traced.record {
                 [2, id, ..] => heard[core].push(id),
@@ -331,9 +331,9 @@ fn hear(script: &mut Script) {
 
 /// A system that is cut off the bus neither sends nor hears.
 fn unplugged(script: &mut Script) {
-    script.world.set_cut(Cut::Can(B), true);
-    script.world.broadcast(&frame(0x701));
-    script.world.set_cut(Cut::Can(B), false);
+    script.port.set_cut(Cut::Can(B), true);
+    script.port.broadcast(&frame(0x701));
+    script.port.set_cut(Cut::Can(B), false);
     script.rest(5);
 }
 
@@ -384,10 +384,10 @@ fn overheard(script: &mut Script) {
     script.until("they have talked", |script| {
         SystemId::ALL
             .iter()
-            .all(|system| script.world.role(*system) == RoleLamp::Standby)
+            .all(|system| script.port.role(*system) == RoleLamp::Standby)
     });
     let (mut next, mut count) = ([0; 2], 0);
-    let lost = script.world.drain_trace(&mut |traced| {
+    let lost = script.port.drain_trace(&mut |traced| {
         let expected = &mut next[traced.system.index()];
         assert_eq!(
             traced.record,

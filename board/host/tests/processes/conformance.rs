@@ -15,7 +15,7 @@ use tandem_board_conformance as suite;
 use tandem_board_conformance::Setting;
 use tandem_board_host::{CoreArgs, HostBoard};
 
-use crate::stage::{Case, Script, idle};
+use crate::fixture::{Case, Script, idle};
 
 const PASSED: &str = "passed";
 
@@ -104,7 +104,7 @@ fn judge(script: &mut Script) {
         let file = result_file(&flash, number);
         let mut said = String::new();
         script.until(&format!("{} ends its part", part.place), |script| {
-            script.world.drain_trace(&mut |_| {});
+            script.port.drain_trace(&mut |_| {});
             said = fs::read_to_string(&file).unwrap_or_default();
             !said.is_empty()
         });
@@ -112,8 +112,8 @@ fn judge(script: &mut Script) {
     }
     if matches!(case.setting, Setting::Plain | Setting::Watchdog) {
         for part in case.parts {
-            let lives = script.generation(part.place.system, part.place.core).0;
-            assert_eq!(lives, 1, "nobody resets {}", part.place);
+            let incarnations = script.generation(part.place.system, part.place.core).0;
+            assert_eq!(incarnations, 1, "nobody resets {}", part.place);
         }
     }
 }

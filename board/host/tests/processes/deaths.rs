@@ -1,4 +1,4 @@
-//! What happens when cores, supplies and their watchdogs fail: level lines, resets, causes, lives.
+//! What happens when cores, supplies and watchdogs fail: level lines, resets and their causes.
 
 use core::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration as Span, Instant as Clock};
@@ -10,7 +10,7 @@ use tandem_board::{
 };
 use tandem_board_host::{HostBoard, clock, processes};
 
-use crate::stage::{Case, GRANTED, Script, await_interrupt, idle, live, serve, signal};
+use crate::fixture::{Case, GRANTED, Script, await_interrupt, idle, live, serve, signal};
 
 use SystemId::{A, B};
 
@@ -112,7 +112,7 @@ const CODE_OF: [ResetCause; 4] = [
     ResetCause::Trap,
 ];
 
-/// Core 0 says in which life it is, why, and what it found in a word of the LMU that it then
+/// Core 0 says in which incarnation it is, why, and what it found in a word of the LMU that it then
 /// spoils.
 fn report(board: &HostBoard) {
     if board.identity().core == CONTROL {
@@ -131,12 +131,11 @@ fn report_start(board: &HostBoard) {
     live(board);
 }
 
-/// Waits for the report of the given life, and returns its reset cause and what it found in the
-/// LMU.
-fn await_start(script: &mut Script, system: SystemId, life: u32) -> (ResetCause, u32) {
+/// Waits for the report of this incarnation; returns its reset cause and what it found in the LMU.
+fn await_start(script: &mut Script, system: SystemId, incarnation: u32) -> (ResetCause, u32) {
     loop {
         let [_, generation, cause, found] = script.await_trace(system, CONTROL, STARTED);
-        if generation == life {
+        if generation == incarnation {
             return (CODE_OF[cause as usize], found);
         }
     }
@@ -164,10 +163,10 @@ fn report_power(board: &HostBoard) {
 fn kill_supply(script: &mut Script) {
     await_start(script, A, 1);
     await_start(script, B, 1);
-    script.await_life(A, 1);
+    script.await_incarnation(A, 1);
     let cores = CoreId::ALL.map(|core| script.pid(A, core));
-    signal(script.world.backplane().supply_pid(A), Signal::KILL);
-    script.until("level falls", |script| !script.world.is_powered(A));
+    signal(script.port.backplane().supply_pid(A), Signal::KILL);
+    script.until("level falls", |script| !script.port.is_powered(A));
     script.await_trace(B, CONTROL, POWER);
     let run = script.run.clone();
     script.until("the cores are dead", |_| {
@@ -175,7 +174,7 @@ fn kill_supply(script: &mut Script) {
             .iter()
             .all(|process| !cores.contains(&process.pid))
     });
-    assert!(script.world.is_powered(B));
+    assert!(script.port.is_powered(B));
     script.rest(100);
     assert_eq!(script.generation(B, CONTROL).0, 1, "B drives on");
 }
@@ -184,13 +183,13 @@ fn kill_supply(script: &mut Script) {
 fn kill_core_0(script: &mut Script) {
     assert_eq!(await_start(script, A, 1), (ResetCause::PowerOn, 0));
     await_start(script, B, 1);
-    script.await_life(A, 1);
+    script.await_incarnation(A, 1);
     let first = CoreId::ALL.map(|core| script.pid(A, core));
-    for life in 2..4 {
+    for incarnation in 2..4 {
         script.signal(A, CONTROL, Signal::KILL);
-        script.await_life(A, life);
-        assert!(script.world.is_powered(A));
-        assert_eq!(await_start(script, A, life), (ResetCause::Trap, 0));
+        script.await_incarnation(A, incarnation);
+        assert!(script.port.is_powered(A));
+        assert_eq!(await_start(script, A, incarnation), (ResetCause::Trap, 0));
     }
     assert!(
         CoreId::ALL
@@ -219,17 +218,17 @@ fn supervise(board: &HostBoard) {
 
 fn kill_core_1(script: &mut Script) {
     await_start(script, A, 1);
-    script.await_life(A, 1);
+    script.await_incarnation(A, 1);
     script.signal(A, PERCEPTION, Signal::KILL);
     script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
     script.rest(60);
     assert_eq!(script.generation(A, CONTROL).0, 1, "nobody else resets");
-    assert!(script.world.is_powered(A));
+    assert!(script.port.is_powered(A));
     script
-        .world
+        .port
         .broadcast(&CanFrame::new(CanId::Standard(1), false, &[]).expect("valid"));
     assert_eq!(await_start(script, A, 2).0, ResetCause::Trap);
-    script.await_life(A, 2);
+    script.await_incarnation(A, 2);
 }
 
 /// T-CHIP-6: a hang, whoever hangs: nothing but the missing service tells.
@@ -242,9 +241,9 @@ fn freeze(script: &mut Script) {
 /// T-CHIP-6: while the supply is held up it watches nobody. It finds what it has missed, as far as
 /// that was kept, and nothing of the rest: that is not the core's fault.
 fn freeze_supply(script: &mut Script) {
-    script.await_life(A, 1);
+    script.await_incarnation(A, 1);
     script.rest(50);
-    let supply = script.world.backplane().supply_pid(A);
+    let supply = script.port.backplane().supply_pid(A);
     signal(supply, Signal::STOP);
     script.rest(1_000);
     signal(supply, Signal::CONT);
@@ -318,13 +317,13 @@ fn suspend(board: &HostBoard) {
 /// T-RED-5: a system that has failed is held in reset for good.
 fn stays_down(script: &mut Script) {
     script.until("it is down", |script| {
-        !script.world.is_powered(A) && CoreId::ALL.iter().all(|core| script.pid(A, *core) == 0)
+        !script.port.is_powered(A) && CoreId::ALL.iter().all(|core| script.pid(A, *core) == 0)
     });
     script.rest(200);
     assert_eq!(script.generation(A, CONTROL).0, 1);
-    assert!(!script.world.is_powered(A));
-    assert_eq!(script.world.role(A), RoleLamp::Suspended);
-    assert!(script.world.is_powered(B));
+    assert!(!script.port.is_powered(A));
+    assert_eq!(script.port.role(A), RoleLamp::Suspended);
+    assert!(script.port.is_powered(B));
 }
 
 fn die(board: &HostBoard) {
@@ -337,7 +336,7 @@ fn paced(script: &mut Script) {
     script.until("it starts", |script| script.generation(A, CONTROL).0 == 1);
     let start = Clock::now();
     script.rest(1_500);
-    let lives = script.generation(A, CONTROL).0;
+    let incarnations = script.generation(A, CONTROL).0;
     // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s; whatever the machine does, no
     // more than that in the time that has really passed.
     let (mut allowed, mut pause, mut time) = (1, 20, 0);
@@ -347,8 +346,8 @@ fn paced(script: &mut Script) {
         allowed += 1;
     }
     assert!(
-        lives >= 2 && lives <= allowed,
-        "{lives} lives, {allowed} allowed"
+        incarnations >= 2 && incarnations <= allowed,
+        "{incarnations} incarnations, {allowed} allowed"
     );
 }
 
@@ -385,8 +384,8 @@ fn answer_rings(board: &HostBoard) {
 }
 
 fn reset_and_ring(script: &mut Script) {
-    for life in 1..5 {
-        while script.await_trace(A, CONTROL, ANSWER)[1] != life {}
+    for incarnation in 1..5 {
+        while script.await_trace(A, CONTROL, ANSWER)[1] != incarnation {}
         script.signal(A, CONTROL, Signal::KILL);
     }
 }
@@ -413,34 +412,34 @@ fn silence(script: &mut Script) {
     let mut sent = [0; 2];
     script.until("both send", |script| {
         script
-            .world
+            .port
             .transmitted(&mut |system, _, _| sent[system.index()] += 1);
         sent.iter().all(|count| *count > 20)
     });
     // The bus stands still while frames collect.
     std::thread::sleep(Span::from_millis(20));
-    signal(script.world.backplane().supply_pid(A), Signal::KILL);
+    signal(script.port.backplane().supply_pid(A), Signal::KILL);
     let patience = Clock::now() + Span::from_secs(10);
-    while script.world.is_powered(A) {
+    while script.port.is_powered(A) {
         assert!(Clock::now() < patience, "level never falls");
     }
     script
-        .world
+        .port
         .transmitted(&mut |system, _, _| assert_eq!(system, B));
 }
 
 fn kill_at_the_start(script: &mut Script) {
-    for life in 1..12_u32 {
+    for incarnation in 1..12_u32 {
         script.until("core 0 starts", |script| {
-            script.pid(A, CONTROL) != 0 && script.generation(A, CONTROL).0 == life
+            script.pid(A, CONTROL) != 0 && script.generation(A, CONTROL).0 == incarnation
         });
-        std::thread::sleep(Span::from_micros(u64::from(life) * 170));
+        std::thread::sleep(Span::from_micros(u64::from(incarnation) * 170));
         let pid = script.pid(A, CONTROL);
         if pid != 0 {
             signal(pid, Signal::KILL);
         }
         script.until("it is gone", |script| {
-            script.generation(A, CONTROL).0 > life
+            script.generation(A, CONTROL).0 > incarnation
         });
     }
     script.rest(300);
@@ -457,10 +456,10 @@ fn show_role(board: &HostBoard) {
 }
 
 fn list(script: &mut Script) {
-    script.await_life(A, 1);
-    script.await_life(B, 1);
+    script.await_incarnation(A, 1);
+    script.await_incarnation(B, 1);
     script.until("both show roles", |script| {
-        script.world.role(A) == RoleLamp::Master && script.world.role(B) == RoleLamp::Standby
+        script.port.role(A) == RoleLamp::Master && script.port.role(B) == RoleLamp::Standby
     });
     let run = script.run.clone();
     let listed = |processes: Vec<processes::Process>| -> Vec<String> {

@@ -23,8 +23,8 @@ use rustix::thread::{
 use tandem_board::{CoreId, Generation, SystemId};
 use tandem_board_host::processes::{self, Kind};
 
+use crate::fixture::{self, Case, GRANTED, Script, live, signal};
 use crate::residue::{LASTING, Outcome, end_in_order, started, until};
-use crate::stage::{self, Case, GRANTED, Script, live, signal};
 
 /// The case whose cores must be granted real time.
 pub(crate) const GRANTED_REALTIME: &str = "with_real_time_granted";
@@ -172,7 +172,7 @@ impl Ground {
     }
 
     fn launcher(&self, case: &str, place: &str) -> Command {
-        stage::launcher(&self.program(), case, &self.data(), place)
+        fixture::launcher(&self.program(), case, &self.data(), place)
     }
 }
 
@@ -246,7 +246,7 @@ fn small() -> Outcome {
             let ground = Ground::new()?;
             let ended = ground.launcher(LASTING.name, "shared").output()?;
             let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-            if ended.status.code() != Some(stage::REFUSED.into()) || !said.contains("/dev/shm") {
+            if ended.status.code() != Some(fixture::REFUSED.into()) || !said.contains("/dev/shm") {
                 return Err(format!("{size}: {}: {said}", ended.status).into());
             }
             assert_eq!(files("/dev/shm")?, Vec::<PathBuf>::new(), "{size}");
@@ -273,7 +273,7 @@ fn full() -> Outcome {
         let before = until("two supplies", || {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;
-        let life = |number| {
+        let incarnation = |number| {
             let control = Kind::Core(CoreId::CONTROL, Generation(number));
             processes::of_run(&started.run)
                 .into_iter()
@@ -282,10 +282,10 @@ fn full() -> Outcome {
         let outcome = (|| -> Outcome {
             filled?;
             for number in 1..4 {
-                let victim = until("core 0 lives", || life(number))?;
+                let victim = until("core 0 lives", || incarnation(number))?;
                 signal(victim.pid, Signal::KILL);
             }
-            until("core 0 comes back", || life(4))?;
+            until("core 0 comes back", || incarnation(4))?;
             let after = supplies();
             assert!(
                 before.iter().all(|supply| after.contains(supply)),
@@ -380,7 +380,7 @@ fn ambient() -> Outcome {
         configure_capability_in_ambient_set(nice, true)?;
         Ok(())
     });
-    stage::finish(launcher.spawn()?).map_err(Failed::from)
+    fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
 /// An ordinary user with a limit on priorities has real time, in a place of its own.
@@ -395,7 +395,7 @@ fn limit() -> Outcome {
         setrlimit(Resource::Rtprio, limit)?;
         become_ordinary()
     });
-    stage::finish(launcher.spawn()?).map_err(Failed::from)
+    fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
 /// T-CHIP-6: the kernel unties a process from its parent when it executes a program with a file
@@ -415,7 +415,7 @@ fn file_capability() -> Outcome {
 
     let mut granted = ground.launcher(GRANTED_CASE.name, "own");
     first(&mut granted, become_ordinary);
-    stage::finish(granted.spawn()?)?;
+    fixture::finish(granted.spawn()?)?;
 
     let mut launcher = ground.launcher(LASTING.name, "own");
     first(&mut launcher, become_ordinary);
@@ -445,7 +445,7 @@ fn file_capability() -> Outcome {
 
 /// All nine processes share a CPU.
 fn one_cpu() -> Outcome {
-    let cases = stage::all_cases();
+    let cases = fixture::all_cases();
     let case = cases
         .into_iter()
         .find(|case| case.name == "death_of_core_0_resets_the_system");
@@ -457,5 +457,5 @@ fn one_cpu() -> Outcome {
         sched_setaffinity(None, &one)?;
         Ok(())
     });
-    stage::finish(launcher.spawn()?).map_err(Failed::from)
+    fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }

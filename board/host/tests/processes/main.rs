@@ -10,8 +10,8 @@ mod cases;
 mod conformance;
 mod deaths;
 mod environment;
+mod fixture;
 mod residue;
-mod stage;
 
 use std::process::ExitCode;
 
@@ -21,13 +21,17 @@ use tandem_board_host::ProcessArgs;
 fn main() -> ExitCode {
     let argv: Vec<_> = std::env::args_os().skip(1).collect();
     if let Some(args) = ProcessArgs::parse(argv.iter().cloned()) {
-        return stage::play(args.expect("arguments made by this program"));
+        return fixture::play(args.expect("arguments made by this program"));
     }
-    if argv.first().is_some_and(|first| first == stage::LAUNCH) {
-        return stage::launch(&argv[1..]);
+    if argv.first().is_some_and(|first| first == fixture::LAUNCH) {
+        return fixture::launch(&argv[1..]);
     }
-    let mut trials: Vec<Trial> = stage::all_cases()
-        .map(|case| Trial::test(case.name, move || stage::run_case(case).map_err(Into::into)))
+    let mut trials: Vec<Trial> = fixture::all_cases()
+        .map(|case| {
+            Trial::test(case.name, move || {
+                fixture::run_case(case).map_err(Into::into)
+            })
+        })
         .collect();
     trials.extend(residue::trials());
     trials.extend(environment::trials());

@@ -10,7 +10,7 @@ use rustix::process::Signal;
 use tandem_board::SystemId;
 use tandem_board_host::{RunName, processes};
 
-use crate::stage::{self, Case, PATIENCE, Script, live, signal, start_launcher};
+use crate::fixture::{self, Case, PATIENCE, Script, live, signal, start_launcher};
 
 pub(crate) const CASES: &[Case] = &[Case {
     name: "a_short_run_ends_by_itself",
@@ -19,8 +19,8 @@ pub(crate) const CASES: &[Case] = &[Case {
 }];
 
 fn short(script: &mut Script) {
-    script.await_life(SystemId::A, 1);
-    script.await_life(SystemId::B, 1);
+    script.await_incarnation(SystemId::A, 1);
+    script.await_incarnation(SystemId::B, 1);
 }
 
 /// Lasts until somebody ends it. Not a case of its own: the trials below need a run to kill.
@@ -31,7 +31,7 @@ pub(crate) const LASTING: Case = Case {
 };
 
 fn last(script: &mut Script) {
-    script.until("somebody stops it", |script| script.world.stop_requested());
+    script.until("somebody stops it", |script| script.port.stop_requested());
 }
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -242,8 +242,8 @@ fn kill_while_starting(place: &str) -> Outcome {
 fn two_runs() -> Outcome {
     let folder = tempfile::tempdir()?;
     let mut lasting = start(folder.path(), "shared", 9)?;
-    let case = stage::all_cases().find(|case| case.name == "a_short_run_ends_by_itself");
-    let second = stage::run_case(case.expect("a known case"));
+    let case = fixture::all_cases().find(|case| case.name == "a_short_run_ends_by_itself");
+    let second = fixture::run_case(case.expect("a known case"));
     let first = processes::of_run(&lasting.run).len();
     signal(lasting.launcher.id(), Signal::INT);
     until("the launcher ends", || {

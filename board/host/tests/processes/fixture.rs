@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use rustix::process::Signal;
 use tandem_board::{Board, CoreId, Generation, SystemId, Traced};
 use tandem_board_host::{
-    HostBoard, LaunchError, Launcher, Plan, ProcessArgs, RunName, Schedule, WorldPort, clock,
+    HostBoard, HostVehiclePort, LaunchError, Launcher, Plan, ProcessArgs, RunName, Schedule, clock,
     isolation, processes, supply,
 };
 
@@ -35,7 +35,7 @@ pub(crate) struct Case {
 
 /// The vehicle's side of a case.
 pub(crate) struct Script {
-    pub(crate) world: WorldPort,
+    pub(crate) port: HostVehiclePort,
     pub(crate) run: RunName,
     pub(crate) case: String,
     pub(crate) folder: OsString,
@@ -205,18 +205,18 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 std::process::exit(9);
             });
             let _ = args.claim();
-            match WorldPort::attach(&args) {
-                Ok(world) => {
+            match HostVehiclePort::attach(&args) {
+                Ok(port) => {
                     let mut script = Script {
-                        world,
+                        port,
                         run: args.common.run.clone(),
                         case: name,
                         folder: args.common.extra[1].clone(),
                         traced: vec![],
                     };
-                    script.world.set_ignition(true);
+                    script.port.set_ignition(true);
                     (case.vehicle)(&mut script);
-                    script.world.set_ignition(false);
+                    script.port.set_ignition(false);
                 }
                 Err(error) => {
                     eprintln!("vehicle: {error}");
@@ -238,7 +238,7 @@ impl Script {
                 "never: {what}; {:?}",
                 processes::of_run(&self.run)
             );
-            self.world.transmitted(&mut |_, _, _| {});
+            self.port.transmitted(&mut |_, _, _| {});
             thread::sleep(Duration::from_micros(200));
         }
     }
@@ -254,7 +254,7 @@ impl Script {
         let is_it = |t: &Traced| t.system == system && t.core == core && t.record[0] == code;
         self.until(&format!("{system}{core} says {code}"), |script| {
             script
-                .world
+                .port
                 .drain_trace(&mut |traced| script.traced.push(traced));
             script.traced.iter().any(is_it)
         });
@@ -263,7 +263,7 @@ impl Script {
     }
 
     pub(crate) fn pid(&self, system: SystemId, core: CoreId) -> u32 {
-        self.world.backplane().core_pid(system, core)
+        self.port.backplane().core_pid(system, core)
     }
 
     /// Signals a core as soon as its supply has entered it.
@@ -275,17 +275,20 @@ impl Script {
     }
 
     pub(crate) fn generation(&self, system: SystemId, core: CoreId) -> Generation {
-        self.world.backplane().generation(system, core)
+        self.port.backplane().generation(system, core)
     }
 
-    /// Waits until all cores of a system are started for the `life`th time.
-    pub(crate) fn await_life(&mut self, system: SystemId, life: u32) {
-        self.until(&format!("life {life} of {system}"), |script| {
-            CoreId::ALL.iter().all(|core| {
-                script.generation(system, *core) == Generation(life)
-                    && script.pid(system, *core) != 0
-            })
-        });
+    /// Waits until all cores of a system are started for the `incarnation`th time.
+    pub(crate) fn await_incarnation(&mut self, system: SystemId, incarnation: u32) {
+        self.until(
+            &format!("incarnation {incarnation} of {system}"),
+            |script| {
+                CoreId::ALL.iter().all(|core| {
+                    script.generation(system, *core) == Generation(incarnation)
+                        && script.pid(system, *core) != 0
+                })
+            },
+        );
     }
 }
 

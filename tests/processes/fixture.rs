@@ -15,12 +15,12 @@ const LOOK_AGAIN: Duration = Duration::from_millis(20);
 
 /// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only
 /// measure each other.
-pub(crate) struct Stage {
+pub(crate) struct Fixture {
     folder: TempDir,
     _turn: File,
 }
 
-impl Stage {
+impl Fixture {
     pub(crate) fn new() -> Self {
         let turn = File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap();
         turn.lock().unwrap();
@@ -34,7 +34,7 @@ impl Stage {
         self.folder.path()
     }
 
-    /// The command with these arguments, in the stage's folder.
+    /// The command with these arguments, in the fixture's folder.
     pub(crate) fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
         command
@@ -70,7 +70,7 @@ impl Stage {
         }
     }
 
-    /// What is in the stage's folder but the output of runs.
+    /// What is in the fixture's folder but the output of runs.
     pub(crate) fn names(&self) -> Vec<String> {
         let entries = fs::read_dir(self.folder()).unwrap();
         let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());

@@ -13,12 +13,12 @@ use crate::name::RunName;
 
 /// System A under power: LMU, doorbells and wires, but nobody who watches or resets its cores.
 #[derive(Debug)]
-pub struct BareSystem {
+pub struct UnsupervisedSystem {
     run: RunName,
     flash: PathBuf,
 }
 
-impl BareSystem {
+impl UnsupervisedSystem {
     /// Powers the system on in this place. The memory goes with the place.
     ///
     /// # Errors
@@ -31,7 +31,7 @@ impl BareSystem {
         Ok(Self { run, flash })
     }
 
-    /// Attaches the calling process as a core in this life. Once per process.
+    /// Attaches the calling process as a core in this incarnation. Once per process.
     ///
     /// # Errors
     /// [`AttachError`] if something of it cannot be mapped or opened.

@@ -22,7 +22,7 @@ const FRAMES_PER_MS: u32 = 8;
 
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
-pub enum WorldError {
+pub enum VehiclePortError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
@@ -34,7 +34,7 @@ pub enum WorldError {
     Abandoned,
 }
 
-impl From<FitError> for WorldError {
+impl From<FitError> for VehiclePortError {
     fn from(error: FitError) -> Self {
         Self::Fit(error)
     }
@@ -43,10 +43,10 @@ impl From<FitError> for WorldError {
 /// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders
 /// the frames of all nodes.
 ///
-/// Once a millisecond the vehicle calls [`WorldPort::transmitted`], which moves what the cores
-/// sent, and [`WorldPort::broadcast`] for what its own nodes send.
+/// Once a millisecond the vehicle calls [`HostVehiclePort::transmitted`], which moves what the
+/// cores sent, and [`HostVehiclePort::broadcast`] for what its own nodes send.
 #[derive(Debug)]
-pub struct WorldPort {
+pub struct HostVehiclePort {
     backplane: Backplane,
     ringers: Ringers,
     from_cores: Vec<Node>,
@@ -73,12 +73,12 @@ struct Node {
     may_send: u32,
 }
 
-impl WorldPort {
+impl HostVehiclePort {
     /// Attaches as the vehicle of the run, when all of its processes are there.
     ///
     /// # Errors
-    /// [`WorldError`] if the run is over or never became complete.
-    pub fn attach(args: &VehicleArgs) -> Result<Self, WorldError> {
+    /// [`VehiclePortError`] if the run is over or never became complete.
+    pub fn attach(args: &VehicleArgs) -> Result<Self, VehiclePortError> {
         let backplane = Backplane::open(&args.common.run)?;
         wait_until_assembled(backplane)?;
         let mut from_cores = vec![];
@@ -185,7 +185,7 @@ impl WorldPort {
     }
 
     /// Sends a frame of one of the vehicle's own nodes. The cores hear of it with the next
-    /// [`WorldPort::transmitted`] or [`WorldPort::ring_receivers`].
+    /// [`HostVehiclePort::transmitted`] or [`HostVehiclePort::ring_receivers`].
     pub fn broadcast(&mut self, frame: &CanFrame) {
         let received = Received {
             frame: *frame,
@@ -285,12 +285,12 @@ impl WorldPort {
     }
 }
 
-fn wait_until_assembled(backplane: Backplane) -> Result<(), WorldError> {
+fn wait_until_assembled(backplane: Backplane) -> Result<(), VehiclePortError> {
     let launcher = Watched::new(backplane.launcher_pid());
     while !backplane.is_assembled() {
         let ended = launcher.as_ref().is_none_or(Watched::has_ended);
         if ended && !backplane.is_assembled() {
-            return Err(WorldError::Abandoned);
+            return Err(VehiclePortError::Abandoned);
         }
         clock::sleep_until(clock::now() + Duration::from_ms(1));
     }
@@ -306,7 +306,7 @@ mod tests {
     use tandem_board::{Can, CanId, Generation, Identity};
 
     /// A run without processes, of which this one is launcher and vehicle.
-    fn world() -> (RunName, WorldPort) {
+    fn port() -> (RunName, HostVehiclePort) {
         let run = RunName::unique();
         let backplane = Backplane::create(&run).unwrap();
         let own = std::process::id();
@@ -317,19 +317,19 @@ mod tests {
             schedule: Schedule::default(),
             extra: vec![],
         };
-        let world = WorldPort::attach(&VehicleArgs { common }).unwrap();
-        (run, world)
+        let port = HostVehiclePort::attach(&VehicleArgs { common }).unwrap();
+        (run, port)
     }
 
     /// T-RED-8: a frame is logged when it was on the bus, whatever its sender says: one that was
     /// frozen between looking at the clock and sending hides no gap, and none lies ahead.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
-        let (run, mut world) = world();
+        let (run, mut port) = port();
         let ring = RINGS.transmit[CoreAddress::A0.index()];
-        let words = world.backplane.ring(ring);
+        let words = port.backplane.ring(ring);
         let mut transmit = fifo::Producer::attach(words, ring.shape).unwrap();
-        let mut sent = |world: &mut WorldPort, at: Instant| {
+        let mut sent = |port: &mut HostVehiclePort, at: Instant| {
             let frame = CanFrame::new(CanId::Standard(1), true, &[]).unwrap();
             let frame = BusFrame {
                 received: Received { frame, at },
@@ -338,13 +338,13 @@ mod tests {
             };
             transmit.send(&encode_transmit(&frame, 0)).unwrap();
             let mut seen = vec![];
-            world.transmitted(&mut |_, _, received| seen.push(received.at));
+            port.transmitted(&mut |_, _, received| seen.push(received.at));
             seen
         };
         let begin = clock::now();
-        assert!(sent(&mut world, begin)[0] >= begin);
-        assert!(sent(&mut world, Instant::ORIGIN)[0] >= begin, "in the past");
-        let [ahead] = sent(&mut world, Instant::NEVER)[..] else {
+        assert!(sent(&mut port, begin)[0] >= begin);
+        assert!(sent(&mut port, Instant::ORIGIN)[0] >= begin, "in the past");
+        let [ahead] = sent(&mut port, Instant::NEVER)[..] else {
             panic!("one frame was sent");
         };
         assert!(ahead <= clock::now(), "in the future");
@@ -354,13 +354,13 @@ mod tests {
     /// T-RED-9: what waits when the output closes is not sent; what is sent later is.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
-        let (run, mut world) = world();
+        let (run, mut port) = port();
         let of = Identity {
             system: SystemId::A,
             core: CoreId::CONTROL,
             generation: Generation(1),
         };
-        let can = HostCan::attach(world.backplane, of).unwrap();
+        let can = HostCan::attach(port.backplane, of).unwrap();
         let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
         for id in 1..4 {
             can.try_send(&frame(id)).unwrap();
@@ -368,7 +368,7 @@ mod tests {
         can.discard_unsent();
         can.try_send(&frame(4)).unwrap();
         let mut seen = vec![];
-        world.transmitted(&mut |_, _, received| seen.push(received.frame));
+        port.transmitted(&mut |_, _, received| seen.push(received.frame));
         assert_eq!(seen, [frame(4)]);
         Backplane::remove(&run);
     }

@@ -19,7 +19,7 @@ pub struct HostSupply {
     backplane: Backplane,
     of: Identity,
     services: Mutex<fifo::Producer<'static>>,
-    /// Services in this life.
+    /// Services in this incarnation.
     count: AtomicU32,
     /// The name of this process in `ps`, if Linux shows it as a file.
     comm: Option<File>,

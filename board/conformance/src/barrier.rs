@@ -87,7 +87,11 @@ pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), Failure> 
 
 /// Waits until all of `cores` of this system have come to `step`. Steps count from 1.
 #[track_caller]
-pub(crate) fn meet<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(), Failure> {
+pub(crate) fn wait_for_cores<B: Board>(
+    board: &B,
+    cores: &[CoreId],
+    step: u32,
+) -> Result<(), Failure> {
     let at = |core: CoreId| &board.lmu()[core.index()];
     // Release pairs with Acquire below: what a core did before a meeting is visible after it.
     at(board.identity().core).store(step, Ordering::Release);
@@ -101,7 +105,7 @@ pub(crate) fn meet<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(
 /// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line,
 /// rising and falling in turn. Steps count from 1.
 #[track_caller]
-pub(crate) fn meet_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
+pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
     const LINE: Line = Line::Heartbeat2;
     let lines = board.lines();
     lines.send(
@@ -119,12 +123,16 @@ pub(crate) fn meet_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
 }
 
 /// All of `cores` in both systems wait for each other; core 0 must be among them. Takes two steps:
-/// the next one of [`meet`] is `2 × step + 1`.
+/// the next one of [`wait_for_cores`] is `2 × step + 1`.
 #[track_caller]
-pub(crate) fn meet_all<B: Board>(board: &B, cores: &[CoreId], step: u32) -> Result<(), Failure> {
-    meet(board, cores, 2 * step - 1)?;
+pub(crate) fn wait_for_all<B: Board>(
+    board: &B,
+    cores: &[CoreId],
+    step: u32,
+) -> Result<(), Failure> {
+    wait_for_cores(board, cores, 2 * step - 1)?;
     if board.identity().core == CoreId::CONTROL {
-        meet_peer(board, step)?;
+        wait_for_peer(board, step)?;
     }
-    meet(board, cores, 2 * step)
+    wait_for_cores(board, cores, 2 * step)
 }
