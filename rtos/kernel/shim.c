@@ -22,6 +22,17 @@ _Static_assert( sizeof( configSTACK_DEPTH_TYPE ) == sizeof( void * ), "stack dep
 volatile UBaseType_t tandem_held = 0;
 volatile UBaseType_t tandem_yield_due = 0;
 
+/* The kernel's port: above zero until the first task runs, so that nothing unmasks before. */
+extern size_t xCriticalNesting;
+
+/* As at power-on. */
+void tandem_port_reset( void )
+{
+    xCriticalNesting = ( size_t ) 0xaaaaaaaa;
+    tandem_held = 0;
+    tandem_yield_due = 0;
+}
+
 void tandem_enter_critical( void )
 {
     taskENTER_CRITICAL();

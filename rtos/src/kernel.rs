@@ -166,10 +166,15 @@ impl Kernel {
 impl Drop for Kernel {
     fn drop(&mut self) {
         port::tear_down();
-        sys::sink::listen(None);
-        // Release pairs with the Acquire in `take`.
-        TAKEN.store(false, Ordering::Release);
+        release();
     }
+}
+
+/// The kernel can be taken again.
+pub(crate) fn release() {
+    sys::sink::listen(None);
+    // Release pairs with the Acquire in `take`.
+    TAKEN.store(false, Ordering::Release);
 }
 
 impl context::TaskContext {

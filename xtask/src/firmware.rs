@@ -199,6 +199,8 @@ fn test(root: &Path) -> Result<()> {
         "feeds",
         "--test",
         "outputs",
+        "--test",
+        "tasks",
     ];
     let of_command = ["--test", "emulated"];
     for (package, tests) in [("tandem-board-qemu", &of_qemu[..]), ("tandem", &of_command)] {

@@ -22,8 +22,11 @@ const PORTABLE: [&str; 7] = [
     "tandem-cores",
     "tandem-capi",
 ];
-/// The RTOS room and the one bare-metal target that it has a port for.
-const RTOS: (&str, &str) = ("tandem-rtos", "riscv32imac-unknown-none-elf");
+/// The crates with the RTOS in them, and the one bare-metal target that it has a port for.
+const RTOS: [(&str, &str); 2] = [
+    ("tandem-rtos", "riscv32imac-unknown-none-elf"),
+    ("tandem-runtime", "riscv32imac-unknown-none-elf"),
+];
 /// Bare-metal targets that every portable crate builds for.
 const BARE_METAL: [&str; 3] = [
     "riscv32imac-unknown-none-elf",
@@ -180,7 +183,7 @@ fn test(root: &Path) -> Result<()> {
 
 fn bare_metal(root: &Path) -> Result<()> {
     let portable = BARE_METAL.map(|target| PORTABLE.map(|package| (package, target)));
-    for (package, target) in portable.into_iter().flatten().chain([RTOS]) {
+    for (package, target) in portable.into_iter().flatten().chain(RTOS) {
         run(cargo(
             root,
             &["build", "--quiet", "--target", target, "-p", package],

@@ -63,8 +63,8 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 is a task
-    /// of FreeRTOS.
+    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 runs its
+    /// tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is none.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -72,6 +72,7 @@ impl Machine {
         image: &Path,
         systems: &[SystemId],
         reintegrate: bool,
+        overload: u32,
     ) -> Result<Self, MachineError> {
         let folder = tempfile::Builder::new()
             .prefix("tandem-qemu-")
@@ -79,8 +80,6 @@ impl Machine {
             .map_err(MachineError::Pipes)?;
         let (from, to) = pipes(folder.path()).map_err(|error| MachineError::Pipes(error.into()))?;
         let mask: u32 = systems.iter().map(|system| 1 << system.index()).sum();
-        let with_rtos = systems.len() == 1;
-        let options = u32::from(reintegrate) | u32::from(with_rtos) << 1;
         let mut command = Command::new(QEMU);
         command
             .current_dir(folder.path())
@@ -91,7 +90,7 @@ impl Machine {
             .args(["-icount", "shift=0,sleep=off", "-semihosting", "-kernel"])
             .arg(image);
         // Strap 0, the mode, stays 0.
-        for (index, value) in [(1, mask), (2, options)] {
+        for (index, value) in [(1, mask), (2, reintegrate.into()), (3, overload)] {
             let at = STRAPS_AT + 4 * index;
             command
                 .arg("-device")

@@ -48,6 +48,20 @@ impl EmulatedWorld {
     /// # Errors
     /// [`MachineError`]
     pub fn start(image: &Path, layout: Layout, reintegrate: bool) -> Result<Self, MachineError> {
+        Self::start_overloaded(image, layout, reintegrate, 0)
+    }
+
+    /// As [`EmulatedWorld::start`], with jobs of a task of core 0 that take too long: the strap
+    /// `Third` of the image, whose main says what it means.
+    ///
+    /// # Errors
+    /// [`MachineError`]
+    pub fn start_overloaded(
+        image: &Path,
+        layout: Layout,
+        reintegrate: bool,
+        overload: u32,
+    ) -> Result<Self, MachineError> {
         let groups: &[&[SystemId]] = match layout {
             Layout::One => &[&SystemId::ALL],
             Layout::Two => &[&[SystemId::A], &[SystemId::B]],
@@ -55,7 +69,7 @@ impl EmulatedWorld {
         let mut machines = Vec::new();
         for systems in groups {
             machines.push(Node {
-                machine: Some(Machine::start(image, systems, reintegrate)?),
+                machine: Some(Machine::start(image, systems, reintegrate, overload)?),
                 systems: systems.to_vec(),
                 outgoing: vec![],
                 lost: 0,

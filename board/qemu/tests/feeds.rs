@@ -40,7 +40,7 @@ fn power_loss_and_return(layout: Layout) {
     until(&mut world, "A leads and B stands by", |world| {
         world.role(a) == Master && world.role(b) == Standby
     });
-    let under_rtos = world.log().matches("is a task of FreeRTOS").count();
+    let under_rtos = world.log().matches("runs its tasks under FreeRTOS").count();
     assert_eq!(under_rtos, if layout == Layout::Two { 2 } else { 0 });
     world.set_feed(a, false);
     let took = until(&mut world, "B drives alone", |world| {
@@ -64,7 +64,7 @@ fn a_system_that_loses_its_battery_is_replaced_in_one_machine() {
     power_loss_and_return(Layout::One);
 }
 
-/// Here core 0 is a task of FreeRTOS, in its first life.
+/// Here core 0 runs its tasks under FreeRTOS.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_that_loses_its_battery_is_replaced_in_two_machines() {

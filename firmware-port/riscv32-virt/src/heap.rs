@@ -1,11 +1,12 @@
-//! The heap: gives, and takes nothing back. For programs that allocate only while they start.
+//! The heap of the hart that runs a kernel: gives, and takes nothing back. For programs that
+//! allocate only while they start.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::cell::UnsafeCell;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
 /// Bytes of the heap; it is linked only into programs that use it.
-const BYTES: usize = 64 << 10;
+const BYTES: usize = 128 << 10;
 
 #[repr(align(64))]
 struct Heap {
@@ -42,4 +43,12 @@ unsafe impl GlobalAlloc for Heap {
     }
 
     unsafe fn dealloc(&self, _: *mut u8, _: Layout) {}
+}
+
+/// All of the heap is free again, after a reset of the hart that uses it.
+///
+/// # Safety
+/// Nothing that was allocated before is used again.
+pub unsafe fn restart() {
+    HEAP.used.store(0, Ordering::Relaxed);
 }

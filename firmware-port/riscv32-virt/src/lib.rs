@@ -12,7 +12,7 @@ pub mod clint;
 pub mod doorbell;
 pub mod exit;
 pub mod hart;
-mod heap;
+pub mod heap;
 pub mod memory;
 mod semihosting;
 pub mod trap;

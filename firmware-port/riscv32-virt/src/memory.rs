@@ -79,4 +79,6 @@ pub enum Strap {
     First = 1,
     /// Second parameter of the program.
     Second = 2,
+    /// Third parameter of the program.
+    Third = 3,
 }

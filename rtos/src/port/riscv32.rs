@@ -12,7 +12,7 @@ use crate::time::TICK_RATE_HZ;
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ptr;
-use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicUsize, Ordering};
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicUsize, Ordering};
 use core::time::Duration;
 
 /// The smallest stack in words: a context and some calls.
@@ -151,9 +151,39 @@ pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
 /// The kernel was taken and not started: nothing to give back.
 pub(crate) fn tear_down() {}
 
-/// There is one life of the kernel.
+/// Whether nothing of an earlier life of the kernel is used any more: see [`after_reset`].
+pub(crate) const A_LIFE_ENDS_ALL: bool = true;
+
+/// Counts the lives of the kernel.
+static EPOCH: AtomicU32 = AtomicU32::new(1);
+
 pub(crate) fn epoch() -> u32 {
-    1
+    EPOCH.load(Ordering::Relaxed)
+}
+
+/// Makes the kernel as it was at power-on, after a reset of its hart that has kept its memory:
+/// [`Kernel::take`](crate::Kernel::take) gives it again. Tasks, handlers and objects of the earlier
+/// life are forgotten and not dropped; statics that held tasks can hold new ones. Interrupts stay
+/// masked until the kernel starts.
+///
+/// # Safety
+/// The calling hart was the kernel's and has been reset: no code of the earlier life runs again,
+/// and nothing that it has made (handles, objects, borrowed stacks) is used again, by any hart.
+pub unsafe fn after_reset() {
+    // SAFETY: by the caller's promise nothing reads or writes what is set here.
+    unsafe {
+        core::arch::asm!("csrci mstatus, 8");
+        for source in &SOURCES {
+            *source.0.get() = None;
+        }
+        ffi::tandem_port_reset();
+        ffi::vTaskResetState();
+        ffi::vTimerResetState();
+    }
+    sys::task::forget_all();
+    IN_INTERRUPT.store(false, Ordering::Relaxed);
+    EPOCH.store(epoch().wrapping_add(1), Ordering::Relaxed);
+    crate::kernel::release();
 }
 
 static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);

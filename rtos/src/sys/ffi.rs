@@ -46,6 +46,8 @@ unsafe extern "C" {
     pub(crate) fn tandem_yield_from_interrupt(woken: Base);
     pub(crate) fn tandem_task_info(task: *mut Tcb, info: *mut TaskInfo);
 
+    /// Of riscv32.
+    pub(crate) fn tandem_port_reset();
     pub(crate) fn vTaskStartScheduler();
     pub(crate) fn vTaskResetState();
     pub(crate) fn vTimerResetState();

@@ -45,8 +45,13 @@ pub(crate) struct Record {
     stack: UnsafeCell<Option<port::Stack>>,
     entry: UnsafeCell<Entry>,
     state: AtomicU8,
-    /// How many tasks have lived here: a handle to an earlier one does not reach this one.
-    life: AtomicU32,
+    /// The number of the task that is alive here; 0 if none is. A handle to an earlier task does
+    /// not reach this one.
+    alive: AtomicU32,
+    /// How many tasks have been made here.
+    made: AtomicU32,
+    /// For which life of the kernel the last one was made.
+    epoch: AtomicU32,
     next: AtomicPtr<Record>,
     /// Where this is counted, for the count that the list holds.
     on_heap: AtomicBool,
@@ -72,7 +77,9 @@ impl Record {
             stack: UnsafeCell::new(None),
             entry: UnsafeCell::new(Entry::None),
             state: AtomicU8::new(FREE),
-            life: AtomicU32::new(0),
+            alive: AtomicU32::new(0),
+            made: AtomicU32::new(0),
+            epoch: AtomicU32::new(0),
             next: AtomicPtr::new(ptr::null_mut()),
             on_heap: AtomicBool::new(false),
             mutexes: AtomicU32::new(0),
@@ -158,8 +165,8 @@ impl<const WORDS: usize> TaskMemory<WORDS> {
 #[derive(Clone)]
 pub struct TaskHandle {
     record: Shared<Record>,
-    /// Which of the tasks that lived there.
-    life: u32,
+    /// The task's number there.
+    number: u32,
 }
 
 /// A task cannot be reached.
@@ -183,8 +190,7 @@ impl TaskHandle {
     /// Whether the task has neither returned nor been stopped.
     #[must_use]
     pub fn is_alive(&self) -> bool {
-        self.record.state.load(Ordering::Relaxed) == ALIVE
-            && self.record.life.load(Ordering::Relaxed) == self.life
+        self.record.alive.load(Ordering::Relaxed) == self.number
     }
 
     /// Runs `body` on the kernel's handle while the task cannot end: in an interrupt no task runs,
@@ -248,14 +254,20 @@ fn create(
     // A switch between these steps would show a half-made task to others, or, if one of them
     // stopped the scheduler, take the record without a task.
     let _no_switch = NoSwitch::begin();
+    if port::A_LIFE_ENDS_ALL && record.epoch.load(Ordering::Relaxed) != port::epoch() {
+        record.state.store(FREE, Ordering::Relaxed);
+        record.alive.store(0, Ordering::Relaxed);
+    }
     // Nobody else is on this thread: the exchange only has to be undivided against handlers.
     let taken =
         record
             .state
             .compare_exchange(FREE, BEING_MADE, Ordering::Relaxed, Ordering::Relaxed);
     taken.map_err(|_| SpawnError::InUse)?;
-    let life = record.life.load(Ordering::Relaxed).wrapping_add(1);
-    record.life.store(life, Ordering::Relaxed);
+    record.epoch.store(port::epoch(), Ordering::Relaxed);
+    // Never 0.
+    let number = record.made.load(Ordering::Relaxed).wrapping_add(1).max(1);
+    record.made.store(number, Ordering::Relaxed);
     let (low, words) = (stack.low, stack.words);
     // SAFETY: the record is ours by the exchange, and no task runs on it yet.
     unsafe {
@@ -289,8 +301,9 @@ fn create(
     );
     // Only now: a handler may hold a handle, and a task runs when `_no_switch` ends.
     record.state.store(ALIVE, Ordering::Relaxed);
+    record.alive.store(number, Ordering::Relaxed);
     record.link();
-    Ok(TaskHandle { record, life })
+    Ok(TaskHandle { record, number })
 }
 
 /// As long as this is, no other task runs; interrupts do. Nests. Its end may switch.
@@ -333,6 +346,7 @@ extern "C" fn task_main(parameters: *mut c_void) {
         ));
     }
     record.state.store(ENDED, Ordering::Relaxed);
+    record.alive.store(0, Ordering::Relaxed);
     // SAFETY: null means the caller; nothing on this stack is needed any more.
     unsafe { ffi::vTaskDelete(ptr::null_mut()) };
     unreachable!("a deleted task ran");
@@ -383,6 +397,7 @@ pub(crate) fn abandon_all() {
                 retire(&*first);
             } else {
                 (*first).state.store(ABANDONED, Ordering::Relaxed);
+                (*first).alive.store(0, Ordering::Relaxed);
                 (*first).unlink();
                 core::mem::forget((*(*first).stack.get()).take());
             }
@@ -390,6 +405,13 @@ pub(crate) fn abandon_all() {
         // SAFETY: unlinked above, and not used below.
         unsafe { Record::release(first) };
     }
+}
+
+/// After a reset of the hart: no task runs any more. The memory of those in statics may be used
+/// again.
+#[cfg(target_arch = "riscv32")]
+pub(crate) fn forget_all() {
+    TASKS.store(ptr::null_mut(), Ordering::Relaxed);
 }
 
 /// The control block of the running task, or null.

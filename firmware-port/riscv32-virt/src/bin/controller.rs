@@ -1,39 +1,45 @@
 //! The whole controller: the three cores of each system, and the carrier, which exchanges with a
 //! vehicle on the host.
 //!
-//! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both. Strap `Second`: bit 0 lets a
-//! system that comes back become the standby of the running one; bit 1 has core 0 work as a task of
-//! FreeRTOS. Cores 1 and 2 are always bare. There is one kernel in the image, with statics of its
-//! own, so it is for a machine with one system; and it cannot be started again, so after a reset
-//! without loss of power core 0 goes on bare.
+//! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both. Alone in a machine, a
+//! system's core 0 runs its tasks under FreeRTOS, in every life. The kernel's statics exist once in
+//! an image, so with both systems core 0 runs them to completion. Cores 1 and 2 have no kernel.
+//!
+//! Strap `Second`, bit 0: a system that comes back becomes the standby of the running one.
+//! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
 
+extern crate alloc;
+
+use alloc::boxed::Box;
+use core::sync::atomic::AtomicU32;
+use core::time::Duration;
 use tandem_board::{Board, CoreId};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
 use tandem_board_riscv32_virt::carrier::Carrier;
 use tandem_board_riscv32_virt::memory::{Strap, strap};
-use tandem_board_riscv32_virt::{doorbell, entry, log, trap};
-use tandem_cores::core0::Core0;
+use tandem_board_riscv32_virt::{doorbell, entry, heap, log, trap};
+use tandem_cores::core0::{Core0, TaskId};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::{Config, Core};
-use tandem_rtos::{Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskOptions, Ticks};
+use tandem_rtos::Kernel;
+use tandem_runtime::{Options, Overload};
 
 entry!(main);
 
-/// Bits of strap `Second`.
+/// Value of strap `First`.
+const BOTH_SYSTEMS: u32 = 3;
+/// Bit of strap `Second`.
 const REINTEGRATE: u32 = 1;
-const WITH_RTOS: u32 = 2;
-/// Stack of core 0's task; bare, core 0 takes 21 KiB.
-const STACK_BYTES: usize = 40 << 10;
-/// Period of the kernel's tick.
-const TICK_US: u64 = 1_000;
-/// The task looks at least once a second.
-const LONGEST_TICKS: u32 = 1_000;
+/// Bytes of the stack of each task of core 0.
+const STACK_BYTES: usize = 16 << 10;
 /// Turns of 50 us: the emulator runs one hart at a time, and none must wait long for another.
 const SLICE_TICKS: u32 = 500;
+/// How many doorbells were held back.
+static HELD_BACK: AtomicU32 = AtomicU32::new(0);
 
 fn main(hart: usize) -> ! {
     run(hart, SLICE_TICKS, core, outside)
@@ -42,14 +48,10 @@ fn main(hart: usize) -> ! {
 /// One life of one core.
 fn core(board: &VirtBoard) {
     match board.identity().core {
-        CoreId::CONTROL => {
-            if strap(Strap::Second) & WITH_RTOS != 0
-                && let Ok(kernel) = Kernel::take()
-            {
-                under_rtos(kernel, board);
-            }
+        CoreId::CONTROL if strap(Strap::First) == BOTH_SYSTEMS => {
             go(board, Core0::new(board, config()))
         }
+        CoreId::CONTROL => under_kernel(board),
         CoreId::PERCEPTION => go(board, Core1::new(board)),
         _ => go(board, Core2::new(board)),
     }
@@ -61,40 +63,56 @@ fn config() -> Config {
     config
 }
 
-/// Core 0 as a task of FreeRTOS: its doorbell notifies the task, which else sleeps until the tick
-/// after its deadline.
-fn under_rtos(kernel: Kernel, board: &VirtBoard) {
+/// The overload that strap `Third` asks for: in its bits 0 to 7 the task's place in the table plus
+/// 1, in 8 to 15 how much longer a job takes, ms, in 16 to 31 how many jobs lie between two such.
+fn overload() -> Option<Overload> {
+    let [task, ms, low, high] = strap(Strap::Third).to_le_bytes();
+    Some(Overload {
+        task: *TaskId::ALL.get(usize::from(task).checked_sub(1)?)?,
+        every: u16::from_le_bytes([low, high]).into(),
+        span: Duration::from_millis(ms.into()),
+    })
+}
+
+/// The kernel, new in every life of the core.
+fn kernel() -> Kernel {
+    if let Ok(first) = Kernel::take() {
+        return first;
+    }
+    // SAFETY: the kernel and the heap are this hart's alone, and its start-up code has thrown the
+    // stack of its last life away. What that life shares with other harts is not of the heap.
+    #[allow(unsafe_code, reason = "a reset is beyond the language")]
+    unsafe {
+        tandem_rtos::riscv32::after_reset();
+        heap::restart();
+    }
+    match Kernel::take() {
+        Ok(next) => next,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Core 0 with its tasks under FreeRTOS.
+fn under_kernel(board: &VirtBoard) -> ! {
     log!(
-        "core 0 of {} is a task of FreeRTOS",
-        board.identity().system
+        "core 0 of {} runs its tasks under FreeRTOS, life {}",
+        board.identity().system,
+        board.identity().generation.0
     );
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     // The kernel has the timer.
     doorbell::set_slice(0);
-    let board = board.clone();
-    let options = TaskOptions::new("control", Priority::new(5)).stack_bytes(STACK_BYTES);
-    let control = kernel.spawn(&options, move |ctx| {
-        let mut core = Core0::new(&board, config());
-        loop {
-            let deadline = core.poll();
-            let left = deadline.since(board.now());
-            let ticks = left.as_us().div_ceil(TICK_US).min(u64::from(LONGEST_TICKS));
-            if ticks > 0 {
-                ctx.take_notifications(Ticks(ticks as u32));
-            }
-        }
-    });
-    let Ok(control) = control else {
-        panic!("the heap has no room for the task of core 0")
+    let kernel = kernel();
+    let board: &'static VirtBoard = Box::leak(Box::new(board.clone()));
+    let options = Options {
+        stack_bytes: STACK_BYTES,
+        held_back: &HELD_BACK,
+        overload: overload(),
     };
-    let attached = kernel.attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, move |ctx| {
-        trap::end_if_held();
-        // It never ends.
-        let _ = control.notify(ctx);
-    });
-    assert!(attached.is_ok(), "the doorbell has no other handler");
-    let _ = kernel.start(Clock::Wall);
-    panic!("the kernel does not start")
+    match tandem_runtime::start(kernel, board, config(), options, trap::end_if_held) {
+        Ok(never) => match never {},
+        Err(error) => panic!("{error}"),
+    }
 }
 
 fn go(board: &VirtBoard, mut core: impl Core) -> ! {

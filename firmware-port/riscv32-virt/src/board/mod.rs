@@ -100,9 +100,12 @@ impl Board for VirtBoard {
 
     fn trace(&self, record: TraceRecord) {
         let registers = carrier::core(self.identity.address());
-        if !registers.trace.put(&encode_trace(self.now(), record)) {
-            registers.trace_lost.fetch_add(1, Relaxed);
-        }
+        // Tasks and handlers of a core interrupt each other, and the ring has one writer.
+        hart::without_interrupts(|| {
+            if !registers.trace.put(&encode_trace(self.now(), record)) {
+                registers.trace_lost.fetch_add(1, Relaxed);
+            }
+        });
     }
 }
 

@@ -25,6 +25,10 @@ use core::fmt::{self, Write};
 use std::sync::mpsc;
 use std::thread;
 
+/// Whether nothing of an earlier life of the kernel is used any more. Here other threads may still
+/// borrow from abandoned tasks.
+pub(crate) const A_LIFE_ENDS_ALL: bool = false;
+
 /// Before the first task is made.
 pub(crate) fn prepare() {}
 

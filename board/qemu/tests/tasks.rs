@@ -1,0 +1,183 @@
+//! Core 0's tasks in the controller's image: FreeRTOS runs them by priority, in every life of the
+//! core. Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::path::PathBuf;
+
+use tandem_board::{CoreId, Instant, RoleLamp, SystemId};
+use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_cores::core0::TaskId;
+use tandem_cores::task_table::{CORE_0, TaskCode};
+use tandem_cores::trace::{Begin, Event, Leaves};
+
+/// Virtual time of a run, ms. Without sensors a system waits for two seconds before it begins.
+const RUN_MS: u64 = 6_000;
+
+/// Strap `Third` of the image: of `task`, every `every`-th job takes `ms` longer.
+fn overload(task: TaskId, ms: u8, every: u16) -> u32 {
+    let [low, high] = every.to_le_bytes();
+    u32::from_le_bytes([task as u8 + 1, ms, low, high])
+}
+
+/// What core 0 of system A has traced, and what its firmware has logged.
+fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let image = PathBuf::from(images).join("controller");
+    let layout = Layout::Two;
+    let mut world = EmulatedWorld::start_overloaded(&image, layout, true, overload).unwrap();
+    world.step().unwrap();
+    world.set_ignition(true);
+    let mut events = vec![];
+    for _ in 0..RUN_MS {
+        world.step().unwrap();
+        let lost = world.drain_trace(&mut |traced| {
+            if traced.system == SystemId::A && traced.core == CoreId::CONTROL {
+                let event = Event::decode(traced.record).expect("core 0 writes events");
+                events.push((traced.at, event));
+            }
+        });
+        assert_eq!(lost, 0, "the trace has gaps");
+    }
+    for info in &CORE_0 {
+        let free = events.iter().filter_map(|(_, event)| match event {
+            Event::Stack { task, free_bytes } if *task == info.code => Some(*free_bytes),
+            _ => None,
+        });
+        // Of 16 KiB; each task reports once a second.
+        let free = free.min().expect("a report");
+        assert!(free > 4 << 10, "{}: {free} bytes of stack left", info.name);
+    }
+    assert_ne!(world.role(SystemId::B), RoleLamp::Starting);
+    (events, world.end().unwrap())
+}
+
+/// A job, from its begin to its end.
+struct Job {
+    task: TaskCode,
+    from: Instant,
+    to: Instant,
+    /// Tasks that ran within it.
+    within: Vec<TaskCode>,
+}
+
+/// All jobs that have ended, in the order of their begins.
+fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
+    let mut open: Vec<Job> = vec![];
+    let mut done = vec![];
+    for (at, event) in events {
+        match *event {
+            Event::TaskIn { task, begin } => {
+                let goes_on = begin == Begin::Goes && open.iter().any(|job| job.task == task);
+                for job in open.iter_mut().filter(|job| job.task != task) {
+                    job.within.push(task);
+                }
+                if !goes_on {
+                    let (from, to, within) = (*at, *at, vec![]);
+                    open.push(Job {
+                        task,
+                        from,
+                        to,
+                        within,
+                    });
+                }
+            }
+            Event::TaskOut {
+                task,
+                leaves: Leaves::Done,
+            } => {
+                let at_end = |job: &mut Job| job.task == task;
+                done.extend(
+                    open.extract_if(.., at_end)
+                        .map(|job| Job { to: *at, ..job }),
+                );
+            }
+            // What the last life had begun never ends.
+            Event::Started { .. } => open.clear(),
+            _ => {}
+        }
+    }
+    done
+}
+
+/// T-RTOS-4: a task that works for 20 ms keeps every less urgent one from running, and no more
+/// urgent one. Here it is the control task of the controller itself, of which every 20th job takes
+/// 20 ms longer.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
+    let (events, _) = run(overload(TaskId::Control, 20, 20));
+    let jobs = jobs(&events);
+    let control = TaskId::Control.info();
+    let burning = |job: &&Job| job.task == control.code && job.to.since(job.from).as_us() >= 20_000;
+    let burned: Vec<&Job> = jobs.iter().filter(burning).collect();
+    assert!(burned.len() >= 10, "only {} jobs burned", burned.len());
+    for job in burned {
+        let ran = |info: &&tandem_cores::task_table::TaskInfo| {
+            job.within.iter().filter(|task| **task == info.code).count()
+        };
+        for info in &CORE_0 {
+            if info.priority < control.priority {
+                assert_eq!(ran(&info), 0, "{} ran at {:?}", info.name, job.from);
+            } else if info.priority > control.priority {
+                // As often as without: monitoring every 5 ms, the roles at least every 2 ms.
+                let least = if info.code == TaskCode::ROLES { 10 } else { 3 };
+                assert!(ran(&info) >= least, "{}: {} times", info.name, ran(&info));
+            }
+        }
+    }
+    // The less urgent ones run between the jobs that burn.
+    for task in [TaskCode::STATUS, TaskCode::MONITORING, TaskCode::ROLES] {
+        assert!(jobs.iter().any(|job| job.task == task));
+    }
+}
+
+/// A reset of the core does not end FreeRTOS: the kernel starts again in each life. Here monitoring
+/// holds the watchdog up, of which every 600th job takes 100 ms longer.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn the_kernel_runs_again_after_a_reset_of_the_core() {
+    let (events, log) = run(overload(TaskId::Monitoring, 100, 600));
+    let lives: Vec<(Instant, u32)> = events
+        .iter()
+        .filter_map(|(at, event)| match event {
+            Event::Started { generation, .. } => Some((*at, *generation)),
+            _ => None,
+        })
+        .collect();
+    let numbers: Vec<u32> = lives.iter().map(|(_, number)| *number).collect();
+    assert_eq!(numbers, [1, 2], "lives of core 0: {log}");
+    let jobs = jobs(&events);
+    for (life, (begin, number)) in lives.iter().enumerate() {
+        let end = lives.get(life + 1).map_or(Instant::NEVER, |next| next.0);
+        let of_life = |job: &&Job| *begin <= job.from && job.from < end;
+        for task in [
+            TaskId::Roles,
+            TaskId::Monitoring,
+            TaskId::Control,
+            TaskId::Status,
+        ] {
+            let code = task.info().code;
+            let count = jobs
+                .iter()
+                .filter(of_life)
+                .filter(|job| job.task == code)
+                .count();
+            assert!(count > 5, "{count} jobs of {task:?} in life {number}");
+        }
+        // Only the kernel makes tasks ready.
+        let of_kernel = |(at, event): &&(Instant, Event)| {
+            *begin <= *at && *at < end && matches!(event, Event::Ready { .. })
+        };
+        let ready = events.iter().filter(of_kernel).count();
+        assert!(
+            ready > 100,
+            "{ready} releases by the kernel in life {number}"
+        );
+        let says = format!("core 0 of A runs its tasks under FreeRTOS, life {number}");
+        assert!(log.contains(&says), "{log}");
+    }
+}
