@@ -95,23 +95,4 @@ mod tests {
         assert_eq!(least_share(&[7.0, 0.0, 5.0]), 0.0);
         assert_eq!(least_share(&[0.0, 0.0]), 0.0);
     }
-
-    /// Lets nobody in and says that it has.
-    struct Absent;
-
-    impl Exclusion for Absent {
-        fn inside(&mut self, _stay: impl FnOnce()) {}
-    }
-
-    /// The guarded word finds out whether the lock works.
-    #[test]
-    fn stays_that_get_lost_are_noticed() {
-        let plan = Plan {
-            rounds: 100,
-            warm_up: 0,
-            cpus: [0, 0],
-        };
-        let error = contended(&plan, 2, 0, |_, _| Absent).unwrap_err();
-        assert_eq!(error.to_string(), "two were inside at once");
-    }
 }

@@ -7,6 +7,7 @@
 
 use crate::clock;
 use crate::harness::{Batch, Plan};
+use crate::stage::fork;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
@@ -72,12 +73,7 @@ fn prepare(cpu: usize) {
 fn in_process(plan: &Plan, body: impl FnOnce(usize) -> io::Result<()>) -> io::Result<Vec<u64>> {
     let (mut from_child, to_parent) = io::pipe()?;
     let wanted = plan.warm_up + plan.rounds;
-    // SAFETY: this program has one thread at this point; the child runs only the body and leaves by
-    // `_exit`.
-    let child = unsafe { libc::fork() };
-    if child < 0 {
-        return Err(io::Error::last_os_error());
-    }
+    let child = fork()?;
     if child == 0 {
         // SAFETY: only sets this process's own death signal: it dies with its parent.
         unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };

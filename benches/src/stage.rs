@@ -84,7 +84,11 @@ pub fn perform(shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
     perform_within(LIMIT, shared, parts)
 }
 
-fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
+/// As [`perform`], with a limit of its own.
+///
+/// # Errors
+/// As [`perform`].
+pub fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) -> io::Result<()> {
     assert!(parts.len() <= PARTS);
     let mut children = Vec::with_capacity(parts.len());
     for (number, part) in parts.into_iter().enumerate() {
@@ -157,6 +161,22 @@ fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
     Ok(())
 }
 
+/// Forks this process: 0 in the child, its id in the parent. The child has to leave by `_exit`.
+///
+/// # Errors
+/// If there is no process to be had, or this one has more than one thread: another thread may hold
+/// a lock, for example of the allocator, which no thread of the child would ever release.
+pub(crate) fn fork() -> io::Result<libc::pid_t> {
+    if fs::read_dir("/proc/self/task")?.count() != 1 {
+        return Err(io::Error::other("a process with threads is not forked"));
+    }
+    // SAFETY: this process has one thread, so the child is a whole copy of it.
+    match unsafe { libc::fork() } {
+        -1 => Err(io::Error::last_os_error()),
+        pid => Ok(pid),
+    }
+}
+
 /// A process of our own; it is killed when this is dropped.
 pub struct Child {
     pid: libc::pid_t,
@@ -168,16 +188,11 @@ impl Child {
     /// Runs `body` in a child process on this CPU; it ends with status 0 if that returns true.
     ///
     /// # Errors
-    /// If there is no process to be had.
+    /// If there is no process to be had, or this one has more than one thread.
     pub fn start(cpu: usize, body: impl FnOnce() -> bool) -> io::Result<Self> {
         // SAFETY: takes no pointer.
         let parent = unsafe { libc::getpid() };
-        // SAFETY: this program has no other thread at this point that could hold a lock; the child
-        // runs only its body and leaves by `_exit`.
-        let pid = unsafe { libc::fork() };
-        if pid < 0 {
-            return Err(io::Error::last_os_error());
-        }
+        let pid = fork()?;
         if pid == 0 {
             // SAFETY: only sets this process's own death signal and its own answer to Ctrl-C: the
             // parent ends the batch. A parent that died before would never be told.
@@ -331,40 +346,5 @@ Anonymous:             0 kB
             shared: 32 << 10,
         };
         assert_eq!(Resident::parse(smaps), expected);
-    }
-
-    #[test]
-    fn a_part_that_fails_says_why_and_the_others_are_ended() {
-        let shared = Shared::new().unwrap();
-        let parts = vec![
-            Part::on(0, |_| {
-                loop {
-                    std::thread::sleep(Duration::from_secs(60));
-                }
-            }),
-            Part::on(0, |_| Err(io::Error::other("no line"))),
-        ];
-        let error = perform(&shared, parts).unwrap_err();
-        assert_eq!(error.to_string(), "no line");
-    }
-
-    #[test]
-    fn a_part_that_panics_says_so() {
-        let shared = Shared::new().unwrap();
-        let parts = vec![Part::on(0, |_| panic!("cannot start: {}", 7))];
-        let error = perform(&shared, parts).unwrap_err();
-        assert_eq!(error.to_string(), "cannot start: 7");
-    }
-
-    #[test]
-    fn a_dead_end_ends() {
-        let shared = Shared::new().unwrap();
-        let parts = vec![Part::on(0, |_| {
-            loop {
-                std::thread::sleep(Duration::from_secs(60));
-            }
-        })];
-        let error = perform_within(Duration::from_millis(50), &shared, parts).unwrap_err();
-        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
     }
 }

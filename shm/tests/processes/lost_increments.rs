@@ -1,14 +1,18 @@
 //! Three processes increment one counter: without the lock some get lost, with it none. T-LOCK-2
-#![cfg(all(target_os = "linux", not(loom), not(miri)))]
-#![allow(clippy::unwrap_used, reason = "test code")]
 
-#[allow(dead_code, reason = "shared with other tests")]
-mod process;
-
-use process::{Child, announce, give_way, meet, shared, take};
+use crate::child::{Child, announce, give_way, meet, shared, take};
 use tandem_shm::life::Lives;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering};
+
+/// All tests, by their names.
+pub(crate) const TESTS: [(&str, fn()); 2] = [
+    (
+        "without_the_lock_increments_are_lost",
+        without_the_lock_increments_are_lost,
+    ),
+    ("with_the_lock_none_is_lost", with_the_lock_none_is_lost),
+];
 
 const CORES: u32 = 3;
 /// Increments of each process.
@@ -54,7 +58,6 @@ fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) ->
 }
 
 /// T-LOCK-2: the control group. That increments get lost is likely, not certain: it has many tries.
-#[test]
 fn without_the_lock_increments_are_lost() {
     let lost =
         (0..50).any(|_| count(|words, _, i| increment(&words[COUNTER_AT], i)) < CORES * INCREMENTS);
@@ -62,7 +65,6 @@ fn without_the_lock_increments_are_lost() {
 }
 
 /// T-LOCK-2: with the lock none is lost.
-#[test]
 fn with_the_lock_none_is_lost() {
     let counted = count(|words, lock, i| {
         let acquired = take(lock);

@@ -1,16 +1,31 @@
 //! Processes that are killed and frozen at random moments while they use what is in the LMU.
-#![cfg(all(target_os = "linux", not(loom), not(miri)))]
-#![allow(clippy::unwrap_used, reason = "test code")]
 
-#[allow(dead_code, reason = "shared with other tests")]
-mod process;
-
-use process::{Child, announce, give_way, shared, sleep_us, take};
+use crate::child::{Child, announce, give_way, shared, sleep_us, take};
 use tandem_shm::life::{Life, Lives};
 use tandem_shm::lock::{self, Acquired, Lock};
 use tandem_shm::newest::{ReadError, Reader, Writer};
 use tandem_shm::sync::{AtomicU32, Ordering};
 use tandem_shm::{LINE_WORDS, Shape, fifo, newest};
+
+/// All tests, by their names.
+pub(crate) const TESTS: [(&str, fn()); 4] = [
+    (
+        "a_lock_whose_owner_is_killed_is_recovered",
+        a_lock_whose_owner_is_killed_is_recovered,
+    ),
+    (
+        "a_thawed_owner_does_not_release_anothers_lock",
+        a_thawed_owner_does_not_release_anothers_lock,
+    ),
+    (
+        "a_channel_whose_writer_is_killed_shows_no_torn_value",
+        a_channel_whose_writer_is_killed_shows_no_torn_value,
+    ),
+    (
+        "a_queue_whose_ends_are_killed_loses_nothing",
+        a_queue_whose_ends_are_killed_loses_nothing,
+    ),
+];
 
 const CORES: usize = 3;
 
@@ -69,7 +84,6 @@ fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Chil
 
 /// T-LOCK-3: three processes use the lock while one after the other is killed (-9) and replaced.
 /// Nobody is ever inside with another, a half-done change is never taken for whole, and all go on.
-#[test]
 fn a_lock_whose_owner_is_killed_is_recovered() {
     const KILLS: u64 = 120;
     let words = shared(WORDS);
@@ -113,7 +127,6 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
 
 /// T-LOCK-3: an owner that is frozen (SIGSTOP), declared dead, replaced, and thawed does not
 /// release the lock of its successor.
-#[test]
 fn a_thawed_owner_does_not_release_anothers_lock() {
     let words = shared(WORDS);
     let lives = Lives::attach(words).unwrap();
@@ -140,7 +153,6 @@ fn a_thawed_owner_does_not_release_anothers_lock() {
 
 /// The writer is killed (-9) and replaced again and again; a reader gets whole values only, and
 /// never an older one after a newer one.
-#[test]
 fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
     const SHAPE: Shape = Shape::new(4, 64);
     let words = shared(newest::words(SHAPE));
@@ -188,7 +200,6 @@ fn a_channel_whose_writer_is_killed_shows_no_torn_value() {
 
 /// Producer and consumer are killed (-9) in turn; no value is lost, none comes out of order, and
 /// only the one that a killed consumer had in hand comes twice.
-#[test]
 fn a_queue_whose_ends_are_killed_loses_nothing() {
     const SHAPE: Shape = Shape::new(8, 4);
     /// Behind the queue: the last value that was taken out.

@@ -1,5 +1,4 @@
 //! Real processes over one piece of shared memory: what an LMU is on the host, without a board.
-#![allow(clippy::unwrap_used, reason = "test code")]
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -33,11 +32,16 @@ pub(crate) fn shared(words: usize) -> &'static [AtomicU32] {
 pub(crate) struct Child(libc::pid_t);
 
 impl Child {
-    /// Runs `f` in a child, which ends with it. `f` must not allocate: another thread of the parent
-    /// may have held the allocator's lock.
+    /// Runs `f` in a child, which ends with it.
+    ///
+    /// # Panics
+    /// If this process has another thread. That thread may hold a lock, for example of the
+    /// allocator, which no thread of the child would ever release.
     pub(crate) fn start(f: impl FnOnce()) -> Self {
-        // SAFETY: the child calls `f`, which keeps to what a child of a process with threads may
-        // do, and ends without running the parent's destructors.
+        let threads = std::fs::read_dir("/proc/self/task").unwrap().count();
+        assert_eq!(threads, 1, "only a process with one thread is forked");
+        // SAFETY: this process has one thread, so the child is a whole copy of it, with no lock
+        // held by a thread that is not there. It ends without running the parent's destructors.
         unsafe {
             let parent = libc::getpid();
             match libc::fork() {
