@@ -11,8 +11,9 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, SystemId};
 use tandem_board_conformance::{Case, Outcome, Rig, Setting, run_all, run_role};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
-use tandem_board_riscv32_virt::carrier::{Carrier, Event};
+use tandem_board_riscv32_virt::carrier::Carrier;
 use tandem_board_riscv32_virt::{entry, exit, hart, log};
+use tandem_peripherals::supply::Change;
 
 entry!(main);
 
@@ -91,7 +92,7 @@ impl VirtRig<'_> {
             }
             // It looks at least every millisecond.
             match self.carrier.step(hart::time() + 10_000) {
-                Some(Event::Reset(system, _))
+                Some((system, Change::Reset(_)))
                     if case.setting != Setting::Restarts
                         && case.parts.iter().any(|part| part.place.system == system) =>
                 {

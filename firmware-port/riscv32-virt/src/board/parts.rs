@@ -1,7 +1,6 @@
 //! The parts of the board: each a window on the carrier's registers.
 
-use crate::carrier::run::BY_WATCHDOG;
-use crate::carrier::{self, SystemRegisters, flash, watchdog};
+use crate::carrier::{self, SystemRegisters};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
@@ -9,8 +8,10 @@ use tandem_board::{
     Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
 };
 use tandem_peripherals::codec::{
-    BusFrame, DATAGRAM_MAX_WORDS, Sender, decode_datagram, encode_datagram,
+    BusFrame, DATAGRAM_MAX_WORDS, Sender, decode_datagram, encode_datagram, encode_service,
 };
+use tandem_peripherals::flash::{self, Operation};
+use tandem_peripherals::watchdog::{Window, question};
 
 /// The registers of the system of core `of`.
 fn system(of: CoreAddress) -> &'static SystemRegisters {
@@ -124,12 +125,13 @@ impl DataFlash for VirtFlash {
 
     fn start_erase(&self, sector: u32) -> Result<(), FlashError> {
         must_be_control(self.0, "erases the flash");
-        system(self.0).flash.erase(sector)
+        system(self.0).flash.begin(Operation::erase(sector), &[])
     }
 
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError> {
         must_be_control(self.0, "programs the flash");
-        system(self.0).flash.program(offset, data)
+        let operation = Operation::program(offset, data.len());
+        system(self.0).flash.begin(operation, data)
     }
 
     fn status(&self) -> FlashStatus {
@@ -140,37 +142,37 @@ impl DataFlash for VirtFlash {
     }
 }
 
-impl VirtSupply {
-    fn ask(&self, request: u32) {
-        // Release pairs with the Acquire of the carrier: what came before is done.
-        system(self.0).request.store(request, Release);
-        carrier::call();
-    }
-}
-
 impl Supply for VirtSupply {
-    const WINDOW_OPENS_US: u32 = watchdog::OPENS_US;
-    const WINDOW_CLOSES_US: u32 = watchdog::CLOSES_US;
-    const FIRST_SERVICE_US: u32 = watchdog::FIRST_SERVICE_US;
+    const WINDOW_OPENS_US: u32 = Window::TARGET.opens_us;
+    const WINDOW_CLOSES_US: u32 = Window::TARGET.closes_us;
+    const FIRST_SERVICE_US: u32 = Window::TARGET.first_us;
 
     fn reset_cause(&self) -> ResetCause {
         ResetCause::from_code(system(self.0).cause.load(Acquire)).unwrap_or(ResetCause::Trap)
     }
 
     fn watchdog_question(&self) -> u8 {
-        system(self.0).watchdog.question()
+        question(system(self.0).service_count.load(Relaxed))
     }
 
     fn service_watchdog(&self, answer: u8) {
         must_be_control(self.0, "serves the watchdog");
-        let watchdog = &system(self.0).watchdog;
-        if !watchdog.serve(answer, hart::time() as u32) && watchdog.watches.load(Relaxed) {
-            self.ask(BY_WATCHDOG);
+        let registers = system(self.0);
+        // Full: the supply is behind, and the next service will do.
+        if registers
+            .services
+            .put(&encode_service(carrier::now(), answer))
+        {
+            registers.service_count.fetch_add(1, Relaxed);
+            carrier::call();
         }
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        self.ask(1 + request.code());
+        // Release pairs with the Acquire of the carrier: what came before is done.
+        let register = &system(self.0).request;
+        register.store(1 + request.code(), Release);
+        carrier::call();
     }
 
     fn show_role(&self, lamp: RoleLamp) {

@@ -1,8 +1,8 @@
 //! The carrier's connection to the world outside, which runs on the host, in lock-step.
 
 use super::ring::Ring;
-use super::run::{Carrier, now};
-use super::{SystemRegisters, interrupt, system};
+use super::run::Carrier;
+use super::{SystemRegisters, interrupt, now, system};
 use crate::exit::exit;
 use crate::hart::time;
 use crate::memory::stack_used;
@@ -215,7 +215,6 @@ fn act(carrier: &mut Carrier, item: Item) {
             let _ = system(to).link.put(&words);
         }
         Item::Level { of, high } => carrier.set_power(of, high),
-        Item::Feed { of, on: true } if system(of).powered.load(Relaxed) => {}
         Item::Feed { of, on: true } => carrier.power_on(&[of]),
         Item::Feed { of, on: false } => carrier.power_off(of),
         Item::End => {

@@ -2,9 +2,9 @@
 //!
 //! The machine has none of it, so a hart of its own plays it: the *carrier*, as the carrier board
 //! of a TC297 does. Cores see registers, which are atomics in memory of the carrier's, and are
-//! interrupted by their doorbell. What needs no time of its own (edges, flash, the watchdog's
-//! answer) happens where the core touches the register; what needs a third party (the bus, resets,
-//! a watchdog that nobody serves) happens on the carrier's hart.
+//! interrupted by their doorbell. What needs no time of its own (edges, flash) happens where the
+//! core touches the register. What needs a third party (the bus, the supplies) happens on the
+//! carrier's hart. The models of `tandem-peripherals` decide what happens.
 //!
 //! With a world outside, the carrier exchanges with it once a millisecond of virtual time: see
 //! [`Carrier::connect`]. A system that is not in this machine then has the same registers here:
@@ -14,16 +14,15 @@ pub(crate) mod flash;
 mod host;
 pub(crate) mod ring;
 pub(crate) mod run;
-pub(crate) mod watchdog;
 
-pub use run::{Carrier, Event};
+pub use run::Carrier;
 
 use crate::clint;
-use crate::hart::CARRIER;
+use crate::hart::{self, CARRIER};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
-use tandem_board::{CoreAddress, CoreId, Line, SystemId};
-use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, TRACE_WORDS};
+use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
+use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
 
 /// What the carrier has for one core.
 pub(crate) struct CoreRegisters {
@@ -46,7 +45,10 @@ pub(crate) struct SystemRegisters {
     /// Datagrams that came over the link, each with its length.
     pub(crate) link: Ring<32, DATAGRAM_WORDS>,
     pub(crate) flash: flash::Registers,
-    pub(crate) watchdog: watchdog::Registers,
+    /// Services of the watchdog on their way to the supply.
+    pub(crate) services: Ring<4, SERVICE_WORDS>,
+    /// How many services core 0 gave in this life; wraps around.
+    pub(crate) service_count: AtomicU32,
     /// The supply is on and holds the system out of reset.
     pub(crate) powered: AtomicBool,
     pub(crate) generation: AtomicU32,
@@ -84,7 +86,8 @@ impl SystemRegisters {
             edges: [const { [const { AtomicU32::new(0) }; 2] }; Line::ALL.len()],
             link: Ring::new(),
             flash: flash::Registers::new(),
-            watchdog: watchdog::Registers::new(),
+            services: Ring::new(),
+            service_count: AtomicU32::new(0),
             powered: AtomicBool::new(false),
             generation: AtomicU32::new(0),
             cause: AtomicU32::new(0),
@@ -106,6 +109,11 @@ pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {
 /// The registers of a core. Its hart has the number of [`CoreAddress::index`].
 pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
     &system(address.system).cores[address.core.index()]
+}
+
+/// The time.
+pub(crate) fn now() -> Instant {
+    Instant::from_ns(hart::time() * clint::TICK_NS)
 }
 
 /// Tells the carrier that there is something to do.

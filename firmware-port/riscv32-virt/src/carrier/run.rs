@@ -1,24 +1,13 @@
 //! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core, system};
+use super::{core, now, system};
 use crate::hart::{self, CARRIER, time};
 use crate::{clint, doorbell, memory, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
-use tandem_board::{CoreAddress, CoreId, Instant, ResetCause, SystemId};
-use tandem_peripherals::codec::{FRAME_WORDS, Sender, set_sender, set_time};
-
-/// What the carrier has to tell.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Event {
-    /// A system was reset, for this cause.
-    Reset(SystemId, ResetCause),
-    /// A system is held in reset for good: it asked for it.
-    Suspended(SystemId),
-}
-
-/// A request of the watchdog's: above one plus any [`tandem_board::ResetRequest::code`].
-pub(crate) const BY_WATCHDOG: u32 = 4;
+use tandem_board::{CoreAddress, CoreId, ResetCause, ResetRequest, SystemId};
+use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
+use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
 /// Cycles from reading to reading of a turn that was given away and that nobody used: four, and
 /// fewer than any hart takes that does something.
@@ -26,7 +15,8 @@ const YIELD_CYCLES: u32 = 6;
 
 /// The carrier, on its own hart.
 pub struct Carrier {
-    watchdogs: bool,
+    /// By [`SystemId::index`].
+    supplies: [Supply; 2],
     /// The systems in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
@@ -35,7 +25,7 @@ pub struct Carrier {
 impl Carrier {
     pub(crate) const fn new() -> Self {
         Self {
-            watchdogs: false,
+            supplies: [Supply::new(Config::TARGET); 2],
             here: [true; 2],
             host: None,
         }
@@ -48,14 +38,21 @@ impl Carrier {
         self.host = Some(Host::open());
     }
 
-    /// Whether the watchdogs reset systems that are switched on from now on.
-    pub const fn set_watchdogs(&mut self, watch: bool) {
-        self.watchdogs = watch;
+    /// Whether the watchdogs reset their systems. All must be off.
+    pub const fn set_watchdogs(&mut self, watches: bool) {
+        let config = Config {
+            watches,
+            ..Config::TARGET
+        };
+        self.supplies = [Supply::new(config); 2];
     }
 
-    /// Switches systems on, at the same time: LMU zero, no edges, generation 1. They must be off.
+    /// Switches those systems on, at the same time, that are off: LMU zero, no edges, generation 1.
     pub fn power_on(&mut self, all: &[SystemId]) {
-        for which in all {
+        let off = |supplies: &[Supply; 2], which: &SystemId| {
+            supplies[which.index()].power() == Power::Off
+        };
+        for which in all.iter().filter(|which| off(&self.supplies, which)) {
             for word in memory::lmu(*which) {
                 word.store(0, Relaxed);
             }
@@ -68,13 +65,16 @@ impl Carrier {
         }
         // What the first one sends is not wiped by the start of the second.
         for which in all {
-            self.release(*which, ResetCause::PowerOn);
+            let change = self.supplies[which.index()].power_on(now());
+            self.carry_out(*which, change);
         }
     }
 
     /// Switches a system off, wherever it is.
     pub fn power_off(&mut self, which: SystemId) {
-        self.hold(which);
+        let change = self.supplies[which.index()].power_off();
+        // Also at the start of the machine, when no core has begun to stand still.
+        self.carry_out(which, change.or(Some(Change::PowerOff)));
     }
 
     /// Makes the data flash of a system as it comes from the factory. The system must be off.
@@ -83,21 +83,22 @@ impl Carrier {
     }
 
     /// Does what there is to do, and sleeps until there is more, at most until `deadline` (in
-    /// ticks). The event that ended the sleep, if there was one.
-    pub fn step(&mut self, deadline: u64) -> Option<Event> {
+    /// ticks). Returns early with what a supply has changed, if one has.
+    pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
         self.exchange();
         for which in self.systems() {
-            let event = self.look_after(which);
-            if event.is_some() {
-                return event;
+            let change = self.look_after(which);
+            self.carry_out(which, change);
+            if let Some(change) = change {
+                return Some((which, change));
             }
         }
-        let now = time();
-        let next = self
+        let supplies = self
             .systems()
-            .filter_map(|which| self.watchdog_left(which, now).and_then(Result::ok))
-            .map(|left| now + u64::from(left) + 1)
+            .map(|which| self.supplies[which.index()].next());
+        let next = supplies
+            .map(|next| next.as_ns().div_ceil(clint::TICK_NS))
             .chain(self.host.as_ref().map(Host::due))
             .fold(deadline, u64::min);
         self.rest(next);
@@ -153,32 +154,31 @@ impl Carrier {
         }
     }
 
-    fn watchdog_left(&self, which: SystemId, now: u64) -> Option<Result<u32, u32>> {
+    /// Gives a supply what its registers hold, and asks it.
+    fn look_after(&mut self, which: SystemId) -> Option<Change> {
         let registers = system(which);
-        let watches = registers.powered.load(Relaxed) && registers.watchdog.watches.load(Relaxed);
-        watches.then(|| registers.watchdog.left(now as u32))
+        let supply = &mut self.supplies[which.index()];
+        // Acquire pairs with the Release of the core that asks. 0: no request.
+        if let Some(code) = registers.request.swap(0, Acquire).checked_sub(1) {
+            supply.request(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend));
+        }
+        while let Some(service) = registers.services.take() {
+            let (at, answer) = decode_service(service);
+            let change = supply.service(now(), at, answer);
+            if change.is_some() {
+                return change;
+            }
+        }
+        // A core stands still as soon as `hold` has returned.
+        supply.poll(now(), true)
     }
 
-    /// A reset that the system asked for, or that its watchdog wants.
-    fn look_after(&mut self, which: SystemId) -> Option<Event> {
-        // Acquire pairs with the Release of the core that asks.
-        let mut request = system(which).request.load(Acquire);
-        if matches!(self.watchdog_left(which, time()), Some(Err(_))) {
-            request = BY_WATCHDOG;
+    fn carry_out(&mut self, which: SystemId, change: Option<Change>) {
+        match change {
+            None => {}
+            Some(Change::Start(cause)) => self.release(which, cause),
+            Some(Change::Reset(_) | Change::Suspend | Change::PowerOff) => self.hold(which),
         }
-        let cause = match request {
-            0 => return None,
-            1 => ResetCause::Software,
-            2 => ResetCause::Trap,
-            BY_WATCHDOG => ResetCause::Watchdog,
-            _ => {
-                self.hold(which);
-                return Some(Event::Suspended(which));
-            }
-        };
-        self.hold(which);
-        self.release(which, cause);
-        Some(Event::Reset(which, cause))
     }
 
     /// Stops a system and lets its level line fall.
@@ -212,7 +212,8 @@ impl Carrier {
         registers.cause.store(cause.code(), Relaxed);
         let generation = registers.generation.load(Relaxed).wrapping_add(1);
         registers.generation.store(generation, Relaxed);
-        registers.watchdog.start(self.watchdogs, time() as u32);
+        registers.services.clear();
+        registers.service_count.store(0, Relaxed);
         self.set_power(which, true);
         for core in CoreId::ALL {
             trap::release(CoreAddress::new(which, core).index());
@@ -259,9 +260,4 @@ impl Carrier {
             }
         }
     }
-}
-
-/// The time on the bus.
-pub(super) fn now() -> Instant {
-    Instant::from_ns(time() * clint::TICK_NS)
 }
