@@ -95,7 +95,7 @@ pub(crate) fn drive(
         "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
          took {:.0} s of this machine's",
         match layout {
-            Layout::One => "one emulated machine, all cores bare",
+            Layout::One => "one emulated machine, core 0 without a kernel",
             Layout::Two => "two emulated machines, core 0 under FreeRTOS",
         },
         begin.elapsed().as_secs_f64()

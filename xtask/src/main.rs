@@ -5,6 +5,7 @@
 mod firmware;
 mod requirements;
 mod rta;
+mod task_tables;
 mod tidy;
 
 use anyhow::{Context, Result, bail};
@@ -79,6 +80,12 @@ enum Task {
         #[arg(long, value_name = "US")]
         overhead_us: f64,
     },
+    /// Write the tables of tasks in docs/ from the task table in the code
+    TaskTables {
+        /// Only say whether one is stale
+        #[arg(long)]
+        check: bool,
+    },
     /// Long trials that a person starts; CI runs short ones of each
     #[command(subcommand)]
     Campaign(Campaign),
@@ -136,6 +143,7 @@ fn execute() -> Result<()> {
             metrics,
             overhead_us,
         } => rta::run(root, &metrics, overhead_us),
+        Task::TaskTables { check } => task_tables::run(root, check),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
         Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
             let mut command = rtos_test(root, "soak", "random_task_sets");
