@@ -67,6 +67,9 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
+#[cfg(loom)]
+extern crate std;
+
 pub mod broadcast;
 pub mod fifo;
 pub mod life;
@@ -81,9 +84,12 @@ pub mod sync;
 mod view;
 pub mod wait;
 
-#[cfg(test)]
-#[cfg(not(loom))]
+#[cfg(all(test, not(loom), not(miri)))]
+mod schedules;
+#[cfg(all(test, not(loom)))]
 mod step;
+#[cfg(loom)]
+pub mod step;
 
 pub use region::{FitError, LINE_WORDS, Shape};
 pub use view::{WordsMut, WordsRef};

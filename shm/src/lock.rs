@@ -41,11 +41,7 @@ pub const MAX_WAITED_TURNS: u32 = CORES as u32 - 1;
 
 /// Looks at a free lock that is another's turn before a waiting core takes it nevertheless. With
 /// the back-off below some 2000 spins, tens of microseconds; longer than any core in step needs.
-#[cfg(not(loom))]
 pub const PATIENCE: u32 = 32;
-/// loom proves the bound for cores that look: more looks than a model has.
-#[cfg(loom)]
-pub const PATIENCE: u32 = 1_000;
 
 /// The longest pause between two looks, in spins.
 const MAX_PAUSE: u32 = 64;
@@ -116,6 +112,8 @@ pub struct Lock<'a> {
     identity: u32,
     /// The token of the last acquisition through this end, without waiting bits.
     mine: u32,
+    #[cfg(loom)]
+    patience: u32,
 }
 
 impl<'a> Lock<'a> {
@@ -134,9 +132,28 @@ impl<'a> Lock<'a> {
             core: life.core(),
             identity: (life.core() as u32 + 1) | generation << GENERATION_SHIFT,
             mine: 0,
+            #[cfg(loom)]
+            patience: PATIENCE,
         };
         lock.disown_earlier_lives(life);
         Ok(lock)
+    }
+
+    /// For models, in which 32 polls are too many.
+    #[cfg(loom)]
+    pub fn set_patience(&mut self, polls: u32) {
+        self.patience = polls;
+    }
+
+    #[cfg(loom)]
+    const fn patience(&self) -> u32 {
+        self.patience
+    }
+
+    #[cfg(not(loom))]
+    #[allow(clippy::unused_self, reason = "models have one for each end")]
+    const fn patience(&self) -> u32 {
+        PATIENCE
     }
 
     /// Undoes what earlier lives of this core left: a waiting bit, and perhaps a token that looks
@@ -256,7 +273,7 @@ impl<'a> Lock<'a> {
         let mut pause = 1;
         let mut passed = (0, 0);
         for _ in 0..looks {
-            match self.look(passed.1 >= PATIENCE) {
+            match self.look(passed.1 >= self.patience()) {
                 Ok(orphan) => {
                     let turns = |first| self.mine.wrapping_sub(first) >> TURN_SHIFT;
                     let waited = announced.map_or(0, |first| turns(first).saturating_sub(1));

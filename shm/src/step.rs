@@ -1,13 +1,16 @@
-//! Unit tests only: atomics that count accesses, so that a test can kill or freeze at each step.
+//! Tests only: atomics that count accesses, so that a test can kill or freeze at each step.
+//!
+//! In unit tests they stand on the machine's atomics, in loom models on loom's.
+#![allow(unreachable_pub, reason = "loom models are outside of the crate")]
 
 use core::cell::RefCell;
-use core::sync::atomic::{AtomicU32 as Word, Ordering};
+#[cfg(not(loom))]
+use core::sync::atomic::AtomicU32 as Word;
+use core::sync::atomic::Ordering;
+#[cfg(loom)]
+use loom::sync::atomic::AtomicU32 as Word;
 use std::boxed::Box;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
-use std::sync::Mutex;
-use std::vec::Vec;
-
-use crate::LINE_WORDS;
 
 /// What happens at the chosen access, just before it.
 type Event = Box<dyn FnOnce()>;
@@ -21,28 +24,45 @@ enum Mode {
     Dead,
 }
 
+#[cfg(not(loom))]
 std::thread_local! {
     static MODE: RefCell<Mode> = const { RefCell::new(Mode::Free) };
+}
+#[cfg(not(any(loom, miri)))]
+std::thread_local! {
+    static SWITCHING: core::cell::Cell<bool> = const { core::cell::Cell::new(false) };
+}
+// Of each of the model's threads.
+#[cfg(loom)]
+loom::thread_local! {
+    static MODE: RefCell<Mode> = RefCell::new(Mode::Free);
+}
+
+fn set_mode(mode: Mode) -> Mode {
+    MODE.with(|current| current.replace(mode))
 }
 
 /// Whether this access reaches the memory.
 fn step() -> bool {
-    let event = MODE.with_borrow_mut(|mode| match core::mem::replace(mode, Mode::Free) {
-        Mode::Free => Ok(true),
+    let mode = set_mode(Mode::Free);
+    // Here and nowhere else another core of a random schedule runs. This one's mode lies on its
+    // stack.
+    #[cfg(not(any(loom, miri)))]
+    if SWITCHING.get() && !matches!(mode, Mode::Dead) {
+        shuttle::thread::yield_now();
+    }
+    match mode {
+        Mode::Free => true,
         Mode::Dead => {
-            *mode = Mode::Dead;
-            Ok(false)
+            set_mode(Mode::Dead);
+            false
         }
-        Mode::Armed(0, event) => Err(event),
-        Mode::Armed(left, event) => {
-            *mode = Mode::Armed(left - 1, event);
-            Ok(true)
-        }
-    });
-    match event {
-        Ok(through) => through,
-        Err(event) => {
+        Mode::Armed(0, event) => {
             event();
+            true
+        }
+        Mode::Armed(left, event) => {
+            set_mode(Mode::Armed(left - 1, event));
             true
         }
     }
@@ -53,14 +73,14 @@ struct Killed;
 
 /// Runs `operation` and kills it just before its access number `at` (from 0). `None` if it was
 /// killed, `Some` if it ended before.
-pub(crate) fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
+pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     let kill: Event = Box::new(|| {
-        MODE.set(Mode::Dead);
+        set_mode(Mode::Dead);
         resume_unwind(Box::new(Killed));
     });
-    MODE.set(Mode::Armed(at, kill));
+    set_mode(Mode::Armed(at, kill));
     let end = catch_unwind(AssertUnwindSafe(operation));
-    MODE.set(Mode::Free);
+    set_mode(Mode::Free);
     match end {
         Ok(value) => Some(value),
         Err(payload) if payload.is::<Killed>() => None,
@@ -68,16 +88,24 @@ pub(crate) fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> 
     }
 }
 
+/// Runs a model of shuttle's: another of its threads may run before each access.
+#[cfg(not(any(loom, miri)))]
+pub fn switch_cores(model: impl FnOnce()) {
+    SWITCHING.set(true);
+    model();
+    SWITCHING.set(false);
+}
+
 /// Runs `operation`, freezes it just before its access number `at` for as long as `meanwhile`
 /// takes, then thaws it. The flag says whether it came that far.
-pub(crate) fn freeze_at<T>(
+pub fn freeze_at<T>(
     at: usize,
     meanwhile: impl FnOnce() + 'static,
     operation: impl FnOnce() -> T,
 ) -> (T, bool) {
-    MODE.set(Mode::Armed(at, Box::new(meanwhile)));
+    set_mode(Mode::Armed(at, Box::new(meanwhile)));
     let value = operation();
-    let unused = matches!(MODE.replace(Mode::Free), Mode::Armed(..));
+    let unused = matches!(set_mode(Mode::Free), Mode::Armed(..));
     (value, !unused)
 }
 
@@ -87,7 +115,14 @@ pub struct AtomicU32(Word);
 
 impl AtomicU32 {
     /// A word with this value.
+    #[cfg(not(loom))]
     pub const fn new(value: u32) -> Self {
+        Self(Word::new(value))
+    }
+
+    /// A word with this value.
+    #[cfg(loom)]
+    pub fn new(value: u32) -> Self {
         Self(Word::new(value))
     }
 
@@ -152,35 +187,47 @@ impl AtomicU32 {
     }
 }
 
-/// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may
-/// keep them.
-pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
-    /// Where Miri finds them, so that it sees no leak.
-    static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
-    let all: Box<[AtomicU32]> = (0..words + LINE_WORDS).map(|_| AtomicU32::new(0)).collect();
-    let all: &'static [AtomicU32] = Box::leak(all);
-    ALL.lock().unwrap().push(all);
-    let skip = all.as_ptr().align_offset(64);
-    &all[skip..skip + words]
-}
+#[cfg(all(test, not(loom)))]
+pub(crate) use unit::zeroed;
 
-#[test]
-fn a_killed_operation_changes_nothing_more_and_a_frozen_one_goes_on() {
-    let w = zeroed(2);
-    let write = || {
-        w[0].store(1, Ordering::Relaxed);
-        w[1].store(1, Ordering::Relaxed);
-    };
-    assert_eq!(kill_at(1, write), None);
-    assert_eq!(
-        (w[0].load(Ordering::Relaxed), w[1].load(Ordering::Relaxed)),
-        (1, 0)
-    );
-    assert_eq!(kill_at(2, write), Some(()));
-    let ((), hit) = freeze_at(1, || w[0].store(7, Ordering::Relaxed), write);
-    assert!(hit);
-    assert_eq!(
-        (w[0].load(Ordering::Relaxed), w[1].load(Ordering::Relaxed)),
-        (7, 1)
-    );
+#[cfg(all(test, not(loom)))]
+#[allow(clippy::unwrap_used, reason = "test code")]
+mod unit {
+    use super::*;
+    use crate::LINE_WORDS;
+    use std::sync::Mutex;
+    use std::vec::Vec;
+
+    /// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may
+    /// keep them.
+    pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
+        /// Where Miri finds them, so that it sees no leak.
+        static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
+        let all: Box<[AtomicU32]> = (0..words + LINE_WORDS).map(|_| AtomicU32::new(0)).collect();
+        let all: &'static [AtomicU32] = Box::leak(all);
+        ALL.lock().unwrap().push(all);
+        let skip = all.as_ptr().align_offset(64);
+        &all[skip..skip + words]
+    }
+
+    #[test]
+    fn a_killed_operation_changes_nothing_more_and_a_frozen_one_goes_on() {
+        let w = zeroed(2);
+        let write = || {
+            w[0].store(1, Ordering::Relaxed);
+            w[1].store(1, Ordering::Relaxed);
+        };
+        assert_eq!(kill_at(1, write), None);
+        assert_eq!(
+            (w[0].load(Ordering::Relaxed), w[1].load(Ordering::Relaxed)),
+            (1, 0)
+        );
+        assert_eq!(kill_at(2, write), Some(()));
+        let ((), hit) = freeze_at(1, || w[0].store(7, Ordering::Relaxed), write);
+        assert!(hit);
+        assert_eq!(
+            (w[0].load(Ordering::Relaxed), w[1].load(Ordering::Relaxed)),
+            (7, 1)
+        );
+    }
 }

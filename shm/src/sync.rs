@@ -6,9 +6,9 @@ pub use core::sync::atomic::Ordering;
 pub use core::sync::atomic::{AtomicU32, fence};
 
 #[cfg(loom)]
-pub use loom::sync::atomic::{AtomicU32, fence};
+pub use loom::sync::atomic::fence;
 
-#[cfg(all(test, not(loom)))]
+#[cfg(any(loom, test))]
 pub use crate::step::AtomicU32;
 #[cfg(all(test, not(loom)))]
 pub use core::sync::atomic::fence;

@@ -81,6 +81,27 @@ fn a_new_life_that_takes_the_lock_after_another_is_seen_alive() {
     });
 }
 
+/// A core gives the lock back, is reset, and announces its next life while another core wants the
+/// lock: that core is told of no death.
+#[test]
+fn a_release_before_the_next_life_is_no_recovery() {
+    model(3, || {
+        let words = zeroed(LOCK_WORDS);
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut lock = start_lock(&words, 1, 1);
+                if let Ok(acquired) = lock.lock(2, spin) {
+                    assert!(!acquired.is_recovered(), "nobody died inside");
+                }
+            })
+        };
+        drop(start_lock(&words, 0, 1).try_lock());
+        lives(&words).announce(Life::new(0, 2).unwrap()).unwrap();
+        other.join().unwrap();
+    });
+}
+
 const BLOCKS: usize = 2;
 const POOL_WORDS: usize = OBJECT_AT + pool::words(BLOCKS);
 

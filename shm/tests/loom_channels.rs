@@ -86,6 +86,56 @@ fn broadcast_values_are_received_or_counted() {
     });
 }
 
+/// Two receivers: each gets every value whole and in order, or counts it as lost.
+#[test]
+fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
+    model(2, || {
+        let words = zeroed(broadcast::words(SHAPE));
+        let receive = |receiver: &mut broadcast::Receiver<'_>, next: &mut Option<u32>| {
+            let mut value = [0; 2];
+            match receiver.receive_into(&mut value) {
+                Ok(None) => {}
+                Ok(Some(number)) => {
+                    assert_eq!(value, [number; 2]);
+                    assert_eq!(number, next.unwrap_or(number));
+                    *next = Some(number + 1);
+                }
+                Err(Lost { count }) => *next = next.map(|next| next + count),
+            }
+        };
+        let sender = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut sender = broadcast::Sender::attach(&words, SHAPE).unwrap();
+                for k in 0..3 {
+                    sender.send(&[k, k]);
+                }
+            })
+        };
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || {
+                let mut receiver = broadcast::Receiver::attach_oldest(&words, SHAPE).unwrap();
+                let mut next = None;
+                for _ in 0..2 {
+                    receive(&mut receiver, &mut next);
+                }
+            })
+        };
+        let mut receiver = broadcast::Receiver::attach(&words, SHAPE).unwrap();
+        let mut next = None;
+        for _ in 0..2 {
+            receive(&mut receiver, &mut next);
+        }
+        sender.join().unwrap();
+        other.join().unwrap();
+        for _ in 0..4 {
+            receive(&mut receiver, &mut next);
+        }
+        assert!(matches!(next, None | Some(3)), "{next:?}");
+    });
+}
+
 /// Every value is received once, whole and in order. (That the producer does not refill a slot
 /// before the consumer has read it is beyond loom: it lets no load see a store that comes later.)
 #[test]

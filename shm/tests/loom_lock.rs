@@ -43,6 +43,8 @@ fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
         let guarded = Arc::new(UnsafeCell::new(0u32));
         let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
             let mut lock = Lock::attach(&words, life(core), lives(&words)).unwrap();
+            // The bound holds for cores that poll: more polls than a model has.
+            lock.set_patience(u32::MAX);
             for _ in 0..times[core] {
                 if let Ok(acquired) = lock.lock(LOOKS, spin) {
                     let Acquired::Clean(guard) = acquired else {
@@ -119,6 +121,39 @@ fn one_taker_is_told_of_the_death() {
     });
 }
 
+/// The patience path: a core waits and does not poll any more. Of two others that lose patience, or
+/// see it poll again, one at a time is inside.
+#[test]
+fn a_core_that_loses_patience_excludes_the_others() {
+    model(2, || {
+        let words = lock_words(3);
+        let guarded = Arc::new(UnsafeCell::new(()));
+        let take = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core, polls| {
+            let mut lock = Lock::attach(words, life(core), lives(words)).unwrap();
+            lock.set_patience(1);
+            if let Ok(acquired) = lock.lock(polls, spin) {
+                assert!(!acquired.is_recovered(), "nobody died");
+                guarded.with_mut(|_| ());
+            }
+        };
+        // Core 1 waits, as its bit says, and comes back late.
+        take(&words, &guarded, 0, 1);
+        words[0].fetch_or(1 << 7, Ordering::Relaxed);
+        let others: Vec<_> = [(1, 1), (2, 3)]
+            .map(|(core, polls)| {
+                let (words, guarded) = (words.clone(), guarded.clone());
+                thread::spawn(move || take(&words, &guarded, core, polls))
+            })
+            .into();
+        take(&words, &guarded, 0, 3);
+        for other in others {
+            other.join().unwrap();
+        }
+        // The bit of a core that does not wait any more holds nobody up.
+        take(&words, &guarded, 2, 3);
+    });
+}
+
 const BLOCKS: usize = 2;
 
 /// The words of a pool and a life table with cores 0 and 1 alive.
@@ -161,6 +196,69 @@ fn two_cores_get_different_blocks() {
         assert_eq!(pool.free_words(), 0);
         assert_ne!(handle.to_words()[0] & 0xFFFF, theirs.to_words()[0] & 0xFFFF);
         assert_eq!(pool.open(handle).unwrap()[0].load(Ordering::Relaxed), 2);
+    });
+}
+
+/// T-SHM-1: three cores borrow from two blocks, one of them both at once. No block is lent twice,
+/// and each core gets its words or is told why not.
+#[test]
+fn three_cores_borrow_without_overlap() {
+    model(2, || {
+        let words = pool_words();
+        pool_lives(&words).announce(life(2)).unwrap();
+        let guarded = Arc::new([UnsafeCell::new(()), UnsafeCell::new(())]);
+        let borrow = |words: &[AtomicU32], guarded: &[UnsafeCell<()>; 2], core, blocks| {
+            let pool = attach(words, core);
+            if let Ok(handle) = pool.get(blocks * BLOCK_WORDS) {
+                let first = (handle.to_words()[0] & 0xFFFF) as usize;
+                for block in first..first + blocks {
+                    guarded[block].with_mut(|_| ());
+                }
+                pool.give_back(handle).unwrap();
+            }
+        };
+        let others: Vec<_> = [(1, 2), (2, 1)]
+            .map(|(core, blocks)| {
+                let (words, guarded) = (words.clone(), guarded.clone());
+                thread::spawn(move || borrow(&words, &guarded, core, blocks))
+            })
+            .into();
+        borrow(&words, &guarded, 0, 1);
+        for other in others {
+            other.join().unwrap();
+        }
+        assert_eq!(attach(&words, 0).free_words(), BLOCKS * BLOCK_WORDS);
+    });
+}
+
+/// T-SHM-2: two cores reclaim and borrow what a third one, dead, owns. It is freed once, and lent
+/// once.
+#[test]
+fn the_words_of_the_dead_are_reclaimed_once() {
+    model(3, || {
+        let words = pool_words();
+        let guarded = Arc::new(UnsafeCell::new(()));
+        let lost = attach(&words, 0).get(BLOCKS * BLOCK_WORDS).unwrap();
+        let reuse = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core| {
+            pool_lives(words).announce(life(core)).unwrap();
+            let pool = attach(words, core);
+            let reclaimed = pool.reclaim_dead();
+            if let Ok(handle) = pool.get(BLOCKS * BLOCK_WORDS) {
+                guarded.with_mut(|_| ());
+                pool.give_back(handle).unwrap();
+            }
+            reclaimed
+        };
+        let other = {
+            let (words, guarded) = (words.clone(), guarded.clone());
+            thread::spawn(move || reuse(&words, &guarded, 1))
+        };
+        pool_lives(&words).mark_dead(life(0));
+        let reclaimed = reuse(&words, &guarded, 2) + other.join().unwrap();
+        assert!(reclaimed <= BLOCKS * BLOCK_WORDS, "freed twice");
+        let pool = attach(&words, 2);
+        assert!(pool.open(lost).is_err());
+        assert_eq!(pool.free_words(), BLOCKS * BLOCK_WORDS);
     });
 }
 

@@ -77,3 +77,35 @@ fn no_task_is_missed() {
         assert_eq!(handled, [0, 1, 0, 2]);
     });
 }
+
+/// T-SYNC-3: both ends are replaced while the other one works: each signal is handled once, since
+/// no end dies inside an operation, and a sleeping successor is rung.
+#[test]
+fn replaced_ends_lose_no_signal() {
+    model(3, || {
+        let words = zeroed(WORDS);
+        let doorbell = Arc::new(Notify::new());
+        let task = TaskId::new(1).unwrap();
+        let sending = {
+            let (words, doorbell) = (words.clone(), doorbell.clone());
+            thread::spawn(move || {
+                for _ in 0..2 {
+                    let mut sender = Sender::attach(&words).unwrap();
+                    if sender.signal(task) == Ring::Needed {
+                        doorbell.notify();
+                    }
+                }
+            })
+        };
+        let mut handled = 0;
+        while handled < 2 {
+            let mut receiver = Receiver::attach(&words).unwrap();
+            receiver.poll(|open| handled += open.count);
+            if handled < 2 && receiver.prepare_sleep() {
+                doorbell.wait();
+            }
+        }
+        sending.join().unwrap();
+        assert_eq!(handled, 2);
+    });
+}

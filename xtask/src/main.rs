@@ -7,6 +7,7 @@ mod requirements;
 mod rta;
 mod task_tables;
 mod tidy;
+mod weakened;
 
 use anyhow::{Context, Result, bail};
 use clap::{Parser, Subcommand};
@@ -65,7 +66,14 @@ enum Task {
         check: bool,
     },
     /// Model-check the primitives of shm with loom
-    Loom,
+    Loom {
+        /// Relax each memory ordering in turn: a model must fail (some twenty minutes)
+        #[arg(long)]
+        weakened: bool,
+        /// Only orderings in functions whose name contains this
+        #[arg(long, requires = "weakened", default_value = "")]
+        only: String,
+    },
     /// Run the tests of shm under Miri, on 64 and on 32 bit, and those of its interface for C
     Miri,
     /// Build, run and measure the bare-metal images under QEMU
@@ -136,7 +144,10 @@ fn execute() -> Result<()> {
         Task::Requirements { require } => requirements::run(root, &require),
         Task::BareMetal => bare_metal(root),
         Task::CHeader { check } => c_header(root, check),
-        Task::Loom => loom(root),
+        Task::Loom {
+            weakened: false, ..
+        } => loom(root),
+        Task::Loom { only, .. } => weakened::run(root, &only),
         Task::Miri => miri(root),
         Task::Firmware(task) => firmware::run(root, task),
         Task::Rta {

@@ -1,0 +1,192 @@
+//! loom models of deaths at each access to shared memory, beside running threads.
+#![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod common;
+
+use common::{model, zeroed};
+use loom::cell::UnsafeCell;
+use loom::sync::Arc;
+use loom::thread;
+use tandem_shm::life::{Life, Lives};
+use tandem_shm::lock::{self, Lock};
+use tandem_shm::mailbox::{self, Receiver, Sender, TaskId};
+use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
+use tandem_shm::step::kill_at;
+use tandem_shm::sync::{AtomicU32, Ordering, spin};
+
+const OBJECT_AT: usize = Lives::WORDS;
+
+fn lives(words: &[AtomicU32]) -> Lives<'_> {
+    Lives::attach(words).unwrap()
+}
+
+fn announce(words: &[AtomicU32], core: usize, generation: u32) -> Life {
+    let life = Life::new(core, generation).unwrap();
+    lives(words).announce(life).unwrap();
+    life
+}
+
+fn lock(words: &[AtomicU32], life: Life) -> Lock<'_> {
+    Lock::attach(&words[OBJECT_AT..], life, lives(words)).unwrap()
+}
+
+const BLOCKS: usize = 3;
+
+fn pool(words: &[AtomicU32], life: Life) -> Pool<'_> {
+    Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives(words)).unwrap()
+}
+
+/// T-LOCK-3: the owner dies at any access of taking and releasing, while another core wants the
+/// lock. One core at a time is inside; the taker is told of the death if and only if the owner
+/// died between the two.
+#[test]
+fn a_lock_survives_its_owner_at_every_access() {
+    for at in 0..7 {
+        model(2, move || {
+            let words = zeroed(OBJECT_AT + lock::WORDS);
+            let guarded = Arc::new(UnsafeCell::new(()));
+            let dying = {
+                let (words, guarded) = (words.clone(), guarded.clone());
+                thread::spawn(move || {
+                    let life = announce(&words, 0, 1);
+                    let mut lock = lock(&words, life);
+                    let mut inside = false;
+                    let end = kill_at(at, || {
+                        if let Some(guard) = lock.try_lock() {
+                            assert!(!guard.is_recovered());
+                            inside = true;
+                            guarded.with_mut(|_| ());
+                            drop(guard);
+                        }
+                    });
+                    lives(&words).mark_dead(life);
+                    inside && end.is_none()
+                })
+            };
+            let life = announce(&words, 1, 1);
+            let mut lock = lock(&words, life);
+            let mut told = 0;
+            let mut take = |polls| {
+                if let Ok(acquired) = lock.lock(polls, spin) {
+                    told += u32::from(acquired.is_recovered());
+                    guarded.with_mut(|_| ());
+                }
+            };
+            take(2);
+            let died_inside = dying.join().unwrap();
+            take(1);
+            // Killed at its compare-and-swap or before, it never was inside.
+            assert_eq!(told, u32::from(died_inside));
+        });
+    }
+}
+
+/// T-SHM-2: a core dies at any access of borrowing two blocks and giving them back, while another
+/// borrows. Nothing is lent twice, and everything comes back.
+#[test]
+fn a_pool_survives_a_borrower_at_every_access() {
+    for at in 0..14 {
+        model(2, move || {
+            let words = zeroed(OBJECT_AT + pool::words(BLOCKS));
+            let dying = {
+                let words = words.clone();
+                thread::spawn(move || {
+                    let life = announce(&words, 0, 1);
+                    let pool = pool(&words, life);
+                    kill_at(at, || {
+                        if let Ok(handle) = pool.get(2 * BLOCK_WORDS) {
+                            let own = pool.open(handle).unwrap();
+                            own[0].store(1, Ordering::Relaxed);
+                            own[BLOCK_WORDS].store(1, Ordering::Relaxed);
+                            assert_eq!(own[BLOCK_WORDS].load(Ordering::Relaxed), 1);
+                            pool.give_back(handle).unwrap();
+                        }
+                    });
+                    lives(&words).mark_dead(life);
+                })
+            };
+            let life = announce(&words, 1, 1);
+            let pool = pool(&words, life);
+            let got = pool.get(1);
+            if let Ok(handle) = got {
+                let own = pool.open(handle).unwrap();
+                own[0].store(2, Ordering::Relaxed);
+                assert_eq!(own[0].load(Ordering::Relaxed), 2);
+            }
+            dying.join().unwrap();
+            if let Ok(handle) = got {
+                pool.give_back(handle).unwrap();
+            }
+            let all = pool.get(BLOCKS * BLOCK_WORDS);
+            assert!(all.is_ok(), "killed at {at}: {all:?}");
+        });
+    }
+}
+
+/// T-SYNC-3: a sender dies at any access of a signal and is replaced while the receiver polls. What
+/// it had counted is handled, exactly once.
+#[test]
+fn a_mailbox_survives_its_sender_at_every_access() {
+    let task = TaskId::new(1).unwrap();
+    for at in 0..6 {
+        model(2, move || {
+            let words = zeroed(mailbox::WORDS);
+            let sending = {
+                let words = words.clone();
+                thread::spawn(move || {
+                    let mut sender = Sender::attach(&words).unwrap();
+                    let sent = kill_at(at, || sender.signal_with(task, 7)).is_some();
+                    let mut successor = Sender::attach(&words).unwrap();
+                    let _ = successor.signal_with(task, 8);
+                    sent
+                })
+            };
+            let mut receiver = Receiver::attach(&words).unwrap();
+            let mut handled = 0;
+            let mut poll = |receiver: &mut Receiver<'_>| {
+                receiver.poll(|open| {
+                    handled += open.count;
+                    assert!(
+                        matches!(open.value, 7 | 8),
+                        "a value comes before its count"
+                    );
+                });
+            };
+            poll(&mut receiver);
+            let sent = sending.join().unwrap();
+            poll(&mut receiver);
+            assert!(handled == 2 || handled == 1 && !sent, "{handled}, {sent}");
+        });
+    }
+}
+
+/// T-SYNC-3: a receiver dies at any access of a poll and is replaced while the sender sends. Each
+/// signal is handled at least once.
+#[test]
+fn a_mailbox_survives_its_receiver_at_every_access() {
+    let task = TaskId::new(1).unwrap();
+    for at in 0..8 {
+        model(2, move || {
+            let words = zeroed(mailbox::WORDS);
+            let sending = {
+                let words = words.clone();
+                thread::spawn(move || {
+                    let mut sender = Sender::attach(&words).unwrap();
+                    let _ = sender.signal(task);
+                    let _ = sender.signal(task);
+                })
+            };
+            let mut handled = 0;
+            let mut receiver = Receiver::attach(&words).unwrap();
+            kill_at(at, || {
+                receiver.poll(|open| handled += open.count);
+            });
+            let mut successor = Receiver::attach(&words).unwrap();
+            successor.poll(|open| handled += open.count);
+            sending.join().unwrap();
+            successor.poll(|open| handled += open.count);
+            assert!((2..=4).contains(&handled), "{handled}");
+        });
+    }
+}
