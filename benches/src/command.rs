@@ -3,9 +3,9 @@
 use crate::cases::{self, Case, Group};
 use crate::compare::{self, CompareError, Comparison};
 use crate::measure::{self, Measurement};
+use crate::page;
 use crate::places::{self, Folder, Place, PlaceError};
 use crate::result::Results;
-use crate::{hgrm, html};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -166,7 +166,7 @@ impl Outputs {
         }
         if let Some(place) = self.html {
             place
-                .write(&html::page(results))
+                .write(&page::page(results))
                 .map_err(BenchError::NotWritten)?;
         }
         if let Some(folder) = self.hgrm {
@@ -174,7 +174,7 @@ impl Outputs {
             let file = |one: &Measurement| {
                 let name = one.case.full_name().replace('/', "-") + ".hgrm";
                 // Picoseconds, shown in nanoseconds.
-                let mut text = hgrm::text(&one.times, 1e-3);
+                let mut text = tandem_page::hgrm::text(&one.times, 1e-3);
                 if results.interrupted {
                     text += "#[Interrupted: fewer samples than planned]\n";
                 }

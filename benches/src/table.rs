@@ -1,55 +1,16 @@
 //! The results as tables for the terminal, one for each group.
 
-use crate::figures::{self, Unit};
+use crate::columns::{self, Column};
 use crate::result::{Results, Row};
 use std::fmt::Write as _;
+use tandem_page::format::{self, Unit};
 
 /// The narrowest terminal that the tables are made for, in columns.
 pub const NARROWEST: usize = 80;
 /// Width where nobody says one: a file, a pipe.
 pub const USUAL: usize = 120;
 
-/// One column of figures.
-struct Column {
-    head: &'static str,
-    cell: fn(&Row, Unit) -> Option<String>,
-    /// 0 is always shown; the others, from 1 on, as far as the width permits.
-    rank: u8,
-}
-
 const WIDTH: usize = 9;
-
-const fn column(head: &'static str, rank: u8, cell: fn(&Row, Unit) -> Option<String>) -> Column {
-    Column { head, cell, rank }
-}
-
-/// In the order of showing. A column without any figure in a group is left out.
-const COLUMNS: [Column; 11] = [
-    column("p50", 0, |row, unit| Some(unit.show(row.p50_ns))),
-    column("p90", 4, |row, unit| Some(unit.show(row.p90_ns))),
-    column("p99", 0, |row, unit| Some(unit.show(row.p99_ns))),
-    column("p99.9", 0, |row, unit| Some(unit.show(row.p99_9_ns))),
-    column("max", 3, |row, unit| Some(unit.show(row.max_ns))),
-    column("x p50", 0, |row, _| {
-        row.ratio_to_floor_p50.map(figures::ratio)
-    }),
-    column("x p99.9", 0, |row, _| {
-        row.ratio_to_floor_p99_9.map(figures::ratio)
-    }),
-    column("and back", 1, |row, unit| {
-        row.round_trip.map(|trip| unit.show(trip.p50_ns))
-    }),
-    column("M msg/s", 0, |row, _| {
-        row.messages_per_second
-            .map(|rate| figures::number(rate / 1e6))
-    }),
-    column("MB/s", 1, |row, _| {
-        row.bytes_per_second.map(|rate| figures::number(rate / 1e6))
-    }),
-    column("CPU/msg", 2, |row, unit| {
-        row.cpu_ns_per_message.map(|cpu| unit.show(cpu))
-    }),
-];
 
 impl Results {
     /// The tables for a terminal of this width in columns.
@@ -116,7 +77,7 @@ impl Results {
                 "A program that does nothing but read the clock on {} is held up for {} at worst: \
                  no tail\nof a case can be better than the machine's own.\n",
                 row.case(),
-                figures::time(row.max_ns)
+                format::time(row.max_ns)
             )
         })
     }
@@ -132,7 +93,7 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
         .max()
         .unwrap_or(0)
         .max(22);
-    let columns = columns(rows, unit, width.saturating_sub(names));
+    let columns = fitting(rows, width.saturating_sub(names));
     let used = names + columns.len() * WIDTH;
     let what = rows.iter().map(|row| row.what.chars().count()).max();
     let with_what = what.is_some_and(|what| used + 3 + what <= width);
@@ -145,7 +106,9 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
     for row in rows {
         let _ = write!(text, "  {:<indent$}", row.case());
         for column in &columns {
-            let cell = (column.cell)(row, unit).unwrap_or_else(|| "-".to_owned());
+            let cell = column
+                .cell(row, |ns| unit.show(ns))
+                .unwrap_or_else(|| "-".to_owned());
             let _ = write!(text, "{cell:>WIDTH$}");
         }
         if with_what {
@@ -161,7 +124,7 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
 fn facts(row: &Row, width: usize) -> String {
     let mut lines: Vec<String> = Vec::new();
     for (name, value) in &row.facts {
-        let fact = figures::fact(name, *value);
+        let fact = format::fact(name, *value);
         match lines.last_mut() {
             Some(line) if line.chars().count() + fact.chars().count() + 9 <= width => {
                 *line += &format!(" · {fact}");
@@ -173,13 +136,13 @@ fn facts(row: &Row, width: usize) -> String {
 }
 
 /// The columns that these rows fill and that fit.
-fn columns(rows: &[&Row], unit: Unit, width: usize) -> Vec<&'static Column> {
-    let filled = |column: &&Column| rows.iter().any(|row| (column.cell)(row, unit).is_some());
-    let filled: Vec<&'static Column> = COLUMNS.iter().filter(filled).collect();
-    let up_to = |rank| move |column: &&'static Column| column.rank <= rank;
-    let fits = |rank: &u8| filled.iter().copied().filter(up_to(*rank)).count() * WIDTH <= width;
-    let rank = (0..=4).rev().find(fits).unwrap_or(0);
-    filled.iter().copied().filter(up_to(rank)).collect()
+fn fitting(rows: &[&Row], width: usize) -> Vec<&'static Column> {
+    let ranks = (0..columns::PAGE).rev();
+    let mut choices = ranks.map(|rank| columns::filled(rows, rank));
+    let fits = |columns: &Vec<&Column>| columns.len() * WIDTH <= width;
+    choices
+        .find(fits)
+        .unwrap_or_else(|| columns::filled(rows, 0))
 }
 
 #[cfg(test)]

@@ -51,7 +51,7 @@ impl Spans {
 
     /// The text of a `.hgrm` file, values in milliseconds.
     pub(crate) fn to_hgrm(&self) -> String {
-        tandem_benches::hgrm::text(&self.histogram, 1e-6)
+        tandem_page::hgrm::text(&self.histogram, 1e-6)
     }
 }
 

@@ -367,7 +367,7 @@ impl Collected {
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
         let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
-        let page = report::page(&self.log, &self.timeline, &metrics)?;
+        let page = report::page(&self.log, &self.timeline, &metrics);
         let trace = timeline::encode(&self.timeline, &self.log);
         for (name, content) in [
             (output::REPORT, page.into_bytes()),

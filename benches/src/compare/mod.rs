@@ -16,13 +16,14 @@
 
 mod table;
 
-use crate::family::Family;
-use crate::result::{Results, Row, SCHEMA, median};
+use crate::provider::Provider;
+use crate::result::{Results, Row, SCHEMA};
 use crate::stats::{self, Interval};
 use serde::{Deserialize, Serialize};
 use std::collections::HashSet;
 use std::io;
 use std::path::{Path, PathBuf};
+use tandem_page::format::median;
 
 /// First field of the comparison's JSON.
 const COMPARE_SCHEMA: &str = "tandem-bench-compare/1";
@@ -295,7 +296,7 @@ pub fn compare((a_path, a): (&Path, &Results), (b_path, b): (&Path, &Results)) -
 
 /// Floors, peers, Tandem's.
 fn kind(row: &Row) -> (bool, bool) {
-    (row.is_floor(), Family::of(row).is_peer())
+    (row.is_floor(), Provider::of(row).is_peer())
 }
 
 fn floor_of(row: &Row) -> String {
@@ -319,7 +320,7 @@ fn case(rows: [&Row; 2], floors: [Option<&Row>; 2], family: usize) -> Compared {
         name: rows[0].name.clone(),
         group: rows[0].group.clone(),
         is_floor,
-        is_peer: Family::of(rows[0]).is_peer(),
+        is_peer: Provider::of(rows[0]).is_peer(),
         p50: change(|row| row.p50_ns, |row| &row.batch_p50_ns),
         p99: change(|row| row.p99_ns, |row| &row.batch_p99_ns),
     }

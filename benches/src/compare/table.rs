@@ -1,8 +1,8 @@
 //! The comparison as a table for the terminal.
 
 use super::{ALPHA, Compared, Comparison, Relative, SMALLEST_CHANGE, Verdict};
-use crate::figures::Unit;
 use std::fmt::Write as _;
+use tandem_page::format::Unit;
 
 /// Signs of a relative change: `+10.2 %`.
 fn percent(change: f64) -> String {

@@ -8,6 +8,7 @@ use crate::measure::Measurement;
 use hdrhistogram::Histogram;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use tandem_page::format::median;
 
 /// First field of the file; its version rises when a reader must know.
 pub const SCHEMA: &str = "tandem-bench/1";
@@ -243,15 +244,6 @@ fn facts(of: &Measurement) -> BTreeMap<String, f64> {
         Some((name.to_owned(), rounded(value?, 1e4)))
     };
     all.into_iter().filter_map(one).collect()
-}
-
-/// The middle of these values; `None` if there is none.
-pub(crate) fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    let upper = *sorted.get(sorted.len() / 2)?;
-    let lower = *sorted.get((sorted.len() - 1) / 2)?;
-    Some(f64::midpoint(lower, upper))
 }
 
 fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {

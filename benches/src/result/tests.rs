@@ -149,10 +149,3 @@ fn a_curve_ends_where_ten_samples_are_left() {
     let few = measured("spin/floor", &[vec![1, 2, 3]]);
     assert!(Row::new(&few, None).curve.is_empty());
 }
-
-#[test]
-fn the_median_is_the_middle() {
-    assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
-    assert_eq!(median(&[4.0, 1.0]), Some(2.5));
-    assert_eq!(median(&[]), None);
-}

@@ -192,7 +192,7 @@ pub fn shift(a: &[f64], b: &[f64], confidence: f64) -> Option<Interval> {
         .collect();
     differences.sort_unstable_by(f64::total_cmp);
     let count = differences.len();
-    let middle = crate::result::median(&differences)?;
+    let middle = tandem_page::format::median(&differences)?;
     // The test does not reject a shift that has more than `cut` differences on either side.
     let (low, high) = match cut(a.len(), b.len(), (1.0 - confidence) / 2.0) {
         Some(cut) => (differences[cut], differences[count - 1 - cut]),

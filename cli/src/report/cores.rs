@@ -1,17 +1,16 @@
 //! The cores in the report: a timeline around the moment that matters, and the tasks' figures.
 
-use std::fmt::Write as _;
-
-use maud::{Markup, PreEscaped, html};
-use plotters::style::RGBColor;
+use maud::{Markup, html};
 use tandem_board::{CoreId, SupplyEvent, SystemId};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::Event;
 
+use tandem_page::chart::{WIDTH, plain, round_ticks};
+use tandem_page::svg::{Anchor, Color, Stroke, Svg};
+use tandem_page::{format, legend, section};
 use tandem_record::{RunLog, Takeover};
 use tandem_vehicle::Verdict;
 
-use super::charts::{color, plain, round_ticks};
 use crate::metrics::Metrics;
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
@@ -21,7 +20,6 @@ const WIDE_MS: (f64, f64) = (-40.0, 20.0);
 const CLOSE_MS: (f64, f64) = (-2.5, 0.5);
 /// What is shown around a pass through the chain, ms.
 const AROUND_CHAIN_MS: f64 = 0.1;
-const WIDTH: f64 = 1080.0;
 const LABELS: f64 = 150.0;
 const RIGHT: f64 = 14.0;
 const TOP: f64 = 42.0;
@@ -29,19 +27,19 @@ const ROW: f64 = 34.0;
 const BAR: f64 = 22.0;
 /// Space between the two systems, and before the vehicle.
 const GAP: f64 = 12.0;
-/// A shorter slice is drawn this wide, else nobody would see it.
+/// A shorter slice is drawn this wide, so that it can be seen.
 const NARROWEST: f64 = 1.2;
 
 /// The legend: what the colours of slices mean.
-const LEGEND: [(TaskCode, RGBColor); 8] = [
-    (TaskCode::CONTROL, color::A),
-    (TaskCode::DEGRADED, color::WARN),
-    (TaskCode::ROLES, color::CALM),
-    (TaskCode::MONITORING, color::MUTED),
-    (TaskCode::STATUS, color::OTHER),
-    (TaskCode::TRAJECTORY_INPUT, color::BAD),
-    (TaskCode::PERCEPTION, color::GOOD),
-    (TaskCode::PLANNING, color::B),
+const LEGEND: [(TaskCode, Color); 8] = [
+    (TaskCode::CONTROL, Color::A),
+    (TaskCode::DEGRADED, Color::WARN),
+    (TaskCode::ROLES, Color::CALM),
+    (TaskCode::MONITORING, Color::MUTED),
+    (TaskCode::STATUS, Color::OTHER),
+    (TaskCode::TRAJECTORY_INPUT, Color::BAD),
+    (TaskCode::PERCEPTION, Color::GOOD),
+    (TaskCode::PLANNING, Color::B),
 ];
 
 /// The timeline around the first takeover from a master that failed, or of some moment of a run
@@ -67,43 +65,29 @@ pub(super) fn timeline(log: &RunLog, timeline: &Timeline, takeovers: &[Takeover]
         drawing.only = Some(system);
         drawing.draw(log, timeline, "One pass through the chain")
     });
-    html! {
-        section {
-            div.head {
-                h2 { (title) }
-                div.legend {
-                    @for (code, RGBColor(r, g, b)) in LEGEND {
-                        span {
-                            i.box style=(format!("background:#{r:02x}{g:02x}{b:02x}")) {}
-                            (code.name().unwrap_or_default())
-                        }
-                    }
-                }
-            }
-            p.note {
-                "What ran when, in milliseconds"
-                @if takeover.is_some() { " from the new master's first obeyed frame on" }
-                ". Arrows are signals from core to core; dots are control frames that the vehicle \
-                 obeyed (a cross: did not). Narrow slices are drawn wider than they were. The \
-                 whole run is in "
-                code { "trace.perfetto-trace" }
-                ": open it at ui.perfetto.dev."
-            }
-            (PreEscaped(wide))
-            @if let Some(close) = close {
-                p.note { "The last milliseconds of it." }
-                (PreEscaped(close))
-            }
+    let colors = LEGEND.map(|(code, color)| (code.name().unwrap_or_default(), Some(color)));
+    let note = format!(
+        "What ran when, in milliseconds{}. Arrows are signals from core to core; dots are control \
+         frames that the vehicle obeyed, crosses those that it refused. Narrow slices are drawn \
+         wider than they were. The whole run is in trace.perfetto-trace: open it at ui.perfetto.dev.",
+        if takeover.is_some() {
+            " from the new master's first obeyed frame on"
+        } else {
+            ""
         }
+    );
+    let pictures = html! {
+        (wide)
+        @if let Some(close) = close {
+            p.note { "The last milliseconds of it." }
+            (close)
+        }
+    };
+    html! {
+        (section(title, &legend(colors.into_iter()), &note, &pictures))
         @if let Some(chain) = chain {
-            section {
-                h2 { "One pass through the chain" }
-                p.note {
-                    "From the measurement on core 1 over core 2 to core 0, the median of all passes, \
-                     in milliseconds."
-                }
-                (PreEscaped(chain))
-            }
+            (section("One pass through the chain", &html! {}, "From the measurement on core 1 over \
+                core 2 to core 0, the median of all passes, in milliseconds.", &chain))
         }
     }
 }
@@ -149,16 +133,12 @@ fn quiet_moment(timeline: &Timeline) -> Option<u64> {
     Some(moment + 10_000_000)
 }
 
-fn hex(RGBColor(r, g, b): RGBColor) -> String {
-    format!("#{r:02X}{g:02X}{b:02X}")
-}
-
-fn task_color(work: Work) -> RGBColor {
+fn task_color(work: Work) -> Color {
     let known = LEGEND
         .iter()
         .find(|(code, ..)| Work::Task(*code) == work)
         .map(|(.., color)| *color);
-    known.unwrap_or(color::PALE)
+    known.unwrap_or(Color::PALE)
 }
 
 struct Drawing {
@@ -167,7 +147,7 @@ struct Drawing {
     zero_ns: u64,
     from_ms: f64,
     to_ms: f64,
-    svg: String,
+    svg: Svg,
 }
 
 impl Drawing {
@@ -177,7 +157,8 @@ impl Drawing {
             zero_ns,
             from_ms,
             to_ms,
-            svg: String::new(),
+            // Its height is set when the rows are known.
+            svg: Svg::new(WIDTH, 0.0),
         }
     }
 
@@ -218,12 +199,8 @@ impl Drawing {
         self.only.is_none_or(|only| only == system)
     }
 
-    fn draw(mut self, log: &RunLog, timeline: &Timeline, title: &str) -> String {
-        let height = self.bottom() + 26.0;
-        let _ = write!(
-            self.svg,
-            r#"<svg role="img" aria-label="{title}" viewBox="0 0 {WIDTH} {height}" font-size="14" font-family="sans-serif">"#
-        );
+    fn draw(mut self, log: &RunLog, timeline: &Timeline, title: &str) -> Markup {
+        self.svg = Svg::new(WIDTH, self.bottom() + 26.0);
         self.axis();
         let only = self.only;
         for line in timeline
@@ -238,24 +215,7 @@ impl Drawing {
             self.vehicle(log);
         }
         self.deaths(timeline);
-        self.svg += "</svg>";
-        self.svg
-    }
-
-    fn text(&mut self, x: f64, y: f64, anchor: &str, fill: RGBColor, text: &str) {
-        let fill = hex(fill);
-        let _ = write!(
-            self.svg,
-            r#"<text x="{x:.1}" y="{y:.1}" text-anchor="{anchor}" fill="{fill}">{text}</text>"#
-        );
-    }
-
-    fn line(&mut self, from: (f64, f64), to: (f64, f64), stroke: RGBColor, more: &str) {
-        let ((x1, y1), (x2, y2), stroke) = (from, to, hex(stroke));
-        let _ = write!(
-            self.svg,
-            r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" stroke="{stroke}" {more}/>"#
-        );
+        self.svg.finish("chart", title)
     }
 
     fn axis(&mut self) {
@@ -263,10 +223,12 @@ impl Drawing {
         for tick_ms in round_ticks((self.from_ms, self.to_ms), 8) {
             let part = (tick_ms - self.from_ms) / (self.to_ms - self.from_ms);
             let x = LABELS + part * (WIDTH - LABELS - RIGHT);
-            self.line((x, TOP - 6.0), (x, bottom), color::GRID, "");
+            self.svg
+                .line((x, TOP - 6.0), (x, bottom), Stroke::new(Color::GRID, 1.0));
             let unit = if tick_ms.abs() < 1e-9 { " ms" } else { "" };
             let label = plain(tick_ms) + unit;
-            self.text(x, bottom + 18.0, "middle", color::MUTED, &label);
+            let place = (x, bottom + 18.0);
+            self.svg.text(place, Anchor::Middle, Color::MUTED, &label);
         }
     }
 
@@ -279,9 +241,11 @@ impl Drawing {
         };
         let label = format!("{}{} {name}", line.system, line.core.index());
         let color = system_color(line.system);
-        self.text(LABELS - 10.0, top + BAR - 5.0, "end", color, &label);
+        let place = (LABELS - 10.0, top + BAR - 5.0);
+        self.svg.text(place, Anchor::End, color, &label);
         let base = (LABELS, top + BAR);
-        self.line(base, (WIDTH - RIGHT, top + BAR), color::PALE, "");
+        let pale = Stroke::new(Color::PALE, 1.0);
+        self.svg.line(base, (WIDTH - RIGHT, top + BAR), pale);
         let shown = |slice: &&Slice| {
             self.ms(slice.end_ns) >= self.from_ms && self.ms(slice.begin_ns) <= self.to_ms
         };
@@ -295,11 +259,9 @@ impl Drawing {
         let rings: Vec<u64> = line.marks.iter().filter(rung).map(|m| m.at_ns).collect();
         for at_ns in rings {
             let x = self.x(at_ns);
-            let (low, fill) = (top + BAR, hex(color::MUTED));
-            let _ = write!(
-                self.svg,
-                r#"<path d="M{x:.1} {low:.1}l-3 6h6z" fill="{fill}"><title>doorbell</title></path>"#
-            );
+            let low = top + BAR;
+            let corners = [(x, low), (x - 3.0, low + 6.0), (x + 3.0, low + 6.0)];
+            self.svg.shape(corners.into_iter(), Color::MUTED);
         }
     }
 
@@ -307,15 +269,13 @@ impl Drawing {
         let (from, to) = (self.x(slice.begin_ns), self.x(slice.end_ns));
         let inset = (5.0 * slice.depth as f64).min(BAR - 6.0);
         let (width, height) = ((to - from).max(NARROWEST), BAR - inset);
-        let (y, fill) = (top + inset, hex(task_color(slice.work)));
+        let (y, fill) = (top + inset, task_color(slice.work));
         let name = slice.work.name(line.core);
         let span_ms = (slice.end_ns - slice.begin_ns) as f64 * 1e-6;
         let begin_ms = self.ms(slice.begin_ns);
         let end = if slice.cut { ", cut short" } else { "" };
-        let _ = write!(
-            self.svg,
-            r#"<rect x="{from:.1}" y="{y:.1}" width="{width:.1}" height="{height:.1}" fill="{fill}"><title>{name}: {span_ms:.3} ms from {begin_ms:.3} ms on{end}</title></rect>"#
-        );
+        let title = format!("{name}: {span_ms:.3} ms from {begin_ms:.3} ms on{end}");
+        self.svg.rect((from, y), (width, height), fill, &title);
     }
 
     fn flows(&mut self, timeline: &Timeline) {
@@ -330,37 +290,35 @@ impl Drawing {
                 |core, lower: bool| self.row(flow.system, core) + if lower { BAR } else { 0.0 };
             let begin = (self.x(from_ns), edge(from, down));
             let end = (self.x(to_ns), edge(to, !down));
-            self.line(begin, end, color::BAD, r#"stroke-width="1.5""#);
-            let (x, y, fill) = (end.0, end.1, hex(color::BAD));
-            let tip = if down { -7 } else { 7 };
-            let _ = write!(
-                self.svg,
-                r#"<path d="M{x:.1} {y:.1}l-3.5 {tip}h7z" fill="{fill}"/>"#
-            );
+            self.svg.line(begin, end, Stroke::new(Color::BAD, 1.5));
+            let (x, y) = end;
+            let back = y + if down { -7.0 } else { 7.0 };
+            let corners = [(x, y), (x - 3.5, back), (x + 3.5, back)];
+            self.svg.shape(corners.into_iter(), Color::BAD);
         }
     }
 
     fn vehicle(&mut self, log: &RunLog) {
         let middle = self.vehicle_row() + BAR / 2.0;
         let label = "control frames";
-        self.text(LABELS - 10.0, middle + 5.0, "end", color::MUTED, label);
+        let place = (LABELS - 10.0, middle + 5.0);
+        self.svg.text(place, Anchor::End, Color::MUTED, label);
         for frame in &log.control {
             if !self.shows(frame.at_ns) {
                 continue;
             }
             let x = self.x(frame.at_ns);
             let color = system_color(frame.system);
-            let (name, ms, fill) = (frame.system, self.ms(frame.at_ns), hex(color));
-            let _ = match frame.verdict {
-                Verdict::Accepted => write!(
-                    self.svg,
-                    r#"<circle cx="{x:.1}" cy="{middle:.1}" r="4" fill="{fill}"><title>{name}, {ms:.3} ms</title></circle>"#
-                ),
-                _ => write!(
-                    self.svg,
-                    r#"<path d="M{x:.1} {middle:.1}m-4 -4l8 8m0 -8l-8 8" stroke="{fill}" stroke-width="2"/>"#
-                ),
-            };
+            if frame.verdict == Verdict::Accepted {
+                let title = format!("{}, {:.3} ms", frame.system, self.ms(frame.at_ns));
+                self.svg.circle((x, middle), 4.0, color, false, &title);
+                continue;
+            }
+            let stroke = Stroke::new(color, 2.0);
+            for rise in [-4.0, 4.0] {
+                let (from, to) = ((x - 4.0, middle - rise), (x + 4.0, middle + rise));
+                self.svg.line(from, to, stroke);
+            }
         }
     }
 
@@ -381,29 +339,30 @@ impl Drawing {
             let x = self.x(*at_ns);
             let top = self.row(*system, CoreId::CONTROL) - 4.0;
             let bottom = self.row(*system, CoreId::PLANNING) + BAR + 4.0;
-            let dashed = r#"stroke-width="1.5" stroke-dasharray="4 3""#;
-            self.line((x, top), (x, bottom), color::BAD, dashed);
+            let dashed = Stroke::new(Color::BAD, 1.5).dashed("4 3");
+            self.svg.line((x, top), (x, bottom), dashed);
             let second = lanes_used % 2 == 1;
             let y = if second { 30.0 } else { 14.0 };
             lanes_used += 1;
-            self.line((x, y + 3.0), (x, top), color::BAD, r#"stroke-width="0.7""#);
+            let thin = Stroke::new(Color::BAD, 0.7);
+            self.svg.line((x, y + 3.0), (x, top), thin);
             // The second one to the right, so that it does not cross the line of the first.
-            if second && x < WIDTH - 120.0 {
-                self.text(x + 4.0, y, "start", color::BAD, &label);
-            } else {
-                self.text(x - 4.0, y, "end", color::BAD, &label);
-            }
+            let (x, anchor) = match second && x < WIDTH - 120.0 {
+                true => (x + 4.0, Anchor::Start),
+                false => (x - 4.0, Anchor::End),
+            };
+            self.svg.text((x, y), anchor, Color::BAD, &label);
         }
         let x = self.x(self.zero_ns);
-        let line = r#"stroke-width="1""#;
-        self.line((x, TOP - 12.0), (x, self.vehicle_row()), color::GOOD, line);
+        let (top, bottom) = ((x, TOP - 12.0), (x, self.vehicle_row()));
+        self.svg.line(top, bottom, Stroke::new(Color::GOOD, 1.0));
     }
 }
 
-const fn system_color(system: SystemId) -> RGBColor {
+const fn system_color(system: SystemId) -> Color {
     match system {
-        SystemId::A => color::A,
-        SystemId::B => color::B,
+        SystemId::A => Color::A,
+        SystemId::B => Color::B,
     }
 }
 
@@ -479,7 +438,7 @@ fn task_row(task: &TaskMetrics, stacks: bool) -> Markup {
             td.num { (short(task.response_p50_ms)) }
             td.num { (short(task.response_p99_ms)) }
             td.num { (short(task.response_max_ms)) }
-            td { (PreEscaped(spark(task))) }
+            td { (spark(task)) }
             td.num { (short(task.execution_p50_ms)) }
             td.num { (short(task.execution_max_ms)) }
             @if stacks {
@@ -491,74 +450,31 @@ fn task_row(task: &TaskMetrics, stacks: bool) -> Markup {
     }
 }
 
-/// A span with three digits and its unit.
+/// A span with its unit.
 fn short(ms: Option<f64>) -> String {
-    let Some(ms) = ms else {
-        return "–".to_owned();
-    };
-    let (value, unit) = if ms < 1.0 {
-        (ms * 1e3, "µs")
-    } else {
-        (ms, "ms")
-    };
-    let digits = match value {
-        v if v < 10.0 => 2,
-        v if v < 100.0 => 1,
-        _ => 0,
-    };
-    let text = format!("{value:.digits$}");
-    let text = match text.contains('.') {
-        true => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
-        false => text,
-    };
-    format!("{text} {unit}")
+    ms.map_or("–".to_owned(), |ms| format::time(ms * 1e6))
 }
 
 /// Response times on a logarithmic line of six decades.
-fn spark(task: &TaskMetrics) -> String {
+fn spark(task: &TaskMetrics) -> Markup {
     const LENGTH: f64 = 180.0;
     let place = |ms: f64| ((ms.max(1e-3).log10() + 3.0) / 6.0 * LENGTH).clamp(0.0, LENGTH);
-    let mut svg = format!(
-        r#"<svg class="spark" viewBox="0 0 {LENGTH} 14" role="img" aria-label="{}">"#,
-        task.task
-    );
-    let mut rect = |x: f64, y: f64, width: f64, height: f64, fill: RGBColor| {
-        let fill = hex(fill);
-        let _ = write!(
-            svg,
-            r#"<rect x="{x:.1}" y="{y}" width="{width:.1}" height="{height}" fill="{fill}"/>"#
-        );
+    let mut svg = Svg::new(LENGTH, 14.0);
+    let mut rect = |x: f64, y: f64, width: f64, height: f64, fill: Color| {
+        svg.rect((x, y), (width, height), fill, "");
     };
-    rect(0.0, 6.5, LENGTH, 1.0, color::GRID);
+    rect(0.0, 6.5, LENGTH, 1.0, Color::GRID);
     if let Some(p99) = task.response_p99_ms {
-        rect(0.0, 3.0, place(p99), 8.0, color::CALM);
+        rect(0.0, 3.0, place(p99), 8.0, Color::CALM);
     }
     if let Some(p50) = task.response_p50_ms {
-        rect(0.0, 3.0, place(p50), 8.0, color::A);
+        rect(0.0, 3.0, place(p50), 8.0, Color::A);
     }
     if let Some(max) = task.response_max_ms {
-        rect(place(max) - 1.0, 1.0, 2.0, 12.0, color::MUTED);
+        rect(place(max) - 1.0, 1.0, 2.0, 12.0, Color::MUTED);
     }
     if let Some(deadline) = task.deadline_ms {
-        rect(place(deadline) - 1.0, 0.0, 2.0, 14.0, color::BAD);
+        rect(place(deadline) - 1.0, 0.0, 2.0, 14.0, Color::BAD);
     }
-    svg + "</svg>"
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn spans_have_three_digits_and_a_unit() {
-        let shown: Vec<String> = [0.000_4, 0.012_34, 0.5, 5.0, 12.34, 123.4]
-            .into_iter()
-            .map(|ms| short(Some(ms)))
-            .collect();
-        assert_eq!(
-            shown,
-            ["0.4 µs", "12.3 µs", "500 µs", "5 ms", "12.3 ms", "123 ms"]
-        );
-        assert_eq!(short(None), "–");
-    }
+    svg.finish("spark", &task.task)
 }

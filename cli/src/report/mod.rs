@@ -1,63 +1,44 @@
 //! The report of a run: one HTML file that needs nothing else.
 
-mod charts;
 mod cores;
 mod sections;
 mod top_view;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
-use plotters::style::RGBColor;
+use maud::{Markup, html};
+use tandem_page::chart::Chart;
+use tandem_page::{legend, section, tile};
 use tandem_record::roles::State;
 use tandem_record::{RunLog, Takeover, takeovers, words};
 
 use crate::metrics::Metrics;
 use crate::timeline::Timeline;
-use charts::Chart;
 
-const STYLE: &str = include_str!("style.css");
 /// Rows of the event log; more would bury what matters.
 const EVENT_ROWS: usize = 200;
 
 /// The whole page.
-///
-/// # Errors
-/// If a chart cannot be drawn.
-pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> anyhow::Result<String> {
+pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> String {
     let takeovers = takeovers(log);
-    let body = html! {
-        main {
-            (header(metrics))
-            (tiles(metrics))
-            (roles(log, &takeovers)?)
-            (cores::timeline(log, timeline, &takeovers))
-            (driving(log, &takeovers)?)
-            (control(log, metrics, &takeovers)?)
-            (takeover_table(metrics))
-            (cores::tasks(metrics))
-            (conditions(metrics))
-            (events(log))
-            footer {
-                "Files beside this page: " code { "metrics.json" } " (all figures), "
-                code { "candump.log" } " (every CAN frame; the repository's DBC file reads it), "
-                code { "control-period.hgrm" } " and " code { "chain.hgrm" }
-                " (distributions, for HdrHistogram plotters), " code { "trace.perfetto-trace" }
-                " (what ran when on which core, for ui.perfetto.dev)."
-            }
+    let content = html! {
+        (header(metrics))
+        (tiles(metrics))
+        (roles(log, &takeovers))
+        (cores::timeline(log, timeline, &takeovers))
+        (driving(log, &takeovers))
+        (control(log, metrics, &takeovers))
+        (takeover_table(metrics))
+        (cores::tasks(metrics))
+        (conditions(metrics))
+        (events(log))
+        footer {
+            "Files beside this page: " code { "metrics.json" } " (all figures), "
+            code { "candump.log" } " (every CAN frame; the repository's DBC file reads it), "
+            code { "control-period.hgrm" } " and " code { "chain.hgrm" }
+            " (distributions, for HdrHistogram plotters), " code { "trace.perfetto-trace" }
+            " (what ran when on which core, for ui.perfetto.dev)."
         }
     };
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                title { "Tandem: " (metrics.scenario) }
-                style { (PreEscaped(STYLE)) }
-            }
-            body { (body) }
-        }
-    };
-    Ok(page.into_string())
+    tandem_page::document(&metrics.scenario, &content)
 }
 
 /// What was not as it must be, in words; empty if the run was good.
@@ -112,21 +93,6 @@ fn header(metrics: &Metrics) -> Markup {
     }
 }
 
-fn tile(name: &str, good: Option<bool>, value: &str, unit: &str, remark: &str) -> Markup {
-    let class = match good {
-        Some(true) => "tile good",
-        Some(false) => "tile bad",
-        None => "tile",
-    };
-    html! {
-        div class=(class) {
-            div.name { (name) }
-            div.value { (value) @if !unit.is_empty() { small { (unit) } } }
-            div.remark { (remark) }
-        }
-    }
-}
-
 fn tiles(metrics: &Metrics) -> Markup {
     let ms = |value: Option<f64>| value.map_or("–".to_owned(), |value| format!("{value:.1}"));
     let last = metrics.takeovers.last();
@@ -142,84 +108,52 @@ fn tiles(metrics: &Metrics) -> Markup {
     } else {
         takeover_remark
     };
+    let state = |good: bool| if good { "good" } else { "bad" };
+    let remark = |text: &str| html! { div.remark { (text) } };
+    let takeovers = metrics.takeovers.len().to_string();
+    let two_masters = format!("{:.1}", metrics.two_masters_ms);
+    let is_false = metrics.false_takeovers > 0;
     html! {
         div.tiles {
-            (tile("Collisions", Some(metrics.collisions == 0), &metrics.collisions.to_string(),
-                "", ""))
-            (tile("Takeovers", (metrics.false_takeovers > 0).then_some(false),
-                &metrics.takeovers.len().to_string(), "", &takeover_remark))
-            (tile("Largest control gap", None, &ms(metrics.control_gap_max_ms), "ms",
-                "between accepted frames"))
-            (tile("Two masters", Some(metrics.two_masters_ms <= 0.0),
-                &format!("{:.1}", metrics.two_masters_ms), "ms", &fenced))
-            (tile("Control period p99", None, &ms(metrics.control_period_p99_ms), "ms",
-                &period_remark))
-            (tile("Lateral error, max", None, &lateral, "m", "outside lane changes"))
+            (tile("Collisions", state(metrics.collisions == 0), &metrics.collisions.to_string(), "",
+                &remark("")))
+            (tile("Takeovers", if is_false { "bad" } else { "" }, &takeovers, "",
+                &remark(&takeover_remark)))
+            (tile("Largest control gap", "", &ms(metrics.control_gap_max_ms), "ms",
+                &remark("between accepted frames")))
+            (tile("Two masters", state(metrics.two_masters_ms <= 0.0), &two_masters, "ms",
+                &remark(&fenced)))
+            (tile("Control period p99", "", &ms(metrics.control_period_p99_ms), "ms",
+                &remark(&period_remark)))
+            (tile("Lateral error, max", "", &lateral, "m", &remark("outside lane changes")))
         }
     }
 }
 
-/// A card with a heading, a legend made of the chart's series, and the chart.
-fn card(title: &str, note: &str, chart: &Chart) -> anyhow::Result<Markup> {
+/// A section with a chart and a legend of its series.
+fn card(title: &str, note: &str, chart: &Chart) -> Markup {
     let named = chart.series.iter().filter(|series| !series.name.is_empty());
-    let legend: Vec<(&str, RGBColor)> = named
-        .map(|series| (series.name.as_str(), series.color))
+    let entries: Vec<_> = named
+        .map(|series| (series.name.as_str(), Some(series.color)))
         .collect();
-    let legend = if legend.len() > 1 {
-        html! {
-            div.legend {
-                @for (name, color) in legend { span { i style=(background(color)) {} (name) } }
-            }
-        }
-    } else {
-        html! {}
+    let aside = match entries.len() {
+        0 | 1 => html! {},
+        _ => legend(entries.into_iter()),
     };
-    framed(title, note, &legend, chart)
+    section(title, &aside, note, &chart.svg(title))
 }
 
-fn framed(title: &str, note: &str, legend: &Markup, chart: &Chart) -> anyhow::Result<Markup> {
-    let svg = chart.to_svg()?;
-    let labelled = svg.replacen(
-        "<svg ",
-        &format!("<svg role=\"img\" aria-label=\"{title}\" "),
-        1,
-    );
-    Ok(html! {
-        section {
-            div.head { h2 { (title) } (legend) }
-            @if !note.is_empty() { p.note { (note) } }
-            (PreEscaped(labelled))
-        }
-    })
-}
-
-fn background(RGBColor(r, g, b): RGBColor) -> String {
-    format!("background:#{r:02x}{g:02x}{b:02x}")
-}
-
-fn roles(log: &RunLog, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
-    let chart = sections::roles(log, takeovers);
-    let legend = html! {
-        div.legend {
-            @for state in State::ALL {
-                span {
-                    @match sections::state_color(state) {
-                        Some(color) => i.box style=(background(color)) {},
-                        None => i.box.off {},
-                    }
-                    (state.name())
-                }
-            }
-        }
-    };
+fn roles(log: &RunLog, takeovers: &[Takeover]) -> Markup {
+    let states = State::ALL.map(|state| (state.name(), sections::state_color(state)));
     let note = match takeovers.len() {
         0 => "What each system was, over scenario time in seconds.",
         _ => "What each system was, over scenario time in seconds. Red dashes mark takeovers.",
     };
-    framed("Roles", note, &legend, &chart)
+    let chart = sections::roles(log, takeovers).svg("Roles");
+    section("Roles", &legend(states.into_iter()), note, &chart)
 }
 
-fn driving(log: &RunLog, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
+fn driving(log: &RunLog, takeovers: &[Takeover]) -> Markup {
     let [acceleration, jerk] = sections::comfort(log, takeovers);
     let gap = sections::lead_gap(log, takeovers);
     let moment = takeovers
@@ -232,23 +166,23 @@ fn driving(log: &RunLog, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
     } else {
         "The road at the takeover"
     };
-    Ok(html! {
+    html! {
         @if let Some((at_s, chart)) = view {
             (card(view_title, &format!("From above at {at_s:.1} s: lanes, other vehicles, and the \
-                whole path of the own vehicle."), &chart)?)
+                whole path of the own vehicle."), &chart))
         }
         (card("Lateral error", "Distance of the vehicle's centre from the centre of its lane.",
-            &sections::lateral(log, takeovers))?)
-        (card("Speed", "", &sections::speed(log, takeovers))?)
+            &sections::lateral(log, takeovers)))
+        (card("Speed", "", &sections::speed(log, takeovers)))
         @if let Some(chart) = gap {
-            (card("Distance to the vehicle ahead", "Bumper to bumper, in the own lane.", &chart)?)
+            (card("Distance to the vehicle ahead", "Bumper to bumper, in the own lane.", &chart))
         }
-        (card("Acceleration", "", &acceleration)?)
-        (card("Longitudinal jerk", "Change of acceleration over a tenth of a second.", &jerk)?)
-    })
+        (card("Acceleration", "", &acceleration))
+        (card("Longitudinal jerk", "Change of acceleration over a tenth of a second.", &jerk))
+    }
 }
 
-fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::Result<Markup> {
+fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> Markup {
     let figures = |name: &str, values: [Option<f64>; 4]| {
         html! {
             tr {
@@ -271,14 +205,14 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::R
         metrics.chain_p99_9_ms,
         metrics.chain_max_ms,
     ];
-    Ok(html! {
+    html! {
         (card("Gaps between accepted control frames",
             "As the vehicle saw them: each dot is the time since the accepted frame before.",
-            &sections::gaps(log, takeovers))?)
+            &sections::gaps(log, takeovers)))
         (card("Control period and chain latency by percentile",
             "Control period: by the sender's clock, within one mastership. Chain: from the \
              measurement on core 1 over core 2 to the command of core 0.",
-            &sections::percentiles(log))?)
+            &sections::percentiles(log)))
         section {
             h2 { "Distributions" }
             table {
@@ -290,7 +224,7 @@ fn control(log: &RunLog, metrics: &Metrics, takeovers: &[Takeover]) -> anyhow::R
                 (figures("Chain core 1 → 2 → 0", chain))
             }
         }
-    })
+    }
 }
 
 fn system(name: &str) -> Markup {

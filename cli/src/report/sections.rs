@@ -1,11 +1,11 @@
 //! The charts of a report: which data of the run each one shows.
 
-use super::charts::{Axis, Chart, Series, Shape, Style, color, plain, thin};
 use crate::metrics::{chain_ms, control_periods_ms, jerk};
 use crate::percentiles::Spans;
 
-use plotters::style::RGBColor;
 use tandem_board::SystemId;
+use tandem_page::chart::{self, Axis, Chart, Series, Shape, Style, thin};
+use tandem_page::svg::Color;
 use tandem_record::log::Sample;
 use tandem_record::roles::{State, timeline};
 use tandem_record::{RunLog, Takeover, ms_between};
@@ -19,22 +19,22 @@ const DOTS: usize = 3_000;
 const SHORTEST_MS: f64 = 0.001;
 
 /// The colour of a system.
-pub(super) const fn system_color(system: SystemId) -> RGBColor {
+pub(super) const fn system_color(system: SystemId) -> Color {
     match system {
-        SystemId::A => color::A,
-        SystemId::B => color::B,
+        SystemId::A => Color::A,
+        SystemId::B => Color::B,
     }
 }
 
 /// The colour of a state.
-pub(super) const fn state_color(state: State) -> Option<RGBColor> {
+pub(super) const fn state_color(state: State) -> Option<Color> {
     match state {
-        State::Master => Some(color::GOOD),
-        State::Degraded => Some(color::WARN),
-        State::SafeStop => Some(color::B),
-        State::Standby => Some(color::CALM),
-        State::Starting => Some(color::PALE),
-        State::Suspended => Some(color::BAD),
+        State::Master => Some(Color::GOOD),
+        State::Degraded => Some(Color::WARN),
+        State::SafeStop => Some(Color::B),
+        State::Standby => Some(Color::CALM),
+        State::Starting => Some(Color::PALE),
+        State::Suspended => Some(Color::BAD),
         State::Off => None,
     }
 }
@@ -46,7 +46,7 @@ fn over_time(log: &RunLog, value: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
         .collect()
 }
 
-fn line(name: &str, color: RGBColor, points: &[(f64, f64)]) -> Series {
+fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
     // Thinning sorts values; pieces around gaps must stay apart, so such a line is kept whole.
     let whole = points.iter().any(|point| !point.1.is_finite());
     let points = if whole {
@@ -56,17 +56,19 @@ fn line(name: &str, color: RGBColor, points: &[(f64, f64)]) -> Series {
     };
     Series {
         name: name.to_owned(),
+        title: String::new(),
         color,
-        style: Style::Line,
+        style: Style::Line(2.0),
         points,
     }
 }
 
-fn dashed(name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Series {
+fn dashed(name: &str, color: Color, points: Vec<(f64, f64)>) -> Series {
     Series {
         name: name.to_owned(),
+        title: String::new(),
         color,
-        style: Style::Dashed,
+        style: Style::Dashed(1.0, "6 4"),
         points,
     }
 }
@@ -74,7 +76,7 @@ fn dashed(name: &str, color: RGBColor, points: Vec<(f64, f64)>) -> Series {
 fn time_chart(
     log: &RunLog,
     takeovers: &[Takeover],
-    height: u32,
+    height: f64,
     unit: &'static str,
     series: Vec<Series>,
 ) -> Chart {
@@ -111,7 +113,7 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         ticks: vec![0.5, 1.5],
         label: name,
     };
-    let mut chart = Chart::new(150, Axis::time(log.driven_s()), y);
+    let mut chart = Chart::new(150.0, Axis::time(log.driven_s()), y);
     chart.grid = false;
     for (system, base) in [(SystemId::A, 1.0), (SystemId::B, 0.0)] {
         for span in timeline(log, system) {
@@ -119,11 +121,7 @@ pub(super) fn roles(log: &RunLog, takeovers: &[Takeover]) -> Chart {
                 let (left, right) = (span.from_s, span.to_s);
                 let (low, high) = (base + 0.14, base + 0.86);
                 let corners = vec![(left, low), (right, low), (right, high), (left, high)];
-                chart.shapes.push(Shape {
-                    color,
-                    opacity: 1.0,
-                    corners,
-                });
+                chart.shapes.push(Shape { color, corners });
             }
         }
     }
@@ -146,8 +144,8 @@ pub(super) fn lateral(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         }
         points.push((at_s, sample.lateral_error));
     }
-    let series = vec![line("lateral error", color::A, &points)];
-    let mut chart = time_chart(log, takeovers, 230, "m, left +", series);
+    let series = vec![line("lateral error", Color::A, &points)];
+    let mut chart = time_chart(log, takeovers, 230.0, "m, left +", series);
     let (low, high) = chart.y.range;
     // Never so close that noise of a centimetre looks like a swerve.
     chart.y = Axis::linear("m, left +", (low.min(-0.3), high.max(0.3)), 5);
@@ -161,10 +159,10 @@ pub(super) fn speed(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         LINE_POINTS,
     );
     let series = vec![
-        dashed("set by the driver", color::MUTED, set),
-        line("own speed", color::A, &over_time(log, |s| s.speed)),
+        dashed("set by the driver", Color::MUTED, set),
+        line("own speed", Color::A, &over_time(log, |s| s.speed)),
     ];
-    time_chart(log, takeovers, 230, "m/s", series)
+    time_chart(log, takeovers, 230.0, "m/s", series)
 }
 
 /// Distance to the vehicle ahead; `None` if there never was one.
@@ -177,9 +175,9 @@ pub(super) fn lead_gap(log: &RunLog, takeovers: &[Takeover]) -> Option<Chart> {
             let mut chart = time_chart(
                 log,
                 takeovers,
-                210,
+                210.0,
                 "m",
-                vec![line("gap", color::A, &points)],
+                vec![line("gap", Color::A, &points)],
             );
             chart.y = Axis::linear("m", (0.0, chart.y.range.1), 5);
             chart
@@ -189,13 +187,13 @@ pub(super) fn lead_gap(log: &RunLog, takeovers: &[Takeover]) -> Option<Chart> {
 /// Accelerations, and jerk.
 pub(super) fn comfort(log: &RunLog, takeovers: &[Takeover]) -> [Chart; 2] {
     let accelerations = vec![
-        line("lateral", color::OTHER, &over_time(log, |s| s.lat_accel)),
-        line("longitudinal", color::A, &over_time(log, |s| s.accel)),
+        line("lateral", Color::OTHER, &over_time(log, |s| s.lat_accel)),
+        line("longitudinal", Color::A, &over_time(log, |s| s.accel)),
     ];
-    let jerk = vec![line("jerk", color::A, &jerk(log))];
+    let jerk = vec![line("jerk", Color::A, &jerk(log))];
     [
-        time_chart(log, takeovers, 210, "m/s²", accelerations),
-        time_chart(log, takeovers, 190, "m/s³", jerk),
+        time_chart(log, takeovers, 210.0, "m/s²", accelerations),
+        time_chart(log, takeovers, 190.0, "m/s³", jerk),
     ]
 }
 
@@ -214,8 +212,8 @@ pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
         })
         .collect();
     let top = gaps.iter().map(|gap| gap.2.ceil() as i32).fold(2, i32::max);
-    let y = Axis::decades("ms", (0, top), |power| plain(10.0_f64.powf(power)));
-    let mut chart = Chart::new(230, Axis::time(log.driven_s()), y);
+    let y = Axis::decades("ms", (0, top), chart::power);
+    let mut chart = Chart::new(230.0, Axis::time(log.driven_s()), y);
     for system in SystemId::ALL {
         let points: Vec<_> = gaps
             .iter()
@@ -223,7 +221,8 @@ pub(super) fn gaps(log: &RunLog, takeovers: &[Takeover]) -> Chart {
             .map(|gap| (gap.1, gap.2.max(0.0)))
             .collect();
         chart.series.push(Series {
-            name: format!("accepted from {}", system),
+            name: format!("accepted from {system}"),
+            title: String::new(),
             color: system_color(system),
             style: Style::Dots,
             points: thin(&points, DOTS),
@@ -238,12 +237,12 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
     let curves = [
         (
             "control period",
-            color::A,
+            Color::A,
             Spans::from_ms(control_periods_ms(log)).curve(),
         ),
         (
             "chain core 1 → 2 → 0",
-            color::B,
+            Color::B,
             Spans::from_ms(chain_ms(log)).curve(),
         ),
     ];
@@ -252,8 +251,9 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
         .filter(|(_, _, curve)| !curve.is_empty())
         .map(|(name, color, curve)| Series {
             name: name.to_owned(),
+            title: String::new(),
             color,
-            style: Style::Line,
+            style: Style::Line(2.0),
             points: curve
                 .iter()
                 .map(|(rarity, ms)| (rarity.log10(), ms.max(SHORTEST_MS).log10()))
@@ -264,26 +264,9 @@ pub(super) fn percentiles(log: &RunLog) -> Chart {
     let rarest = all().map(|point| point.0.ceil() as i32).fold(1, i32::max);
     let low = all().map(|point| point.1.floor() as i32).fold(0, i32::min);
     let top = all().map(|point| point.1.ceil() as i32).fold(1, i32::max);
-    let x = Axis::decades("percentile", (0, rarest), percentile_label);
-    let y = Axis::decades("ms", (low, top), |power| plain(10.0_f64.powf(power)));
-    let mut chart = Chart::new(260, x, y);
+    let x = Axis::decades("percentile", (0, rarest), chart::percentile);
+    let y = Axis::decades("ms", (low, top), chart::power);
+    let mut chart = Chart::new(260.0, x, y);
     chart.series = series;
     chart
-}
-
-/// 0 → "0 %", 1 → "90 %", 2 → "99 %", 3 → "99.9 %".
-fn percentile_label(power: f64) -> String {
-    let digits = (power.round() as usize).saturating_sub(2);
-    format!("{:.*} %", digits, 100.0 - 10.0_f64.powf(2.0 - power))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn percentiles_are_labelled_as_people_write_them() {
-        let labels: Vec<String> = (0..5).map(|n| percentile_label(f64::from(n))).collect();
-        assert_eq!(labels, ["0 %", "90 %", "99 %", "99.9 %", "99.99 %"]);
-    }
 }

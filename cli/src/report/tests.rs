@@ -17,7 +17,7 @@ fn synthetic_page() -> String {
     let moment = takeovers(&log)[0].at_ns;
     let timeline = timeline::tests::around(moment);
     let metrics = metrics::compute(&log, &timeline, &around);
-    page(&log, &timeline, &metrics).unwrap()
+    page(&log, &timeline, &metrics)
 }
 
 /// Writes the page to `TANDEM_REPORT_SAMPLE`, if that is set, for a look at it.
@@ -27,10 +27,8 @@ fn the_page_needs_nothing_from_outside() {
     if let Some(path) = std::env::var_os("TANDEM_REPORT_SAMPLE") {
         std::fs::write(path, &page).unwrap();
     }
-    // The name of the SVG format is the only address on the page.
-    let rest = page.replace("http://www.w3.org/2000/svg", "");
     for outside in ["http:", "https:", "<link", "<script", "<img", "url("] {
-        assert!(!rest.contains(outside), "{outside}");
+        assert!(!page.contains(outside), "{outside}");
     }
 }
 
@@ -43,28 +41,9 @@ fn the_cores_are_on_the_page_with_their_tasks_and_signals() {
         "<title>planning: ",
         "killed",
         "Signals from core to core",
-        "svg class=\"spark\"",
+        "<svg class=\"spark\"",
     ] {
         assert!(page.contains(part), "{part}");
-    }
-}
-
-#[test]
-fn every_colour_of_a_chart_is_known_to_the_dark_style() {
-    let page = synthetic_page();
-    let svgs = page
-        .split("<svg ")
-        .skip(1)
-        .filter_map(|rest| rest.split("</svg>").next());
-    let light_and_dark = ["#8A94A3", "#E2B104", "#FFFFFF"];
-    for svg in svgs {
-        for attribute in ["fill=\"#", "stroke=\"#"] {
-            for rest in svg.split(attribute).skip(1) {
-                let color = format!("#{}", &rest[..6]);
-                let known = STYLE.contains(&color) || light_and_dark.contains(&color.as_str());
-                assert!(known, "{color}");
-            }
-        }
     }
 }
 
@@ -75,8 +54,7 @@ fn a_log_without_a_single_record_still_makes_a_page_that_says_what_is_wrong() {
         &log,
         &Timeline::default(),
         &metrics::compute(&log, &Timeline::default(), &around),
-    )
-    .unwrap();
+    );
     assert!(page.contains("no control frame was ever accepted"));
     assert!(!page.contains("NaN"));
 }
@@ -97,7 +75,6 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
         &log,
         &Timeline::default(),
         &metrics::compute(&log, &Timeline::default(), &around),
-    )
-    .unwrap();
+    );
     assert!(!page.contains("<script>"));
 }

@@ -1,11 +1,12 @@
 //! The road from above at one moment: lanes, the own path, the vehicles.
 
-use super::charts::{Axis, Chart, Series, Shape, Style, color};
+use tandem_page::chart::{Axis, Chart, Series, Shape, Style};
+use tandem_page::svg::Color;
 use tandem_record::RunLog;
 use tandem_record::log::{Lane, Other, Sample};
 
 /// Height of the chart in its own units.
-const HEIGHT: u32 = 230;
+const HEIGHT: f64 = 230.0;
 /// How far to look ahead, m; how far back follows from the width.
 const AHEAD_M: f64 = 85.0;
 /// Half the height of the view, m.
@@ -134,8 +135,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     for lane in lanes {
         for corners in view.surface(lane) {
             chart.shapes.push(Shape {
-                color: color::ROAD,
-                opacity: 1.0,
+                color: Color::ROAD,
                 corners,
             });
         }
@@ -143,6 +143,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     let mut line = |color, style, points| {
         chart.series.push(Series {
             name: String::new(),
+            title: String::new(),
             color,
             style,
             points,
@@ -151,8 +152,8 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
     for lane in lanes {
         for border in [&lane.left, &lane.right] {
             line(
-                color::OTHER,
-                Style::Dashed,
+                Color::OTHER,
+                Style::Dashed(1.0, "6 4"),
                 view.polyline(border.iter().copied()),
             );
         }
@@ -162,7 +163,7 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
         .iter()
         .step_by(10)
         .map(|sample| [sample.x, sample.y]);
-    line(color::A, Style::Line, view.polyline(path));
+    line(Color::A, Style::Line(2.0), view.polyline(path));
     let own = Other {
         x: sample.x,
         y: sample.y,
@@ -170,14 +171,10 @@ pub(super) fn top_view(log: &RunLog, at_ns: u64) -> Option<(f64, Chart)> {
         length: OWN.0,
         width: OWN.1,
     };
-    let others = sample.others.iter().map(|other| (other, color::MUTED));
-    for (vehicle, color) in others.chain([(&own, color::A)]) {
+    let others = sample.others.iter().map(|other| (other, Color::MUTED));
+    for (vehicle, color) in others.chain([(&own, Color::A)]) {
         if let Some(corners) = view.rectangle(vehicle) {
-            chart.shapes.push(Shape {
-                color,
-                opacity: 1.0,
-                corners,
-            });
+            chart.shapes.push(Shape { color, corners });
         }
     }
     Some((log.seconds(sample.at_ns), chart))

@@ -1,10 +1,12 @@
-//! Whose work a case measures, by its name.
+//! Who provides what a case measures, by its name.
 
 use crate::result::Row;
+use tandem_page::chart::Style;
+use tandem_page::svg::Color;
 
-/// Whose work a case measures.
+/// Who provides what a case measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Family {
+pub enum Provider {
     /// The hardware's or the kernel's alone: what nothing can beat.
     Floor,
     /// Tandem's.
@@ -18,23 +20,23 @@ pub enum Family {
 }
 
 /// First parts of the names of those that are neither floor nor Tandem.
-const PEERS: [(&str, Family); 13] = [
-    ("iceoryx2", Family::Iceoryx2),
-    ("crossbeam", Family::Threads),
-    ("rtrb", Family::Threads),
-    ("std", Family::Threads),
-    ("pipe", Family::System),
-    ("unix-socket", Family::System),
-    ("message-queue", Family::System),
-    ("eventfd", Family::System),
-    ("ddsperf", Family::System),
-    ("pthread", Family::System),
-    ("malloc", Family::System),
-    ("fork", Family::System),
-    ("linux", Family::System),
+const PEERS: [(&str, Provider); 13] = [
+    ("iceoryx2", Provider::Iceoryx2),
+    ("crossbeam", Provider::Threads),
+    ("rtrb", Provider::Threads),
+    ("std", Provider::Threads),
+    ("pipe", Provider::System),
+    ("unix-socket", Provider::System),
+    ("message-queue", Provider::System),
+    ("eventfd", Provider::System),
+    ("ddsperf", Provider::System),
+    ("pthread", Provider::System),
+    ("malloc", Provider::System),
+    ("fork", Provider::System),
+    ("linux", Provider::System),
 ];
 
-impl Family {
+impl Provider {
     /// All, in the order of legends.
     pub const ALL: [Self; 5] = [
         Self::Floor,
@@ -55,7 +57,7 @@ impl Family {
             return Self::System;
         }
         let known = PEERS.iter().find(|(name, _)| row.case().starts_with(name));
-        known.map_or(Self::Tandem, |(_, family)| *family)
+        known.map_or(Self::Tandem, |(_, provider)| *provider)
     }
 
     /// As it stands in legends.
@@ -70,15 +72,27 @@ impl Family {
         }
     }
 
-    /// Class of its marks on the page.
+    /// Colour of its marks on the page.
     #[must_use]
-    pub const fn class(self) -> &'static str {
+    pub const fn color(self) -> Color {
         match self {
-            Self::Floor => "floor",
-            Self::Tandem => "tandem",
-            Self::Iceoryx2 => "iceoryx2",
-            Self::Threads => "threads",
-            Self::System => "system",
+            Self::Floor => Color::FLOOR,
+            Self::Tandem => Color::TANDEM,
+            Self::Iceoryx2 => Color::ICEORYX2,
+            Self::Threads => Color::THREADS,
+            Self::System => Color::SYSTEM,
+        }
+    }
+
+    /// How its curves are drawn; Tandem's first case is the thickest.
+    #[must_use]
+    pub const fn style(self, is_first: bool) -> Style {
+        match self {
+            _ if is_first => Style::Line(3.6),
+            Self::Floor => Style::Line(2.0),
+            Self::Tandem | Self::Iceoryx2 => Style::Line(1.7),
+            Self::Threads => Style::Dashed(1.7, "7 3"),
+            Self::System => Style::Dashed(1.7, "2.5 2.5"),
         }
     }
 
@@ -87,6 +101,15 @@ impl Family {
     pub const fn is_peer(self) -> bool {
         !matches!(self, Self::Floor | Self::Tandem)
     }
+}
+
+/// The case that stands for Tandem in a group.
+#[must_use]
+pub fn first_of_tandem<'a>(rows: &[&'a Row]) -> Option<&'a str> {
+    let first = rows
+        .iter()
+        .find(|row| Provider::of(row) == Provider::Tandem);
+    first.map(|row| row.name.as_str())
 }
 
 /// The three that a group is summed up by.
@@ -106,10 +129,12 @@ impl<'a> Headline<'a> {
     pub fn of(rows: &[&'a Row]) -> Option<Self> {
         let peers = rows
             .iter()
-            .filter(|row| Family::of(row).is_peer() && row.case() != "eventfd");
+            .filter(|row| Provider::of(row).is_peer() && row.case() != "eventfd");
         Some(Self {
             floor: rows.iter().find(|row| row.is_floor()).copied(),
-            tandem: rows.iter().find(|row| Family::of(row) == Family::Tandem)?,
+            tandem: rows
+                .iter()
+                .find(|row| Provider::of(row) == Provider::Tandem)?,
             peer: peers.min_by(|a, b| a.p50_ns.total_cmp(&b.p50_ns)).copied(),
         })
     }
@@ -122,18 +147,18 @@ mod tests {
 
     #[test]
     fn a_name_says_whose_work_it_is() {
-        for (name, family) in [
-            ("spin/floor", Family::Floor),
-            ("spin/tandem-channel", Family::Tandem),
-            ("throughput/fifo-8B", Family::Tandem),
-            ("sleep/iceoryx2-event-tuned", Family::Iceoryx2),
-            ("throughput/rtrb-8B", Family::Threads),
-            ("lock/pthread-robust", Family::System),
-            ("rtos/tick-floor", Family::Floor),
-            ("rtos/tick", Family::Tandem),
-            ("rtos/tick-posix-port", Family::System),
+        for (name, provider) in [
+            ("spin/floor", Provider::Floor),
+            ("spin/tandem-channel", Provider::Tandem),
+            ("throughput/fifo-8B", Provider::Tandem),
+            ("sleep/iceoryx2-event-tuned", Provider::Iceoryx2),
+            ("throughput/rtrb-8B", Provider::Threads),
+            ("lock/pthread-robust", Provider::System),
+            ("rtos/tick-floor", Provider::Floor),
+            ("rtos/tick", Provider::Tandem),
+            ("rtos/tick-posix-port", Provider::System),
         ] {
-            assert_eq!(Family::of(&row(name, 80.0)), family, "{name}");
+            assert_eq!(Provider::of(&row(name, 80.0)), provider, "{name}");
         }
     }
 

@@ -55,44 +55,14 @@ fn the_page_needs_nothing_from_outside() {
 fn the_pictures_are_well_formed_and_hold_numbers_only() {
     let page = page(&run());
     let pictures: Vec<&str> = page.split("<svg").skip(1).collect();
-    // The overview, a curve for each group, and the dots of the groups with a floor.
-    assert!(pictures.len() > 5, "{}", pictures.len());
+    // A curve for each group, and the dots of the groups with a floor.
+    assert!(pictures.len() > 4, "{}", pictures.len());
     for picture in pictures {
         let end = picture.find("</svg>").unwrap();
         let svg = format!("<svg{}</svg>", &picture[..end]);
         roxmltree::Document::parse(&svg).unwrap();
         assert!(!svg.contains("NaN") && !svg.contains("inf"), "{svg}");
     }
-}
-
-#[test]
-fn each_curve_is_named_at_its_end_and_no_name_hides_another() {
-    let rows: Vec<Row> = (0..12)
-        .map(|i| row(&format!("sleep/pipe-{i}"), 100.0 + f64::from(i) * 0.1))
-        .collect();
-    let svg = curves::svg(&rows.iter().collect::<Vec<_>>())
-        .unwrap()
-        .into_string();
-    let picture = roxmltree::Document::parse(&svg).unwrap();
-    let curves = picture.descendants().filter(|node| {
-        node.attribute("class")
-            .is_some_and(|class| class.starts_with("curve"))
-    });
-    let mut places: Vec<f64> = curves
-        .map(|curve| {
-            let name = curve
-                .children()
-                .find(|node| node.has_tag_name("text"))
-                .unwrap();
-            name.attribute("y").unwrap().parse().unwrap()
-        })
-        .collect();
-    places.sort_by(f64::total_cmp);
-    assert_eq!(places.len(), 12);
-    assert!(
-        places.windows(2).all(|pair| pair[1] - pair[0] > 15.0),
-        "{places:?}"
-    );
 }
 
 #[test]

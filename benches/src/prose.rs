@@ -2,16 +2,17 @@
 
 use crate::result::{Results, Row};
 use maud::{Markup, html};
+use tandem_page::section;
 
 /// What a group is about.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct About {
+pub(crate) struct About {
     /// Its heading.
-    pub(super) title: &'static str,
+    pub(crate) title: &'static str,
     /// What one sample is.
-    pub(super) measures: &'static str,
+    pub(crate) measures: &'static str,
     /// What to look for.
-    pub(super) note: &'static str,
+    pub(crate) note: &'static str,
 }
 
 const ABOUT: [(&str, About); 10] = [
@@ -105,7 +106,7 @@ const ABOUT: [(&str, About); 10] = [
 ];
 
 /// What this group is about; one that is not known here explains itself by its cases.
-pub(super) fn about(group: &str) -> About {
+pub(crate) fn about(group: &str) -> About {
     let known = ABOUT.into_iter().find(|(name, _)| *name == group);
     known.map_or(
         About {
@@ -121,10 +122,9 @@ pub(super) fn about(group: &str) -> About {
 }
 
 /// How it was measured, and what the figures do not say.
-pub(super) fn explanations(results: &Results) -> Markup {
+pub(crate) fn explanations(results: &Results) -> Markup {
     html! {
-        section id="reading" {
-            div.head { h2 { "How to read this page" } }
+        (section("How to read this page", &html! {}, "", &html! {
             div.two {
                 div {
                     h3 { "What a ratio means" }
@@ -177,7 +177,7 @@ pub(super) fn explanations(results: &Results) -> Markup {
                     }
                 }
             }
-        }
+        }))
     }
 }
 

@@ -1,5 +1,15 @@
 //! Figures as people read them: a unit that fits, and no more digits than mean something.
 
+/// The middle of these values; `None` if there is none.
+#[must_use]
+pub fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    let upper = *sorted.get(sorted.len() / 2)?;
+    let lower = *sorted.get((sorted.len() - 1) / 2)?;
+    Some(f64::midpoint(lower, upper))
+}
+
 /// The unit in which a group of times is shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unit {
@@ -15,7 +25,7 @@ impl Unit {
     /// The unit in which these times, in ns, have few digits: that of their middle one.
     #[must_use]
     pub fn of(times_ns: &[f64]) -> Self {
-        match crate::result::median(times_ns).unwrap_or(0.0) {
+        match median(times_ns).unwrap_or(0.0) {
             ns if ns < 1e4 => Self::Ns,
             ns if ns < 1e7 => Self::Us,
             _ => Self::Ms,
@@ -122,6 +132,13 @@ pub fn fact(name: &str, value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_median_is_the_middle() {
+        assert_eq!(median(&[3.0, 1.0, 2.0]), Some(2.0));
+        assert_eq!(median(&[4.0, 1.0]), Some(2.5));
+        assert_eq!(median(&[]), None);
+    }
 
     #[test]
     fn a_time_has_the_unit_that_fits() {

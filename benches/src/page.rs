@@ -1,0 +1,263 @@
+//! The results as one HTML page.
+
+use crate::columns::{self, PAGE};
+use crate::prose;
+use crate::provider::{Headline, Provider, first_of_tandem};
+use crate::result::{Results, Row};
+use maud::{Markup, html};
+use tandem_page::chart::{Axis, Chart, Series};
+use tandem_page::svg::{Color, Stroke, Svg};
+use tandem_page::{document, format, legend, section, tile};
+
+/// The page.
+#[must_use]
+pub fn page(results: &Results) -> String {
+    let content = html! {
+        (header(results))
+        div class="tiles large" {
+            @for (name, rows) in results.groups() {
+                @if let Some(headline) = Headline::of(&rows) { (group_tile(name, headline)) }
+            }
+        }
+        @for (name, rows) in results.groups() { (group(name, &rows)) }
+        (noise(results))
+        (conditions(results))
+        (prose::explanations(results))
+    };
+    document("time from core to core", &content)
+}
+
+fn header(results: &Results) -> Markup {
+    let machine = &results.machine;
+    let samples: u64 = results.results.iter().map(|row| row.samples).sum();
+    html! {
+        h1 { "Time from core to core" }
+        p.sub {
+            (machine.cpu) @if machine.hypervisor { " under a hypervisor" }
+            " · Linux " (machine.kernel) " · " (results.results.len()) " cases · "
+            (format::count(samples as f64)) " samples in "
+            (format!("{:.0}", results.duration_s)) " s"
+        }
+        p.sub { (results.noise_in_words()) }
+        @if results.interrupted {
+            div.verdict.bad { "Interrupted: fewer samples than planned" }
+        }
+        @if machine.build != "release" {
+            div.verdict.bad { "A " (machine.build) " build: its figures say nothing about Tandem" }
+        }
+    }
+}
+
+/// Tandem beside its floor and the best peer.
+fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
+    let tandem = headline.tandem;
+    let bars: Vec<&Row> = [headline.floor, Some(tandem), headline.peer]
+        .into_iter()
+        .flatten()
+        .collect();
+    let largest = bars.iter().map(|row| row.p50_ns).fold(0.0, f64::max);
+    // Sizes are compared by eye, hence a linear scale from 0.
+    let bar = |row: &Row| {
+        let percent = 100.0 * row.p50_ns / largest.max(1e-9);
+        let color = Provider::of(row).color().css();
+        format!("width:{percent:.1}%;background:{color}")
+    };
+    let (value, unit) = match tandem.ratio_to_floor_p50 {
+        Some(ratio) => (format::ratio(ratio) + "×", "the floor"),
+        None => (format::time(tandem.p50_ns), ""),
+    };
+    let below = html! {
+        div.bars {
+            @for row in bars {
+                span.who { (row.case()) }
+                span { i style=(bar(row)) {} }
+                span.what { (format::time(row.p50_ns)) }
+            }
+        }
+    };
+    html! {
+        a href=(format!("#{group}")) {
+            (tile(prose::about(group).title, "", &value, unit, &below))
+        }
+    }
+}
+
+fn group(name: &str, rows: &[&Row]) -> Markup {
+    let about = prose::about(name);
+    let providers = Provider::ALL
+        .into_iter()
+        .filter(|provider| rows.iter().any(|row| Provider::of(row) == *provider))
+        .map(|provider| (provider.name(), Some(provider.color())));
+    let aside = html! { span.unit { (about.measures) } (legend(providers)) };
+    let content = html! {
+        @if let Some(chart) = curves(rows) { (chart.svg("Percentile curves")) }
+        (table(rows))
+    };
+    html! { div id=(name) { (section(about.title, &aside, about.note, &content)) } }
+}
+
+/// Powers of ten of 1 / (1 - q) at the median.
+const MEDIAN: f64 = std::f64::consts::LOG10_2;
+
+fn percentile_label(nines: f64) -> String {
+    if nines == MEDIAN {
+        return "50 %".to_owned();
+    }
+    tandem_page::chart::percentile(nines)
+}
+
+/// A round time: `200 ns`, `10 µs`.
+fn time_label(power: f64) -> String {
+    let ns = 10_f64.powf(power);
+    let (value, unit) = match ns {
+        ns if ns < 999.0 => (ns, "ns"),
+        ns if ns < 999e3 => (ns / 1e3, "µs"),
+        ns if ns < 999e6 => (ns / 1e6, "ms"),
+        ns => (ns / 1e9, "s"),
+    };
+    format!("{} {unit}", tandem_page::chart::plain(value))
+}
+
+/// The distributions from the median on; `None` if no case has samples enough for a curve.
+fn curves(rows: &[&Row]) -> Option<Chart> {
+    let first = first_of_tandem(rows);
+    let mut series: Vec<(u8, Series)> = rows
+        .iter()
+        .filter_map(|row| {
+            let nines = |quantile: f64| -(1.0 - quantile).log10();
+            let beyond = row.curve.iter().filter(|(q, _)| nines(*q) > MEDIAN);
+            let beyond = beyond.map(|(q, ns)| (nines(*q), ns.max(0.1).log10()));
+            let median = (MEDIAN, row.p50_ns.max(0.1).log10());
+            let points: Vec<_> = std::iter::once(median).chain(beyond).collect();
+            let provider = Provider::of(row);
+            let is_first = first == Some(row.name.as_str());
+            let of_case = Series {
+                name: row.case().to_owned(),
+                title: format!("{}: {}", row.name, row.what),
+                color: provider.color(),
+                style: provider.style(is_first),
+                points,
+            };
+            // What matters most is drawn last, above the others.
+            let order = match provider {
+                _ if is_first => 3,
+                Provider::Tandem => 2,
+                Provider::Floor => 1,
+                _ => 0,
+            };
+            (of_case.points.len() > 1).then_some((order, of_case))
+        })
+        .collect();
+    series.sort_by_key(|(order, _)| *order);
+    let series: Vec<Series> = series.into_iter().map(|(_, series)| series).collect();
+    let points = || series.iter().flat_map(|series| &series.points);
+    let rarest = points().map(|point| point.0).fold(1.0, f64::max);
+    let mut x = Axis::linear("this share took no longer →", (MEDIAN, rarest), 6);
+    x.ticks = std::iter::once(MEDIAN)
+        .chain((1..=6).map(f64::from).filter(|nines| *nines <= rarest))
+        .collect();
+    x.label = percentile_label;
+    let y = Axis::powers("", points().map(|point| point.1), time_label)?;
+    let height = (54.0 + 18.0 * series.len() as f64).max(370.0);
+    let mut chart = Chart::new(height, x, y);
+    chart.names = true;
+    chart.series = series;
+    Some(chart)
+}
+
+/// Ratios that the small dots tell apart; those beyond stand at the edge.
+const SHOWN: (f64, f64) = (0.3, 30.0);
+
+/// The table of a group, with the ratios as dots where it has a floor.
+fn table(rows: &[&Row]) -> Markup {
+    let columns = columns::filled(rows, PAGE);
+    let first = first_of_tandem(rows);
+    let has_floor = rows.iter().any(|row| row.is_floor());
+    html! {
+        table.tight {
+            tr {
+                th {}
+                @if has_floor {
+                    th title="dot: median; ring: p99.9; line: the floor" { "over the floor" }
+                }
+                @for column in &columns { th.num title=(column.title) { (column.head) } }
+            }
+            @for row in rows {
+                tr.main[first == Some(row.name.as_str())] {
+                    td.case {
+                        i style=(format!("background:{}", Provider::of(row).color().css())) {}
+                        b { (row.case()) }
+                        div.what { (row.what) }
+                        @for (name, value) in &row.facts {
+                            div.what { (format::fact(name, *value)) }
+                        }
+                    }
+                    @if has_floor { td { (dots(row)) } }
+                    @for column in &columns {
+                        td.num.rare[column.is_chance(row)] {
+                            (column.cell(row, format::time).unwrap_or_else(|| "–".to_owned()))
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// The ratios of a row: a line at 1, a dot for the median, a ring for the tail.
+fn dots(row: &Row) -> Markup {
+    let power = |ratio: f64| ratio.clamp(SHOWN.0, SHOWN.1).log10();
+    let axis = Axis::linear("", (SHOWN.0.log10(), SHOWN.1.log10()), 1);
+    let at = |ratio: f64| (axis.at(power(ratio), (6.0, 134.0)), 8.0);
+    let color = Provider::of(row).color();
+    let mut svg = Svg::new(140.0, 16.0);
+    let (one, _) = at(1.0);
+    svg.line((one, 0.0), (one, 16.0), Stroke::new(Color::FLOOR, 1.5));
+    let (median, tail) = (row.ratio_to_floor_p50, row.ratio_to_floor_p99_9);
+    if let (Some(median), Some(tail)) = (median, tail) {
+        svg.line(at(median), at(tail), Stroke::new(color, 1.0));
+    }
+    if let Some(tail) = tail {
+        svg.circle(at(tail), 3.5, color, true, "p99.9");
+    }
+    if let Some(median) = median {
+        svg.circle(at(median), 4.5, color, false, "median");
+    }
+    svg.finish("spark", "ratios to the floor")
+}
+
+fn noise(results: &Results) -> Markup {
+    if results.noise.is_empty() {
+        return html! {};
+    }
+    let rows: Vec<&Row> = results.noise.iter().collect();
+    let note = results.noise_in_words();
+    section("The machine's own noise", &html! {}, &note, &table(&rows))
+}
+
+fn conditions(results: &Results) -> Markup {
+    let machine = html! {
+        table.facts {
+            @for (what, value) in results.machine.facts() {
+                tr { th { (what) } td { (value) } }
+            }
+        }
+    };
+    let skipped = html! {
+        table.facts {
+            @for case in &results.skipped {
+                tr { th { code { (case.name) } } td { (case.why) } }
+            }
+        }
+    };
+    html! {
+        (section("Machine", &html! {}, "", &machine))
+        @if !results.skipped.is_empty() {
+            (section("Not measured", &html! {}, "", &skipped))
+        }
+    }
+}
+
+#[cfg(test)]
+#[path = "page_tests.rs"]
+mod tests;

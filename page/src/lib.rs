@@ -1,0 +1,75 @@
+//! Pages that need nothing else: no scripts, no fonts, no files beside them.
+//!
+//! One template, one style and one set of charts for the report of a run and for the benchmark.
+#![forbid(unsafe_code)]
+
+pub mod chart;
+pub mod format;
+pub mod hgrm;
+pub mod svg;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use svg::Color;
+
+/// The style of every page. Colours are its variables: [`Color`] names them.
+pub const STYLE: &str = include_str!("style.css");
+
+/// A whole page.
+#[must_use]
+pub fn document(title: &str, content: &Markup) -> String {
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "Tandem: " (title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body { main { (content) } }
+        }
+    };
+    page.into_string()
+}
+
+/// A section with a heading, something beside the heading, a note, and its content.
+#[must_use]
+pub fn section(title: &str, aside: &Markup, note: &str, content: &Markup) -> Markup {
+    html! {
+        section {
+            div.head { h2 { (title) } (aside) }
+            @if !note.is_empty() { p.note { (note) } }
+            (content)
+        }
+    }
+}
+
+/// A legend: names with their colours; one without a colour is an empty box.
+#[must_use]
+pub fn legend<'a>(entries: impl Iterator<Item = (&'a str, Option<Color>)>) -> Markup {
+    html! {
+        div.legend {
+            @for (name, color) in entries {
+                span {
+                    @match color {
+                        Some(color) => i style=(format!("background:{}", color.css())) {},
+                        None => i.off {},
+                    }
+                    (name)
+                }
+            }
+        }
+    }
+}
+
+/// A figure that leads the page: `state` is `good`, `bad` or nothing.
+#[must_use]
+pub fn tile(name: &str, state: &str, value: &str, unit: &str, below: &Markup) -> Markup {
+    html! {
+        div class=(format!("tile {state}")) {
+            div.name { (name) }
+            div.value { (value) @if !unit.is_empty() { small { (unit) } } }
+            (below)
+        }
+    }
+}
