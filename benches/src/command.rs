@@ -202,9 +202,10 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     };
     let cpus = [near.id, far.id];
     let isolation = isolation::enter()?;
-    let system = UnsupervisedSystem::power_on(&isolation)?;
+    // Its processes are forked from this one, and use it to their ends.
+    let system = Box::leak(Box::new(UnsupervisedSystem::power_on(&isolation)?));
     let begin = Instant::now();
-    let all = measure(&system, args, cpus);
+    let all = measure(system, args, cpus);
     let duration_s = begin.elapsed().as_secs_f64();
     isolation.wipe();
     let results = Results::new(&all, &cpus, duration_s, measure::was_interrupted());
@@ -226,8 +227,12 @@ fn nothing(results: &Results) -> BenchError {
     BenchError::NothingMeasured(why.join("; "))
 }
 
-fn measure(system: &UnsupervisedSystem, args: &BenchArgs, cpus: [usize; 2]) -> Vec<Measurement> {
-    let wanted = |case: &&Case| args.groups.is_empty() || args.groups.contains(&case.group);
+fn measure(
+    system: &'static UnsupervisedSystem,
+    args: &BenchArgs,
+    cpus: [usize; 2],
+) -> Vec<Measurement> {
+    let wanted = |case: &Case| args.groups.is_empty() || args.groups.contains(&case.group);
     let span = if args.quick {
         measure::QUICK
     } else {

@@ -11,6 +11,7 @@ use crate::stage::{Part, Role, perform, pin};
 use crate::system_calls::Counter;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
+use tandem_board_host::UnsupervisedSystem;
 
 /// What a batch is to do.
 #[derive(Clone, Copy, Debug)]
@@ -21,9 +22,20 @@ pub struct Plan {
     pub warm_up: usize,
     /// CPUs of the near and the far end.
     pub cpus: [usize; 2],
+    /// The system whose cores Tandem's ends are; it has power.
+    pub system: Option<&'static UnsupervisedSystem>,
 }
 
 impl Plan {
+    /// The system whose cores Tandem's ends are.
+    ///
+    /// # Panics
+    /// If the plan has none: those of the command have.
+    #[must_use]
+    pub fn system(&self) -> &'static UnsupervisedSystem {
+        self.system.expect("a system with power")
+    }
+
     /// The same with both ends on the near end's CPU.
     #[must_use]
     pub const fn on_one_cpu(self) -> Self {

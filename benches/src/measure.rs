@@ -10,7 +10,7 @@ use tandem_board_host::UnsupervisedSystem;
 /// What was measured of one case so far.
 pub struct Measurement {
     /// The case.
-    pub case: &'static Case,
+    pub case: Case,
     /// All samples, in picoseconds.
     pub times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
@@ -46,7 +46,7 @@ impl Measurement {
     /// # Panics
     /// Never: 3 significant digits make a histogram.
     #[must_use]
-    pub fn new(case: &'static Case) -> Self {
+    pub fn new(case: Case) -> Self {
         let histogram = || Histogram::new(3).expect("3 digits are allowed");
         Self {
             case,
@@ -128,8 +128,8 @@ pub fn was_interrupted() -> bool {
 ///
 /// To be called while the process has one thread.
 pub fn run(
-    system: &UnsupervisedSystem,
-    cases: impl IntoIterator<Item = &'static Case>,
+    system: &'static UnsupervisedSystem,
+    cases: impl IntoIterator<Item = Case>,
     cpus: [usize; 2],
     span: Span,
     mut progress: impl FnMut(f64, &Case),
@@ -153,7 +153,7 @@ pub fn run(
                 continue;
             }
             let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
-            progress(passed.min(1.0), measurement.case);
+            progress(passed.min(1.0), &measurement.case);
             tried = true;
             turn(system, measurement, cpus);
         }
@@ -164,14 +164,15 @@ pub fn run(
     }
 }
 
-fn turn(system: &UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
+fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
     let case = measurement.case;
     let plan = Plan {
         rounds: case.rounds,
         warm_up: case.rounds / 10,
         cpus,
+        system: Some(system),
     };
-    match (case.run)(system, &plan) {
+    match case.run_batch(&plan) {
         Ok(batch) => measurement.add(batch),
         Err(_) if was_interrupted() => {}
         Err(error) => measurement.skipped = Some(error.to_string()),

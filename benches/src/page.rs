@@ -174,7 +174,7 @@ fn table(rows: &[&Row]) -> Markup {
     let first = first_of_tandem(rows);
     let has_floor = rows.iter().any(|row| row.is_floor());
     html! {
-        table.tight {
+        table.bench {
             tr {
                 th {}
                 @if has_floor {

@@ -127,15 +127,23 @@ impl<'a> Headline<'a> {
     /// Of these rows of one group; `None` if Tandem has none.
     #[must_use]
     pub fn of(rows: &[&'a Row]) -> Option<Self> {
-        let peers = rows
+        let tandem = rows
             .iter()
-            .filter(|row| Provider::of(row).is_peer() && row.case() != "eventfd");
+            .find(|row| Provider::of(row) == Provider::Tandem)?;
+        let is_peer = |row: &&&Row| Provider::of(row).is_peer() && row.case() != "eventfd";
+        // In `rtos` a case has a floor and a peer of its own: `tick-floor`, `tick-posix-port`.
+        let own = format!("{}-", tandem.case());
+        let is_own = |row: &&&Row| row.case().starts_with(&own);
+        let is_floor = |row: &&&Row| Provider::of(row) == Provider::Floor;
+        let peers = || rows.iter().filter(is_peer);
+        let best = peers().min_by(|a, b| a.p50_ns.total_cmp(&b.p50_ns));
+        let floor = rows.iter().find(|row| row.is_floor());
         Some(Self {
-            floor: rows.iter().find(|row| row.is_floor()).copied(),
-            tandem: rows
-                .iter()
-                .find(|row| Provider::of(row) == Provider::Tandem)?,
-            peer: peers.min_by(|a, b| a.p50_ns.total_cmp(&b.p50_ns)).copied(),
+            floor: floor
+                .or_else(|| rows.iter().filter(is_floor).find(is_own))
+                .copied(),
+            tandem,
+            peer: peers().find(is_own).or(best).copied(),
         })
     }
 }
@@ -176,5 +184,18 @@ mod tests {
         assert_eq!(headline.tandem.name, "sleep/tandem");
         assert_eq!(headline.peer.unwrap().name, "sleep/iceoryx2-event");
         assert!(Headline::of(&rows[..1]).is_none());
+    }
+
+    #[test]
+    fn what_has_a_floor_and_a_peer_of_its_own_is_summed_up_by_these() {
+        let rows = [
+            row("rtos/tick-floor", 20.0),
+            row("rtos/tick", 22.0),
+            row("rtos/tick-posix-port", 50.0),
+            row("rtos/switch-posix-port", 1.0),
+        ];
+        let headline = Headline::of(&rows.iter().collect::<Vec<_>>()).unwrap();
+        assert_eq!(headline.floor.unwrap().name, "rtos/tick-floor");
+        assert_eq!(headline.peer.unwrap().name, "rtos/tick-posix-port");
     }
 }

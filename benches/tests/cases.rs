@@ -66,22 +66,24 @@ fn main() {
         return;
     }
     let place = isolation::enter().unwrap();
-    let system = UnsupervisedSystem::power_on(&place).unwrap();
+    let system: &'static UnsupervisedSystem =
+        Box::leak(Box::new(UnsupervisedSystem::power_on(&place).unwrap()));
     let cpus = core_affinity::get_core_ids().unwrap();
     let cpus = [cpus[0].id, cpus[cpus.len() - 1].id];
-    let ran = cases.map(|case| run(case, &system, cpus)).count();
+    let ran = cases.map(|case| run(&case, system, cpus)).count();
     place.wipe();
     println!("test result: ok. {ran} passed; 0 failed");
 }
 
-fn run(case: &Case, system: &UnsupervisedSystem, cpus: [usize; 2]) {
+fn run(case: &Case, system: &'static UnsupervisedSystem, cpus: [usize; 2]) {
     let name = case.full_name();
     let plan = Plan {
         rounds: case.rounds.min(20),
         warm_up: 2,
         cpus,
+        system: Some(system),
     };
-    let batch = match (case.run)(system, &plan) {
+    let batch = match case.run_batch(&plan) {
         Ok(batch) => batch,
         // What is not installed is skipped by the benchmark, too.
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => {

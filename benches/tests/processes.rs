@@ -110,6 +110,7 @@ fn stays_that_get_lost_are_noticed() {
         rounds: 100,
         warm_up: 0,
         cpus: [0, 0],
+        system: None,
     };
     let error = contended(&plan, 2, 0, |_, _| Absent).unwrap_err();
     assert_eq!(error.to_string(), "two were inside at once");

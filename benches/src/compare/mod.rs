@@ -3,10 +3,10 @@
 //! A case has one median, and one 99th percentile, for each batch of a run; these are the samples
 //! of the test, 20 or 200 to a run. A change counts if all of this holds:
 //!
-//! - the times differ by the test of Mann and Whitney, and so do their ratios to the floor's batch
-//!   that ran beside each: a machine in another mood changes times, but hardly ratios. The larger
-//!   of the two p-values counts, after Holm's correction for the number of cases. Runs of a handful
-//!   of batches, which no ranks can tell apart, go by Welch's test on the logarithms instead;
+//! - the logarithms of the times differ by Welch's test on trimmed means, and so do those of their
+//!   ratios to the floor's batch that ran beside each: a machine in another mood changes times, but
+//!   hardly ratios. The larger of the two p-values counts, after Holm's correction for the number
+//!   of cases;
 //! - times and ratios changed in the same direction, each by more than it drifted between the two
 //!   halves of either run, and by more than [`SMALLEST_CHANGE`].
 //!
@@ -264,9 +264,7 @@ pub fn compare((a_path, a): (&Path, &Results), (b_path, b): (&Path, &Results)) -
     let mut cases = Vec::new();
     for rows in &pairs {
         let floors = [a, b].map(|run| find(run, &floor_of(rows[0])).map(|at| &run.results[at]));
-        let kind = kind(rows[0]);
-        let family = pairs.iter().filter(|other| self::kind(other[0]) == kind);
-        cases.push(case(*rows, floors, family.count()));
+        cases.push(case(*rows, floors));
     }
     judge(&mut cases);
     let mut remarks = remarks(a, b);
@@ -294,17 +292,12 @@ pub fn compare((a_path, a): (&Path, &Results), (b_path, b): (&Path, &Results)) -
     }
 }
 
-/// Floors, peers, Tandem's.
-fn kind(row: &Row) -> (bool, bool) {
-    (row.is_floor(), Provider::of(row).is_peer())
-}
-
 fn floor_of(row: &Row) -> String {
     format!("{}/floor", row.group)
 }
 
-/// One case of a family of so many, with p-values that are not yet corrected, and no verdict.
-fn case(rows: [&Row; 2], floors: [Option<&Row>; 2], family: usize) -> Compared {
+/// One case, with p-values that are not yet corrected, and no verdict.
+fn case(rows: [&Row; 2], floors: [Option<&Row>; 2]) -> Compared {
     let is_floor = rows[0].is_floor();
     let floors = match floors {
         [Some(a), Some(b)] if !is_floor => Some([a, b]),
@@ -314,7 +307,7 @@ fn case(rows: [&Row; 2], floors: [Option<&Row>; 2], family: usize) -> Compared {
         let ratios =
             floors.map(|floors| [0, 1].map(|i| beside(batches(rows[i]), batches(floors[i]))));
         let times = rows.map(|row| logs(batches(row)));
-        change(rows.map(total), times, ratios, family)
+        change(rows.map(total), times, ratios)
     };
     Compared {
         name: rows[0].name.clone(),
@@ -351,27 +344,16 @@ fn merged(values: Vec<f64>) -> Vec<f64> {
 
 /// Whether the second run lies apart from the first, and by how much; `None` if one of them holds
 /// too few batches for that.
-fn tested([a, b]: &[Vec<f64>; 2], family: usize) -> (f64, Option<Relative>) {
-    let by_ranks = || {
-        let shift = stats::shift(a, b, CONFIDENCE).and_then(relative);
-        (stats::mann_whitney_p(a, b), shift)
-    };
-    // What the sizes permit, not what the values say, decides for a test.
-    if stats::least_p(a.len(), b.len()) * family as f64 <= ALPHA {
-        return by_ranks();
+fn tested([a, b]: &[Vec<f64>; 2]) -> (f64, Option<Relative>) {
+    match stats::difference(a, b, CONFIDENCE) {
+        Some((p, shift)) => (p, relative(shift)),
+        None => (1.0, None),
     }
-    let by_distance = stats::welch(a, b, CONFIDENCE);
-    by_distance.map_or_else(by_ranks, |(p, shift)| (p, relative(shift)))
 }
 
-fn change(
-    total_ns: [f64; 2],
-    times: [Vec<f64>; 2],
-    ratios: Option<[Vec<f64>; 2]>,
-    family: usize,
-) -> Change {
-    let (p, time) = tested(&times, family);
-    let of_ratio = ratios.as_ref().map(|ratios| tested(ratios, family));
+fn change(total_ns: [f64; 2], times: [Vec<f64>; 2], ratios: Option<[Vec<f64>; 2]>) -> Change {
+    let (p, time) = tested(&times);
+    let of_ratio = ratios.as_ref().map(tested);
     let tested: Vec<&[Vec<f64>; 2]> = std::iter::once(&times).chain(&ratios).collect();
     let drift = tested
         .iter()

@@ -107,8 +107,8 @@ impl Comparison {
         );
         let _ = writeln!(
             text,
-            "A change counts if times and ratios to the floor agree on it (Mann-Whitney on the \
-             medians of batches,\np <= {ALPHA} after Holm), and if it is larger than what each run \
+            "A change counts if times and ratios to the floor agree on it (Welch's test on the \
+             batches,\np <= {ALPHA} after Holm), and if it is larger than what each run \
              drifted by itself and than {:.0} %.",
             SMALLEST_CHANGE * 100.0
         );

@@ -166,13 +166,8 @@ impl End for Core {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn sync(
-    system: &UnsupervisedSystem,
-    plan: &Plan,
-    policy: WaitPolicy,
-    way: Way,
-) -> io::Result<Batch> {
-    let life = next_life();
+pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
+    let (system, life) = (plan.system(), next_life());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, way);
     between_processes(plan, 0, start(a, b), start(b, a))
@@ -182,13 +177,9 @@ pub fn sync(
 ///
 /// # Errors
 /// As [`through_three`].
-pub fn chain(
-    system: &UnsupervisedSystem,
-    plan: &Plan,
-    policies: [WaitPolicy; 3],
-) -> io::Result<Batch> {
+pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
     const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
-    let life = next_life();
+    let (system, life) = (plan.system(), next_life());
     through_three(plan, 0, |part, _| {
         let (core, next) = (CHAIN[part], CHAIN[(part + 1) % 3]);
         Core::start(system, core, next, life, policies[part], Way::Signal)
@@ -199,8 +190,8 @@ pub fn chain(
 ///
 /// # Errors
 /// As [`at_fixed_rate`].
-pub fn at_rate(system: &UnsupervisedSystem, plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
-    let life = next_life();
+pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+    let (system, life) = (plan.system(), next_life());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start =
         |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, Way::Signal);

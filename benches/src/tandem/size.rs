@@ -11,7 +11,6 @@ use crate::shared::Shared;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::CoreId;
-use tandem_board_host::UnsupervisedSystem;
 use tandem_shm::wait::WaitPolicy;
 
 const PAYLOADS: usize = 2;
@@ -66,11 +65,11 @@ impl End for InPlace {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn in_place(system: &UnsupervisedSystem, plan: &Plan, bytes: usize) -> io::Result<Batch> {
+pub fn in_place(plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let words = (bytes / 4).next_multiple_of(LINE);
     let payloads = Shared::with_case_words(2 * PAYLOADS * words)?;
     let ways = payloads.case().split_at(PAYLOADS * words);
-    let life = next_life();
+    let (system, life) = (plan.system(), next_life());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer, out, inward| {
         move |_: &Shared| {
