@@ -35,6 +35,7 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
         &["tandem-shm", "tandem-board", "tandem-redundancy"],
     ),
     ("tandem-vehicle", &["tandem-bus"]),
+    ("tandem-page", &[]),
     (
         "tandem-record",
         &[
