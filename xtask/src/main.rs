@@ -89,7 +89,8 @@ enum Task {
         overhead_us: f64,
     },
     /// Write the tables of tasks in docs/ from the task table in the code
-    TaskTables {
+    #[command(name = "task-tables")]
+    Tables {
         /// Only say whether one is stale
         #[arg(long)]
         check: bool,
@@ -154,7 +155,7 @@ fn execute() -> Result<()> {
             metrics,
             overhead_us,
         } => rta::run(root, &metrics, overhead_us),
-        Task::TaskTables { check } => task_tables::run(root, check),
+        Task::Tables { check } => task_tables::run(root, check),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
         Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
             let mut command = rtos_test(root, "soak", "random_task_sets");

@@ -7,8 +7,10 @@ use std::path::Path;
 use tandem_board::CoreId;
 use tandem_cores::task_table::{self, CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
 
-/// Pages with a table between two marks.
-const PAGES: [(&str, &str, fn() -> String); 3] = [
+/// A page, the name of two marks in it, and the table between them.
+type Place = (&'static str, &'static str, fn() -> String);
+
+const PAGES: [Place; 3] = [
     ("docs/rtos-tasks.md", "task table", priorities),
     ("docs/rtos-tasks.md", "locks", locks),
     ("docs/tracing.md", "task table", codes),
