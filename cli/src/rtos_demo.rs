@@ -56,7 +56,7 @@ pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
 fn pictures_of(log: &str) -> Result<Vec<Picture>> {
     ensure!(
         log.lines().any(|line| line == COMPLETE),
-        "the firmware did not come to its end, or is of another version: {log}"
+        "the firmware did not reach its end, or is of another version: {log}"
     );
     let mut pictures: Vec<_> = TESTS
         .iter()

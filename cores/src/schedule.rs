@@ -1,7 +1,7 @@
 //! Releases of a periodic task on absolute time.
 //!
 //! A release happens at `start + n · period` exactly, never relative to when the last one ran, so
-//! nothing drifts. Who runs the task, and what it waits for meanwhile, is not said here.
+//! nothing drifts. What runs the task, and what it waits for, is the executor's.
 
 use tandem_board::{Duration, Instant};
 
@@ -30,7 +30,7 @@ impl TickGrid {
         period: Duration::from_ns(1),
     };
 
-    /// The number of the tick at which `at` has come.
+    /// The number of the first tick that is not before `at`.
     #[must_use]
     pub const fn after(&self, at: Instant) -> u64 {
         at.since(self.origin).as_ns().div_ceil(self.period.as_ns())

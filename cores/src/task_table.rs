@@ -20,7 +20,7 @@ impl TaskCode {
     pub const CONTROL: Self = Self(3);
     /// Core 0: the L2 functions of degraded mode, instead of [`Self::CONTROL`].
     pub const DEGRADED: Self = Self(4);
-    /// Core 0: heartbeats, what has come from the other system, and the state machine of the roles.
+    /// Core 0: heartbeats, messages of the other system, and the state machine of the roles.
     pub const ROLES: Self = Self(5);
     /// Core 0: watchdogs and the cores' alive counters.
     pub const MONITORING: Self = Self(7);
@@ -70,8 +70,8 @@ pub struct TaskInfo {
     pub released_by: &'static [ReleasedBy],
     /// Shortest time between two releases.
     pub period: Duration,
-    /// A job must be done so long after its release. `None` if the trace does not tell the release;
-    /// then the analysis takes the period.
+    /// The longest time from a release to the end of its job. `None` if the trace does not tell
+    /// the release; then the analysis takes the period.
     pub deadline: Option<Duration>,
     /// Priority of the kernel's task, 1 to 30: a higher one pre-empts a lower one. 0 on cores
     /// without a kernel.
@@ -178,7 +178,7 @@ pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
     purpose: "acquires the sensors' lists and fuses them to a scene",
 }];
 
-/// The task of core 2. Core 1's signal releases it; the next one comes a period later.
+/// The task of core 2. Core 1's signal releases it; the next one follows a period later.
 pub const CORE_2: [TaskInfo; 1] = [TaskInfo {
     code: TaskCode::PLANNING,
     name: "planning",

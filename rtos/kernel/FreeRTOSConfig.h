@@ -69,7 +69,7 @@
 #define INCLUDE_xTimerPendFunctionCall             1
 #define INCLUDE_eTaskGetState                      1
 
-/* Trace: one test of a pointer when nobody listens. The numbers are those of `trace::Kind`. */
+/* Trace: one test of a pointer without a sink. The numbers are those of `trace::Kind`. */
 #define tandemTRACE( kind, task )                                          \
     do {                                                                   \
         if( tandem_trace_sink != 0 ) {                                     \

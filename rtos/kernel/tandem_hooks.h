@@ -9,7 +9,7 @@
 extern void tandem_assert( const char * file, int line ) __attribute__( ( noreturn ) );
 /* A fine, monotonic counter; its unit is the port's. */
 extern uint64_t tandem_run_time( void );
-/* Null as long as nobody listens. */
+/* Null without a sink. */
 extern void * volatile tandem_trace_sink;
 /* An event of a task. Called with interrupts masked. */
 extern void tandem_trace( uint32_t kind, uint32_t task );

@@ -18,11 +18,11 @@ mod sealed {
 }
 pub(crate) use sealed::Sealed;
 
-/// Whoever may make calls that never block: a task, a handler, or the owner of a kernel that does
-/// not run yet.
+/// A caller of what never blocks: a task, a handler, or the owner of a kernel that does not run
+/// yet.
 pub trait Context: Sealed {}
 
-/// Whoever may make objects: a task, or the owner of a kernel that does not run yet.
+/// A caller that may make objects: a task, or the owner of a kernel that does not run yet.
 pub trait TaskLevel: Context {}
 
 /// Proof that the caller is a task. Not to be sent anywhere: it belongs to its task.
@@ -160,21 +160,21 @@ impl TaskContext {
         port::burn(span);
     }
 
-    /// Bytes of this task's stack that it never used. Looks through all of them, so it takes some
-    /// microseconds; other tasks may run meanwhile.
+    /// Bytes of this task's stack that it never used. Reads all of them, which takes some
+    /// microseconds; other tasks may run in between.
     #[must_use]
     pub fn unused_stack_bytes(&self) -> usize {
         sys::task::own_unused_stack_bytes()
     }
 
-    /// Shows every task that is alive to `look`, which must not block; no other task runs
-    /// meanwhile.
+    /// Calls `look` for every task that is alive. `look` must not block; no other task runs until
+    /// this call returns.
     pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {
         port::without_others(|| sys::task::each(look));
     }
 
-    /// Runs `body` with interrupts masked: neither handlers nor other tasks run meanwhile. Keep it
-    /// short.
+    /// Runs `body` with interrupts masked: neither handlers nor other tasks run before it returns.
+    /// Keep it short.
     pub fn critical<R>(&self, body: impl FnOnce() -> R) -> R {
         sys::critical(body)
     }

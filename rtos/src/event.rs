@@ -105,7 +105,7 @@ impl EventGroup {
     pub fn new(at: &impl TaskLevel) -> Self {
         let memory = alloc::boxed::Box::leak(alloc::boxed::Box::new(EventGroupMemory::new()));
         let made = Self::new_static(at, memory);
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Self { group: &memory.0 }
     }
 

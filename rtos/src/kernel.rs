@@ -20,7 +20,7 @@ pub enum Clock {
     /// The machine's timer: 1 kHz on absolute time.
     Wall,
     /// Work: time passes only in [`TaskContext::burn`] and while all tasks wait. For tests that
-    /// must come out the same each time. Host only.
+    /// must give the same result each time. Host only.
     #[cfg(target_os = "linux")]
     Virtual,
 }
@@ -28,14 +28,14 @@ pub enum Clock {
 /// The one kernel of this process or core.
 #[derive(Debug)]
 pub struct Kernel {
-    /// All kernel calls come from the thread that starts it.
+    /// All kernel calls are made by the thread that starts it, until its tasks run.
     _of_one_thread: PhantomData<*mut ()>,
 }
 
 /// The kernel cannot be had.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelError {
-    /// Somebody has it already; it comes back when the scheduler has stopped.
+    /// It is taken already; it can be taken again when the scheduler has stopped.
     Taken,
 }
 

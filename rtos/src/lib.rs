@@ -56,7 +56,7 @@ pub use trace::{Event, EventKind, TraceReader, TraceRing, TraceSink};
 
 use core::fmt;
 
-/// The time was over before what was waited for came.
+/// The time was over before the wait was fulfilled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedOut;
 

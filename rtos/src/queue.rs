@@ -10,7 +10,7 @@ use core::cell::UnsafeCell;
 use core::fmt;
 use core::mem::MaybeUninit;
 
-/// There was no room; the value comes back.
+/// There was no room; the value is given back.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full<T>(pub T);
 
@@ -163,7 +163,7 @@ impl<T: Send> Queue<T> {
         self.queue.send_first(ctx, value, Ticks::NONE).map_err(Full)
     }
 
-    /// Waits for a value. `None` if none came in time.
+    /// Waits for a value. `None` if none arrived in time.
     ///
     /// # Panics
     /// As [`Queue::send`].
@@ -177,7 +177,7 @@ impl<T: Send> Queue<T> {
         self.queue.receive(ctx, Ticks::NONE)
     }
 
-    /// Waits for a value and leaves it in the queue. `None` if none came in time.
+    /// Waits for a value and leaves it in the queue. `None` if none arrived in time.
     ///
     /// # Panics
     /// As [`Queue::send`].

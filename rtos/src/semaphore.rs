@@ -105,7 +105,7 @@ impl Semaphore {
     fn on_heap(kind: Kind) -> Self {
         let memory = Arc::new(SemaphoreMemory::new());
         let made = memory.make(kind);
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Self {
             memory: Shared::Heap(memory),
         }

@@ -40,7 +40,7 @@ pub struct TaskOptions<'a> {
     pub name: &'a str,
     /// How urgent it is.
     pub priority: Priority,
-    /// Bytes of the stack, if it comes from the heap; rounded up to whole pages on the host.
+    /// Bytes of the stack, if it is taken from the heap; rounded up to whole pages on the host.
     pub stack_bytes: usize,
 }
 

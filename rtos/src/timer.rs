@@ -64,7 +64,7 @@ impl Timer {
         let memory = Box::leak(Box::new(TimerMemory::new()));
         let callback = Box::leak(Box::new(callback));
         let made = Self::new_static(at, memory, period, reload, callback);
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Self { block: &memory.0 }
     }
 

@@ -1,15 +1,15 @@
-//! What the kernel did when: switches, wake-ups and interrupts, for who draws a picture of them.
+//! What the kernel did when: switches, wake-ups and interrupts, for traces and pictures.
 
 use core::sync::atomic::{AtomicU32, Ordering, fence};
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EventKind {
-    /// A task begins to run, or goes on. The kernel chose it; it may have run before, too.
+    /// The kernel chose a task, which begins or continues. It may be the one that ran before.
     SwitchedIn,
     /// The running task gives way, perhaps to itself.
     SwitchedOut,
-    /// A task became ready: it was woken, made, or its time has come.
+    /// A task became ready: it was woken or made, or its wait has ended.
     Ready,
     /// A handler begins. The subject is the interrupt's number; 63 is the host's tick. The target's
     /// tick is not told.
@@ -54,8 +54,8 @@ pub struct Event {
     pub subject: u32,
 }
 
-/// Who is told. Called in tasks and in handlers, also nested in itself: it must not block, allocate
-/// or lock.
+/// Receives the events. Called in tasks and in handlers, also nested in itself: it must not block,
+/// allocate or lock.
 pub trait TraceSink: Sync {
     /// An event.
     fn record(&self, event: Event);
@@ -142,7 +142,7 @@ impl<const N: usize> TraceSink for TraceRing<N> {
         slot.at_ns[1].store((event.at_ns >> 32) as u32, Ordering::Relaxed);
         slot.kind.store(event.kind.number(), Ordering::Relaxed);
         slot.subject.store(event.subject, Ordering::Relaxed);
-        // Release pairs with the Acquire in `next`: who sees the number sees the words.
+        // Release pairs with the Acquire in `next`: a reader that sees the number sees the words.
         slot.sequence.store(whole(number), Ordering::Release);
     }
 }

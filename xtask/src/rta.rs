@@ -23,7 +23,7 @@ const MARKS: &str = "response times";
 struct Load {
     /// Shortest time between two releases.
     period: f64,
-    /// How much a release may come late after the point that the period counts from.
+    /// How late a release may be, counted from the point that the period counts from.
     jitter: f64,
     /// Longest time on the processor.
     execution: f64,
@@ -34,7 +34,7 @@ struct Load {
 /// `above` is all that may interrupt the task; `blocking` the longest wait for those below it.
 fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> {
     let mut response = own + blocking;
-    // Each step adds at least one release of somebody, and there are finitely many before the
+    // Each step adds at least one release, and there are finitely many before the
     // limit.
     while response <= limit {
         let interference = |load: &Load| {
@@ -145,7 +145,7 @@ fn responses(metrics: &Value, overhead_us: f64, by: By) -> Vec<Option<f64>> {
         let held = tasks[index + 1..].iter().map(|(_, held)| *held);
         let held = match by {
             // The longest time in a lock is at most the job that it is in; what was measured beyond
-            // that is what came between.
+            // that is what interrupted it.
             By::P99 => held
                 .zip(&tasks[index + 1..])
                 .map(|(held, task)| held.min(task.0))

@@ -2,7 +2,7 @@
 //!
 //! [`start`] is the whole interface. The board's clock must be the one that drives the kernel's
 //! tick: CLOCK_MONOTONIC on the host, `mtime` on riscv32. Waits end with a tick, so releases are
-//! laid on ticks. Memory comes from the heap, all of it before the kernel starts.
+//! laid on ticks. All memory is taken from the heap before the kernel starts.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -37,7 +37,7 @@ const REPORT_PERIOD: Duration = Duration::from_ms(1000);
 const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 
 /// The task that waits for the end of the distance when the doorbell has rung too early. The other
-/// one that it releases, the roles, looks at every tick.
+/// one that it releases, the roles, runs at every tick.
 const DOORBELL_WAITER: TaskId = TaskId::TrajectoryInput;
 
 /// What the machine decides.
@@ -53,7 +53,7 @@ pub struct Options {
     pub overload: Option<Overload>,
 }
 
-/// Jobs that take longer than they should, to test what the others do meanwhile.
+/// Jobs that take longer than they should, to test the other tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Overload {
     /// Whose jobs.
@@ -212,7 +212,7 @@ impl<B: Board + Sync> Executor<'static, B> for OfTask<'_, B> {
     }
 }
 
-/// Waits for a notification, at the longest until the tick at which `deadline` has come.
+/// Waits for a notification, at the longest until the first tick that is not before `deadline`.
 ///
 /// The roles are asked at each tick. If their deadline lies between two ticks, they are asked at
 /// the one before: a wasted poll is cheaper than a late heartbeat.

@@ -1,6 +1,6 @@
 //! Core 0: control every 10 ms, and all that its system says to the other one. T-CHIP-3, T-CHIP-7
 //!
-//! After a reset it first lets cores 1 and 2 come up, silently; then the start protocol begins.
+//! After a reset it first waits silently for cores 1 and 2; then the start protocol begins.
 //!
 //! Its work is six tasks ([`TaskId`]; the table is [`crate::task_table`]). The body of each is a
 //! [`Task`] that does what is due and returns when it is due next. What the tasks share they reach
@@ -34,7 +34,7 @@ pub const CONTROL_PERIOD: Duration = TaskId::Control.info().period;
 /// The tasks of core 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskId {
-    /// Heartbeats, what has come from the other system, and the state machine of the roles.
+    /// Heartbeats, what has arrived from the other system, and the state machine of the roles.
     Roles,
     /// Window and functional watchdog, and the cores' alive counters.
     Monitoring,

@@ -21,7 +21,7 @@ fn released(board: &impl Board, release: Release) -> Begin {
     }
 }
 
-/// Heartbeats, what has come from the other system, and the roles.
+/// Heartbeats, what has arrived from the other system, and the roles.
 pub struct Roles<'b, B>(pub(super) &'b B);
 
 impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
@@ -38,8 +38,8 @@ impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
                 Begin::Released { late_ns, missed: 0 }
             };
             executor.begins(Self::ID, begin);
-            // Everything that has come is handed on before the lines are judged: else the
-            // redundancy would be told of silence while evidence waits in a buffer.
+            // Tell everything that has arrived before the lines are judged: otherwise the
+            // redundancy sees silence while evidence waits in a buffer.
             let heard = shared.read_bus();
             let tasks = heard | shared.poll_redundancy();
             shared.tell_floods(executor.held_back());
@@ -100,7 +100,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
         self.last_service = Some(self.board.now());
     }
 
-    /// Looks at the alive counters.
+    /// Compares the alive counters with their limit.
     fn supervise(&mut self, executor: &impl Executor<'b, B>) {
         let Some(map) = &self.map else { return };
         let (now, limit) = (self.board.now(), self.config.alive_limit);
@@ -333,7 +333,7 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
         if asleep {
             Instant::NEVER
         } else {
-            // A signal has arrived meanwhile. Core 2 does not ring while this core is awake.
+            // A signal has just arrived. Core 2 does not ring while this core is awake.
             self.board.now() + DOORBELL_DISTANCE
         }
     }

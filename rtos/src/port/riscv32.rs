@@ -330,7 +330,7 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
     let number = match cause & 0x7FFF_FFFF {
         CAUSE_SOFTWARE => {
             let register = ptr::with_exposed_provenance_mut::<u32>(MSIP + 4 * hart());
-            // SAFETY: acknowledges before the handler looks, so a later ring interrupts again.
+            // SAFETY: acknowledges before the handler runs, so a later ring interrupts again.
             unsafe {
                 register.write_volatile(0);
                 core::arch::asm!("fence iorw, iorw");
@@ -346,9 +346,7 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
         if number == Interrupt::DOORBELL {
             return;
         }
-        fatal(format_args!(
-            "an external interrupt came, and nobody handles it"
-        ));
+        fatal(format_args!("an external interrupt without a handler"));
     };
     let context = InterruptContext::new();
     sink::interrupt_entered(u32::from(number.number()));

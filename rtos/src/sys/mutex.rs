@@ -1,4 +1,4 @@
-//! A value that one task at a time may touch; who holds it inherits the priority of who waits.
+//! A value that one task at a time may touch; its holder inherits the priority of a waiter.
 
 use super::queue::Raw;
 use super::shared::Shared;
@@ -73,7 +73,7 @@ impl<T: Send> Mutex<T> {
             value: UnsafeCell::new(value),
         });
         let made = inner.raw.make_mutex();
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Self {
             inner: Shared::Heap(inner),
         }

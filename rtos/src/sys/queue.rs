@@ -58,7 +58,7 @@ impl Raw {
 
     fn claim(&self) -> Result<*mut c_void, InUse> {
         self.life.claim()?;
-        // SAFETY: the object is new, so that nobody points to its set.
+        // SAFETY: the object is new, so nothing points to its set.
         unsafe { *self.set.get() = None };
         Ok(self.block.get().cast())
     }
@@ -152,7 +152,7 @@ impl Raw {
         // below for as long.
         let joined = unsafe { ffi::xQueueAddToSet(self.handle(), set.raw.handle()) == ffi::PASS };
         if joined {
-            // SAFETY: on the core's thread; there was no set, so nobody refers to this place.
+            // SAFETY: on the core's thread; there was no set, so nothing refers to this place.
             unsafe { *self.set.get() = Some(set.clone()) };
         }
         joined
@@ -201,7 +201,7 @@ impl<T: Send> Typed<T> {
             .collect();
         let queue = Arc::new(Self::new());
         let made = queue.make(Storage::Heap(items), capacity);
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Shared::Heap(queue)
     }
 
@@ -210,7 +210,7 @@ impl<T: Send> Typed<T> {
         assert!(capacity > 0, "a queue of no items");
         let block = self.raw.claim()?;
         self.capacity.store(capacity, Ordering::Relaxed);
-        // SAFETY: the object is new: nobody else looks at its storage, which stays as long as it.
+        // SAFETY: the object is new: nothing else uses its storage, which lives as long as it.
         unsafe {
             *self.storage.get() = storage;
             let items = match &*self.storage.get() {
@@ -257,7 +257,7 @@ impl<T: Send> Typed<T> {
         }
     }
 
-    /// The caller has made sure that it may wait so long.
+    /// The caller has checked that it may wait for this time.
     pub(crate) fn send<C: Context>(&self, ctx: &C, value: T, timeout: Ticks) -> Result<(), T> {
         self.send_to(ctx, value, timeout, BACK)
     }
@@ -272,7 +272,7 @@ impl<T: Send> Typed<T> {
         self.send_to(ctx, value, timeout, FRONT)
     }
 
-    /// The caller has made sure that it may wait so long.
+    /// The caller has checked that it may wait for this time.
     pub(crate) fn receive<C: Context>(&self, ctx: &C, timeout: Ticks) -> Option<T> {
         let handle = self.raw.handle();
         let mut item = MaybeUninit::<T>::uninit();
@@ -329,7 +329,7 @@ pub(crate) struct Set {
     raw: Raw,
     storage: UnsafeCell<Storage<usize>>,
     capacity: AtomicUsize,
-    /// Of which members could fill so many.
+    /// How many of them the members could fill.
     promised: AtomicUsize,
 }
 
@@ -355,7 +355,7 @@ impl Set {
             .collect();
         let set = Arc::new(Self::new());
         let made = set.make(Storage::Heap(items), capacity);
-        debug_assert!(made.is_ok(), "new memory is in nobody's use");
+        debug_assert!(made.is_ok(), "new memory is unused");
         Shared::Heap(set)
     }
 

@@ -14,7 +14,7 @@ unsafe impl Sync for Sink {}
 
 static SINK: Sink = Sink(UnsafeCell::new(None));
 
-/// What the kernel's C code looks at before it calls: null, or anything else.
+/// The kernel's C code calls only if this is not null.
 #[unsafe(no_mangle)]
 static tandem_trace_sink: AtomicPtr<c_void> = AtomicPtr::new(ptr::null_mut());
 
@@ -25,7 +25,7 @@ pub(crate) fn listen(sink: Option<&'static dyn TraceSink>) {
     } else {
         ptr::null_mut()
     };
-    // SAFETY: no scheduler runs, so that nobody reads.
+    // SAFETY: no scheduler runs, so nothing reads it.
     unsafe { *SINK.0.get() = sink };
     tandem_trace_sink.store(flag, Ordering::Relaxed);
 }

@@ -258,7 +258,7 @@ fn create(
         record.state.store(FREE, Ordering::Relaxed);
         record.alive.store(0, Ordering::Relaxed);
     }
-    // Nobody else is on this thread: the exchange only has to be undivided against handlers.
+    // No other thread changes it: the exchange only has to be atomic against handlers.
     let taken =
         record
             .state
@@ -329,7 +329,7 @@ impl Drop for NoSwitch {
 extern "C" fn task_main(parameters: *mut c_void) {
     // SAFETY: `create` passed the record, which lives until the task is gone.
     let record = unsafe { &*parameters.cast::<Record>() };
-    // SAFETY: nobody but the task itself touches its entry once it runs.
+    // SAFETY: only the task itself touches its entry once it runs.
     let entry = unsafe { core::mem::replace(&mut *record.entry.get(), Entry::None) };
     let context = TaskContext::new();
     match entry {
@@ -339,7 +339,7 @@ extern "C" fn task_main(parameters: *mut c_void) {
         Entry::Closure(closure) => closure(&context),
     }
     if record.mutexes.load(Ordering::Relaxed) != 0 {
-        // Who waits for it would lend its priority to a task that is no more.
+        // A waiter would boost a deleted task.
         port::fatal(format_args!(
             "task '{}' has ended with a locked mutex",
             current_name()
@@ -622,7 +622,7 @@ pub struct TaskStatistics<'a> {
     /// Its priority, with what it inherits from tasks that wait for its mutexes. 0 is the idle
     /// task's, 31 the timers'.
     pub priority: u8,
-    /// How long it has run, with the interrupts that came meanwhile.
+    /// How long it has run, with the interrupts in that time.
     pub run_time: Duration,
     /// Bytes of its stack.
     pub stack_bytes: usize,
@@ -632,7 +632,7 @@ pub struct TaskStatistics<'a> {
 
 fn statistics(record: &Record) -> TaskStatistics<'_> {
     let mut info = ffi::TaskInfo::default();
-    // SAFETY: the task is alive, and cannot end meanwhile: no other task runs.
+    // SAFETY: the task is alive, and cannot end now: no other task runs.
     let (name, words) = unsafe {
         ffi::tandem_task_info(record.handle(), &mut info);
         let stack = &*record.stack.get();

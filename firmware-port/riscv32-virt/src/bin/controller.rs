@@ -5,7 +5,7 @@
 //! system's core 0 runs its tasks under FreeRTOS, in every life. The kernel's statics exist once in
 //! an image, so with both systems core 0 runs them to completion. Cores 1 and 2 have no kernel.
 //!
-//! Strap `Second`, bit 0: a system that comes back becomes the standby of the running one.
+//! Strap `Second`, bit 0: a system that returns becomes the standby of the running one.
 //! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
 #![no_std]
 #![no_main]

@@ -55,8 +55,8 @@ pub(super) fn guarded<R>(body: impl FnOnce() -> R) -> R {
     result
 }
 
-// SAFETY: every call is passed on as it is. Interrupts are masked meanwhile, so that on the core's
-// thread no other task and no handler comes between; the inner allocator takes care of other
+// SAFETY: every call is passed on as it is. Interrupts are masked, so on the core's
+// thread no other task and no handler runs in between; the inner allocator takes care of other
 // threads.
 unsafe impl<A: GlobalAlloc> GlobalAlloc for TaskAllocator<A> {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {

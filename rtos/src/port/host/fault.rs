@@ -28,7 +28,7 @@ pub(super) fn begin() -> Result<Before, i32> {
     let flags = libc::MAP_PRIVATE | libc::MAP_ANONYMOUS | libc::MAP_STACK;
     let access = libc::PROT_READ | libc::PROT_WRITE;
     // SAFETY: a fresh mapping becomes the alternate stack; all places are valid. The handler only
-    // looks, writes and ends the process.
+    // reads, writes and ends the process.
     unsafe {
         let memory = libc::mmap(ptr::null_mut(), HANDLER_BYTES, access, flags, -1, 0);
         if memory == libc::MAP_FAILED {
@@ -44,7 +44,7 @@ pub(super) fn begin() -> Result<Before, i32> {
         let mut action: libc::sigaction = core::mem::zeroed();
         action.sa_sigaction = handler as *const () as usize;
         action.sa_flags = libc::SA_SIGINFO | libc::SA_ONSTACK;
-        // Nothing comes between: a switch of tasks must not happen on the alternate stack.
+        // No other signal: a switch of tasks must not happen on the alternate stack.
         libc::sigfillset(&mut action.sa_mask);
         let actions = [libc::SIGSEGV, libc::SIGBUS].map(|signal| {
             let mut old: libc::sigaction = core::mem::zeroed();

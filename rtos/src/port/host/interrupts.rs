@@ -4,7 +4,7 @@
 //! thread a signal: at most one is under way. The handler runs on the stack of the task that it
 //! interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask), so
 //! that a task which is left inside a handler and one which is not have the same mask, and the
-//! switch need not know. Signals that come while interrupts are masked return at once; at most a
+//! switch need not know. Signals that arrive while interrupts are masked return at once; at most a
 //! few frames lie on a stack.
 
 use super::state::{self, PENDING};
@@ -43,12 +43,12 @@ static SOURCES: [Source; 63] = [const {
 }; 63];
 
 /// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one
-/// word, so that who sets the bit knows whose it is.
+/// word, so that a thread that sets the bit knows whose it is.
 static CORE: AtomicU64 = AtomicU64::new(0);
-/// A signal to that thread is under way, or has come and nobody looked at `PENDING` since.
+/// A signal to that thread is under way, or has arrived and `PENDING` was not read since.
 const SIGNALLED: u64 = 1 << 32;
 
-/// The signal has come, and nobody looked at `PENDING` since. The core's thread's own.
+/// The signal has arrived, and `PENDING` was not read since. The core's thread's own.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
 /// Carries interrupts of other threads.
@@ -96,14 +96,14 @@ pub(super) fn detach_all() {
 ///
 /// What the caller wrote before is visible to the handler.
 pub fn raise(interrupt: Interrupt) {
-    // Release pairs with the Acquire of who takes the bit.
+    // Release pairs with the Acquire of the core that takes the bit.
     PENDING.fetch_or(1 << interrupt.number(), Ordering::Release);
     if state::on_core() {
         state::poll();
         return;
     }
     // AcqRel pairs with the exchanges in `acknowledge` and `begin`: whichever of two comes second
-    // sees the other. So either the core looks at `PENDING` after our bit, or a signal is sent.
+    // sees the other. So either the core reads `PENDING` after our bit, or a signal is sent.
     let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
     let thread = core as u32;
     if thread != 0 && core & SIGNALLED == 0 {
@@ -118,7 +118,7 @@ pub fn raise(interrupt: Interrupt) {
     }
 }
 
-/// Before the core looks at `PENDING`: what is raised from now on sends a signal again. As late
+/// Before the core reads `PENDING`: what is raised from now on sends a signal again. As late
 /// as that, so that while interrupts are masked no signals pile up on the stack.
 pub(super) fn acknowledge() {
     // One signal at a time: one that is still to come would lie on the next one's frame.
@@ -168,7 +168,7 @@ pub(super) fn run(number: u32) {
 }
 
 /// The handler of both signals. It may interrupt a task anywhere, also in a call of the operating
-/// system, which is then restarted when the task goes on (SA_RESTART), or says EINTR.
+/// system, which is then restarted when the task continues (SA_RESTART), or says EINTR.
 extern "C" fn on_signal(signal: i32) {
     // A stray signal for a thread that is no core any more.
     if !state::on_core() {
@@ -207,11 +207,11 @@ pub(super) fn begin() -> Result<(), i32> {
     let handler: extern "C" fn(i32) = on_signal;
     state::prepare_frames();
     ARRIVED.store(false, Ordering::Relaxed);
-    // Before the first signal can come. Interrupts are masked until the first task runs.
+    // Before the first signal can arrive. Interrupts are masked until the first task runs.
     state::set_on_core(true);
     set_up(handler).inspect_err(|_| state::set_on_core(false))?;
     // AcqRel pairs with the exchange in `raise`: a bit of `PENDING` that was set before is seen by
-    // the first task, which looks in any case, and one that is set later sends a signal.
+    // the first task, which reads it in any case, and one that is set later sends a signal.
     CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
     Ok(())
 }

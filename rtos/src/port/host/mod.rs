@@ -65,7 +65,7 @@ pub(crate) fn start(clock: Clock) -> Result<(), StartError> {
         .map_err(|error| StartError::System(error.raw_os_error().unwrap_or(libc::EAGAIN)))?;
     match stop.recv() {
         Ok(()) => Ok(()),
-        // The thread has ended, and its thread-locals are gone when the caller goes on.
+        // The thread has ended, and its thread-locals are gone when this call returns.
         Err(mpsc::RecvError) => match thread.join() {
             Ok(ran) => ran.map_err(StartError::System),
             Err(panic) => std::panic::resume_unwind(panic),
@@ -183,6 +183,6 @@ fn print_raw(descriptor: i32, message: fmt::Arguments<'_>) {
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
     state::mask_for_good();
     print_raw(2, format_args!("tandem-rtos: {message}"));
-    // SAFETY: ends the process; nothing of it goes on.
+    // SAFETY: ends the process.
     unsafe { libc::abort() }
 }

@@ -1,11 +1,11 @@
-//! Stacks with a page below them that nobody may touch.
+//! Stacks with a page below them that faults when it is touched.
 
 use super::{state, tick};
 use crate::sys::task;
 use core::ptr;
 
 /// The smallest stack in words: frames of signals with all vector registers (3.7 KiB with AVX-512),
-/// of which several lie on each other while interrupts come in quick succession.
+/// of which several lie on each other while interrupts follow each other quickly.
 pub(crate) const MIN_STACK_WORDS: usize = (64 << 10) / size_of::<usize>();
 /// Bytes of the stacks of the idle task and of the timers' task.
 const SERVICE_BYTES: usize = 64 << 10;
@@ -54,7 +54,7 @@ impl Stack {
         }
         // SAFETY: the first page of the mapping above.
         if unsafe { libc::mprotect(base, page, libc::PROT_NONE) } != 0 {
-            // SAFETY: the mapping above, which nobody uses.
+            // SAFETY: the mapping above, which is unused.
             unsafe { libc::munmap(base, whole) };
             return None;
         }
@@ -82,8 +82,8 @@ impl Drop for Stack {
 }
 
 /// The idle task has nothing to do: ends the scheduler if no task is left, or sleeps until a
-/// signal. A signal that came before the call has been handled, and if it woke a task, that one ran
-/// first; so none is slept through.
+/// signal. A signal before the call has been handled, and if it woke a task, that task ran first;
+/// so no signal is slept through.
 pub(crate) fn idle() {
     if task::none_left() {
         state::leave();

@@ -5,11 +5,11 @@
 //! loads and stores are relaxed and a fence of the compiler keeps them in place. Other threads
 //! touch [`PENDING`] only.
 //!
-//! The one rule: whoever finds `masked` at zero may run interrupts, and raises it first. A signal
-//! that comes while it is above zero notes its interrupt in [`PENDING`] and sets `attention`;
-//! whoever brings it back to zero looks at `attention` *after* that. A signal before this look is
-//! seen by it, and a signal after it finds zero and serves itself. So none is lost, and no system
-//! call is needed.
+//! The one rule: code that finds `masked` at zero may run interrupts, and raises it first. A signal
+//! that arrives while it is above zero notes its interrupt in [`PENDING`] and sets `attention`.
+//! When `masked` returns to zero, `attention` is read *after* that. A signal before this read is
+//! found by it; a signal after it finds zero and serves itself. So none is lost, and no system call
+//! is needed.
 
 use super::switch::{first_frame, tandem_switch};
 use super::{interrupts, tick};
@@ -98,7 +98,7 @@ pub(super) fn unmask() {
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_attend() {
     tandem_port.masked.store(1, Relaxed);
-    // Whoever unmasks (to free memory, say) may be between a failed call and its look at errno.
+    // The code that unmasks (to free memory, say) may not have read errno of a failed call yet.
     super::keeping_errno(serve_and_unmask);
 }
 
@@ -141,7 +141,7 @@ fn serve() {
 
 /// Lets more urgent interrupts in while a handler runs.
 pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
-    /// What the handler interrupted cannot go on without the handler's end.
+    /// What the handler interrupted cannot continue without the handler's end.
     struct Unwound;
     impl Drop for Unwound {
         fn drop(&mut self) {
@@ -156,7 +156,7 @@ pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Lets the kernel choose, and goes on with its choice. Returns when this task is chosen again,
+/// Lets the kernel choose a task and switches to it. Returns when this task is chosen again,
 /// with interrupts masked once as on entry.
 fn switch() {
     YIELD.store(false, Relaxed);
@@ -188,7 +188,7 @@ extern "C" fn tandem_port_yield() {
     }
 }
 
-/// The way back from a switch: interrupts that came meanwhile are served.
+/// After a switch back: serves the interrupts that have become pending.
 fn serve_if_asked_and_unmask() {
     compiler_fence(Ordering::SeqCst);
     tandem_port.masked.store(0, Relaxed);
@@ -215,14 +215,14 @@ pub(super) fn poll() {
     }
 }
 
-/// A signal has come, whose handler has its variables at the address `frame`. The handler has
+/// A signal arrived. Its handler has its variables at the address `frame`, and has
 /// checked that this is the core's thread.
 ///
 /// Between the last look at `attention` and the end of the handler a signal is served in a frame of
 /// its own, below this one; and so may be another one at the end of that. So that they do not pile
 /// up as long as interrupts keep coming, a handler that may have interrupted such an end leaves
 /// with both signals blocked. The operating system unblocks them when it takes the frame away, and
-/// delivers what came meanwhile.
+/// delivers what became pending.
 pub(super) fn interrupt(frame: usize) {
     if tandem_port.masked.load(Relaxed) != 0 {
         tandem_port.attention.store(1, Relaxed);
@@ -362,7 +362,7 @@ extern "C" fn xPortStartScheduler() -> Base {
     0
 }
 
-/// Leaves the running task for good and goes on after the start of the scheduler.
+/// Leaves the running task for good and returns to the start of the scheduler.
 pub(super) fn leave() -> ! {
     mask();
     let mut abandoned = ptr::null_mut();

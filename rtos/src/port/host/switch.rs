@@ -1,7 +1,7 @@
 //! The switch between two tasks: what a C function must preserve, and the stack pointer.
 //!
 //! A task that was pre-empted lies in the frame of a signal, which holds its remaining registers,
-//! the vector unit among them; it goes on when the handler returns. A task that yielded called a
+//! the vector unit among them; it continues when the handler returns. A task that yielded called a
 //! function, which need not preserve more than is saved here. Nothing lies below the stack pointer:
 //! callers are functions, and the kernel of the operating system leaves the red zone of what it
 //! interrupts alone.
@@ -9,7 +9,7 @@
 use core::ffi::c_void;
 
 unsafe extern "C" {
-    /// Saves the caller's context on its stack and the stack pointer at `save`, and goes on where
+    /// Saves the caller's context on its stack and the stack pointer at `save`, and continues where
     /// the context at `resume` was saved.
     pub(super) fn tandem_switch(save: *mut *mut usize, resume: *mut usize);
     fn tandem_first();
@@ -107,7 +107,7 @@ core::arch::global_asm!(
 /// Prepares the stack of a new task such that [`tandem_switch`] to the result begins it.
 ///
 /// # Safety
-/// `top` is the highest word of a stack that has room and that nobody else uses.
+/// `top` is the highest word of a stack that has room and that nothing else uses.
 pub(super) unsafe fn first_frame(
     top: *mut usize,
     code: extern "C" fn(*mut c_void),

@@ -42,8 +42,8 @@ static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 pub struct TickStatistics {
     /// Ticks so far.
     pub ticks: u64,
-    /// Ticks among them that came together with a later one, because the machine was late by more
-    /// than a tick.
+    /// Ticks among them that were served together with a later one, because the machine was late by
+    /// more than a tick.
     pub caught_up: u64,
     /// The longest time from a tick's point to its interrupt, in nanoseconds.
     pub latest_ns: u64,
@@ -201,7 +201,7 @@ pub(super) fn consume_virtual(mut span_ns: u64) {
     }
 }
 
-/// The tick comes as a real signal also in virtual time: pre-emption takes the same way.
+/// In virtual time, too, the tick is a real signal: pre-emption works the same way.
 fn signal_tick() {
     // SAFETY: a signal to the calling thread is handled before the call returns.
     unsafe {
