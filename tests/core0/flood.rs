@@ -7,6 +7,7 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Generation, Line, Lines, Link, RoleLamp,
     Supply, SystemId, watchdog_answer,
 };
+use tandem_board_host::realtime::Grant;
 use tandem_board_host::{CoreArgs, HostBoard};
 use tandem_cores::core0::DOORBELL_DISTANCE;
 use tandem_cores::task_table::IrqCode;
@@ -14,6 +15,7 @@ use tandem_cores::trace::{Event, FloodSource};
 
 pub(crate) const CASE: Case = Case {
     name: "a_system_that_floods_the_other_does_not_take_it_down",
+    before: |_| (),
     peer: babble,
     vehicle: drive_on,
 };
@@ -22,7 +24,7 @@ pub(crate) const CASE: Case = Case {
 const FLOOD: Duration = Duration::from_ms(3_000);
 
 /// Serves the watchdog, and floods as soon as the other system drives.
-fn babble(_: &CoreArgs, board: HostBoard) {
+fn babble(_: &CoreArgs, board: HostBoard, _: Grant) {
     let frame = CanFrame::new(CanId::Standard(0x0A0), true, &[0; 16]).expect("a frame");
     let mut served = board.now();
     loop {

@@ -8,22 +8,24 @@
 #![allow(
     clippy::expect_used,
     clippy::print_stderr,
+    clippy::print_stdout,
     reason = "a test ends where something is not as it must be"
 )]
 
+mod calls;
 #[path = "../../cli/src/control_core.rs"]
 mod control_core;
 mod flood;
 mod run;
+mod tracer;
 
 use libtest_mimic::{Arguments, Trial};
-use std::alloc::System;
 use std::process::ExitCode;
 use tandem_board_host::ProcessArgs;
 use tandem_rtos::host::TaskAllocator;
 
 #[global_allocator]
-static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
+static ALLOCATOR: TaskAllocator<tracer::Marked> = TaskAllocator::new(tracer::Marked);
 
 fn main() -> ExitCode {
     let argv: Vec<_> = std::env::args_os().skip(1).collect();
@@ -33,8 +35,7 @@ fn main() -> ExitCode {
     if argv.first().is_some_and(|first| first == run::LAUNCH) {
         return run::launch(&argv[1..]);
     }
-    let trials = run::CASES
-        .iter()
-        .map(|case| Trial::test(case.name, || run::run_case(case).map_err(Into::into)));
+    let trials = run::all_cases()
+        .map(|case| Trial::test(case.name, move || run::run_case(&case).map_err(Into::into)));
     libtest_mimic::run(&Arguments::from_args(), trials.collect()).exit_code()
 }

@@ -1,13 +1,14 @@
 //! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
 
-use crate::{control_core, flood};
+use crate::{calls, control_core, flood};
 use std::ffi::OsString;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration as Span, Instant as Clock};
 use std::{fs, thread};
 use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId, Traced, Wake};
 use tandem_board_host::clock::Ticker;
+use tandem_board_host::realtime::Grant;
 use tandem_board_host::{
     CoreArgs, HostBoard, HostVehiclePort, Launcher, Plan, ProcessArgs, Schedule, isolation, supply,
 };
@@ -25,18 +26,23 @@ const PATIENCE: Span = Span::from_secs(60);
 /// One case.
 pub(crate) struct Case {
     pub(crate) name: &'static str,
+    /// Called in the process of core 0 of B before anything else.
+    pub(crate) before: fn(&CoreArgs),
     /// What core 0 of B does; core 0 of A works as usual, and so do the other cores.
-    pub(crate) peer: fn(&CoreArgs, HostBoard),
+    pub(crate) peer: fn(&CoreArgs, HostBoard, Grant),
     pub(crate) vehicle: fn(&mut Script),
 }
 
-pub(crate) const CASES: [Case; 1] = [flood::CASE];
+pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
+    [flood::CASE].into_iter().chain(calls::CASES)
+}
 
 /// The vehicle's side of a case.
 pub(crate) struct Script {
     port: HostVehiclePort,
     world: World,
     ticker: Ticker,
+    folder: PathBuf,
     /// What the cores have traced, in the order of each core.
     pub(crate) traced: Vec<(Traced, Event)>,
     /// When control frames were accepted, and from which system.
@@ -69,10 +75,11 @@ pub(crate) fn run_case(case: &Case) -> Result<(), String> {
         }
         thread::sleep(Span::from_millis(5));
     };
+    let said = fs::read_to_string(said).unwrap_or_default();
     if status == "exit status: 0" {
+        print!("{said}");
         return Ok(());
     }
-    let said = fs::read_to_string(said).unwrap_or_default();
     Err(format!("{status}\n{said}"))
 }
 
@@ -84,7 +91,7 @@ pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
     let plan = Plan {
         schedule: Schedule::default(),
         flash: [folder.join("dflash-A"), folder.join("dflash-B")],
-        extra: vec![name.clone()],
+        extra: vec![name.clone(), folder.into()],
     };
     launcher.start(&plan, &again).expect("start");
     let ended = launcher.wait();
@@ -111,17 +118,21 @@ fn again(args: &ProcessArgs) -> Command {
 /// Is a process of a run.
 pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     let name = args.common().extra[0].clone();
-    let case = CASES.iter().find(|case| name == case.name);
+    let case = all_cases().find(|case| name == case.name);
     let case = case.expect("a known case");
     match args {
         ProcessArgs::Supply(args) => {
             supply::run(&args, &|core| again(&ProcessArgs::Core(core.clone()))).expect("a supply");
         }
         ProcessArgs::Core(args) => {
+            let is_peer = args.identity.system == SystemId::B;
+            if is_peer && args.identity.core == CoreId::CONTROL {
+                (case.before)(&args);
+            }
             let grant = args.claim();
             let board = HostBoard::attach(&args).expect("a board");
             match (args.identity.system, args.identity.core) {
-                (SystemId::B, CoreId::CONTROL) => (case.peer)(&args, board),
+                (SystemId::B, CoreId::CONTROL) => (case.peer)(&args, board, grant),
                 (SystemId::A, CoreId::CONTROL) => {
                     control_core::go(board, config(), grant).expect("core 0");
                 }
@@ -141,6 +152,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 port: HostVehiclePort::attach(&args).expect("a run"),
                 world: World::new(&scenario, tandem_vehicle::Config { seed: 1 }),
                 ticker: Ticker::new(Duration::from_ms(1)),
+                folder: args.common.extra[1].clone().into(),
                 traced: vec![],
                 accepted: vec![],
             };
@@ -216,6 +228,11 @@ impl Script {
         port.drain_trace(&mut |entry| {
             traced.extend(Event::decode(entry.record).map(|event| (entry, event)));
         });
+    }
+
+    /// The folder of the case.
+    pub(crate) fn folder(&self) -> &Path {
+        &self.folder
     }
 
     pub(crate) fn now(&self) -> Instant {

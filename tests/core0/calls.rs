@@ -1,0 +1,169 @@
+//! What core 0 asks of Linux and of the allocator while it stands by, takes over, and drives.
+
+use crate::run::{Case, Script, config};
+use crate::tracer::ALLOCATOR_REQUESTS;
+use crate::{control_core, tracer};
+use std::fmt::Write as _;
+use std::hint::black_box;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
+use std::time::Duration as Span;
+use std::{fs, thread};
+use tandem_board::{Board, CoreId, Duration, RoleLamp, SystemId};
+use tandem_board_host::realtime::Grant;
+use tandem_board_host::{CoreArgs, HostBoard};
+use tandem_rtos::host;
+
+pub(crate) const CASES: [Case; 3] = [
+    Case {
+        name: "core_0_makes_the_stated_system_calls_and_allocates_nothing",
+        before: start_traced,
+        peer: |args, board, grant| run_traced(args, board, grant, None),
+        vehicle: |script| take_over(script, None),
+    },
+    Case {
+        name: "a_core_0_that_makes_one_more_system_call_is_found",
+        before: start_traced,
+        peer: |args, board, grant| run_traced(args, board, grant, Some(call_once)),
+        vehicle: |script| take_over(script, Some(libc::SYS_getppid)),
+    },
+    Case {
+        name: "a_core_0_that_allocates_once_is_found",
+        before: start_traced,
+        peer: |args, board, grant| run_traced(args, board, grant, Some(allocate_once)),
+        vehicle: |script| take_over(script, Some(ALLOCATOR_REQUESTS)),
+    },
+];
+
+/// A system call that core 0 may make: its number and name, how often in the window, what for.
+struct Stated(i64, &'static str, u32, &'static str);
+
+/// Calls of the tick and of the idle time: as many as there are ticks.
+const EACH_TICK: u32 = u32::MAX;
+
+const STATED: [Stated; 5] = [
+    Stated(
+        libc::SYS_ppoll,
+        "ppoll",
+        EACH_TICK,
+        "sleeps while no task is ready",
+    ),
+    Stated(
+        libc::SYS_rt_sigreturn,
+        "rt_sigreturn",
+        EACH_TICK,
+        "returns from the interrupt of the tick or the doorbell",
+    ),
+    Stated(
+        libc::SYS_rt_sigprocmask,
+        "rt_sigprocmask",
+        100,
+        "a task goes on that an interrupt has pre-empted",
+    ),
+    Stated(
+        libc::SYS_futex,
+        "futex",
+        20,
+        "wakes the thread of the data flash, or a core whose doorbell it rings",
+    ),
+    Stated(
+        libc::SYS_write,
+        "write",
+        4,
+        "shows the role as the name of the process",
+    ),
+];
+
+/// Set when the window has begun: the next tick spoils it.
+static SPOILS: AtomicBool = AtomicBool::new(false);
+
+fn call_once(_lateness_ns: u64) {
+    if SPOILS.swap(false, Relaxed) {
+        // SAFETY: takes no pointer.
+        unsafe { libc::getppid() };
+    }
+}
+
+fn allocate_once(_lateness_ns: u64) {
+    if SPOILS.swap(false, Relaxed) {
+        drop(black_box(Box::new(7)));
+    }
+}
+
+fn start_traced(args: &CoreArgs) {
+    tracer::start(&Path::new(&args.common.extra[1]).join("calls"));
+}
+
+/// Is core 0 of B, which marks the time from one second before the takeover to one after it.
+/// `spoil` is called in each interrupt of the tick.
+fn run_traced(_: &CoreArgs, board: HostBoard, grant: Grant, spoil: Option<fn(u64)>) {
+    let (backplane, system) = (board.backplane(), board.identity().system);
+    let until = move |wanted: RoleLamp| {
+        while backplane.role(system) != wanted {
+            thread::sleep(Span::from_millis(1));
+        }
+        thread::sleep(Span::from_secs(1));
+    };
+    host::observe_ticks(spoil);
+    thread::spawn(move || {
+        until(RoleLamp::Standby);
+        tracer::mark_begin();
+        SPOILS.store(true, Relaxed);
+        until(RoleLamp::DegradedMaster);
+        tracer::mark_end();
+    });
+    control_core::go(board, config(), grant).expect("core 0");
+}
+
+/// T-CHIP-2: core 0 of A is killed, B takes over. `added` is what a control of the test has added.
+fn take_over(script: &mut Script, added: Option<i64>) {
+    script.until("A drives and B stands by", |script| {
+        script.port().role(SystemId::B) == RoleLamp::Standby && !script.accepted.is_empty()
+    });
+    script.drive_for(Duration::from_ms(2_000));
+    let backplane = script.port().backplane();
+    let control = backplane.core_pid(SystemId::A, CoreId::CONTROL);
+    // SAFETY: takes no pointer; a process of this run.
+    unsafe { libc::kill(control as i32, libc::SIGKILL) };
+    let file = script.folder().join("calls");
+    script.until("B takes over and is counted", |_| file.exists());
+    assert!(script.accepted.iter().any(|(_, by)| *by == SystemId::B));
+
+    let counted = fs::read_to_string(&file).expect("the file of the counts");
+    let counted: Vec<(i64, u32)> = counted.lines().map(count).collect();
+    let (table, unstated) = judge(&counted);
+    eprintln!("{table}");
+    match added {
+        None => assert_eq!(unstated, []),
+        Some(number) => assert!(unstated.contains(&number), "{unstated:?}"),
+    }
+    // The counter counts: a core that sleeps and has a tick makes these.
+    for number in [libc::SYS_ppoll, libc::SYS_rt_sigreturn] {
+        let times = counted.iter().find(|(counted, _)| *counted == number);
+        assert!(times.is_some_and(|(_, times)| *times > 1_000), "{table}");
+    }
+}
+
+fn count(line: &str) -> (i64, u32) {
+    let (number, times) = line.split_once(' ').expect("two numbers");
+    let number = number.parse().expect("a number");
+    (number, times.parse().expect("a number"))
+}
+
+/// The calls in words, and the numbers of those that are not stated.
+fn judge(counted: &[(i64, u32)]) -> (String, Vec<i64>) {
+    let (mut table, mut unstated) = (String::new(), vec![]);
+    for (number, times) in counted {
+        let stated = STATED.iter().find(|stated| stated.0 == *number);
+        let (name, why) = match stated {
+            Some(Stated(_, name, _, why)) => ((*name).to_owned(), *why),
+            None if *number == ALLOCATOR_REQUESTS => ("allocator".to_owned(), "not stated"),
+            None => (format!("system call {number}"), "not stated"),
+        };
+        if stated.is_none_or(|stated| *times > stated.2) {
+            unstated.push(*number);
+        }
+        let _ = writeln!(table, "{times:8} {name:16} {why}");
+    }
+    (table, unstated)
+}
