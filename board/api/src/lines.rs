@@ -16,6 +16,12 @@ impl Line {
     /// All lines.
     pub const ALL: [Self; 3] = [Self::Start, Self::Heartbeat1, Self::Heartbeat2];
 
+    /// Whether an edge interrupts core 0 of the system that it reaches.
+    #[must_use]
+    pub const fn interrupts(self) -> bool {
+        matches!(self, Self::Start)
+    }
+
     /// 0, 1 or 2.
     #[must_use]
     pub const fn index(self) -> usize {

@@ -40,7 +40,7 @@ mod vehicle_port;
 pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
-pub use backplane::{Backplane, BackplaneError, Cut};
+pub use backplane::{Backplane, BackplaneError};
 pub use bell::BellError;
 pub use board::{AttachError, HostBoard, LMU_WORDS};
 pub use can::HostCan;
@@ -52,5 +52,6 @@ pub use memory::MemoryError;
 pub use name::{InvalidRunName, RunName};
 pub use segment::SegmentError;
 pub use supply_client::HostSupply;
+pub use tandem_peripherals::wires::Wire;
 pub use unsupervised::UnsupervisedSystem;
 pub use vehicle_port::{HostVehiclePort, VehiclePortError};

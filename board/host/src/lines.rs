@@ -6,9 +6,10 @@ use tandem_board::{CoreId, Edge, Identity, Line, Lines, Link, LinkFull};
 use tandem_peripherals::codec::{
     DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, decode_datagram, encode_datagram,
 };
+use tandem_peripherals::wires::Wire;
 use tandem_shm::{FitError, fifo};
 
-use crate::backplane::{Backplane, Cut, RINGS};
+use crate::backplane::{Backplane, RINGS};
 use crate::bell::Ringers;
 
 /// A system's ends of the lines.
@@ -32,7 +33,11 @@ impl HostLines {
 impl Lines for HostLines {
     fn send(&self, line: Line, edge: Edge) {
         self.backplane.send_edge(self.of.system, line, edge);
-        if line == Line::Start && !self.backplane.is_cut(Cut::Line(self.of.system, line)) {
+        let is_cut = self
+            .backplane
+            .cuts()
+            .is_cut(Wire::Line(line), self.of.system);
+        if line.interrupts() && !is_cut {
             self.ringers.ring(self.of.system.peer(), CoreId::CONTROL);
         }
     }
@@ -43,7 +48,9 @@ impl Lines for HostLines {
 
     fn peer_powered(&self) -> bool {
         let peer = self.of.system.peer();
-        self.backplane.level(peer) || self.backplane.is_cut(Cut::Level(peer))
+        self.backplane
+            .cuts()
+            .level(peer, self.backplane.level(peer))
     }
 }
 
@@ -90,7 +97,7 @@ impl Link for HostLink {
         let Some(ends) = &self.ends else {
             return Err(LinkFull);
         };
-        if self.backplane.is_cut(Cut::Link(self.of.system)) {
+        if self.backplane.cuts().is_cut(Wire::Link, self.of.system) {
             return Ok(());
         }
         let mut send = ends.send.lock().unwrap_or_else(PoisonError::into_inner);

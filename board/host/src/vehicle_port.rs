@@ -4,21 +4,18 @@ use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
     Traced,
 };
+use tandem_peripherals::bus::TransmitLimit;
 use tandem_peripherals::codec::{BusFrame, Sender};
+use tandem_peripherals::wires::Wire;
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
-use crate::backplane::{Backplane, BackplaneError, Cut, RINGS, supply_trace_ring};
+use crate::backplane::{Backplane, BackplaneError, RINGS, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::can::{TRANSMIT_WORDS, decode_transmit};
 use crate::clock;
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
-
-/// Frames that one core can send in a millisecond. A bus of 1 Mbit/s carries at most 20, and a core
-/// without a fault sends 2 in 10 ms. A core that sends without a pause leaves the bus to the
-/// others; its frames wait in its transmit buffer until that is full.
-const FRAMES_PER_MS: u32 = 8;
 
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -56,8 +53,6 @@ pub struct HostVehiclePort {
     sent: Vec<(SystemId, CoreId, Received)>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
-    /// Start of the millisecond in which the cores' frames are counted.
-    counted_from: Instant,
     /// Frames were put on the bus that some core has not been told of.
     news: bool,
 }
@@ -69,8 +64,7 @@ struct Node {
     frames: fifo::Consumer<'static>,
     trace: Reader,
     lost: u32,
-    /// Frames that the core may still send in this millisecond.
-    may_send: u32,
+    limit: TransmitLimit,
 }
 
 impl HostVehiclePort {
@@ -90,7 +84,7 @@ impl HostVehiclePort {
                 frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
                 trace: Reader::new(backplane.trace_ring(index)),
                 lost: backplane.lost_trace(system, core),
-                may_send: FRAMES_PER_MS,
+                limit: TransmitLimit::default(),
             });
         }
         let bus = RINGS.receive;
@@ -103,7 +97,6 @@ impl HostVehiclePort {
             bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
             sent: vec![],
             emptied: clock::now(),
-            counted_from: clock::now(),
             news: false,
         })
     }
@@ -135,24 +128,17 @@ impl HostVehiclePort {
         // What is found now was not there the last time. A core that was frozen between looking at
         // the clock and sending would say otherwise, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
-        let refill = now.since(self.counted_from) >= Duration::from_ms(1);
-        if refill {
-            self.counted_from = now;
-        }
         let mut words = [0; TRANSMIT_WORDS];
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
-            if refill {
-                node.may_send = FRAMES_PER_MS;
-            }
             for _ in 0..RINGS.transmit[0].shape.slots() {
-                if !silent && node.may_send == 0 || !node.frames.receive_into(&mut words) {
+                if !silent && !node.limit.allows(now) || !node.frames.receive_into(&mut words) {
                     break;
                 }
                 let discards = self.backplane.discards(node.system, node.core);
                 let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
                 if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
-                    node.may_send = node.may_send.saturating_sub(1);
+                    node.limit.count(now);
                     // The clock anew: the vehicle itself may have been held up since it looked.
                     let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
@@ -270,8 +256,8 @@ impl HostVehiclePort {
     }
 
     /// Cuts or mends a connection.
-    pub fn set_cut(&self, cut: Cut, is_cut: bool) {
-        self.backplane.set_cut(cut, is_cut);
+    pub fn set_cut(&self, wire: Wire, from: SystemId, is_cut: bool) {
+        self.backplane.set_cut(wire, from, is_cut);
     }
 
     /// The backplane, for everything else that an observer may see.
@@ -281,7 +267,7 @@ impl HostVehiclePort {
     }
 
     fn reaches(&self) -> [bool; 2] {
-        SystemId::ALL.map(|system| !self.backplane.is_cut(Cut::Can(system)))
+        SystemId::ALL.map(|system| !self.backplane.cuts().is_cut(Wire::Can, system))
     }
 }
 

@@ -6,10 +6,12 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod bus;
 pub mod codec;
 pub mod flash;
 pub mod supply;
 pub mod watchdog;
+pub mod wires;
 
 #[cfg(test)]
 extern crate std;

@@ -2,7 +2,6 @@
 
 use crate::blocking::Baton;
 use crate::config::Defect;
-use crate::fabric::LINK_WORDS;
 use crate::machine::{Attention, EventKind, Shared};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
@@ -11,6 +10,7 @@ use tandem_board::{
     Generation, Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest,
     RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
+use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
 use tandem_peripherals::watchdog::Window;
 
@@ -284,12 +284,12 @@ impl Lines for SimLines {
 }
 
 impl Link for SimLink {
-    const MAX_WORDS: usize = LINK_WORDS;
+    const MAX_WORDS: usize = DATAGRAM_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
         assert!(
-            words.len() <= LINK_WORDS,
-            "a datagram has at most {LINK_WORDS} words"
+            words.len() <= DATAGRAM_MAX_WORDS,
+            "a datagram has at most {DATAGRAM_MAX_WORDS} words"
         );
         let system = self.0.place.system;
         let sent = self

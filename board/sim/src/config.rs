@@ -3,6 +3,7 @@
 use tandem_board::Duration;
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
+use tandem_peripherals::wires::LINK_DATAGRAMS;
 
 /// How a system's clock relates to virtual time: `local = offset + time × (1 + drift / 10⁹)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -97,7 +98,7 @@ impl Default for Config {
             reset_hold: supply::Config::TARGET.hold,
             look_at_clock: Duration::from_us(2),
             can_fifo_frames: 512,
-            link_datagrams: 16,
+            link_datagrams: LINK_DATAGRAMS,
             trace_records: 1 << 16,
             defect: None,
         }

@@ -1,21 +1,17 @@
 //! What lies between the two systems: lines, data link, CAN bus.
 
 use crate::config::Defect;
-use crate::machine::{Machine, OnBus, Sender, Wire};
+use crate::machine::{Machine, OnBus};
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
 };
+use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
-
-/// The largest datagram of the link, in words.
-pub(crate) const LINK_WORDS: usize = 64;
-
-/// Frames that one core can send in a millisecond of virtual time, as on the host board.
-const FRAMES_PER_MS: u32 = 8;
+use tandem_peripherals::wires::Wire;
 
 impl Machine {
     pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
-        if self.systems[from.index()].is_cut(Wire::Line(line)) {
+        if self.cuts.is_cut(Wire::Line(line), from) {
             return;
         }
         let to = if self.has(Defect::LineLoopback) {
@@ -33,7 +29,7 @@ impl Machine {
         };
         let count = &mut self.system(to).edges[line.index()][counted as usize];
         *count = count.wrapping_add(1);
-        if line == Line::Start && !self.has(Defect::SilentStart) {
+        if line.interrupts() && !self.has(Defect::SilentStart) {
             self.raise_peer(from);
         }
     }
@@ -44,7 +40,7 @@ impl Machine {
 
     pub(crate) fn send_link(&mut self, from: SystemId, words: &[u32]) -> Result<(), LinkFull> {
         let to = from.peer();
-        if self.systems[from.index()].is_cut(Wire::Link) || !self.is_powered(to) {
+        if self.cuts.is_cut(Wire::Link, from) || !self.is_powered(to) {
             return Ok(());
         }
         let (limit, torn) = (self.config.link_datagrams, self.has(Defect::LinkTorn));
@@ -86,22 +82,19 @@ impl Machine {
         from: CoreAddress,
         frame: &CanFrame,
     ) -> Result<(), TransmitFull> {
-        if self.systems[from.system.index()].is_cut(Wire::Can) {
+        if self.cuts.is_cut(Wire::Can, from.system) {
             return Ok(());
         }
-        let ms = self.now_ns / 1_000_000;
+        let now = self.at();
         let core = self.core(from);
-        if core.sent.0 != ms {
-            core.sent = (ms, 0);
-        }
-        if core.sent.1 == FRAMES_PER_MS {
+        if !core.transmit.allows(now) {
             return Err(TransmitFull);
         }
-        core.sent.1 += 1;
+        core.transmit.count(now);
         if core::mem::take(&mut core.loses_next) {
             return Ok(());
         }
-        self.put_on_bus(Sender::Core(from.system, from.core), frame);
+        self.put_on_bus(Sender::Core(from), frame);
         Ok(())
     }
 
@@ -116,9 +109,9 @@ impl Machine {
         self.bus.push(on_bus);
         self.unheard.push(on_bus);
         for place in CoreAddress::ALL {
-            let own = sender == Sender::Core(place.system, place.core);
+            let own = sender == Sender::Core(place);
             let deaf = self.has(Defect::NoBroadcast)
-                && matches!(sender, Sender::Core(system, _) if system != place.system);
+                && matches!(sender, Sender::Core(from) if from.system != place.system);
             if (!own || self.has(Defect::SelfReception)) && !deaf {
                 self.hear_can(place, sender, frame);
             }
@@ -127,12 +120,15 @@ impl Machine {
 
     fn hear_can(&mut self, place: CoreAddress, sender: Sender, frame: &CanFrame) {
         let at = self.local(place.system);
-        if self.systems[place.system.index()].is_cut(Wire::Can) || !self.core(place).alive {
+        if self.cuts.is_cut(Wire::Can, place.system) || !self.core(place).alive {
             return;
         }
         let depth = self.config.can_fifo_frames;
         let uncounted = self.has(Defect::OverrunNotCounted);
-        let hasty = |core| sender == Sender::Core(SystemId::B, core) && place.system == SystemId::B;
+        let hasty = |core| {
+            let from = CoreAddress::new(SystemId::B, core);
+            sender == Sender::Core(from) && place.system == SystemId::B
+        };
         let swapped = self.has(Defect::CanReordered) && self.bus.len().is_multiple_of(5)
             || self.has(Defect::CanTwoOrders) && hasty(CoreId::CONTROL);
         let (mute, eager) = (

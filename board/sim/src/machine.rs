@@ -8,22 +8,16 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Instant, Line, Received, ResetCause, ResetRequest, RoleLamp,
-    SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Instant, Received, ResetCause, ResetRequest, RoleLamp, SystemId,
+    Traced,
 };
+use tandem_peripherals::bus::TransmitLimit;
+use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::{self, Power, Supply};
+use tandem_peripherals::wires::Cuts;
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;
-
-/// Who put a frame on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sender {
-    /// A core of one of the systems.
-    Core(SystemId, CoreId),
-    /// The vehicle.
-    World,
-}
 
 /// A frame on the CAN bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,32 +62,6 @@ pub enum EventKind {
     Lamp(RoleLamp),
 }
 
-/// A connection that a test can cut.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wire {
-    /// A line from one system to the other.
-    Line(Line),
-    /// The level line that shows a system's power to the other; cut, it reads as high.
-    Level,
-    /// The data link from one system to the other.
-    Link,
-    /// A system's connection to the CAN bus, in both directions.
-    Can,
-}
-
-impl Wire {
-    const COUNT: usize = 6;
-
-    pub(crate) fn index(self) -> usize {
-        match self {
-            Self::Line(line) => line.index(),
-            Self::Level => 3,
-            Self::Link => 4,
-            Self::Can => 5,
-        }
-    }
-}
-
 /// How a core takes notice of interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Attention {
@@ -117,8 +85,7 @@ pub(crate) struct Core {
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
-    /// Frames sent in a millisecond, and in which.
-    pub(crate) sent: (u64, u32),
+    pub(crate) transmit: TransmitLimit,
     /// A defect: the next frame is lost.
     pub(crate) loses_next: bool,
     looks: u32,
@@ -137,7 +104,7 @@ impl Core {
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
-            sent: (0, 0),
+            transmit: TransmitLimit::default(),
             loses_next: false,
             looks: 0,
         }
@@ -175,7 +142,6 @@ pub(crate) struct System {
     pub(crate) lamp: RoleLamp,
     pub(crate) edges: [[u32; 2]; 3],
     pub(crate) inbox: VecDeque<Vec<u32>>,
-    pub(crate) cut: [bool; Wire::COUNT],
 }
 
 impl System {
@@ -188,12 +154,7 @@ impl System {
             lamp: RoleLamp::Starting,
             edges: [[0; 2]; 3],
             inbox: VecDeque::new(),
-            cut: [false; Wire::COUNT],
         }
-    }
-
-    pub(crate) fn is_cut(&self, wire: Wire) -> bool {
-        self.cut[wire.index()]
     }
 }
 
@@ -202,6 +163,7 @@ pub(crate) struct Machine {
     pub(crate) config: Config,
     pub(crate) now_ns: u64,
     pub(crate) systems: [System; 2],
+    pub(crate) cuts: Cuts,
     pub(crate) bus: Vec<OnBus>,
     /// What the world has not heard yet.
     pub(crate) unheard: Vec<OnBus>,
@@ -234,6 +196,7 @@ impl Shared {
             config: config.clone(),
             now_ns: 0,
             systems: [System::new(supply), System::new(supply)],
+            cuts: Cuts::default(),
             bus: Vec::new(),
             unheard: Vec::new(),
             trace: Vec::new(),

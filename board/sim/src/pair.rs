@@ -2,7 +2,7 @@
 
 use crate::board::{Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, Event, OnBus, Sender, Shared, Wire};
+use crate::machine::{Attention, Event, OnBus, Shared};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -12,7 +12,9 @@ use std::sync::atomic::AtomicU32;
 use tandem_board::{
     CoreAddress, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced,
 };
+use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
+use tandem_peripherals::wires::Wire;
 
 /// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
 /// on its system's clock.
@@ -198,7 +200,7 @@ impl SimPair {
         world(&mut tick);
         let mut machine = self.shared.lock();
         for frame in &tick.sent {
-            machine.put_on_bus(Sender::World, frame);
+            machine.put_on_bus(Sender::Vehicle, frame);
         }
         self.world_next += WORLD_PERIOD;
     }

@@ -2,12 +2,13 @@
 
 use crate::config::Defect;
 use crate::flash::Flash;
-use crate::machine::{Core, EventKind, Machine, Wire};
+use crate::machine::{Core, EventKind, Machine};
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
 use tandem_peripherals::flash::PAGE_BYTES;
 use tandem_peripherals::supply::{Change, Supply};
+use tandem_peripherals::wires::Wire;
 
 impl Machine {
     pub(crate) fn is_powered(&self, system: SystemId) -> bool {
@@ -18,7 +19,7 @@ impl Machine {
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
         let stuck = self.has(Defect::LevelStuckHigh);
-        shown || stuck || self.systems[system.index()].is_cut(Wire::Level)
+        self.cuts.level(system, shown || stuck)
     }
 
     /// Lets a supply act; a change of the level line interrupts the other system.
@@ -43,7 +44,7 @@ impl Machine {
 
     pub(crate) fn set_cut(&mut self, wire: Wire, from: SystemId, cut: bool) {
         let before = self.level(from);
-        self.system(from).cut[wire.index()] = cut;
+        self.cuts.set(wire, from, cut);
         if self.level(from) != before {
             self.raise_peer(from);
         }

@@ -4,8 +4,9 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, DataFlash, Duration, Edge, Generation, Instant, Line,
-    Lines, Link, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, watchdog_answer,
+    Board, Can, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Duration, Edge, Generation,
+    Instant, Line, Lines, Link, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
+    watchdog_answer,
 };
 use tandem_board_sim::{
     Clock, Config, EventKind, Order, Poller, Power, Sender, SimBoard, SimPair, Wire, blocking,
@@ -419,7 +420,10 @@ fn the_world_hears_sees_and_sends_every_millisecond() {
         .iter()
         .map(|seen| (seen.sender, seen.frame.data()[0]))
         .collect();
-    assert_eq!(heard, [(Sender::World, 2), (Sender::Core(A, CONTROL), 102)]);
+    assert_eq!(
+        heard,
+        [(Sender::Vehicle, 2), (Sender::Core(CoreAddress::A0), 102)]
+    );
     assert_eq!(pair.take_bus_log().len(), 8);
 }
 

@@ -2,6 +2,7 @@
 
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
+use tandem_peripherals::wires::LINK_DATAGRAMS;
 use tandem_shm::{Shape, broadcast, fifo};
 
 use crate::can::TRANSMIT_WORDS;
@@ -111,7 +112,7 @@ const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
 /// Frames that a core may be behind: at the load of the vehicle bus some hundred milliseconds.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams under way.
-const LINK: Shape = Shape::new(16, DATAGRAM_WORDS);
+const LINK: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
 /// Services that the supply may be behind.
 const SERVICE: Shape = Shape::new(16, SERVICE_WORDS);
 

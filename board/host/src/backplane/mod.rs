@@ -11,6 +11,7 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
 
 use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId};
+use tandem_peripherals::wires::{Cuts, Wire};
 
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
@@ -21,31 +22,6 @@ pub(crate) use layout::{RINGS, Ring, supply_trace_ring};
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
 const MAGIC: u32 = 0x5444_4D02;
 const NAME: &str = "backplane";
-
-/// A connection that can be cut to see what happens.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Cut {
-    /// A line out of this system: its edges do not arrive.
-    Line(SystemId, Line),
-    /// The level line out of this system: it reads as high.
-    Level(SystemId),
-    /// The data link out of this system: its datagrams do not arrive.
-    Link(SystemId),
-    /// The CAN connection of this system: it neither sends nor receives.
-    Can(SystemId),
-}
-
-impl Cut {
-    const fn bit(self) -> u32 {
-        let (system, n) = match self {
-            Self::Line(system, line) => (system, line.index()),
-            Self::Level(system) => (system, 3),
-            Self::Link(system) => (system, 4),
-            Self::Can(system) => (system, 5),
-        };
-        1 << (8 * system.index() + n)
-    }
-}
 
 /// The processes of a run have different builds of this program.
 #[derive(Debug, thiserror::Error)]
@@ -183,19 +159,20 @@ impl Backplane {
         self.run(Run::Stop).load(SeqCst) != 0
     }
 
-    /// Cuts or mends a connection; it holds from now on.
-    pub fn set_cut(self, cut: Cut, is_cut: bool) {
+    /// Cuts or mends a connection that comes from this system; it holds from now on.
+    pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
+        let bit = Cuts::bit(wire, from);
         if is_cut {
-            self.run(Run::Cuts).fetch_or(cut.bit(), SeqCst);
+            self.run(Run::Cuts).fetch_or(bit, SeqCst);
         } else {
-            self.run(Run::Cuts).fetch_and(!cut.bit(), SeqCst);
+            self.run(Run::Cuts).fetch_and(!bit, SeqCst);
         }
     }
 
-    /// Whether a connection is cut.
+    /// Which connections are cut.
     #[must_use]
-    pub fn is_cut(self, cut: Cut) -> bool {
-        self.run(Run::Cuts).load(SeqCst) & cut.bit() != 0
+    pub fn cuts(self) -> Cuts {
+        Cuts(self.run(Run::Cuts).load(SeqCst))
     }
 }
 
@@ -314,7 +291,7 @@ impl Backplane {
 /// Lines.
 impl Backplane {
     pub(crate) fn send_edge(self, from: SystemId, line: Line, edge: Edge) {
-        if !self.is_cut(Cut::Line(from, line)) {
+        if !self.cuts().is_cut(Wire::Line(line), from) {
             self.words[layout::edge(from, line, edge)].fetch_add(1, SeqCst);
         }
     }

@@ -7,7 +7,7 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, DataFlash, Edge, FlashStatus, Instant, Line, Lines, Link,
     RoleLamp, Supply, SystemId, Wake,
 };
-use tandem_board_host::{Cut, HostBoard};
+use tandem_board_host::{HostBoard, Wire};
 
 use crate::fixture::{Case, Script, await_interrupt, idle, live};
 
@@ -231,8 +231,8 @@ fn crossed(script: &mut Script) {
     for system in SystemId::ALL {
         script.await_trace(system, CONTROL, 1);
     }
-    script.port.set_cut(Cut::Line(A, Line::Heartbeat1), true);
-    script.port.set_cut(Cut::Link(A), true);
+    script.port.set_cut(Wire::Line(Line::Heartbeat1), A, true);
+    script.port.set_cut(Wire::Link, A, true);
     script.port.broadcast(&frame(0x700));
     both_done(script);
 }
@@ -331,9 +331,9 @@ fn hear(script: &mut Script) {
 
 /// A system that is cut off the bus neither sends nor hears.
 fn unplugged(script: &mut Script) {
-    script.port.set_cut(Cut::Can(B), true);
+    script.port.set_cut(Wire::Can, B, true);
     script.port.broadcast(&frame(0x701));
-    script.port.set_cut(Cut::Can(B), false);
+    script.port.set_cut(Wire::Can, B, false);
     script.rest(5);
 }
 

@@ -15,11 +15,12 @@ use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Sender, decode_datagram,
     encode_datagram,
 };
+use tandem_peripherals::wires::LINK_DATAGRAMS;
 use tandem_shm::Shape;
 use tandem_shm::fifo::{self, Consumer, Producer};
 
 /// Datagrams under way.
-const DATAGRAMS: Shape = Shape::new(16, DATAGRAM_WORDS);
+const DATAGRAMS: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
 /// Frames under way.
 const FRAMES: Shape = Shape::new(64, FRAME_WORDS);
 
@@ -86,7 +87,7 @@ impl Lines for An521Lines {
         let edges = &WIRES.edges[self.own.peer().index()][line.index()];
         // Release pairs with the Acquire in `received`: not demanded, but edges do not overtake.
         edges[edge as usize].fetch_add(1, Ordering::Release);
-        if let (Line::Start, Some(cpu)) = (line, self.peer_core_0) {
+        if let (true, Some(cpu)) = (line.interrupts(), self.peer_core_0) {
             mhu::interrupt(Unit::Wires, cpu);
         }
     }

@@ -83,7 +83,7 @@ impl Lines for VirtLines {
     fn send(&self, line: Line, edge: Edge) {
         let peer = self.0.system.peer();
         carrier::system(peer).edges[line.index()][edge as usize].fetch_add(1, Relaxed);
-        if line == Line::Start {
+        if line.interrupts() {
             carrier::interrupt(peer);
         }
     }

@@ -23,6 +23,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
 use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
+use tandem_peripherals::wires::LINK_DATAGRAMS;
 
 /// What the carrier has for one core.
 pub(crate) struct CoreRegisters {
@@ -43,7 +44,7 @@ pub(crate) struct SystemRegisters {
     /// Edges that came, by line and kind.
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
     /// Datagrams that came over the link, each with its length.
-    pub(crate) link: Ring<32, DATAGRAM_WORDS>,
+    pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
     pub(crate) flash: flash::Registers,
     /// Services of the watchdog on their way to the supply.
     pub(crate) services: Ring<4, SERVICE_WORDS>,

@@ -1,0 +1,102 @@
+//! What joins the systems to each other and to the bus, and what a cut of it does.
+
+use tandem_board::{Line, SystemId};
+
+/// Datagrams of the link that are under way at most, in each direction.
+pub const LINK_DATAGRAMS: usize = 16;
+
+/// A connection that can be cut to see what happens.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Wire {
+    /// A line from one system to the other: its edges do not arrive.
+    Line(Line),
+    /// The level line that shows a system's power to the other: it reads as high.
+    Level,
+    /// The data link from one system to the other: its datagrams do not arrive.
+    Link,
+    /// A system's connection to the CAN bus: it neither sends nor receives.
+    Can,
+}
+
+/// Which wires are cut, one bit for each wire of each system: a register.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cuts(pub u32);
+
+impl Cuts {
+    /// The bit of a wire that comes from system `from`.
+    #[must_use]
+    pub const fn bit(wire: Wire, from: SystemId) -> u32 {
+        let number = match wire {
+            Wire::Line(line) => line.index(),
+            Wire::Level => 3,
+            Wire::Link => 4,
+            Wire::Can => 5,
+        };
+        1 << (8 * from.index() + number)
+    }
+
+    /// Whether this wire is cut.
+    #[must_use]
+    pub const fn is_cut(self, wire: Wire, from: SystemId) -> bool {
+        self.0 & Self::bit(wire, from) != 0
+    }
+
+    /// Cuts a wire or mends it.
+    pub const fn set(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
+        if is_cut {
+            self.0 |= Self::bit(wire, from);
+        } else {
+            self.0 &= !Self::bit(wire, from);
+        }
+    }
+
+    /// What the level line of `system` shows to the other one: high while its supply is on, and
+    /// when it is cut.
+    #[must_use]
+    pub const fn level(self, of: SystemId, is_on: bool) -> bool {
+        is_on || self.is_cut(Wire::Level, of)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WIRES: [Wire; 6] = [
+        Wire::Line(Line::Start),
+        Wire::Line(Line::Heartbeat1),
+        Wire::Line(Line::Heartbeat2),
+        Wire::Level,
+        Wire::Link,
+        Wire::Can,
+    ];
+
+    #[test]
+    fn each_wire_is_cut_and_mended_by_itself() {
+        for cut_from in SystemId::ALL {
+            for cut in WIRES {
+                let mut cuts = Cuts::default();
+                cuts.set(cut, cut_from, true);
+                for from in SystemId::ALL {
+                    for wire in WIRES {
+                        let expected = (wire, from) == (cut, cut_from);
+                        assert_eq!(cuts.is_cut(wire, from), expected, "{wire:?} {from}");
+                    }
+                }
+                cuts.set(cut, cut_from, false);
+                assert_eq!(cuts, Cuts::default());
+            }
+        }
+    }
+
+    #[test]
+    fn a_level_line_falls_with_the_power_unless_it_is_cut() {
+        let mut cuts = Cuts::default();
+        for is_on in [false, true] {
+            assert_eq!(cuts.level(SystemId::A, is_on), is_on);
+        }
+        cuts.set(Wire::Level, SystemId::A, true);
+        assert!(cuts.level(SystemId::A, false));
+        assert!(!cuts.level(SystemId::B, false), "the other line");
+    }
+}
