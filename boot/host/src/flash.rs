@@ -1,0 +1,466 @@
+//! The program flash of a TC297 in memory, with losses of power that leave what real flash leaves.
+//!
+//! A loss of power ends the program or erase operation that it hits part-way. Bits that were on
+//! their way are then *weak*: what they read as is not settled, until their sector is erased.
+
+use embedded_storage::nor_flash::{
+    ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
+};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
+
+type Page = [u8; PAGE_BYTES];
+
+/// Moments in one program operation: before it, and after each byte.
+pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
+/// Moments in one erase operation: before it, and after each thirty-second of the sector.
+pub const ERASE_TICKS: u64 = 33;
+
+/// What bits that were on their way read as afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Tear {
+    /// They keep their old value: bytes change one after the other.
+    Clean,
+    /// Noise, and from then on the same noise.
+    Noise,
+    /// Noise that differs with each read.
+    Flicker,
+    /// Noise that differs from one life to the next.
+    PerLife,
+    /// In one life the whole sector reads as if the operation had ended, in another as if it had
+    /// not begun: the luck that misleads most.
+    Mimic,
+}
+
+impl Tear {
+    /// All of them.
+    pub const ALL: [Self; 5] = [
+        Self::Clean,
+        Self::Noise,
+        Self::Flicker,
+        Self::PerLife,
+        Self::Mimic,
+    ];
+}
+
+/// One page that is not erased. A weak bit is 1 in `weak`, and 0 in `bits`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Cell {
+    bits: Page,
+    weak: Page,
+    tear: Tear,
+}
+
+/// Why the flash did not do what it was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ModelError {
+    /// Power is lost: nothing works until [`ProgramFlash::power_on`].
+    PowerLost,
+    /// Not whole pages, not whole sectors, or outside.
+    Range,
+}
+
+impl NorFlashError for ModelError {
+    fn kind(&self) -> NorFlashErrorKind {
+        match self {
+            Self::PowerLost => NorFlashErrorKind::Other,
+            Self::Range => NorFlashErrorKind::NotAligned,
+        }
+    }
+}
+
+/// A program flash.
+#[derive(Clone, Debug)]
+pub struct ProgramFlash {
+    cells: BTreeMap<u32, Cell>,
+    noise: ChaCha8Rng,
+    /// Which way weak bits fall in this life.
+    life: u64,
+    /// Ticks until power is lost, and how bits are left then.
+    cut: Option<(u64, Tear)>,
+    is_on: bool,
+    /// Ticks of all operations so far.
+    ticks: u64,
+    /// Pages that were programmed although they were not firmly erased.
+    overwrites: Vec<u32>,
+    erased_sectors: u64,
+    programmed_pages: u64,
+}
+
+impl Default for ProgramFlash {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl ProgramFlash {
+    /// Erased, on, and never cut.
+    #[must_use]
+    pub fn new() -> Self {
+        Self {
+            cells: BTreeMap::new(),
+            noise: ChaCha8Rng::seed_from_u64(0),
+            life: 0,
+            cut: None,
+            is_on: true,
+            ticks: 0,
+            overwrites: Vec::new(),
+            erased_sectors: 0,
+            programmed_pages: 0,
+        }
+    }
+
+    /// Begins the next life. Power is lost after `cut.0` ticks of it, if at all; `seed` decides
+    /// which way weak bits fall.
+    pub fn power_on(&mut self, seed: u64, cut: Option<(u64, Tear)>) {
+        self.noise = ChaCha8Rng::seed_from_u64(seed);
+        self.life = self.noise.next_u64();
+        (self.cut, self.is_on, self.ticks) = (cut, true, 0);
+    }
+
+    /// Whether power is there.
+    #[must_use]
+    pub const fn is_on(&self) -> bool {
+        self.is_on
+    }
+
+    /// Ticks of all operations in this life: the points at which power can be lost.
+    #[must_use]
+    pub const fn ticks(&self) -> u64 {
+        self.ticks
+    }
+
+    /// Sectors erased and pages programmed since the flash was made.
+    #[must_use]
+    pub const fn work(&self) -> (u64, u64) {
+        (self.erased_sectors, self.programmed_pages)
+    }
+
+    /// Pages that were programmed although they were not firmly erased.
+    #[must_use]
+    pub fn overwrites(&self) -> &[u32] {
+        &self.overwrites
+    }
+
+    /// The bytes of a range if none of its bits is weak.
+    #[must_use]
+    pub fn firm(&self, offset: u32, len: u32) -> Option<Vec<u8>> {
+        let byte = |at: u32| {
+            let place = at as usize % PAGE_BYTES;
+            let cell = self.cells.get(&(at / PAGE_BYTES as u32));
+            cell.map_or(Some(0xFF), |cell| (cell.weak[place] == 0).then(|| cell.bits[place]))
+        };
+        (offset..offset + len).map(byte).collect()
+    }
+
+    /// Writes bytes as a programming station does, before the flash is built in.
+    pub fn load(&mut self, offset: u32, bytes: &[u8]) {
+        for (byte, at) in bytes.iter().zip(offset..) {
+            let erased = Cell {
+                bits: [0xFF; PAGE_BYTES],
+                weak: [0; PAGE_BYTES],
+                tear: Tear::Clean,
+            };
+            let cell = self.cells.entry(at / PAGE_BYTES as u32).or_insert(erased);
+            cell.bits[at as usize % PAGE_BYTES] = *byte;
+        }
+    }
+
+    /// What this operation may do before power is lost; `None` for all of it.
+    fn spend(&mut self, ticks: u64) -> Result<Option<(u64, Tear)>, ModelError> {
+        if !self.is_on {
+            return Err(ModelError::PowerLost);
+        }
+        self.ticks += ticks;
+        let Some((left, tear)) = &mut self.cut else {
+            return Ok(None);
+        };
+        if *left >= ticks {
+            *left -= ticks;
+            return Ok(None);
+        }
+        self.is_on = false;
+        Ok(Some((*left, *tear)))
+    }
+
+    fn program_page(&mut self, index: u32, data: &Page) -> Result<(), ModelError> {
+        let torn = self.spend(PROGRAM_TICKS)?;
+        self.programmed_pages += 1;
+        let erased = Cell {
+            bits: [0xFF; PAGE_BYTES],
+            weak: [0; PAGE_BYTES],
+            tear: Tear::Clean,
+        };
+        let old = self.cells.get(&index).copied().unwrap_or(erased);
+        if old != erased {
+            self.overwrites.push(index * PAGE_BYTES as u32);
+        }
+        let mut cell = old;
+        for (place, byte) in data.iter().enumerate() {
+            let is_done = torn.is_none_or(|(ticks, _)| (place as u64) < ticks);
+            // Programming clears bits. Bits that stay 1 stay weak if they were.
+            if is_done {
+                cell.weak[place] &= byte;
+                cell.bits[place] &= byte;
+            } else {
+                let changing = old.bits[place] & !byte;
+                self.leave(&mut cell, place, changing, torn);
+            }
+        }
+        self.cells.insert(index, cell);
+        torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
+    }
+
+    /// Leaves bits of a byte on their way between 1 and 0.
+    fn leave(&mut self, cell: &mut Cell, place: usize, bits: u8, torn: Option<(u64, Tear)>) {
+        let Some((_, tear)) = torn else { return };
+        match tear {
+            Tear::Clean => {}
+            Tear::Noise => cell.bits[place] ^= bits & self.noise.next_u32() as u8,
+            Tear::Flicker | Tear::PerLife | Tear::Mimic => {
+                cell.bits[place] &= !bits;
+                cell.weak[place] |= bits;
+                cell.tear = tear;
+            }
+        }
+    }
+
+    fn erase_sector(&mut self, range: std::ops::Range<u32>) -> Result<(), ModelError> {
+        let torn = self.spend(ERASE_TICKS)?;
+        self.erased_sectors += 1;
+        let (from, to) = (range.start / PAGE_BYTES as u32, range.end / PAGE_BYTES as u32);
+        let pages: Vec<u32> = self.cells.range(from..to).map(|(index, _)| *index).collect();
+        for index in pages {
+            let done = torn.is_none_or(|(ticks, _)| {
+                self.noise.random_range(0..ERASE_TICKS - 1) < ticks
+            });
+            if done {
+                self.cells.remove(&index);
+            } else if let Some(mut cell) = self.cells.get(&index).copied() {
+                for place in 0..PAGE_BYTES {
+                    let changing = !cell.bits[place];
+                    self.leave(&mut cell, place, changing, torn);
+                }
+                self.cells.insert(index, cell);
+            }
+        }
+        torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
+    }
+
+    fn read_byte(&mut self, at: u32) -> u8 {
+        let place = at as usize % PAGE_BYTES;
+        let index = at / PAGE_BYTES as u32;
+        let Some(cell) = self.cells.get(&index) else {
+            return 0xFF;
+        };
+        if cell.weak[place] == 0 {
+            return cell.bits[place];
+        }
+        let fall = match cell.tear {
+            Tear::Flicker => self.noise.next_u32() as u8,
+            Tear::PerLife => (mix(self.life ^ u64::from(at)) >> 8) as u8,
+            _ => {
+                let sector = sector_at(at).map_or(0, |range| range.start);
+                0u8.wrapping_sub((mix(self.life ^ u64::from(sector)) & 1) as u8)
+            }
+        };
+        cell.bits[place] | (cell.weak[place] & fall)
+    }
+
+    /// Everything that outlasts a loss of power, as bytes.
+    #[must_use]
+    pub fn save(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        for (index, cell) in &self.cells {
+            bytes.extend(index.to_le_bytes());
+            bytes.extend(cell.bits);
+            bytes.extend(cell.weak);
+            bytes.push(cell.tear as u8);
+        }
+        bytes
+    }
+
+    /// The inverse of [`ProgramFlash::save`]; `None` if the bytes are something else.
+    #[must_use]
+    pub fn restore(bytes: &[u8]) -> Option<Self> {
+        let (records, rest) = bytes.as_chunks::<{ 4 + 2 * PAGE_BYTES + 1 }>();
+        let mut flash = Self::new();
+        for record in records {
+            let (index, cell) = record.split_first_chunk::<4>()?;
+            let (bits, cell) = cell.split_first_chunk()?;
+            let (weak, tear) = cell.split_first_chunk()?;
+            let cell = Cell {
+                bits: *bits,
+                weak: *weak,
+                tear: Tear::ALL.into_iter().find(|kind| [*kind as u8] == tear)?,
+            };
+            flash.cells.insert(u32::from_le_bytes(*index), cell);
+        }
+        rest.is_empty().then_some(flash)
+    }
+}
+
+/// Bits that look like chance (the finalizer of SplitMix64).
+const fn mix(value: u64) -> u64 {
+    let value = value.wrapping_add(0x9E37_79B9_7F4A_7C15);
+    let value = (value ^ (value >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    value ^ (value >> 31)
+}
+
+impl ErrorType for ProgramFlash {
+    type Error = ModelError;
+}
+
+impl ReadNorFlash for ProgramFlash {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), ModelError> {
+        if !self.is_on {
+            return Err(ModelError::PowerLost);
+        }
+        if offset as usize + bytes.len() > FLASH_BYTES as usize {
+            return Err(ModelError::Range);
+        }
+        for (byte, at) in bytes.iter_mut().zip(offset..) {
+            *byte = self.read_byte(at);
+        }
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        FLASH_BYTES as usize
+    }
+}
+
+impl NorFlash for ProgramFlash {
+    const WRITE_SIZE: usize = PAGE_BYTES;
+    const ERASE_SIZE: usize = SMALLEST_SECTOR as usize;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), ModelError> {
+        let mut at = from;
+        while at < to {
+            let sector = sector_at(at).filter(|sector| sector.start == at && sector.end <= to);
+            let sector = sector.ok_or(ModelError::Range)?;
+            at = sector.end;
+            self.erase_sector(sector)?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), ModelError> {
+        let (pages, rest) = bytes.as_chunks::<PAGE_BYTES>();
+        let end = offset as usize + bytes.len();
+        let aligned = (offset as usize).is_multiple_of(PAGE_BYTES) && rest.is_empty();
+        if !aligned || end > FLASH_BYTES as usize {
+            return Err(ModelError::Range);
+        }
+        for (page, index) in pages.iter().zip(offset / PAGE_BYTES as u32..) {
+            self.program_page(index, page)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn read<const N: usize>(flash: &mut ProgramFlash, at: u32) -> [u8; N] {
+        let mut bytes = [0; N];
+        flash.read(at, &mut bytes).unwrap();
+        bytes
+    }
+
+    /// T-BOOT-6: pages are programmed, sectors erased, and nothing else is possible.
+    #[test]
+    fn it_is_nor_flash_with_sectors_of_five_sizes() {
+        let mut flash = ProgramFlash::new();
+        flash.write(0x04_0000, &[0xF0; 64]).unwrap();
+        flash.write(0x04_0020, &[0x3C; 32]).unwrap();
+        assert_eq!(read(&mut flash, 0x04_001F), [0xF0, 0x30]);
+        assert_eq!(flash.overwrites(), [0x04_0020]);
+        assert_eq!(flash.write(0x04_0010, &[0; 32]), Err(ModelError::Range));
+        assert_eq!(flash.write(FLASH_BYTES, &[0; 32]), Err(ModelError::Range));
+        assert_eq!(flash.erase(0x10_0000, 0x10_4000), Err(ModelError::Range));
+        assert_eq!(flash.erase(0x04_4000, 0x04_8000), Err(ModelError::Range));
+        flash.erase(0x04_0000, 0x04_8000).unwrap();
+        assert_eq!(read(&mut flash, 0x04_0000), [0xFF; 96]);
+    }
+
+    /// U-5: power is lost at each byte, and what was before and after it is as it should be.
+    #[test]
+    fn a_torn_page_is_torn_where_power_was_lost() {
+        for tear in Tear::ALL {
+            for cut in 0..PROGRAM_TICKS {
+                let mut flash = ProgramFlash::new();
+                flash.write(0, &[0x11; 32]).unwrap();
+                flash.power_on(cut, Some((cut, tear)));
+                assert_eq!(flash.write(32, &[0; 32]), Err(ModelError::PowerLost));
+                assert_eq!(flash.read(0, &mut [0]), Err(ModelError::PowerLost));
+                flash.power_on(1, None);
+                let done = cut as usize;
+                let page: Page = read(&mut flash, 32);
+                assert_eq!(page[..done], vec![0; done]);
+                if tear == Tear::Clean {
+                    assert_eq!(page[done..], vec![0xFF; PAGE_BYTES - done]);
+                }
+                assert_eq!(read(&mut flash, 0), [0x11; 32]);
+                assert_eq!(read(&mut flash, 64), [0xFF; 32]);
+            }
+        }
+    }
+
+    /// U-5: weak bits read as their kind says, also after they were saved, until they are erased.
+    #[test]
+    fn weak_bits_stay_weak_until_they_are_erased() {
+        for (tear, within_life, between_lives) in [
+            (Tear::Clean, false, false),
+            (Tear::Noise, false, false),
+            (Tear::Flicker, true, true),
+            (Tear::PerLife, false, true),
+            (Tear::Mimic, false, true),
+        ] {
+            let mut flash = ProgramFlash::new();
+            flash.power_on(3, Some((0, tear)));
+            assert_eq!(flash.write(32, &[0; 32]), Err(ModelError::PowerLost));
+            let mut flash = ProgramFlash::restore(&flash.save()).unwrap();
+            let (mut lives, mut reads) = (Vec::new(), Vec::new());
+            for life in 0..20 {
+                flash.power_on(life, None);
+                reads.push([read::<32>(&mut flash, 32), read(&mut flash, 32)]);
+                lives.push(reads[reads.len() - 1][0]);
+                assert_eq!(flash.firm(32, 32).is_none(), between_lives);
+            }
+            assert_eq!(reads.iter().any(|[a, b]| a != b), within_life, "{tear:?}");
+            assert_eq!(lives.iter().any(|page| *page != lives[0]), between_lives, "{tear:?}");
+            if tear == Tear::Mimic {
+                assert!(lives.contains(&[0; 32]) && lives.contains(&[0xFF; 32]));
+            }
+            flash.erase(0, 0x4000).unwrap();
+            assert_eq!(flash.firm(32, 32), Some(vec![0xFF; 32]));
+        }
+    }
+
+    /// U-5: an erase operation that ends part-way leaves nothing but old and erased pages.
+    #[test]
+    fn a_torn_erase_leaves_some_pages() {
+        let mut left = Vec::new();
+        for cut in 0..ERASE_TICKS {
+            let mut flash = ProgramFlash::new();
+            flash.write(0, &[0; 0x4000]).unwrap();
+            flash.power_on(cut, Some((cut, Tear::Clean)));
+            assert_eq!(flash.erase(0, 0x4000), Err(ModelError::PowerLost));
+            flash.power_on(0, None);
+            let bytes: [u8; 0x4000] = read(&mut flash, 0);
+            let (pages, _) = bytes.as_chunks::<PAGE_BYTES>();
+            assert!(pages.iter().all(|page| *page == [0; 32] || *page == [0xFF; 32]));
+            left.push(pages.iter().filter(|page| **page == [0; 32]).count());
+        }
+        assert_eq!((left[0], left[ERASE_TICKS as usize - 1]), (512, 0));
+        assert!(left.iter().any(|pages| (1..512).contains(pages)));
+    }
+}

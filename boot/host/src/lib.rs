@@ -1,0 +1,19 @@
+//! The host's side of a download, and a program flash that loses power.
+//!
+//! [`Image::sign`] and [`records`] make a signed file, [`Sender`] sends it, [`ProgramFlash`] is
+//! what it is written to in tests and simulations, and [`life`](mod@life) is a controller between
+//! two losses of power.
+#![forbid(unsafe_code)]
+
+mod bus_time;
+mod flash;
+pub mod life;
+mod package;
+mod sender;
+
+pub use bus_time::bits;
+pub use flash::{ERASE_TICKS, ModelError, PROGRAM_TICKS, ProgramFlash, Tear};
+pub use package::{
+    Content, Image, PackageError, RECORD_DATA, Release, SigningKey, line, records,
+};
+pub use sender::{ANSWER_WITHIN, CONNECT_EVERY, Sender, ToDo};

@@ -1,0 +1,203 @@
+//! A controller from power-on to the next loss of power: boot ROM, bootloader, application.
+
+use crate::{ProgramFlash, Sender, SigningKey, ToDo};
+use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
+use tandem_boot::{
+    Bank, FlashFault, Launch, Loader, Next, Refusal, Setup, Trust, TrustMode, approve, rom_choice,
+};
+
+/// A private key for tests: the public half of it is in no product.
+pub const TEST_KEY: SigningKey = SigningKey {
+    number: 0,
+    seed: *b"TEST KEY 0: never in a product!!",
+};
+/// The next one, for tests of key rotation.
+pub const TEST_KEY_1: SigningKey = SigningKey {
+    number: 1,
+    seed: *b"TEST KEY 1: never in a product!!",
+};
+
+/// Resets within one life, after which a controller counts as lost: it resets for ever.
+const MAX_RESETS: u32 = 12;
+
+/// How a life ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// Power was lost.
+    PowerLost,
+    /// The application runs.
+    Running(Launch),
+    /// Nothing can boot; the bootloader waits for a download.
+    Waiting,
+    /// The boot ROM finds no bootloader, or the bootloader resets for ever: a brick.
+    Brick,
+}
+
+/// What a controller goes through in one life.
+#[derive(Clone, Debug, Default)]
+pub struct Life<'a> {
+    /// A host sends this file, with this window, when it can connect.
+    pub file: Option<(&'a [String], u8)>,
+    /// The application approves itself.
+    pub approves: bool,
+    /// A new bootloader that crashes as soon as it is started.
+    pub new_loader_crashes: bool,
+    /// Loaders take what nobody signed.
+    pub monitor: bool,
+    /// Public keys of the loaders.
+    pub keys: Vec<[u8; 32]>,
+}
+
+/// What a life showed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Outcome {
+    /// How it ended.
+    pub end: End,
+    /// Why the host's file was refused.
+    pub refused: Option<Refusal>,
+    /// The file was accepted.
+    pub downloaded: bool,
+}
+
+impl<'a> Life<'a> {
+    /// A plain start: no host, the application approves itself.
+    #[must_use]
+    pub fn plain() -> Self {
+        Self {
+            approves: true,
+            keys: vec![TEST_KEY.public()],
+            ..Self::default()
+        }
+    }
+
+    /// A start during which a host sends a file.
+    #[must_use]
+    pub fn with_file(lines: &'a [String], window: u8) -> Self {
+        Self {
+            file: Some((lines, window)),
+            ..Self::plain()
+        }
+    }
+
+    /// Lives it. The flash has been powered on.
+    pub fn live(&self, flash: &mut ProgramFlash) -> Outcome {
+        let mut run = Run {
+            now: Instant::ORIGIN,
+            outcome: Outcome {
+                end: End::Brick,
+                refused: None,
+                downloaded: false,
+            },
+        };
+        let mut cause = ResetCause::PowerOn;
+        for _ in 0..MAX_RESETS {
+            let Some(bank) = rom_choice(flash) else { break };
+            match run.loader(self, flash, bank, cause) {
+                _ if !flash.is_on() => break,
+                Ok(Next::StartPrimary) if self.new_loader_crashes => cause = ResetCause::Watchdog,
+                Ok(Next::StartPrimary) => {
+                    match run.loader(self, flash, Bank::Primary, cause) {
+                        Ok(Next::Jump(launch)) => return run.application(self, flash, launch),
+                        Ok(Next::Wait(_)) => run.outcome.end = End::Waiting,
+                        _ => {}
+                    }
+                    if run.outcome.end == End::Waiting {
+                        break;
+                    }
+                    cause = ResetCause::Software;
+                }
+                Ok(Next::Jump(launch)) => return run.application(self, flash, launch),
+                Ok(Next::Wait(_)) => {
+                    run.outcome.end = End::Waiting;
+                    break;
+                }
+                // A fault of the flash and an orderly reset: start again.
+                _ => cause = ResetCause::Software,
+            }
+        }
+        run.ended(flash)
+    }
+}
+
+struct Run {
+    now: Instant,
+    outcome: Outcome,
+}
+
+impl Run {
+    fn ended(mut self, flash: &ProgramFlash) -> Outcome {
+        if !flash.is_on() {
+            self.outcome.end = End::PowerLost;
+        }
+        self.outcome
+    }
+
+    fn application(mut self, life: &Life<'_>, flash: &mut ProgramFlash, launch: Launch) -> Outcome {
+        self.outcome.end = End::Running(launch);
+        if life.approves {
+            // An application that cannot approve itself runs on; the next start rolls it back.
+            let _ = approve(flash);
+        }
+        self.ended(flash)
+    }
+
+    /// One start of a bootloader, up to what the board is to do.
+    fn loader(
+        &mut self,
+        life: &Life<'_>,
+        flash: &mut ProgramFlash,
+        bank: Bank,
+        cause: ResetCause,
+    ) -> Result<Next, FlashFault> {
+        let mode = if life.monitor {
+            TrustMode::Monitor
+        } else {
+            TrustMode::Strict
+        };
+        let setup = Setup {
+            trust: Trust {
+                keys: &life.keys,
+                mode,
+            },
+            system: SystemId::A,
+            bank,
+            cause,
+            requested: false,
+        };
+        let file = life.file.filter(|_| !self.outcome.downloaded && self.outcome.refused.is_none());
+        let mut host = file.map(|(lines, window)| Sender::new(lines.to_vec(), None, window));
+        let mut loader = Loader::start(&mut *flash, setup, self.now)?;
+        loop {
+            let wait = match loader.next(self.now)? {
+                Next::Send(frame) => {
+                    if let Some(host) = &mut host {
+                        host.on_frame(self.now, &frame);
+                    }
+                    continue;
+                }
+                Next::Wait(until) => until,
+                next => return Ok(next),
+            };
+            match host.as_mut().map(|host| host.next(self.now)) {
+                Some(ToDo::Send(frame)) => self.deliver(&mut loader, &frame),
+                Some(ToDo::Wait(until)) => self.now = until.min(wait),
+                Some(ToDo::Done) => {
+                    self.outcome.downloaded = true;
+                    host = None;
+                }
+                Some(ToDo::Refused(refusal)) => {
+                    self.outcome.refused = Some(refusal);
+                    host = None;
+                }
+                Some(ToDo::Silent) | None if wait == Instant::NEVER => return Ok(Next::Wait(wait)),
+                Some(ToDo::Silent) | None => self.now = wait,
+            }
+        }
+    }
+
+    fn deliver(&mut self, loader: &mut Loader<'_, &mut ProgramFlash>, frame: &CanFrame) {
+        // 131 bits and more at 500 kbit/s.
+        self.now = Instant::from_ns(self.now.as_ns() + 270_000);
+        loader.on_frame(self.now, frame);
+    }
+}

@@ -1,0 +1,278 @@
+//! Makes signed images of plain ones, and S-records of those.
+
+use sha2::{Digest, Sha256};
+use std::fmt::Write as _;
+use tandem_boot::{
+    BODY_OFFSET, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, Part, Record, RecordType, Region,
+    SIGNED_BYTES, Target, offset_of,
+};
+
+/// Data bytes of one record, as objcopy and srec_cat write them.
+pub const RECORD_DATA: usize = 16;
+
+/// A private key: its number in the bootloader's list, and its seed.
+#[derive(Clone, Copy)]
+pub struct SigningKey {
+    /// Which public key of the bootloader belongs to it.
+    pub number: u8,
+    /// The 32 bytes of RFC 8032.
+    pub seed: [u8; 32],
+}
+
+impl SigningKey {
+    /// The public key.
+    #[must_use]
+    pub fn public(&self) -> [u8; 32] {
+        salty::Keypair::from(&self.seed).public.to_bytes()
+    }
+}
+
+/// Why a file cannot be made an image.
+#[derive(Debug, thiserror::Error, PartialEq, Eq)]
+pub enum PackageError {
+    /// A line is not a record.
+    #[error("line {line} is not an S-record: {why:?}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What is wrong with it.
+        why: tandem_boot::RecordError,
+    },
+    /// The number in a count record is wrong.
+    #[error("line {line} counts {counted} data records, but {found} come before it")]
+    Count {
+        /// From 1.
+        line: usize,
+        /// What the record says.
+        counted: u32,
+        /// How many there are.
+        found: u32,
+    },
+    /// Two records give different data for an address.
+    #[error("address {address:#010X} has data twice")]
+    Overlap {
+        /// Where.
+        address: u32,
+    },
+    /// There are no data.
+    #[error("the file holds no data")]
+    Empty,
+    /// The data lie outside one place for images, or on its first 256 bytes.
+    #[error(
+        "data at offset {offset:#08X}: an image lies in one slot, behind its first 256 bytes, \
+         which are for the manifest"
+    )]
+    Place {
+        /// In the flash.
+        offset: u32,
+    },
+}
+
+/// What a file of S-records holds.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Content {
+    /// Runs of bytes at ascending addresses that do not touch.
+    pub runs: Vec<(u32, Vec<u8>)>,
+    /// The entry; 0 or `None` if the file has none.
+    pub entry: Option<u32>,
+}
+
+impl Content {
+    /// Reads S-records, in any order.
+    ///
+    /// # Errors
+    /// [`PackageError`] names the line or the address.
+    pub fn parse(text: &str) -> Result<Self, PackageError> {
+        let mut content = Self::default();
+        let mut found = 0;
+        let mut runs: Vec<(u32, Vec<u8>)> = Vec::new();
+        for (index, line) in text.lines().enumerate() {
+            if line.trim().is_empty() {
+                continue;
+            }
+            let line_number = index + 1;
+            let record = Record::parse(line.trim_end().as_bytes());
+            let record = record.map_err(|why| PackageError::Line {
+                line: line_number,
+                why,
+            })?;
+            match record.record_type {
+                RecordType::Header => {}
+                RecordType::Data => {
+                    found += 1;
+                    runs.push((record.address, record.data().to_vec()));
+                }
+                RecordType::Count if record.address == found => {}
+                RecordType::Count => {
+                    return Err(PackageError::Count {
+                        line: line_number,
+                        counted: record.address,
+                        found,
+                    });
+                }
+                RecordType::Entry => content.entry = Some(record.address),
+            }
+        }
+        runs.retain(|(_, data)| !data.is_empty());
+        runs.sort_by_key(|(address, _)| *address);
+        for (address, data) in runs {
+            match content.runs.last_mut() {
+                Some((start, bytes)) if u64::from(*start) + bytes.len() as u64 > address.into() => {
+                    return Err(PackageError::Overlap { address });
+                }
+                Some((start, bytes)) if u64::from(*start) + bytes.len() as u64 == address.into() => {
+                    bytes.extend(data);
+                }
+                _ => content.runs.push((address, data)),
+            }
+        }
+        Ok(content)
+    }
+}
+
+/// An image as it lies in its place, manifest first.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Where.
+    pub target: Target,
+    /// Its manifest.
+    pub manifest: Manifest,
+    /// All bytes from the start of the place on.
+    pub bytes: Vec<u8>,
+}
+
+/// What is said about an image besides its bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Release {
+    /// Rises with every release.
+    pub version: u32,
+    /// Entries of the cores, as offsets from the image's place; 0 for none.
+    pub entries: [u32; 3],
+    /// Retire the keys below this one.
+    pub lowest_key: u8,
+}
+
+impl Image {
+    /// Signs parts of an image: offsets from its place, and bytes. Gaps are filled with 0xFF.
+    ///
+    /// # Panics
+    /// If there are no parts or more than three, or one begins before [`BODY_OFFSET`] or before
+    /// the end of the one before it.
+    #[must_use]
+    pub fn sign(target: Target, release: Release, parts: &[(u32, &[u8])], key: &SigningKey) -> Self {
+        assert!((1..=MAX_PARTS).contains(&parts.len()), "one to three parts");
+        let mut bytes = vec![0xFF; MANIFEST_BYTES];
+        let mut listed = [Part::default(); MAX_PARTS];
+        for ((offset, data), part) in parts.iter().zip(&mut listed) {
+            assert!(*offset as usize >= bytes.len(), "parts in order, behind the manifest");
+            bytes.resize(*offset as usize, 0xFF);
+            bytes.extend(*data);
+            *part = Part {
+                offset: *offset,
+                length: data.len() as u32,
+                sha256: Sha256::digest(data).into(),
+            };
+        }
+        let body = &bytes[MANIFEST_BYTES..];
+        let manifest = Manifest {
+            kind: target.kind(),
+            key: key.number,
+            lowest_key: release.lowest_key,
+            hardware: HARDWARE,
+            version: release.version,
+            length: body.len() as u32,
+            crc: crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(body),
+            entries: release.entries,
+            parts: listed,
+        };
+        let signed = manifest.encode();
+        let signature = salty::Keypair::from(&key.seed).sign(&signed).to_bytes();
+        bytes[..SIGNED_BYTES].copy_from_slice(&signed);
+        bytes[SIGNED_BYTES..MANIFEST_BYTES].copy_from_slice(&signature);
+        Self {
+            target,
+            manifest,
+            bytes,
+        }
+    }
+
+    /// Signs what a file holds. One part from the first to the last byte; its entry, if the file
+    /// has one, is core 0's.
+    ///
+    /// # Errors
+    /// [`PackageError`] if the data are not those of one image.
+    pub fn of(content: &Content, mut release: Release, key: &SigningKey) -> Result<Self, PackageError> {
+        let first = content.runs.first().ok_or(PackageError::Empty)?;
+        let first = offset_of(first.0).ok_or(PackageError::Place { offset: first.0 })?;
+        let target = Target::at(first).ok_or(PackageError::Place { offset: first })?;
+        let place = Region::Target(target).range();
+        let mut bytes = Vec::new();
+        for (address, data) in &content.runs {
+            let offset = offset_of(*address).ok_or(PackageError::Place { offset: *address })?;
+            if offset < place.start + BODY_OFFSET || offset + data.len() as u32 > place.end {
+                return Err(PackageError::Place { offset });
+            }
+            bytes.resize((offset - first) as usize, 0xFF);
+            bytes.extend(data);
+        }
+        let entry = content.entry.and_then(offset_of);
+        if let Some(entry) = entry.filter(|entry| place.contains(entry)) {
+            release.entries[0] = entry - place.start;
+        }
+        Ok(Self::sign(target, release, &[(first - place.start, &bytes)], key))
+    }
+
+    /// Where it lies in the flash.
+    #[must_use]
+    pub fn place(&self) -> u32 {
+        Region::Target(self.target).range().start
+    }
+
+    /// The bytes that are sent: the manifest and the parts, without the gaps between them.
+    fn runs(&self) -> impl Iterator<Item = (u32, &[u8])> {
+        let manifest = (0, &self.bytes[..MANIFEST_BYTES]);
+        let parts = self.manifest.parts().map(|part| {
+            let (from, to) = (part.offset as usize, (part.offset + part.length) as usize);
+            (part.offset, &self.bytes[from..to])
+        });
+        std::iter::once(manifest).chain(parts)
+    }
+}
+
+/// The lines of a file that downloads these images at once: a header, S3 records of
+/// [`RECORD_DATA`] bytes, a count, and an entry. Each line ends with CR LF.
+#[must_use]
+pub fn records(name: &str, images: &[&Image]) -> Vec<String> {
+    let mut images: Vec<&&Image> = images.iter().collect();
+    images.sort_by_key(|image| image.place());
+    let mut lines = vec![line(0, &[0, 0], name.as_bytes())];
+    for image in &images {
+        for (offset, bytes) in image.runs() {
+            for (chunk, at) in bytes.chunks(RECORD_DATA).zip((0..).step_by(RECORD_DATA)) {
+                let address = image.place() + offset + at;
+                lines.push(line(3, &address.to_be_bytes(), chunk));
+            }
+        }
+    }
+    // S6 has three bytes for the count; a file of 2 MiB has at most 131,072 records.
+    let count = (lines.len() as u32 - 1).to_be_bytes();
+    lines.push(line(6, &count[1..], &[]));
+    let entry = images.iter().find(|image| image.manifest.entries[0] > 0);
+    let entry = entry.map_or(0, |image| image.place() + image.manifest.entries[0]);
+    lines.push(line(7, &entry.to_be_bytes(), &[]));
+    lines
+}
+
+/// One record with its line end.
+#[must_use]
+pub fn line(digit: u8, address: &[u8], data: &[u8]) -> String {
+    let length = (address.len() + data.len() + 1) as u8;
+    let bytes = || std::iter::once(&length).chain(address).chain(data);
+    let sum = bytes().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
+    let mut line = format!("S{digit}");
+    for byte in bytes().chain([&!sum]) {
+        // Writing to a string does not fail.
+        let _ = write!(line, "{byte:02X}");
+    }
+    line + "\r\n"
+}

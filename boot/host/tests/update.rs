@@ -1,0 +1,362 @@
+//! Updates from end to end: download, trial, approval, rollback, downgrade, the loader itself.
+#![allow(clippy::unwrap_used)]
+
+mod fixture;
+
+use fixture::{Images, configuration, factory, image, loader, lives, signed};
+use tandem_boot::{Bank, Refusal, Region, Slot, Target, rom_choice};
+use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1};
+use tandem_boot_host::{Content, Image, Release, records};
+
+fn running(end: End) -> (Slot, u32) {
+    match end {
+        End::Running(launch) => (launch.application, launch.version),
+        other => panic!("not running: {other:?}"),
+    }
+}
+
+/// T-BOOT-1, T-BOOT-3, U-3: a download with each protocol is put on trial, approves itself, stays.
+#[test]
+fn a_download_boots_and_stays() {
+    for window in [0, 1, 16] {
+        let mut flash = factory();
+        let new = image(Slot::B, 2, 1000);
+        let lines = records("new", &[&new]);
+        let outcome = Life::with_file(&lines, window).live(&mut flash);
+        assert!(outcome.downloaded);
+        assert_eq!(running(outcome.end), (Slot::B, 2));
+        assert_eq!(flash.firm(new.place(), new.bytes.len() as u32), Some(new.bytes));
+        assert_eq!(running(lives(&mut flash, 1)), (Slot::B, 2));
+        assert_eq!(flash.overwrites(), []);
+    }
+}
+
+/// U-3: an image that was started and did not approve itself is rolled back.
+#[test]
+fn an_image_that_does_not_approve_itself_is_rolled_back() {
+    let mut flash = factory();
+    let lines = records("new", &[&image(Slot::B, 2, 100)]);
+    let mut life = Life::with_file(&lines, 0);
+    life.approves = false;
+    assert_eq!(running(life.live(&mut flash).end), (Slot::B, 2));
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+    assert_eq!(running(lives(&mut flash, 2)), (Slot::A, 1));
+}
+
+/// U-3, U-5: application and configuration of one file are on trial together, and roll back
+/// together.
+#[test]
+fn what_comes_together_goes_together() {
+    for approves in [true, false] {
+        let mut flash = factory();
+        let (new, settings) = (image(Slot::B, 2, 100), configuration(Slot::B, 5));
+        let lines = records("both", &[&new, &settings]);
+        let mut life = Life::with_file(&lines, 8);
+        life.approves = approves;
+        let End::Running(launch) = life.live(&mut flash).end else {
+            panic!("not running")
+        };
+        assert_eq!(launch.configuration, Some(Slot::B));
+        let End::Running(launch) = lives(&mut flash, 1) else {
+            panic!("not running")
+        };
+        let expected = if approves {
+            (Slot::B, Some(Slot::B))
+        } else {
+            (Slot::A, Some(Slot::A))
+        };
+        assert_eq!((launch.application, launch.configuration), expected);
+    }
+}
+
+/// U-3: what is older than an approved image is refused; the same version may come again.
+#[test]
+fn a_downgrade_is_refused() {
+    let mut flash = factory();
+    for (slot, version, refused) in [
+        (Slot::B, 3, None),
+        (Slot::A, 2, Some(Refusal::Downgrade)),
+        (Slot::A, 3, None),
+    ] {
+        let lines = records("next", &[&image(slot, version, 64)]);
+        let outcome = Life::with_file(&lines, 4).live(&mut flash);
+        assert_eq!(outcome.refused, refused);
+        assert_eq!(running(outcome.end).1, 3);
+    }
+}
+
+/// E-4: key rotation. The new key retires the old one when its image has approved itself, not
+/// before.
+#[test]
+fn a_retired_key_signs_nothing_any_more() {
+    let mut flash = factory();
+    let mut step = |image: &Image, approves| {
+        let lines = records("next", &[image]);
+        let mut life = Life::with_file(&lines, 0);
+        life.keys = vec![TEST_KEY.public(), TEST_KEY_1.public()];
+        life.approves = approves;
+        life.live(&mut flash).refused
+    };
+    let retiring = |slot, version| {
+        let release = Release {
+            version,
+            entries: [256, 0, 0],
+            lowest_key: 1,
+        };
+        Image::sign(Target::Application(slot), release, &[(256, &[7; 50])], &TEST_KEY_1)
+    };
+    assert_eq!(step(&retiring(Slot::B, 2), false), None);
+    assert_eq!(step(&image(Slot::B, 2, 50), false), None, "the old key, after a rollback");
+    assert_eq!(step(&retiring(Slot::B, 3), true), None);
+    assert_eq!(step(&image(Slot::A, 4, 50), true), Some(Refusal::Untrusted));
+    let foreign = Image::sign(
+        Target::Application(Slot::A),
+        Release {
+            version: 9,
+            entries: [0; 3],
+            lowest_key: 1,
+        },
+        &[(256, &[7; 50])],
+        &TEST_KEY,
+    );
+    assert_eq!(step(&foreign, true), Some(Refusal::BadManifest), "a key that retires itself");
+}
+
+/// E-4: strict mode refuses what is not authentic, monitor mode takes it and writes it down.
+#[test]
+fn strict_refuses_and_monitor_notes() {
+    for monitor in [false, true] {
+        let mut flash = factory();
+        let mut new = image(Slot::B, 2, 100);
+        new.bytes[255] ^= 1;
+        let lines = records("new", &[&new]);
+        let mut life = Life::with_file(&lines, 0);
+        life.monitor = monitor;
+        let outcome = life.live(&mut flash);
+        assert_eq!(outcome.refused, (!monitor).then_some(Refusal::Untrusted));
+        assert_eq!(running(outcome.end).1, if monitor { 2 } else { 1 });
+        let mut events = Vec::new();
+        tandem_boot::read_log(&mut flash, |entry| events.push(entry.event)).unwrap();
+        let noted = events.contains(&tandem_boot::LogEvent::StartedUntrusted);
+        assert_eq!(noted, monitor, "{events:?}");
+    }
+}
+
+/// T-BOOT-6: no address outside the free slots is written, and each refusal says why.
+#[test]
+fn addresses_that_are_not_free_are_refused() {
+    let at = |address: u32| vec![tandem_boot_host::line(3, &address.to_be_bytes(), &[1; 16])];
+    for (lines, refusal) in [
+        (at(0x00_0000), Refusal::Protected),
+        (at(0x00_7FF0), Refusal::Protected),
+        (at(0x00_8000), Refusal::Protected),
+        (at(0x01_0000), Refusal::Protected),
+        (at(0x03_0000), Refusal::Protected),
+        (at(0x02_8000), Refusal::Address),
+        (at(0x1C_0000), Refusal::Address),
+        (at(0x20_0000), Refusal::Address),
+        (at(0x7000_0000), Refusal::Address),
+        (at(0x04_0000), Refusal::SlotInUse),
+        (at(0x01_8000), Refusal::SlotInUse),
+        (at(0x10_0000), Refusal::NoManifest),
+        (at(0xA010_0100), Refusal::NoManifest),
+    ] {
+        let mut flash = factory();
+        let before = flash.save();
+        let lines = [lines, records("", &[&image(Slot::B, 2, 1)])].concat();
+        let outcome = Life::with_file(&lines, 0).live(&mut flash);
+        assert_eq!(outcome.refused, Some(refusal), "{}", lines[0]);
+        assert_eq!(running(outcome.end), (Slot::A, 1));
+        unchanged_but_for_the_log(&before, &flash.save());
+    }
+}
+
+/// What does not lie in the log is the same.
+fn unchanged_but_for_the_log(before: &[u8], after: &[u8]) {
+    const CELL: usize = 69;
+    let outside = |bytes: &[u8]| -> Vec<Vec<u8>> {
+        let log = Region::Log(0).range().start..Region::Log(1).range().end;
+        let cells = bytes.chunks(CELL);
+        let page = |cell: &&[u8]| u32::from_le_bytes(*cell.first_chunk().unwrap()) * 32;
+        let cells = cells.filter(|cell| !log.contains(&page(cell)));
+        cells.map(<[u8]>::to_vec).collect()
+    };
+    assert_eq!(outside(before), outside(after));
+}
+
+/// T-BOOT-4, U-5: files that are wrong in one way each get the refusal that says so, and the old
+/// image boots.
+#[test]
+fn wrong_files_are_refused_with_the_reason() {
+    let new = image(Slot::B, 2, 200);
+    let good = records("new", &[&new]);
+    let edit = |change: &dyn Fn(&mut Vec<String>)| {
+        let mut lines = good.clone();
+        change(&mut lines);
+        lines
+    };
+    let count = good.len() - 2;
+    let body = 1 + 256 / 16;
+    let overlapping = {
+        let address = (new.place() + 256 + 8).to_be_bytes();
+        tandem_boot_host::line(3, &address, &[0; 16])
+    };
+    for (name, lines, refusal) in [
+        ("a missing record", edit(&|lines| drop(lines.remove(body + 1))), Refusal::Gap),
+        ("a missing last record", edit(&|lines| drop(lines.remove(count - 1))), Refusal::Count),
+        ("swapped records", edit(&|lines| lines.swap(body, body + 1)), Refusal::Gap),
+        ("an old record", edit(&|lines| lines.insert(body + 2, lines[3].clone())), Refusal::Order),
+        ("an overlap", edit(&|lines| lines.insert(body + 1, overlapping.clone())), Refusal::Overlap),
+        (
+            "a changed byte",
+            edit(&|lines| {
+                let address = (new.place() + 256).to_be_bytes();
+                lines[body] = tandem_boot_host::line(3, &address, &[0xA5; 16]);
+            }),
+            Refusal::Digest,
+        ),
+        ("no manifest", edit(&|lines| drop(lines.drain(1..body))), Refusal::NoManifest),
+        (
+            "a wrong count",
+            edit(&|lines| lines[count] = tandem_boot_host::line(5, &[0, 9], &[])),
+            Refusal::Count,
+        ),
+        (
+            "another entry",
+            edit(&|lines| lines[count + 1] = tandem_boot_host::line(7, &[0, 0x10, 9, 9], &[])),
+            Refusal::Entry,
+        ),
+        (
+            "no end of data",
+            edit(&|lines| drop(lines.drain(body + 2..=count))),
+            Refusal::Incomplete,
+        ),
+        ("no data", edit(&|lines| drop(lines.drain(1..=count))), Refusal::Incomplete),
+        (
+            "more than the manifest names",
+            edit(&|lines| {
+                let address = (new.place() + 0x8000).to_be_bytes();
+                lines.insert(count, tandem_boot_host::line(3, &address, &[1; 16]));
+            }),
+            Refusal::Unannounced,
+        ),
+        ("no S-records", vec!["S1 is a nice motorway\r\n".into(); 99], Refusal::Record),
+        ("Intel hex", vec![":0300300002337A1E\r\n".into(); 99], Refusal::Record),
+    ] {
+        for window in [0, 4] {
+            let mut flash = factory();
+            let outcome = Life::with_file(&lines, window).live(&mut flash);
+            assert_eq!(outcome.refused, Some(refusal), "{name}, window {window}");
+            assert!(!outcome.downloaded);
+            assert_eq!(running(outcome.end), (Slot::A, 1), "{name}");
+            assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1), "{name}");
+        }
+    }
+}
+
+/// U-4: a new bootloader is installed, tried, approves itself and is sealed; the application
+/// stays.
+#[test]
+fn a_new_bootloader_is_installed() {
+    let mut flash = factory();
+    let new = loader(2);
+    let lines = records("loader", &[&new]);
+    let outcome = Life::with_file(&lines, 0).live(&mut flash);
+    assert!(outcome.downloaded);
+    assert_eq!(running(outcome.end), (Slot::A, 1));
+    assert_eq!(flash.firm(0, new.bytes.len() as u32), Some(new.bytes));
+    let backup = Region::Bank(Bank::Backup).range().start;
+    let old = loader(1).bytes;
+    assert_eq!(flash.firm(backup, old.len() as u32), Some(old));
+    assert_eq!(rom_choice(&mut flash), Some(Bank::Primary));
+    let lines = records("loader", &[&loader(1)]);
+    let outcome = Life::with_file(&lines, 0).live(&mut flash);
+    assert_eq!(outcome.refused, Some(Refusal::Downgrade));
+    assert_eq!(flash.overwrites(), []);
+}
+
+/// U-4: a new bootloader that crashes is replaced by its backup.
+#[test]
+fn a_bootloader_that_crashes_is_restored() {
+    let mut flash = factory();
+    let lines = records("loader", &[&loader(2)]);
+    let mut life = Life::with_file(&lines, 0);
+    life.new_loader_crashes = true;
+    let outcome = life.live(&mut flash);
+    assert!(outcome.downloaded);
+    assert_eq!(running(outcome.end), (Slot::A, 1));
+    let old = loader(1).bytes;
+    assert_eq!(flash.firm(0, old.len() as u32), Some(old));
+}
+
+/// U-2, U-4: a damaged primary bootloader is restored from the backup.
+#[test]
+fn a_damaged_bootloader_is_restored() {
+    let mut flash = factory();
+    flash.load(0x40, &[0x5A; 8]);
+    flash.load(0x120, &[0x5A; 8]);
+    assert_eq!(rom_choice(&mut flash), Some(Bank::Backup));
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+    assert_eq!(rom_choice(&mut flash), Some(Bank::Primary));
+}
+
+/// U-2: a controller that lost both copies of its environment boots, and the older of two images
+/// stays the fallback of the newer.
+#[test]
+fn a_lost_environment_is_rebuilt() {
+    let Images { mut flash, .. } = Images::updated();
+    for copy in [0, 1] {
+        flash.load(Region::Environment(copy).range().start, &[0; 128]);
+    }
+    let mut life = Life::plain();
+    life.approves = false;
+    assert_eq!(running(life.live(&mut flash).end), (Slot::B, 2));
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+}
+
+/// U-3: a damaged active image is replaced by the other one.
+#[test]
+fn a_damaged_image_falls_back() {
+    let Images { mut flash, new, .. } = Images::updated();
+    flash.load(new.place() + 300, &[0; 4]);
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+    assert_eq!(running(lives(&mut flash, 1)), (Slot::A, 1));
+    // The damaged slot is now the free one.
+    let lines = records("again", &[&image(Slot::B, 2, 77)]);
+    let outcome = Life::with_file(&lines, 0).live(&mut flash);
+    assert_eq!(running(outcome.end), (Slot::B, 2));
+}
+
+/// T-BOOT-1: a controller without any image waits for a download, and takes it.
+#[test]
+fn an_empty_controller_waits() {
+    let mut flash = tandem_boot_host::ProgramFlash::new();
+    let first = loader(1);
+    flash.load(0, &first.bytes);
+    flash.power_on(0, None);
+    assert_eq!(Life::plain().live(&mut flash).end, End::Waiting);
+    let lines = records("first", &[&image(Slot::A, 1, 40)]);
+    let outcome = Life::with_file(&lines, 0).live(&mut flash);
+    assert_eq!(running(outcome.end), (Slot::A, 1));
+}
+
+/// T-BOOT-4: an unsigned file becomes a signed one, with its entry.
+#[test]
+fn a_plain_file_is_signed() {
+    let lines = [
+        tandem_boot_host::line(0, &[0, 0], b"app"),
+        tandem_boot_host::line(3, &0xA010_0140u32.to_be_bytes(), &[2; 8]),
+        tandem_boot_host::line(3, &0xA010_0100u32.to_be_bytes(), &[1; 16]),
+        tandem_boot_host::line(5, &[0, 2], &[]),
+        tandem_boot_host::line(7, &0xA010_0142u32.to_be_bytes(), &[]),
+    ];
+    let content = Content::parse(&lines.concat()).unwrap();
+    let image = signed(&content, 2);
+    assert_eq!(image.manifest.entries, [0x142, 0, 0]);
+    let mut flash = factory();
+    let lines = records("app", &[&image]);
+    let End::Running(launch) = Life::with_file(&lines, 0).live(&mut flash).end else {
+        panic!("not running")
+    };
+    assert_eq!(launch.entries, [Some(0x10_0142), None, None]);
+}

@@ -1,0 +1,348 @@
+//! Takes the records of a file, checks each before it acts, and writes images to free slots.
+//!
+//! The manifest of an image comes first and is checked before anything is erased. It is written
+//! last, when the body has been read back: a slot whose manifest can be read has a firm body, also
+//! if the power fell while the manifest was written. What boots changes with one write of the boot
+//! environment, after everything else. T-BOOT-5, U-3, U-5
+
+use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
+use crate::flash::{FlashFault, body_crc, erase, is_intact, program};
+use crate::manifest::{HARDWARE, MAGIC, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
+use crate::map::{PAGE_BYTES, Region, Slot, Target, offset_of, sector, sector_at};
+use crate::page::PageBuffer;
+use crate::protocol::Refusal;
+use crate::srec::{Record, RecordType};
+use crate::trust::{Trust, TrustMode};
+use core::ops::Range;
+use embedded_storage::nor_flash::NorFlash;
+
+/// The most images in one file: application, configuration, bootloader.
+const MAX_IMAGES: usize = 3;
+
+/// What a download stands on.
+#[derive(Debug)]
+pub(crate) struct Ground<'k> {
+    pub(crate) trust: Trust<'k>,
+    pub(crate) store: EnvironmentStore,
+    /// The slots that boot, and that no download may touch.
+    pub(crate) keep: Selection,
+}
+
+impl Ground<'_> {
+    /// Whether a download may erase this place.
+    fn is_free(&self, target: Target) -> bool {
+        match target {
+            Target::Application(slot) => self.keep.application != Some(slot),
+            Target::Configuration(slot) => self.keep.configuration != Some(slot),
+            Target::Staging => self.store.get().loader == LoaderUpdate::Idle,
+        }
+    }
+
+    /// The environment must not name what is about to be erased.
+    fn forget(&mut self, flash: &mut impl NorFlash, target: Target) -> Result<(), FlashFault> {
+        let mut environment = *self.store.get();
+        let selection = environment.trial.map(|trial| trial.selection);
+        let selection = selection.unwrap_or_default();
+        let named = match target {
+            Target::Application(slot) => selection.application == Some(slot),
+            Target::Configuration(slot) => selection.configuration == Some(slot),
+            Target::Staging => false,
+        };
+        if named {
+            environment.trial = None;
+            self.store.write(flash, environment)?;
+        }
+        Ok(())
+    }
+}
+
+/// One image of the file.
+#[derive(Clone, Debug)]
+struct Image {
+    target: Target,
+    manifest_bytes: [u8; MANIFEST_BYTES],
+    /// Bytes of the manifest so far.
+    filled: usize,
+    /// The manifest, when all of it has come and is accepted.
+    manifest: Option<Manifest>,
+    /// The part that comes next, and how much of it has come.
+    part: usize,
+    done: u32,
+}
+
+impl Image {
+    const fn place(&self) -> u32 {
+        Region::Target(self.target).range().start
+    }
+
+    /// The offset at which data must come next; `None` if all have come.
+    fn expects(&self) -> Option<u32> {
+        let Some(manifest) = &self.manifest else {
+            return Some(self.place() + self.filled as u32);
+        };
+        let part = manifest.parts().nth(self.part)?;
+        Some(self.place() + part.offset + self.done)
+    }
+
+    /// How many bytes may come there.
+    fn room(&self) -> usize {
+        let part = self.manifest.as_ref().map(|manifest| manifest.parts[self.part].length);
+        part.map_or(MANIFEST_BYTES - self.filled, |length| (length - self.done) as usize)
+    }
+}
+
+/// A download under way.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Download {
+    images: [Option<Image>; MAX_IMAGES],
+    /// Which of them is being received.
+    current: usize,
+    /// Where the last record lay.
+    last: Range<u32>,
+    /// Data records so far.
+    count: u32,
+    /// The sector that was erased last.
+    erased: Range<u32>,
+    buffer: PageBuffer,
+}
+
+impl Download {
+    /// Takes a record. `Ok(true)` says that the file has ended and is on trial.
+    pub(crate) fn take(
+        &mut self,
+        record: &Record,
+        flash: &mut impl NorFlash,
+        ground: &mut Ground<'_>,
+    ) -> Result<bool, Refusal> {
+        match record.record_type {
+            RecordType::Header => Ok(false),
+            RecordType::Data => {
+                self.data(record, flash, ground)?;
+                self.count += 1;
+                Ok(false)
+            }
+            RecordType::Count if record.address == self.count => Ok(false),
+            RecordType::Count => Err(Refusal::Count),
+            RecordType::Entry => {
+                self.finish(record.address, flash, ground)?;
+                Ok(true)
+            }
+        }
+    }
+
+    fn data(
+        &mut self,
+        record: &Record,
+        flash: &mut impl NorFlash,
+        ground: &mut Ground<'_>,
+    ) -> Result<(), Refusal> {
+        let mut at = offset_of(record.address).ok_or(Refusal::Address)?;
+        let mut data = record.data();
+        let end = at + data.len() as u32;
+        while !data.is_empty() {
+            let image = match &mut self.images[self.current] {
+                Some(image) if image.expects().is_some() => image,
+                before => {
+                    let begun = begin(before.as_ref(), at, end, &self.last, ground)?;
+                    self.current += usize::from(before.is_some());
+                    let place = self.images.get_mut(self.current);
+                    place.ok_or(Refusal::Unannounced)?.insert(begun)
+                }
+            };
+            match image.expects() {
+                Some(expected) if at > expected => return Err(Refusal::Gap),
+                Some(expected) if at < expected => return Err(behind(end, &self.last)),
+                _ => {}
+            }
+            let (now, rest) = data.split_at(image.room().min(data.len()));
+            if let Some(manifest) = &image.manifest {
+                let erased = &mut self.erased;
+                self.buffer
+                    .put(at, now, |at, page| program_in(flash, erased, at, page))
+                    .map_err(|FlashFault| Refusal::Flash)?;
+                image.done += now.len() as u32;
+                if image.done == manifest.parts[image.part].length {
+                    (image.part, image.done) = (image.part + 1, 0);
+                }
+            } else {
+                image.manifest_bytes[image.filled..][..now.len()].copy_from_slice(now);
+                image.filled += now.len();
+                let begins = image.filled.min(MAGIC.len());
+                if image.manifest_bytes[..begins] != MAGIC[..begins] {
+                    return Err(Refusal::NoManifest);
+                }
+                if image.filled == MANIFEST_BYTES {
+                    image.manifest = Some(accept(&image.manifest_bytes, image.target, ground)?);
+                    let (target, first) = (image.target, sector_at(image.place()));
+                    self.prepare(target, first, flash, ground)
+                        .map_err(|FlashFault| Refusal::Flash)?;
+                }
+            }
+            at += now.len() as u32;
+            data = rest;
+        }
+        self.last = end - record.data().len() as u32..end;
+        Ok(())
+    }
+
+    /// The first thing that changes the flash: the place's first sector is erased.
+    fn prepare(
+        &mut self,
+        target: Target,
+        first: Option<Range<u32>>,
+        flash: &mut impl NorFlash,
+        ground: &mut Ground<'_>,
+    ) -> Result<(), FlashFault> {
+        let erased = &mut self.erased;
+        self.buffer
+            .flush(|at, page| program_in(flash, erased, at, page))?;
+        ground.forget(flash, target)?;
+        self.erased = first.ok_or(FlashFault)?;
+        erase(flash, self.erased.clone())
+    }
+
+    fn finish(
+        &mut self,
+        entry: u32,
+        flash: &mut impl NorFlash,
+        ground: &mut Ground<'_>,
+    ) -> Result<(), Refusal> {
+        let fault = |FlashFault| Refusal::Flash;
+        let images = self.images.iter().flatten();
+        let complete = images.clone().all(|image| image.expects().is_none());
+        if !complete || images.clone().next().is_none() {
+            return Err(Refusal::Incomplete);
+        }
+        // Files without an entry of their own end with an entry of 0.
+        let entry_of = |image: &Image| Some(image.place() + image.manifest?.entries[0]);
+        let known = images.clone().any(|image| entry_of(image) == offset_of(entry));
+        if entry != 0 && !known {
+            return Err(Refusal::Entry);
+        }
+        let erased = &mut self.erased;
+        self.buffer
+            .flush(|at, page| program_in(flash, erased, at, page))
+            .map_err(fault)?;
+        let mut environment = *ground.store.get();
+        let mut selection = environment.trial.map_or(Selection::default(), |trial| trial.selection);
+        for image in self.images.iter().flatten() {
+            let manifest = image.manifest.as_ref().ok_or(Refusal::Incomplete)?;
+            let place = image.place();
+            let crc = body_crc(flash, place, manifest.length).map_err(fault)?;
+            let intact = is_intact(flash, place, manifest).map_err(fault)?;
+            // Only the ROM needs the checksum, and only of a bootloader.
+            if !intact || (image.target == Target::Staging && crc != manifest.crc) {
+                return Err(Refusal::Digest);
+            }
+            let (pages, _) = image.manifest_bytes.as_chunks::<PAGE_BYTES>();
+            for (page, at) in pages.iter().zip((place..).step_by(PAGE_BYTES)) {
+                program(flash, at, page).map_err(fault)?;
+            }
+            match image.target {
+                Target::Application(slot) => selection.application = Some(slot),
+                Target::Configuration(slot) => selection.configuration = Some(slot),
+                Target::Staging => environment.loader = LoaderUpdate::Staged,
+            }
+        }
+        environment.trial = (selection != Selection::default()).then_some(Trial {
+            selection,
+            executed: false,
+        });
+        ground.store.write(flash, environment).map_err(fault)
+    }
+}
+
+/// Which place an address begins, and whether it may be written.
+fn begin(
+    before: Option<&Image>,
+    at: u32,
+    end: u32,
+    last: &Range<u32>,
+    ground: &Ground<'_>,
+) -> Result<Image, Refusal> {
+    if at < last.end {
+        return Err(behind(end, last));
+    }
+    let Some(target) = Target::at(at) else {
+        let below = sector(4).is_some_and(|environment| at < environment.start);
+        let region = [Region::Environment(0), Region::Environment(1), Region::Log(0)];
+        let kept = region.into_iter().chain([Region::Log(1)]);
+        let kept = kept.map(Region::range).any(|range| range.contains(&at));
+        return Err(if below || kept { Refusal::Protected } else { Refusal::Address });
+    };
+    if before.is_some_and(|image| image.target == target) {
+        return Err(Refusal::Unannounced);
+    }
+    if !ground.is_free(target) {
+        return Err(Refusal::SlotInUse);
+    }
+    if at != Region::Target(target).range().start {
+        return Err(Refusal::NoManifest);
+    }
+    Ok(Image {
+        target,
+        manifest_bytes: [0; MANIFEST_BYTES],
+        filled: 0,
+        manifest: None,
+        part: 0,
+        done: 0,
+    })
+}
+
+/// Checks a manifest before anything is erased for it.
+fn accept(
+    bytes: &[u8; MANIFEST_BYTES],
+    target: Target,
+    ground: &Ground<'_>,
+) -> Result<Manifest, Refusal> {
+    let signed = bytes.first_chunk::<SIGNED_BYTES>();
+    let manifest = signed.and_then(|signed| Manifest::decode(signed).ok());
+    let manifest = manifest.ok_or(Refusal::BadManifest)?;
+    let range = Region::Target(target).range();
+    let room = range.end - range.start - MANIFEST_BYTES as u32;
+    let fits = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
+    // A key that retires itself would lock out every later download.
+    if !fits || manifest.length > room || manifest.lowest_key > manifest.key {
+        return Err(Refusal::BadManifest);
+    }
+    let environment = ground.store.get();
+    let authentic = ground.trust.is_authentic(bytes, environment.lowest_key);
+    if !authentic && ground.trust.mode == TrustMode::Strict {
+        return Err(Refusal::Untrusted);
+    }
+    if manifest.version < environment.versions[manifest.kind as usize] {
+        return Err(Refusal::Downgrade);
+    }
+    Ok(manifest)
+}
+
+/// A record behind what has come already.
+fn behind(end: u32, last: &Range<u32>) -> Refusal {
+    if end > last.start {
+        Refusal::Overlap
+    } else {
+        Refusal::Order
+    }
+}
+
+/// Programs a page; erases its sector if it is the first one there.
+fn program_in(
+    flash: &mut impl NorFlash,
+    erased: &mut Range<u32>,
+    at: u32,
+    page: &[u8; PAGE_BYTES],
+) -> Result<(), FlashFault> {
+    if !erased.contains(&at) {
+        *erased = sector_at(at).ok_or(FlashFault)?;
+        erase(flash, erased.clone())?;
+    }
+    program(flash, at, page)
+}
+
+/// 0 for slot A, 1 for B, 2 for either: which slot is free beside one that is kept.
+pub(crate) const fn free_slot(keep: Option<Slot>) -> u8 {
+    match keep {
+        Some(kept) => kept.other() as u8,
+        None => 2,
+    }
+}

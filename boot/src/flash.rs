@@ -1,0 +1,132 @@
+//! What the bootloader does with flash, on any `NorFlash` of the TC297's geometry.
+
+use crate::manifest::{BODY_OFFSET, Manifest};
+use crate::map::{Bank, PAGE_BYTES, Region, sector_at};
+use crate::page::Page;
+use core::ops::Range;
+use embedded_storage::nor_flash::NorFlash;
+use sha2::{Digest, Sha256};
+
+/// The flash does not do what it was asked for, or does not read back what was programmed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FlashFault;
+
+/// Reads bytes. Noise is what the caller checks for; only a fault of the medium is an error.
+pub(crate) fn read<const N: usize>(
+    flash: &mut impl NorFlash,
+    offset: u32,
+) -> Result<[u8; N], FlashFault> {
+    let mut bytes = [0; N];
+    flash.read(offset, &mut bytes).map_err(|_| FlashFault)?;
+    Ok(bytes)
+}
+
+/// Erases the sectors of a range that begins and ends with one.
+pub(crate) fn erase(flash: &mut impl NorFlash, range: Range<u32>) -> Result<(), FlashFault> {
+    let mut at = range.start;
+    while at < range.end {
+        let sector = sector_at(at).ok_or(FlashFault)?;
+        flash
+            .erase(sector.start, sector.end)
+            .map_err(|_| FlashFault)?;
+        at = sector.end;
+    }
+    Ok(())
+}
+
+/// Programs one page and reads it back.
+pub(crate) fn program(
+    flash: &mut impl NorFlash,
+    offset: u32,
+    page: &Page,
+) -> Result<(), FlashFault> {
+    flash.write(offset, page).map_err(|_| FlashFault)?;
+    let back: Page = read(flash, offset)?;
+    if back == *page {
+        Ok(())
+    } else {
+        Err(FlashFault)
+    }
+}
+
+/// Whether every part of an image has the digest that its manifest says.
+pub(crate) fn is_intact(
+    flash: &mut impl NorFlash,
+    place: u32,
+    manifest: &Manifest,
+) -> Result<bool, FlashFault> {
+    for part in manifest.parts() {
+        let mut digest = Sha256::new();
+        let mut chunk = [0; 256];
+        let (mut at, end) = (place + part.offset, place + part.offset + part.length);
+        while at < end {
+            let len = chunk.len().min((end - at) as usize);
+            let chunk = &mut chunk[..len];
+            flash.read(at, chunk).map_err(|_| FlashFault)?;
+            digest.update(chunk);
+            at += len as u32;
+        }
+        if digest.finalize()[..] != part.sha256 {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// CRC-32 of the `length` bytes behind a manifest, as the boot ROM computes it.
+pub(crate) fn body_crc(
+    flash: &mut impl NorFlash,
+    place: u32,
+    length: u32,
+) -> Result<u32, FlashFault> {
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    let mut digest = crc.digest();
+    let end = place + BODY_OFFSET + length;
+    for at in (place + BODY_OFFSET..end).step_by(PAGE_BYTES) {
+        let page: Page = read(flash, at)?;
+        digest.update(&page[..PAGE_BYTES.min((end - at) as usize)]);
+    }
+    Ok(digest.finalize())
+}
+
+/// Copies a bootloader to a bank: everything but its first page, then, with `seal`, the first page.
+/// The boot ROM starts a bank only by its first page, so what is half written never runs.
+pub(crate) fn copy_to_bank(
+    flash: &mut impl NorFlash,
+    from: u32,
+    bank: Bank,
+    end: u32,
+    seal: bool,
+) -> Result<(), FlashFault> {
+    let to = Region::Bank(bank).range();
+    erase(flash, to.clone())?;
+    let end = end.next_multiple_of(PAGE_BYTES as u32);
+    for at in (PAGE_BYTES as u32..end).step_by(PAGE_BYTES) {
+        let page: Page = read(flash, from + at)?;
+        program(flash, to.start + at, &page)?;
+    }
+    if seal {
+        let page: Page = read(flash, from)?;
+        program(flash, to.start, &page)?;
+    }
+    Ok(())
+}
+
+/// What the boot ROM does at every start: it takes the first bank whose first page is sound and
+/// whose body has the checksum that this page says. `None` bricks the controller.
+///
+/// On the TC297 this is the evaluation of the boot mode headers: a page of 32 bytes with a checksum
+/// over a range, tried in a fixed order.
+pub fn rom_choice(flash: &mut impl NorFlash) -> Option<Bank> {
+    [Bank::Primary, Bank::Backup].into_iter().find(|bank| {
+        let place = Region::Bank(*bank).range();
+        let Ok(page) = read::<PAGE_BYTES>(flash, place.start) else {
+            return false;
+        };
+        let Some((length, crc)) = Manifest::seal(&page) else {
+            return false;
+        };
+        let fits = u64::from(BODY_OFFSET) + u64::from(length) <= place.len() as u64;
+        fits && body_crc(flash, place.start, length) == Ok(crc)
+    })
+}

@@ -1,0 +1,40 @@
+//! Bootloader: S-records over CAN, slots, trust: sans-IO (no_std).
+//!
+//! [`Loader`] is told the time and what came from the bus, and answers with [`Next`]; it reaches
+//! flash through `embedded_storage::nor_flash::NorFlash` and nothing else of the machine. The
+//! application calls [`approve`] once it has proved itself. Protocol, storage map, states and what
+//! each loss of power leaves stand in `docs/boot.md`.
+#![no_std]
+#![forbid(unsafe_code)]
+
+#[cfg(test)]
+extern crate std;
+
+mod download;
+mod environment;
+mod flash;
+mod loader;
+mod log;
+mod manifest;
+mod map;
+mod page;
+mod protocol;
+mod session;
+mod srec;
+mod trust;
+
+pub use environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
+pub use flash::{FlashFault, rom_choice};
+pub use loader::{CONNECT_WINDOW, HOST_SILENCE, Launch, Loader, Next, Setup, approve};
+pub use log::{LogEntry, LogEvent, read_log};
+pub use manifest::{
+    BODY_OFFSET, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, ManifestError, Part, SIGNED_BYTES,
+};
+pub use map::{
+    Bank, FLASH_BYTES, Kind, PAGE_BYTES, Region, SECTORS, SMALLEST_SECTOR, Slot, Target, offset_of,
+    sector, sector_at,
+};
+pub use protocol::{Answer, Refusal, Request, TO_HOST, TO_LOADER};
+pub use session::{MAX_WINDOW, RESEND_AFTER};
+pub use srec::{Assembler, MAX_DATA, Record, RecordError, RecordType};
+pub use trust::{Trust, TrustMode};

@@ -1,0 +1,583 @@
+//! The bootloader: what it does from the reset to the jump. T-BOOT-1, T-BOOT-2, U-3, U-4, E-4
+
+use crate::download::Ground;
+use crate::environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
+use crate::flash::{FlashFault, body_crc, copy_to_bank, is_intact, program, read};
+use crate::log::{LogEvent, append};
+use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
+use crate::map::{Bank, Kind, PAGE_BYTES, Region, Slot, Target};
+use crate::protocol::{Answer, Request, TO_LOADER};
+use crate::session::Session;
+use crate::trust::{Trust, TrustMode};
+use embedded_storage::nor_flash::NorFlash;
+use tandem_board::{CanFrame, CoreId, Duration, Instant, ResetCause, SystemId};
+
+/// How long a host may connect after power-on. It fits into the start limit of the pair (2.5 s):
+/// both systems still find each other, and a host that repeats its request every 5 ms meets it.
+pub const CONNECT_WINDOW: Duration = Duration::from_ms(20);
+/// How long a loader that an application asked for a download waits for a host, and how long any
+/// host may be silent.
+pub const HOST_SILENCE: Duration = Duration::from_ms(10_000);
+/// How long the last answer of a download, good or bad, may be asked for again.
+const FAREWELL: Duration = Duration::from_ms(50);
+
+/// What the bootloader is told about this start.
+#[derive(Clone, Copy, Debug)]
+pub struct Setup<'k> {
+    /// Whom it believes.
+    pub trust: Trust<'k>,
+    /// Which system this is.
+    pub system: SystemId,
+    /// Which bank the running bootloader was started from.
+    pub bank: Bank,
+    /// Why the system started.
+    pub cause: ResetCause,
+    /// The application asked for a download before it reset the system.
+    pub requested: bool,
+}
+
+/// When a host may connect.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Entry {
+    /// Not at all: boot.
+    Never,
+    /// Until this moment; then boot.
+    Until(Instant),
+    /// Nothing can boot: wait.
+    Always,
+}
+
+/// The entry rule of T-BOOT-1. A host may connect at power-on for [`CONNECT_WINDOW`], and for
+/// [`HOST_SILENCE`] if the application asked for it with an orderly reset, which it does at
+/// standstill or as standby only. Never after an abnormal reset: a failover does not wait.
+const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
+    match setup.cause {
+        ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
+        ResetCause::Software if setup.requested => Entry::Until(after(now, HOST_SILENCE)),
+        ResetCause::Software | ResetCause::Watchdog | ResetCause::Trap => Entry::Never,
+    }
+}
+
+const fn after(now: Instant, span: Duration) -> Instant {
+    Instant::from_ns(now.as_ns() + span.as_ns())
+}
+
+/// Where to jump.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Launch {
+    /// The application's slot.
+    pub application: Slot,
+    /// The configuration's slot, if there is one.
+    pub configuration: Option<Slot>,
+    /// Version of the application.
+    pub version: u32,
+    /// Where each core begins, as offset in the flash. Core 0 jumps and then releases the others.
+    pub entries: [Option<u32>; CoreId::COUNT],
+}
+
+/// What the board does next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Next {
+    /// Hand over frames as they come; call again at this moment at the latest.
+    Wait(Instant),
+    /// Send this frame, then call again at once.
+    Send(CanFrame),
+    /// Clean up (T-BOOT-7: clear RAM, reset the CAN module, interrupts off), then jump.
+    Jump(Launch),
+    /// Start the bootloader in the primary bank: it is on trial. Clean up as before a jump.
+    StartPrimary,
+    /// Reset the system in an orderly way.
+    Reset,
+}
+
+/// The bootloader over one flash.
+#[derive(Debug)]
+pub struct Loader<'k, F> {
+    flash: F,
+    setup: Setup<'k>,
+    ground: Ground<'k>,
+    session: Session,
+    entry: Entry,
+    answer: Option<CanFrame>,
+    /// Decided before any host may connect.
+    verdict: Option<Next>,
+    refusal_logged: bool,
+}
+
+impl<'k, F: NorFlash> Loader<'k, F> {
+    /// Reads the boot environment, repairs what a loss of power left, rolls back what did not
+    /// approve itself, and goes one step further with an update of the bootloader.
+    ///
+    /// # Errors
+    /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
+    pub fn start(mut flash: F, setup: Setup<'k>, now: Instant) -> Result<Self, FlashFault> {
+        let loaded = EnvironmentStore::load(&mut flash)?;
+        let mut store = match loaded.clone() {
+            Some(store) => store,
+            None => EnvironmentStore::new(rebuild(&mut flash, &setup)),
+        };
+        // Sectors that fail for good must not keep the controller from booting.
+        let settled = store.settle(&mut flash);
+        if loaded.is_none() && settled.is_ok() {
+            let _ = append(&mut flash, LogEvent::EnvironmentRebuilt, 0);
+        }
+        let mut loader = Self {
+            flash,
+            setup,
+            ground: Ground {
+                trust: setup.trust,
+                store,
+                keep: Selection::default(),
+            },
+            session: Session::new(),
+            entry: entry(&setup, now),
+            answer: None,
+            verdict: None,
+            refusal_logged: false,
+        };
+        loader.verdict = loader.update_bootloader()?;
+        if loader.verdict.is_none() {
+            loader.roll_back()?;
+            loader.choose_active()?;
+        }
+        Ok(loader)
+    }
+
+    /// What to do now.
+    ///
+    /// # Errors
+    /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
+    pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
+        if let Some(frame) = self.answer.take() {
+            return Ok(Next::Send(frame));
+        }
+        if let Some(verdict) = self.verdict {
+            return Ok(verdict);
+        }
+        if let Some(deadline) = self.session.deadline()
+            && now >= deadline
+        {
+            self.answer = self.session.on_silence(now).frame();
+            return self.next(now);
+        }
+        let session_ends = match self.entry {
+            _ if self.session.has_ended() => Some(self.session.heard() + FAREWELL),
+            _ if self.session.is_open() => Some(self.session.heard() + HOST_SILENCE),
+            Entry::Never => Some(now),
+            Entry::Until(moment) => Some(moment),
+            Entry::Always => None,
+        };
+        match session_ends {
+            Some(moment) if now >= moment => {
+                let verdict = if self.session.is_finished() || self.session.is_open() {
+                    Some(Next::Reset)
+                } else {
+                    self.boot()?
+                };
+                (self.verdict, self.session) = (verdict, Session::new());
+                self.entry = Entry::Always;
+                self.next(now)
+            }
+            ends => {
+                let silence = self.session.deadline().unwrap_or(Instant::NEVER);
+                Ok(Next::Wait(ends.unwrap_or(Instant::NEVER).min(silence)))
+            }
+        }
+    }
+
+    /// Takes a frame from the bus. Call [`Loader::next`] afterwards, before the next frame.
+    pub fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
+        if frame.id() != TO_LOADER || self.verdict.is_some() {
+            return;
+        }
+        let answer = match Request::decode(frame.data()) {
+            Request::Connect { system, resume } => self
+                .is_for_us(system)
+                .then(|| self.session.connect(now, resume)),
+            request => {
+                let (flash, ground) = (&mut self.flash, &mut self.ground);
+                self.session.on_request(now, request, flash, ground)
+            }
+        };
+        match self.session.refusal() {
+            Some(refusal) if !self.refusal_logged => {
+                self.refusal_logged = true;
+                // The host is told anyway.
+                let _ = append(&mut self.flash, LogEvent::DownloadRefused, refusal as u32);
+            }
+            Some(_) => {}
+            None => self.refusal_logged = false,
+        }
+        self.answer = answer.and_then(Answer::frame);
+    }
+
+    /// Both loaders hear a host that names no system. At power-on only A answers it; a loader that
+    /// an application or an empty slot keeps waiting is alone in that, and answers.
+    fn is_for_us(&self, system: Option<SystemId>) -> bool {
+        let alone = self.setup.requested || self.entry == Entry::Always;
+        system.map_or(alone || self.setup.system == SystemId::A, |system| {
+            system == self.setup.system
+        })
+    }
+
+    /// Gives the flash back.
+    pub fn into_flash(self) -> F {
+        self.flash
+    }
+
+    /// An image that was started and has not approved itself is taken for crashed. U-3
+    fn roll_back(&mut self) -> Result<(), FlashFault> {
+        let environment = *self.ground.store.get();
+        if environment.trial.is_some_and(|trial| trial.executed) {
+            self.forget_trial(LogEvent::RolledBack)?;
+        }
+        Ok(())
+    }
+
+    fn forget_trial(&mut self, event: LogEvent) -> Result<(), FlashFault> {
+        let environment = Environment {
+            trial: None,
+            ..*self.ground.store.get()
+        };
+        self.write(environment)?;
+        self.log(event, 0);
+        Ok(())
+    }
+
+    /// The active slots that can boot, which no download may touch. If the active application is
+    /// damaged, the other one becomes active.
+    fn choose_active(&mut self) -> Result<(), FlashFault> {
+        let mut environment = *self.ground.store.get();
+        let active = environment.active;
+        if let Some(slot) = active.application {
+            let candidates = [slot, slot.other()];
+            let good = candidates.into_iter().find(|slot| self.can_boot(Target::Application(*slot)));
+            self.ground.keep.application = good;
+            if let Some(other) = good.filter(|good| *good != slot) {
+                environment.active.application = Some(other);
+                self.write(environment)?;
+                self.log(LogEvent::SlotDamaged, other as u32);
+            }
+        }
+        let whole = |slot: &Slot| self.can_boot(Target::Configuration(*slot));
+        self.ground.keep.configuration = active.configuration.filter(whole);
+        Ok(())
+    }
+
+    fn can_boot(&mut self, target: Target) -> bool {
+        let image = inspect(&mut self.flash, &self.setup.trust, target);
+        if let Some(Image { authentic: false, .. }) = image {
+            let strict = self.setup.trust.mode == TrustMode::Strict;
+            let event = if strict {
+                LogEvent::RefusedUntrusted
+            } else {
+                LogEvent::StartedUntrusted
+            };
+            self.log(event, target.kind() as u32);
+            return !strict;
+        }
+        image.is_some()
+    }
+
+    /// Boot-load mode: the image on trial if it is whole, else the active one. `None` if nothing
+    /// can boot; the loader then waits for a download.
+    fn boot(&mut self) -> Result<Option<Next>, FlashFault> {
+        let environment = *self.ground.store.get();
+        let mut selection = Selection {
+            configuration: self.ground.keep.configuration,
+            application: self.ground.keep.application,
+        };
+        if let Some(Trial { selection: new, .. }) = environment.trial {
+            let application = new.application.map(Target::Application);
+            let configuration = new.configuration.map(Target::Configuration);
+            let mut targets = application.into_iter().chain(configuration);
+            if targets.all(|target| self.can_boot(target)) {
+                selection.application = new.application.or(selection.application);
+                selection.configuration = new.configuration.or(selection.configuration);
+                let trial = Some(Trial {
+                    selection: new,
+                    executed: true,
+                });
+                self.write(Environment { trial, ..environment })?;
+            } else {
+                self.forget_trial(LogEvent::SlotDamaged)?;
+            }
+        }
+        let Some(application) = selection.application else {
+            return Ok(self.last_resort());
+        };
+        self.approve_bootloader()?;
+        Ok(self.launch(application, selection.configuration))
+    }
+
+    fn launch(&mut self, application: Slot, configuration: Option<Slot>) -> Option<Next> {
+        let (manifest, _) = manifest_at(&mut self.flash, Target::Application(application))?;
+        let place = Region::Target(Target::Application(application)).range().start;
+        let entry = |entry: u32| (entry > 0).then_some(place + entry);
+        Some(Next::Jump(Launch {
+            application,
+            configuration,
+            version: manifest.version,
+            entries: manifest.entries.map(entry),
+        }))
+    }
+
+    /// Monitor mode starts a damaged image rather than none. E-4
+    fn last_resort(&mut self) -> Option<Next> {
+        if self.setup.trust.mode == TrustMode::Strict {
+            return None;
+        }
+        let slot = self.ground.store.get().active.application?;
+        self.log(LogEvent::StartedUntrusted, slot as u32);
+        self.launch(slot, self.ground.keep.configuration)
+    }
+
+    /// One step of an update of the bootloader; what to do then, or `None` to go on. U-4
+    fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
+        let staging = Region::Target(Target::Staging).range().start;
+        let backup = Region::Bank(Bank::Backup).range().start;
+        match (self.ground.store.get().loader, self.setup.bank) {
+            (LoaderUpdate::Idle, Bank::Primary) => Ok(None),
+            // The ROM found the primary bank damaged: make it whole again.
+            (LoaderUpdate::Idle, Bank::Backup) => {
+                self.set_loader(LoaderUpdate::Restoring)?;
+                self.update_bootloader()
+            }
+            (LoaderUpdate::Staged, bank) => {
+                if !self.can_boot(Target::Staging) {
+                    self.log(LogEvent::SlotDamaged, Kind::Bootloader as u32);
+                    self.set_loader(LoaderUpdate::Idle)?;
+                    return self.update_bootloader();
+                }
+                if bank == Bank::Primary {
+                    let primary = Region::Bank(Bank::Primary).range().start;
+                    self.copy(primary, Bank::Backup, true)?;
+                }
+                self.set_loader(LoaderUpdate::Installing)?;
+                self.update_bootloader()
+            }
+            (LoaderUpdate::Installing, _) => {
+                self.copy(staging, Bank::Primary, false)?;
+                self.set_loader(LoaderUpdate::Trial)?;
+                self.log(LogEvent::LoaderInstalled, 0);
+                Ok(Some(Next::Reset))
+            }
+            // Only the backup gets here by itself: the primary bank is not sealed.
+            (LoaderUpdate::Trial, Bank::Backup) => {
+                self.set_loader(LoaderUpdate::TrialExecuted)?;
+                Ok(Some(Next::StartPrimary))
+            }
+            (LoaderUpdate::Trial | LoaderUpdate::TrialExecuted, Bank::Primary) => Ok(None),
+            (LoaderUpdate::TrialExecuted, Bank::Backup) => {
+                self.set_loader(LoaderUpdate::Restoring)?;
+                self.update_bootloader()
+            }
+            (LoaderUpdate::Sealing, _) => {
+                self.copy(staging, Bank::Primary, true)?;
+                self.set_loader(LoaderUpdate::Idle)?;
+                Ok(Some(Next::Reset))
+            }
+            (LoaderUpdate::Restoring, _) => {
+                self.copy(backup, Bank::Primary, true)?;
+                self.set_loader(LoaderUpdate::Idle)?;
+                self.log(LogEvent::LoaderRestored, 0);
+                Ok(Some(Next::Reset))
+            }
+        }
+    }
+
+    /// The last step of a new bootloader: it approves itself and is sealed. U-4
+    fn approve_bootloader(&mut self) -> Result<(), FlashFault> {
+        if self.ground.store.get().loader != LoaderUpdate::TrialExecuted {
+            return Ok(());
+        }
+        self.set_loader(LoaderUpdate::Sealing)?;
+        let staging = Region::Target(Target::Staging).range().start;
+        let seal = read::<PAGE_BYTES>(&mut self.flash, staging)?;
+        let primary = Region::Bank(Bank::Primary).range().start;
+        program(&mut self.flash, primary, &seal)?;
+        let mut environment = *self.ground.store.get();
+        if let Some((manifest, _)) = manifest_at(&mut self.flash, Target::Staging) {
+            raise(&mut environment, &manifest);
+        }
+        environment.loader = LoaderUpdate::Idle;
+        self.write(environment)?;
+        self.log(LogEvent::LoaderApproved, 0);
+        Ok(())
+    }
+
+    fn copy(&mut self, from: u32, bank: Bank, seal: bool) -> Result<(), FlashFault> {
+        let page = read::<PAGE_BYTES>(&mut self.flash, from)?;
+        let (length, _) = Manifest::seal(&page).ok_or(FlashFault)?;
+        copy_to_bank(&mut self.flash, from, bank, BODY_OFFSET + length, seal)
+    }
+
+    fn set_loader(&mut self, loader: LoaderUpdate) -> Result<(), FlashFault> {
+        self.write(Environment {
+            loader,
+            ..*self.ground.store.get()
+        })
+    }
+
+    fn write(&mut self, environment: Environment) -> Result<(), FlashFault> {
+        self.ground.store.write(&mut self.flash, environment)
+    }
+
+    /// A log that does not take an entry must not keep anything from booting.
+    fn log(&mut self, event: LogEvent, value: u32) {
+        let _ = append(&mut self.flash, event, value);
+    }
+}
+
+/// An image whose digests are right.
+struct Image {
+    manifest: Manifest,
+    authentic: bool,
+}
+
+/// The manifest that begins a place, with its bytes.
+fn manifest_at(
+    flash: &mut impl NorFlash,
+    target: Target,
+) -> Option<(Manifest, [u8; MANIFEST_BYTES])> {
+    let range = Region::Target(target).range();
+    let bytes: [u8; MANIFEST_BYTES] = read(flash, range.start).ok()?;
+    let manifest = Manifest::decode(bytes.first_chunk::<SIGNED_BYTES>()?).ok()?;
+    let fits = range.start + BODY_OFFSET + manifest.length <= range.end;
+    let ours = manifest.kind == target.kind() && manifest.hardware == HARDWARE;
+    (fits && ours).then_some((manifest, bytes))
+}
+
+/// The image in a place; `None` if it is damaged or there is none. A key that was retired since
+/// the image was taken still counts here: what has approved itself stays as fallback.
+fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: Target) -> Option<Image> {
+    let (manifest, bytes) = manifest_at(flash, target)?;
+    let place = Region::Target(target).range().start;
+    let whole = is_intact(flash, place, &manifest) == Ok(true)
+        && (target != Target::Staging
+            || body_crc(flash, place, manifest.length) == Ok(manifest.crc));
+    whole.then(|| Image {
+        manifest,
+        authentic: trust.is_authentic(&bytes, 0),
+    })
+}
+
+/// Makes a boot environment from what the slots hold: of two whole images the older one is active
+/// and the newer one on trial. So begins a new controller, and so goes on one that lost both
+/// copies.
+fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
+    let mut environment = Environment::default();
+    let mut find = |kind: fn(Slot) -> Target| {
+        let mut version = |slot| {
+            let image = inspect(flash, &setup.trust, kind(slot))?;
+            let taken = image.authentic || setup.trust.mode == TrustMode::Monitor;
+            taken.then_some((image.manifest.version, slot))
+        };
+        match [version(Slot::A), version(Slot::B)] {
+            [Some(a), Some(b)] if a.0 <= b.0 => (Some(a.1), Some(b.1)),
+            [Some(a), Some(b)] => (Some(b.1), Some(a.1)),
+            [a, b] => (a.or(b).map(|(_, slot)| slot), None),
+        }
+    };
+    let (application, newer_application) = find(Target::Application);
+    let (configuration, newer_configuration) = find(Target::Configuration);
+    environment.active = Selection {
+        application,
+        configuration,
+    };
+    let newer = Selection {
+        application: newer_application,
+        configuration: newer_configuration,
+    };
+    environment.trial = (newer != Selection::default()).then_some(Trial {
+        selection: newer,
+        executed: false,
+    });
+    raise_to_active(flash, &mut environment);
+    environment
+}
+
+fn raise_to_active(flash: &mut impl NorFlash, environment: &mut Environment) {
+    let Selection {
+        application,
+        configuration,
+    } = environment.active;
+    let application = application.map(Target::Application);
+    for target in application.into_iter().chain(configuration.map(Target::Configuration)) {
+        if let Some((manifest, _)) = manifest_at(flash, target) {
+            raise(environment, &manifest);
+        }
+    }
+}
+
+/// What has approved itself raises what is accepted from now on.
+fn raise(environment: &mut Environment, manifest: &Manifest) {
+    let version = &mut environment.versions[manifest.kind as usize];
+    *version = manifest.version.max(*version);
+    environment.lowest_key = manifest.lowest_key.max(environment.lowest_key);
+}
+
+/// The running application approves itself, and the configuration that it runs with: from now on
+/// they boot, and older versions are refused. Does nothing if nothing is on trial. U-3
+///
+/// Task context of core 0, once the application has proved itself; blocks while the flash works.
+///
+/// # Errors
+/// [`FlashFault`] if the flash cannot be read or written; try again.
+pub fn approve(flash: &mut impl NorFlash) -> Result<(), FlashFault> {
+    let Some(mut store) = EnvironmentStore::load(flash)? else {
+        return Err(FlashFault);
+    };
+    let mut environment = *store.get();
+    let Some(Trial {
+        selection,
+        executed: true,
+    }) = environment.trial
+    else {
+        return Ok(());
+    };
+    let active = &mut environment.active;
+    active.application = selection.application.or(active.application);
+    active.configuration = selection.configuration.or(active.configuration);
+    environment.trial = None;
+    raise_to_active(flash, &mut environment);
+    store.write(flash, environment)?;
+    let _ = append(flash, LogEvent::Approved, environment.versions[0]);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// T-BOOT-1: the whole table of the entry rule.
+    #[test]
+    fn a_host_may_connect_at_power_on_or_on_request_only() {
+        use ResetCause::{PowerOn, Software, Trap, Watchdog};
+        let now = Instant::from_ns(5);
+        for (cause, requested, expected) in [
+            (PowerOn, false, Some(CONNECT_WINDOW)),
+            (PowerOn, true, Some(CONNECT_WINDOW)),
+            (Software, false, None),
+            (Software, true, Some(HOST_SILENCE)),
+            (Watchdog, false, None),
+            (Watchdog, true, None),
+            (Trap, false, None),
+            (Trap, true, None),
+        ] {
+            let setup = Setup {
+                trust: Trust {
+                    keys: &[],
+                    mode: TrustMode::Strict,
+                },
+                system: SystemId::A,
+                bank: Bank::Primary,
+                cause,
+                requested,
+            };
+            let expected = expected.map_or(Entry::Never, |span| Entry::Until(now + span));
+            assert_eq!(entry(&setup, now), expected, "{cause:?} {requested}");
+        }
+    }
+}

@@ -1,0 +1,163 @@
+//! The log: what the bootloader did and refused, in two sectors that take turns. U-2
+//!
+//! It is written at best effort: no decision reads it.
+
+use crate::flash::{FlashFault, erase, program, read};
+use crate::map::{PAGE_BYTES, Region};
+use crate::page::{ERASED, Page};
+use embedded_storage::nor_flash::NorFlash;
+
+const MAGIC: [u8; 2] = *b"LG";
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum LogEvent {
+    /// A download was verified and is on trial. Value: the new version.
+    Downloaded = 1,
+    /// A download was refused. Value: the refusal's code.
+    DownloadRefused,
+    /// An image approved itself. Value: the active slots.
+    Approved,
+    /// An image did not approve itself; the one before boots.
+    RolledBack,
+    /// An image on trial or active is damaged; the other slot boots.
+    SlotDamaged,
+    /// `IntegrityOrAuthenticityCheckFailed`, and the image was started: monitor mode. E-4
+    StartedUntrusted,
+    /// `IntegrityOrAuthenticityCheckFailed`, and the image was not started: strict mode. E-4
+    RefusedUntrusted,
+    /// The boot environment was lost and made anew from the slots.
+    EnvironmentRebuilt,
+    /// A new bootloader was installed and is on trial.
+    LoaderInstalled,
+    /// The new bootloader approved itself.
+    LoaderApproved,
+    /// The bootloader was restored from its backup.
+    LoaderRestored,
+}
+
+impl LogEvent {
+    const ALL: [Self; 11] = [
+        Self::Downloaded,
+        Self::DownloadRefused,
+        Self::Approved,
+        Self::RolledBack,
+        Self::SlotDamaged,
+        Self::StartedUntrusted,
+        Self::RefusedUntrusted,
+        Self::EnvironmentRebuilt,
+        Self::LoaderInstalled,
+        Self::LoaderApproved,
+        Self::LoaderRestored,
+    ];
+}
+
+/// One entry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LogEntry {
+    /// Rises with each entry.
+    pub sequence: u32,
+    /// What happened.
+    pub event: LogEvent,
+    /// What the event says of it.
+    pub value: u32,
+}
+
+impl LogEntry {
+    fn encode(&self) -> Page {
+        let mut page = [0; PAGE_BYTES];
+        page[..2].copy_from_slice(&MAGIC);
+        page[2] = self.event as u8;
+        page[4..8].copy_from_slice(&self.sequence.to_le_bytes());
+        page[8..12].copy_from_slice(&self.value.to_le_bytes());
+        let crc = CRC.checksum(&page[..28]);
+        page[28..].copy_from_slice(&crc.to_le_bytes());
+        page
+    }
+
+    fn decode(page: &Page) -> Option<Self> {
+        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| page[at + byte]));
+        let event = LogEvent::ALL.into_iter();
+        let entry = Self {
+            sequence: word(4),
+            event: event.into_iter().find(|event| *event as u8 == page[2])?,
+            value: word(8),
+        };
+        (entry.encode() == *page).then_some(entry)
+    }
+}
+
+/// Calls `found` for every entry that can be read, and says which page is free behind them.
+fn scan(
+    flash: &mut impl NorFlash,
+    sector: u8,
+    mut found: impl FnMut(LogEntry),
+) -> Result<u32, FlashFault> {
+    let range = Region::Log(sector).range();
+    let mut free = range.start;
+    for at in range.clone().step_by(PAGE_BYTES) {
+        let page: Page = read(flash, at)?;
+        if let Some(entry) = LogEntry::decode(&page) {
+            found(entry);
+        }
+        if page != [ERASED; PAGE_BYTES] {
+            free = at + PAGE_BYTES as u32;
+        }
+    }
+    Ok(free)
+}
+
+/// Calls `found` for every entry, from the sector with the older ones on.
+///
+/// # Errors
+/// [`FlashFault`] if the flash cannot be read.
+pub fn read_log(
+    flash: &mut impl NorFlash,
+    mut found: impl FnMut(LogEntry),
+) -> Result<(), FlashFault> {
+    let mut newest = [None; 2];
+    for (sector, newest) in (0..).zip(&mut newest) {
+        scan(flash, sector, |entry| *newest = Some(entry.sequence))?;
+    }
+    let first = u8::from(newest[0] > newest[1]);
+    scan(flash, first, &mut found)?;
+    scan(flash, 1 - first, &mut found)?;
+    Ok(())
+}
+
+/// Adds an entry. The page behind the last entry may be one that a loss of power left half
+/// programmed, so a page that does not take the entry is passed over.
+///
+/// # Errors
+/// [`FlashFault`] if the flash takes it nowhere.
+pub(crate) fn append(
+    flash: &mut impl NorFlash,
+    event: LogEvent,
+    value: u32,
+) -> Result<(), FlashFault> {
+    let mut newest = [None; 2];
+    let mut free = [0; 2];
+    for sector in 0..2 {
+        let last = &mut newest[usize::from(sector)];
+        free[usize::from(sector)] = scan(flash, sector, |entry| *last = Some(entry.sequence))?;
+    }
+    let sequence = newest[0].max(newest[1]).map_or(0, |last| last.wrapping_add(1));
+    let page = LogEntry {
+        sequence,
+        event,
+        value,
+    }
+    .encode();
+    let sector = u8::from(newest[1] > newest[0]);
+    let end = Region::Log(sector).range().end;
+    for at in (free[usize::from(sector)]..end).step_by(PAGE_BYTES) {
+        if program(flash, at, &page).is_ok() {
+            return Ok(());
+        }
+    }
+    let range = Region::Log(1 - sector).range();
+    erase(flash, range.clone())?;
+    program(flash, range.start, &page)
+}

@@ -1,0 +1,256 @@
+//! The manifest of an image: the first 256 bytes of its place, and what its signature covers.
+//!
+//! | bytes | what (little endian) |
+//! |---|---|
+//! | 0..4 | `TNDM` |
+//! | 4 | format, 1 |
+//! | 5 | kind: 0 application, 1 configuration, 2 bootloader |
+//! | 6 | number of parts, 1 to 3 |
+//! | 7 | number of the key that signed it |
+//! | 8..12 | hardware that it is for |
+//! | 12..16 | version |
+//! | 16..20 | length of the body: everything behind these 256 bytes |
+//! | 20..24 | CRC-32 of the body |
+//! | 24 | the lowest key that is accepted once this image has approved itself |
+//! | 25..28 | 0 |
+//! | 28..32 | CRC-32 of bytes 0..28 |
+//! | 32..44 | entries of cores 0, 1, 2: offsets from the image's place; 0 for none |
+//! | 44..164 | three parts: offset, length, SHA-256; unused ones are 0 |
+//! | 164..192 | 0 |
+//! | 192..256 | Ed25519 signature of bytes 0..192 |
+
+use crate::map::{Kind, PAGE_BYTES};
+use tandem_board::CoreId;
+
+/// Bytes of a manifest with its signature.
+pub const MANIFEST_BYTES: usize = 256;
+/// Bytes of it that are signed.
+pub const SIGNED_BYTES: usize = 192;
+/// Where the body of an image begins in its place.
+pub const BODY_OFFSET: u32 = MANIFEST_BYTES as u32;
+/// The most parts of an image: one for each core.
+pub const MAX_PARTS: usize = 3;
+/// The hardware that this loader is for: TC297 on Tandem's carrier.
+pub const HARDWARE: u32 = 0x0297_0001;
+
+pub(crate) const MAGIC: [u8; 4] = *b"TNDM";
+const FORMAT: u8 = 1;
+const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+
+/// A run of bytes in an image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Part {
+    /// From the image's place; at least [`BODY_OFFSET`].
+    pub offset: u32,
+    /// In bytes; 0 for none.
+    pub length: u32,
+    /// Digest of its bytes.
+    pub sha256: [u8; 32],
+}
+
+/// What an image says about itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Manifest {
+    /// What it is.
+    pub kind: Kind,
+    /// Which key signed it.
+    pub key: u8,
+    /// Keys below this are no longer accepted once the image has approved itself.
+    pub lowest_key: u8,
+    /// For which hardware it is.
+    pub hardware: u32,
+    /// Rises with every release.
+    pub version: u32,
+    /// Bytes behind the manifest.
+    pub length: u32,
+    /// CRC-32 of these bytes, for the boot ROM.
+    pub crc: u32,
+    /// Where each core begins, from the image's place; 0 for a core that is not started.
+    pub entries: [u32; CoreId::COUNT],
+    /// In ascending order; the first one of length 0 ends the list.
+    pub parts: [Part; MAX_PARTS],
+}
+
+/// Why bytes are not a manifest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ManifestError {
+    /// They begin with something else.
+    Magic,
+    /// A format, a kind or a count that this loader does not know, or a wrong checksum.
+    Format,
+    /// Parts that overlap, are out of order or outside the body, or an entry outside the parts.
+    Layout,
+}
+
+impl Manifest {
+    /// The parts that it has.
+    pub fn parts(&self) -> impl Iterator<Item = &Part> {
+        self.parts.iter().take_while(|part| part.length > 0)
+    }
+
+    /// Writes the bytes that are signed.
+    #[must_use]
+    pub fn encode(&self) -> [u8; SIGNED_BYTES] {
+        let mut bytes = [0; SIGNED_BYTES];
+        bytes[..4].copy_from_slice(&MAGIC);
+        bytes[4] = FORMAT;
+        bytes[5] = self.kind as u8;
+        bytes[6] = self.parts().count() as u8;
+        bytes[7] = self.key;
+        let words = [self.hardware, self.version, self.length, self.crc];
+        let (places, _) = bytes[8..].as_chunks_mut::<4>();
+        for (place, word) in places.iter_mut().zip(words) {
+            *place = word.to_le_bytes();
+        }
+        bytes[24] = self.lowest_key;
+        let crc = CRC.checksum(&bytes[..28]);
+        bytes[28..32].copy_from_slice(&crc.to_le_bytes());
+        for (place, entry) in bytes[32..44].as_chunks_mut::<4>().0.iter_mut().zip(self.entries) {
+            *place = entry.to_le_bytes();
+        }
+        let (places, _) = bytes[44..164].as_chunks_mut::<40>();
+        for (place, part) in places.iter_mut().zip(self.parts()) {
+            place[..4].copy_from_slice(&part.offset.to_le_bytes());
+            place[4..8].copy_from_slice(&part.length.to_le_bytes());
+            place[8..].copy_from_slice(&part.sha256);
+        }
+        bytes
+    }
+
+    /// Reads what [`Manifest::encode`] writes, and nothing else.
+    ///
+    /// # Errors
+    /// [`ManifestError`] says what is wrong with the bytes.
+    pub fn decode(bytes: &[u8; SIGNED_BYTES]) -> Result<Self, ManifestError> {
+        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| bytes[at + byte]));
+        if bytes[..4] != MAGIC {
+            return Err(ManifestError::Magic);
+        }
+        let kind = Kind::ALL.into_iter().find(|kind| *kind as u8 == bytes[5]);
+        let (parts, _) = bytes[44..164].as_chunks::<40>();
+        let mut manifest = Self {
+            kind: kind.ok_or(ManifestError::Format)?,
+            key: bytes[7],
+            lowest_key: bytes[24],
+            hardware: word(8),
+            version: word(12),
+            length: word(16),
+            crc: word(20),
+            entries: [word(32), word(36), word(40)],
+            parts: [Part::default(); MAX_PARTS],
+        };
+        let count = usize::from(bytes[6]);
+        for (index, bytes) in parts.iter().enumerate().take(count) {
+            let at = 44 + 40 * index;
+            let part = &mut manifest.parts[index];
+            (part.offset, part.length) = (word(at), word(at + 4));
+            part.sha256.copy_from_slice(&bytes[8..]);
+        }
+        // One encoding for each manifest: what is unused is 0, what is checked has its checksum.
+        if manifest.encode() != *bytes {
+            return Err(ManifestError::Format);
+        }
+        manifest.check_layout()?;
+        Ok(manifest)
+    }
+
+    fn check_layout(&self) -> Result<(), ManifestError> {
+        let end = BODY_OFFSET.checked_add(self.length);
+        let end = end.ok_or(ManifestError::Layout)?;
+        let mut free = BODY_OFFSET;
+        for part in self.parts() {
+            let part_end = part.offset.checked_add(part.length);
+            let part_end = part_end.ok_or(ManifestError::Layout)?;
+            if part.offset < free || part_end > end {
+                return Err(ManifestError::Layout);
+            }
+            free = part_end;
+        }
+        let inside = |entry: &u32| {
+            let holds = |part: &Part| (part.offset..part.offset + part.length).contains(entry);
+            *entry == 0 || self.parts().any(holds)
+        };
+        // The body ends with its last part.
+        if free != end || free == BODY_OFFSET || !self.entries.iter().all(inside) {
+            return Err(ManifestError::Layout);
+        }
+        Ok(())
+    }
+
+    /// What the boot ROM reads of a bootloader's first page: length and CRC-32 of the body. `None`
+    /// if the page is not the first of a manifest.
+    #[must_use]
+    pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
+        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| page[at + byte]));
+        let sound = page[..4] == MAGIC && CRC.checksum(&page[..28]) == word(28);
+        sound.then(|| (word(16), word(20)))
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A manifest of one part.
+    pub(crate) fn example() -> Manifest {
+        let mut parts = [Part::default(); MAX_PARTS];
+        parts[0] = Part {
+            offset: BODY_OFFSET,
+            length: 100,
+            sha256: [7; 32],
+        };
+        Manifest {
+            kind: Kind::Application,
+            key: 0,
+            lowest_key: 0,
+            hardware: HARDWARE,
+            version: 3,
+            length: 100,
+            crc: 0x1234_5678,
+            entries: [BODY_OFFSET, 0, BODY_OFFSET + 99],
+            parts,
+        }
+    }
+
+    /// U-5: each kind, read as it was written; its first page is what the ROM needs.
+    #[test]
+    fn what_is_encoded_is_decoded() {
+        for kind in Kind::ALL {
+            let manifest = Manifest { kind, ..example() };
+            let bytes = manifest.encode();
+            assert_eq!(Manifest::decode(&bytes), Ok(manifest));
+            let page = bytes.first_chunk().unwrap();
+            assert_eq!(Manifest::seal(page), Some((100, 0x1234_5678)));
+        }
+    }
+
+    #[test]
+    fn a_layout_that_cannot_be_is_refused() {
+        let wrong = |change: fn(&mut Manifest)| {
+            let mut manifest = example();
+            change(&mut manifest);
+            Manifest::decode(&manifest.encode())
+        };
+        let layout = Err(ManifestError::Layout);
+        assert_eq!(wrong(|manifest| manifest.parts[0].offset = 0), layout);
+        assert_eq!(wrong(|manifest| manifest.parts[0].length = u32::MAX), layout);
+        assert_eq!(wrong(|manifest| manifest.length = u32::MAX), layout);
+        assert_eq!(wrong(|manifest| manifest.length = 101), layout);
+        assert_eq!(wrong(|manifest| manifest.entries[1] = 1), layout);
+        assert_eq!(wrong(|manifest| manifest.parts[1] = manifest.parts[0]), layout);
+        assert_eq!(wrong(|manifest| manifest.parts[0].length = 0), layout);
+    }
+
+    proptest! {
+        /// One encoding for each manifest: any change of a byte is refused, or is another manifest.
+        #[test]
+        fn no_two_byte_strings_mean_the_same(place in 0..SIGNED_BYTES, value: u8) {
+            let mut bytes = example().encode();
+            bytes[place] = value;
+            if let Ok(manifest) = Manifest::decode(&bytes) {
+                prop_assert_eq!(manifest.encode(), bytes);
+            }
+        }
+    }
+}

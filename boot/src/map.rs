@@ -1,0 +1,254 @@
+//! The map of the program flash: 27 logical sectors, and which region owns them. T-BOOT-6, U-2
+
+use core::ops::Range;
+
+/// Bytes of the program flash.
+pub const FLASH_BYTES: u32 = 0x20_0000;
+/// Bytes of a page, the unit of programming.
+pub const PAGE_BYTES: usize = 32;
+/// Bytes of the smallest sector.
+pub const SMALLEST_SECTOR: u32 = 0x4000;
+/// Number of logical sectors, S0 to S26.
+pub const SECTORS: u8 = 27;
+
+/// Sectors of one size: the number of the first, its offset, the size.
+const GROUPS: [(u8, u32, u32); 5] = [
+    (0, 0x00_0000, 0x4000),
+    (8, 0x02_0000, 0x8000),
+    (16, 0x06_0000, 0x1_0000),
+    (20, 0x0A_0000, 0x2_0000),
+    (23, 0x10_0000, 0x4_0000),
+];
+
+/// The range of logical sector `number`; `None` above S26.
+#[must_use]
+pub fn sector(number: u8) -> Option<Range<u32>> {
+    let in_flash = number < SECTORS;
+    let group = GROUPS.iter().rfind(|(first, ..)| *first <= number);
+    let (first, offset, size) = group.filter(|_| in_flash)?;
+    let start = offset + u32::from(number - first) * size;
+    Some(start..start + size)
+}
+
+/// The range of the logical sector that holds `offset`.
+#[must_use]
+pub fn sector_at(offset: u32) -> Option<Range<u32>> {
+    let group = GROUPS.iter().rfind(|(_, start, _)| *start <= offset);
+    let (_, start, size) = group.filter(|_| offset < FLASH_BYTES)?;
+    let start = start + (offset - start) / size * size;
+    Some(start..start + size)
+}
+
+/// The offset in the flash that an address of an S-record means: the flash appears at 0 in files
+/// for this loader, at 0x8000_0000 (cached) and at 0xA000_0000 (not cached) in the address space
+/// of the TC297.
+#[must_use]
+pub const fn offset_of(address: u32) -> Option<u32> {
+    let offset = address & 0x0FFF_FFFF;
+    match address >> 28 {
+        0x0 | 0x8 | 0xA if offset < FLASH_BYTES => Some(offset),
+        _ => None,
+    }
+}
+
+/// One of two equal places for an image.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Slot {
+    /// The first.
+    A,
+    /// The second.
+    B,
+}
+
+impl Slot {
+    /// Both slots.
+    pub const ALL: [Self; 2] = [Self::A, Self::B];
+
+    /// The other slot.
+    #[must_use]
+    pub const fn other(self) -> Self {
+        match self {
+            Self::A => Self::B,
+            Self::B => Self::A,
+        }
+    }
+}
+
+/// The place of a bootloader that can run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bank {
+    /// S0 and S1. The boot ROM starts it if it is sealed and whole.
+    Primary,
+    /// S2 and S3. The boot ROM starts it otherwise.
+    Backup,
+}
+
+/// What an image is. Each kind has its own place and its own way of updating. U-5
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// What the three cores run.
+    Application,
+    /// Parameters of the application.
+    Configuration,
+    /// The bootloader itself.
+    Bootloader,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Self; 3] = [Self::Application, Self::Configuration, Self::Bootloader];
+}
+
+/// Where a downloaded image is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// A slot of the application.
+    Application(Slot),
+    /// A slot of the configuration.
+    Configuration(Slot),
+    /// Where a new bootloader waits until it is installed.
+    Staging,
+}
+
+impl Target {
+    /// All targets, in the order of their addresses.
+    pub const ALL: [Self; 5] = [
+        Self::Configuration(Slot::A),
+        Self::Configuration(Slot::B),
+        Self::Staging,
+        Self::Application(Slot::A),
+        Self::Application(Slot::B),
+    ];
+
+    /// The target that holds `offset`.
+    #[must_use]
+    pub fn at(offset: u32) -> Option<Self> {
+        let holds = |target: &Self| Region::Target(*target).range().contains(&offset);
+        Self::ALL.into_iter().find(holds)
+    }
+
+    /// What belongs there.
+    #[must_use]
+    pub const fn kind(self) -> Kind {
+        match self {
+            Self::Application(_) => Kind::Application,
+            Self::Configuration(_) => Kind::Configuration,
+            Self::Staging => Kind::Bootloader,
+        }
+    }
+}
+
+/// What a range of the flash is for. U-2
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Region {
+    /// A bootloader that can run: S0–S1, S2–S3.
+    Bank(Bank),
+    /// One of two copies of the boot environment: S4, S5.
+    Environment(u8),
+    /// What a download may write: S6, S7 (configuration), S8 (staging), S12–S22 and S23–S25
+    /// (application, 768 KiB each).
+    Target(Target),
+    /// One of two sectors of the log: S10, S11.
+    Log(u8),
+}
+
+impl Region {
+    /// Its range; begins and ends with a sector.
+    #[must_use]
+    pub const fn range(self) -> Range<u32> {
+        match self {
+            Self::Bank(Bank::Primary) => 0x00_0000..0x00_8000,
+            Self::Bank(Bank::Backup) => 0x00_8000..0x01_0000,
+            Self::Environment(0) => 0x01_0000..0x01_4000,
+            Self::Environment(_) => 0x01_4000..0x01_8000,
+            Self::Target(Target::Configuration(Slot::A)) => 0x01_8000..0x01_C000,
+            Self::Target(Target::Configuration(Slot::B)) => 0x01_C000..0x02_0000,
+            Self::Target(Target::Staging) => 0x02_0000..0x02_8000,
+            Self::Log(0) => 0x03_0000..0x03_8000,
+            Self::Log(_) => 0x03_8000..0x04_0000,
+            Self::Target(Target::Application(Slot::A)) => 0x04_0000..0x10_0000,
+            Self::Target(Target::Application(Slot::B)) => 0x10_0000..0x1C_0000,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const REGIONS: [Region; 11] = [
+        Region::Bank(Bank::Primary),
+        Region::Bank(Bank::Backup),
+        Region::Environment(0),
+        Region::Environment(1),
+        Region::Target(Target::Configuration(Slot::A)),
+        Region::Target(Target::Configuration(Slot::B)),
+        Region::Target(Target::Staging),
+        Region::Log(0),
+        Region::Log(1),
+        Region::Target(Target::Application(Slot::A)),
+        Region::Target(Target::Application(Slot::B)),
+    ];
+
+    /// T-BOOT-6: the offsets of the thesis's figure 3.9, and no gap.
+    #[test]
+    fn the_sectors_are_those_of_the_tc297() {
+        let table: [(u8, u32, u32); 9] = [
+            (0, 0x00_0000, 16),
+            (1, 0x00_4000, 16),
+            (7, 0x01_C000, 16),
+            (8, 0x02_0000, 32),
+            (15, 0x05_8000, 32),
+            (17, 0x07_0000, 64),
+            (22, 0x0E_0000, 128),
+            (23, 0x10_0000, 256),
+            (26, 0x1C_0000, 256),
+        ];
+        for (number, offset, kib) in table {
+            assert_eq!(sector(number), Some(offset..offset + kib * 1024));
+        }
+        let mut end = 0;
+        for number in 0..SECTORS {
+            let range = sector(number).unwrap();
+            assert_eq!(range.start, end);
+            assert_eq!(sector_at(range.start), Some(range.clone()));
+            assert_eq!(sector_at(range.end - 1), Some(range.clone()));
+            end = range.end;
+        }
+        assert_eq!(end, FLASH_BYTES);
+        assert_eq!(sector(SECTORS), None);
+        assert_eq!(sector_at(FLASH_BYTES), None);
+    }
+
+    /// T-BOOT-6, U-2: what can be downloaded lies in S2–S26 and shares no sector with anything.
+    #[test]
+    fn regions_are_whole_sectors_and_do_not_overlap() {
+        for (index, region) in REGIONS.iter().enumerate() {
+            let range = region.range();
+            assert_eq!(sector_at(range.start).unwrap().start, range.start);
+            assert_eq!(sector_at(range.end - 1).unwrap().end, range.end);
+            for other in &REGIONS[..index] {
+                let other = other.range();
+                assert!(range.end <= other.start || other.end <= range.start);
+            }
+        }
+        for target in Target::ALL {
+            let range = Region::Target(target).range();
+            assert!(range.start >= sector(2).unwrap().start);
+            assert_eq!(Target::at(range.start), Some(target));
+            assert_eq!(Target::at(range.end - 1), Some(target));
+        }
+        assert_eq!(Target::at(0x00_8000), None);
+        let [a, b] = Slot::ALL.map(|slot| Region::Target(Target::Application(slot)).range());
+        assert_eq!(a.len(), b.len());
+    }
+
+    #[test]
+    fn an_address_names_an_offset_in_three_segments_only() {
+        assert_eq!(offset_of(0xA00E_0020), Some(0x0E_0020));
+        assert_eq!(offset_of(0x8004_0000), Some(0x04_0000));
+        assert_eq!(offset_of(0x0004_0000), Some(0x04_0000));
+        assert_eq!(offset_of(0xA020_0000), None);
+        assert_eq!(offset_of(0x7000_0000), None);
+    }
+}

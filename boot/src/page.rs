@@ -1,0 +1,101 @@
+//! Joins data to whole pages; the rest of a page is padded. T-BOOT-5
+
+use crate::map::PAGE_BYTES;
+
+/// One page of flash as it was programmed or is to be.
+pub(crate) type Page = [u8; PAGE_BYTES];
+
+/// What erased flash reads as, and what pages are padded with.
+pub(crate) const ERASED: u8 = 0xFF;
+
+/// The page that is being filled.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct PageBuffer(Option<(u32, Page)>);
+
+impl PageBuffer {
+    /// Adds data at `offset`. Each page that is left goes to `program`, padded.
+    pub(crate) fn put<E>(
+        &mut self,
+        offset: u32,
+        data: &[u8],
+        mut program: impl FnMut(u32, &Page) -> Result<(), E>,
+    ) -> Result<(), E> {
+        for (byte, at) in data.iter().zip(offset..) {
+            let place = at % PAGE_BYTES as u32;
+            let page = at - place;
+            if self.0.is_some_and(|(start, _)| start != page) {
+                self.flush(&mut program)?;
+            }
+            let (_, bytes) = self.0.get_or_insert((page, [ERASED; PAGE_BYTES]));
+            bytes[place as usize] = *byte;
+        }
+        Ok(())
+    }
+
+    /// Hands over the page that is not full yet.
+    pub(crate) fn flush<E>(
+        &mut self,
+        mut program: impl FnMut(u32, &Page) -> Result<(), E>,
+    ) -> Result<(), E> {
+        match self.0.take() {
+            Some((start, bytes)) => program(start, &bytes),
+            None => Ok(()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::convert::Infallible;
+    use proptest::prelude::*;
+    use std::collections::BTreeMap;
+    use std::vec;
+    use std::vec::Vec;
+
+    proptest! {
+        /// T-BOOT-5: records of any length with jumps between them give each page once, with the
+        /// tail, padded where nothing was sent.
+        #[test]
+        fn pages_hold_what_was_put(
+            runs in prop::collection::vec((0u32..90, prop::collection::vec(any::<u8>(), 1..70)), 1..9)
+        ) {
+            let mut buffer = PageBuffer::default();
+            let mut pages = BTreeMap::new();
+            let mut expected = vec![ERASED; 4096];
+            let mut program = |start: u32, page: &Page| {
+                assert_eq!(pages.insert(start, *page), None, "page {start} programmed twice");
+                Ok::<(), Infallible>(())
+            };
+            let mut at = 0;
+            for (gap, data) in runs {
+                at += gap;
+                buffer.put(at, &data, &mut program).unwrap();
+                expected[at as usize..at as usize + data.len()].copy_from_slice(&data);
+                at += data.len() as u32;
+            }
+            buffer.flush(&mut program).unwrap();
+            let mut flash = vec![ERASED; 4096];
+            for (start, page) in pages {
+                flash[start as usize..start as usize + PAGE_BYTES].copy_from_slice(&page);
+            }
+            prop_assert_eq!(flash, expected);
+        }
+    }
+
+    /// T-BOOT-5: the tail of a file is written.
+    #[test]
+    fn the_tail_is_written() {
+        let mut buffer = PageBuffer::default();
+        let mut pages = Vec::new();
+        let mut program = |start: u32, page: &Page| {
+            pages.push((start, *page));
+            Ok::<(), Infallible>(())
+        };
+        buffer.put(64, &[1; 33], &mut program).unwrap();
+        buffer.flush(&mut program).unwrap();
+        let mut tail = [ERASED; PAGE_BYTES];
+        tail[0] = 1;
+        assert_eq!(pages, vec![(64, [1; PAGE_BYTES]), (96, tail)]);
+    }
+}

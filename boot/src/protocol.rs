@@ -1,0 +1,302 @@
+//! The frames of a download: ids, values, and the extension that old hosts do not notice. T-BOOT-3
+//!
+//! All values are little endian. `docs/boot.md` has the same as tables, for the author of a host.
+
+use tandem_board::{CanFrame, CanId, SystemId};
+
+/// Frames from the bootloader to the host.
+pub const TO_HOST: CanId = CanId::Extended(0x0CFF_0127);
+/// Frames from the host to the bootloader.
+pub const TO_LOADER: CanId = CanId::Extended(0x0CFF_0126);
+
+const CONNECTED: u64 = 0x0706_0504_0302_0100;
+const ACCEPTED: u32 = 0x0021_4B1D;
+const RESEND: u32 = 0x0053_4F53;
+const REFUSED: u32 = 0x0044_454E;
+const CONNECT: u32 = 0x083E_572D;
+/// First byte of the frames of the extension: no record and no value of the thesis begins so.
+const EXTENSION: u8 = b'W';
+const OFFER: u8 = 1;
+const GO_BACK: u8 = 2;
+
+/// Why a download was refused. Nothing that boots has changed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Refusal {
+    /// An address outside the flash, or in a sector that no image owns.
+    Address = 1,
+    /// An address of the bootloader, the boot environment or the log.
+    Protected,
+    /// The slot that boots; download to the other one.
+    SlotInUse,
+    /// The data of a slot do not begin with a manifest at its start: sign the file first.
+    NoManifest,
+    /// The manifest is damaged, of another kind, for other hardware or too large for the slot.
+    BadManifest,
+    /// The signature is not one of a key that is accepted. Strict mode. E-4
+    Untrusted,
+    /// An older version than one that has approved itself.
+    Downgrade,
+    /// Data are missing before this record.
+    Gap,
+    /// The record overlaps the one before it.
+    Overlap,
+    /// The record's address is lower than that of one before it.
+    Order,
+    /// Data that the manifest does not name.
+    Unannounced,
+    /// The number in the count record is not that of the data records.
+    Count,
+    /// The file ends before all data have come.
+    Incomplete,
+    /// The digest of what was written is not the manifest's.
+    Digest,
+    /// The entry in the file is not the manifest's.
+    Entry,
+    /// Not S-records, however often they were sent.
+    Record,
+    /// The flash does not take it.
+    Flash,
+}
+
+impl Refusal {
+    const ALL: [Self; 17] = [
+        Self::Address,
+        Self::Protected,
+        Self::SlotInUse,
+        Self::NoManifest,
+        Self::BadManifest,
+        Self::Untrusted,
+        Self::Downgrade,
+        Self::Gap,
+        Self::Overlap,
+        Self::Order,
+        Self::Unannounced,
+        Self::Count,
+        Self::Incomplete,
+        Self::Digest,
+        Self::Entry,
+        Self::Record,
+        Self::Flash,
+    ];
+}
+
+/// What the bootloader says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Answer {
+    /// The connection stands.
+    Connected,
+    /// The record was accepted; with a window, `records` data records so far, else 0.
+    Accepted {
+        /// Records accepted since the connection, all types.
+        records: u32,
+    },
+    /// The record is wrong; with a window, go back to this record, else 0.
+    Resend {
+        /// The first record to send again, counted from 0.
+        record: u32,
+    },
+    /// The download has ended; the connection too.
+    Refused(Refusal),
+    /// Answer to an offer of a window.
+    Window {
+        /// Records that may be sent without an answer, at least 1.
+        records: u8,
+        /// The application's slot that may be written: 0 A, 1 B, 2 either.
+        application: u8,
+        /// The configuration's slot that may be written, likewise.
+        configuration: u8,
+        /// Records accepted since the connection.
+        accepted: u32,
+    },
+}
+
+impl Answer {
+    /// The data of the frame.
+    #[must_use]
+    pub fn encode(self) -> [u8; 8] {
+        let pair = |low: u32, high: u32| u64::from(low) | u64::from(high) << 32;
+        let value = match self {
+            Self::Connected => CONNECTED,
+            Self::Accepted { records } => pair(ACCEPTED, records),
+            Self::Resend { record } => pair(RESEND, record),
+            Self::Refused(refusal) => pair(REFUSED, refusal as u32),
+            Self::Window {
+                records,
+                application,
+                configuration,
+                accepted,
+            } => pair(
+                u32::from_le_bytes([EXTENSION, records, application, configuration]),
+                accepted,
+            ),
+        };
+        value.to_le_bytes()
+    }
+
+    /// Reads the data of a frame; `None` if it is no answer.
+    #[must_use]
+    pub fn decode(data: &[u8]) -> Option<Self> {
+        let value = u64::from_le_bytes(data.try_into().ok()?);
+        let (low, high) = (value as u32, (value >> 32) as u32);
+        match low {
+            _ if value == CONNECTED => Some(Self::Connected),
+            ACCEPTED => Some(Self::Accepted { records: high }),
+            RESEND => Some(Self::Resend { record: high }),
+            REFUSED => {
+                let refusal = Refusal::ALL.into_iter().find(|code| *code as u32 == high)?;
+                Some(Self::Refused(refusal))
+            }
+            _ => match low.to_le_bytes() {
+                [EXTENSION, records, application, configuration] => Some(Self::Window {
+                    records,
+                    application,
+                    configuration,
+                    accepted: high,
+                }),
+                _ => None,
+            },
+        }
+    }
+
+    /// The frame.
+    #[must_use]
+    pub fn frame(self) -> Option<CanFrame> {
+        CanFrame::new(TO_HOST, false, &self.encode()).ok()
+    }
+}
+
+/// What a host says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Request<'a> {
+    /// Connect.
+    Connect {
+        /// Which system; `None`, as old hosts say it, for whichever listens.
+        system: Option<SystemId>,
+        /// Continue after what was accepted before the connection broke.
+        resume: bool,
+    },
+    /// Extension: so many records may be under way without an answer.
+    Offer {
+        /// At least 1.
+        records: u8,
+    },
+    /// Extension: the next record is this one, counted from 0.
+    GoBack {
+        /// As the loader asked for.
+        record: u32,
+    },
+    /// A piece of a record.
+    Data(&'a [u8]),
+}
+
+impl<'a> Request<'a> {
+    /// Reads the data of a frame.
+    #[must_use]
+    pub fn decode(data: &'a [u8]) -> Self {
+        let Ok(bytes) = <[u8; 8]>::try_from(data) else {
+            return Self::Data(data);
+        };
+        let [b0, b1, b2, b3, high @ ..] = bytes;
+        let system = match high[0] {
+            0 => Some(None),
+            1 => Some(Some(SystemId::A)),
+            2 => Some(Some(SystemId::B)),
+            _ => None,
+        };
+        match (u32::from_le_bytes([b0, b1, b2, b3]), system, &high[1..]) {
+            (CONNECT, Some(system), [resume @ (0 | 1), 0, 0]) => Self::Connect {
+                system,
+                resume: *resume == 1,
+            },
+            _ => match (b0, b1) {
+                (EXTENSION, OFFER) if b2 > 0 => Self::Offer { records: b2 },
+                (EXTENSION, GO_BACK) => Self::GoBack {
+                    record: u32::from_le_bytes(high),
+                },
+                _ => Self::Data(data),
+            },
+        }
+    }
+
+    /// The frame; `None` if the data are more than 8 bytes.
+    #[must_use]
+    pub fn frame(self) -> Option<CanFrame> {
+        let mut bytes = [0; 8];
+        let data = match self {
+            Self::Connect { system, resume } => {
+                bytes[..4].copy_from_slice(&CONNECT.to_le_bytes());
+                bytes[4] = system.map_or(0, |system| system.index() as u8 + 1);
+                bytes[5] = u8::from(resume);
+                &bytes[..]
+            }
+            Self::Offer { records } => {
+                bytes[..3].copy_from_slice(&[EXTENSION, OFFER, records]);
+                &bytes[..]
+            }
+            Self::GoBack { record } => {
+                bytes[..2].copy_from_slice(&[EXTENSION, GO_BACK]);
+                bytes[4..].copy_from_slice(&record.to_le_bytes());
+                &bytes[..]
+            }
+            Self::Data(data) => data,
+        };
+        CanFrame::new(TO_LOADER, false, data).ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// T-BOOT-3: the bytes on the bus.
+    #[test]
+    fn frames_of_the_thesis() {
+        assert_eq!(Answer::Connected.encode(), [0, 1, 2, 3, 4, 5, 6, 7]);
+        let accepted = Answer::Accepted { records: 0 };
+        assert_eq!(accepted.encode(), 0x21_4B1Du64.to_le_bytes());
+        let resend = Answer::Resend { record: 0 };
+        assert_eq!(resend.encode(), 0x53_4F53u64.to_le_bytes());
+        let connect = Request::Connect {
+            system: None,
+            resume: false,
+        };
+        let frame = connect.frame().unwrap();
+        assert_eq!(frame.data(), 0x083E_572Du64.to_le_bytes());
+        assert_eq!(frame.id(), CanId::Extended(0x0CFF_0126));
+        assert_eq!(accepted.frame().unwrap().id(), CanId::Extended(0x0CFF_0127));
+    }
+
+    /// T-BOOT-3: all frames, there and back.
+    #[test]
+    fn what_is_encoded_is_decoded() {
+        let refused = Refusal::ALL.map(Answer::Refused);
+        let answers = [
+            Answer::Connected,
+            Answer::Accepted { records: 9 },
+            Answer::Resend { record: 70_000 },
+            Answer::Window {
+                records: 16,
+                application: 1,
+                configuration: 2,
+                accepted: 5,
+            },
+        ];
+        for answer in answers.into_iter().chain(refused) {
+            assert_eq!(Answer::decode(&answer.encode()), Some(answer));
+        }
+        let systems = [None, Some(SystemId::A), Some(SystemId::B)];
+        let connects = systems.map(|system| [false, true].map(|resume| (system, resume)));
+        let connects = connects.into_iter().flatten();
+        let connects = connects.map(|(system, resume)| Request::Connect { system, resume });
+        let others = [
+            Request::Offer { records: 16 },
+            Request::GoBack { record: 70_000 },
+            Request::Data(b"S1130000"),
+            Request::Data(b"\r\n"),
+        ];
+        for request in connects.chain(others) {
+            assert_eq!(Request::decode(request.frame().unwrap().data()), request);
+        }
+    }
+}

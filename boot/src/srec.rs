@@ -1,0 +1,307 @@
+//! Motorola S-records, and their reassembly from CAN frames. T-BOOT-4
+
+/// Bytes of the longest record without its line end: `S`, type, and 256 bytes in hex.
+const MAX_LINE: usize = 2 + 2 * 256;
+/// The most data bytes that a record carries: an S1 record of 255 bytes.
+pub const MAX_DATA: usize = 252;
+
+/// What a record is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordType {
+    /// S0: text about the file; its address says nothing.
+    Header,
+    /// S1, S2, S3: data at an address.
+    Data,
+    /// S5, S6: the address is the number of data records before it.
+    Count,
+    /// S7, S8, S9: the address is the entry; the file ends here.
+    Entry,
+}
+
+/// Why a line is not an S-record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RecordError {
+    /// It does not begin with `S` and a digit from 0 to 3 or 5 to 9.
+    Type,
+    /// It has another number of digits than its length says, or none for its address.
+    Length,
+    /// Something in it is not a hex digit.
+    Digit,
+    /// The checksum is not that of the record.
+    Checksum,
+}
+
+/// One record, checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Record {
+    /// What it is for.
+    pub record_type: RecordType,
+    /// Its address, its count, or its entry.
+    pub address: u32,
+    len: u8,
+    bytes: [u8; MAX_DATA],
+}
+
+impl Record {
+    /// Reads a line without its line end.
+    ///
+    /// # Errors
+    /// [`RecordError`] if it is not a record. A record that was changed on its way fails with any
+    /// of them; the sender is asked for it again.
+    pub fn parse(line: &[u8]) -> Result<Self, RecordError> {
+        let [b'S', digit, hex @ ..] = line else {
+            return Err(RecordError::Type);
+        };
+        let (record_type, address_bytes) = match digit {
+            b'0' => (RecordType::Header, 2),
+            b'1' => (RecordType::Data, 2),
+            b'2' => (RecordType::Data, 3),
+            b'3' => (RecordType::Data, 4),
+            b'5' => (RecordType::Count, 2),
+            b'6' => (RecordType::Count, 3),
+            b'7' => (RecordType::Entry, 4),
+            b'8' => (RecordType::Entry, 3),
+            b'9' => (RecordType::Entry, 2),
+            _ => return Err(RecordError::Type),
+        };
+        let mut bytes = [0; 256];
+        let (pairs, odd) = hex.as_chunks::<2>();
+        if !odd.is_empty() || pairs.len() > bytes.len() {
+            return Err(RecordError::Length);
+        }
+        for (byte, [high, low]) in bytes.iter_mut().zip(pairs) {
+            *byte = nibble(*high)? << 4 | nibble(*low)?;
+        }
+        let bytes = &bytes[..pairs.len()];
+        let [length, content @ .., _] = bytes else {
+            return Err(RecordError::Length);
+        };
+        if usize::from(*length) != bytes.len() - 1 || content.len() < address_bytes {
+            return Err(RecordError::Length);
+        }
+        // The sum of all bytes with the ones' complement of the sum is 0xFF.
+        if bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte)) != 0xFF {
+            return Err(RecordError::Checksum);
+        }
+        let (address, data) = content.split_at(address_bytes);
+        if !data.is_empty() && matches!(record_type, RecordType::Count | RecordType::Entry) {
+            return Err(RecordError::Length);
+        }
+        let mut record = Self {
+            record_type,
+            address: address.iter().fold(0, |sum, byte| sum << 8 | u32::from(*byte)),
+            len: data.len() as u8,
+            bytes: [0; MAX_DATA],
+        };
+        record.bytes[..data.len()].copy_from_slice(data);
+        Ok(record)
+    }
+
+    /// The data; empty for a count and an entry.
+    #[must_use]
+    pub fn data(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.len)]
+    }
+}
+
+const fn nibble(digit: u8) -> Result<u8, RecordError> {
+    match digit {
+        b'0'..=b'9' => Ok(digit - b'0'),
+        b'A'..=b'F' => Ok(digit - b'A' + 10),
+        b'a'..=b'f' => Ok(digit - b'a' + 10),
+        _ => Err(RecordError::Digit),
+    }
+}
+
+/// Joins the data of CAN frames to lines. A frame that begins with `S` begins a record, whatever
+/// came before it; `\n` ends it; what follows in that frame is padding.
+#[derive(Clone, Debug)]
+pub struct Assembler {
+    line: [u8; MAX_LINE],
+    /// Bytes of the line so far; more than fit if the line is too long.
+    len: usize,
+    /// The frame that begins the record was seen.
+    begun: bool,
+}
+
+impl Default for Assembler {
+    fn default() -> Self {
+        Self {
+            line: [0; MAX_LINE],
+            len: 0,
+            begun: false,
+        }
+    }
+}
+
+impl Assembler {
+    /// Takes the data of one frame; returns the record if it ends here.
+    ///
+    /// # Errors
+    /// [`RecordError`] inside `Some` if the line that ended is not a record.
+    pub fn push(&mut self, data: &[u8]) -> Option<Result<Record, RecordError>> {
+        if data.first() == Some(&b'S') {
+            (self.len, self.begun) = (0, true);
+        }
+        let ends = data.iter().position(|byte| *byte == b'\n');
+        for byte in &data[..ends.unwrap_or(data.len())] {
+            if let Some(place) = self.line.get_mut(self.len) {
+                *place = *byte;
+            }
+            // One beyond the end says "too long", also with the carriage return.
+            self.len = (self.len + 1).min(MAX_LINE + 2);
+        }
+        ends?;
+        let (len, begun) = (self.len, self.begun);
+        (self.len, self.begun) = (0, false);
+        if !begun {
+            return Some(Err(RecordError::Type));
+        }
+        if len > MAX_LINE + 1 {
+            return Some(Err(RecordError::Length));
+        }
+        let line = &self.line[..len.min(MAX_LINE)];
+        Some(Record::parse(line.strip_suffix(b"\r").unwrap_or(line)))
+    }
+
+    /// Whether a record has begun and not ended.
+    #[must_use]
+    pub const fn is_inside(&self) -> bool {
+        self.begun || self.len > 0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::format;
+    use std::string::String;
+    use std::vec::Vec;
+
+    fn line(digit: u8, address: &[u8], data: &[u8]) -> String {
+        let mut bytes = Vec::from([(address.len() + data.len() + 1) as u8]);
+        bytes.extend(address.iter().chain(data));
+        let sum = bytes.iter().fold(0u8, |sum, byte| sum.wrapping_add(*byte));
+        bytes.push(!sum);
+        let hex: String = bytes.iter().map(|byte| format!("{byte:02X}")).collect();
+        format!("S{digit}{hex}")
+    }
+
+    /// T-BOOT-4: lines of the thesis's figure 3.4 whose text is whole in its print.
+    #[test]
+    fn records_of_the_thesis_are_read() {
+        let header = Record::parse(b"S01600004D756C7469636F72655F746573742E737265633B").unwrap();
+        assert_eq!(header.record_type, RecordType::Header);
+        assert_eq!(header.data(), b"Multicore_test.srec");
+        let entry = Record::parse(b"S705A00E00202C").unwrap();
+        assert_eq!(entry.record_type, RecordType::Entry);
+        assert_eq!(entry.address, 0xA00E_0020);
+    }
+
+    /// T-BOOT-4
+    #[test]
+    fn each_type_has_its_address() {
+        for (digit, address, record_type) in [
+            (0, 2, RecordType::Header),
+            (1, 2, RecordType::Data),
+            (2, 3, RecordType::Data),
+            (3, 4, RecordType::Data),
+            (5, 2, RecordType::Count),
+            (6, 3, RecordType::Count),
+            (7, 4, RecordType::Entry),
+            (8, 3, RecordType::Entry),
+            (9, 2, RecordType::Entry),
+        ] {
+            let bytes = &[0xA1, 0xB2, 0xC3, 0xD4][..address];
+            let record = Record::parse(line(digit, bytes, &[]).as_bytes()).unwrap();
+            assert_eq!(record.record_type, record_type);
+            let expected = bytes.iter().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
+            assert_eq!(record.address, expected);
+        }
+        for other in ["", "S", "S4030000FC", "s1030000FC", "X1030000FC", ":00000001FF"] {
+            assert_eq!(Record::parse(other.as_bytes()), Err(RecordError::Type));
+        }
+    }
+
+    /// T-BOOT-4: the longest record, also after a line that is longer.
+    #[test]
+    fn the_longest_record_fits() {
+        let text = line(1, &[0x12, 0x34], &[0x5A; MAX_DATA]);
+        let mut assembler = Assembler::default();
+        let too_long = format!("{text}0");
+        for (text, ok) in [(&too_long, false), (&text, true)] {
+            let all = format!("{text}\r\n");
+            let mut last = None;
+            for chunk in all.as_bytes().chunks(8) {
+                assert_eq!(last, None);
+                last = assembler.push(chunk);
+            }
+            assert_eq!(last.unwrap().is_ok(), ok);
+            assert!(!assembler.is_inside());
+        }
+    }
+
+    /// T-BOOT-4: a lost frame makes the record wrong, and the next record is right again.
+    #[test]
+    fn a_lost_frame_costs_one_record() {
+        let text = format!("{}\r\n", line(3, &[0xA0, 4, 0, 0], &[7; 16]));
+        let frames: Vec<&[u8]> = text.as_bytes().chunks(8).collect();
+        for lost in 0..frames.len() {
+            let mut assembler = Assembler::default();
+            let mut results = Vec::new();
+            for (index, frame) in frames.iter().enumerate() {
+                if index != lost {
+                    results.extend(assembler.push(frame));
+                }
+            }
+            for frame in &frames {
+                results.extend(assembler.push(frame));
+            }
+            let good = results.iter().filter(|result| result.is_ok()).count();
+            assert_eq!(good, 1, "frame {lost} lost: {results:?}");
+        }
+    }
+
+    proptest! {
+        /// T-BOOT-4: what is written is read, in either case of the digits.
+        #[test]
+        fn what_is_written_is_read(
+            address: u32,
+            data in prop::collection::vec(any::<u8>(), 0..=250),
+            lower: bool,
+        ) {
+            let mut text = line(3, &address.to_be_bytes(), &data);
+            if lower {
+                text = text.to_lowercase().replacen('s', "S", 1);
+            }
+            let record = Record::parse(text.as_bytes()).unwrap();
+            prop_assert_eq!(record.address, address);
+            prop_assert_eq!(record.data(), &data[..]);
+        }
+
+        /// T-BOOT-4: one changed character is noticed.
+        #[test]
+        fn a_changed_character_is_noticed(
+            data in prop::collection::vec(any::<u8>(), 1..40),
+            place: prop::sample::Index,
+            new in 0..16usize,
+        ) {
+            let text = line(3, &[0xA0, 4, 0, 0], &data);
+            let place = 2 + place.index(text.len() - 2);
+            let mut changed = text.clone().into_bytes();
+            changed[place] = b"0123456789ABCDEF"[new];
+            if changed != text.as_bytes() {
+                prop_assert!(Record::parse(&changed).is_err());
+            }
+        }
+
+        #[test]
+        fn any_frames_are_survived(frames: Vec<[u8; 8]>) {
+            let mut assembler = Assembler::default();
+            for frame in frames {
+                let _ = assembler.push(&frame);
+            }
+        }
+    }
+}

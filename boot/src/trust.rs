@@ -1,0 +1,122 @@
+//! Whom the bootloader believes: Ed25519 keys, strict and monitor mode. E-4
+
+use crate::manifest::{MANIFEST_BYTES, SIGNED_BYTES};
+
+/// What happens with an image that is not authentic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrustMode {
+    /// It is neither taken nor started.
+    Strict,
+    /// It is taken and started, and the log says so.
+    Monitor,
+}
+
+/// The trust anchor of a bootloader: it lies in the bootloader's own image.
+#[derive(Clone, Copy, Debug)]
+pub struct Trust<'k> {
+    /// Public keys, by their numbers. A new key comes with a new bootloader.
+    pub keys: &'k [[u8; 32]],
+    /// What happens with an image that is not authentic.
+    pub mode: TrustMode,
+}
+
+/// The order of the group, little endian. A signature's scalar is below it (RFC 8032, 5.1.7).
+const ORDER: [u8; 32] = [
+    0xED, 0xD3, 0xF5, 0x5C, 0x1A, 0x63, 0x12, 0x58, 0xD6, 0x9C, 0xF7, 0xA2, 0xDE, 0xF9, 0xDE, 0x14,
+    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x10,
+];
+
+impl Trust<'_> {
+    /// Whether a manifest is signed by the key that it names, and this key is not below
+    /// `lowest_key`.
+    #[must_use]
+    pub fn is_authentic(&self, manifest: &[u8; MANIFEST_BYTES], lowest_key: u8) -> bool {
+        let number = manifest[7];
+        let key = self.keys.get(usize::from(number));
+        let key = key.filter(|_| number >= lowest_key);
+        let (message, signature) = manifest.split_at(SIGNED_BYTES);
+        match (key, <&[u8; 64]>::try_from(signature)) {
+            (Some(key), Ok(signature)) => verify(key, message, signature),
+            _ => false,
+        }
+    }
+}
+
+/// Verifies an Ed25519 signature. As `salty` does not check it, the scalar is checked here: else
+/// each signature had a second form.
+fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
+    let scalar = signature[32..].iter().rev();
+    let key = salty::PublicKey::try_from(key);
+    scalar.lt(ORDER.iter().rev())
+        && key.is_ok_and(|key| key.verify(message, &signature.into()).is_ok())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::tests::example;
+
+    fn signed(seed: u8) -> ([u8; 32], [u8; MANIFEST_BYTES]) {
+        let pair = salty::Keypair::from(&[seed; 32]);
+        let mut bytes = [0; MANIFEST_BYTES];
+        let message = example().encode();
+        bytes[..SIGNED_BYTES].copy_from_slice(&message);
+        bytes[SIGNED_BYTES..].copy_from_slice(&pair.sign(&message).to_bytes());
+        (pair.public.to_bytes(), bytes)
+    }
+
+    /// RFC 8032, 7.1, test 2.
+    #[test]
+    fn the_signature_of_the_rfc_verifies() {
+        let hex = |text: &str| -> std::vec::Vec<u8> {
+            let digits = text.as_bytes().as_chunks::<2>().0.iter();
+            let digits = digits.map(|pair| core::str::from_utf8(pair).unwrap());
+            digits.map(|pair| u8::from_str_radix(pair, 16).unwrap()).collect()
+        };
+        let key = hex("3d4017c3e843895a92b70aa74d1b7ebc9c982ccf2ec4968cc0cd55f12af4660c");
+        let signature = hex(concat!(
+            "92a009a9f0d4cab8720e820b5f642540a2b27b5416503f8fb3762223ebdb69da",
+            "085ac1e43e15996e458f3613d0f11d8c387b2eaeb4302aeeb00d291612bb0c00"
+        ));
+        let (key, signature) = (key.try_into().unwrap(), signature.try_into().unwrap());
+        assert!(verify(&key, &[0x72], &signature));
+        assert!(!verify(&key, &[0x73], &signature));
+    }
+
+    /// E-4: any changed bit is noticed; so is another key, an unknown one and a retired one.
+    #[test]
+    fn only_the_signed_manifest_is_authentic() {
+        let (key, bytes) = signed(1);
+        let (other, _) = signed(2);
+        let authentic = |keys: &[[u8; 32]], bytes: &_, lowest_key| {
+            let mode = TrustMode::Strict;
+            Trust { keys, mode }.is_authentic(bytes, lowest_key)
+        };
+        assert!(authentic(&[key], &bytes, 0));
+        assert!(!authentic(&[other], &bytes, 0));
+        assert!(!authentic(&[other, key], &bytes, 0));
+        assert!(!authentic(&[], &bytes, 0));
+        assert!(!authentic(&[key], &bytes, 1));
+        for bit in (0..MANIFEST_BYTES * 8).step_by(7) {
+            let mut bytes = bytes;
+            bytes[bit / 8] ^= 1 << (bit % 8);
+            assert!(!authentic(&[key], &bytes, 0), "bit {bit}");
+        }
+    }
+
+    /// E-4: the second form of a signature, its scalar plus the order, is refused.
+    #[test]
+    fn a_signature_has_one_form() {
+        let (key, mut bytes) = signed(1);
+        let mut carry = 0;
+        for (byte, add) in bytes[SIGNED_BYTES + 32..].iter_mut().zip(ORDER) {
+            let sum = u16::from(*byte) + u16::from(add) + carry;
+            (*byte, carry) = (sum as u8, sum >> 8);
+        }
+        let (message, signature) = bytes.split_at(SIGNED_BYTES);
+        let public = salty::PublicKey::try_from(&key).unwrap();
+        let form: &[u8; 64] = signature.try_into().unwrap();
+        assert!(public.verify(message, &form.into()).is_ok(), "salty takes it");
+        assert!(!verify(&key, message, form));
+    }
+}
