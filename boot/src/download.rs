@@ -86,8 +86,13 @@ impl Image {
 
     /// How many bytes may come there.
     fn room(&self) -> usize {
-        let part = self.manifest.as_ref().map(|manifest| manifest.parts[self.part].length);
-        part.map_or(MANIFEST_BYTES - self.filled, |length| (length - self.done) as usize)
+        let part = self
+            .manifest
+            .as_ref()
+            .map(|manifest| manifest.parts[self.part].length);
+        part.map_or(MANIFEST_BYTES - self.filled, |length| {
+            (length - self.done) as usize
+        })
     }
 }
 
@@ -215,7 +220,9 @@ impl Download {
         }
         // Files without an entry of their own end with an entry of 0.
         let entry_of = |image: &Image| Some(image.place() + image.manifest?.entries[0]);
-        let known = images.clone().any(|image| entry_of(image) == offset_of(entry));
+        let known = images
+            .clone()
+            .any(|image| entry_of(image) == offset_of(entry));
         if entry != 0 && !known {
             return Err(Refusal::Entry);
         }
@@ -224,7 +231,9 @@ impl Download {
             .flush(|at, page| program_in(flash, erased, at, page))
             .map_err(fault)?;
         let mut environment = *ground.store.get();
-        let mut selection = environment.trial.map_or(Selection::default(), |trial| trial.selection);
+        let mut selection = environment
+            .trial
+            .map_or(Selection::default(), |trial| trial.selection);
         for image in self.images.iter().flatten() {
             let manifest = image.manifest.as_ref().ok_or(Refusal::Incomplete)?;
             let place = image.place();
@@ -265,10 +274,18 @@ fn begin(
     }
     let Some(target) = Target::at(at) else {
         let below = sector(4).is_some_and(|environment| at < environment.start);
-        let region = [Region::Environment(0), Region::Environment(1), Region::Log(0)];
+        let region = [
+            Region::Environment(0),
+            Region::Environment(1),
+            Region::Log(0),
+        ];
         let kept = region.into_iter().chain([Region::Log(1)]);
         let kept = kept.map(Region::range).any(|range| range.contains(&at));
-        return Err(if below || kept { Refusal::Protected } else { Refusal::Address });
+        return Err(if below || kept {
+            Refusal::Protected
+        } else {
+            Refusal::Address
+        });
     };
     if before.is_some_and(|image| image.target == target) {
         return Err(Refusal::Unannounced);

@@ -236,7 +236,11 @@ impl EnvironmentStore {
         for (page, at) in pages.iter().zip((range.start..).step_by(PAGE_BYTES)) {
             program(flash, at, page)?;
         }
-        program(flash, range.start + RECORD_BYTES as u32, &confirmation(&record))
+        program(
+            flash,
+            range.start + RECORD_BYTES as u32,
+            &confirmation(&record),
+        )
     }
 }
 

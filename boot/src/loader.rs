@@ -103,6 +103,8 @@ pub struct Loader<'k, F> {
     /// Decided before any host may connect.
     verdict: Option<Next>,
     refusal_logged: bool,
+    /// A frame was taken since the last [`Loader::next`].
+    was_busy: bool,
 }
 
 impl<'k, F: NorFlash> Loader<'k, F> {
@@ -135,6 +137,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
             answer: None,
             verdict: None,
             refusal_logged: false,
+            was_busy: false,
         };
         loader.verdict = loader.update_bootloader()?;
         if loader.verdict.is_none() {
@@ -149,6 +152,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// # Errors
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
     pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
+        if core::mem::take(&mut self.was_busy) {
+            // While the flash works the loader hears nobody: that is no silence of the host.
+            self.session.hear(now);
+        }
         if let Some(frame) = self.answer.take() {
             return Ok(Next::Send(frame));
         }
@@ -191,6 +198,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         if frame.id() != TO_LOADER || self.verdict.is_some() {
             return;
         }
+        self.was_busy = true;
         let answer = match Request::decode(frame.data()) {
             Request::Connect { system, resume } => self
                 .is_for_us(system)
@@ -219,6 +227,11 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         system.map_or(alone || self.setup.system == SystemId::A, |system| {
             system == self.setup.system
         })
+    }
+
+    /// The flash.
+    pub const fn flash(&self) -> &F {
+        &self.flash
     }
 
     /// Gives the flash back.
@@ -252,7 +265,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         let active = environment.active;
         if let Some(slot) = active.application {
             let candidates = [slot, slot.other()];
-            let good = candidates.into_iter().find(|slot| self.can_boot(Target::Application(*slot)));
+            let good = candidates
+                .into_iter()
+                .find(|slot| self.can_boot(Target::Application(*slot)));
             self.ground.keep.application = good;
             if let Some(other) = good.filter(|good| *good != slot) {
                 environment.active.application = Some(other);
@@ -267,7 +282,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     fn can_boot(&mut self, target: Target) -> bool {
         let image = inspect(&mut self.flash, &self.setup.trust, target);
-        if let Some(Image { authentic: false, .. }) = image {
+        if let Some(Image {
+            authentic: false, ..
+        }) = image
+        {
             let strict = self.setup.trust.mode == TrustMode::Strict;
             let event = if strict {
                 LogEvent::RefusedUntrusted
@@ -299,7 +317,10 @@ impl<'k, F: NorFlash> Loader<'k, F> {
                     selection: new,
                     executed: true,
                 });
-                self.write(Environment { trial, ..environment })?;
+                self.write(Environment {
+                    trial,
+                    ..environment
+                })?;
             } else {
                 self.forget_trial(LogEvent::SlotDamaged)?;
             }
@@ -313,7 +334,9 @@ impl<'k, F: NorFlash> Loader<'k, F> {
 
     fn launch(&mut self, application: Slot, configuration: Option<Slot>) -> Option<Next> {
         let (manifest, _) = manifest_at(&mut self.flash, Target::Application(application))?;
-        let place = Region::Target(Target::Application(application)).range().start;
+        let place = Region::Target(Target::Application(application))
+            .range()
+            .start;
         let entry = |entry: u32| (entry > 0).then_some(place + entry);
         Some(Next::Jump(Launch {
             application,
@@ -504,7 +527,10 @@ fn raise_to_active(flash: &mut impl NorFlash, environment: &mut Environment) {
         configuration,
     } = environment.active;
     let application = application.map(Target::Application);
-    for target in application.into_iter().chain(configuration.map(Target::Configuration)) {
+    for target in application
+        .into_iter()
+        .chain(configuration.map(Target::Configuration))
+    {
         if let Some((manifest, _)) = manifest_at(flash, target) {
             raise(environment, &manifest);
         }

@@ -143,7 +143,9 @@ pub(crate) fn append(
         let last = &mut newest[usize::from(sector)];
         free[usize::from(sector)] = scan(flash, sector, |entry| *last = Some(entry.sequence))?;
     }
-    let sequence = newest[0].max(newest[1]).map_or(0, |last| last.wrapping_add(1));
+    let sequence = newest[0]
+        .max(newest[1])
+        .map_or(0, |last| last.wrapping_add(1));
     let page = LogEntry {
         sequence,
         event,

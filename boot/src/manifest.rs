@@ -105,7 +105,12 @@ impl Manifest {
         bytes[24] = self.lowest_key;
         let crc = CRC.checksum(&bytes[..28]);
         bytes[28..32].copy_from_slice(&crc.to_le_bytes());
-        for (place, entry) in bytes[32..44].as_chunks_mut::<4>().0.iter_mut().zip(self.entries) {
+        for (place, entry) in bytes[32..44]
+            .as_chunks_mut::<4>()
+            .0
+            .iter_mut()
+            .zip(self.entries)
+        {
             *place = entry.to_le_bytes();
         }
         let (places, _) = bytes[44..164].as_chunks_mut::<40>();
@@ -234,11 +239,17 @@ pub(crate) mod tests {
         };
         let layout = Err(ManifestError::Layout);
         assert_eq!(wrong(|manifest| manifest.parts[0].offset = 0), layout);
-        assert_eq!(wrong(|manifest| manifest.parts[0].length = u32::MAX), layout);
+        assert_eq!(
+            wrong(|manifest| manifest.parts[0].length = u32::MAX),
+            layout
+        );
         assert_eq!(wrong(|manifest| manifest.length = u32::MAX), layout);
         assert_eq!(wrong(|manifest| manifest.length = 101), layout);
         assert_eq!(wrong(|manifest| manifest.entries[1] = 1), layout);
-        assert_eq!(wrong(|manifest| manifest.parts[1] = manifest.parts[0]), layout);
+        assert_eq!(
+            wrong(|manifest| manifest.parts[1] = manifest.parts[0]),
+            layout
+        );
         assert_eq!(wrong(|manifest| manifest.parts[0].length = 0), layout);
     }
 

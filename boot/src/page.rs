@@ -58,7 +58,10 @@ mod tests {
         /// tail, padded where nothing was sent.
         #[test]
         fn pages_hold_what_was_put(
-            runs in prop::collection::vec((0u32..90, prop::collection::vec(any::<u8>(), 1..70)), 1..9)
+            runs in prop::collection::vec(
+                (0u32..90, prop::collection::vec(any::<u8>(), 1..70)),
+                1..9,
+            )
         ) {
             let mut buffer = PageBuffer::default();
             let mut pages = BTreeMap::new();

@@ -83,6 +83,11 @@ impl Session {
         self.heard
     }
 
+    /// The host counts as heard up to this moment.
+    pub(crate) const fn hear(&mut self, now: Instant) {
+        self.heard = now;
+    }
+
     pub(crate) fn connect(&mut self, now: Instant, resume: bool) -> Answer {
         if !(resume && self.is_open()) {
             *self = Self::new();

@@ -89,7 +89,9 @@ impl Record {
         }
         let mut record = Self {
             record_type,
-            address: address.iter().fold(0, |sum, byte| sum << 8 | u32::from(*byte)),
+            address: address
+                .iter()
+                .fold(0, |sum, byte| sum << 8 | u32::from(*byte)),
             len: data.len() as u8,
             bytes: [0; MAX_DATA],
         };
@@ -216,10 +218,19 @@ mod tests {
             let bytes = &[0xA1, 0xB2, 0xC3, 0xD4][..address];
             let record = Record::parse(line(digit, bytes, &[]).as_bytes()).unwrap();
             assert_eq!(record.record_type, record_type);
-            let expected = bytes.iter().fold(0, |sum, byte| sum << 8 | u32::from(*byte));
+            let expected = bytes
+                .iter()
+                .fold(0, |sum, byte| sum << 8 | u32::from(*byte));
             assert_eq!(record.address, expected);
         }
-        for other in ["", "S", "S4030000FC", "s1030000FC", "X1030000FC", ":00000001FF"] {
+        for other in [
+            "",
+            "S",
+            "S4030000FC",
+            "s1030000FC",
+            "X1030000FC",
+            ":00000001FF",
+        ] {
             assert_eq!(Record::parse(other.as_bytes()), Err(RecordError::Type));
         }
     }

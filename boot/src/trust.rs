@@ -71,7 +71,9 @@ mod tests {
         let hex = |text: &str| -> std::vec::Vec<u8> {
             let digits = text.as_bytes().as_chunks::<2>().0.iter();
             let digits = digits.map(|pair| core::str::from_utf8(pair).unwrap());
-            digits.map(|pair| u8::from_str_radix(pair, 16).unwrap()).collect()
+            digits
+                .map(|pair| u8::from_str_radix(pair, 16).unwrap())
+                .collect()
         };
         let key = hex("3d4017c3e843895a92b70aa74d1b7ebc9c982ccf2ec4968cc0cd55f12af4660c");
         let signature = hex(concat!(
@@ -116,7 +118,10 @@ mod tests {
         let (message, signature) = bytes.split_at(SIGNED_BYTES);
         let public = salty::PublicKey::try_from(&key).unwrap();
         let form: &[u8; 64] = signature.try_into().unwrap();
-        assert!(public.verify(message, &form.into()).is_ok(), "salty takes it");
+        assert!(
+            public.verify(message, &form.into()).is_ok(),
+            "salty takes it"
+        );
         assert!(!verify(&key, message, form));
     }
 }

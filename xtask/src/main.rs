@@ -21,6 +21,7 @@ const PORTABLE: [&str; 7] = [
     "tandem-board",
     "tandem-peripherals",
     "tandem-redundancy",
+    "tandem-boot",
     "tandem-cores",
     "tandem-capi",
 ];
@@ -117,6 +118,19 @@ enum Campaign {
         #[arg(long, default_value_t = 1)]
         seed: u64,
     },
+    /// Lose power at every byte of every flash operation of an update, and again while the
+    /// controller recovers; each life is a process of its own. Fails if there is a brick
+    PowerCuts {
+        /// Write {points, bricks} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Only every so many moments
+        #[arg(long, default_value_t = 1)]
+        every: u64,
+        /// Sweep a bootloader with this defect instead; fails if there is no brick
+        #[arg(long, value_name = "one-slot|one-bank")]
+        broken: Option<String>,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -161,6 +175,21 @@ fn execute() -> Result<()> {
             let mut command = rtos_test(root, "soak", "random_task_sets");
             command.env("TANDEM_RTOS_SOAK_SECONDS", (minutes * 60).to_string());
             command.env("TANDEM_RTOS_SOAK_SEED", seed.to_string());
+            run(command)
+        }
+        Task::Campaign(Campaign::PowerCuts {
+            json,
+            every,
+            broken,
+        }) => {
+            let mut command = boot_campaign(root, "power_cuts");
+            command.args(["--every", &every.to_string()]);
+            if let Some(path) = json {
+                command.arg("--json").arg(path);
+            }
+            if let Some(defect) = broken {
+                command.args(["--broken", &defect]);
+            }
             run(command)
         }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
@@ -271,6 +300,16 @@ fn startup_kills(root: &Path, count: u32) -> Result<()> {
     let mut command = cargo(root, &test);
     command.env("TANDEM_STARTUP_KILLS", count.to_string());
     run(command)
+}
+
+/// A campaign of the boot room; its paths are the caller's.
+fn boot_campaign(root: &Path, name: &str) -> Command {
+    let manifest = root.join("Cargo.toml");
+    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
+    command.args(["run", "--quiet", "--release", "--manifest-path"]);
+    command.arg(manifest);
+    command.args(["-p", "tandem-boot-host", "--example", name, "--"]);
+    command
 }
 
 /// One test of the RTOS room, with what it prints.

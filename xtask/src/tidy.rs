@@ -25,6 +25,8 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
             "tandem-redundancy",
         ],
     ),
+    ("tandem-boot", &["tandem-board"]),
+    ("tandem-boot-host", &["tandem-board", "tandem-boot"]),
     ("tandem-rtos", &[]),
     (
         "tandem-runtime",

@@ -75,14 +75,17 @@ mod tests {
                     let plain = fixed + 8 * len as u32;
                     let stuffable = plain - TRAILER - INTERFRAME;
                     let bits = bits(&frame);
-                    assert!((plain..=plain + (stuffable - 1) / 4).contains(&bits), "{bits}");
+                    assert!(
+                        (plain..=plain + (stuffable - 1) / 4).contains(&bits),
+                        "{bits}"
+                    );
                 }
             }
         }
     }
 
-    /// Counted by hand. Id 0 without data: 19 bits of 0, whose CRC is 15 bits of 0. A stuff bit of 1
-    /// follows each five of these 34 bits, so 6.
+    /// Counted by hand. Id 0 without data: 19 bits of 0, whose CRC is 15 bits of 0. A stuff bit of
+    /// 1 follows each five of these 34 bits, so 6.
     #[test]
     fn stuff_bits_are_counted() {
         let zeros = CanFrame::new(CanId::Standard(0), false, &[]).unwrap();

@@ -9,6 +9,7 @@ use embedded_storage::nor_flash::{
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
+use std::ops::Range;
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
 
 type Page = [u8; PAGE_BYTES];
@@ -86,8 +87,10 @@ pub struct ProgramFlash {
     ticks: u64,
     /// Pages that were programmed although they were not firmly erased.
     overwrites: Vec<u32>,
-    erased_sectors: u64,
+    erased_bytes: u64,
     programmed_pages: u64,
+    /// A defect for tests that have to fail: this range is the one from there on.
+    alias: Option<(Range<u32>, u32)>,
 }
 
 impl Default for ProgramFlash {
@@ -108,8 +111,24 @@ impl ProgramFlash {
             is_on: true,
             ticks: 0,
             overwrites: Vec::new(),
-            erased_sectors: 0,
+            erased_bytes: 0,
             programmed_pages: 0,
+            alias: None,
+        }
+    }
+
+    /// Wires the flash wrongly: `range` is the same memory as the one from `place` on. A bootloader
+    /// that believes it has two of something then has one.
+    #[must_use]
+    pub fn with_alias(mut self, range: Range<u32>, place: u32) -> Self {
+        self.alias = Some((range, place));
+        self
+    }
+
+    fn wired(&self, offset: u32) -> u32 {
+        match &self.alias {
+            Some((range, place)) if range.contains(&offset) => place + (offset - range.start),
+            _ => offset,
         }
     }
 
@@ -133,10 +152,10 @@ impl ProgramFlash {
         self.ticks
     }
 
-    /// Sectors erased and pages programmed since the flash was made.
+    /// Bytes erased and pages programmed since the flash was made.
     #[must_use]
     pub const fn work(&self) -> (u64, u64) {
-        (self.erased_sectors, self.programmed_pages)
+        (self.erased_bytes, self.programmed_pages)
     }
 
     /// Pages that were programmed although they were not firmly erased.
@@ -151,7 +170,9 @@ impl ProgramFlash {
         let byte = |at: u32| {
             let place = at as usize % PAGE_BYTES;
             let cell = self.cells.get(&(at / PAGE_BYTES as u32));
-            cell.map_or(Some(0xFF), |cell| (cell.weak[place] == 0).then(|| cell.bits[place]))
+            cell.map_or(Some(0xFF), |cell| {
+                (cell.weak[place] == 0).then(|| cell.bits[place])
+            })
         };
         (offset..offset + len).map(byte).collect()
     }
@@ -228,15 +249,21 @@ impl ProgramFlash {
         }
     }
 
-    fn erase_sector(&mut self, range: std::ops::Range<u32>) -> Result<(), ModelError> {
+    fn erase_sector(&mut self, range: Range<u32>) -> Result<(), ModelError> {
         let torn = self.spend(ERASE_TICKS)?;
-        self.erased_sectors += 1;
-        let (from, to) = (range.start / PAGE_BYTES as u32, range.end / PAGE_BYTES as u32);
-        let pages: Vec<u32> = self.cells.range(from..to).map(|(index, _)| *index).collect();
+        self.erased_bytes += u64::from(range.end - range.start);
+        let (from, to) = (
+            range.start / PAGE_BYTES as u32,
+            range.end / PAGE_BYTES as u32,
+        );
+        let pages: Vec<u32> = self
+            .cells
+            .range(from..to)
+            .map(|(index, _)| *index)
+            .collect();
         for index in pages {
-            let done = torn.is_none_or(|(ticks, _)| {
-                self.noise.random_range(0..ERASE_TICKS - 1) < ticks
-            });
+            let done =
+                torn.is_none_or(|(ticks, _)| self.noise.random_range(0..ERASE_TICKS - 1) < ticks);
             if done {
                 self.cells.remove(&index);
             } else if let Some(mut cell) = self.cells.get(&index).copied() {
@@ -250,24 +277,27 @@ impl ProgramFlash {
         torn.map_or(Ok(()), |_| Err(ModelError::PowerLost))
     }
 
-    fn read_byte(&mut self, at: u32) -> u8 {
-        let place = at as usize % PAGE_BYTES;
-        let index = at / PAGE_BYTES as u32;
+    /// Reads bytes of one page, from its byte `place` on.
+    fn read_page(&mut self, index: u32, place: usize, into: &mut [u8]) {
         let Some(cell) = self.cells.get(&index) else {
-            return 0xFF;
+            return into.fill(0xFF);
         };
-        if cell.weak[place] == 0 {
-            return cell.bits[place];
-        }
-        let fall = match cell.tear {
-            Tear::Flicker => self.noise.next_u32() as u8,
-            Tear::PerLife => (mix(self.life ^ u64::from(at)) >> 8) as u8,
-            _ => {
-                let sector = sector_at(at).map_or(0, |range| range.start);
-                0u8.wrapping_sub((mix(self.life ^ u64::from(sector)) & 1) as u8)
+        for (byte, place) in into.iter_mut().zip(place..) {
+            *byte = cell.bits[place];
+            if cell.weak[place] == 0 {
+                continue;
             }
-        };
-        cell.bits[place] | (cell.weak[place] & fall)
+            let at = index * PAGE_BYTES as u32 + place as u32;
+            let fall = match cell.tear {
+                Tear::Flicker => self.noise.next_u32() as u8,
+                Tear::PerLife => (mix(self.life ^ u64::from(at)) >> 8) as u8,
+                _ => {
+                    let sector = sector_at(at).map_or(0, |range| range.start);
+                    0u8.wrapping_sub((mix(self.life ^ u64::from(sector)) & 1) as u8)
+                }
+            };
+            *byte |= cell.weak[place] & fall;
+        }
     }
 
     /// Everything that outlasts a loss of power, as bytes.
@@ -325,8 +355,13 @@ impl ReadNorFlash for ProgramFlash {
         if offset as usize + bytes.len() > FLASH_BYTES as usize {
             return Err(ModelError::Range);
         }
-        for (byte, at) in bytes.iter_mut().zip(offset..) {
-            *byte = self.read_byte(at);
+        let (mut at, mut rest) = (self.wired(offset), bytes);
+        while !rest.is_empty() {
+            let place = at as usize % PAGE_BYTES;
+            let (now, later) = rest.split_at_mut((PAGE_BYTES - place).min(rest.len()));
+            self.read_page(at / PAGE_BYTES as u32, place, now);
+            at += now.len() as u32;
+            rest = later;
         }
         Ok(())
     }
@@ -341,7 +376,7 @@ impl NorFlash for ProgramFlash {
     const ERASE_SIZE: usize = SMALLEST_SECTOR as usize;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), ModelError> {
-        let mut at = from;
+        let (mut at, to) = (self.wired(from), self.wired(to - 1) + 1);
         while at < to {
             let sector = sector_at(at).filter(|sector| sector.start == at && sector.end <= to);
             let sector = sector.ok_or(ModelError::Range)?;
@@ -358,7 +393,7 @@ impl NorFlash for ProgramFlash {
         if !aligned || end > FLASH_BYTES as usize {
             return Err(ModelError::Range);
         }
-        for (page, index) in pages.iter().zip(offset / PAGE_BYTES as u32..) {
+        for (page, index) in pages.iter().zip(self.wired(offset) / PAGE_BYTES as u32..) {
             self.program_page(index, page)?;
         }
         Ok(())
@@ -436,7 +471,11 @@ mod tests {
                 assert_eq!(flash.firm(32, 32).is_none(), between_lives);
             }
             assert_eq!(reads.iter().any(|[a, b]| a != b), within_life, "{tear:?}");
-            assert_eq!(lives.iter().any(|page| *page != lives[0]), between_lives, "{tear:?}");
+            assert_eq!(
+                lives.iter().any(|page| *page != lives[0]),
+                between_lives,
+                "{tear:?}"
+            );
             if tear == Tear::Mimic {
                 assert!(lives.contains(&[0; 32]) && lives.contains(&[0xFF; 32]));
             }
@@ -457,7 +496,11 @@ mod tests {
             flash.power_on(0, None);
             let bytes: [u8; 0x4000] = read(&mut flash, 0);
             let (pages, _) = bytes.as_chunks::<PAGE_BYTES>();
-            assert!(pages.iter().all(|page| *page == [0; 32] || *page == [0xFF; 32]));
+            assert!(
+                pages
+                    .iter()
+                    .all(|page| *page == [0; 32] || *page == [0xFF; 32])
+            );
             left.push(pages.iter().filter(|page| **page == [0; 32]).count());
         }
         assert_eq!((left[0], left[ERASE_TICKS as usize - 1]), (512, 0));

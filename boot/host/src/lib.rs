@@ -2,10 +2,11 @@
 //!
 //! [`Image::sign`] and [`records`] make a signed file, [`Sender`] sends it, [`ProgramFlash`] is
 //! what it is written to in tests and simulations, and [`life`](mod@life) is a controller between
-//! two losses of power.
+//! two losses of power, [`cuts`] the sweep of all points at which power can be lost.
 #![forbid(unsafe_code)]
 
 mod bus_time;
+pub mod cuts;
 mod flash;
 pub mod life;
 mod package;
@@ -13,7 +14,5 @@ mod sender;
 
 pub use bus_time::bits;
 pub use flash::{ERASE_TICKS, ModelError, PROGRAM_TICKS, ProgramFlash, Tear};
-pub use package::{
-    Content, Image, PackageError, RECORD_DATA, Release, SigningKey, line, records,
-};
+pub use package::{Content, Image, PackageError, RECORD_DATA, Release, SigningKey, line, records};
 pub use sender::{ANSWER_WITHIN, CONNECT_EVERY, Sender, ToDo};

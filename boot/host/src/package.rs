@@ -120,7 +120,9 @@ impl Content {
                 Some((start, bytes)) if u64::from(*start) + bytes.len() as u64 > address.into() => {
                     return Err(PackageError::Overlap { address });
                 }
-                Some((start, bytes)) if u64::from(*start) + bytes.len() as u64 == address.into() => {
+                Some((start, bytes))
+                    if u64::from(*start) + bytes.len() as u64 == address.into() =>
+                {
                     bytes.extend(data);
                 }
                 _ => content.runs.push((address, data)),
@@ -159,12 +161,20 @@ impl Image {
     /// If there are no parts or more than three, or one begins before [`BODY_OFFSET`] or before
     /// the end of the one before it.
     #[must_use]
-    pub fn sign(target: Target, release: Release, parts: &[(u32, &[u8])], key: &SigningKey) -> Self {
+    pub fn sign(
+        target: Target,
+        release: Release,
+        parts: &[(u32, &[u8])],
+        key: &SigningKey,
+    ) -> Self {
         assert!((1..=MAX_PARTS).contains(&parts.len()), "one to three parts");
         let mut bytes = vec![0xFF; MANIFEST_BYTES];
         let mut listed = [Part::default(); MAX_PARTS];
         for ((offset, data), part) in parts.iter().zip(&mut listed) {
-            assert!(*offset as usize >= bytes.len(), "parts in order, behind the manifest");
+            assert!(
+                *offset as usize >= bytes.len(),
+                "parts in order, behind the manifest"
+            );
             bytes.resize(*offset as usize, 0xFF);
             bytes.extend(*data);
             *part = Part {
@@ -201,7 +211,11 @@ impl Image {
     ///
     /// # Errors
     /// [`PackageError`] if the data are not those of one image.
-    pub fn of(content: &Content, mut release: Release, key: &SigningKey) -> Result<Self, PackageError> {
+    pub fn of(
+        content: &Content,
+        mut release: Release,
+        key: &SigningKey,
+    ) -> Result<Self, PackageError> {
         let first = content.runs.first().ok_or(PackageError::Empty)?;
         let first = offset_of(first.0).ok_or(PackageError::Place { offset: first.0 })?;
         let target = Target::at(first).ok_or(PackageError::Place { offset: first })?;
@@ -219,7 +233,12 @@ impl Image {
         if let Some(entry) = entry.filter(|entry| place.contains(entry)) {
             release.entries[0] = entry - place.start;
         }
-        Ok(Self::sign(target, release, &[(first - place.start, &bytes)], key))
+        Ok(Self::sign(
+            target,
+            release,
+            &[(first - place.start, &bytes)],
+            key,
+        ))
     }
 
     /// Where it lies in the flash.

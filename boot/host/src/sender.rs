@@ -195,14 +195,23 @@ impl Sender {
                     self.due = now;
                 }
             }
-            (State::Offering, Answer::Window { records, accepted, .. }) => {
+            (
+                State::Offering,
+                Answer::Window {
+                    records, accepted, ..
+                },
+            ) => {
                 (self.window, self.accepted) = (u32::from(records).max(1), accepted);
                 (self.state, self.attempts) = (State::Sending, 0);
                 self.back_to(accepted);
             }
             (State::Sending, Answer::Accepted { records }) => {
                 // Without a window the count is 0: it is the record that was sent last.
-                let accepted = if self.wanted > 0 { records } else { self.record };
+                let accepted = if self.wanted > 0 {
+                    records
+                } else {
+                    self.record
+                };
                 if accepted > self.accepted {
                     self.attempts = 0;
                 }
@@ -213,7 +222,11 @@ impl Sender {
             }
             (State::Sending, Answer::Resend { record }) => {
                 self.resends += 1;
-                let record = if self.wanted > 0 { record } else { self.accepted };
+                let record = if self.wanted > 0 {
+                    record
+                } else {
+                    self.accepted
+                };
                 self.accepted = record.max(self.accepted);
                 self.repeat(now);
             }

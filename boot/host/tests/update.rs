@@ -3,7 +3,7 @@
 
 mod fixture;
 
-use fixture::{Images, configuration, factory, image, loader, lives, signed};
+use fixture::{Images, configuration, factory, image, lives, loader, signed};
 use tandem_boot::{Bank, Refusal, Region, Slot, Target, rom_choice};
 use tandem_boot_host::life::{End, Life, TEST_KEY, TEST_KEY_1};
 use tandem_boot_host::{Content, Image, Release, records};
@@ -25,7 +25,10 @@ fn a_download_boots_and_stays() {
         let outcome = Life::with_file(&lines, window).live(&mut flash);
         assert!(outcome.downloaded);
         assert_eq!(running(outcome.end), (Slot::B, 2));
-        assert_eq!(flash.firm(new.place(), new.bytes.len() as u32), Some(new.bytes));
+        assert_eq!(
+            flash.firm(new.place(), new.bytes.len() as u32),
+            Some(new.bytes)
+        );
         assert_eq!(running(lives(&mut flash, 1)), (Slot::B, 2));
         assert_eq!(flash.overwrites(), []);
     }
@@ -103,10 +106,19 @@ fn a_retired_key_signs_nothing_any_more() {
             entries: [256, 0, 0],
             lowest_key: 1,
         };
-        Image::sign(Target::Application(slot), release, &[(256, &[7; 50])], &TEST_KEY_1)
+        Image::sign(
+            Target::Application(slot),
+            release,
+            &[(256, &[7; 50])],
+            &TEST_KEY_1,
+        )
     };
     assert_eq!(step(&retiring(Slot::B, 2), false), None);
-    assert_eq!(step(&image(Slot::B, 2, 50), false), None, "the old key, after a rollback");
+    assert_eq!(
+        step(&image(Slot::B, 2, 50), false),
+        None,
+        "the old key, after a rollback"
+    );
     assert_eq!(step(&retiring(Slot::B, 3), true), None);
     assert_eq!(step(&image(Slot::A, 4, 50), true), Some(Refusal::Untrusted));
     let foreign = Image::sign(
@@ -119,7 +131,11 @@ fn a_retired_key_signs_nothing_any_more() {
         &[(256, &[7; 50])],
         &TEST_KEY,
     );
-    assert_eq!(step(&foreign, true), Some(Refusal::BadManifest), "a key that retires itself");
+    assert_eq!(
+        step(&foreign, true),
+        Some(Refusal::BadManifest),
+        "a key that retires itself"
+    );
 }
 
 /// E-4: strict mode refuses what is not authentic, monitor mode takes it and writes it down.
@@ -202,11 +218,31 @@ fn wrong_files_are_refused_with_the_reason() {
         tandem_boot_host::line(3, &address, &[0; 16])
     };
     for (name, lines, refusal) in [
-        ("a missing record", edit(&|lines| drop(lines.remove(body + 1))), Refusal::Gap),
-        ("a missing last record", edit(&|lines| drop(lines.remove(count - 1))), Refusal::Count),
-        ("swapped records", edit(&|lines| lines.swap(body, body + 1)), Refusal::Gap),
-        ("an old record", edit(&|lines| lines.insert(body + 2, lines[3].clone())), Refusal::Order),
-        ("an overlap", edit(&|lines| lines.insert(body + 1, overlapping.clone())), Refusal::Overlap),
+        (
+            "a missing record",
+            edit(&|lines| drop(lines.remove(body + 1))),
+            Refusal::Gap,
+        ),
+        (
+            "a missing last record",
+            edit(&|lines| drop(lines.remove(count - 1))),
+            Refusal::Count,
+        ),
+        (
+            "swapped records",
+            edit(&|lines| lines.swap(body, body + 1)),
+            Refusal::Gap,
+        ),
+        (
+            "an old record",
+            edit(&|lines| lines.insert(body + 2, lines[3].clone())),
+            Refusal::Order,
+        ),
+        (
+            "an overlap",
+            edit(&|lines| lines.insert(body + 1, overlapping.clone())),
+            Refusal::Overlap,
+        ),
         (
             "a changed byte",
             edit(&|lines| {
@@ -215,7 +251,11 @@ fn wrong_files_are_refused_with_the_reason() {
             }),
             Refusal::Digest,
         ),
-        ("no manifest", edit(&|lines| drop(lines.drain(1..body))), Refusal::NoManifest),
+        (
+            "no manifest",
+            edit(&|lines| drop(lines.drain(1..body))),
+            Refusal::NoManifest,
+        ),
         (
             "a wrong count",
             edit(&|lines| lines[count] = tandem_boot_host::line(5, &[0, 9], &[])),
@@ -231,7 +271,11 @@ fn wrong_files_are_refused_with_the_reason() {
             edit(&|lines| drop(lines.drain(body + 2..=count))),
             Refusal::Incomplete,
         ),
-        ("no data", edit(&|lines| drop(lines.drain(1..=count))), Refusal::Incomplete),
+        (
+            "no data",
+            edit(&|lines| drop(lines.drain(1..=count))),
+            Refusal::Incomplete,
+        ),
         (
             "more than the manifest names",
             edit(&|lines| {
@@ -240,8 +284,16 @@ fn wrong_files_are_refused_with_the_reason() {
             }),
             Refusal::Unannounced,
         ),
-        ("no S-records", vec!["S1 is a nice motorway\r\n".into(); 99], Refusal::Record),
-        ("Intel hex", vec![":0300300002337A1E\r\n".into(); 99], Refusal::Record),
+        (
+            "no S-records",
+            vec!["S1 is a nice motorway\r\n".into(); 99],
+            Refusal::Record,
+        ),
+        (
+            "Intel hex",
+            vec![":0300300002337A1E\r\n".into(); 99],
+            Refusal::Record,
+        ),
     ] {
         for window in [0, 4] {
             let mut flash = factory();

@@ -1,0 +1,322 @@
+//! Losses of power at every point of an update: which there are, and what must be true afterwards.
+//!
+//! A *point* is a moment of an erase or program operation in some life, with one way in which the
+//! bits on their way are left. Each life is lived by what the caller gives: in a fresh process, or
+//! in a fresh [`Life`] of this one. U-5
+
+use crate::life::{End, Life, Outcome, TEST_KEY};
+use crate::{Image, ProgramFlash, Release, Tear, records};
+use tandem_boot::{Bank, Region, Slot, Target, rom_choice};
+
+/// What happens while power is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scenario {
+    /// A download to the free slot, trial, approval.
+    Application,
+    /// Application and configuration in one file.
+    Both,
+    /// A trial that was not approved is rolled back.
+    Rollback,
+    /// A new bootloader is downloaded, installed, tried, approved and sealed.
+    Bootloader,
+    /// The same, but the new one crashes.
+    CrashingBootloader,
+    /// The primary bank is damaged and is restored.
+    DamagedBootloader,
+    /// Both copies of the environment are lost.
+    LostEnvironment,
+    /// A file that is refused at its end.
+    RefusedFile,
+}
+
+impl Scenario {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Application,
+        Self::Both,
+        Self::Rollback,
+        Self::Bootloader,
+        Self::CrashingBootloader,
+        Self::DamagedBootloader,
+        Self::LostEnvironment,
+        Self::RefusedFile,
+    ];
+}
+
+/// A defect for which the sweep must find bricks.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Defect {
+    /// Both slots of the application are one: the download overwrites what boots.
+    OneSlot,
+    /// Both banks of the bootloader are one: it overwrites its backup.
+    OneBank,
+}
+
+/// One life: what is done in it, and when power is lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Step {
+    /// The scenario's act; else a plain start.
+    pub acts: bool,
+    /// Which way noise falls.
+    pub seed: u64,
+    /// Ticks until power is lost, and how.
+    pub cut: Option<(u64, Tear)>,
+}
+
+/// A scenario with its images.
+#[derive(Debug)]
+pub struct Stage {
+    scenario: Scenario,
+    lines: Vec<String>,
+    start: Vec<u8>,
+    applications: [Image; 2],
+    configurations: [Image; 2],
+    bootloaders: [Image; 2],
+    defect: Option<Defect>,
+}
+
+fn release(version: u32, entry: u32) -> Release {
+    Release {
+        version,
+        entries: [entry; 3],
+        lowest_key: 0,
+    }
+}
+
+fn sign(target: Target, version: u32, len: u32) -> Image {
+    let body: Vec<u8> = (0..len).map(|at| (at * 7 + version) as u8).collect();
+    Image::sign(target, release(version, 256), &[(256, &body)], &TEST_KEY)
+}
+
+impl Stage {
+    /// Sets a scenario up: a controller that left the factory and was started once.
+    ///
+    /// # Panics
+    /// If the controller does not even boot without a loss of power.
+    #[must_use]
+    pub fn new(scenario: Scenario, defect: Option<Defect>) -> Self {
+        let applications = [(Slot::A, 1), (Slot::B, 2)];
+        let applications = applications.map(|(slot, v)| sign(Target::Application(slot), v, 400));
+        let configurations = [(Slot::A, 1), (Slot::B, 2)];
+        let configurations =
+            configurations.map(|(slot, v)| sign(Target::Configuration(slot), v, 33));
+        let bootloaders = [1, 2].map(|version| sign(Target::Staging, version, 90));
+        let mut flash = ProgramFlash::new();
+        for bank in [Bank::Primary, Bank::Backup] {
+            flash.load(Region::Bank(bank).range().start, &bootloaders[0].bytes);
+        }
+        for image in [&applications[0], &configurations[0]] {
+            flash.load(image.place(), &image.bytes);
+        }
+        let wanted: &[&Image] = match scenario {
+            Scenario::Application | Scenario::Rollback | Scenario::RefusedFile => {
+                &[&applications[1]]
+            }
+            Scenario::Both => &[&applications[1], &configurations[1]],
+            Scenario::Bootloader | Scenario::CrashingBootloader => &[&bootloaders[1]],
+            Scenario::DamagedBootloader | Scenario::LostEnvironment => &[],
+        };
+        let mut lines = records("update", wanted);
+        if scenario == Scenario::RefusedFile {
+            let address = (applications[1].place() + 256).to_be_bytes();
+            let wrong = lines.iter_mut().rfind(|line| line[4..12] == hex(&address));
+            assert!(wrong.is_some(), "the body begins there");
+            wrong
+                .into_iter()
+                .for_each(|line| *line = crate::line(3, &address, &[0xEE; 16]));
+        }
+        let mut stage = Self {
+            scenario,
+            lines,
+            start: Vec::new(),
+            applications,
+            configurations,
+            bootloaders,
+            defect,
+        };
+        stage.prepare(&mut flash);
+        stage.start = flash.save();
+        stage
+    }
+
+    fn prepare(&self, flash: &mut ProgramFlash) {
+        let plain = Life::plain();
+        assert!(matches!(plain.live(flash).end, End::Running(_)));
+        match self.scenario {
+            Scenario::Rollback => {
+                let unapproved = Life {
+                    file: Some((&self.lines, 0)),
+                    approves: false,
+                    ..plain
+                };
+                assert!(unapproved.live(flash).downloaded);
+            }
+            Scenario::DamagedBootloader => flash.load(0x100, &[0; 64]),
+            Scenario::LostEnvironment => {
+                let new = &self.applications[1];
+                flash.load(new.place(), &new.bytes);
+                for copy in [0, 1] {
+                    flash.load(Region::Environment(copy).range().start, &[0; 96]);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// The flash before the first life.
+    #[must_use]
+    pub fn start(&self) -> &[u8] {
+        &self.start
+    }
+
+    /// The file that a host sends, if one does.
+    #[must_use]
+    pub fn lines(&self) -> &[String] {
+        match self.scenario {
+            Scenario::Rollback => &[],
+            _ => &self.lines,
+        }
+    }
+
+    /// One life in this process: see [`live`].
+    #[must_use]
+    pub fn live(&self, flash: &[u8], step: Step) -> Option<(Outcome, u64, ProgramFlash)> {
+        live((self.scenario, self.defect), self.lines(), flash, step)
+    }
+
+    /// What is wrong with a controller that has just lived without a loss of power; `None` if it
+    /// runs an old or a new image, whole and with no weak bit, under a whole bootloader.
+    #[must_use]
+    pub fn brick(&self, outcome: &Outcome, flash: &mut ProgramFlash) -> Option<String> {
+        let End::Running(launch) = outcome.end else {
+            return Some(format!("{:?}", outcome.end));
+        };
+        let holds = |place: u32, images: &[Image; 2]| {
+            let firm = |image: &Image| flash.firm(place, image.bytes.len() as u32);
+            images
+                .iter()
+                .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
+        };
+        let place = |target| Region::Target(target).range().start;
+        if !holds(
+            place(Target::Application(launch.application)),
+            &self.applications,
+        ) {
+            return Some(format!("runs a damaged image: {launch:?}"));
+        }
+        let configuration = launch.configuration.map(Target::Configuration);
+        if !configuration.is_some_and(|target| holds(place(target), &self.configurations)) {
+            return Some(format!("has lost its configuration: {launch:?}"));
+        }
+        let Some(bank) = rom_choice(flash) else {
+            return Some("no bootloader".into());
+        };
+        let holds = |place: u32| {
+            let firm = |image: &Image| flash.firm(place, image.bytes.len() as u32);
+            let all = self.bootloaders.iter();
+            all.clone()
+                .any(|image| firm(image).is_some_and(|bytes| bytes == image.bytes))
+        };
+        if !holds(Region::Bank(bank).range().start) {
+            return Some(format!("runs a damaged bootloader from {bank:?}"));
+        }
+        None
+    }
+}
+
+/// One life. Returns what it showed, its ticks, and the flash after it; `None` if `flash` is no
+/// flash.
+#[must_use]
+pub fn live(
+    (scenario, defect): (Scenario, Option<Defect>),
+    lines: &[String],
+    flash: &[u8],
+    step: Step,
+) -> Option<(Outcome, u64, ProgramFlash)> {
+    let mut flash = ProgramFlash::restore(flash)?;
+    if let Some(defect) = defect {
+        let application = |slot| Region::Target(Target::Application(slot)).range();
+        let (range, place) = match defect {
+            Defect::OneSlot => (application(Slot::B), application(Slot::A).start),
+            Defect::OneBank => (Region::Bank(Bank::Backup).range(), 0),
+        };
+        flash = flash.with_alias(range, place);
+    }
+    flash.power_on(step.seed, step.cut);
+    let life = Life {
+        file: (step.acts && !lines.is_empty()).then_some((lines, 0)),
+        new_loader_crashes: scenario == Scenario::CrashingBootloader,
+        ..Life::plain()
+    };
+    let outcome = life.live(&mut flash);
+    let ticks = flash.ticks();
+    Some((outcome, ticks, flash))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02X}")).collect()
+}
+
+/// What a sweep found.
+#[derive(Clone, Debug, Default)]
+pub struct Swept {
+    /// Points at which power was lost.
+    pub points: u64,
+    /// Of them with a second loss while the controller recovered from the first.
+    pub double: u64,
+    /// Points after which the controller did not boot an old or a new image, whole.
+    pub bricks: Vec<String>,
+}
+
+/// Which ticks of the first life to sweep: every `every`-th from `from` on.
+#[derive(Clone, Copy, Debug)]
+pub struct Ticks {
+    /// The first.
+    pub from: u64,
+    /// 1 for all of them.
+    pub every: u64,
+}
+
+/// Sweeps a scenario: power is lost at a tick, and once more while the controller recovers from
+/// that. `live` lives one life and says what [`Stage::live`] says.
+///
+/// # Errors
+/// What `live` fails with.
+pub fn sweep<E>(
+    stage: &Stage,
+    which: Ticks,
+    mut live: impl FnMut(&[u8], Step) -> Result<(Outcome, u64, ProgramFlash), E>,
+) -> Result<Swept, E> {
+    let mut swept = Swept::default();
+    let step = |acts, seed, cut| Step { acts, seed, cut };
+    let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
+    for tick in (which.from..ticks).step_by(which.every as usize) {
+        // 33 moments an operation and five ways of being torn: each meets each.
+        let tear = Tear::ALL[(tick % 5) as usize];
+        let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
+        let torn = torn.save();
+        let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
+        swept.points += 1;
+        let place = format!("{:?}, {tear:?} at tick {tick}", stage.scenario);
+        let brick = stage.brick(&outcome, &mut flash);
+        swept
+            .bricks
+            .extend(brick.map(|why| format!("{place}: {why}")));
+        if recovery == 0 {
+            continue;
+        }
+        // Another start of the same torn flash, cut too: weak bits may fall otherwise.
+        let (second_tick, second) = (tick * 101 % recovery, Tear::ALL[(tick / 5 % 5) as usize]);
+        let cut = Some((second_tick, second));
+        let (_, _, torn) = live(&torn, step(false, tick + 2, cut))?;
+        let (outcome, _, mut flash) = live(&torn.save(), step(false, tick + 3, None))?;
+        swept.points += 1;
+        swept.double += 1;
+        let place = format!("{place}, then {second:?} at tick {second_tick}");
+        let brick = stage.brick(&outcome, &mut flash);
+        swept
+            .bricks
+            .extend(brick.map(|why| format!("{place}: {why}")));
+    }
+    Ok(swept)
+}

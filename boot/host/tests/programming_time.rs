@@ -1,0 +1,129 @@
+//! How long a download takes on a 500 kbit/s bus, against the least that its frames take.
+#![allow(clippy::unwrap_used)]
+
+mod fixture;
+
+use fixture::{factory, image};
+use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
+use tandem_boot::{Bank, Loader, Next, Request, Setup, Slot, Trust, TrustMode};
+use tandem_boot_host::life::TEST_PUBLIC;
+use tandem_boot_host::{ProgramFlash, Sender, ToDo, bits, records};
+
+const BIT_NS: u64 = 2_000;
+/// Assumed times of the flash: a page of 32 bytes, and each 16 KiB of a sector, so that one of
+/// 256 KiB takes a second.
+const PROGRAM_NS: u64 = 60_000;
+const ERASE_NS_PER_16_KIB: u64 = 62_500_000;
+/// What a host on a PC takes from an answer to its next frame.
+const HOST_NS: u64 = 50_000;
+
+struct Measured {
+    total_ns: u64,
+    bus_ns: u64,
+    flash_ns: u64,
+}
+
+/// Sends 96 KiB over a simulated bus.
+fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
+    let mut flash = factory();
+    let new = image(Slot::B, 2, 96 * 1024);
+    let mut host = Sender::new(records("new", &[&new]), None, window);
+    let keys = [TEST_PUBLIC];
+    let setup = Setup {
+        trust: Trust {
+            keys: &keys,
+            mode: TrustMode::Strict,
+        },
+        system: SystemId::A,
+        bank: Bank::Primary,
+        cause: ResetCause::PowerOn,
+        requested: false,
+    };
+    let mut measured = Measured {
+        total_ns: 0,
+        bus_ns: 0,
+        flash_ns: 0,
+    };
+    let mut now = Instant::ORIGIN;
+    let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+    let work = |loader: &Loader<'_, &mut ProgramFlash>| loader.flash().work();
+    let mut done = work(&loader);
+    let mut send = |now: &mut Instant, frame: &CanFrame| {
+        let span = u64::from(bits(frame)) * BIT_NS;
+        measured.bus_ns += span;
+        *now = Instant::from_ns(now.as_ns() + span);
+    };
+    loop {
+        match loader.next(now).unwrap() {
+            Next::Send(frame) => {
+                send(&mut now, &frame);
+                now = Instant::from_ns(now.as_ns() + host_ns);
+                host.on_frame(now, &frame);
+                continue;
+            }
+            Next::Wait(_) => {}
+            next => panic!("{next:?}"),
+        }
+        match host.next(now) {
+            ToDo::Send(frame) => {
+                send(&mut now, &frame);
+                loader.on_frame(now, &frame);
+                let (erased, programmed) = work(&loader);
+                let erase_ns = (erased - done.0) / 0x4000 * ERASE_NS_PER_16_KIB;
+                let erase_ns = if flash_takes_time { erase_ns } else { 0 };
+                let program_ns = if flash_takes_time { PROGRAM_NS } else { 0 };
+                let span = erase_ns + (programmed - done.1) * program_ns;
+                done = (erased, programmed);
+                measured.flash_ns += span;
+                // With a window the bus and the flash work at the same time, but for erasing.
+                now = Instant::from_ns(now.as_ns() + if window > 0 { erase_ns } else { span });
+            }
+            ToDo::Done => break,
+            ToDo::Wait(until) => now = until,
+            other => panic!("{other:?}"),
+        }
+    }
+    measured.total_ns = now.as_ns();
+    measured
+}
+
+/// T-BOOT-3: the protocol takes what its frames take, to the bit, within 5 %. The limit is computed
+/// from the file alone: every record's frames and one acknowledgement each. What a flash that
+/// erases 256 KiB in a second adds is printed beside it.
+#[test]
+fn stop_and_wait_is_within_5_percent_of_the_bus() {
+    let [measured, slow] = [false, true].map(|flash| measure(0, 0, flash));
+    let lines = records("new", &[&image(Slot::B, 2, 96 * 1024)]);
+    let accepted = tandem_boot::Answer::Accepted { records: 0 }
+        .frame()
+        .unwrap();
+    let frames = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
+    let record_bits: u64 = frames
+        .map(|piece| u64::from(bits(&Request::Data(piece).frame().unwrap())))
+        .sum();
+    let limit_ns = (record_bits + lines.len() as u64 * u64::from(bits(&accepted))) * BIT_NS;
+    let ratio = measured.total_ns as f64 / limit_ns as f64;
+    println!(
+        "96 KiB: limit {:.2} s, took {:.2} s ({ratio:.4}), and {:.2} s more of flash",
+        limit_ns as f64 / 1e9,
+        measured.total_ns as f64 / 1e9,
+        slow.flash_ns as f64 / 1e9,
+    );
+    assert!((1.0..1.05).contains(&ratio), "{ratio}");
+    assert!(measured.bus_ns >= limit_ns);
+}
+
+/// T-BOOT-3: what a window of 16 gains over stop-and-wait, with a host that needs 50 µs and with
+/// one behind a USB adapter of 1 ms.
+#[test]
+fn a_window_saves_time() {
+    for (host_ns, at_least) in [(HOST_NS, 1.10), (1_000_000, 1.4)] {
+        let [slow, fast] = [0, 16].map(|window| measure(window, host_ns, true).total_ns as f64);
+        println!(
+            "host {host_ns} ns: {:.2} s, with a window {:.2} s",
+            slow / 1e9,
+            fast / 1e9
+        );
+        assert!(slow / fast > at_least, "{}", slow / fast);
+    }
+}

@@ -1,0 +1,98 @@
+//! What a sweep that cuts power between operations only does not see: a loader that decides by
+//! flags, and the same rollback by Tandem's.
+//!
+//! The loader here is a small model of a swap by flags: each slot has a trailer with a magic
+//! number and two flags, and a table says which combination does what. A combination that the
+//! table does not list leaves everything as it is. mcu-tools/mcuboot, issue 1966, is about this.
+#![allow(clippy::unwrap_used)]
+
+use embedded_storage::nor_flash::{NorFlash as _, ReadNorFlash as _};
+use std::convert::Infallible;
+use tandem_boot::PAGE_BYTES;
+use tandem_boot_host::cuts::{Scenario, Stage, Ticks, sweep};
+use tandem_boot_host::{ModelError, PROGRAM_TICKS, ProgramFlash, Tear};
+
+type Page = [u8; PAGE_BYTES];
+const MAGIC: Page = [0x5A; PAGE_BYTES];
+const SET: Page = [0x01; PAGE_BYTES];
+const UNSET: Page = [0xFF; PAGE_BYTES];
+
+/// The trailers of both slots: each a sector with magic number, "copied" and "approved"; and where
+/// the swap notes that the old image is back in the first slot.
+const FIRST: u32 = 0x04_0000;
+const SECOND: u32 = 0x04_8000;
+const RESTORED: u32 = 0x05_0000;
+
+/// After an update whose image crashes: the first slot holds it, swapped in and not approved.
+fn crashed_update() -> ProgramFlash {
+    let mut flash = ProgramFlash::new();
+    flash.load(FIRST, &MAGIC);
+    flash.load(FIRST + 32, &SET);
+    flash
+}
+
+fn page(flash: &mut ProgramFlash, at: u32) -> Result<Page, ModelError> {
+    let mut page = UNSET;
+    flash.read(at, &mut page)?;
+    Ok(page)
+}
+
+/// One start of the loader; whether the old image runs.
+fn start(flash: &mut ProgramFlash) -> Result<bool, ModelError> {
+    let trailer = |flash: &mut ProgramFlash, at| -> Result<[Page; 3], ModelError> {
+        Ok([
+            page(flash, at)?,
+            page(flash, at + 32)?,
+            page(flash, at + 64)?,
+        ])
+    };
+    let (first, second) = (trailer(flash, FIRST)?, trailer(flash, SECOND)?);
+    if first == [MAGIC, SET, UNSET] && second[0] == UNSET {
+        // Revert: make it look like a wanted update with the old image.
+        flash.erase(SECOND, SECOND + 0x8000)?;
+        flash.write(SECOND + 64, &SET)?;
+        flash.write(SECOND, &MAGIC)?;
+        return start(flash);
+    }
+    if second[0] == MAGIC && second[2] == SET {
+        flash.erase(RESTORED, RESTORED + 0x8000)?;
+        flash.write(RESTORED, &SET)?;
+        flash.erase(SECOND, SECOND + 0x8000)?;
+        flash.erase(FIRST, FIRST + 0x8000)?;
+    }
+    Ok(page(flash, RESTORED)? == SET)
+}
+
+/// Whether a controller that lost power at this tick never gets its old image back.
+fn bricks(tick: u64, tear: Tear) -> bool {
+    let mut flash = crashed_update();
+    flash.power_on(tick, Some((tick, tear)));
+    let _ = start(&mut flash);
+    !(0..8).any(|life| {
+        flash.power_on(life, None);
+        start(&mut flash).unwrap()
+    })
+}
+
+/// U-5
+#[test]
+fn torn_flags_brick_a_loader_that_believes_them_and_not_this_one() {
+    let mut flash = crashed_update();
+    flash.power_on(0, None);
+    assert!(start(&mut flash).unwrap());
+    let ticks = flash.ticks();
+    // Each operation has as many moments: the first is between two operations.
+    let between = (0..ticks).step_by(PROGRAM_TICKS as usize);
+    assert!(between.clone().count() > 4);
+    assert!(
+        between.into_iter().all(|tick| !bricks(tick, Tear::Clean)),
+        "between operations"
+    );
+    assert!((0..ticks).any(|tick| bricks(tick, Tear::Clean)), "torn");
+
+    let stage = Stage::new(Scenario::Rollback, None);
+    let live = |flash: &[u8], step| Ok::<_, Infallible>(stage.live(flash, step).unwrap());
+    let swept = sweep(&stage, Ticks { from: 0, every: 7 }, live).unwrap();
+    assert!(swept.points > 50);
+    assert_eq!(swept.bricks, Vec::<String>::new());
+}
