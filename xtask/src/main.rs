@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 /// Crates that run in firmware: no_std, and free of boards.
-const PORTABLE: [&str; 7] = [
+const PORTABLE: [&str; 8] = [
     "tandem-shm",
     "tandem-bus",
     "tandem-board",

@@ -291,8 +291,8 @@ pub fn sweep<E>(
     let step = |acts, seed, cut| Step { acts, seed, cut };
     let (_, ticks, _) = live(stage.start(), step(true, 0, None))?;
     for tick in (which.from..ticks).step_by(which.every as usize) {
-        // 33 moments an operation and five ways of being torn: each meets each.
-        let tear = Tear::ALL[(tick % 5) as usize];
+        // 33 moments an operation, five ways of being torn: each meets each, at any step.
+        let tear = Tear::ALL[(tick * 7 / 3 % 5) as usize];
         let (_, _, torn) = live(stage.start(), step(true, tick, Some((tick, tear))))?;
         let torn = torn.save();
         let (outcome, recovery, mut flash) = live(&torn, step(false, tick + 1, None))?;
