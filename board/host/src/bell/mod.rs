@@ -21,11 +21,10 @@ use iceoryx2_bb_container::semantic_string::SemanticString;
 use iceoryx2_bb_posix::access_mode::AccessMode;
 use iceoryx2_bb_system_types::file_name::FileName;
 use iceoryx2_cal::dynamic_storage::{DynamicStorage, DynamicStorageBuilder};
-use iceoryx2_cal::event::common::{Configuration, EventImpl, Handle, Waiter};
+use iceoryx2_cal::event::common::{Configuration, EventImpl, Waiter};
+use iceoryx2_cal::event::event_state::EventState as _;
 use iceoryx2_cal::event::trigger::State;
-use iceoryx2_cal::event::{
-    Event, EventId, Listener, ListenerBuilder, ListenerWaitError, Notifier, NotifierBuilder,
-};
+use iceoryx2_cal::event::{Event, EventId, Listener, ListenerBuilder, ListenerWaitError};
 #[cfg(test)]
 use iceoryx2_cal::named_concept::NamedConceptMgmt;
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
@@ -48,7 +47,6 @@ type BellEvent = FutexEvent<PendingBits, true>;
 type BellState = State<PendingBits, Futex>;
 type BellStorage = Storage<BellState, true>;
 type BellListener = Waiter<PendingBits, Futex, BellStorage, FutexWaiter>;
-type BellNotifier = Handle<PendingBits, Futex, BellStorage, FutexHandle>;
 
 /// What is pending is in the memory that the receiver looks at; the bell carries one bit.
 const RUNG: EventId = EventId::new(0);
@@ -126,61 +124,39 @@ impl fmt::Debug for Bell {
     }
 }
 
-/// The bells of all cores, on the side of those who ring.
+/// The bells of all cores, on the side of those who ring. It rings from any context.
 pub(crate) struct Ringers {
     run: RunName,
-    bells: [[Option<Ringer>; CoreId::COUNT]; 2],
-}
-
-struct Ringer {
-    notifier: BellNotifier,
-    storage: BellStorage,
+    bells: [[Option<BellStorage>; CoreId::COUNT]; 2],
 }
 
 impl Ringers {
-    /// Maps the bells of the run. One that is missing is rung in vain.
+    /// Maps the bells of the run. To ring a bell that is missing has no effect.
     pub(crate) fn new(run: &RunName) -> Self {
         segment::quiet();
         Self {
             run: run.clone(),
             bells: SystemId::ALL
-                .map(|system| CoreId::ALL.map(|core| Ringer::open(run, system, core))),
+                .map(|system| CoreId::ALL.map(|core| storage_of(run, system, core))),
         }
     }
 
     /// Rings the current incarnation of the core. Has no effect if there is none. Never waits.
+    ///
+    /// It does what a notifier of iceoryx2 does, but for one thing: that one skips the trigger if
+    /// the state of the event says that the listener is notified. Another notifier sets this state
+    /// after its own trigger. If it is stalled in between, the listener may take its event and sleep
+    /// again; then the state says "notified" and the listener sleeps through every ring.
     pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
         // Pairs with the fence in `Bell::hang`.
         fence(SeqCst);
-        if let Some(ringer) = &self.bells[system.index()][core.index()] {
-            ringer.ring();
-        }
-    }
-}
-
-impl Ringer {
-    fn open(run: &RunName, system: SystemId, core: CoreId) -> Option<Self> {
-        let notifier = <BellEvent as Event<_>>::NotifierBuilder::new(&file(system, core))
-            .config(&config(run))
-            .open()
-            .ok()?;
-        Some(Self {
-            notifier,
-            storage: storage_of(run, system, core)?,
-        })
-    }
-
-    fn ring(&self) {
-        // The only refusals are those of a receiver that has gone.
-        let woken = trigger::has_woken(|| self.notifier.notify(RUNG));
-        // iceoryx2 leaves a listener asleep whom another notifier is about to mark as notified; if
-        // that one was stalled since the listener took its event, nobody wakes it any more. Not
-        // always: on one CPU the listener may have come, answered and gone to sleep again by now,
-        // and a second wake would cost it a look for nothing.
-        if !woken {
+        if let Some(bell) = &self.bells[system.index()][core.index()] {
+            let bell: &BellState = bell.get();
+            // The only refusal is that of a bell which a peer has overwritten.
+            let _ = bell.event.activate(RUNG);
             // SAFETY: the listener that created the event has initialized it; any bits are a
             // `Futex`.
-            unsafe { self.storage.get().handle.assume_init_ref() }.wake();
+            unsafe { bell.handle.assume_init_ref() }.wake();
         }
     }
 }

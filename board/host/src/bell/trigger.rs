@@ -9,7 +9,6 @@
 //! at any point leaves no harm; and it is a number that is compared, so a peer that writes nonsense
 //! can wake the listener or leave it asleep until its deadline, and nothing else.
 
-use core::cell::Cell;
 use core::mem::MaybeUninit;
 use core::ptr::NonNull;
 use core::sync::atomic::AtomicU32;
@@ -123,18 +122,6 @@ impl FutexWaiter {
     }
 }
 
-thread_local! {
-    /// Whether an event of this thread has come as far as its trigger.
-    static WOKEN: Cell<bool> = const { Cell::new(false) };
-}
-
-/// Whether iceoryx2 has called the trigger during `notify`; it marks the event before it does.
-pub(super) fn has_woken<T>(notify: impl FnOnce() -> T) -> bool {
-    WOKEN.set(false);
-    let _outcome = notify();
-    WOKEN.get()
-}
-
 impl<E, S> HandlerInterface<E, Futex, S> for FutexHandle
 where
     E: EventState,
@@ -146,7 +133,6 @@ where
 
     fn notify(&self) -> Result<(), NotifierNotifyError> {
         self.futex().wake();
-        WOKEN.set(true);
         Ok(())
     }
 }
