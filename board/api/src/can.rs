@@ -88,25 +88,26 @@ pub struct Received {
 /// A CAN controller with a receive FIFO of its own. Frames come in bus order; a core does not
 /// receive what it sent itself.
 pub trait Can {
-    /// Hands a frame to the transmit buffer. Never blocks. Frames of one core leave in order.
+    /// Hands a frame to the transmit buffer. One at a time. Frames of one core leave in order.
     ///
     /// # Errors
     /// [`TransmitFull`] if the buffer is full.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
 
-    /// Discards the frames of this core that wait in the transmit buffer. Never blocks.
+    /// Discards the frames of this core that wait in the transmit buffer. One at a time.
     ///
     /// A frame that is already on its way to the bus is not stopped: of the frames handed over
     /// before this call, the first few may still be sent, the others never. A frame handed over
     /// after this call is sent as usual.
     fn discard_unsent(&self);
 
-    /// The next received frame. Never blocks.
+    /// The next received frame. One at a time.
     fn try_receive(&self) -> Option<Received>;
 
-    /// Whether a received frame ends [`Board::wait`](crate::Board::wait); off at start.
+    /// Whether a received frame ends [`Board::wait`](crate::Board::wait); off at start. Any context.
     fn wake_on_receive(&self, on: bool);
 
-    /// How many frames were lost because this core did not fetch them in time; wraps around.
+    /// How many frames were lost because this core did not fetch them in time; wraps around. Any
+    /// context.
     fn overruns(&self) -> u32;
 }

@@ -37,25 +37,25 @@ pub trait DataFlash {
     /// Number of sectors; at least 2.
     const SECTORS: u32 = 2;
 
-    /// Copies `into.len()` bytes from `offset`. Blocks for a bounded, short time.
+    /// Copies `into.len()` bytes from `offset`. One at a time; takes a bounded, short time.
     ///
     /// # Errors
     /// [`FlashError::Busy`] while an operation runs, [`FlashError::OutOfRange`],
     /// [`FlashError::Failed`].
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError>;
 
-    /// Starts to erase one sector to 0xFF. Never blocks.
+    /// Starts to erase one sector to 0xFF. One at a time.
     ///
     /// # Errors
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`].
     fn start_erase(&self, sector: u32) -> Result<(), FlashError>;
 
-    /// Starts to program whole pages (at most one sector, not across a sector's end). Never blocks.
+    /// Starts to program whole pages (at most one sector, not across a sector's end). One at a time.
     ///
     /// # Errors
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`] (also when not aligned to pages).
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError>;
 
-    /// What the flash does now. Never blocks.
+    /// What the flash does now. Any context.
     fn status(&self) -> FlashStatus;
 }

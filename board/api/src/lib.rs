@@ -5,9 +5,16 @@
 //! with its watchdogs. Portable code is generic over one `B: Board` and knows nothing else of the
 //! machine.
 //!
-//! Contexts: a *task* runs in a core's main flow and may block where a method says so; a *handler*
-//! runs in interrupt context and never blocks. Every method is callable from both unless it says
-//! otherwise.
+//! A *task* runs in a core's main flow. A *handler* interrupts it, as a task of higher priority
+//! does. Each method says from which context it may be called:
+//!
+//! - **Any context**: from tasks and handlers, also while another call on this core is not finished.
+//!   It never blocks.
+//! - **One at a time**: from tasks and handlers, but no two calls of the same part ([`Can`],
+//!   [`Link`], [`DataFlash`], [`Supply`]) overlap on one core. The caller makes sure of that, for
+//!   instance by a lock between its tasks. A call that interrupts another one may deadlock or lose
+//!   data. It never blocks by itself.
+//! - **Task**: from one task of the core at a time, never from a handler. It may block.
 //!
 //! `tandem-board-conformance` is the executable form of the contracts written here.
 #![no_std]
@@ -57,51 +64,50 @@ pub trait Board {
     /// The supply (TLF35584): watchdogs, reset, reset cause.
     type Supply: Supply;
 
-    /// Which core of which system this is, and which of its incarnations.
+    /// Which core of which system this is, and which of its incarnations. Any context.
     fn identity(&self) -> Identity;
 
-    /// The monotonic clock of this system. Never goes back; the two systems' clocks are not
-    /// synchronised and may have different origins.
+    /// The monotonic clock of this system. Any context. Never goes back; the two systems' clocks
+    /// are not synchronised and may have different origins.
     fn now(&self) -> Instant;
 
     /// The LMU: the memory that all cores of this system reach, as words from a boundary of 64
-    /// bytes on. On the TC297 32 KiB at
-    /// 0xB000_0000. It is zero at power-on, and keeps its content over the reset of single cores.
-    /// Any core may write any word at any time.
+    /// bytes on. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero at power-on, and
+    /// keeps its content over the reset of single cores. Any core may write any word at any time.
     fn lmu(&self) -> &[AtomicU32];
 
     /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's
-    /// own.
+    /// own. Any context.
     ///
     /// Writes to the LMU before the call are visible to the receiver after its `wait` returns.
-    /// Never blocks; rings that come before the receiver looks are merged into one. Ringing a dead
-    /// core does nothing.
+    /// Rings that arrive before the receiver waits are merged into one. To ring a dead core has no
+    /// effect.
     fn ring(&self, to: CoreId);
 
-    /// Sleeps until an interrupt is pending or `deadline` has come, and consumes what is pending.
+    /// Sleeps until an interrupt is pending or `deadline` has passed, and consumes what is pending.
+    /// Task; blocks.
     ///
-    /// Task context; blocks. Race-free: an interrupt raised before the call ends it at once.
-    /// Interrupts are: this core's doorbell, an edge on [`Line::Start`], a change of
-    /// [`Lines::peer_powered`] (both on core 0 only), and a CAN frame if the receiver asked for it
-    /// ([`Can::wake_on_receive`]). The caller looks for what has come; `Wake::Interrupt` may be
-    /// spurious.
+    /// Race-free: an interrupt raised before the call ends it at once. Interrupts are: this core's
+    /// doorbell, an edge on [`Line::Start`], a change of [`Lines::peer_powered`] (both on core 0
+    /// only), and a CAN frame if the core asked for it ([`Can::wake_on_receive`]). The caller polls
+    /// all sources; `Wake::Interrupt` may be spurious.
     fn wait(&self, deadline: Instant) -> Wake;
 
-    /// The CAN controller of this core.
+    /// The CAN controller of this core. Any context.
     fn can(&self) -> &Self::Can;
 
-    /// The lines to and from the other system.
+    /// The lines to and from the other system. Any context.
     fn lines(&self) -> &Self::Lines;
 
-    /// The data link to and from the other system.
+    /// The data link to and from the other system. Any context.
     fn link(&self) -> &Self::Link;
 
-    /// The data flash of this system.
+    /// The data flash of this system. Any context.
     fn flash(&self) -> &Self::Flash;
 
-    /// The supply of this system.
+    /// The supply of this system. Any context.
     fn supply(&self) -> &Self::Supply;
 
-    /// Writes one record to the trace. Never blocks; a full trace loses the record and counts it.
+    /// Writes one record to the trace. Any context. A full trace loses the record and counts it.
     fn trace(&self, record: TraceRecord);
 }

@@ -40,16 +40,16 @@ pub enum Edge {
 
 /// This system's ends of the lines.
 pub trait Lines {
-    /// Sends one edge. Never blocks. What this core wrote before is not thereby visible to the
-    /// other system: they share no memory.
+    /// Sends one edge. Any context. What this core wrote before is not thereby visible to the other
+    /// system: they share no memory.
     fn send(&self, line: Line, edge: Edge);
 
-    /// How many edges of this type came on this line since this system was powered on. Wraps
-    /// around; survives the reset of a core, so take differences.
+    /// How many edges of this type arrived on this line since this system was powered on. Any
+    /// context. Wraps around; survives the reset of a core, so take differences.
     fn received(&self, line: Line, edge: Edge) -> u32;
 
-    /// The level line of the other system's supply: high while that supply is on and holds its
-    /// system out of reset. Falls when it loses power or its safety chip holds the system in reset.
+    /// The level line of the other system's supply. Any context. High while that supply is on and
+    /// holds its system out of reset. Falls when it loses power or its safety chip holds the system in reset.
     /// A low level means that the other system cannot transmit; a high level says nothing about its
     /// software. A cut of this line reads as high.
     fn peer_powered(&self) -> bool;
@@ -65,7 +65,7 @@ pub trait Link {
     /// The largest datagram in words.
     const MAX_WORDS: usize;
 
-    /// Sends one datagram of up to [`Link::MAX_WORDS`] words. Never blocks.
+    /// Sends one datagram of up to [`Link::MAX_WORDS`] words. One at a time.
     ///
     /// # Errors
     /// [`LinkFull`] if the buffer is full.
@@ -75,6 +75,6 @@ pub trait Link {
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull>;
 
     /// Fetches the next datagram into `words` and returns its length in words; `None` if there is
-    /// none. What does not fit in `words` is cut off.
+    /// none. One at a time. What does not fit in `words` is cut off.
     fn try_receive(&self, words: &mut [u32]) -> Option<usize>;
 }

@@ -117,17 +117,18 @@ pub const fn watchdog_answer(question: u8) -> u8 {
 
 /// The supply as its system's core 0 sees it.
 pub trait Supply {
-    /// Why this incarnation of the system began.
+    /// Why this incarnation of the system began. Any context.
     fn reset_cause(&self) -> ResetCause;
 
-    /// The current question of the functional watchdog, 0 ..= 15. A new one follows each service.
+    /// The current question of the functional watchdog, 0 ..= 15. One at a time. A new one follows
+    /// each service.
     fn watchdog_question(&self) -> u8;
 
-    /// Services window and functional watchdog with the answer to the current question. Must come
-    /// within the open window: neither before [`Supply::WINDOW_OPENS_US`] nor after
+    /// Services window and functional watchdog with the answer to the current question. One at a
+    /// time, core 0 only. The call must be within the open window: neither before [`Supply::WINDOW_OPENS_US`] nor after
     /// [`Supply::WINDOW_CLOSES_US`] since the last service (the first one: since the start, and
-    /// only the end counts, with [`Supply::FIRST_SERVICE_US`]). Else the supply resets the system.
-    /// Core 0 only.
+    /// only the end counts, with [`Supply::FIRST_SERVICE_US`]). Otherwise the supply resets the
+    /// system.
     fn service_watchdog(&self, answer: u8);
 
     /// Earliest service after the previous one, in microseconds.
@@ -137,10 +138,10 @@ pub trait Supply {
     /// Latest first service after a start, in microseconds.
     const FIRST_SERVICE_US: u32;
 
-    /// Asks for a reset. Returns; the reset comes soon, and the caller must not act any more.
+    /// Asks for a reset. Any context. It returns before the reset; the caller must not act any more.
     fn request_reset(&self, request: ResetRequest);
 
-    /// Shows the role on the system's digital outputs.
+    /// Shows the role on the system's digital outputs. Any context.
     fn show_role(&self, lamp: RoleLamp);
 }
 

@@ -10,6 +10,10 @@
 //! bus, and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are
 //! absent.
 //!
+//! Which methods a handler may call is beside the cases, as a portable role cannot be interrupted
+//! on purpose: a rig whose board has handlers runs [`in_task`] in a loop, and [`Handler::run`] from
+//! an interrupt.
+//!
 //! ```text
 //! for each case in cases::<B>():        run_all(&mut rig, report)
 //!     rig: power on; for each of case.parts: run_role(case, part, &board) → Result<(), Failure>
@@ -20,8 +24,10 @@
 mod barrier;
 mod case;
 mod cases;
+mod context;
 mod rig;
 
 pub use case::{Case, Failure, Part, Role, Setting};
 pub use cases::cases;
+pub use context::{Handler, in_task};
 pub use rig::{Outcome, Rig, Summary, run_all, run_role};

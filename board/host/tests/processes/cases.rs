@@ -1,12 +1,15 @@
 //! What the board connects: LMU, doorbells, lines, link, CAN, flash, trace.
 
-use core::sync::atomic::Ordering::{Relaxed, SeqCst};
+use core::ptr::{from_ref, null_mut};
+use core::sync::atomic::AtomicPtr;
+use core::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
 use std::time::{Duration as Span, Instant as Clock};
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, DataFlash, Edge, FlashStatus, Instant, Line, Lines, Link,
     RoleLamp, Supply, SystemId, Wake,
 };
+use tandem_board_conformance::{self as suite, Handler};
 use tandem_board_host::{HostBoard, Wire};
 
 use crate::fixture::{Case, Script, await_interrupt, idle, live};
@@ -22,6 +25,11 @@ pub(crate) const CASES: &[Case] = &[
         name: "lmu_is_shared_by_three_processes",
         core: increment,
         vehicle: incremented,
+    },
+    Case {
+        name: "a_handler_may_call_what_the_contract_says",
+        core: interrupted,
+        vehicle: undisturbed,
     },
     Case {
         name: "no_doorbell_is_lost",
@@ -96,6 +104,92 @@ fn increment(board: &HostBoard) {
 fn incremented(script: &mut Script) {
     for system in SystemId::ALL {
         assert_eq!(script.await_trace(system, CONTROL, DONE)[1], 3 * ROUNDS);
+    }
+}
+
+/// What a signal interrupts, as an interrupt does on a chip.
+static INTERRUPTED: AtomicPtr<HostBoard> = AtomicPtr::new(null_mut());
+static HANDLER: Handler = Handler::new();
+
+extern "C" fn on_signal(_: libc::c_int) {
+    // Acquire pairs with the Release in `interrupted`.
+    let board = INTERRUPTED.load(Acquire);
+    // SAFETY: the board is never dropped: its core sleeps until it is killed.
+    HANDLER.run(unsafe { &*board });
+}
+
+/// Interrupts this thread and no other at this period in ns; 0 ends it.
+fn interrupt_every(period_ns: libc::c_long) {
+    static TIMER: AtomicPtr<libc::c_void> = AtomicPtr::new(null_mut());
+    let handler: extern "C" fn(libc::c_int) = on_signal;
+    let period = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: period_ns,
+    };
+    let times = libc::itimerspec {
+        it_interval: period,
+        it_value: period,
+    };
+    // SAFETY: the structures are valid for the time of each call. The handler makes calls that are
+    // permitted in any context, and touches atomics.
+    unsafe {
+        if period_ns != 0 {
+            libc::signal(libc::SIGALRM, handler as libc::sighandler_t);
+            let mut event: libc::sigevent = core::mem::zeroed();
+            event.sigev_notify = libc::SIGEV_THREAD_ID;
+            event.sigev_signo = libc::SIGALRM;
+            event.sigev_notify_thread_id = libc::gettid();
+            let mut timer = null_mut();
+            let made = libc::timer_create(libc::CLOCK_MONOTONIC, &raw mut event, &raw mut timer);
+            assert_eq!(made, 0, "a timer");
+            TIMER.store(timer, Relaxed);
+        }
+        libc::timer_settime(TIMER.load(Relaxed), 0, &raw const times, null_mut());
+    }
+}
+
+/// T-SYNC-3: a handler that interrupts this core at any point, also in the midst of a call, calls
+/// what the contract permits in any context.
+fn interrupted(board: &HostBoard) {
+    const RUNS: u32 = 5_000;
+    if board.identity().core != PERCEPTION {
+        return live(board);
+    }
+    INTERRUPTED.store(from_ref(board).cast_mut(), Release);
+    interrupt_every(100_000);
+    let mut round = 0;
+    while HANDLER.runs() < RUNS {
+        suite::in_task(board, round).expect("a call of the task");
+        round += 1;
+    }
+    interrupt_every(0);
+    loop {
+        // Again, as a full trace loses a record.
+        board.trace([DONE, HANDLER.runs(), round, 0]);
+        board.wait(board.now() + tandem_board::Duration::from_ms(10));
+    }
+}
+
+/// Each record of the task and of its handler is in the trace, whole and in its order, or counted
+/// as lost.
+fn undisturbed(script: &mut Script) {
+    for system in SystemId::ALL {
+        let [_, runs, rounds, _] = script.await_trace(system, PERCEPTION, DONE);
+        for (code, expected) in [
+            (Handler::TRACE_CODE, runs),
+            (Handler::TASK_TRACE_CODE, rounds),
+        ] {
+            let of_code = script.take_traced(system, PERCEPTION, code);
+            let numbers: Vec<u32> = of_code.iter().map(|record| record[1]).collect();
+            assert!(numbers.is_sorted_by(|a, b| a < b), "{system} {code:#x}");
+            let lost = script.lost as usize;
+            assert!(
+                numbers.len() + lost >= expected as usize,
+                "{system} {code:#x}: {} read and {lost} lost of {expected}, first {:?}",
+                numbers.len(),
+                numbers.first()
+            );
+        }
     }
 }
 

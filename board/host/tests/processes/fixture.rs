@@ -41,6 +41,8 @@ pub(crate) struct Script {
     pub(crate) folder: OsString,
     /// Trace records that nobody has waited for yet.
     traced: Vec<Traced>,
+    /// Records that the cores could not write, as far as [`Script::await_trace`] was told.
+    pub(crate) lost: u32,
 }
 
 pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
@@ -213,6 +215,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                         case: name,
                         folder: args.common.extra[1].clone(),
                         traced: vec![],
+                        lost: 0,
                     };
                     script.port.set_ignition(true);
                     (case.vehicle)(&mut script);
@@ -253,13 +256,27 @@ impl Script {
     pub(crate) fn await_trace(&mut self, system: SystemId, core: CoreId, code: u32) -> [u32; 4] {
         let is_it = |t: &Traced| t.system == system && t.core == core && t.record[0] == code;
         self.until(&format!("{system}{core} says {code}"), |script| {
-            script
+            script.lost += script
                 .port
                 .drain_trace(&mut |traced| script.traced.push(traced));
             script.traced.iter().any(is_it)
         });
         let at = self.traced.iter().position(is_it).expect("just found");
         self.traced.remove(at).record
+    }
+
+    /// Takes the records `[code, ..]` of the core that were read so far.
+    pub(crate) fn take_traced(
+        &mut self,
+        system: SystemId,
+        core: CoreId,
+        code: u32,
+    ) -> Vec<[u32; 4]> {
+        let is_it = |t: &mut Traced| t.system == system && t.core == core && t.record[0] == code;
+        self.traced
+            .extract_if(.., is_it)
+            .map(|t| t.record)
+            .collect()
     }
 
     pub(crate) fn pid(&self, system: SystemId, core: CoreId) -> u32 {

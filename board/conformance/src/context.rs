@@ -1,0 +1,91 @@
+//! From which context a method may be called.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+
+use tandem_board::{
+    Board, Can, CanFrame, CanId, DataFlash, Edge, Line, Lines, Link, RoleLamp, Supply,
+};
+
+use crate::case::{Failure, check};
+
+/// First word of the trace records of a handler; the second word counts them from 0.
+const FROM_HANDLER: u32 = 0xC0_0001;
+/// The same for a task.
+const FROM_TASK: u32 = 0xC0_0002;
+
+/// What a handler does: it calls each method that may be called from any context.
+#[derive(Debug, Default)]
+pub struct Handler {
+    runs: AtomicU32,
+}
+
+impl Handler {
+    /// First word of its trace records.
+    pub const TRACE_CODE: u32 = FROM_HANDLER;
+    /// First word of the trace records of [`in_task`].
+    pub const TASK_TRACE_CODE: u32 = FROM_TASK;
+
+    /// A handler that has not run.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self {
+            runs: AtomicU32::new(0),
+        }
+    }
+
+    /// How often it has run to its end.
+    #[must_use]
+    pub fn runs(&self) -> u32 {
+        self.runs.load(Ordering::Relaxed)
+    }
+
+    /// Runs it once. The only call that is left out is `request_reset`, which would end the test.
+    /// It asserts nothing: what it breaks is seen by the task, in the trace, or as a deadlock.
+    pub fn run<B: Board>(&self, board: &B) {
+        let run = self.runs.load(Ordering::Relaxed);
+        let identity = board.identity();
+        board.trace([FROM_HANDLER, run, board.now().to_words()[0], 0]);
+        board.lmu()[identity.core.index()].load(Ordering::Relaxed);
+        board.ring(identity.core);
+        let lines = board.lines();
+        lines.send(Line::Heartbeat1, Edge::Rising);
+        lines.received(Line::Heartbeat2, Edge::Falling);
+        lines.peer_powered();
+        board.can().wake_on_receive(run.is_multiple_of(2));
+        board.can().overruns();
+        board.flash().status();
+        board.supply().reset_cause();
+        board.supply().show_role(RoleLamp::Standby);
+        board.link();
+        self.runs.store(run + 1, Ordering::Relaxed);
+    }
+}
+
+/// What the task does that the handler interrupts: it calls each method but `request_reset`, and
+/// those that would reset the system or wear out its flash. `round` counts from 0.
+///
+/// # Errors
+/// [`Failure`] if a call of the handler has disturbed one of the task.
+pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), Failure> {
+    board.trace([FROM_TASK, round, 0, 0]);
+    let before = board.now();
+    board.ring(board.identity().core);
+    board.wait(before);
+    check(board.now() >= before, "the clock never goes back")?;
+    let frame = CanFrame::new(CanId::Standard(0x7F0), false, &round.to_le_bytes());
+    if let Ok(frame) = frame {
+        // Full, if the bus is slower than this loop.
+        let _ = board.can().try_send(&frame);
+    }
+    board.can().discard_unsent();
+    board.can().try_receive();
+    let _ = board.link().try_send(&[round]);
+    board.link().try_receive(&mut [0]);
+    let read = board.flash().read(0, &mut [0; 8]);
+    check(read.is_ok(), "an idle flash can be read")?;
+    board.supply().watchdog_question();
+    let lines = board.lines();
+    lines.send(Line::Heartbeat2, Edge::Falling);
+    lines.received(Line::Heartbeat1, Edge::Rising);
+    Ok(())
+}
