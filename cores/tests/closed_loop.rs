@@ -2,6 +2,8 @@
 //! time.
 
 mod drive;
+#[path = "../../vehicle/tests/recorded/mod.rs"]
+mod recorded;
 
 use drive::{Drive, Function};
 use tandem_bus::{CameraLanes, SensorId};
@@ -36,7 +38,7 @@ fn assert_safe(scenario: &Scenario, seed: u64, drive: &Drive) {
 /// comfort.
 #[test]
 fn l3_drives_every_scenario() {
-    for scenario in drive::scenarios() {
+    for scenario in recorded::scenarios() {
         for seed in 1..=3 {
             let mut drive = Drive::new(&scenario, seed, 1);
             drive.run(SECONDS, &mut |_, _, _| {});
@@ -70,7 +72,7 @@ fn l3_changes_lanes_where_it_helps() {
 /// ends.
 #[test]
 fn l2_drives_every_scenario() {
-    for scenario in drive::scenarios() {
+    for scenario in recorded::scenarios() {
         for seed in 1..=2 {
             let mut drive = Drive::new(&scenario, seed, 1);
             drive.function = Function::L2;
@@ -91,7 +93,7 @@ fn l2_drives_every_scenario() {
 /// When core 2 dies amid the drive, core 0 goes over to the L2 functions without a jump.
 #[test]
 fn degrades_amid_the_drive() {
-    for scenario in drive::scenarios() {
+    for scenario in recorded::scenarios() {
         let seed = 11;
         let mut drive = Drive::new(&scenario, seed, 1);
         drive.run(EVENT_S, &mut |_, _, _| {});
@@ -115,7 +117,7 @@ fn degrades_amid_the_drive() {
 /// T-CHIP-7: the standby computes silently; when it takes over, passengers notice nothing.
 #[test]
 fn a_takeover_is_not_felt() {
-    for scenario in drive::scenarios() {
+    for scenario in recorded::scenarios() {
         let seed = 11;
         let mut alone = Drive::new(&scenario, seed, 1);
         alone.run(SECONDS, &mut |_, _, _| {});

@@ -4,30 +4,15 @@
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
 
+mod recorded;
 mod reference;
 
-use std::path::Path;
-
+use recorded::scenarios;
 use reference::{Manner, ReferenceDriver};
 use tandem_vehicle::geometry::Footprint;
 use tandem_vehicle::{Config, Scenario, Snapshot, World};
 
 const MS: u64 = 1_000_000;
-
-/// The embedded scenarios, and the recorded ones that are not part of the repository but may lie
-/// beside it.
-fn scenarios() -> Vec<Scenario> {
-    let mut all: Vec<_> = Scenario::names()
-        .map(|name| Scenario::load(name).unwrap())
-        .collect();
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/scenarios");
-    if let Ok(entries) = folder.read_dir() {
-        let mut paths: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
-        paths.sort();
-        all.extend(paths.iter().map(|path| Scenario::read(path).unwrap()));
-    }
-    all
-}
 
 /// Drives 60 s of a scenario and looks at every 5 ms.
 fn drive(scenario: &Scenario, manner: Manner, mut look: impl FnMut(&Snapshot)) -> World {

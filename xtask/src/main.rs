@@ -220,6 +220,10 @@ fn run(mut command: Command) -> Result<()> {
 
 /// Builds the programs first: the whole-process tests start `tandem` as a user would.
 fn test(root: &Path) -> Result<()> {
+    // The output of a test that passes is not shown.
+    if std::env::var_os("TANDEM_SCENARIOS").is_none() {
+        println!("SKIPPED: recorded scenarios (TANDEM_SCENARIOS=FOLDER is not set)");
+    }
     run(cargo(root, &["build", "--workspace", "--all-targets"]))?;
     let nextest = cargo(root, &["nextest", "--version"]).output();
     if nextest.is_ok_and(|output| output.status.success()) {

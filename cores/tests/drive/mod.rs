@@ -2,8 +2,6 @@
 //! without cores.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use std::path::PathBuf;
-
 use tandem_board::{Duration, Instant};
 use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
 use tandem_cores::driving::control::MotionControl;
@@ -252,29 +250,4 @@ impl Drive {
     pub(crate) fn metrics(&self) -> Metrics {
         self.world.metrics()
     }
-}
-
-/// The embedded scenarios, and the recorded ones if they lie beside the repository.
-pub(crate) fn scenarios() -> Vec<Scenario> {
-    let mut all: Vec<_> = Scenario::names()
-        .map(|name| Scenario::load(name).unwrap())
-        .collect();
-    all.extend(recorded());
-    all
-}
-
-/// The recorded scenarios in `../shared/scenarios`, seen from the workspace, as far as they are
-/// there.
-pub(crate) fn recorded() -> Vec<Scenario> {
-    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared/scenarios");
-    let Ok(entries) = std::fs::read_dir(folder) else {
-        return Vec::new();
-    };
-    let mut files: Vec<_> = entries.map(|entry| entry.unwrap().path()).collect();
-    files.retain(|file| file.extension().is_some_and(|ext| ext == "xml"));
-    files.sort();
-    files
-        .iter()
-        .map(|file| Scenario::read(file).unwrap())
-        .collect()
 }
