@@ -119,6 +119,7 @@ impl<'a> Queue<'a> {
         let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
         let stamp = self.stamp(oldest);
         if stamp.load(Ordering::Relaxed) != complete(oldest) {
+            // Release pairs with the Acquire of the consumer that reads the stamp.
             stamp.store(complete(oldest), Ordering::Release);
         }
     }

@@ -69,6 +69,11 @@ const MAY_BE_UNSAFE: &[&str] = &[
     "capi",
     "firmware-port",
 ];
+/// Folders with lock-free code: each memory order that is not relaxed names its partner there.
+const NAMES_PARTNERS: &[&str] = &["shm/src/", "board/host/src/", "rtos/src/"];
+const ORDERS: [&str; 4] = ["Acquire", "Release", "AcqRel", "SeqCst"];
+/// The partner is named in a comment at most so many lines above.
+const PARTNER_WITHIN: usize = 12;
 /// No file of code is longer.
 const MAX_LINES: usize = 800;
 /// No line of code is wider.
@@ -144,12 +149,53 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
             ));
         }
     }
+    // What is measured in tests stands in a module of its own.
+    let is_measurement = place.ends_with("/measure.rs");
+    let is_lock_free = NAMES_PARTNERS
+        .iter()
+        .any(|folder| place.starts_with(folder));
+    if is_lock_free && !is_measurement {
+        findings.extend(orders_without_partner(place, text));
+    }
     let is_crate_root = place.ends_with("src/lib.rs") || place.ends_with("src/main.rs");
     let may_be_unsafe = MAY_BE_UNSAFE.iter().any(|folder| place.starts_with(folder));
     if is_crate_root && !may_be_unsafe && !text.contains("#![forbid(unsafe_code)]") {
         findings.push(format!(
             "{place}: a crate outside {MAY_BE_UNSAFE:?} forbids unsafe code"
         ));
+    }
+    findings
+}
+
+/// Memory orders outside of tests that no comment pairs with another one, some lines above or above
+/// the item. A `compiler_fence` is exempt: it orders a thread and its own handlers.
+fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
+    let mut findings = Vec::new();
+    let mut named = None;
+    // Whether the comment above the item names a partner: for all of the item.
+    let mut named_above = false;
+    for (number, line) in text.lines().enumerate() {
+        if line.starts_with("#[cfg(test)]") {
+            break;
+        }
+        let (code, comment) = line.split_once("//").unwrap_or((line, ""));
+        if comment.to_lowercase().contains("pair") {
+            named = Some(number);
+            named_above |= line.starts_with("//");
+        }
+        if line.starts_with('}') {
+            named_above = false;
+        }
+        let mut words = code.split(|c: char| !c.is_alphanumeric());
+        let has_order = words.any(|word| ORDERS.contains(&word));
+        let is_exempt = code.trim_start().starts_with("use ") || code.contains("compiler_fence");
+        let is_near = named.is_some_and(|named| number - named <= PARTNER_WITHIN);
+        if has_order && !is_exempt && !is_near && !named_above {
+            findings.push(format!(
+                "{place}:{}: this memory order names no partner (\"pairs with ...\")",
+                number + 1
+            ));
+        }
     }
     findings
 }
@@ -170,4 +216,46 @@ pub(crate) fn rust_files(root: &Path) -> Result<Vec<PathBuf>> {
     let text = String::from_utf8(output.stdout).context("git ls-files")?;
     let files = text.lines().map(|line| root.join(line));
     Ok(files.filter(|file| file.exists()).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_memory_order_without_a_partner_is_found() {
+        let found = |text: &str| orders_without_partner("a.rs", text).len();
+        assert_eq!(found("fn f() {\n    x.load(Acquire);\n}\n"), 1);
+        assert_eq!(
+            found("fn f() {\n    // Pairs with `g`.\n    x.load(Acquire);\n}\n"),
+            0
+        );
+        assert_eq!(
+            found("fn f() {\n    x.load(Ordering::SeqCst); // pairs with g\n}\n"),
+            0
+        );
+        assert_eq!(found("fn f() {\n    x.load(Relaxed);\n}\n"), 0);
+        assert_eq!(
+            found("use core::sync::atomic::Ordering::{Acquire, Release};\n"),
+            0
+        );
+        assert_eq!(found("fn f() {\n    compiler_fence(SeqCst);\n}\n"), 0);
+        // Too far above.
+        let far = "    y();\n".repeat(PARTNER_WITHIN);
+        let text = format!("fn f() {{\n    // Pairs with `g`.\n{far}    x.load(Acquire);\n}}\n");
+        assert_eq!(found(&text), 1);
+        // For a whole item, and not for the next one.
+        let item =
+            format!("/// All pair with each other.\nimpl X {{\n{far}    x.load(Acquire);\n}}\n");
+        assert_eq!(found(&item), 0);
+        assert_eq!(
+            found(&format!("{item}impl Y {{\n{far}    x.load(Acquire);\n}}\n")),
+            1
+        );
+        // Tests are exempt.
+        assert_eq!(
+            found("#[cfg(test)]\nmod tests {\n    x.load(SeqCst);\n}\n"),
+            0
+        );
+    }
 }

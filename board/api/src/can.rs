@@ -104,7 +104,8 @@ pub trait Can {
     /// The next received frame. One at a time.
     fn try_receive(&self) -> Option<Received>;
 
-    /// Whether a received frame ends [`Board::wait`](crate::Board::wait); off at start. Any context.
+    /// Whether a received frame ends [`Board::wait`](crate::Board::wait); off at start. Any
+    /// context.
     fn wake_on_receive(&self, on: bool);
 
     /// How many frames were lost because this core did not fetch them in time; wraps around. Any

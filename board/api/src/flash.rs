@@ -50,7 +50,8 @@ pub trait DataFlash {
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`].
     fn start_erase(&self, sector: u32) -> Result<(), FlashError>;
 
-    /// Starts to program whole pages (at most one sector, not across a sector's end). One at a time.
+    /// Starts to program whole pages: at most one sector, not across a sector's end. One at a
+    /// time.
     ///
     /// # Errors
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`] (also when not aligned to pages).

@@ -8,8 +8,8 @@
 //! A *task* runs in a core's main flow. A *handler* interrupts it, as a task of higher priority
 //! does. Each method says from which context it may be called:
 //!
-//! - **Any context**: from tasks and handlers, also while another call on this core is not finished.
-//!   It never blocks.
+//! - **Any context**: from tasks and handlers, also while another call on this core is not
+//!   finished. It never blocks.
 //! - **One at a time**: from tasks and handlers, but no two calls of the same part ([`Can`],
 //!   [`Link`], [`DataFlash`], [`Supply`]) overlap on one core. The caller makes sure of that, for
 //!   instance by a lock between its tasks. A call that interrupts another one may deadlock or lose
@@ -72,8 +72,9 @@ pub trait Board {
     fn now(&self) -> Instant;
 
     /// The LMU: the memory that all cores of this system reach, as words from a boundary of 64
-    /// bytes on. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero at power-on, and
-    /// keeps its content over the reset of single cores. Any core may write any word at any time.
+    /// bytes on. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero at power-on,
+    /// and keeps its content over the reset of single cores. Any core may write any word at any
+    /// time.
     fn lmu(&self) -> &[AtomicU32];
 
     /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's

@@ -49,9 +49,9 @@ pub trait Lines {
     fn received(&self, line: Line, edge: Edge) -> u32;
 
     /// The level line of the other system's supply. Any context. High while that supply is on and
-    /// holds its system out of reset. Falls when it loses power or its safety chip holds the system in reset.
-    /// A low level means that the other system cannot transmit; a high level says nothing about its
-    /// software. A cut of this line reads as high.
+    /// holds its system out of reset. Falls when it loses power or its safety chip holds the system
+    /// in reset. A low level means that the other system cannot transmit; a high level says nothing
+    /// about its software. A cut of this line reads as high.
     fn peer_powered(&self) -> bool;
 }
 

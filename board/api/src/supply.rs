@@ -125,10 +125,12 @@ pub trait Supply {
     fn watchdog_question(&self) -> u8;
 
     /// Services window and functional watchdog with the answer to the current question. One at a
-    /// time, core 0 only. The call must be within the open window: neither before [`Supply::WINDOW_OPENS_US`] nor after
-    /// [`Supply::WINDOW_CLOSES_US`] since the last service (the first one: since the start, and
-    /// only the end counts, with [`Supply::FIRST_SERVICE_US`]). Otherwise the supply resets the
-    /// system.
+    /// time, core 0 only.
+    ///
+    /// The call must be within the open window: not before [`Supply::WINDOW_OPENS_US`] and not
+    /// after [`Supply::WINDOW_CLOSES_US`] since the last service. The first service may come at
+    /// once, and not after [`Supply::FIRST_SERVICE_US`] since the start. Otherwise the supply
+    /// resets the system.
     fn service_watchdog(&self, answer: u8);
 
     /// Earliest service after the previous one, in microseconds.
@@ -138,7 +140,8 @@ pub trait Supply {
     /// Latest first service after a start, in microseconds.
     const FIRST_SERVICE_US: u32;
 
-    /// Asks for a reset. Any context. It returns before the reset; the caller must not act any more.
+    /// Asks for a reset. Any context. It returns before the reset; the caller must not act any
+    /// more.
     fn request_reset(&self, request: ResetRequest);
 
     /// Shows the role on the system's digital outputs. Any context.

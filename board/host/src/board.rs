@@ -1,6 +1,6 @@
 //! The board of one core that is a process.
 
-use core::sync::atomic::Ordering::SeqCst;
+use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
@@ -138,7 +138,7 @@ impl Board for HostBoard {
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
-        if !self.looked_around.swap(true, SeqCst) {
+        if !self.looked_around.swap(true, Relaxed) {
             return Wake::Interrupt;
         }
         if self.bell.wait(deadline) {

@@ -255,6 +255,7 @@ impl DataFlash for HostFlash {
     const SECTORS: u32 = flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
+        // Acquire pairs with the Release in `Device::work`: what it has written can be read.
         if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
@@ -274,6 +275,7 @@ impl DataFlash for HostFlash {
     }
 
     fn status(&self) -> FlashStatus {
+        // Acquire pairs with the Release in `Device::work`.
         match self.device.status.load(Ordering::Acquire) {
             IDLE => FlashStatus::Idle,
             BUSY => FlashStatus::Busy,

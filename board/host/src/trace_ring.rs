@@ -63,6 +63,7 @@ impl TraceRing {
     /// once in an incarnation, before its first record; no earlier incarnation may run any more.
     pub(crate) fn begin_incarnation(self) {
         let reserved = self.words[RESERVED_AT].load(Relaxed);
+        // Acquire pairs with the Release in `Reader::release`: the slots before it were read.
         let read = self.words[READ_AT].load(Acquire);
         if reserved.wrapping_sub(read) > SLOTS {
             // No writer and no reader did this: begin anew where the reader stands.

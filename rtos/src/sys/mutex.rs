@@ -90,6 +90,7 @@ impl<T: Send> Mutex<T> {
     ) -> Result<Self, InUse> {
         // Between this look and the next line nobody locks: either the mutex is of this life, and
         // is refused there, or of an earlier one, and cannot be locked any more.
+        // Acquire pairs with the Release in the guard's `drop`.
         if memory.0.locked.load(Ordering::Acquire) {
             return Err(InUse);
         }
@@ -147,6 +148,7 @@ impl<T> DerefMut for MutexGuard<'_, T> {
 
 impl<T> Drop for MutexGuard<'_, T> {
     fn drop(&mut self) {
+        // Release pairs with the Acquire in `new_static`: the value is not borrowed any more.
         self.inner.locked.store(false, Ordering::Release);
         task::mutex_given();
         self.inner.raw.give(self.ctx);

@@ -8,7 +8,7 @@ mod layout;
 
 use core::fmt;
 use core::sync::atomic::AtomicU32;
-use core::sync::atomic::Ordering::{Acquire, Relaxed, Release, SeqCst};
+use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId};
 use tandem_peripherals::wires::{Cuts, Wire};
@@ -46,6 +46,40 @@ impl fmt::Debug for Backplane {
     }
 }
 
+/// A word of the backplane that one side writes and others read: a level, a count, a request.
+#[derive(Clone, Copy)]
+struct Register(&'static AtomicU32);
+
+/// All accesses are SeqCst and pair with each other: every process sees the changes of all
+/// registers in one order, and with a change all that its writer did before.
+impl Register {
+    fn get(self) -> u32 {
+        self.0.load(SeqCst)
+    }
+
+    fn set(self, value: u32) {
+        self.0.store(value, SeqCst);
+    }
+
+    /// Returns the value before.
+    fn replace(self, value: u32) -> u32 {
+        self.0.swap(value, SeqCst)
+    }
+
+    /// Adds 1, wrapping around, and returns the value before.
+    fn count(self) -> u32 {
+        self.0.fetch_add(1, SeqCst)
+    }
+
+    fn change_bits(self, bits: u32, on: bool) {
+        if on {
+            self.0.fetch_or(bits, SeqCst);
+        } else {
+            self.0.fetch_and(!bits, SeqCst);
+        }
+    }
+}
+
 impl Backplane {
     /// Creates the backplane of a run: both supplies connected to the battery, ignition off.
     pub(crate) fn create(run: &RunName) -> Result<Self, BackplaneError> {
@@ -56,7 +90,7 @@ impl Backplane {
         for system in SystemId::ALL {
             backplane.set_level(system, true);
         }
-        backplane.run(Run::Magic).store(MAGIC, Release);
+        backplane.run(Run::Magic).set(MAGIC);
         Ok(backplane)
     }
 
@@ -66,7 +100,7 @@ impl Backplane {
         let backplane = Self {
             words: segment.words(),
         };
-        if backplane.run(Run::Magic).load(Acquire) != MAGIC {
+        if backplane.run(Run::Magic).get() != MAGIC {
             return Err(BackplaneError::OtherVersion(run.clone()));
         }
         Ok(backplane)
@@ -78,16 +112,24 @@ impl Backplane {
         Segment::<WORDS>::remove(run, NAME);
     }
 
-    fn run(self, register: Run) -> &'static AtomicU32 {
-        &self.words[layout::run(register)]
+    fn run(self, register: Run) -> Register {
+        Register(&self.words[layout::run(register)])
     }
 
-    fn system(self, system: SystemId, register: System) -> &'static AtomicU32 {
-        &self.words[layout::system(system, register)]
+    fn system(self, system: SystemId, register: System) -> Register {
+        Register(&self.words[layout::system(system, register)])
     }
 
-    fn core(self, system: SystemId, core: CoreId, register: Core) -> &'static AtomicU32 {
-        &self.words[layout::core(system, core, register)]
+    fn core(self, system: SystemId, core: CoreId, register: Core) -> Register {
+        Register(&self.words[layout::core(system, core, register)])
+    }
+
+    fn edge(self, from: SystemId, line: Line, edge: Edge) -> Register {
+        Register(&self.words[layout::edge(from, line, edge)])
+    }
+
+    fn edge_baseline(self, by: SystemId, line: Line, edge: Edge) -> Register {
+        Register(&self.words[layout::edge_baseline(by, line, edge)])
     }
 
     /// The trace of a core by its index among all, or of a supply by [`supply_trace_ring`].
@@ -107,72 +149,67 @@ impl Backplane {
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
             self.system(system, System::SupplyPid)
-                .store(supplies[system.index()], Relaxed);
+                .set(supplies[system.index()]);
         }
-        self.run(Run::VehiclePid).store(vehicle, Relaxed);
-        // Pairs with the load in `is_assembled`.
-        self.run(Run::Assembled).store(1, Release);
+        self.run(Run::VehiclePid).set(vehicle);
+        self.run(Run::Assembled).set(1);
     }
 
     pub(crate) fn is_assembled(self) -> bool {
-        self.run(Run::Assembled).load(Acquire) != 0
+        self.run(Run::Assembled).get() != 0
     }
 
     pub(crate) fn set_launcher(self, pid: u32) {
-        self.run(Run::LauncherPid).store(pid, Release);
+        self.run(Run::LauncherPid).set(pid);
     }
 
     /// The process that started the run; 0 if not known.
     #[must_use]
     pub fn launcher_pid(self) -> u32 {
-        self.run(Run::LauncherPid).load(Acquire)
+        self.run(Run::LauncherPid).get()
     }
 
     /// The vehicle's process; 0 before it started.
     #[must_use]
     pub fn vehicle_pid(self) -> u32 {
-        self.run(Run::VehiclePid).load(Acquire)
+        self.run(Run::VehiclePid).get()
     }
 
     /// The process of a system's supply; 0 before it started.
     #[must_use]
     pub fn supply_pid(self, system: SystemId) -> u32 {
-        self.system(system, System::SupplyPid).load(Acquire)
+        self.system(system, System::SupplyPid).get()
     }
 
     pub(crate) fn set_ignition(self, on: bool) {
-        self.run(Run::Ignition).store(u32::from(on), SeqCst);
+        self.run(Run::Ignition).set(u32::from(on));
     }
 
     /// Whether the vehicle's ignition is on.
     #[must_use]
     pub fn ignition(self) -> bool {
-        self.run(Run::Ignition).load(SeqCst) != 0
+        self.run(Run::Ignition).get() != 0
     }
 
     /// Asks the vehicle to end the run.
     pub(crate) fn request_stop(self) {
-        self.run(Run::Stop).store(1, SeqCst);
+        self.run(Run::Stop).set(1);
     }
 
     pub(crate) fn stop_requested(self) -> bool {
-        self.run(Run::Stop).load(SeqCst) != 0
+        self.run(Run::Stop).get() != 0
     }
 
     /// Cuts or mends a connection that comes from this system; it holds from now on.
     pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
-        let bit = Cuts::bit(wire, from);
-        if is_cut {
-            self.run(Run::Cuts).fetch_or(bit, SeqCst);
-        } else {
-            self.run(Run::Cuts).fetch_and(!bit, SeqCst);
-        }
+        self.run(Run::Cuts)
+            .change_bits(Cuts::bit(wire, from), is_cut);
     }
 
     /// Which connections are cut.
     #[must_use]
     pub fn cuts(self) -> Cuts {
-        Cuts(self.run(Run::Cuts).load(SeqCst))
+        Cuts(self.run(Run::Cuts).get())
     }
 }
 
@@ -180,54 +217,52 @@ impl Backplane {
 impl Backplane {
     /// Counts a power-on of the system and returns its number, from 1.
     pub(crate) fn power_on(self, system: SystemId) -> u32 {
-        self.system(system, System::PowerOns).fetch_add(1, SeqCst) + 1
+        self.system(system, System::PowerOns).count() + 1
     }
 
     pub(crate) fn set_level(self, system: SystemId, high: bool) {
-        self.system(system, System::LevelLow)
-            .store(u32::from(!high), SeqCst);
+        self.system(system, System::LevelLow).set(u32::from(!high));
     }
 
     /// The level line of the system's supply; low (`false`) in reset and without power.
     #[must_use]
     pub fn level(self, system: SystemId) -> bool {
-        self.system(system, System::LevelLow).load(SeqCst) == 0
+        self.system(system, System::LevelLow).get() == 0
     }
 
     pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
-        self.system(system, System::ResetCause)
-            .store(cause.code(), SeqCst);
+        self.system(system, System::ResetCause).set(cause.code());
     }
 
     /// Why the system's current incarnation began.
     #[must_use]
     pub fn reset_cause(self, system: SystemId) -> ResetCause {
-        let code = self.system(system, System::ResetCause).load(SeqCst);
+        let code = self.system(system, System::ResetCause).get();
         // A code of no cause would be a scribbled register: the cautious reading.
         ResetCause::from_code(code).unwrap_or(ResetCause::Trap)
     }
 
     pub(crate) fn request_reset(self, system: SystemId, request: ResetRequest) {
         self.system(system, System::ResetRequest)
-            .store(1 + request.code(), SeqCst);
+            .set(1 + request.code());
     }
 
     /// Takes a pending request. Supply only.
     pub(crate) fn take_reset_request(self, system: SystemId) -> Option<ResetRequest> {
-        let register = self.system(system, System::ResetRequest).swap(0, SeqCst);
+        let register = self.system(system, System::ResetRequest).replace(0);
         let code = register.checked_sub(1)?;
         // A code of no request would be a scribbled register: the cautious reading.
         Some(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend))
     }
 
     pub(crate) fn show_role(self, system: SystemId, lamp: RoleLamp) {
-        self.system(system, System::Lamp).store(lamp.code(), SeqCst);
+        self.system(system, System::Lamp).set(lamp.code());
     }
 
     /// What the system shows of its role. A system without power shows [`RoleLamp::Starting`].
     #[must_use]
     pub fn role(self, system: SystemId) -> RoleLamp {
-        let code = self.system(system, System::Lamp).load(SeqCst);
+        let code = self.system(system, System::Lamp).get();
         RoleLamp::from_code(code).unwrap_or(RoleLamp::Starting)
     }
 }
@@ -235,56 +270,53 @@ impl Backplane {
 /// Cores.
 impl Backplane {
     pub(crate) fn set_core_pid(self, system: SystemId, core: CoreId, pid: u32) {
-        self.core(system, core, Core::Pid).store(pid, SeqCst);
+        self.core(system, core, Core::Pid).set(pid);
     }
 
     /// The process of a core; 0 while it has none.
     #[must_use]
     pub fn core_pid(self, system: SystemId, core: CoreId) -> u32 {
-        self.core(system, core, Core::Pid).load(SeqCst)
+        self.core(system, core, Core::Pid).get()
     }
 
     pub(crate) fn set_generation(self, system: SystemId, core: CoreId, incarnation: Generation) {
-        self.core(system, core, Core::Generation)
-            .store(incarnation.0, SeqCst);
+        self.core(system, core, Core::Generation).set(incarnation.0);
     }
 
     /// The incarnation of the core that the supply started last; 0 before the first.
     #[must_use]
     pub fn generation(self, system: SystemId, core: CoreId) -> Generation {
-        Generation(self.core(system, core, Core::Generation).load(SeqCst))
+        Generation(self.core(system, core, Core::Generation).get())
     }
 
     pub(crate) fn set_wakes_on_receive(self, system: SystemId, core: CoreId, on: bool) {
         self.core(system, core, Core::WakeOnReceive)
-            .store(u32::from(on), SeqCst);
+            .set(u32::from(on));
     }
 
     pub(crate) fn wakes_on_receive(self, system: SystemId, core: CoreId) -> bool {
-        self.core(system, core, Core::WakeOnReceive).load(SeqCst) != 0
+        self.core(system, core, Core::WakeOnReceive).get() != 0
     }
 
     /// How often the core has discarded what waits in its transmit ring; wraps around.
     pub(crate) fn discards(self, system: SystemId, core: CoreId) -> u32 {
-        self.core(system, core, Core::Discards).load(Relaxed)
+        self.core(system, core, Core::Discards).get()
     }
 
-    /// Counts one discard: the bus drops the frames that carry an older count. Relaxed is enough:
-    /// the ring orders a frame that carries the new count after this.
+    /// Counts one discard: the bus drops the frames that carry an older count. The
+    /// ring orders a frame that carries the new count after this.
     pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
-        self.core(system, core, Core::Discards)
-            .fetch_add(1, Relaxed);
+        self.core(system, core, Core::Discards).count();
     }
 
     /// Counts one lost trace record of the core.
     pub(crate) fn count_lost_trace(self, system: SystemId, core: CoreId) {
-        self.core(system, core, Core::TraceLost)
-            .fetch_add(1, Relaxed);
+        self.core(system, core, Core::TraceLost).count();
     }
 
     /// How many trace records of the core were lost because nobody fetched them; wraps around.
     pub(crate) fn lost_trace(self, system: SystemId, core: CoreId) -> u32 {
-        self.core(system, core, Core::TraceLost).load(Relaxed)
+        self.core(system, core, Core::TraceLost).get()
     }
 }
 
@@ -292,18 +324,18 @@ impl Backplane {
 impl Backplane {
     pub(crate) fn send_edge(self, from: SystemId, line: Line, edge: Edge) {
         if !self.cuts().is_cut(Wire::Line(line), from) {
-            self.words[layout::edge(from, line, edge)].fetch_add(1, SeqCst);
+            self.edge(from, line, edge).count();
         }
     }
 
     /// Edges sent by `from` since the run began; wraps around.
     pub(crate) fn edges(self, from: SystemId, line: Line, edge: Edge) -> u32 {
-        self.words[layout::edge(from, line, edge)].load(SeqCst)
+        self.edge(from, line, edge).get()
     }
 
     /// Edges that `by` received since it was powered on.
     pub(crate) fn received_edges(self, by: SystemId, line: Line, edge: Edge) -> u32 {
-        let before = self.words[layout::edge_baseline(by, line, edge)].load(SeqCst);
+        let before = self.edge_baseline(by, line, edge).get();
         self.edges(by.peer(), line, edge).wrapping_sub(before)
     }
 
@@ -312,7 +344,7 @@ impl Backplane {
         for line in Line::ALL {
             for edge in [Edge::Rising, Edge::Falling] {
                 let now = self.edges(by.peer(), line, edge);
-                self.words[layout::edge_baseline(by, line, edge)].store(now, SeqCst);
+                self.edge_baseline(by, line, edge).set(now);
             }
         }
     }

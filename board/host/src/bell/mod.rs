@@ -143,10 +143,10 @@ impl Ringers {
 
     /// Rings the current incarnation of the core. Has no effect if there is none. Never waits.
     ///
-    /// It does what a notifier of iceoryx2 does, but for one thing: that one skips the trigger if
-    /// the state of the event says that the listener is notified. Another notifier sets this state
-    /// after its own trigger. If it is stalled in between, the listener may take its event and sleep
-    /// again; then the state says "notified" and the listener sleeps through every ring.
+    /// It does what a notifier of iceoryx2 does, with one difference: a notifier skips the trigger
+    /// if the state of the event says that the listener is notified. Another notifier sets this
+    /// state after its own trigger. If it is stalled in between, the listener may take its event
+    /// and sleep again; then the state says "notified" and the listener sleeps through every ring.
     pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
         // Pairs with the fence in `Bell::hang`.
         fence(SeqCst);

@@ -243,6 +243,7 @@ fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
 
 /// This thread is the core no more. The handler stays and ignores what is still under way.
 pub(super) fn end() {
+    // Release pairs with the Acquire of who raises: the core has done all that it did before.
     CORE.store(0, Ordering::Release);
     state::set_on_core(false);
 }
