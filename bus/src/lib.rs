@@ -31,8 +31,8 @@ pub mod dbc {
 }
 
 pub use dbc::{
-    CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, Mode, Role, SensorHeader,
-    SensorObject, Status,
+    CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,
+    SensorHeader, SensorObject, Status,
 };
 pub use endpoint::{ReceiveError, Receiver, Transmitter};
 pub use message::{Encoded, Message};

@@ -2,7 +2,7 @@
 
 use crate::e2e;
 use crate::{
-    CameraLanes, Control, DecodeError, DriverRequest, EgoMotion, SensorHeader, SensorId,
+    CameraLanes, Control, DecodeError, DriverRequest, EgoMotion, GateEcho, SensorHeader, SensorId,
     SensorObject, Status,
 };
 
@@ -23,6 +23,8 @@ pub enum Message {
         /// The values.
         status: Status,
     },
+    /// The term that the vehicle obeys.
+    GateEcho(GateEcho),
     /// Motion of the own vehicle.
     EgoMotion(EgoMotion),
     /// What the driver asks for.
@@ -73,6 +75,7 @@ impl Message {
             ));
         }
         match id {
+            GateEcho::ID => GateEcho::decode(data).map(Self::GateEcho),
             EgoMotion::ID => EgoMotion::decode(data).map(Self::EgoMotion),
             DriverRequest::ID => DriverRequest::decode(data).map(Self::DriverRequest),
             CameraLanes::ID => CameraLanes::decode(data).map(Self::CameraLanes),
@@ -99,6 +102,7 @@ impl Message {
                     status.encode(data)
                 })
             }
+            Self::GateEcho(echo) => Encoded::new(GateEcho::ID, |data| echo.encode(data)),
             Self::EgoMotion(motion) => Encoded::new(EgoMotion::ID, |data| motion.encode(data)),
             Self::DriverRequest(request) => {
                 Encoded::new(DriverRequest::ID, |data| request.encode(data))
@@ -121,6 +125,7 @@ impl Message {
         match self {
             Self::Control { system, .. } => Control::IDS[if *system == 0 { 0 } else { 1 }],
             Self::Status { system, .. } => Status::IDS[if *system == 0 { 0 } else { 1 }],
+            Self::GateEcho(_) => GateEcho::ID,
             Self::EgoMotion(_) => EgoMotion::ID,
             Self::DriverRequest(_) => DriverRequest::ID,
             Self::SensorHeader(sensor, _) => sensor.header_id(),

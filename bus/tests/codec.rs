@@ -87,6 +87,7 @@ proptest! {
         ],
         data in prop_oneof![
             prop::collection::vec(any::<u8>(), 8),
+            prop::collection::vec(any::<u8>(), 12),
             prop::collection::vec(any::<u8>(), 16),
             prop::collection::vec(any::<u8>(), 32),
             prop::collection::vec(any::<u8>(), 0..70),

@@ -12,7 +12,7 @@
 //! | else | `Accepted` | yes; its term is now the highest |
 
 use tandem_bus::e2e::{Check, Checker};
-use tandem_bus::{Control, Message, Role};
+use tandem_bus::{Control, GateEcho, Message, Role};
 
 use crate::mastership::Mastership;
 
@@ -153,6 +153,15 @@ impl Gate {
         self.accepted
     }
 
+    /// What the vehicle tells both systems: which term it obeys, and how old its last frame is.
+    #[must_use]
+    pub fn echo(&self, now_ns: u64) -> GateEcho {
+        self.accepted.map_or(GateEcho::default(), |last| GateEcho {
+            term: last.term,
+            term_age: now_ns.saturating_sub(last.at_ns) as f32 * 1e-6,
+        })
+    }
+
     /// What became of the control frames so far.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
@@ -234,6 +243,20 @@ mod tests {
                 ..Default::default()
             }
         );
+    }
+
+    /// T-RED-9: the echo tells the term that is obeyed, and since when no frame of it came; a frame
+    /// that does not act changes nothing.
+    #[test]
+    fn the_echo_tells_the_term_that_is_obeyed() {
+        let mut gate = Gate::new();
+        assert_eq!(gate.echo(5 * MS), GateEcho::default());
+        verdicts(&mut gate, &[(0, 0, 2), (10, 0, 2), (25, 1, 3), (30, 0, 2)]);
+        let echo = gate.echo(32 * MS);
+        assert_eq!((echo.term, echo.term_age), (3, 7.0));
+        let (id, damaged) = Sender(Transmitter::new()).frame(1, 9, Role::Master);
+        gate.on_frame(33 * MS, id, &damaged[1..]);
+        assert_eq!(gate.echo(33 * MS).term, 3);
     }
 
     #[test]

@@ -326,6 +326,7 @@ impl World {
             sensors,
             ego,
             ticks,
+            gate,
             ..
         } = self;
         let mut send = |message: &Message| {
@@ -333,6 +334,7 @@ impl World {
             emit(frame.id, frame.data());
         };
         if ticks.is_multiple_of(MOTION_TICKS) {
+            send(&Message::GateEcho(gate.echo(now_ns)));
             send(&Message::EgoMotion(
                 sensors.motion(ego, self.snapshot.running),
             ));

@@ -109,6 +109,7 @@ fn frames_come_in_their_cycles() {
             .count()
     };
     assert_eq!(count(&|m| matches!(m, Message::EgoMotion(_))), 100);
+    assert_eq!(count(&|m| matches!(m, Message::GateEcho(_))), 100);
     assert_eq!(count(&|m| matches!(m, Message::CameraLanes(_))), 20);
     assert_eq!(count(&|m| matches!(m, Message::DriverRequest(_))), 10);
     for sensor in tandem_bus::SensorId::ALL {

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use tandem_bus::{
-    CameraLanes, Class, Control, DriverRequest, EgoMotion, Message, Mode, Role, SensorHeader,
-    SensorId, SensorObject, Status,
+    CameraLanes, Class, Control, DriverRequest, EgoMotion, GateEcho, Message, Mode, Role,
+    SensorHeader, SensorId, SensorObject, Status,
 };
 
 /// Any value, mostly within `limit` so that the scaling is tested and not the saturation only.
@@ -158,7 +158,10 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
     });
     let request = (any::<bool>(), within(700.0))
         .prop_map(|(engage, set_speed)| DriverRequest { engage, set_speed });
+    let echo =
+        (any::<u32>(), within(7000.0)).prop_map(|(term, term_age)| GateEcho { term, term_age });
     prop_oneof![
+        echo.prop_map(Message::GateEcho),
         (0..2_u8, control()).prop_map(|(system, control)| Message::Control { system, control }),
         (0..2_u8, status()).prop_map(|(system, status)| Message::Status { system, status }),
         ego_motion().prop_map(Message::EgoMotion),
@@ -195,6 +198,10 @@ pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
             ("TotalResets", f64::from(status.total_resets)),
             ("Tracks", f64::from(status.tracks)),
             ("DeadlineMisses", f64::from(status.deadline_misses)),
+        ],
+        Message::GateEcho(echo) => vec![
+            ("Term", f64::from(echo.term)),
+            ("TermAge", f64::from(echo.term_age)),
         ],
         Message::EgoMotion(motion) => vec![
             ("WorldRunning", f64::from(u8::from(motion.world_running))),

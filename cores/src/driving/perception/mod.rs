@@ -88,7 +88,7 @@ impl Perception {
             Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
             Message::SensorObject(sensor, object) => self.lists.add(*sensor, object),
             Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
-            Message::Control { .. } | Message::Status { .. } => {}
+            Message::Control { .. } | Message::Status { .. } | Message::GateEcho(_) => {}
         }
     }
 
