@@ -1111,13 +1111,26 @@ tandem_status_t tandem_redundancy_link_report(struct tandem_redundancy_t *machin
                                               size_t count,
                                               struct tandem_actions_t *actions);
 
-// The vehicle told the highest term that it has accepted. Any context; does not block.
+// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
+// lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
+// does not block.
+//
+// # Safety
+// 1 and 3 of the caller's contract.
+tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machine,
+                                              uint64_t now_ns,
+                                              const struct tandem_control_frame_t *frame,
+                                              struct tandem_actions_t *actions);
+
+// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
+// ago; 0 if it has accepted none. Any context; does not block.
 //
 // # Safety
 // 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                uint32_t term,
+                                               uint64_t age_ns,
                                                struct tandem_actions_t *actions);
 
 // This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any

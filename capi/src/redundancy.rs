@@ -4,9 +4,10 @@ use crate::cell::{self, opaque};
 use crate::config::TandemConfig;
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use crate::store::{TandemLoaded, TandemState, failure_mode};
-use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
+use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, ControlFrame, Event, Input, Mode, PeerReport, Redundancy, Role, Snapshot, Term,
+    Action, Actions, ControlFrame, Event, Input, Mode, ObeyedTerm, PeerReport, Redundancy, Role,
+    Snapshot, Term,
 };
 
 /// System A.
@@ -245,6 +246,17 @@ fn mode(number: u32) -> Result<Mode, S> {
     code.and_then(Mode::from_code).ok_or(S::OutOfRange)
 }
 
+impl TandemControlFrame {
+    fn checked(&self) -> Result<ControlFrame, S> {
+        Ok(ControlFrame {
+            system: system_id(self.system)?,
+            term: Term::from_bits(self.term),
+            role: role(self.role)?,
+            mode: mode(self.mode)?,
+        })
+    }
+}
+
 impl TandemReport {
     fn checked(&self) -> Result<PeerReport, S> {
         Ok(PeerReport {
@@ -364,15 +376,10 @@ pub unsafe extern "C" fn tandem_redundancy_control_frame(
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let frame = unsafe { cell::read(frame) }?;
-        let input = Input::ControlFrame(ControlFrame {
-            system: system_id(frame.system)?,
-            term: Term::from_bits(frame.term),
-            role: role(frame.role)?,
-            mode: mode(frame.mode)?,
-        });
-        // SAFETY: the caller's contract is passed on.
-        unsafe { tell(machine, now_ns, input, actions) }
+        unsafe {
+            let frame = cell::read(frame)?.checked()?;
+            tell(machine, now_ns, Input::ControlFrame(frame), actions)
+        }
     })
 }
 
@@ -421,7 +428,30 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     })
 }
 
-/// The vehicle told the highest term that it has accepted. Any context; does not block.
+/// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
+/// lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
+/// does not block.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_redundancy_stale_frame(
+    machine: *mut TandemRedundancy,
+    now_ns: u64,
+    frame: *const TandemControlFrame,
+    actions: *mut TandemActions,
+) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe {
+            let frame = cell::read(frame)?.checked()?;
+            tell(machine, now_ns, Input::StaleFrame(frame), actions)
+        }
+    })
+}
+
+/// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
+/// ago; 0 if it has accepted none. Any context; does not block.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
@@ -430,9 +460,13 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
     now_ns: u64,
     term: u32,
+    age_ns: u64,
     actions: *mut TandemActions,
 ) -> TandemStatus {
-    let input = Input::VehicleTerm(Term::from_bits(term));
+    let input = Input::VehicleTerm(ObeyedTerm {
+        term: Term::from_bits(term),
+        age: Duration::from_ns(age_ns),
+    });
     // SAFETY: the caller's contract is passed on.
     status(|| unsafe { tell(machine, now_ns, input, actions) })
 }

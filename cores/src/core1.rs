@@ -7,7 +7,7 @@ use crate::layout::{ControllerMap, PLAN, Writer, age_ns};
 use crate::schedule::{Grid, Release};
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
-use crate::{Core, RETRY, read_can};
+use crate::{Core, Heard, RETRY, read_can};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
@@ -90,8 +90,10 @@ impl<'b, B: Board> Core1<'b, B> {
 
     fn cycle(&mut self) {
         let mut left = CAN_FRAMES;
-        while let Some((at, message)) = read_can(self.board, &mut self.frames, &mut left) {
-            self.perception.on_message(at, &message);
+        while let Some((at, heard)) = read_can(self.board, &mut self.frames, &mut left) {
+            if let Heard::Valid(message) = heard {
+                self.perception.on_message(at, &message);
+            }
         }
         let Some(attached) = &mut self.attached else {
             return;

@@ -24,6 +24,7 @@ pub mod trace;
 pub mod words;
 
 use tandem_board::{Board, Can, CanId, Duration, Instant};
+use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
 
 /// The work of one core, in steps that end by themselves.
@@ -71,8 +72,16 @@ impl Config {
     }
 }
 
-/// The next received frame of the DBC that passes its end-to-end check, with the time at which it
-/// was on the bus. Skips other frames.
+/// A received frame of the DBC.
+enum Heard {
+    /// It passed its end-to-end check.
+    Valid(Message),
+    /// Its CRC is right, but its counter is wrong: repeated, or out of sequence.
+    WrongCounter(Message),
+}
+
+/// The next received frame of the DBC whose CRC is right, with the time at which it was on the bus.
+/// Skips other frames.
 ///
 /// Takes at most `left` frames from the receiver, of whatever kind, and counts `left` down; 0 means
 /// that more may wait.
@@ -80,17 +89,23 @@ fn read_can<B: Board>(
     board: &B,
     receiver: &mut tandem_bus::Receiver,
     left: &mut u32,
-) -> Option<(Instant, Message)> {
+) -> Option<(Instant, Heard)> {
     while *left > 0 {
         let received = board.can().try_receive()?;
         *left -= 1;
         let CanId::Standard(id) = received.frame.id() else {
             continue;
         };
-        match receiver.receive(id.into(), received.frame.data()) {
-            Ok(message) => return Some((received.at, message)),
-            Err(ReceiveError::Protection(_)) => {
+        let data = received.frame.data();
+        match receiver.receive(id.into(), data) {
+            Ok(message) => return Some((received.at, Heard::Valid(message))),
+            Err(ReceiveError::Protection(check)) => {
                 board.trace(trace::Event::Refused { id: id.into() }.encode());
+                if check != Check::CrcError
+                    && let Ok(message) = Message::decode(id.into(), data)
+                {
+                    return Some((received.at, Heard::WrongCounter(message)));
+                }
             }
             Err(ReceiveError::Decode(_)) => {}
         }

@@ -13,8 +13,8 @@ pub(crate) struct Driving {
     last_permit: Instant,
     /// A transmission was refused because the last poll was too long ago.
     refused: bool,
-    /// The vehicle was heard to obey a higher term.
-    outvoted: bool,
+    /// The vehicle's last word was that it refuses this term, and that no system drives.
+    refused_by_vehicle: bool,
     /// A fault of its own: the system brings the vehicle to a stop.
     stopping: bool,
 }
@@ -26,7 +26,7 @@ impl Driving {
             term,
             last_permit: now,
             refused: false,
-            outvoted: false,
+            refused_by_vehicle: false,
             stopping,
         }
     }
@@ -37,13 +37,14 @@ impl Driving {
 
     pub(crate) fn raise(&mut self, term: Term) {
         self.term = term;
-        self.outvoted = false;
+        self.refused_by_vehicle = false;
     }
 
-    /// The vehicle obeys `term`. Returns whether it has now said twice that this is a higher one.
-    pub(crate) fn is_outvoted(&mut self, term: Term) -> bool {
-        let higher = term > self.term;
-        core::mem::replace(&mut self.outvoted, higher) && higher
+    /// Takes note whether the vehicle refuses this term while no system drives. Returns whether it
+    /// has now said so twice: a master that has just been connected again would have been heard in
+    /// the control period between.
+    pub(crate) fn note_refusal(&mut self, refused: bool) -> bool {
+        core::mem::replace(&mut self.refused_by_vehicle, refused) && refused
     }
 
     pub(crate) const fn is_stopping(&self) -> bool {

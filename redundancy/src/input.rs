@@ -51,6 +51,16 @@ pub struct ControlFrame {
     pub mode: Mode,
 }
 
+/// The vehicle's word which system it obeys.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ObeyedTerm {
+    /// The term of the last control frame that the vehicle accepted; [`Term::NONE`] before the
+    /// first. The vehicle refuses every lower one.
+    pub term: Term,
+    /// Time since then.
+    pub age: Duration,
+}
+
 /// What the machine is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
@@ -62,10 +72,12 @@ pub enum Input {
     StatusFrame(PeerReport),
     /// A report of the other system was received over the link.
     LinkReport(PeerReport),
-    /// The vehicle told the highest term that it has accepted. Optional. Without it, a system may
-    /// drive in a term that the vehicle refuses if it was off during very many masterships of the
-    /// other.
-    VehicleTerm(Term),
+    /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
+    /// were lost, or its sender has restarted. The vehicle may have accepted it, so its term counts,
+    /// and nothing else of it.
+    StaleFrame(ControlFrame),
+    /// The vehicle told which term it obeys. It does so every control period.
+    VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
 }

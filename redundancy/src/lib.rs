@@ -35,7 +35,7 @@ mod witness;
 
 pub use action::{Action, Actions, Event, Takeover};
 pub use config::Config;
-pub use input::{ControlFrame, Input, Snapshot};
+pub use input::{ControlFrame, Input, ObeyedTerm, Snapshot};
 pub use machine::Redundancy;
 pub use phase::{Evidence, Mode, Phase, Role};
 pub use report::PeerReport;

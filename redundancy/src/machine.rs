@@ -82,8 +82,8 @@ pub struct Redundancy {
     persisted: Option<SystemState>,
     /// The record was lost, and this is not yet told.
     untold_loss: bool,
-    /// The highest term is known well enough: told since the start, or the system was not off
-    /// before.
+    /// The highest term is known well enough: the vehicle or a system that ran has told it since
+    /// the start, or this system was not off before and its record is whole.
     term_known: bool,
     /// The last stale term that was told.
     stale_told: Term,
@@ -120,7 +120,7 @@ impl Redundancy {
             state,
             persisted: None,
             untold_loss: loaded == Loaded::Lost,
-            term_known: cause != ResetCause::PowerOn,
+            term_known: cause != ResetCause::PowerOn && matches!(loaded, Loaded::State(_)),
             stale_told: Term::NONE,
             beats: BeatSender::new(config.heartbeat_period),
             polls: Polls::new(now),
@@ -140,7 +140,8 @@ impl Redundancy {
             Input::ControlFrame(frame) => self.control_frame(now, frame, &mut actions),
             Input::StatusFrame(report) => self.status_frame(now, report, &mut actions),
             Input::LinkReport(report) => self.link_report_of_peer(now, report, &mut actions),
-            Input::VehicleTerm(term) => self.vehicle_term(now, term, &mut actions),
+            Input::StaleFrame(frame) => self.stale_frame(now, frame, &mut actions),
+            Input::VehicleTerm(obeyed) => self.vehicle_term(now, obeyed, &mut actions),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
         }
         if self.persisted != Some(self.state) {

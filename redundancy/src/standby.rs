@@ -2,7 +2,7 @@
 
 use crate::witness::Witnesses;
 use crate::{Config, Evidence, Mode, Role};
-use tandem_board::{Instant, SystemId};
+use tandem_board::{Duration, Instant, SystemId};
 
 /// The phase `Standby`: what is known of the master from its control frames.
 #[derive(Clone, Debug)]
@@ -49,6 +49,17 @@ impl Standby {
             Mode::L3 => Mode::L3,
             Mode::None | Mode::DegradedL2 | Mode::SafeStop => Mode::DegradedL2,
         };
+    }
+
+    /// The vehicle accepted a frame of the master `age` ago. Counts if no frame was heard since
+    /// about then: this system has lost frames, and the master drives.
+    pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
+        let unheard = now.since(self.last_control);
+        if unheard > age + config.control_margin {
+            self.last_control = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
+            self.control_known = true;
+            self.suspected = false;
+        }
     }
 
     /// This system was held up: its absence is no evidence against the master.

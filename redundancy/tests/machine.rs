@@ -3,8 +3,8 @@
 
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, Mode, PeerReport,
-    Phase, Redundancy, Role, Snapshot, SystemState, Term,
+    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, Mode, ObeyedTerm,
+    PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Term,
 };
 
 const CONFIG: Config = Config::rt();
@@ -78,6 +78,11 @@ impl Bench {
 
     fn on(&mut self, input: Input) -> Actions {
         self.machine.on(self.now, input)
+    }
+
+    fn obeyed(&mut self, term: Term, age_ms: u64) -> Actions {
+        let age = Duration::from_ms(age_ms);
+        self.on(Input::VehicleTerm(ObeyedTerm { term, age }))
     }
 
     fn poll(&mut self) -> Actions {
@@ -227,24 +232,141 @@ fn frames_of_a_lower_term_do_not_count() {
     assert!(bench.machine.term() > Term::from_bits(100));
 }
 
-/// T-RED-9: a vehicle that obeys a higher term makes the master raise its own, but not at the first
-/// word, while the other's control frames may be on their way.
+/// T-RED-9: a master that the vehicle refuses takes a term above the obeyed one, unless the other
+/// drives in that now: then it follows.
 #[test]
-fn the_vehicles_term_is_followed() {
+fn a_refused_master_takes_a_higher_term_or_follows() {
+    for (above, age_ms, follows) in [(41, 200, false), (42, 0, false), (41, 5, true)] {
+        let mut bench = Bench::master();
+        let term = Term::from_bits(bench.machine.term().bits() + above);
+        let mut actions = bench.obeyed(term, age_ms);
+        if !follows {
+            assert!(
+                bench.machine.term() < term,
+                "the other's frames may be on their way"
+            );
+            actions = bench.obeyed(term, age_ms);
+        }
+        let raised = Event::TermRaised(bench.machine.term());
+        if follows {
+            assert_eq!(bench.machine.phase(), Phase::Standby);
+            assert!(actions.contains(Action::DiscardUnsent));
+        } else {
+            assert_eq!(bench.machine.phase(), Phase::Master);
+            assert!(bench.machine.term() > term);
+            assert_eq!(bench.machine.term().system(), SystemId::A);
+            assert!(actions.contains(Action::Record(raised)));
+        }
+        assert!(persisted(&actions).is_some_and(|state| state.term >= term));
+    }
+}
+
+/// T-RED-9: a standby that hears no frame of its master, on silent lines, but hears the vehicle
+/// obey the master, stays standby; when the vehicle no longer hears the master either, it takes
+/// over within the bound.
+#[test]
+fn the_vehicle_is_a_witness_for_the_master() {
+    let mut bench = Bench::standby();
+    let term = bench.machine.highest_term();
+    for _ in 0..50 {
+        let _ = bench.obeyed(term, 0);
+        for _ in 0..10 {
+            let _ = bench.poll();
+        }
+        assert_eq!(bench.machine.phase(), Phase::Standby);
+    }
+    let _ = bench.obeyed(term, 0);
+    let accepted = bench.now;
+    for age_ms in 1.. {
+        if age_ms % 10 == 4 {
+            let _ = bench.obeyed(term, age_ms);
+        }
+        let _ = bench.poll();
+        if bench.machine.phase() == Phase::DegradedMaster {
+            break;
+        }
+    }
+    let bound = CONFIG.takeover_bound();
+    assert!(bench.now.since(accepted) <= bound, "{:?}", bench.now);
+}
+
+/// A system A at its start, with this record; what it is told before it drives.
+fn first_term(cause: ResetCause, loaded: Loaded, told: &[Input]) -> Term {
+    let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
+    bench.machine = Redundancy::new(CONFIG, SystemId::A, cause, loaded, bench.now);
+    let _ = bench.poll();
+    for input in told {
+        let _ = bench.on(*input);
+    }
+    while !bench.machine.phase().is_driving() {
+        let _ = bench.poll();
+        assert!(bench.now < Instant::from_ns(10_000_000_000));
+    }
+    bench.machine.term()
+}
+
+/// T-RED-9: the first term lies far above the known one unless the vehicle or a system that ran has
+/// told the newest since the start. A system that has just started itself may have forgotten it as
+/// well, and so has one whose flash is lost, also after a reset.
+#[test]
+fn the_first_term_is_far_above_what_may_be_old() {
+    const FAR: u32 = 2 * 1024;
+    let state = SystemState {
+        term: Term::from_bits(32),
+        ..SystemState::factory(SystemId::A)
+    };
+    let record = Loaded::State(state);
+    let report = |role| {
+        Input::LinkReport(PeerReport {
+            role,
+            mode: Mode::None,
+            term: Term::from_bits(33),
+            can_alive: true,
+        })
+    };
+    let vehicle = Input::VehicleTerm(ObeyedTerm {
+        term: Term::from_bits(5_001),
+        age: Duration::from_ms(900),
+    });
+    let power_on = |told: &[Input]| first_term(ResetCause::PowerOn, record, told).bits();
+    assert!(power_on(&[]) >= FAR);
+    assert!(power_on(&[report(Role::Starting)]) >= FAR);
+    assert!((34..100).contains(&power_on(&[report(Role::Standby)])));
+    assert!((5_002..5_100).contains(&power_on(&[vehicle])));
+    let reset = |loaded| first_term(ResetCause::Watchdog, loaded, &[]).bits();
+    assert!((34..100).contains(&reset(record)));
+    assert!(reset(Loaded::Lost) >= FAR && reset(Loaded::Blank) >= FAR);
+}
+
+/// T-RED-9: of a control frame with a wrong counter only the term counts: a master follows it, and
+/// a standby does not take it for a sign that its master drives.
+#[test]
+fn only_the_term_counts_of_a_frame_with_a_wrong_counter() {
+    let stale = |term: u32| {
+        Input::StaleFrame(ControlFrame {
+            system: Term::from_bits(term).system(),
+            term: Term::from_bits(term),
+            role: Role::Master,
+            mode: Mode::L3,
+        })
+    };
     let mut bench = Bench::master();
-    let term = Term::from_bits(bench.machine.term().bits() + 41);
-    let _ = bench.on(Input::VehicleTerm(term));
-    assert!(bench.machine.term() < term);
-    bench.run_with_beats(100);
-    let actions = bench.on(Input::VehicleTerm(term));
-    assert!(bench.machine.term() > term);
-    assert_eq!(bench.machine.term().system(), SystemId::A);
-    assert!(
-        actions
-            .events()
-            .any(|event| matches!(event, Event::TermRaised(_)))
-    );
-    assert!(persisted(&actions).is_some());
+    let own = bench.machine.term().bits();
+    let _ = bench.on(stale(own - 1));
+    let _ = bench.on(stale(own + 2));
+    assert_eq!(bench.machine.phase(), Phase::Master, "older, or its own");
+    let actions = bench.on(stale(own + 3));
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+    assert!(actions.contains(Action::DiscardUnsent));
+    assert_eq!(bench.machine.highest_term().bits(), own + 3);
+
+    let mut bench = Bench::standby();
+    let silent_since = bench.now;
+    while bench.machine.phase() == Phase::Standby {
+        let _ = bench.poll();
+        let _ = bench.on(stale(16));
+        assert!(bench.now.since(silent_since) <= CONFIG.takeover_bound());
+    }
 }
 
 /// T-RED-9: without a term left a system suspends instead of driving in one that is not its own.

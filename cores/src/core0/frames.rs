@@ -1,9 +1,9 @@
 //! The frames that core 0 sends and hears, between the bus's words and the redundancy's.
 
 use super::drive::Output;
-use tandem_board::{Board, Can, CanFrame, CanId, SystemId};
-use tandem_bus::{Control, Message, Status, Transmitter};
-use tandem_redundancy::{ControlFrame, Mode, PeerReport, Redundancy, Role, Term};
+use tandem_board::{Board, Can, CanFrame, CanId, Duration, SystemId};
+use tandem_bus::{Control, GateEcho, Message, Status, Transmitter};
+use tandem_redundancy::{ControlFrame, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
 const fn bus_role(role: Role) -> tandem_bus::Role {
     match role {
@@ -71,6 +71,14 @@ pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame>
         role: Role::from_code(control.role as u8)?,
         mode: Mode::from_code(control.mode as u8)?,
     })
+}
+
+/// What the vehicle told of the term that it obeys, `on_the_way` ago.
+pub(super) fn heard_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
+    ObeyedTerm {
+        term: Term::from_bits(echo.term),
+        age: Duration::from_us((echo.term_age * 1e3) as u64) + on_the_way,
+    }
 }
 
 /// A status frame of the other system. That it was heard at all shows that its CAN is alive.

@@ -9,7 +9,7 @@ use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
 use crate::trace::Event;
-use crate::{Config, read_can};
+use crate::{Config, Heard, read_can};
 use heapless::Deque;
 use tandem_board::{Board, Can, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId};
 use tandem_bus::{Message, Transmitter};
@@ -137,9 +137,14 @@ impl<'b, B: Board> Shared<'b, B> {
     pub(super) fn read_bus(&mut self) -> TaskSet {
         let mut woken = TaskSet::NONE;
         let mut left = CAN_FRAMES;
-        while let Some((at, message)) = read_can(self.board, &mut self.receiver, &mut left) {
-            self.can_frames = self.can_frames.wrapping_add(1);
-            woken |= self.hear(at, message);
+        while let Some((at, heard)) = read_can(self.board, &mut self.receiver, &mut left) {
+            woken |= match heard {
+                Heard::Valid(message) => {
+                    self.can_frames = self.can_frames.wrapping_add(1);
+                    self.hear(at, message)
+                }
+                Heard::WrongCounter(message) => self.hear_stale(message),
+            };
         }
         if left == 0 {
             self.floods.can(self.board.can().overruns());
@@ -173,8 +178,24 @@ impl<'b, B: Board> Shared<'b, B> {
         }
     }
 
+    /// A frame with a right CRC and a wrong counter: of a control frame the term counts.
+    fn hear_stale(&mut self, message: Message) -> TaskSet {
+        match message {
+            Message::Control {
+                system: from,
+                control,
+            } if usize::from(from) != self.system.index() => frames::heard_control(from, &control)
+                .map_or(TaskSet::NONE, |frame| self.tell(Input::StaleFrame(frame))),
+            _ => TaskSet::NONE,
+        }
+    }
+
     fn hear(&mut self, at: Instant, message: Message) -> TaskSet {
         match message {
+            Message::GateEcho(echo) => {
+                let on_the_way = self.board.now().since(at);
+                self.tell(Input::VehicleTerm(frames::heard_echo(&echo, on_the_way)))
+            }
             Message::EgoMotion(motion) => {
                 self.ego_seen = true;
                 self.inbox.on_ego(at, ego_of(&motion));

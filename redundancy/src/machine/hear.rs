@@ -1,20 +1,25 @@
 //! What the machine does with frames and reports of the other system, and with the vehicle's word.
 
 use super::{PhaseState, Redundancy};
-use crate::{Actions, ControlFrame, Event, Evidence, FailureMode, PeerReport, Role, Term};
+use crate::{
+    Actions, ControlFrame, Event, Evidence, FailureMode, ObeyedTerm, PeerReport, Role, Term,
+};
 use tandem_board::Instant;
 
 impl Redundancy {
+    /// Whether a correct peer can have sent this.
+    fn is_of_peer(&self, frame: ControlFrame) -> bool {
+        let peer = self.system.peer();
+        frame.system == peer && frame.term.system() == peer && frame.role == Role::Master
+    }
+
     pub(super) fn control_frame(
         &mut self,
         now: Instant,
         frame: ControlFrame,
         actions: &mut Actions,
     ) {
-        let peer = self.system.peer();
-        let plausible =
-            frame.system == peer && frame.term.system() == peer && frame.role == Role::Master;
-        if !plausible {
+        if !self.is_of_peer(frame) {
             actions.record(Event::Implausible);
             return;
         }
@@ -70,7 +75,8 @@ impl Redundancy {
         actions: &mut Actions,
     ) {
         self.witnesses.on_life(&self.config, now);
-        self.term_known = true;
+        // A system that has just started may have forgotten the newest terms as well.
+        self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);
         if report.term <= self.term() {
             return;
@@ -91,17 +97,38 @@ impl Redundancy {
         self.apply(now, Evidence::HigherTerm, actions);
     }
 
-    /// The highest term that the vehicle has accepted. If the other drove in it now, its control
-    /// frames would have deposed this master before. So the term is raised only when the vehicle
-    /// has said it twice.
-    pub(super) fn vehicle_term(&mut self, now: Instant, term: Term, actions: &mut Actions) {
+    /// A control frame with a right CRC and a wrong counter.
+    pub(super) fn stale_frame(&mut self, now: Instant, frame: ControlFrame, actions: &mut Actions) {
+        if !self.is_of_peer(frame) {
+            actions.record(Event::Implausible);
+            return;
+        }
+        self.term_known = true;
+        if frame.term > self.state.term {
+            self.state.term = frame.term;
+            self.peer_drives(now, actions);
+        }
+    }
+
+    /// The vehicle obeys a term. A master in a lower term is refused: if the other drives, it
+    /// follows; if no system drives in that term any more, it takes a higher one. For a standby the
+    /// vehicle is a witness of the master.
+    pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
+        let ObeyedTerm { term, age } = obeyed;
         self.term_known = true;
         self.state.term = self.state.term.max(term);
-        let outvoted = self
-            .phase
-            .driving()
-            .is_some_and(|driving| driving.is_outvoted(term));
-        if outvoted {
+        let of_peer = term.system() == self.system.peer();
+        let drives = of_peer && term != Term::NONE && age <= self.config.witness_limit();
+        let higher = term > self.term();
+        if let PhaseState::Standby(standby) = &mut self.phase {
+            if drives && term == self.state.term {
+                standby.on_echo(&self.config, now, age);
+            }
+        } else if higher && drives {
+            self.peer_drives(now, actions);
+        } else if let Some(driving) = self.phase.driving()
+            && driving.note_refusal(higher)
+        {
             self.raise_term(now, actions);
         }
     }

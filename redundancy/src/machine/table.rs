@@ -6,7 +6,7 @@
 mod page;
 
 use super::*;
-use crate::ControlFrame;
+use crate::{ControlFrame, ObeyedTerm};
 use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::format;
@@ -344,16 +344,18 @@ fn every_input() -> Vec<Input> {
         }
     }
     for term in [0, 1, 16, 17, 2048, u32::MAX - 1, u32::MAX].map(Term::from_bits) {
-        inputs.push(Input::VehicleTerm(term));
+        let age = Duration::from_us(u64::from(term.bits()));
+        inputs.push(Input::VehicleTerm(ObeyedTerm { term, age }));
         for role in Role::ALL {
             for mode in Mode::ALL {
                 for system in SystemId::ALL {
-                    inputs.push(Input::ControlFrame(ControlFrame {
+                    let frame = ControlFrame {
                         system,
                         term,
                         role,
                         mode,
-                    }));
+                    };
+                    inputs.extend([Input::ControlFrame(frame), Input::StaleFrame(frame)]);
                 }
                 for can_alive in [false, true] {
                     let report = PeerReport {

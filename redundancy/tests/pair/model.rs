@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, PeerReport, Phase,
-    Redundancy, Role, Snapshot, SystemState, Takeover, Term,
+    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, ObeyedTerm,
+    PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Takeover, Term,
 };
 
 pub(crate) const STEP_US: u64 = 100;
@@ -29,7 +29,7 @@ enum Frame {
     Control(ControlFrame),
     Status(PeerReport),
     Vehicle,
-    VehicleTerm(Term),
+    VehicleTerm(ObeyedTerm),
 }
 
 /// A control frame as the vehicle saw it.
@@ -76,8 +76,6 @@ pub(crate) struct Pair {
     pub(crate) systems: [System; 2],
     bus: VecDeque<(u64, Option<SystemId>, Frame)>,
     next_vehicle: u64,
-    /// The vehicle tells every 100 ms which term it obeys.
-    pub(crate) vehicle_tells: bool,
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
@@ -123,7 +121,6 @@ impl Pair {
             systems: SystemId::ALL.map(system),
             bus: VecDeque::new(),
             next_vehicle: 0,
-            vehicle_tells: false,
             random: seed.wrapping_mul(2).wrapping_add(1),
             accepted: Vec::new(),
             fenced: Vec::new(),
@@ -264,10 +261,8 @@ impl Pair {
         if self.now_us >= self.next_vehicle {
             self.next_vehicle += 10_000;
             self.send(None, Frame::Vehicle);
-            let tells = self.vehicle_tells && self.now_us.is_multiple_of(100_000);
-            if let Some(last) = self.accepted.last().filter(|_| tells) {
-                self.send(None, Frame::VehicleTerm(last.term));
-            }
+            let obeyed = self.obeyed_term();
+            self.send(None, Frame::VehicleTerm(obeyed));
         }
         for id in SystemId::ALL {
             self.power_step(id);
@@ -295,6 +290,15 @@ impl Pair {
         let system = &self.systems[of.index()];
         let high = system.powered && !system.held && system.boot.is_none();
         (high || self.cuts.level[of.index()]) && !self.level_stuck_low[of.index()]
+    }
+
+    /// What the vehicle tells every control period.
+    fn obeyed_term(&self) -> ObeyedTerm {
+        let last = self.accepted.last();
+        ObeyedTerm {
+            term: last.map_or(Term::NONE, |last| last.term),
+            age: Duration::from_us(last.map_or(0, |last| self.now_us - last.at_us)),
+        }
     }
 
     fn power_step(&mut self, id: SystemId) {

@@ -8,6 +8,7 @@
 mod floods;
 mod held_up;
 mod stale;
+mod terms;
 
 use tandem_board::{CoreId, Duration, SystemId};
 use tandem_cores::trace::Event;

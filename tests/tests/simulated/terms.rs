@@ -1,0 +1,69 @@
+//! The vehicle's echo: what a system learns from it about terms that it missed.
+
+use tandem_board::{CanFrame, CanId, Duration, SystemId};
+use tandem_bus::{Control, Message, Role, Transmitter};
+use tandem_tests::drive::Drive;
+use tandem_vehicle::gate::Acceptance;
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_ms(ms)
+}
+
+/// Longer than a system takes to start alone.
+const START: Duration = ms(6_000);
+
+/// The last control frame that the vehicle accepted, if that is no longer ago than two periods.
+fn obeyed(drive: &Drive) -> Option<Acceptance> {
+    let seen = drive.seen.borrow();
+    let last = seen.world.gate().accepted()?;
+    let age = drive.pair.now().as_ns().saturating_sub(last.at_ns);
+    (age <= ms(20).as_ns()).then_some(last)
+}
+
+fn obeys(drive: &Drive, system: SystemId) -> bool {
+    obeyed(drive).is_some_and(|last| usize::from(last.system) == system.index())
+}
+
+/// T-RED-9: the vehicle stays on. B starts alone once, then A starts alone: the vehicle obeys it,
+/// though A was off during the masterships of B.
+#[test]
+fn a_system_that_was_off_learns_the_term_from_the_vehicle() {
+    let mut drive = Drive::new("free-lane", 3);
+    drive.run_for(START);
+    assert!(obeys(&drive, SystemId::A));
+    for alone in [SystemId::B, SystemId::A, SystemId::B, SystemId::A] {
+        drive.pair.power_off(SystemId::A);
+        drive.pair.power_off(SystemId::B);
+        drive.run_for(ms(200));
+        drive.pair.power_on(alone);
+        drive.run_for(START);
+        assert!(obeys(&drive, alone), "{alone} alone: {:?}", obeyed(&drive));
+    }
+    let fenced = drive.seen.borrow().world.gate().counts().fenced;
+    assert_eq!(fenced, 0, "no system drives into the fence");
+}
+
+/// T-RED-9: a system that dies after one control frame in a new term leaves the other refused. It
+/// learns the term, though the frame's counter is wrong, and drives on.
+#[test]
+fn one_frame_of_a_dying_system_does_not_lock_the_other_out() {
+    let mut drive = Drive::new("free-lane", 4);
+    drive.run_for(START);
+    drive.pair.power_off(SystemId::A);
+    drive.run_for(ms(1_000));
+    let before = obeyed(&drive).expect("B drives");
+    assert!(obeys(&drive, SystemId::B));
+
+    let control = Control {
+        role: Role::Master,
+        term: before.term + 41,
+        ..Control::default()
+    };
+    let frame = Transmitter::new().encode(&Message::Control { system: 0, control });
+    let frame = CanFrame::new(CanId::Standard(frame.id), true, frame.data()).expect("of the DBC");
+    drive.seen.borrow_mut().forged.push(frame);
+    drive.run_for(ms(100));
+    let after = obeyed(&drive).expect("a system drives");
+    assert!(obeys(&drive, SystemId::B), "{after:?}");
+    assert!(after.term > control.term);
+}
