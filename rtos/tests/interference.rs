@@ -2,9 +2,9 @@
 //! are abandoned, `errno`, the C library's own allocations. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
-mod common;
+mod fixture;
 
-use common::{run, run_for, task};
+use fixture::{run, run_for, task};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};

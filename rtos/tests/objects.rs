@@ -2,9 +2,9 @@
 //! check, in virtual time. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
-mod common;
+mod fixture;
 
-use common::{Log, run, task};
+use fixture::{Log, run, task};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;

@@ -1,9 +1,9 @@
 //! Who runs when: priorities, time slices, yields, the tick. T-RTOS-1, T-RTOS-2
 #![allow(clippy::expect_used, reason = "a test may")]
 
-mod common;
+mod fixture;
 
-use common::{Log, run, run_for, task};
+use fixture::{Log, run, run_for, task};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::channel;

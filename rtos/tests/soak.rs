@@ -9,9 +9,9 @@
 //! `cargo xtask campaign rtos-soak` sets them.
 #![allow(clippy::expect_used, reason = "a test may")]
 
-mod common;
+mod fixture;
 
-use common::{Log, run, task};
+use fixture::{Log, run, task};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
