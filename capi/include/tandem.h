@@ -369,7 +369,7 @@ typedef void (*tandem_relax_t)(void *context, uint32_t spins);
 // that share it take turns, for example with interrupts disabled. Static, zero at first.
 typedef struct tandem_mailbox_sender_t {
   // Private.
-  size_t opaque[3];
+  size_t opaque[20];
 } tandem_mailbox_sender_t;
 
 // The receiving end of a mailbox with the handlers of its tasks. Static, zero at first.

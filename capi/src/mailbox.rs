@@ -19,7 +19,7 @@ const _: () = assert!(TANDEM_MAILBOX_WORDS == WORDS && TANDEM_MAX_TASK == MAX_TA
 #[derive(Debug)]
 pub struct TandemMailboxSender {
     /// Private.
-    pub opaque: [usize; 3],
+    pub opaque: [usize; 20],
 }
 
 /// The receiving end of a mailbox with the handlers of its tasks. Static, zero at first.

@@ -125,6 +125,10 @@ pub enum Ring {
 #[derive(Debug)]
 pub struct Sender<'a> {
     words: &'a [AtomicU32; WORDS],
+    /// Copies of what this end alone writes. On Intel a core that reads its own words from a line
+    /// that the receiver has just taken waits for the line; a core that only stores does not.
+    posted: u32,
+    sent: [u32; IDS],
 }
 
 impl<'a> Sender<'a> {
@@ -135,8 +139,15 @@ impl<'a> Sender<'a> {
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
     pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
+        let words: &[AtomicU32; WORDS] = fit_exactly(words)?;
+        let mut sent = [0; IDS];
+        for (id, copy) in sent.iter_mut().enumerate().skip(1) {
+            *copy = words[sent_at(id)].load(Ordering::Relaxed);
+        }
         let mut sender = Self {
-            words: fit_exactly(words)?,
+            words,
+            posted: words[POSTED_AT].load(Ordering::Relaxed),
+            sent,
         };
         sender.post(0);
         Ok(sender)
@@ -162,20 +173,19 @@ impl<'a> Sender<'a> {
 
     #[inline]
     fn count(&mut self, id: usize) {
-        let sent = &self.words[sent_at(id)];
-        // Only this end writes the word, so this need not be one operation. Release pairs with the
-        // Acquire of the count in `handle_task`: who counts it sees the payload.
-        let count = sent.load(Ordering::Relaxed).wrapping_add(1);
-        sent.store(count, Ordering::Release);
+        let sent = &mut self.sent[id % IDS];
+        *sent = sent.wrapping_add(1);
+        // Release pairs with the Acquire of the count in `handle_task`: a receiver that sees the
+        // count sees the payload.
+        self.words[sent_at(id)].store(*sent, Ordering::Release);
         self.post(id as u32);
     }
 
     #[inline]
     fn post(&mut self, id: u32) {
-        let posted = &self.words[POSTED_AT];
-        let next = next_post(posted.load(Ordering::Relaxed)).wrapping_add(id);
-        // Release pairs with the Acquire in `poll`: who sees the post sees the count.
-        posted.store(next, Ordering::Release);
+        self.posted = next_post(self.posted).wrapping_add(id);
+        // Release pairs with the Acquire in `poll`: a receiver that sees the post sees the count.
+        self.words[POSTED_AT].store(self.posted, Ordering::Release);
     }
 
     #[inline]
@@ -194,7 +204,7 @@ impl<'a> Sender<'a> {
     /// it did to the LMU is visible.
     #[must_use]
     pub fn open(&self, task: TaskId) -> u32 {
-        let sent = self.words[sent_at(task.index())].load(Ordering::Relaxed);
+        let sent = self.sent[task.index()];
         // Acquire pairs with the Release in `handle_task`.
         sent.wrapping_sub(self.words[handled_at(task.index())].load(Ordering::Acquire))
     }
