@@ -279,7 +279,7 @@ typedef struct tandem_broadcast_sender_t {
 // `tandem_map_attach` makes it one.
 typedef struct tandem_map_t {
   // Private.
-  size_t opaque[6];
+  size_t opaque[8];
 } tandem_map_t;
 
 // The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read

@@ -41,7 +41,7 @@ pub struct TandemLayout {
 #[derive(Debug)]
 pub struct TandemMap {
     /// Private.
-    pub opaque: [usize; 6],
+    pub opaque: [usize; 8],
 }
 
 /// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read

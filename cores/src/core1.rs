@@ -3,7 +3,7 @@
 
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
-use crate::layout::{ControllerMap, PLAN, Writer, age_ns};
+use crate::layout::{ControllerMap, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
 use crate::schedule::{Grid, Release};
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
@@ -11,6 +11,7 @@ use crate::{Core, Heard, RETRY, read_can};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
+use tandem_shm::typed::Writer;
 
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;
@@ -61,9 +62,10 @@ impl<'b, B: Board> Core1<'b, B> {
         let Ok(map) = ControllerMap::attach(self.board) else {
             return;
         };
-        let (Ok(to_planning), Some(scenes)) =
-            (Sender::attach(map.mailbox_1_to_2()), map.scene_writer())
-        else {
+        let (Ok(to_planning), Ok(scenes)) = (
+            MAILBOX_1_TO_2.sender(&map.map, map.life),
+            SCENE.writer(&map.map, map.life),
+        ) else {
             return;
         };
         // What an earlier life has counted, but not rung for.

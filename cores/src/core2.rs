@@ -2,12 +2,15 @@
 
 use crate::driving::planning::Planner;
 use crate::driving::types::{Scene, Trajectory};
-use crate::layout::{ControllerMap, PLAN, Reader, TRAJECTORY_READY, Writer};
+use crate::layout::{
+    ControllerMap, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY, TRAJECTORY_READY,
+};
 use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
+use tandem_shm::typed::{Reader, Writer};
 
 /// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the
 /// drive.
@@ -89,18 +92,19 @@ impl<'b, B: Board> Core2<'b, B> {
     }
 
     fn attach(&mut self) -> Option<()> {
-        let map = ControllerMap::attach(self.board).ok()?;
+        let lmu = ControllerMap::attach(self.board).ok()?;
+        let (map, life) = (lmu.map, lmu.life);
         let planning = Planning {
             board: self.board,
-            map,
-            scenes: map.scene_reader()?,
+            map: lmu,
+            scenes: SCENE.reader(&map).ok()?,
             planner: Planner::new(),
-            trajectories: map.trajectory_writer()?,
-            to_control: Sender::attach(map.mailbox_2_to_0()).ok()?,
+            trajectories: TRAJECTORY.writer(&map, life).ok()?,
+            to_control: MAILBOX_2_TO_0.sender(&map, life).ok()?,
         };
         // What an earlier life has counted, but not rung for.
         self.board.ring(CoreId::CONTROL);
-        let receiver = Receiver::attach(map.mailbox_1_to_2()).ok()?;
+        let receiver = MAILBOX_1_TO_2.receiver(&map, life).ok()?;
         self.attached = Some((receiver, planning));
         Some(())
     }

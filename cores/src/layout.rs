@@ -1,15 +1,14 @@
 //! The controller's layout of the LMU: who talks to whom through which words.
 
 use crate::driving::types::{Scene, Trajectory};
-use crate::words::{Corrupt, Words};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant};
+use tandem_shm::LINE_WORDS;
 use tandem_shm::life::Life;
-use tandem_shm::mailbox::{self, TaskId};
-use tandem_shm::map::{AttachError, Layout, Map, Region};
-use tandem_shm::newest::{self, ReadError};
-use tandem_shm::{LINE_WORDS, Shape};
+use tandem_shm::mailbox::TaskId;
+use tandem_shm::map::{AttachError, Layout, Map};
+use tandem_shm::typed::{Mailbox, Newest, Region, Words};
 
 /// Task of core 2: plan for the newest scene.
 pub const PLAN: TaskId = task(1);
@@ -23,36 +22,32 @@ const fn task(number: u8) -> TaskId {
     }
 }
 
-/// Four slots: a reader that has begun with the newest value has three further cycles to finish.
-const SLOTS: usize = 4;
-const SCENE: Shape = Shape::new(SLOTS, Scene::WORDS);
-const TRAJECTORY: Shape = Shape::new(SLOTS, Trajectory::WORDS);
+/// Core 1 signals core 2.
+pub const MAILBOX_1_TO_2: Region<Mailbox> = Region::first("mailbox 1 to 2");
+/// Core 2 signals core 0.
+pub const MAILBOX_2_TO_0: Region<Mailbox> = MAILBOX_1_TO_2.then("mailbox 2 to 0");
+/// Each core counts its cycles here, on a cache line of its own, for the alive supervision.
+const ALIVE: Region<Words<{ CoreId::COUNT * LINE_WORDS }>> = MAILBOX_2_TO_0.then("alive counters");
+/// Core 1 publishes, cores 2 and 0 read.
+pub const SCENE: Region<Newest<Scene>> = ALIVE.then("scene");
+/// Core 2 publishes, core 0 reads.
+pub const TRAJECTORY: Region<Newest<Trajectory>> = SCENE.then("trajectory");
 
-const MAILBOX_1_TO_2: usize = 0;
-const MAILBOX_2_TO_0: usize = 1;
-const ALIVE: usize = 2;
-const SCENE_AT: usize = 3;
-const TRAJECTORY_AT: usize = 4;
-
-/// All regions. Their order is that of the constants above.
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox 1 to 2", mailbox::WORDS),
-    Region::new("mailbox 2 to 0", mailbox::WORDS),
-    Region::new("alive counters", CoreId::COUNT * LINE_WORDS),
-    Region::new("scene", newest::words(SCENE)),
-    Region::new("trajectory", newest::words(TRAJECTORY)),
-]);
+const LAYOUT: Layout = TRAJECTORY.end();
 
 const _: () = assert!(
     LAYOUT.total_words() <= 8192,
     "the LMU of a TC297 has 32 KiB"
 );
 
-/// The LMU as one core of the controller sees it.
+/// The LMU as one life of one core of the controller sees it.
 #[derive(Clone, Copy)]
 pub struct ControllerMap<'a> {
-    map: Map<'a>,
-    core: CoreId,
+    /// Where the regions are.
+    pub map: Map<'a>,
+    /// This life, which was announced.
+    pub life: Life,
+    alive: &'a [AtomicU32],
 }
 
 impl<'a> ControllerMap<'a> {
@@ -63,7 +58,8 @@ impl<'a> ControllerMap<'a> {
     /// [`AttachError`]: not formatted yet (try again), or formatted for another image.
     ///
     /// # Panics
-    /// If the board's LMU is smaller than the layout or does not begin at a boundary of 64 bytes.
+    /// If the board breaks its contract: its LMU is smaller than the layout or does not begin at a
+    /// boundary of 64 bytes, or its generation is 0 or above 2^30 - 1.
     pub fn attach<B: Board>(board: &'a B) -> Result<Self, AttachError> {
         let identity = board.identity();
         let map = match Map::attach(board.lmu(), LAYOUT) {
@@ -74,133 +70,26 @@ impl<'a> ControllerMap<'a> {
             Err(_) if identity.core == CoreId::CONTROL => Map::format(board.lmu(), LAYOUT)?,
             Err(error) => return Err(error),
         };
-        if let Some(life) = Life::new(identity.core.index(), identity.generation.0) {
-            // A life that is announced as over cannot be this one: its supply gives out
-            // generations.
-            let _outdated = map.lives().announce(life);
-        }
-        Ok(Self {
-            map,
-            core: identity.core,
-        })
-    }
-
-    /// Where core 1 signals core 2.
-    #[must_use]
-    pub fn mailbox_1_to_2(&self) -> &'a [AtomicU32] {
-        self.map.region(MAILBOX_1_TO_2)
-    }
-
-    /// Where core 2 signals core 0.
-    #[must_use]
-    pub fn mailbox_2_to_0(&self) -> &'a [AtomicU32] {
-        self.map.region(MAILBOX_2_TO_0)
+        let Some(life) = Life::new(identity.core.index(), identity.generation.0) else {
+            panic!("this board's generation breaks its contract")
+        };
+        // A life that is announced as over cannot be this one: its supply gives out generations.
+        let _outdated = map.lives().announce(life);
+        let alive = ALIVE.attach(&map)?;
+        Ok(Self { map, life, alive })
     }
 
     /// Counts one cycle of this core, for the alive supervision.
     pub fn count_cycle(&self) {
         // Relaxed: the count itself is the message.
-        let word = &self.map.region(ALIVE)[self.core.index() * LINE_WORDS];
+        let word = &self.alive[self.life.core() * LINE_WORDS];
         word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
     }
 
     /// Cycles of a core so far; wraps around.
     #[must_use]
     pub fn cycles(&self, core: CoreId) -> u32 {
-        self.map.region(ALIVE)[core.index() * LINE_WORDS].load(Relaxed)
-    }
-
-    /// The scene channel's writing end, for core 1.
-    #[must_use]
-    pub fn scene_writer(&self) -> Option<Writer<'a, Scene>> {
-        Writer::attach(self.map.region(SCENE_AT), SCENE)
-    }
-
-    /// A reading end of the scene channel, for cores 2 and 0.
-    #[must_use]
-    pub fn scene_reader(&self) -> Option<Reader<'a, Scene>> {
-        Reader::attach(self.map.region(SCENE_AT), SCENE)
-    }
-
-    /// The trajectory channel's writing end, for core 2.
-    #[must_use]
-    pub fn trajectory_writer(&self) -> Option<Writer<'a, Trajectory>> {
-        Writer::attach(self.map.region(TRAJECTORY_AT), TRAJECTORY)
-    }
-
-    /// A reading end of the trajectory channel, for core 0.
-    #[must_use]
-    pub fn trajectory_reader(&self) -> Option<Reader<'a, Trajectory>> {
-        Reader::attach(self.map.region(TRAJECTORY_AT), TRAJECTORY)
-    }
-}
-
-/// Publishes values of one type in a newest-value channel, written in place.
-pub struct Writer<'a, T> {
-    channel: newest::Writer<'a>,
-    of: core::marker::PhantomData<T>,
-}
-
-impl<'a, T: Words> Writer<'a, T> {
-    fn attach(words: &'a [AtomicU32], shape: Shape) -> Option<Self> {
-        let channel = newest::Writer::attach(words, shape).ok()?;
-        Some(Self {
-            channel,
-            of: core::marker::PhantomData,
-        })
-    }
-
-    /// Makes `value` the newest.
-    pub fn publish(&mut self, value: &T) {
-        let mut loan = self.channel.loan();
-        let mut at = 0;
-        value.store(&mut |word| {
-            loan.words().set(at, word);
-            at += 1;
-        });
-        let _stamp = loan.send();
-    }
-}
-
-/// Reads the newest value of one type from its channel.
-pub struct Reader<'a, T> {
-    channel: newest::Reader<'a>,
-    seen: Option<newest::Stamp>,
-    of: core::marker::PhantomData<T>,
-}
-
-impl<'a, T: Words> Reader<'a, T> {
-    fn attach(words: &'a [AtomicU32], shape: Shape) -> Option<Self> {
-        let channel = newest::Reader::attach(words, shape).ok()?;
-        Some(Self {
-            channel,
-            seen: None,
-            of: core::marker::PhantomData,
-        })
-    }
-
-    /// The newest value if there is one that was not fetched before.
-    ///
-    /// # Errors
-    /// [`Corrupt`] if the channel's words hold no such value.
-    pub fn fetch(&mut self) -> Result<Option<T>, Corrupt> {
-        if self.channel.newest() == self.seen {
-            return Ok(None);
-        }
-        let read = self.channel.read(|words| {
-            let mut at = 0;
-            T::load(&mut || {
-                at += 1;
-                words.get(at - 1)
-            })
-        });
-        match read {
-            Ok((stamp, value)) => {
-                self.seen = Some(stamp);
-                value.map(Some)
-            }
-            Err(ReadError::Empty | ReadError::Overrun) => Ok(None),
-        }
+        self.alive[core.index() * LINE_WORDS].load(Relaxed)
     }
 }
 

@@ -9,25 +9,7 @@ use crate::driving::types::{
 };
 use heapless::Vec;
 use tandem_board::Instant;
-
-/// A word has a value that its writer cannot have written: the content is refused.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Corrupt;
-
-/// A type that crosses the LMU as a fixed number of words.
-pub trait Words: Sized {
-    /// How many words it takes.
-    const WORDS: usize;
-
-    /// Writes all words, in order, by `put`.
-    fn store(&self, put: &mut impl FnMut(u32));
-
-    /// Reads the words, in order, by `take`.
-    ///
-    /// # Errors
-    /// [`Corrupt`] if a word has an impossible value.
-    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt>;
-}
+pub use tandem_shm::typed::{Corrupt, Payload};
 
 /// Largest magnitude that a physical quantity may have: far above all that occurs, and small enough
 /// that no product of three overflows.
@@ -86,7 +68,7 @@ fn instant(take: &mut impl FnMut() -> u32) -> Instant {
     Instant::from_words([low, take()])
 }
 
-impl Words for Ego {
+impl Payload for Ego {
     const WORDS: usize = 5;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -114,7 +96,7 @@ impl Words for Ego {
     }
 }
 
-impl Words for Lanes {
+impl Payload for Lanes {
     const WORDS: usize = 14;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -148,7 +130,7 @@ impl Words for Lanes {
     }
 }
 
-impl Words for Object {
+impl Payload for Object {
     const WORDS: usize = 10;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -206,7 +188,7 @@ impl Words for Object {
     }
 }
 
-impl Words for Scene {
+impl Payload for Scene {
     const WORDS: usize =
         2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + MAX_OBJECTS * Object::WORDS;
 
@@ -251,7 +233,7 @@ impl Words for Scene {
     }
 }
 
-impl Words for TrajectoryPoint {
+impl Payload for TrajectoryPoint {
     const WORDS: usize = 6;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -278,7 +260,7 @@ impl Words for TrajectoryPoint {
     }
 }
 
-impl Words for Trajectory {
+impl Payload for Trajectory {
     const WORDS: usize = 2 + 1 + 1 + TRAJECTORY_SAMPLES * TrajectoryPoint::WORDS;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
@@ -353,14 +335,14 @@ mod tests {
         }
     }
 
-    fn to_words<T: Words>(value: &T) -> std::vec::Vec<u32> {
+    fn to_words<T: Payload>(value: &T) -> std::vec::Vec<u32> {
         let mut words = std::vec::Vec::new();
         value.store(&mut |word| words.push(word));
         assert_eq!(words.len(), T::WORDS);
         words
     }
 
-    fn from_words<T: Words>(words: &[u32]) -> Result<T, Corrupt> {
+    fn from_words<T: Payload>(words: &[u32]) -> Result<T, Corrupt> {
         let mut words = words.iter();
         T::load(&mut || *words.next().unwrap())
     }

@@ -29,6 +29,9 @@ use crate::view::{WordsMut, WordsRef};
 
 /// Line 0, written by the consumer: how many values were released.
 const RELEASED_AT: usize = 0;
+/// The claims of the ends: words of that line which are read by nobody who sends or receives.
+pub(crate) const PRODUCER_CLAIM_AT: usize = 1;
+pub(crate) const CONSUMER_CLAIM_AT: usize = 2;
 const SLOTS_AT: usize = LINE_WORDS;
 
 /// Looks in vain after which the consumer doubts another slot.

@@ -8,6 +8,7 @@
 //! | module | what it is | who writes |
 //! |---|---|---|
 //! | [`map`] | header, regions | boot core |
+//! | [`typed`] | what lies in which region, by types | at attachment |
 //! | [`life`] | which life of each core is the current one | each core, supervisor |
 //! | [`lock`] | mutual exclusion, recovered from a dead owner | any core |
 //! | [`mailbox`] | signals to tasks of another core, none lost | one sender, one receiver |
@@ -34,35 +35,44 @@
 //!
 //! # Example
 //!
-//! Two cores hand over a value: one publishes and signals, the other reads when it is called.
+//! Two cores hand over a value: one publishes and signals, the other reads when it is called. The
+//! map is a chain of constants; a region knows its shape and its payload, and a sender, a receiver
+//! or a writer exists once. More in [`typed`].
 //!
 //! ```
-//! use core::sync::atomic::AtomicU32;
-//! use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
-//! use tandem_shm::{Shape, newest};
+//! use tandem_shm::life::Life;
+//! use tandem_shm::mailbox::{Ring, TaskId};
+//! use tandem_shm::map::Map;
+//! use tandem_shm::typed::{EndError, Mailbox, Newest, Region};
 //!
-//! fn hand_over(mailbox: &[AtomicU32], channel: &[AtomicU32]) -> Option<u32> {
-//!     let shape = Shape::new(4, 1); // four slots of one word
-//!     let mut writer = newest::Writer::attach(channel, shape).ok()?;
-//!     let reader = newest::Reader::attach(channel, shape).ok()?;
-//!     let (mut to, mut from) = (Sender::attach(mailbox).ok()?, Receiver::attach(mailbox).ok()?);
+//! const NEWS: Region<Mailbox> = Region::first("news");
+//! const SPEED: Region<Newest<u32>> = NEWS.then("speed");
 //!
-//!     writer.publish(&[42]);
-//!     if to.signal(TaskId::new(1)?) == Ring::Needed {
+//! fn hand_over(map: &Map<'_>, here: Life, there: Life) -> Result<Option<u32>, EndError> {
+//!     let (mut writer, mut to) = (SPEED.writer(map, here)?, NEWS.sender(map, here)?);
+//!     let (mut reader, mut from) = (SPEED.reader(map)?, NEWS.receiver(map, there)?);
+//!
+//!     writer.publish(&42);
+//!     if to.signal(TaskId::FIRST) == Ring::Needed {
 //!         // The receiver sleeps: ring its doorbell, board.ring(core).
 //!     }
 //!
-//!     let mut value = [0];
-//!     from.poll(|_signals| drop(reader.read_into(&mut value)));
-//!     Some(value[0])
+//!     let mut speed = None;
+//!     from.poll(|_signals| speed = reader.fetch().ok().flatten());
+//!     Ok(speed)
 //! }
 //!
-//! // Regions begin on a cache line; on a chip the linker or the board sees to that.
-//! #[repr(align(64))]
-//! struct Lmu([AtomicU32; 1024]);
-//! let lmu = Lmu([const { AtomicU32::new(0) }; 1024]);
-//! let (mailbox, channel) = lmu.0.split_at(512);
-//! assert_eq!(hand_over(mailbox, channel), Some(42));
+//! // The LMU begins on a cache line; on a chip the linker or the board sees to that.
+//! # use core::sync::atomic::AtomicU32;
+//! # #[repr(align(64))]
+//! # struct Lmu([AtomicU32; 512]);
+//! # let lmu = Lmu([const { AtomicU32::new(0) }; 512]);
+//! let map = Map::format(&lmu.0, SPEED.end()).unwrap();
+//! let [here, there] = [0, 1].map(|core| Life::new(core, 1).unwrap());
+//! for life in [here, there] {
+//!     map.lives().announce(life).unwrap();
+//! }
+//! assert_eq!(hand_over(&map, here, there), Ok(Some(42)));
 //! ```
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
@@ -81,6 +91,7 @@ pub mod pool;
 mod region;
 mod ring;
 pub mod sync;
+pub mod typed;
 mod view;
 pub mod wait;
 

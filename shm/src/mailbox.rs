@@ -41,10 +41,14 @@ const IDS: usize = MAX_TASK as usize + 1;
 /// Lines 0 and 1, written by the sender: word 0 is the posted word, word 2 i counts the signals to
 /// task i, and word 2 i + 1 is their newest value.
 const POSTED_AT: usize = 0;
+/// The claim of the sending end: the value of id 0, which no task has.
+pub(crate) const SENDER_CLAIM_AT: usize = value_at(0);
 /// Line 2, written by the receiver: whether it may be asleep.
 const ASLEEP_AT: usize = 2 * LINE_WORDS;
 /// Line 3, written by the receiver: word i counts the signals to task i that were handled.
 const HANDLED_AT: usize = 3 * LINE_WORDS;
+/// The claim of the receiving end: the count of id 0, which no task has.
+pub(crate) const RECEIVER_CLAIM_AT: usize = HANDLED_AT;
 
 /// The word that counts the signals to this task.
 #[inline]
@@ -93,6 +97,9 @@ const POSTS_UNTIL_SURE: u32 = 0xFFFF << ID_MASK.count_ones();
 pub struct TaskId(u8);
 
 impl TaskId {
+    /// Task 1, which comes before all others.
+    pub const FIRST: Self = Self(1);
+
     /// The task with this number; `None` for 0 and above [`MAX_TASK`].
     #[must_use]
     pub const fn new(number: u8) -> Option<Self> {

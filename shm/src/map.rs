@@ -51,44 +51,64 @@ impl Region {
     }
 }
 
-/// What lies in an LMU, in order. Made in a constant and the same in every image of a system.
-///
-/// ```
-/// use tandem_shm::map::{Layout, Region};
-/// use tandem_shm::{Shape, fifo, mailbox, newest};
-///
-/// const SCENE: Shape = Shape::new(4, 300);
-/// const LAYOUT: Layout = Layout::new(&[
-///     Region::new("mailbox 1 to 2", mailbox::WORDS),
-///     Region::new("scene", newest::words(SCENE)),
-/// ]);
-/// const _: () = assert!(LAYOUT.total_words() <= 8192, "fits the LMU of a TC297");
-/// ```
+/// What lies in an LMU, in order. Made in a constant and the same in every image of a system: by a
+/// chain of [typed regions](crate::typed), or here for shapes that are known at run time, as in C.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     regions: &'static [Region],
+    words: usize,
+    hash: u32,
 }
 
 impl Layout {
+    /// The header alone.
+    pub(crate) const EMPTY: Self = Self {
+        regions: &[],
+        words: HEADER_WORDS,
+        hash: 0x811C_9DC5,
+    };
+
     /// The layout with these regions.
     #[must_use]
     pub const fn new(regions: &'static [Region]) -> Self {
-        Self { regions }
+        let mut layout = Self::EMPTY;
+        let mut i = 0;
+        while i < regions.len() {
+            layout = layout.with(regions[i].name, regions[i].words);
+            i += 1;
+        }
+        layout.regions = regions;
+        layout
     }
 
-    /// The regions.
-    #[must_use]
-    pub const fn regions(&self) -> &'static [Region] {
-        self.regions
+    /// This layout with one more region. FNV-1a over names and sizes: images with different layouts
+    /// must not meet in one LMU.
+    pub(crate) const fn with(self, name: &str, words: usize) -> Self {
+        let mut hash = self.hash;
+        let name = name.as_bytes();
+        let mut j = 0;
+        while j < name.len() {
+            hash = fnv(hash, name[j]);
+            j += 1;
+        }
+        // 0xFF ends the name: it is no byte of UTF-8.
+        hash = fnv(hash, 0xFF);
+        let size = (words as u32).to_le_bytes();
+        let mut j = 0;
+        while j < size.len() {
+            hash = fnv(hash, size[j]);
+            j += 1;
+        }
+        Self {
+            regions: &[],
+            words: self.words + whole_lines(words),
+            hash,
+        }
     }
 
     /// Where region `index` begins, in words from the begin of the LMU; for `index` = number of
     /// regions, where the last one ends.
-    ///
-    /// # Panics
-    /// If there are not so many regions.
-    #[must_use]
-    pub const fn offset(&self, index: usize) -> usize {
+    const fn offset(&self, index: usize) -> usize {
         assert!(index <= self.regions.len());
         let mut at = HEADER_WORDS;
         let mut i = 0;
@@ -102,32 +122,13 @@ impl Layout {
     /// Words of the LMU that the layout takes, header included.
     #[must_use]
     pub const fn total_words(&self) -> usize {
-        self.offset(self.regions.len())
+        self.words
     }
 
-    /// FNV-1a over names and sizes: images with different layouts must not meet in one LMU.
+    /// Differs, most likely, between layouts with other names, sizes or order.
     #[must_use]
     pub const fn hash(&self) -> u32 {
-        let mut hash = 0x811C_9DC5;
-        let mut i = 0;
-        while i < self.regions.len() {
-            let name = self.regions[i].name.as_bytes();
-            let mut j = 0;
-            while j < name.len() {
-                hash = fnv(hash, name[j]);
-                j += 1;
-            }
-            // 0xFF ends the name: it is no byte of UTF-8.
-            hash = fnv(hash, 0xFF);
-            let size = (self.regions[i].words as u32).to_le_bytes();
-            let mut j = 0;
-            while j < size.len() {
-                hash = fnv(hash, size[j]);
-                j += 1;
-            }
-            i += 1;
-        }
-        hash
+        self.hash
     }
 }
 
@@ -211,7 +212,14 @@ impl<'a> Map<'a> {
         Ok(Self { words, layout })
     }
 
-    /// The words of region `index` of the layout, rounded up to whole cache lines.
+    /// The words of a typed region.
+    pub(crate) fn words(&self, begin: usize, count: usize) -> Result<&'a [AtomicU32], FitError> {
+        let words = &self.words[..self.layout.total_words()];
+        let region = words.get(begin..begin + whole_lines(count));
+        region.ok_or(FitError::TooSmall)
+    }
+
+    /// The words of region `index` of a layout of [`Layout::new`], rounded up to whole cache lines.
     ///
     /// # Panics
     /// If the layout has no such region.

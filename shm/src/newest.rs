@@ -7,8 +7,8 @@
 //! n slots that takes n - 1 new values during one read. A writer that dies while it fills a slot
 //! leaves the newest value as it was; its successor goes on with the next number.
 
-use crate::region::{FitError, LINE_WORDS, Shape, whole_lines};
-use crate::ring::Ring;
+use crate::region::{FitError, Shape, whole_lines};
+use crate::ring::{CLAIM_AT, Ring};
 use crate::sync::AtomicU32;
 use crate::view::{WordsMut, WordsRef};
 
@@ -25,7 +25,7 @@ pub const fn words(shape: Shape) -> usize {
 
 const fn stride(shape: Shape) -> usize {
     let slot = 1 + shape.slot_words();
-    if shape.slots() * slot < LINE_WORDS {
+    if shape.slots() * slot < CLAIM_AT {
         slot
     } else {
         whole_lines(slot)
@@ -231,6 +231,7 @@ impl<'a> View<'a> {
 #[cfg(not(loom))]
 mod tests {
     use super::*;
+    use crate::LINE_WORDS;
     use crate::step::{freeze_at, kill_at, zeroed};
     use crate::sync::Ordering;
 

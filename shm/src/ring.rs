@@ -13,6 +13,10 @@
 use crate::region::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
 
+/// The claim of the writing end: the last word of the head's line, which slots leave alone. A map
+/// gives a region whole lines.
+pub(crate) const CLAIM_AT: usize = LINE_WORDS - 1;
+
 /// The ring in the LMU.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ring<'a> {
@@ -30,7 +34,7 @@ impl<'a> Ring<'a> {
 
     /// Slots that fit stand in the line of the head: then a value is one line that moves.
     const fn first_slot(shape: Shape, stride: usize) -> usize {
-        if shape.slots() * stride < LINE_WORDS {
+        if shape.slots() * stride < CLAIM_AT {
             1
         } else {
             LINE_WORDS

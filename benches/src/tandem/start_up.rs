@@ -9,22 +9,32 @@ use std::sync::atomic::Ordering;
 use tandem_board::{Board, CoreId, Duration, Generation};
 use tandem_board_host::{HostBoard, UnsupervisedSystem, isolation};
 use tandem_shm::life::Life;
-use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId};
-use tandem_shm::map::{AttachError, Layout, Map, Region};
+use tandem_shm::mailbox::{Ring, TaskId};
+use tandem_shm::map::{AttachError, Layout, Map};
+use tandem_shm::typed::{Mailbox, Region};
 
 const CORES: usize = CoreId::COUNT;
 /// One mailbox from each core to each other.
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox 1 to 0", mailbox::WORDS),
-    Region::new("mailbox 2 to 0", mailbox::WORDS),
-    Region::new("mailbox 0 to 1", mailbox::WORDS),
-    Region::new("mailbox 2 to 1", mailbox::WORDS),
-    Region::new("mailbox 0 to 2", mailbox::WORDS),
-    Region::new("mailbox 1 to 2", mailbox::WORDS),
-]);
+const MAILBOXES: [Region<Mailbox>; 6] = {
+    let from_1_to_0 = Region::first("mailbox 1 to 0");
+    let from_2_to_0 = from_1_to_0.then("mailbox 2 to 0");
+    let from_0_to_1 = from_2_to_0.then("mailbox 0 to 1");
+    let from_2_to_1 = from_0_to_1.then("mailbox 2 to 1");
+    let from_0_to_2 = from_2_to_1.then("mailbox 0 to 2");
+    let from_1_to_2 = from_0_to_2.then("mailbox 1 to 2");
+    [
+        from_1_to_0,
+        from_2_to_0,
+        from_0_to_1,
+        from_2_to_1,
+        from_0_to_2,
+        from_1_to_2,
+    ]
+};
+const LAYOUT: Layout = MAILBOXES[5].end();
 
-/// The region of the mailbox between two different cores.
-const fn region(from: usize, to: usize) -> usize {
+/// Which mailbox lies between two different cores.
+const fn mailbox(from: usize, to: usize) -> usize {
     2 * to + if from < to { from } else { from - 1 }
 }
 
@@ -83,12 +93,13 @@ fn start_core(system: &UnsupervisedSystem, core: CoreId) -> Result<(), Box<dyn s
     let others = CoreId::ALL.into_iter().filter(|other| *other != core);
     let mut receivers = vec![];
     for other in others.clone() {
-        let inward = map.region(region(other.index(), core.index()));
-        receivers.push((Receiver::attach(inward).map_err(|_| "misfit")?, false));
+        let inward = MAILBOXES[mailbox(other.index(), core.index())];
+        let receiver = inward.receiver(&map, life).map_err(|_| "taken")?;
+        receivers.push((receiver, false));
     }
     for other in others {
-        let out = map.region(region(core.index(), other.index()));
-        let mut sender = Sender::attach(out).map_err(|_| "misfit")?;
+        let out = MAILBOXES[mailbox(core.index(), other.index())];
+        let mut sender = out.sender(&map, life).map_err(|_| "taken")?;
         if sender.signal(started) == Ring::Needed {
             board.ring(other);
         }
@@ -163,12 +174,12 @@ mod tests {
 
     #[test]
     fn each_pair_of_cores_has_a_mailbox_of_its_own() {
-        let mut regions: Vec<_> = (0..CORES)
+        let mut mailboxes: Vec<_> = (0..CORES)
             .flat_map(|from| (0..CORES).map(move |to| (from, to)))
             .filter(|(from, to)| from != to)
-            .map(|(from, to)| region(from, to))
+            .map(|(from, to)| mailbox(from, to))
             .collect();
-        regions.sort_unstable();
-        assert_eq!(regions, (0..LAYOUT.regions().len()).collect::<Vec<_>>());
+        mailboxes.sort_unstable();
+        assert_eq!(mailboxes, (0..MAILBOXES.len()).collect::<Vec<_>>());
     }
 }

@@ -5,7 +5,7 @@ use super::limits::DOORBELL_DISTANCE;
 use super::shared::Shared;
 use super::{Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
-use crate::layout::{ControllerMap, Reader, TRAJECTORY_READY, age_ns};
+use crate::layout::{ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns};
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
@@ -13,6 +13,7 @@ use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answ
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
+use tandem_shm::typed::Reader;
 
 fn released(board: &impl Board, release: Release) -> Begin {
     Begin::Released {
@@ -253,11 +254,11 @@ struct Lmu<'b> {
 
 impl<'b> Lmu<'b> {
     fn attach<B: Board>(board: &'b B) -> Option<Self> {
-        let map = ControllerMap::attach(board).ok()?;
+        let ControllerMap { map, life, .. } = ControllerMap::attach(board).ok()?;
         Some(Self {
-            from_planning: mailbox::Receiver::attach(map.mailbox_2_to_0()).ok()?,
-            scenes: map.scene_reader()?,
-            trajectories: map.trajectory_reader()?,
+            from_planning: MAILBOX_2_TO_0.receiver(&map, life).ok()?,
+            scenes: SCENE.reader(&map).ok()?,
+            trajectories: TRAJECTORY.reader(&map).ok()?,
         })
     }
 }

@@ -14,7 +14,7 @@ use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
-use tandem_cores::words::Words;
+use tandem_cores::words::Payload;
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS};
 
 /// Period of perception and planning, ms.
@@ -38,7 +38,7 @@ impl Hash {
         }
     }
 
-    fn add_all(&mut self, value: &impl Words) {
+    fn add_all(&mut self, value: &impl Payload) {
         value.store(&mut |word| self.add(word));
     }
 

@@ -1,0 +1,665 @@
+//! Typed regions: one `const` map says what lies where, and each region gives only its own ends.
+//!
+//! A [`Region`] knows its place and, by its type, its kind, shape and payload, so that a mailbox
+//! cannot be attached to a scene, nor one end be given another shape. The map is a chain of
+//! constants; its end is the [`Layout`] by which images recognise each other.
+//!
+//! An end that exists once (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a
+//! word of the region, which no other use has, names the life that attached it. A second attachment
+//! is refused as long as that life is alive; a successor of a dead life may attach.
+//!
+//! ```
+//! use core::sync::atomic::AtomicU32;
+//! use tandem_shm::life::Life;
+//! use tandem_shm::mailbox::{Ring, TaskId};
+//! use tandem_shm::map::{Layout, Map};
+//! use tandem_shm::typed::{Mailbox, Newest, Region};
+//!
+//! const NEWS: Region<Mailbox> = Region::first("news");
+//! const SPEED: Region<Newest<u32>> = NEWS.then("speed");
+//! const LAYOUT: Layout = SPEED.end();
+//!
+//! # #[repr(align(64))]
+//! # struct Lmu([AtomicU32; LAYOUT.total_words()]);
+//! # let lmu = Lmu([const { AtomicU32::new(0) }; LAYOUT.total_words()]);
+//! # let words = &lmu.0;
+//! let map = Map::format(words, LAYOUT).unwrap();
+//! let [one, two] = [0, 1].map(|core| Life::new(core, 1).unwrap());
+//! for life in [one, two] {
+//!     map.lives().announce(life).unwrap();
+//! }
+//! let mut speed = SPEED.writer(&map, one).unwrap();
+//! let mut to = NEWS.sender(&map, one).unwrap();
+//! assert!(NEWS.sender(&map, two).is_err(), "there is one sender");
+//!
+//! speed.publish(&42);
+//! if to.signal(TaskId::new(1).unwrap()) == Ring::Needed {
+//!     // The receiver sleeps: ring its doorbell, board.ring(core).
+//! }
+//!
+//! let mut from = NEWS.receiver(&map, two).unwrap();
+//! let mut read = SPEED.reader(&map).unwrap();
+//! from.poll(|_signals| assert_eq!(read.fetch(), Ok(Some(42))));
+//! ```
+
+use core::marker::PhantomData;
+
+use crate::life::{Life, Lives};
+use crate::lock::{self, Lock};
+use crate::map::{Layout, Map};
+use crate::newest::{ReadError, Stamp};
+use crate::pool::{self, Pool};
+use crate::region::{FitError, Shape};
+use crate::sync::{AtomicU32, Ordering};
+use crate::view::{WordsMut, WordsRef};
+use crate::{broadcast, fifo, mailbox, newest};
+
+/// A word has a value that its writer cannot have written: the whole value is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Corrupt;
+
+/// A type that crosses the LMU as a fixed number of words: the codec of a payload.
+pub trait Payload: Sized {
+    /// How many words it takes; at least 1.
+    const WORDS: usize;
+
+    /// Writes all words, in order, by `put`.
+    fn store(&self, put: &mut impl FnMut(u32));
+
+    /// Reads the words, in order, by `take`. They are an allegation of another core: each value
+    /// that is not of the type is refused.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if a word has an impossible value.
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt>;
+}
+
+impl Payload for u32 {
+    const WORDS: usize = 1;
+
+    #[inline]
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put(*self);
+    }
+
+    #[inline]
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(take())
+    }
+}
+
+impl<const N: usize> Payload for [u32; N] {
+    const WORDS: usize = N;
+
+    #[inline]
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        self.iter().copied().for_each(put);
+    }
+
+    #[inline]
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(core::array::from_fn(|_| take()))
+    }
+}
+
+#[inline]
+fn fill<T: Payload>(words: &mut WordsMut<'_>, value: &T) {
+    let mut at = 0;
+    value.store(&mut |word| {
+        words.set(at, word);
+        at += 1;
+    });
+}
+
+#[inline]
+fn parse<T: Payload>(words: WordsRef<'_>) -> Result<T, Corrupt> {
+    let mut at = 0;
+    T::load(&mut || {
+        at += 1;
+        words.get(at - 1)
+    })
+}
+
+/// What can lie in a region.
+pub trait Kind {
+    /// How many words it takes.
+    const WORDS: usize;
+}
+
+/// A sync mailbox: see [`mailbox`].
+#[derive(Debug)]
+pub enum Mailbox {}
+
+/// A lock: see [`lock`].
+#[derive(Debug)]
+pub enum SharedLock {}
+
+/// A pool of so many blocks: see [`pool`].
+#[derive(Debug)]
+pub enum SharedPool<const BLOCKS: usize> {}
+
+/// Plain words, without a protocol.
+#[derive(Debug)]
+pub enum Words<const COUNT: usize> {}
+
+/// A newest-value channel: see [`newest`]. With 4 slots a reader that has begun with the newest
+/// value has three further values' time to finish.
+#[derive(Debug)]
+pub struct Newest<T, const SLOTS: usize = 4>(PhantomData<fn() -> T>);
+
+/// A queue: see [`fifo`].
+#[derive(Debug)]
+pub struct Fifo<T, const SLOTS: usize>(PhantomData<fn() -> T>);
+
+/// A broadcast ring: see [`broadcast`].
+#[derive(Debug)]
+pub struct Broadcast<T, const SLOTS: usize>(PhantomData<fn() -> T>);
+
+impl Kind for Mailbox {
+    const WORDS: usize = mailbox::WORDS;
+}
+
+impl Kind for SharedLock {
+    const WORDS: usize = lock::WORDS;
+}
+
+impl<const BLOCKS: usize> Kind for SharedPool<BLOCKS> {
+    const WORDS: usize = pool::words(BLOCKS);
+}
+
+impl<const COUNT: usize> Kind for Words<COUNT> {
+    const WORDS: usize = COUNT;
+}
+
+impl<T: Payload, const SLOTS: usize> Newest<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Newest<T, SLOTS> {
+    const WORDS: usize = newest::words(Self::SHAPE);
+}
+
+impl<T: Payload, const SLOTS: usize> Fifo<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Fifo<T, SLOTS> {
+    const WORDS: usize = fifo::words(Self::SHAPE);
+}
+
+impl<T: Payload, const SLOTS: usize> Broadcast<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Broadcast<T, SLOTS> {
+    const WORDS: usize = broadcast::words(Self::SHAPE);
+}
+
+/// One region of a map: a place in the LMU, and by its type what lies there.
+#[derive(Debug)]
+pub struct Region<K> {
+    /// First word in the LMU.
+    begin: usize,
+    /// The layout up to the end of this region.
+    layout: Layout,
+    kind: PhantomData<fn() -> K>,
+}
+
+impl<K> Clone for Region<K> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<K> Copy for Region<K> {}
+
+/// Why an end of a region cannot be attached.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EndError {
+    /// This end exists once, and this life, which is alive, has it.
+    Claimed(Life),
+    /// The region is not of this map's layout.
+    Fit(FitError),
+}
+
+impl From<FitError> for EndError {
+    fn from(error: FitError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+impl<K: Kind> Region<K> {
+    /// The first region of a map. The name takes part in the layout's hash.
+    #[must_use]
+    pub const fn first(name: &'static str) -> Self {
+        Self::after(Layout::EMPTY, name)
+    }
+
+    const fn after(layout: Layout, name: &'static str) -> Self {
+        Self {
+            begin: layout.total_words(),
+            layout: layout.with(name, K::WORDS),
+            kind: PhantomData,
+        }
+    }
+
+    /// The region behind this one.
+    #[must_use]
+    pub const fn then<L: Kind>(self, name: &'static str) -> Region<L> {
+        Region::after(self.layout, name)
+    }
+
+    /// The layout that ends with this region.
+    #[must_use]
+    pub const fn end(self) -> Layout {
+        self.layout
+    }
+
+    fn words<'a>(&self, map: &Map<'a>) -> Result<&'a [AtomicU32], FitError> {
+        map.words(self.begin, K::WORDS)
+    }
+}
+
+/// Claims the end whose claim stands in `word` for this life.
+fn claim(word: &AtomicU32, life: Life, lives: Lives<'_>) -> Result<(), EndError> {
+    // Core + 1 in the low bits: a zeroed region has no claims.
+    let own = life.generation() << 2 | (life.core() as u32 + 1);
+    let mut seen = word.load(Ordering::Relaxed);
+    // A core that claims at the same time makes this one look again: they are three.
+    for _ in 0..4 {
+        let holder = Life::new((seen as usize & 3).wrapping_sub(1), seen >> 2);
+        if let Some(holder) = holder.filter(|&holder| lives.is_alive(holder)) {
+            return Err(EndError::Claimed(holder));
+        }
+        // AcqRel pairs with itself: what the last holder did to the region was seen with its end,
+        // by `is_alive`; the next one sees what was done to the claim.
+        match word.compare_exchange(seen, own, Ordering::AcqRel, Ordering::Relaxed) {
+            Ok(_) => return Ok(()),
+            Err(now) => seen = now,
+        }
+    }
+    Err(EndError::Claimed(life))
+}
+
+impl<const COUNT: usize> Region<Words<COUNT>> {
+    /// The words.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(&self, map: &Map<'a>) -> Result<&'a [AtomicU32], FitError> {
+        Ok(&self.words(map)?[..COUNT])
+    }
+}
+
+impl Region<SharedLock> {
+    /// An end of the lock. Each task that takes the lock attaches one.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(&self, map: &Map<'a>, life: Life) -> Result<Lock<'a>, FitError> {
+        Lock::attach(self.words(map)?, life, map.lives())
+    }
+}
+
+impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
+    /// The pool, for this life.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(&self, map: &Map<'a>, life: Life) -> Result<Pool<'a>, FitError> {
+        Pool::attach(self.words(map)?, BLOCKS, life, map.lives())
+    }
+}
+
+impl Region<Mailbox> {
+    /// The sending end; see [`mailbox::Sender::attach`].
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn sender<'a>(&self, map: &Map<'a>, life: Life) -> Result<mailbox::Sender<'a>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[mailbox::SENDER_CLAIM_AT], life, map.lives())?;
+        Ok(mailbox::Sender::attach(words)?)
+    }
+
+    /// The receiving end; see [`mailbox::Receiver::attach`].
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn receiver<'a>(
+        &self,
+        map: &Map<'a>,
+        life: Life,
+    ) -> Result<mailbox::Receiver<'a>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[mailbox::RECEIVER_CLAIM_AT], life, map.lives())?;
+        Ok(mailbox::Receiver::attach(words)?)
+    }
+}
+
+/// Publishes values in a newest-value channel.
+#[derive(Debug)]
+pub struct Writer<'a, T> {
+    channel: newest::Writer<'a>,
+    payload: PhantomData<fn(&T)>,
+}
+
+impl<T: Payload> Writer<'_, T> {
+    /// Makes `value` the newest. Never blocks.
+    #[inline]
+    pub fn publish(&mut self, value: &T) -> Stamp {
+        let mut loan = self.channel.loan();
+        fill(loan.words(), value);
+        loan.send()
+    }
+}
+
+/// Reads the newest value of a channel.
+#[derive(Debug)]
+pub struct Reader<'a, T> {
+    channel: newest::Reader<'a>,
+    fetched: Option<Stamp>,
+    payload: PhantomData<fn() -> T>,
+}
+
+impl<T: Payload> Reader<'_, T> {
+    /// The newest value, if there is one that was not fetched before. Never blocks.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if the channel's words hold no such value.
+    #[inline]
+    pub fn fetch(&mut self) -> Result<Option<T>, Corrupt> {
+        if self.channel.newest() == self.fetched {
+            return Ok(None);
+        }
+        match self.channel.read(parse) {
+            Ok((stamp, value)) => {
+                self.fetched = Some(stamp);
+                value.map(Some)
+            }
+            Err(ReadError::Empty | ReadError::Overrun) => Ok(None),
+        }
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
+    /// The writing end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn writer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Writer<'a, T>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[crate::ring::CLAIM_AT], life, map.lives())?;
+        Ok(Writer {
+            channel: newest::Writer::attach(words, Newest::<T, SLOTS>::SHAPE)?,
+            payload: PhantomData,
+        })
+    }
+
+    /// A reading end; there may be any number of them.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn reader<'a>(&self, map: &Map<'a>) -> Result<Reader<'a, T>, FitError> {
+        Ok(Reader {
+            channel: newest::Reader::attach(self.words(map)?, Newest::<T, SLOTS>::SHAPE)?,
+            fetched: None,
+            payload: PhantomData,
+        })
+    }
+}
+
+/// Sends values through a queue.
+#[derive(Debug)]
+pub struct Producer<'a, T> {
+    queue: fifo::Producer<'a>,
+    payload: PhantomData<fn(&T)>,
+}
+
+impl<T: Payload> Producer<'_, T> {
+    /// Sends `value`. Never blocks.
+    ///
+    /// # Errors
+    /// [`fifo::Full`]; the value was not sent.
+    #[inline]
+    pub fn send(&mut self, value: &T) -> Result<(), fifo::Full> {
+        let mut loan = self.queue.loan()?;
+        fill(loan.words(), value);
+        loan.send();
+        Ok(())
+    }
+}
+
+/// Receives values from a queue.
+#[derive(Debug)]
+pub struct Consumer<'a, T> {
+    queue: fifo::Consumer<'a>,
+    payload: PhantomData<fn() -> T>,
+}
+
+impl<T: Payload> Consumer<'_, T> {
+    /// The next value, if there is one. Never blocks.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if it is no value of the type; it is released all the same.
+    #[inline]
+    pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
+        let Some(item) = self.queue.receive() else {
+            return Ok(None);
+        };
+        let value = parse(item.words());
+        item.release();
+        value.map(Some)
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
+    /// The sending end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn producer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Producer<'a, T>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[fifo::PRODUCER_CLAIM_AT], life, map.lives())?;
+        Ok(Producer {
+            queue: fifo::Producer::attach(words, Fifo::<T, SLOTS>::SHAPE)?,
+            payload: PhantomData,
+        })
+    }
+
+    /// The receiving end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn consumer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Consumer<'a, T>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[fifo::CONSUMER_CLAIM_AT], life, map.lives())?;
+        Ok(Consumer {
+            queue: fifo::Consumer::attach(words, Fifo::<T, SLOTS>::SHAPE)?,
+            payload: PhantomData,
+        })
+    }
+}
+
+/// Sends values to any number of receivers.
+#[derive(Debug)]
+pub struct BroadcastSender<'a, T> {
+    ring: broadcast::Sender<'a>,
+    payload: PhantomData<fn(&T)>,
+}
+
+impl<T: Payload> BroadcastSender<'_, T> {
+    /// Sends `value` and returns its number. Never blocks.
+    #[inline]
+    pub fn send(&mut self, value: &T) -> u32 {
+        let mut loan = self.ring.loan();
+        fill(loan.words(), value);
+        loan.send()
+    }
+}
+
+/// Receives values of a broadcast ring.
+#[derive(Debug)]
+pub struct BroadcastReceiver<'a, T> {
+    ring: broadcast::Receiver<'a>,
+    payload: PhantomData<fn() -> T>,
+}
+
+impl<T: Payload> BroadcastReceiver<'_, T> {
+    /// The next value, if there is one; `Err` inside if it is no value of the type. Never blocks.
+    ///
+    /// # Errors
+    /// [`broadcast::Lost`] if values were overwritten before they were received.
+    #[inline]
+    pub fn receive(&mut self) -> Result<Option<Result<T, Corrupt>>, broadcast::Lost> {
+        let Some(item) = self.ring.receive()? else {
+            return Ok(None);
+        };
+        let value = parse(item.words());
+        item.finish()?;
+        Ok(Some(value))
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
+    /// The sending end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn sender<'a>(
+        &self,
+        map: &Map<'a>,
+        life: Life,
+    ) -> Result<BroadcastSender<'a, T>, EndError> {
+        let words = self.words(map)?;
+        claim(&words[crate::ring::CLAIM_AT], life, map.lives())?;
+        Ok(BroadcastSender {
+            ring: broadcast::Sender::attach(words, Broadcast::<T, SLOTS>::SHAPE)?,
+            payload: PhantomData,
+        })
+    }
+
+    /// A receiving end, for what is sent from now on; there may be any number of them.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn receiver<'a>(&self, map: &Map<'a>) -> Result<BroadcastReceiver<'a, T>, FitError> {
+        Ok(BroadcastReceiver {
+            ring: broadcast::Receiver::attach(self.words(map)?, Broadcast::<T, SLOTS>::SHAPE)?,
+            payload: PhantomData,
+        })
+    }
+}
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::step::zeroed;
+
+    const NEWS: Region<Mailbox> = Region::first("news");
+    const PAIR: Region<Newest<[u32; 2]>> = NEWS.then("pair");
+    const ORDERS: Region<Fifo<u32, 8>> = PAIR.then("orders");
+    const SMALL: Region<Newest<[u32; 6], 2>> = ORDERS.then("small");
+    const NOTES: Region<Broadcast<u32, 4>> = SMALL.then("notes");
+    const LOCK: Region<SharedLock> = NOTES.then("lock");
+    const POOL: Region<SharedPool<3>> = LOCK.then("pool");
+    const GUARDED: Region<Words<2>> = POOL.then("guarded");
+    const LAYOUT: Layout = GUARDED.end();
+
+    fn start(map: &Map<'_>, core: usize, generation: u32) -> Life {
+        let life = Life::new(core, generation).unwrap();
+        map.lives().announce(life).unwrap();
+        life
+    }
+
+    fn map() -> Map<'static> {
+        Map::format(zeroed(LAYOUT.total_words()), LAYOUT).unwrap()
+    }
+
+    #[test]
+    fn values_of_each_kind_of_region_go_from_core_to_core() {
+        let map = map();
+        let [one, two] = [0, 1].map(|core| start(&map, core, 1));
+        let mut writer = PAIR.writer(&map, one).unwrap();
+        let mut reader = PAIR.reader(&map).unwrap();
+        let mut producer = ORDERS.producer(&map, one).unwrap();
+        let mut consumer = ORDERS.consumer(&map, two).unwrap();
+        let mut sender = NOTES.sender(&map, one).unwrap();
+        let mut receiver = NOTES.receiver(&map).unwrap();
+        let mut small = SMALL.writer(&map, one).unwrap();
+        let mut read_small = SMALL.reader(&map).unwrap();
+        assert_eq!(reader.fetch(), Ok(None));
+        for k in 0..20 {
+            writer.publish(&[k, !k]);
+            assert_eq!(reader.fetch(), Ok(Some([k, !k])));
+            assert_eq!(reader.fetch(), Ok(None), "fetched once");
+            producer.send(&k).unwrap();
+            assert_eq!(consumer.receive(), Ok(Some(k)));
+            sender.send(&k);
+            assert_eq!(receiver.receive(), Ok(Some(Ok(k))));
+            small.publish(&[k; 6]);
+            assert_eq!(read_small.fetch(), Ok(Some([k; 6])));
+        }
+        let mut lock = LOCK.attach(&map, one).unwrap();
+        let guard = lock.try_lock().unwrap();
+        assert!(LOCK.attach(&map, two).unwrap().try_lock().is_none());
+        drop(guard);
+        let handle = POOL.attach(&map, one).unwrap().get(48).unwrap();
+        assert!(POOL.attach(&map, two).unwrap().open(handle).is_err());
+        assert_eq!(GUARDED.attach(&map).unwrap().len(), 2);
+        // The claims, which lie beside the words of each end, still hold.
+        assert!(SMALL.writer(&map, two).is_err() && NEWS.sender(&map, two).is_ok());
+    }
+
+    /// An end that exists once is refused while its holder is alive, also to the holder itself, and
+    /// given to a successor.
+    #[test]
+    fn an_end_exists_once() {
+        let map = map();
+        let [one, two] = [0, 1].map(|core| start(&map, core, 1));
+        let claims: [fn(&Map<'static>, Life) -> Result<(), EndError>; 6] = [
+            |map, life| NEWS.sender(map, life).map(drop),
+            |map, life| NEWS.receiver(map, life).map(drop),
+            |map, life| PAIR.writer(map, life).map(drop),
+            |map, life| ORDERS.producer(map, life).map(drop),
+            |map, life| ORDERS.consumer(map, life).map(drop),
+            |map, life| NOTES.sender(map, life).map(drop),
+        ];
+        for claim in claims {
+            assert_eq!(claim(&map, one), Ok(()));
+            assert_eq!(claim(&map, one), Err(EndError::Claimed(one)));
+            assert_eq!(claim(&map, two), Err(EndError::Claimed(one)));
+        }
+        let successor = start(&map, 0, 2);
+        for claim in claims {
+            assert_eq!(claim(&map, successor), Ok(()));
+        }
+        assert!(map.lives().mark_dead(successor));
+        for claim in claims {
+            assert_eq!(claim(&map, two), Ok(()));
+        }
+    }
+
+    /// Claims take no part in what the ends say to each other.
+    #[test]
+    fn claims_are_no_signals() {
+        let map = map();
+        let one = start(&map, 0, (1 << 30) - 1);
+        let mut receiver = NEWS.receiver(&map, one).unwrap();
+        let mut sender = NEWS.sender(&map, one).unwrap();
+        assert_eq!(receiver.poll(|_| panic!("nothing was sent")), 0);
+        let task = mailbox::TaskId::new(1).unwrap();
+        let _ = sender.signal_with(task, 7);
+        assert_eq!(receiver.poll(|open| assert_eq!(open.value, 7)), 1);
+        assert_eq!(sender.open(task), 0);
+    }
+
+    #[test]
+    fn a_region_of_another_map_is_refused() {
+        const ALONE: Region<Words<1>> = Region::first("alone");
+        let map = Map::format(zeroed(ALONE.end().total_words()), ALONE.end()).unwrap();
+        assert_eq!(GUARDED.attach(&map).unwrap_err(), FitError::TooSmall);
+        assert!(NEWS.sender(&map, start(&map, 0, 1)).is_err());
+    }
+}
