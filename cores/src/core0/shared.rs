@@ -1,7 +1,6 @@
 //! What the tasks of core 0 share: the redundancy and all that goes over the bus.
 //!
-//! Whoever has it does what is to be done with it and gives it back within microseconds; nothing
-//! here computes a command.
+//! A task holds it for microseconds; nothing here computes a command.
 
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
@@ -135,10 +134,10 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Fetches what has arrived over CAN and the link, up to the limits, and tells the redundancy.
     pub(super) fn read_bus(&mut self) -> TaskSet {
-        let mut woken = TaskSet::NONE;
+        let mut released = TaskSet::NONE;
         let mut left = CAN_FRAMES;
         while let Some((at, heard)) = read_can(self.board, &mut self.receiver, &mut left) {
-            woken |= match heard {
+            released |= match heard {
                 Heard::Valid(message) => {
                     self.can_frames = self.can_frames.wrapping_add(1);
                     self.hear(at, message)
@@ -150,9 +149,9 @@ impl<'b, B: Board> Shared<'b, B> {
             self.floods.can(self.board.can().overruns());
         }
         if let Some(report) = self.newest_report() {
-            woken |= self.tell(Input::LinkReport(report));
+            released |= self.tell(Input::LinkReport(report));
         }
-        woken
+        released
     }
 
     /// The newest report that has arrived over the link. Datagrams that are none do not hide it.
@@ -208,14 +207,14 @@ impl<'b, B: Board> Shared<'b, B> {
                 let Some(frame) = frames::heard_control(from, &control) else {
                     return TaskSet::NONE;
                 };
-                let woken = self.tell(Input::ControlFrame(frame));
+                let released = self.tell(Input::ControlFrame(frame));
                 if self.is_of_master(frame) {
                     self.inbox.command_of_master = Some(Command {
                         steering_angle: control.steering_angle,
                         acceleration: control.acceleration,
                     });
                 }
-                woken
+                released
             }
             Message::Status {
                 system: from,
@@ -276,9 +275,9 @@ impl<'b, B: Board> Shared<'b, B> {
             return TaskSet::NONE;
         };
         let actions = redundancy.on(self.board.now(), Input::Poll(snapshot));
-        let woken = self.act(actions);
+        let released = self.act(actions);
         state_flash::drive(&mut self.store, self.board.flash());
-        woken
+        released
     }
 
     /// Core 1 or 2 is dead.
@@ -299,7 +298,7 @@ impl<'b, B: Board> Shared<'b, B> {
     /// Carries out what the redundancy asks for; returns the tasks to run for it.
     #[deny(clippy::wildcard_enum_match_arm, reason = "no action may be forgotten")]
     fn act(&mut self, actions: Actions) -> TaskSet {
-        let mut woken = TaskSet::NONE;
+        let mut released = TaskSet::NONE;
         let mut reset = None;
         for action in actions.iter() {
             match action {
@@ -309,7 +308,7 @@ impl<'b, B: Board> Shared<'b, B> {
                     // Both systems begin their control cycle on the sync edge. A takeover does not
                     // wait for the next cycle; it begins a new grid of cycles.
                     self.control.restart(self.ticks.floor(self.board.now()));
-                    woken |= TaskSet::of(TaskId::Control);
+                    released |= TaskSet::of(TaskId::Control);
                 }
                 Action::Persist(state) => self.store.request(state),
                 Action::Reset(request) => reset = Some(request),
@@ -324,7 +323,7 @@ impl<'b, B: Board> Shared<'b, B> {
             self.board.supply().request_reset(request);
         }
         self.show();
-        woken
+        released
     }
 
     /// Shows role and mode, on the outputs and in the trace, when they have changed.
