@@ -12,7 +12,7 @@ use tandem_shm::wait::WaitPolicy;
 /// What is compared with each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, clap::ValueEnum)]
 pub enum Group {
-    /// 4 bytes one way; the receiver looks again and again, on a CPU of its own.
+    /// 4 bytes one way; the receiver polls on a CPU of its own.
     Spin,
     /// 4 bytes one way; the receiver sleeps in the kernel until it is woken, on a CPU of its own.
     Sleep,
@@ -20,7 +20,7 @@ pub enum Group {
     OneCpu,
     /// One way by payload, in place: 4 bytes to 16 MiB.
     Size,
-    /// Messages in a row, as many as go.
+    /// Messages in a row, as fast as possible.
     Throughput,
     /// Taking and giving back the lock: free, contended, and after the death of its owner.
     Lock,
@@ -174,7 +174,7 @@ const CASES: &[Cases] = &[
             ),
             (
                 "tandem-adaptive",
-                "the same, looking 2000 times before it sleeps",
+                "the same, polling 2000 times before it sleeps",
                 |plan| tandem::sync(plan, WaitPolicy::SpinThenSleep { spins: 2000 }, Way::Signal),
             ),
             ("eventfd", "eventfd beside shared memory", floor::eventfd),
@@ -222,7 +222,7 @@ const CASES: &[Cases] = &[
             ),
             (
                 "tandem-adaptive",
-                "the same, looking 2000 times before it sleeps",
+                "the same, polling 2000 times before it sleeps",
                 |plan| tandem::sync(plan, WaitPolicy::SpinThenSleep { spins: 2000 }, Way::Signal),
             ),
             ("eventfd", "eventfd beside shared memory", floor::eventfd),

@@ -7,7 +7,7 @@
 use crate::clock::ticks;
 use crate::harness::{Batch, End, Plan};
 use crate::shared::Shared;
-use crate::stage::{Part, Role, perform};
+use crate::worker::{Part, Role, perform};
 use std::io;
 
 /// The parts in the order of the chain; each sends to the next and receives from the one before.

@@ -3,8 +3,8 @@
 use crate::cases::{self, Case, Group};
 use crate::compare::{self, CompareError, Comparison};
 use crate::measure::{self, Measurement};
+use crate::output::{self, OutputError, OutputFile, OutputFolder};
 use crate::page;
-use crate::places::{self, Folder, Place, PlaceError};
 use crate::result::Results;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
@@ -40,7 +40,7 @@ or the files have no case in common.";
 #[derive(Clone, Debug, clap::Args)]
 #[command(args_conflicts_with_subcommands = true, after_help = EXAMPLES)]
 pub struct BenchArgs {
-    /// Something else than measuring.
+    /// Something other than measuring.
     #[command(subcommand)]
     pub command: Option<BenchCommand>,
 
@@ -103,7 +103,7 @@ pub enum BenchError {
     TooFewCpus(usize),
     /// An output cannot be written.
     #[error(transparent)]
-    Place(#[from] PlaceError),
+    Output(#[from] OutputError),
     /// Ctrl-C came before the first figure.
     #[error("interrupted before anything was measured; nothing was written")]
     Interrupted,
@@ -112,7 +112,7 @@ pub enum BenchError {
     NothingMeasured(String),
     /// The results, checked when the outputs were opened, cannot be written now.
     #[error("measured, but not written: {0}")]
-    NotWritten(PlaceError),
+    NotWritten(OutputError),
     /// The figures hold what JSON cannot.
     #[error("the figures cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
@@ -128,34 +128,34 @@ impl BenchError {
     pub const fn is_usage(&self) -> bool {
         matches!(
             self,
-            Self::TooFewCpus(_) | Self::Place(_) | Self::Compare(_)
+            Self::TooFewCpus(_) | Self::Output(_) | Self::Compare(_)
         )
     }
 }
 
 /// Where results go, checked.
 struct Outputs {
-    json: Option<Place>,
-    html: Option<Place>,
-    hgrm: Option<Folder>,
+    json: Option<OutputFile>,
+    html: Option<OutputFile>,
+    hgrm: Option<OutputFolder>,
 }
 
 impl Outputs {
-    fn check(args: &BenchArgs) -> Result<Self, PlaceError> {
+    fn check(args: &BenchArgs) -> Result<Self, OutputError> {
         let file = |option, path: &Option<PathBuf>| {
             let path = path.as_deref();
-            path.map(|path| Place::check(option, path)).transpose()
+            path.map(|path| OutputFile::check(option, path)).transpose()
         };
         let folder = args.hgrm.as_deref();
         let outputs = Self {
             json: file("--json", &args.json)?,
             html: file("--html", &args.html)?,
             hgrm: folder
-                .map(|path| Folder::check("--hgrm", path))
+                .map(|path| OutputFolder::check("--hgrm", path))
                 .transpose()?,
         };
-        let files: Vec<&Place> = outputs.json.iter().chain(&outputs.html).collect();
-        places::distinct(&files)?;
+        let files: Vec<&OutputFile> = outputs.json.iter().chain(&outputs.html).collect();
+        output::distinct(&files)?;
         Ok(outputs)
     }
 
@@ -285,14 +285,16 @@ pub struct Outcome {
 /// Compares two files.
 ///
 /// # Errors
-/// [`BenchError::Compare`] and [`BenchError::Place`]; nothing is written then.
+/// [`BenchError::Compare`] and [`BenchError::Output`]; nothing is written then.
 pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
     let to_stdout = args
         .json
         .as_ref()
         .is_some_and(|path| path.as_os_str() == "-");
     let file = args.json.as_deref().filter(|_| !to_stdout);
-    let place = file.map(|path| Place::check("--json", path)).transpose()?;
+    let place = file
+        .map(|path| OutputFile::check("--json", path))
+        .transpose()?;
     let comparison = compare::files(&args.a, &args.b)?;
     let json = serde_json::to_string_pretty(&comparison)? + "\n";
     if let Some(place) = place {

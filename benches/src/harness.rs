@@ -7,8 +7,8 @@
 
 use crate::clock::{ticks, to_ps_spread};
 use crate::shared::{Log, Shared, note};
-use crate::stage::{Part, Role, perform, pin};
 use crate::system_calls::Counter;
+use crate::worker::{Part, Role, perform, pin};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board_host::UnsupervisedSystem;

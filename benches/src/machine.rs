@@ -22,7 +22,7 @@ pub struct Machine {
     pub kernel: String,
     /// `release` or `debug`.
     pub build: String,
-    /// Whether a hypervisor lies between: then other guests take time that nobody here sees.
+    /// Whether a hypervisor is below: then other guests take time that this system cannot see.
     pub hypervisor: bool,
     /// What scales the clock of the first CPU; `None` if that is not for this system to say.
     pub governor: Option<String>,

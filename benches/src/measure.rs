@@ -89,15 +89,15 @@ impl Measurement {
 /// How long to measure.
 #[derive(Clone, Copy, Debug)]
 pub struct Span {
-    /// Turns go on until this has passed,
+    /// Turns continue until this time has passed,
     pub at_least: Duration,
-    /// and each case has had so many,
+    /// and each case has had this number of turns,
     pub turns: usize,
     /// but never longer than this.
     pub at_most: Duration,
 }
 
-/// `tandem bench --quick`: under 40 seconds, whatever it has come to.
+/// `tandem bench --quick`: under 40 seconds in all cases.
 pub const QUICK: Span = Span {
     at_least: Duration::from_secs(28),
     turns: 3,

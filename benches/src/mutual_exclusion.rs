@@ -3,7 +3,7 @@
 use crate::clock::{from_ns, ticks, to_ps};
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
-use crate::stage::{Part, Role, perform};
+use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::Ordering;
 

@@ -1,9 +1,9 @@
-//! What the machine does by itself while nobody asks it for anything.
+//! What the machine does by itself: the pauses of a program that only reads the clock.
 
 use crate::clock::{from_ns, monotonic_ns, step_ticks, ticks, to_ps};
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
-use crate::stage::{Part, perform};
+use crate::worker::{Part, perform};
 use std::io;
 
 /// Windows of the spin; each gives one sample.

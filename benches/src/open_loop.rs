@@ -1,6 +1,6 @@
 //! Messages at a fixed rate, and the mistake that a ping-pong makes.
 //!
-//! A ping-pong sends the next message when the answer to the last one has come: it is a *closed
+//! A ping-pong sends the next message when the last one was answered: it is a *closed
 //! loop*. When the machine stalls for 10 ms, the sender stalls with it, and of the hundred messages
 //! that a real sender would have sent in that time (100 us apart), each of which would have been
 //! late, the ping-pong sees one. It asks for the time only when the system is ready to give it;
@@ -20,7 +20,7 @@
 use crate::clock::{from_ns, ticks, to_ps};
 use crate::harness::{Batch, End, Plan};
 use crate::shared::Shared;
-use crate::stage::{Part, perform};
+use crate::worker::{Part, perform};
 use std::hint::spin_loop;
 use std::io;
 

@@ -21,7 +21,7 @@ const ABOUT: [(&str, About); 10] = [
         About {
             title: "Spinning, two CPUs",
             measures: "one way, from send to the running handler",
-            note: "The receiver looks again and again, on a CPU of its own. The floor is one cache \
+            note: "The receiver polls on a CPU of its own. The floor is one cache \
                    line that two processes write in turn.",
         },
     ),

@@ -7,7 +7,7 @@
 
 use crate::clock;
 use crate::harness::{Batch, Plan};
-use crate::stage::fork;
+use crate::worker::fork;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};

@@ -40,15 +40,15 @@ impl Shared {
     /// Maps it, with room for a case that needs a few lines.
     ///
     /// # Errors
-    /// If there is not so much memory.
+    /// If there is not enough memory.
     pub fn new() -> io::Result<Self> {
         Self::with_case_words(CASE_WORDS)
     }
 
-    /// Maps it, with so many words for the case.
+    /// Maps it, with this many words for the case.
     ///
     /// # Errors
-    /// If there is not so much memory.
+    /// If there is not enough memory.
     pub fn with_case_words(case_words: usize) -> io::Result<Self> {
         let total = CASE_AT + case_words;
         let populate = if case_words <= POPULATE_UP_TO {
@@ -88,7 +88,7 @@ impl Shared {
         &self.case()[number * LINE]
     }
 
-    /// Waits until so many parts have come here.
+    /// Barrier: waits until this many parts have called it.
     pub fn meet(&self, parts: u32) {
         let met = &self.words[MET_AT];
         // AcqRel pairs with the Acquire below: what a part prepared is visible to the others.

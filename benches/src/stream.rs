@@ -7,7 +7,7 @@
 use crate::clock::ticks;
 use crate::harness::{Batch, Plan, give_way};
 use crate::shared::Shared;
-use crate::stage::{Part, Role, perform, pin};
+use crate::worker::{Part, Role, perform, pin};
 use std::hint::spin_loop;
 use std::io;
 

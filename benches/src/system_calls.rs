@@ -1,8 +1,8 @@
 //! Counts the system calls of a piece of code, by Linux's Syscall User Dispatch.
 //!
 //! While a byte in our memory says so, the kernel hands every system call of this thread back to
-//! us as a signal (SIGSYS). Its handler counts, makes the call itself, and gives the result to
-//! whoever wanted it. Nothing is estimated, and nothing but the counted code is asked. See
+//! us as a signal (SIGSYS). Its handler counts, makes the call itself, and returns the result to
+//! the counted code. Nothing is estimated. See
 //! Documentation/admin-guide/syscall-user-dispatch.rst in the Linux sources.
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
@@ -49,7 +49,7 @@ mod dispatch {
     ) {
         SELECTOR.store(ALLOW, Ordering::Relaxed);
         COUNT.fetch_add(1, Ordering::Relaxed);
-        // SAFETY: the kernel passes the context of the interrupted code; nobody else has it now.
+        // SAFETY: the kernel passes the context of the interrupted code; no other code uses it now.
         let registers = unsafe { &mut (*context.cast::<libc::ucontext_t>()).uc_mcontext.gregs };
         let register = |name: libc::c_int| registers[name as usize];
         let result: i64;

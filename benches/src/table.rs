@@ -7,7 +7,7 @@ use tandem_page::format::{self, Unit};
 
 /// The narrowest terminal that the tables are made for, in columns.
 pub const NARROWEST: usize = 80;
-/// Width where nobody says one: a file, a pipe.
+/// Width where the output has none: a file, a pipe.
 pub const USUAL: usize = 120;
 
 const WIDTH: usize = 9;

@@ -11,8 +11,8 @@ use std::time::Duration;
 use tandem_benches::harness::Plan;
 use tandem_benches::mutual_exclusion::{Exclusion, contended};
 use tandem_benches::shared::Shared;
-use tandem_benches::stage::{Part, perform, perform_within};
 use tandem_benches::system_calls::Counter;
+use tandem_benches::worker::{Part, perform, perform_within};
 
 fn main() -> ExitCode {
     let tests: [(&str, fn()); 5] = [

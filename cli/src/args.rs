@@ -12,7 +12,7 @@ The three jobs:
   kill       tandem run                       in one terminal
              kill -9 $(tandem ps --json | jq '.[] | select(.kind == \"supply\"
                                               and .role == \"master\") | .pid')
-             the vehicle goes on under the other system, and the report shows how
+             the other system drives on, and the report shows how
   reuse      the crates shm, redundancy, cores and bus are no_std: see README.md
 
 Exit status: 0 all well; 1 the run failed (collision, no controller, two masters, ...);

@@ -124,7 +124,7 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) to: String,
     /// Scenario time of the new master's first frame, s.
     pub(crate) at_s: f64,
-    /// By which sign the old master was taken for failed.
+    /// The sign by which the new master knew that the old one had failed.
     pub(crate) cause: String,
     /// From its last sign of life to the decision, ms.
     pub(crate) detected_ms: Option<f64>,

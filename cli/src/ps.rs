@@ -31,7 +31,7 @@ fn row(process: &Process) -> Row {
             Kind::Core(core, _) => Some(core.index()),
             Kind::Supply | Kind::Vehicle => None,
         },
-        // Degraded is a mode: such a system is the master.
+        // Degraded is a mode of the master.
         role: role.map(|role| if role == DEGRADED { "master" } else { role }.to_owned()),
         cpu: process.cpu,
     }
@@ -54,7 +54,7 @@ pub(crate) fn run(args: &PsArgs) -> anyhow::Result<()> {
 
 fn table(processes: &[Process]) -> String {
     if processes.is_empty() {
-        return "no run is under way; `tandem run` starts one\n".to_owned();
+        return "no run is active; `tandem run` starts one\n".to_owned();
     }
     let mut text = format!(
         "{:>8}  {:8}  {:6}  {:4}  {:17}  {:>3}  {}\n",

@@ -315,7 +315,7 @@ fn drive(
     Ok(ended)
 }
 
-/// The command that starts this very program, even if its file was replaced meanwhile.
+/// The command that starts this program again, even if its file was replaced.
 fn this_program(args: &ProcessArgs) -> Command {
     let mut command = Command::new("/proc/self/exe");
     command.arg0("tandem").args(args.to_argv());

@@ -7,7 +7,7 @@ use tandem_vehicle::Verdict;
 
 use crate::RunLog;
 
-/// A system of which nothing was seen for this long was off, ns: two and a half status periods.
+/// A system that shows no sign for this time is off, ns: two and a half status periods.
 const SILENT_NS: u64 = 250_000_000;
 
 /// What a system is, as a person tells it apart.
@@ -115,7 +115,7 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
         let next_s = seen
             .get(index + 1)
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
-        // Suspended is the last word: such a system need not say it again.
+        // A suspended system stays suspended, and need not say it again.
         if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != State::Suspended {
             // It shows its state for an instant, so that a single sign of life is not lost.
             let until_s = (from_s + 0.01).min(next_s);

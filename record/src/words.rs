@@ -8,7 +8,7 @@ use tandem_redundancy::{Evidence, Phase};
 use crate::roles::State;
 use crate::takeover::{detected_ms, is_late};
 
-/// What a core reports; `None` for what comes in every cycle and for the events of a scheduler.
+/// What a core reports; `None` for what every cycle writes and for the events of a scheduler.
 #[must_use]
 pub fn core_event(event: Event) -> Option<String> {
     Some(match event {
@@ -103,7 +103,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::SyncHeard => "sync edge of the other system",
         Evidence::PeerRuns => "the other system is running",
         Evidence::HandshakeDone => "handshake done",
-        Evidence::NobodyThere => "nobody has answered",
+        Evidence::NobodyThere => "no system answered",
         Evidence::PeerOff => "power level fell",
         Evidence::PeerSilent => "heartbeats and control frames silent",
         Evidence::BeatsSilent => "heartbeats silent",

@@ -13,7 +13,7 @@ fn takeovers(metrics: &Value) -> Vec<&Value> {
         .collect()
 }
 
-/// The vehicle goes on under the other system, once, and there were never two masters.
+/// The other system drives on, after one takeover, and there were never two masters.
 fn one_takeover(run: &mut Run, from: &str) {
     let metrics = run.metrics();
     let takeovers = takeovers(&metrics);
@@ -144,7 +144,7 @@ fn a_run_whose_vehicle_was_killed_has_failed_and_leaves_nothing() {
     kill(vehicle);
     assert_eq!(run.end().code(), Some(1), "{}", run.said());
     assert!(
-        run.said().contains("did not come to its end"),
+        run.said().contains("did not reach its end"),
         "{}",
         run.said()
     );

@@ -1,4 +1,4 @@
-//! Runs that nobody disturbs.
+//! Runs without a disturbance.
 
 use std::fs;
 
@@ -29,7 +29,7 @@ fn a_short_drive_ends_with_a_report() {
         (metrics["duration_s"].as_f64().unwrap() - 5.0).abs() < 0.5,
         "{metrics:#}"
     );
-    // A core of a busy machine may be held up; but nobody else gives a reason to take over.
+    // A core of a busy machine may be held up; there is no other reason to take over.
     assert!(
         takeovers(&metrics)
             .iter()

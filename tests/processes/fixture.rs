@@ -9,7 +9,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use tempfile::TempDir;
 
-/// No run of these tests takes longer than this, whatever the machine does meanwhile.
+/// No run of these tests takes longer than this, however busy the machine is.
 const WATCHDOG: Duration = Duration::from_secs(120);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
 

@@ -38,7 +38,7 @@ fn any_start_may_be_killed() {
             .map_or(run.launcher_pid(), |process| process.pid);
         kill(victim);
         run.end();
-        // Without its launcher a run that drives goes on to its end.
+        // Without its launcher a run that drives continues to its end.
         run.until_vanished();
         killed.push(run);
     }

@@ -164,7 +164,7 @@ fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
     Ok(())
 }
 
-/// Where the images look for straps; see link.x.
+/// Where the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8090_0000;
 
 /// Runs an image to its end, and returns its log. Deterministic: one instruction is 2^`shift`

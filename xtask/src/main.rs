@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
+mod figures;
 mod firmware;
 mod requirements;
 mod rta;
@@ -89,6 +90,18 @@ enum Task {
         #[arg(long, value_name = "US")]
         overhead_us: f64,
     },
+    /// Write docs/figures.md from the measurements in docs/figures and firmware-port/baseline.json
+    Figures {
+        /// Take these figures first: a file of `tandem bench --json`, of a release build
+        #[arg(long, value_name = "FILE")]
+        bench: Option<PathBuf>,
+        /// Take these figures first: the metrics.json of a run
+        #[arg(long, value_name = "FILE")]
+        run: Option<PathBuf>,
+        /// Only say whether the page is stale
+        #[arg(long)]
+        check: bool,
+    },
     /// Write the tables of tasks in docs/ from the task table in the code
     #[command(name = "task-tables")]
     Tables {
@@ -164,6 +177,9 @@ fn execute() -> Result<()> {
         } => loom(root),
         Task::Loom { only, .. } => weakened::run(root, &only),
         Task::Miri => miri(root),
+        Task::Figures { bench, run, check } => {
+            figures::run(root, bench.as_deref(), run.as_deref(), check)
+        }
         Task::Firmware(task) => firmware::run(root, task),
         Task::Rta {
             metrics,

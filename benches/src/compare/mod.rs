@@ -106,7 +106,7 @@ pub struct Change {
     pub time: Option<Relative>,
     /// Of the ratio to the floor; `None` without a floor in both runs.
     pub ratio: Option<Relative>,
-    /// Probability of such a difference by chance, after Holm's correction; 1 for a floor.
+    /// Probability of a difference of this size by chance, after Holm's correction; 1 for a floor.
     pub p: f64,
     /// Larger than this is more than the machine drifted within either run.
     pub drift: f64,

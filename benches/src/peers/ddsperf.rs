@@ -6,7 +6,7 @@
 //! and 99th percentile are its own and everything above is its maximum.
 
 use crate::harness::{Batch, Plan};
-use crate::stage::LIMIT;
+use crate::worker::LIMIT;
 use std::io::{self, Read};
 use std::os::fd::AsRawFd;
 use std::process::{Child, ChildStdout, Command, Stdio};
@@ -43,7 +43,7 @@ pub fn ddsperf(plan: &Plan) -> io::Result<Batch> {
         command.env("CYCLONEDDS_URI", CONFIG);
         command.stdin(Stdio::null()).stderr(Stdio::null());
         // It ends by itself, but not with us.
-        crate::stage::die_with_parent(&mut command);
+        crate::worker::die_with_parent(&mut command);
         command.stdout(Stdio::piped()).spawn()
     };
     if Command::new("ddsperf").arg("help").output().is_err() {
@@ -81,7 +81,7 @@ fn read_within_limit(mut output: ChildStdout) -> io::Result<String> {
         if left_ms == 0 || unsafe { libc::poll(&mut ready, 1, left_ms) } == 0 {
             return Err(io::Error::new(
                 io::ErrorKind::TimedOut,
-                "ddsperf did not come to an end",
+                "ddsperf did not end",
             ));
         }
         let mut some = [0; 4096];

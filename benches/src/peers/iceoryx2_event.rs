@@ -34,7 +34,7 @@ pub(super) fn node<S: Service>() -> Result<Node<S>, NodeCreationFailure> {
 
 /// The ends of two events, one in each direction (of the chain: to the next, from the last), with
 /// the stamp in shared memory beside it.
-struct Event<S: Service> {
+struct EventEnds<S: Service> {
     out: Notifier<S>,
     inward: Listener<S>,
     stamp_out: &'static AtomicU32,
@@ -42,7 +42,7 @@ struct Event<S: Service> {
     _node: Node<S>,
 }
 
-impl<S: Service> Event<S> {
+impl<S: Service> EventEnds<S> {
     /// `lean`: room for one notifier and one listener, and one event id.
     fn open(run: u32, lean: bool, ways: [&str; 2], stamps: [&'static AtomicU32; 2]) -> Self {
         let open = || -> Result<Self, Box<dyn core::error::Error>> {
@@ -68,7 +68,7 @@ impl<S: Service> Event<S> {
     }
 }
 
-impl<S: Service> End for Event<S> {
+impl<S: Service> End for EventEnds<S> {
     fn send(&mut self, stamp: u32) {
         self.stamp_out.store(stamp, Ordering::Release);
         let _notified = self.out.notify();
@@ -87,7 +87,7 @@ fn event<S: Service>(plan: &Plan, lean: bool) -> io::Result<Batch> {
     let run = next_run();
     let end = |ways, words: [usize; 2]| {
         move |shared: &Shared| {
-            Event::<S>::open(run, lean, ways, words.map(|word| shared.line(word)))
+            EventEnds::<S>::open(run, lean, ways, words.map(|word| shared.line(word)))
         }
     };
     between_processes(
@@ -124,7 +124,7 @@ pub fn iceoryx2_chain(plan: &Plan) -> io::Result<Batch> {
     through_three(plan, 3 * 64, |part, shared| {
         let links = [part, (part + PARTS - 1) % PARTS];
         let ways = links.map(|link| WAYS[link]);
-        Event::<ipc::Service>::open(run, false, ways, links.map(|link| shared.line(2 * link)))
+        EventEnds::<ipc::Service>::open(run, false, ways, links.map(|link| shared.line(2 * link)))
     })
 }
 
@@ -136,7 +136,7 @@ pub fn iceoryx2_at_rate(plan: &Plan) -> io::Result<Batch> {
     let run = next_run();
     let end = |ways, words: [usize; 2]| {
         move |shared: &Shared| {
-            Event::<ipc::Service>::open(run, false, ways, words.map(|word| shared.line(word)))
+            EventEnds::<ipc::Service>::open(run, false, ways, words.map(|word| shared.line(word)))
         }
     };
     let near = end(["there", "back"], [0, 2]);

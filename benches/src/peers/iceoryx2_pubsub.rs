@@ -126,7 +126,7 @@ impl Source for PublishSubscribe {
     fn send(&mut self, k: u32) -> bool {
         let sample = self.out.as_ref().and_then(|out| out.loan_uninit().ok());
         let sent = sample.map(|sample| sample.write_payload(k).send());
-        // Sent to nobody: the buffer was full after all.
+        // Delivered to no subscriber: the buffer was full.
         matches!(sent, Some(Ok(receivers)) if receivers > 0)
     }
 }

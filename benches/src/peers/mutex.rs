@@ -6,7 +6,7 @@ use crate::floor::cas::CHUNK;
 use crate::harness::{Batch, Plan, alone};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::shared::Shared;
-use crate::stage::{Child, Part, perform};
+use crate::worker::{Child, Part, perform};
 use std::io;
 use std::sync::atomic::Ordering;
 
@@ -37,7 +37,7 @@ impl Mutex {
             Death::Robust => libc::PTHREAD_MUTEX_ROBUST,
         };
         // SAFETY: the mutex has enough zeroed and aligned memory (the case has a page), which stays
-        // mapped as long as any process of the batch lives; nobody uses it before it is made.
+        // mapped as long as any process of the batch lives; no process uses it before it is made.
         unsafe {
             let mut attributes: libc::pthread_mutexattr_t = std::mem::zeroed();
             libc::pthread_mutexattr_init(&mut attributes);
@@ -74,7 +74,7 @@ impl Exclusion for Mutex {
     }
 }
 
-/// Taking and giving back a mutex that nobody else wants.
+/// Taking and giving back a mutex that no other process wants.
 ///
 /// # Errors
 /// As [`alone`].

@@ -3,7 +3,7 @@
 use crate::clock::ticks;
 use crate::harness::{Batch, Plan, give_way};
 use crate::shared::Shared;
-use crate::stage::{Part, Role, perform};
+use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_shm::broadcast::{self, Receiver, Sender};
@@ -13,7 +13,7 @@ const SHAPE: Shape = Shape::new(1024, 2);
 const RING_AT: usize = LINE_WORDS;
 const CHUNK: usize = 4096;
 
-/// Both receivers share the far CPU; the sender waits for nobody. A sample is the sender's time per
+/// Both receivers share the far CPU; the sender never waits. A sample is the sender's time per
 /// message; what the receivers had missed when they were late is a fact.
 ///
 /// # Errors

@@ -47,7 +47,7 @@ fn sink<const WORDS: usize>(shared: &Shared, at: usize, shape: Shape) -> To<WORD
     }
 }
 
-/// Messages of `WORDS` words, copied in and out, in chunks of so many; the channel has so many
+/// Messages of `WORDS` words, copied in and out, in chunks of `chunk`; the channel has `slots`
 /// slots.
 ///
 /// # Errors

@@ -5,7 +5,7 @@ use crate::floor::cas::CHUNK;
 use crate::harness::{Batch, Plan, alone, give_way};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::shared::Shared;
-use crate::stage::{Child, Part, Role, perform};
+use crate::worker::{Child, Part, Role, perform};
 use std::hint::black_box;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -25,7 +25,7 @@ fn attach(shared: &Shared, core: usize, generation: u32) -> Lock<'static> {
     Lock::attach(&words[LOCK_AT..], life, lives).expect("it fits")
 }
 
-/// Taking and giving back a lock that nobody else wants.
+/// Taking and giving back a lock that no other core wants.
 ///
 /// # Errors
 /// As [`alone`].

@@ -86,7 +86,7 @@ impl Event for Waiting {
     }
 }
 
-/// One core: sends to the peer and waits for whoever sends to it.
+/// One core: sends to its peer and waits for what its peer sends.
 pub(crate) struct Core {
     board: &'static HostBoard,
     peer: CoreId,

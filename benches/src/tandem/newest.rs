@@ -3,7 +3,7 @@
 use crate::clock::{from_ns, ticks};
 use crate::harness::{Batch, Plan, give_way, time_chunks};
 use crate::shared::Shared;
-use crate::stage::{Part, Role, perform};
+use crate::worker::{Part, Role, perform};
 use std::hint::{black_box, spin_loop};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};

@@ -3,7 +3,7 @@
 use crate::floor::cas::CHUNK;
 use crate::harness::{Batch, Plan, alone, time_chunks};
 use crate::shared::Shared;
-use crate::stage::{Part, perform};
+use crate::worker::{Part, perform};
 use std::hint::black_box;
 use std::io;
 use tandem_shm::life::{Life, Lives};

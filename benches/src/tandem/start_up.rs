@@ -3,7 +3,7 @@
 use crate::clock::ticks;
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
-use crate::stage::{Child, Part, perform};
+use crate::worker::{Child, Part, perform};
 use std::io;
 use std::sync::atomic::Ordering;
 use tandem_board::{Board, CoreId, Duration, Generation};

@@ -53,7 +53,7 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
         metrics.control_frames == 0,
         "no control frame was ever accepted".into(),
     );
-    object(!metrics.complete, "the run did not come to its end".into());
+    object(!metrics.complete, "the run did not reach its end".into());
     object(
         metrics.collisions > 0,
         format!("{} collision(s)", metrics.collisions),

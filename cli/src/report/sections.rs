@@ -47,7 +47,7 @@ fn over_time(log: &RunLog, value: impl Fn(&Sample) -> f64) -> Vec<(f64, f64)> {
 }
 
 fn line(name: &str, color: Color, points: &[(f64, f64)]) -> Series {
-    // Thinning sorts values; pieces around gaps must stay apart, so such a line is kept whole.
+    // Thinning sorts values. A line with gaps is kept whole, because its pieces must stay apart.
     let whole = points.iter().any(|point| !point.1.is_finite());
     let points = if whole {
         points.to_vec()

@@ -21,7 +21,7 @@ pub(crate) struct TaskMetrics {
     pub(crate) task: String,
     /// Time between two releases, ms; `None` if events release it.
     pub(crate) period_ms: Option<f64>,
-    /// A job must be done so long after its release, ms; `None` if nobody says.
+    /// A job must be done within this time after its release, ms; `None` without a deadline.
     pub(crate) deadline_ms: Option<f64>,
     /// Jobs that were begun.
     pub(crate) jobs: u64,
@@ -49,11 +49,11 @@ pub(crate) struct TaskMetrics {
     pub(crate) execution_p99_ms: Option<f64>,
     /// The longest, ms.
     pub(crate) execution_max_ms: Option<f64>,
-    /// Bytes of its stack that were never used; `None` where nobody measures it.
+    /// Bytes of its stack that were never used; `None` where it is not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
     /// Longest time in which it held a lock that others may wait for, with what interrupted it, ms;
-    /// `None` where nobody measures it.
+    /// `None` where it is not measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) lock_held_max_ms: Option<f64>,
 }
@@ -224,7 +224,7 @@ impl Jobs {
         }
     }
 
-    /// The task had the CPU so long.
+    /// The task had the CPU for this time.
     pub(super) fn ran(&mut self, code: TaskCode, own_ns: u64) {
         if let Some(job) = &mut self.task(code).job {
             job.own_ns += own_ns;
@@ -270,7 +270,7 @@ impl Jobs {
         }
     }
 
-    /// So much of a task's stack was never used.
+    /// This much of a task's stack was never used.
     pub(super) fn stack(&mut self, code: TaskCode, free_bytes: u32) {
         let least = &mut self.task(code).stack_free_bytes;
         *least = Some(least.map_or(free_bytes, |least| least.min(free_bytes)));

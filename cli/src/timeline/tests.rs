@@ -135,7 +135,7 @@ fn a_task_that_gave_way_was_done_if_it_is_made_ready_again() {
             (1_000, Event::Ready { task }),
             (1_100, goes(task)),
             (1_300, out(task, Leaves::Gives)),
-            // Pre-empted: it goes on without being made ready.
+            // Pre-empted: it continues without being made ready.
             (1_500, goes(task)),
             (1_600, out(task, Leaves::Gives)),
             (2_000, Event::Ready { task }),

@@ -7,7 +7,7 @@ use std::process::Command;
 
 const TARGET: &str = "thumbv8m.main-none-eabi";
 const QEMU: &str = "qemu-system-arm";
-/// Where the images look for straps; see link.x.
+/// Where the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8000_0000;
 
 // How a case of the suite ends; see an521-conformance.rs.

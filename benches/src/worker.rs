@@ -149,7 +149,7 @@ fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
         let left_ms = until.saturating_sub(monotonic_ns()) / 1_000_000;
         if left_ms == 0 {
             let seconds = limit.as_secs_f32();
-            let text = format!("it did not come to an end within {seconds} s");
+            let text = format!("it did not end within {seconds} s");
             return Err(io::Error::new(io::ErrorKind::TimedOut, text));
         }
         // SAFETY: `fds` is a valid array of this length. A signal (Ctrl-C) only ends the wait.
@@ -221,13 +221,13 @@ impl Child {
         Ok(child)
     }
 
-    /// Whether it was running when it was last looked at.
+    /// Whether it was running at the last check.
     #[must_use]
     pub const fn is_running(&self) -> bool {
         self.running
     }
 
-    /// Looks whether it has ended. Never blocks.
+    /// Checks whether it has ended. Never blocks.
     fn look(&mut self) -> io::Result<()> {
         self.reap(libc::WNOHANG)
     }

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 /// Why results cannot go there.
 #[derive(Debug, thiserror::Error)]
 #[error("{option} {path}: {why}")]
-pub struct PlaceError {
+pub struct OutputError {
     option: &'static str,
     path: PathBuf,
     why: String,
@@ -22,7 +22,7 @@ pub struct PlaceError {
 
 /// A file to be written.
 #[derive(Debug)]
-pub struct Place {
+pub struct OutputFile {
     option: &'static str,
     path: PathBuf,
     target: Target,
@@ -38,7 +38,7 @@ enum Target {
 
 /// A folder to be filled.
 #[derive(Debug)]
-pub struct Folder {
+pub struct OutputFolder {
     option: &'static str,
     path: PathBuf,
     target: Target,
@@ -47,12 +47,12 @@ pub struct Folder {
 /// What makes a message of an error.
 type Why = Result<Target, String>;
 
-impl Place {
+impl OutputFile {
     /// Checks that a file can be written at `path`, and changes nothing.
     ///
     /// # Errors
-    /// [`PlaceError`] says what is in the way.
-    pub fn check(option: &'static str, path: &Path) -> Result<Self, PlaceError> {
+    /// [`OutputError`] says what is in the way.
+    pub fn check(option: &'static str, path: &Path) -> Result<Self, OutputError> {
         let target = match fs::metadata(path) {
             Ok(found) if found.is_dir() => Err("it is a folder; name a file".to_owned()),
             Ok(_) => {
@@ -65,7 +65,7 @@ impl Place {
         Ok(Self {
             option,
             path: path.to_owned(),
-            target: target.map_err(|why| PlaceError {
+            target: target.map_err(|why| OutputError {
                 option,
                 path: path.to_owned(),
                 why,
@@ -76,13 +76,13 @@ impl Place {
     /// Writes the file. One that did not exist is not left half-written.
     ///
     /// # Errors
-    /// [`PlaceError`], such as a disk that is full by now.
-    pub fn write(self, text: &str) -> Result<(), PlaceError> {
+    /// [`OutputError`], such as a disk that is full by now.
+    pub fn write(self, text: &str) -> Result<(), OutputError> {
         let written = match self.target {
             Target::Present(file) => overwrite(file, text),
             Target::Absent(folder, name) => create(&folder, &name, text),
         };
-        written.map_err(|error| PlaceError {
+        written.map_err(|error| OutputError {
             option: self.option,
             path: self.path,
             why: error.to_string(),
@@ -90,13 +90,13 @@ impl Place {
     }
 }
 
-impl Folder {
+impl OutputFolder {
     /// Checks that files can be written to the folder at `path`, which may not exist yet, and
     /// changes nothing.
     ///
     /// # Errors
-    /// [`PlaceError`] says what is in the way.
-    pub fn check(option: &'static str, path: &Path) -> Result<Self, PlaceError> {
+    /// [`OutputError`] says what is in the way.
+    pub fn check(option: &'static str, path: &Path) -> Result<Self, OutputError> {
         let target = match fs::metadata(path) {
             Ok(found) if found.is_dir() => open_folder(path).map(Target::Present),
             Ok(_) => Err("it is a file; name a folder".to_owned()),
@@ -106,7 +106,7 @@ impl Folder {
         Ok(Self {
             option,
             path: path.to_owned(),
-            target: target.map_err(|why| PlaceError {
+            target: target.map_err(|why| OutputError {
                 option,
                 path: path.to_owned(),
                 why,
@@ -117,8 +117,8 @@ impl Folder {
     /// Writes these files, by name, and creates the folder if need be. Others in it stay.
     ///
     /// # Errors
-    /// [`PlaceError`], such as a disk that is full by now.
-    pub fn fill(self, files: &[(String, String)]) -> Result<(), PlaceError> {
+    /// [`OutputError`], such as a disk that is full by now.
+    pub fn fill(self, files: &[(String, String)]) -> Result<(), OutputError> {
         let fill = || -> io::Result<()> {
             let folder = match self.target {
                 Target::Present(folder) => folder,
@@ -133,7 +133,7 @@ impl Folder {
             }
             Ok(())
         };
-        fill().map_err(|error| PlaceError {
+        fill().map_err(|error| OutputError {
             option: self.option,
             path: self.path,
             why: error.to_string(),
@@ -144,12 +144,12 @@ impl Folder {
 /// Refuses two outputs that would go to the same file.
 ///
 /// # Errors
-/// [`PlaceError`] names the second.
-pub fn distinct(places: &[&Place]) -> Result<(), PlaceError> {
+/// [`OutputError`] names the second.
+pub fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
     for (i, place) in places.iter().enumerate() {
-        let same = |other: &&&Place| same(&other.path, &place.path);
+        let same = |other: &&&OutputFile| same(&other.path, &place.path);
         if let Some(other) = places[..i].iter().find(same) {
-            return Err(PlaceError {
+            return Err(OutputError {
                 option: place.option,
                 path: place.path.clone(),
                 why: format!("{} goes to the same file", other.option),
@@ -229,9 +229,9 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let full = root.path().join("old.json");
         fs::write(&full, "old").unwrap();
-        Place::check("--json", &full).unwrap();
-        Place::check("--json", &root.path().join("new.json")).unwrap();
-        Folder::check("--hgrm", &root.path().join("new")).unwrap();
+        OutputFile::check("--json", &full).unwrap();
+        OutputFile::check("--json", &root.path().join("new.json")).unwrap();
+        OutputFolder::check("--hgrm", &root.path().join("new")).unwrap();
         assert_eq!(names(root.path()), ["old.json"]);
         assert_eq!(fs::read_to_string(full).unwrap(), "old");
     }
@@ -241,7 +241,10 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let path = root.path().join("a.json");
         for text in ["something longer", "short"] {
-            Place::check("--json", &path).unwrap().write(text).unwrap();
+            OutputFile::check("--json", &path)
+                .unwrap()
+                .write(text)
+                .unwrap();
             assert_eq!(fs::read_to_string(&path).unwrap(), text);
         }
     }
@@ -252,7 +255,7 @@ mod tests {
         let path = root.path().join("h");
         for text in ["one", "two"] {
             let files = [("x.hgrm".to_owned(), text.to_owned())];
-            Folder::check("--hgrm", &path)
+            OutputFolder::check("--hgrm", &path)
                 .unwrap()
                 .fill(&files)
                 .unwrap();
@@ -275,13 +278,15 @@ mod tests {
             (link, "leads nowhere"),
             (PathBuf::from("/proc/a.json"), "cannot write"),
         ] {
-            let error = Place::check("--json", &path).unwrap_err().to_string();
+            let error = OutputFile::check("--json", &path).unwrap_err().to_string();
             assert!(
                 error.contains(why) && error.starts_with("--json"),
                 "{error}"
             );
         }
-        let error = Folder::check("--hgrm", &file).unwrap_err().to_string();
+        let error = OutputFolder::check("--hgrm", &file)
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("name a folder"), "{error}");
         assert_eq!(names(root), ["file", "link"]);
     }
@@ -289,7 +294,7 @@ mod tests {
     #[test]
     fn two_outputs_do_not_share_a_file() {
         let root = tempfile::tempdir().unwrap();
-        let check = |name: &str| Place::check("--json", &root.path().join(name)).unwrap();
+        let check = |name: &str| OutputFile::check("--json", &root.path().join(name)).unwrap();
         let places = ["a", "b", "./a"].map(check);
         assert!(distinct(&[&places[0], &places[1]]).is_ok());
         assert!(distinct(&[&places[0], &places[2]]).is_err());

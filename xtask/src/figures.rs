@@ -1,0 +1,274 @@
+//! The one page of figures, `docs/figures.md`, from files that the measuring commands wrote.
+//!
+//! Prose links there and repeats nothing: a figure that stands in two places is soon two figures.
+
+use anyhow::{Context, Result, bail, ensure};
+use serde_json::Value;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+const PAGE: &str = "docs/figures.md";
+/// `cargo xtask firmware bench --save`
+const FIRMWARE: &str = "firmware-port/baseline.json";
+/// `tandem bench --json`, without curves and batches.
+const BENCH: &str = "docs/figures/bench.json";
+/// `metrics.json` of a `tandem run`.
+const RUN: &str = "docs/figures/run.json";
+/// A percentile that has fewer samples beyond it rests on chance.
+const FEW: f64 = 10.0;
+
+/// The paths, in words.
+const PATHS: &[(&str, &str)] = &[
+    (
+        "interrupt/floor",
+        "from the store that posts it to the handler, registers saved",
+    ),
+    (
+        "mailbox/signal-to-handler",
+        "signal a core that sleeps, to the first line of its task",
+    ),
+    ("mailbox/4-bytes", "the same with a value"),
+    (
+        "channel/4-bytes",
+        "publish a newest value, signal, read it in the task",
+    ),
+    (
+        "fifo/4-bytes",
+        "the same through a queue; from time to time an end reads the other's index",
+    ),
+    ("lock/free", "lock and unlock"),
+    (
+        "lock/contended-3",
+        "three harts want it at once, until the last has given it back",
+    ),
+    ("pool/get-give", "borrow 16 words and give them back"),
+    ("rtos/yield", "a task yields, and no other is ready"),
+    (
+        "rtos/round-trip",
+        "FreeRTOS task to bare core 1 and back to the notified task",
+    ),
+    ("clock/two-readings", "two readings of the clock in a row"),
+];
+
+/// Takes new measurements, if there are any, and writes the page; or says with `check` whether the
+/// page is stale.
+pub(crate) fn run(
+    root: &Path,
+    bench: Option<&Path>,
+    run: Option<&Path>,
+    check: bool,
+) -> Result<()> {
+    if let Some(bench) = bench {
+        let mut results = read(bench)?;
+        ensure!(
+            results["machine"]["build"] == "release",
+            "{}: figures of a debug build mean nothing",
+            bench.display()
+        );
+        for list in ["results", "noise"] {
+            for row in results[list].as_array_mut().context("no result")? {
+                let row = row.as_object_mut().context("no row")?;
+                for detail in ["curve", "batch_p50_ns", "batch_p99_ns"] {
+                    row.remove(detail);
+                }
+            }
+        }
+        save(&root.join(BENCH), &results)?;
+    }
+    if let Some(metrics) = run {
+        save(&root.join(RUN), &read(metrics)?)?;
+    }
+    let page = page(root)?;
+    let path = root.join(PAGE);
+    if check {
+        let is = fs::read_to_string(&path).context(PAGE)?;
+        ensure!(is == page, "{PAGE} is stale; run `cargo xtask figures`");
+        return Ok(());
+    }
+    fs::write(&path, page).context(PAGE)
+}
+
+fn read(path: &Path) -> Result<Value> {
+    let text = fs::read(path).with_context(|| path.display().to_string())?;
+    serde_json::from_slice(&text).with_context(|| path.display().to_string())
+}
+
+fn save(path: &Path, value: &Value) -> Result<()> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    let text = serde_json::to_string_pretty(value)? + "\n";
+    fs::write(path, text).with_context(|| path.display().to_string())
+}
+
+fn page(root: &Path) -> Result<String> {
+    let mut page = String::from(
+        "<!-- Written by `cargo xtask figures` from the files it names. Do not edit. -->\n\n\
+         # Figures\n\n\
+         What they mean, and what they do not: [performance.md](performance.md). New ones:\n\
+         `cargo xtask figures --bench FILE --run FILE` with a file of `tandem bench --json` and a\n\
+         `metrics.json`, and `cargo xtask firmware bench --save` for the instructions.\n",
+    );
+    page += &firmware(&read(&root.join(FIRMWARE))?)?;
+    page += &host(&read(&root.join(BENCH))?)?;
+    page += &drive(&read(&root.join(RUN))?)?;
+    Ok(page)
+}
+
+/// Instructions of the paths between cores.
+fn firmware(baseline: &Value) -> Result<String> {
+    let rows = baseline.as_array().context("a list of paths")?;
+    let max = |row: &Value| row["max"].as_f64();
+    let floor = rows.iter().find(|row| row["name"] == "interrupt/floor");
+    let floor = floor.and_then(max).context("no interrupt/floor")?;
+    let mut text = format!(
+        "\n## Instructions between cores, riscv32imac under QEMU\n\n`{FIRMWARE}`: path lengths, no \
+         latencies; the same in each run.\n\n| path | min | max | over the bare interrupt |\n\
+         |---|---:|---:|---:|\n"
+    );
+    for row in rows {
+        let (name, most) = (row["name"].as_str(), max(row));
+        let (Some(name), Some(most)) = (name, most) else {
+            bail!("a row without name or max")
+        };
+        let known = PATHS.iter().find(|(path, _)| *path == name);
+        let (_, what) = known.with_context(|| format!("{name} is not described in PATHS"))?;
+        writeln!(
+            text,
+            "| `{name}`: {what} | {} | {most} | {:.2} |",
+            row["min"],
+            most / floor
+        )?;
+    }
+    Ok(text)
+}
+
+/// Times on the host, beside their floors.
+fn host(results: &Value) -> Result<String> {
+    let machine = &results["machine"];
+    let text_of = |value: &Value| value.as_str().unwrap_or("unknown").to_owned();
+    let under = match machine["hypervisor"].as_bool() {
+        Some(true) => " under a hypervisor",
+        _ => "",
+    };
+    let worst = |row: &Value| row["max_ns"].as_f64().unwrap_or(0.0);
+    let noise = results["noise"].as_array().context("no noise")?.iter();
+    let noise = noise.map(worst).fold(0.0, f64::max);
+    let mut text = format!(
+        "\n## Times on a host\n\n`{BENCH}`: {}{under}, {} CPUs, Linux {}, {}, {} build, {:.0} s.\nA program that only reads the clock is held up for {} at worst. The ratio to \
+         the floor is the result;\nthe times are the machine's. A figure in brackets has fewer than \
+         ten samples beyond it.\n\n\
+         | case | p50 | p99 | p99.9 | x p50 | x p99.9 |\n|---|---:|---:|---:|---:|---:|\n",
+        text_of(&machine["cpu"]),
+        machine["cpus"],
+        text_of(&machine["kernel"]),
+        text_of(&machine["scheduling"]),
+        text_of(&machine["build"]),
+        results["duration_s"].as_f64().unwrap_or(0.0),
+        time(noise),
+    );
+    for row in results["results"].as_array().context("no results")? {
+        let samples = row["samples"].as_f64().unwrap_or(0.0);
+        let figure = |name: &str, beyond: f64, show: &dyn Fn(f64) -> String| {
+            let shown = row[name].as_f64().map_or("–".to_owned(), show);
+            match samples * beyond >= FEW {
+                true => shown,
+                false => format!("({shown})"),
+            }
+        };
+        let ratio = |ratio: f64| format!("{ratio:.2}");
+        writeln!(
+            text,
+            "| `{}` | {} | {} | {} | {} | {} |",
+            text_of(&row["name"]),
+            figure("p50_ns", 0.5, &time),
+            figure("p99_ns", 0.01, &time),
+            figure("p99_9_ns", 0.001, &time),
+            figure("ratio_to_floor_p50", 0.5, &ratio),
+            figure("ratio_to_floor_p99_9", 0.001, &ratio),
+        )?;
+    }
+    Ok(text)
+}
+
+/// What a drive came to.
+fn drive(metrics: &Value) -> Result<String> {
+    let mut text = format!(
+        "\n## A drive\n\n`{RUN}`: scenario {}, {:.1} s, {}.\n\n| figure | |\n|---|---:|\n",
+        metrics["scenario"].as_str().unwrap_or("unknown"),
+        metrics["duration_s"].as_f64().context("no duration_s")?,
+        metrics["granted"].as_str().unwrap_or("unknown"),
+    );
+    let all = metrics.as_object().context("no metrics")?;
+    for (name, value) in all {
+        let Some(number) = value.as_f64() else {
+            continue;
+        };
+        if let Some(stem) = name.strip_suffix("_ms") {
+            writeln!(text, "| `{stem}` | {number:.2} ms |")?;
+        } else if let Some(stem) = name.strip_suffix("_m") {
+            writeln!(text, "| `{stem}` | {number:.2} m |")?;
+        } else if value.is_u64() {
+            writeln!(text, "| `{name}` | {number} |")?;
+        }
+    }
+    for takeover in metrics["takeovers"].as_array().into_iter().flatten() {
+        writeln!(
+            text,
+            "| takeover, {} to {}: {} | {:.1} ms without control |",
+            takeover["from"].as_str().unwrap_or("?"),
+            takeover["to"].as_str().unwrap_or("?"),
+            takeover["cause"].as_str().unwrap_or("?"),
+            takeover["gap_ms"].as_f64().unwrap_or(f64::NAN),
+        )?;
+    }
+    Ok(text)
+}
+
+/// A time with three digits and its unit.
+fn time(ns: f64) -> String {
+    let (value, unit) = match ns {
+        ns if ns < 1e3 => (ns, "ns"),
+        ns if ns < 1e6 => (ns / 1e3, "µs"),
+        ns => (ns / 1e6, "ms"),
+    };
+    let decimals = match value {
+        value if value < 9.995 => 2,
+        value if value < 99.95 => 1,
+        _ => 0,
+    };
+    format!("{value:.decimals$} {unit}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The page says what the files say; `cargo xtask figures` makes it so.
+    #[test]
+    fn the_page_is_current() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+        run(root, None, None, true).unwrap();
+    }
+
+    #[test]
+    fn a_figure_that_rests_on_chance_stands_in_brackets() {
+        let row = |samples: u64| {
+            serde_json::json!({
+                "name": "spin/tandem", "samples": samples, "p50_ns": 84.2, "p99_ns": 121.0,
+                "p99_9_ns": 1_700.0, "ratio_to_floor_p50": 1.06,
+            })
+        };
+        let shown = |samples: u64| {
+            let results = serde_json::json!({
+                "machine": {}, "noise": [], "results": [row(samples)],
+            });
+            let text = host(&results).unwrap();
+            text.lines().last().unwrap().to_owned()
+        };
+        let sure = "| `spin/tandem` | 84.2 ns | 121 ns | 1.70 µs | 1.06 | – |";
+        assert_eq!(shown(20_000), sure);
+        assert!(shown(5_000).contains("| 121 ns | (1.70 µs) | 1.06 |"));
+    }
+}
