@@ -66,6 +66,10 @@ pub(crate) fn run(
             "{}: figures of a debug build mean nothing",
             bench.display()
         );
+        // The version says enough; what a distributor adds does not.
+        let kernel = results["machine"]["kernel"].as_str().unwrap_or_default();
+        let version = kernel.split('-').next().unwrap_or_default().to_owned();
+        results["machine"]["kernel"] = version.into();
         for list in ["results", "noise"] {
             for row in results[list].as_array_mut().context("no result")? {
                 let row = row.as_object_mut().context("no row")?;
@@ -157,8 +161,8 @@ fn host(results: &Value) -> Result<String> {
     let noise = noise.map(worst).fold(0.0, f64::max);
     let mut text = format!(
         "\n## Times on a host\n\n`{BENCH}`: {}{under}, {} CPUs, Linux {}, {}, {} build, {:.0} s.\nA program that only reads the clock is held up for {} at worst. The ratio to \
-         the floor is the result;\nthe times are the machine's. A figure in brackets has fewer than \
-         ten samples beyond it.\n\n\
+         the floor is the result;\nthe times are the machine's. A figure in brackets has \
+         fewer than ten samples beyond it.\n\n\
          | case | p50 | p99 | p99.9 | x p50 | x p99.9 |\n|---|---:|---:|---:|---:|---:|\n",
         text_of(&machine["cpu"]),
         machine["cpus"],
