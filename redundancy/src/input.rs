@@ -73,8 +73,8 @@ pub enum Input {
     /// A report of the other system was received over the link.
     LinkReport(PeerReport),
     /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
-    /// were lost, or its sender has restarted. The vehicle may have accepted it, so its term counts,
-    /// and nothing else of it.
+    /// were lost, or its sender has restarted. The vehicle may have accepted it, so its term
+    /// counts, and nothing else of it.
     StaleFrame(ControlFrame),
     /// The vehicle told which term it obeys. It does so every control period.
     VehicleTerm(ObeyedTerm),

@@ -5,6 +5,7 @@
 mod figures;
 mod firmware;
 mod requirements;
+mod rooms;
 mod rta;
 mod task_tables;
 mod tidy;

@@ -1,7 +1,7 @@
 //! A core whose code blocks, as a poller: a thread that runs only when the pair says so.
 
-use crate::board::SimBoard;
-use crate::pair::Poller;
+use crate::baton::{Baton, Said};
+use crate::board::{Poller, SimBoard};
 use std::panic::resume_unwind;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,42 +12,6 @@ use tandem_board::{Board, Instant};
 /// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that
 /// never looks at its board. Only a diagnosis: no result depends on it.
 const HANGS_AFTER: WallTime = WallTime::from_secs(120);
-
-/// What unwinds a blocking core whose life is over, out of the call in which it is parked.
-#[derive(Clone, Copy, Debug)]
-pub struct CoreKilled;
-
-enum Said {
-    /// Parked until this time on the core's clock.
-    Parked(Instant),
-    /// The core's function has ended.
-    Ended,
-}
-
-/// The core's side: it runs between a resume and the next park.
-pub(crate) struct Baton {
-    resumed: Mutex<Receiver<()>>,
-    said: Sender<Said>,
-}
-
-impl Baton {
-    /// Lets the others run until `until` on the core's clock, or until the pair has a reason to
-    /// resume this core. Unwinds with [`CoreKilled`] when the core's life is over.
-    pub(crate) fn park(&self, until: Instant) {
-        if std::thread::panicking() {
-            return;
-        }
-        let parked = self.said.send(Said::Parked(until));
-        let resumed = self
-            .resumed
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .recv();
-        if parked.is_err() || resumed.is_err() {
-            resume_unwind(Box::new(CoreKilled));
-        }
-    }
-}
 
 /// Says that the function has ended, also when it unwinds.
 struct AtEnd(Arc<Baton>);

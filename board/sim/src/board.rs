@@ -1,6 +1,6 @@
 //! The simulated machine as one core sees it.
 
-use crate::blocking::Baton;
+use crate::baton::Baton;
 use crate::config::Defect;
 use crate::machine::{Attention, EventKind, Shared};
 use std::sync::Arc;
@@ -13,6 +13,10 @@ use tandem_board::{
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
 use tandem_peripherals::watchdog::Window;
+
+/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
+/// on its system's clock.
+pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
 /// A core's connection to the machine, for one life of the core.
 #[derive(Clone)]

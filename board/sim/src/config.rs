@@ -111,6 +111,7 @@ impl Config {
         let mut window = Window::TARGET;
         match self.defect {
             Some(Defect::WindowIgnored) => window.opens_us = 0,
+            Some(Defect::WindowLate) => window.opens_us += 1_000,
             Some(Defect::WatchdogSleeps) => {
                 (window.closes_us, window.first_us) = (u32::MAX, u32::MAX)
             }
@@ -197,6 +198,10 @@ pub enum Defect {
     MisalignedProgram,
     /// A new operation takes the place of the one under way.
     NeverBusy,
+    /// Programming sets bits.
+    ProgramSets,
+    /// An operation that a reset interrupts destroys its whole sector.
+    ResetDisturbs,
     /// Programming a page disturbs the page behind it.
     ProgramDisturbs,
     /// A reset erases the flash.
@@ -209,6 +214,8 @@ pub enum Defect {
     AnyAnswer,
     /// An early service is accepted.
     WindowIgnored,
+    /// The window of the watchdog opens too late.
+    WindowLate,
     /// A service that does not come has no effect.
     WatchdogSleeps,
     /// The reset cause is always power-on.
@@ -221,7 +228,7 @@ pub enum Defect {
 
 impl Defect {
     /// All of them.
-    pub const ALL: [Self; 43] = [
+    pub const ALL: [Self; 46] = [
         Self::LostRing,
         Self::MisdirectedRing,
         Self::EarlyDeadline,
@@ -255,12 +262,15 @@ impl Defect {
         Self::EraseToZero,
         Self::MisalignedProgram,
         Self::NeverBusy,
+        Self::ProgramSets,
+        Self::ResetDisturbs,
         Self::ProgramDisturbs,
         Self::FlashForgets,
         Self::WatchdogRefuses,
         Self::SameQuestion,
         Self::AnyAnswer,
         Self::WindowIgnored,
+        Self::WindowLate,
         Self::WatchdogSleeps,
         Self::CauseForgotten,
         Self::RequestIgnored,

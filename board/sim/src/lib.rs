@@ -10,6 +10,7 @@
 //! at a time, so that threads change nothing about determinism.
 #![forbid(unsafe_code)]
 
+mod baton;
 mod blocking;
 mod board;
 mod config;
@@ -20,11 +21,12 @@ mod pair;
 mod power;
 mod world;
 
-pub use blocking::{CoreKilled, blocking};
-pub use board::{SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
+pub use baton::CoreKilled;
+pub use blocking::blocking;
+pub use board::{Poller, SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
 pub use config::{Clock, Config, Defect, Order};
 pub use machine::{Event, EventKind, OnBus};
-pub use pair::{Poller, SimPair};
+pub use pair::SimPair;
 pub use tandem_peripherals::codec::Sender;
 pub use tandem_peripherals::supply::Power;
 pub use tandem_peripherals::wires::Wire;

@@ -1,6 +1,6 @@
 //! Both systems, driven in virtual time.
 
-use crate::board::{Port, SimBoard};
+use crate::board::{Poller, Port, SimBoard};
 use crate::config::{Config, Order};
 use crate::machine::{Attention, Event, OnBus, Shared};
 use crate::world::WorldTick;
@@ -15,10 +15,6 @@ use tandem_board::{
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
 use tandem_peripherals::wires::Wire;
-
-/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
-/// on its system's clock.
-pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
 /// What the vehicle does every millisecond.
 type World = Box<dyn FnMut(&mut WorldTick)>;

@@ -78,6 +78,7 @@ impl Machine {
         let partial = resets && self.has(Defect::PartialReset);
         let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
+        let interrupted = resets && state.flash.is_busy();
         let changed = state.flash.lose_power(now, &mut self.noise);
         state.flash_bytes_to_live = state
             .flash_bytes_to_live
@@ -85,6 +86,9 @@ impl Machine {
         state.inbox.clear();
         if forgets {
             state.flash = Flash::new();
+        }
+        if interrupted && self.config.defect == Some(Defect::ResetDisturbs) {
+            state.flash.bytes_mut().fill(0);
         }
         let reached = if partial { 2 } else { CoreId::COUNT };
         state.cores[..reached]
@@ -236,6 +240,9 @@ impl Machine {
             _ => offset,
         };
         flash.start_program(offset, data, now)?;
+        if defect == Some(Defect::ProgramSets) {
+            flash.spoil(|_, target| target.copy_from_slice(data));
+        }
         if defect == Some(Defect::ProgramDisturbs) {
             flash.spoil(|behind, _| behind.fill(0));
         }

@@ -75,7 +75,8 @@ fn check_safety(pair: &Pair, faults: usize) {
 }
 
 /// After the faults: everything is whole again and powered; a system drives, alone on the bus,
-/// the vehicle obeys it without gaps, and the other, if its supply does not hold it, is its standby.
+/// the vehicle obeys it without gaps, and the other, if its supply does not hold it, is its
+/// standby.
 fn heal_and_check(pair: &mut Pair) {
     pair.cuts = Default::default();
     pair.power_on(A);

@@ -180,6 +180,56 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
+/// A page that is programmed twice without an erase holds the bits that both have set.
+pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    let page_bytes = B::Flash::PAGE_BYTES as usize;
+    erase(board, 0)?;
+    for number in [3, 4] {
+        let started = board.flash().start_program(0, &data(number)[..page_bytes]);
+        check(started.is_ok(), "a page can be programmed again")?;
+        idle(board)?;
+    }
+    let mut both = data(3);
+    for (byte, second) in both.iter_mut().zip(data(4)) {
+        *byte &= second;
+    }
+    holds(board, 0, &both[..page_bytes])?;
+    erased_but(board, 0, &[0])
+}
+
+/// First incarnation: is reset while a page is programmed. Second: the pages beside it are whole,
+/// and the sector can be used again.
+pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    let page_bytes = B::Flash::PAGE_BYTES;
+    let page = |number| (number * page_bytes, data(number));
+    let start = |number| {
+        let (offset, bytes) = page(number);
+        let started = board
+            .flash()
+            .start_program(offset, &bytes[..page_bytes as usize]);
+        check(started.is_ok(), "an idle flash takes a page")
+    };
+    if board.identity().generation.0 == 1 {
+        erase(board, 0)?;
+        for number in [1, 3] {
+            start(number)?;
+            idle(board)?;
+        }
+        start(2)?;
+        board.supply().request_reset(ResetRequest::Software);
+        sleep(board, PATIENCE)?;
+        return fail("a reset that was asked for comes");
+    }
+    idle(board)?;
+    for number in [1, 3] {
+        let (offset, bytes) = page(number);
+        holds(board, offset, &bytes[..page_bytes as usize])?;
+    }
+    erased_but(board, 0, &[1, 2, 3])?;
+    erase(board, 0)?;
+    erased_but(board, 0, &[])
+}
+
 /// First incarnation: programs a page and asks for a reset. Second incarnation: reads it.
 pub(super) fn durable<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page = &data(7)[..B::Flash::PAGE_BYTES as usize];

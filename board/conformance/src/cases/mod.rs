@@ -15,7 +15,7 @@ use tandem_board::{Board, CoreAddress};
 use Setting::{Plain, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
-const COUNT: usize = 41;
+const COUNT: usize = 45;
 
 /// Makes the parts of a case live as long as the program.
 macro_rules! case {
@@ -72,6 +72,8 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
         case!("lines-count", Plain, A0: lines::counter::<B>, B0: lines::counter::<B>),
         case!("lines-start-interrupts", Plain, A0: lines::starter::<B>, B0: lines::started::<B>),
         case!("lines-level", Plain, A0: lines::level::<B>, B0: lines::level::<B>),
+        case!("lines-level-reset", Restarts,
+            A0: supply::reset_in_sight::<B>, B0: supply::sees_reset::<B>),
         case!("link-order", Plain, A0: link::order::<B>, B0: link::order::<B>),
         case!("link-full", Plain, A0: link::filler::<B>, B0: link::drainer::<B>),
         case!("link-short-buffer", Plain,
@@ -79,8 +81,11 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
         case!("flash-erase-program", Plain, B0: flash::erase_program::<B>),
         case!("flash-ranges", Plain, A0: flash::ranges::<B>),
         case!("flash-one-at-a-time", Plain, A0: flash::one_at_a_time::<B>),
+        case!("flash-no-erase", Plain, A0: flash::no_erase::<B>),
+        case!("flash-interrupted", Restarts, A0: flash::interrupted::<B>),
         case!("flash-durable", Restarts, A0: flash::durable::<B>),
         case!("supply-watchdog", Watchdog, A0: supply::good_service::<B>),
+        case!("supply-opens", Watchdog, B0: supply::as_early_as_may_be::<B>),
         case!("supply-wrong-answer", Restarts, A0: supply::wrong_answer::<B>),
         case!("supply-early", Restarts, B0: supply::early::<B>),
         case!("supply-late", Restarts, A0: supply::late::<B>),

@@ -45,6 +45,22 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     )
 }
 
+/// Every service comes just after the window opens: no reset.
+pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    const ROUNDS: u32 = 10;
+    // Half a millisecond for clocks that differ.
+    let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 500);
+    for _ in 0..ROUNDS {
+        serve(board);
+        sleep(board, opens)?;
+    }
+    equal(
+        board.identity().generation.0,
+        1_u32,
+        "a service in the open window resets nothing",
+    )
+}
+
 fn is_first_life<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
@@ -176,6 +192,38 @@ pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
         !lines.peer_powered(),
         "a system that suspends stays in reset",
     )
+}
+
+/// First incarnation: asks for a reset when the other system watches.
+pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
+    if is_first_life(board) {
+        wait_for_peer(board, 1)?;
+        sleep(board, Duration::from_ms(5))?;
+    }
+    software_reset(board, place)
+}
+
+/// The other system is reset: its level line falls, and rises when its next life begins.
+pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    if !is_first_life(board) {
+        // Nobody serves this system when its role has ended.
+        return Ok(());
+    }
+    wait_for_peer(board, 1)?;
+    let limit = board.now() + PATIENCE;
+    let mut next_service = board.now();
+    for high in [false, true] {
+        while board.lines().peer_powered() != high {
+            let now = board.now();
+            check(now < limit, "the level line shows a reset and its end")?;
+            if now >= next_service {
+                serve(board);
+                next_service = board.now() + middle::<B::Supply>();
+            }
+            board.wait(next_service);
+        }
+    }
+    Ok(())
 }
 
 /// More records than a trace may hold, and every lamp: neither blocks.

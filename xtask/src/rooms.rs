@@ -1,0 +1,258 @@
+//! Which way the arrows run: between the rooms of the tree, and between the modules of a crate.
+
+use crate::cargo;
+use anyhow::{Context, Result};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+/// The rooms, from the ground up. A package depends at run time on packages of lower floors only.
+const FLOORS: &[&[&str]] = &[
+    &["board/api", "bus", "page", "rtos", "shm"],
+    &[
+        "board/conformance",
+        "board/peripherals",
+        "boot",
+        "redundancy",
+        "vehicle",
+    ],
+    &[
+        "board/cosim",
+        "board/host",
+        "board/sim",
+        "boot/host",
+        "capi",
+        "cores",
+    ],
+    &[
+        "benches",
+        "board/qemu",
+        "cores/runtime",
+        "record",
+        "tests/golden",
+    ],
+    &["cli", "firmware-port", "tests", "xtask"],
+];
+
+/// The one workspace beside that of the tree: its folder is one room.
+const FIRMWARE: &str = "firmware-port";
+
+/// Rooms in whose crates no modules use each other in a circle.
+const WITHOUT_CIRCLES: &[&str] = &[
+    "board/api",
+    "board/conformance",
+    "board/cosim",
+    "board/peripherals",
+    "board/qemu",
+    "board/sim",
+    "bus",
+    "shm",
+];
+
+/// Arrows that run the wrong way.
+pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
+    let mut findings = arrows(root, &metadata(root)?);
+    findings.extend(arrows(root, &metadata(&root.join(FIRMWARE))?));
+    for room in WITHOUT_CIRCLES {
+        let circle = circle(&module_uses(&root.join(room).join("src"))?);
+        if !circle.is_empty() {
+            findings.push(format!("{room}: modules that use each other: {circle:?}"));
+        }
+    }
+    Ok(findings)
+}
+
+fn metadata(folder: &Path) -> Result<Value> {
+    let output = cargo(folder, &["metadata", "--format-version=1", "--no-deps"]).output()?;
+    serde_json::from_slice(&output.stdout).context("cargo metadata")
+}
+
+/// The room of a folder, and its floor.
+fn room_of<'a>(root: &Path, folder: &'a str) -> Option<(&'a str, usize)> {
+    let place = Path::new(folder).strip_prefix(root).ok()?.to_str()?;
+    let room = if place.starts_with(FIRMWARE) {
+        FIRMWARE
+    } else {
+        place
+    };
+    let floor = FLOORS.iter().position(|rooms| rooms.contains(&room))?;
+    Some((room, floor))
+}
+
+fn arrows(root: &Path, metadata: &Value) -> Vec<String> {
+    let mut findings = Vec::new();
+    for package in metadata["packages"].as_array().into_iter().flatten() {
+        let manifest = package["manifest_path"].as_str().unwrap_or_default();
+        let folder = manifest.trim_end_matches("/Cargo.toml");
+        let Some((room, floor)) = room_of(root, folder) else {
+            findings.push(format!("{folder}: a room that has no floor in tidy"));
+            continue;
+        };
+        for dependency in package["dependencies"].as_array().into_iter().flatten() {
+            let Some(folder) = dependency["path"].as_str() else {
+                continue;
+            };
+            let Some((on, its_floor)) = room_of(root, folder) else {
+                continue;
+            };
+            let at_run_time = dependency["kind"].is_null();
+            let up = room != on && at_run_time && its_floor >= floor;
+            if up || room != FIRMWARE && on == FIRMWARE {
+                findings.push(format!(
+                    "{room}: must not depend on {on}, which is above it"
+                ));
+            }
+        }
+    }
+    findings
+}
+
+/// Which top modules of a crate name which others.
+type Uses = BTreeMap<String, BTreeSet<String>>;
+
+fn module_uses(src: &Path) -> Result<Uses> {
+    let mut texts: BTreeMap<String, String> = BTreeMap::new();
+    for entry in fs::read_dir(src).with_context(|| src.display().to_string())? {
+        let path = entry?.path();
+        let name = path.file_stem().and_then(|name| name.to_str());
+        let name = name.unwrap_or_default().to_owned();
+        if path.is_dir() {
+            read_folder(&path, texts.entry(name).or_default())?;
+        } else if name != "lib" && name != "main" {
+            let text = without_tests(&fs::read_to_string(&path)?);
+            // In a file of its own, `super` is the crate.
+            let text = text.replace("super::", "crate::");
+            texts.entry(name).or_default().push_str(&text);
+        }
+    }
+    let modules: BTreeSet<String> = texts.keys().cloned().collect();
+    let uses = texts.into_iter().map(|(name, text)| {
+        let mut used = named_modules(&text, &modules);
+        used.remove(&name);
+        (name, used)
+    });
+    Ok(uses.collect())
+}
+
+fn read_folder(folder: &Path, into: &mut String) -> Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let path = entry?.path();
+        if path.is_dir() {
+            read_folder(&path, into)?;
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            into.push_str(&without_tests(&fs::read_to_string(&path)?));
+        }
+    }
+    Ok(())
+}
+
+/// The code without comments, and without the tests, which stand last in a file.
+fn without_tests(text: &str) -> String {
+    let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or(text);
+    let lines = code
+        .lines()
+        .filter(|line| !line.trim_start().starts_with("//"));
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+/// The modules that stand behind `crate::`, alone or in braces.
+fn named_modules(text: &str, modules: &BTreeSet<String>) -> BTreeSet<String> {
+    let mut named = BTreeSet::new();
+    for behind in text.split("crate::").skip(1) {
+        let (list, is_list) = match behind.strip_prefix('{') {
+            Some(list) => (list, true),
+            None => (behind, false),
+        };
+        let mut depth = 0;
+        let mut word = String::new();
+        let mut at_begin = true;
+        for letter in list.chars() {
+            if letter.is_alphanumeric() || letter == '_' {
+                word.push(letter);
+                continue;
+            }
+            if at_begin && depth == 0 && modules.contains(&word) {
+                named.insert(word.clone());
+            }
+            at_begin = at_begin && word.is_empty() && letter.is_whitespace() || letter == ',';
+            word.clear();
+            match letter {
+                '{' => depth += 1,
+                '}' if depth == 0 => break,
+                '}' => depth -= 1,
+                ';' => break,
+                _ if !is_list => break,
+                _ => {}
+            }
+        }
+    }
+    named
+}
+
+/// The modules that are left when all are taken away, again and again, that use no other.
+fn circle(uses: &Uses) -> BTreeSet<String> {
+    let mut left = uses.clone();
+    loop {
+        let free = |(_, used): &(&String, &BTreeSet<String>)| {
+            !used.iter().any(|used| left.contains_key(used))
+        };
+        let Some(name) = left.iter().find(free).map(|(name, _)| name.clone()) else {
+            return left.into_keys().collect();
+        };
+        left.remove(&name);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(names: &[&str]) -> BTreeSet<String> {
+        names.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn modules_are_found_alone_and_in_braces() {
+        let modules = set(&["a", "b", "c", "d"]);
+        let text = "use crate::{a::{X, d}, b};\nfn f() { crate::c::g(crate::e) }";
+        assert_eq!(named_modules(text, &modules), set(&["a", "b", "c"]));
+    }
+
+    #[test]
+    fn a_circle_is_found_and_what_hangs_on_it() {
+        let uses = |arrows: &[(&str, &[&str])]| -> Uses {
+            let arrows = arrows.iter();
+            arrows
+                .map(|(from, to)| (from.to_string(), set(to)))
+                .collect()
+        };
+        let tree = uses(&[("a", &["b", "c"]), ("b", &["c"]), ("c", &[])]);
+        assert_eq!(circle(&tree), set(&[]));
+        let round = uses(&[("a", &["b"]), ("b", &["c"]), ("c", &["b"]), ("d", &[])]);
+        assert_eq!(circle(&round), set(&["a", "b", "c"]));
+    }
+
+    #[test]
+    fn an_arrow_that_runs_up_is_found() {
+        let root = Path::new("/r");
+        let package = |folder: &str, on: &str, kind: Value| {
+            serde_json::json!({"packages": [{
+                "manifest_path": format!("/r/{folder}/Cargo.toml"),
+                "dependencies": [{"path": format!("/r/{on}"), "kind": kind}],
+            }]})
+        };
+        let count = |folder, on, kind| arrows(root, &package(folder, on, kind)).len();
+        assert_eq!(count("board/host", "board/peripherals", Value::Null), 0);
+        assert_eq!(count("board/peripherals", "board/host", Value::Null), 1);
+        assert_eq!(
+            count("board/host", "board/sim", Value::Null),
+            1,
+            "beside it"
+        );
+        assert_eq!(count("board/sim", "cores", "dev".into()), 0, "tests may");
+        assert_eq!(count("cli", "firmware-port/x", "dev".into()), 1);
+        assert_eq!(count("firmware-port/x", "firmware-port/y", Value::Null), 0);
+        assert_eq!(count("unheard-of", "shm", Value::Null), 1);
+    }
+}
