@@ -133,11 +133,10 @@ impl<P: VehiclePort> Drive<P> {
         } = self;
         let now = port.now();
         port.transmitted(&mut |_, _, Received { frame, at: sent }| {
-            if let CanId::Standard(id) = frame.id() {
-                world.on_frame(now.as_ns(), u32::from(id), frame.data());
-            }
-            // One entry for a control frame, none for another one.
-            let judged = world.gate_mut().drain_log().next_back();
+            let judged = match frame.id() {
+                CanId::Standard(id) => world.on_frame(now.as_ns(), u32::from(id), frame.data()),
+                CanId::Extended(_) => None,
+            };
             recorder.record(Entry::Frame(BusFrame {
                 at: now,
                 sent,

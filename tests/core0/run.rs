@@ -16,7 +16,7 @@ use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
-use tandem_vehicle::{Scenario, World};
+use tandem_vehicle::{Scenario, Verdict, World};
 
 /// First argument of this program as a launcher; then the case and the folder.
 pub(crate) const LAUNCH: &str = "launch";
@@ -205,11 +205,19 @@ impl Script {
     /// One millisecond.
     fn tick(&mut self) {
         let due = self.ticker.wait().due;
-        let Self { port, world, .. } = self;
-        let now_ns = port.now().as_ns();
-        port.transmitted(&mut |_, _, received| {
+        let Self {
+            port,
+            world,
+            accepted,
+            ..
+        } = self;
+        let now = port.now();
+        port.transmitted(&mut |system, _, received| {
             if let CanId::Standard(id) = received.frame.id() {
-                world.on_frame(now_ns, id.into(), received.frame.data());
+                let judged = world.on_frame(now.as_ns(), id.into(), received.frame.data());
+                if judged.is_some_and(|it| it.verdict == Verdict::Accepted) {
+                    accepted.push((now, system));
+                }
             }
         });
         world.step(due.as_ns(), &mut |id, data| {
@@ -217,13 +225,6 @@ impl Script {
             port.broadcast(&frame.expect("a frame of the DBC"));
         });
         port.ring_receivers();
-        for acceptance in world.gate_mut().drain_log() {
-            if acceptance.verdict == tandem_vehicle::gate::Verdict::Accepted {
-                let system = SystemId::from_index(acceptance.system.into()).expect("a system");
-                let at = Instant::from_ns(acceptance.at_ns);
-                self.accepted.push((at, system));
-            }
-        }
         let traced = &mut self.traced;
         port.drain_trace(&mut |entry| {
             traced.extend(Event::decode(entry.record).map(|event| (entry, event)));

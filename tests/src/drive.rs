@@ -57,11 +57,14 @@ pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
 fn tick(seen: &mut Seen, tick: &mut WorldTick) {
     let now = tick.at.as_ns();
     for on_bus in &tick.heard {
-        if let CanId::Standard(id) = on_bus.frame.id() {
-            seen.world
-                .on_frame(on_bus.at.as_ns(), id.into(), on_bus.frame.data());
-        }
-        let judged = seen.world.gate_mut().drain_log().next_back();
+        let frame = &on_bus.frame;
+        let judged = match frame.id() {
+            CanId::Standard(id) => {
+                let at_ns = on_bus.at.as_ns();
+                seen.world.on_frame(at_ns, id.into(), frame.data())
+            }
+            CanId::Extended(_) => None,
+        };
         seen.log.push(Entry::Frame(BusFrame {
             at: on_bus.at,
             sent: on_bus.at,

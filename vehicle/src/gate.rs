@@ -1,8 +1,8 @@
 //! The vehicle's own decision which control frames act: valid, from a master, of the highest term.
 //!
 //! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
-//! its sender believes. Every control frame and what became of it goes into a log, so that "two
-//! masters" and "no master" are facts.
+//! its sender believes. The caller is told of every control frame what became of it, and records
+//! it, so that "two masters" and "no master" are facts.
 //!
 //! | frame | verdict | acts |
 //! |---|---|---|
@@ -19,8 +19,6 @@ use crate::mastership::Mastership;
 /// After this silence a sender may start with any counter, ns: it was down, and frames that were
 /// lost meanwhile are not news.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
-/// The log keeps so many entries between two calls of [`Gate::drain_log`]: three hours of frames.
-const LOG_CAPACITY: usize = 1 << 20;
 
 /// What became of a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,7 +33,7 @@ pub enum Verdict {
     Invalid,
 }
 
-/// One entry of the acceptance log.
+/// What became of a control frame, and when.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Acceptance {
     /// When the frame arrived, ns, on the caller's clock.
@@ -70,7 +68,15 @@ pub struct Gate {
     accepted: Option<Acceptance>,
     counts: FrameCounts,
     mastership: Mastership,
-    log: Vec<Acceptance>,
+}
+
+/// A control frame that was judged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged {
+    /// What became of it.
+    pub acceptance: Acceptance,
+    /// What it demands, if it acts.
+    pub command: Option<Control>,
 }
 
 impl Gate {
@@ -84,33 +90,33 @@ impl Gate {
             accepted: None,
             counts: FrameCounts::default(),
             mastership: Mastership::default(),
-            log: Vec::new(),
         }
     }
 
-    /// Judges a frame; the command if it acts. Frames that are no control frames are ignored.
-    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Control> {
+    /// Judges a frame that arrives at `now_ns` on the caller's clock; `None` if it is no control
+    /// frame.
+    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Judged> {
         let system = Control::IDS
             .iter()
             .position(|known| u32::from(*known) == id)?;
         let (verdict, control) = self.judge(now_ns, system, data);
         let term = control.map_or(0, |control| control.term);
-        let entry = Acceptance {
+        let acceptance = Acceptance {
             at_ns: now_ns,
             system: system as u8,
             term,
             verdict,
         };
-        if self.log.len() < LOG_CAPACITY {
-            self.log.push(entry);
-        }
         match verdict {
-            Verdict::Accepted => self.accept(entry),
+            Verdict::Accepted => self.accept(acceptance),
             Verdict::Fenced => self.counts.fenced += 1,
             Verdict::NotMaster => self.counts.not_master += 1,
             Verdict::Invalid => self.counts.invalid += 1,
         }
-        control.filter(|_| verdict == Verdict::Accepted)
+        Some(Judged {
+            acceptance,
+            command: control.filter(|_| verdict == Verdict::Accepted),
+        })
     }
 
     fn judge(&mut self, now_ns: u64, system: usize, data: &[u8]) -> (Verdict, Option<Control>) {
@@ -173,11 +179,6 @@ impl Gate {
     pub const fn mastership(&self) -> &Mastership {
         &self.mastership
     }
-
-    /// Takes the log's entries since the last call, oldest first.
-    pub fn drain_log(&mut self) -> std::vec::Drain<'_, Acceptance> {
-        self.log.drain(..)
-    }
 }
 
 impl Default for Gate {
@@ -210,11 +211,11 @@ mod tests {
     /// Sends master frames of (time in ms, system, term) and returns the verdicts.
     fn verdicts(gate: &mut Gate, frames: &[(u64, u8, u32)]) -> Vec<Verdict> {
         let mut sender = Sender(Transmitter::new());
-        for (at, system, term) in frames {
+        let judged = frames.iter().map(|(at, system, term)| {
             let (id, data) = sender.frame(*system, *term, Role::Master);
-            gate.on_frame(at * MS, id, &data);
-        }
-        gate.drain_log().map(|entry| entry.verdict).collect()
+            gate.on_frame(at * MS, id, &data)
+        });
+        judged.map(|it| it.unwrap().acceptance.verdict).collect()
     }
 
     /// T-CHIP-7: after a takeover no frame of the former master acts, not one.
@@ -259,6 +260,14 @@ mod tests {
         assert_eq!(gate.echo(33 * MS).term, 3);
     }
 
+    /// Whether a control frame acts; `None` if it is none.
+    fn acts(judged: Option<Judged>) -> Option<bool> {
+        let judged = judged?;
+        let accepted = judged.acceptance.verdict == Verdict::Accepted;
+        assert_eq!(judged.command.is_some(), accepted);
+        Some(accepted)
+    }
+
     #[test]
     fn only_whole_frames_of_a_master_act() {
         let mut gate = Gate::new();
@@ -267,16 +276,19 @@ mod tests {
         for byte in 0..good.len() {
             let mut bad = good.clone();
             bad[byte] ^= 0x10;
-            assert_eq!(gate.on_frame(0, id, &bad), None);
-            assert_eq!(gate.on_frame(0, id, &good[..byte]), None);
+            assert_eq!(acts(gate.on_frame(0, id, &bad)), Some(false));
+            assert_eq!(acts(gate.on_frame(0, id, &good[..byte])), Some(false));
         }
-        assert!(gate.on_frame(0, id, &good).is_some());
-        assert_eq!(gate.on_frame(1, id, &good), None, "a repeated frame");
-        assert_eq!(gate.on_frame(1, id + 1, &good), None, "another system's id");
+        assert_eq!(acts(gate.on_frame(0, id, &good)), Some(true));
+        let repeated = gate.on_frame(1, id, &good);
+        assert_eq!(acts(repeated), Some(false));
+        let of_b = gate.on_frame(1, id + 1, &good);
+        assert_eq!(acts(of_b), Some(false), "the id of the other system");
+        assert_eq!(gate.on_frame(1, id + 2, &good), None, "no control frame");
         let (id, standby) = sender.frame(0, 2, Role::Standby);
-        assert_eq!(gate.on_frame(2, id, &standby), None);
+        assert_eq!(acts(gate.on_frame(2, id, &standby)), Some(false));
         let (id, wrong_parity) = sender.frame(0, 3, Role::Master);
-        assert_eq!(gate.on_frame(3, id, &wrong_parity), None);
+        assert_eq!(acts(gate.on_frame(3, id, &wrong_parity)), Some(false));
         assert_eq!(gate.counts().accepted, 1);
         assert_eq!(gate.counts().not_master, 1);
     }

@@ -173,17 +173,20 @@ impl World {
         world
     }
 
-    /// A frame that a controller has sent, at `now_ns` on the caller's clock. Only control frames
-    /// matter; the first one that is accepted sets the world going.
-    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) {
-        if let Some(control) = self.gate.on_frame(now_ns, id, data) {
+    /// A frame that a controller has sent, at `now_ns` on the caller's clock. Returns what became
+    /// of it; `None` if it is no control frame, which changes nothing. The first control frame that
+    /// is accepted starts the world.
+    pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
+        let judged = self.gate.on_frame(now_ns, id, data)?;
+        if let Some(control) = judged.command {
             self.request = Request {
                 steering_angle: f64::from(control.steering_angle),
                 acceleration: f64::from(control.acceleration),
             };
             self.snapshot.running = true;
-            self.snapshot.accepted = self.gate.accepted();
+            self.snapshot.accepted = Some(judged.acceptance);
         }
+        Some(judged.acceptance)
     }
 
     /// Lets the world run up to `now_ns`, in ticks of one millisecond, and hands out the frames
@@ -383,11 +386,6 @@ impl World {
     #[must_use]
     pub fn gate(&self) -> &Gate {
         &self.gate
-    }
-
-    /// The same, to take the acceptance log's entries.
-    pub fn gate_mut(&mut self) -> &mut Gate {
-        &mut self.gate
     }
 
     /// The lanes.
