@@ -1,4 +1,4 @@
-//! Who a core is.
+//! The identity of a core: system, number, incarnation.
 
 use core::fmt;
 

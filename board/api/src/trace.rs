@@ -36,7 +36,7 @@ pub enum SupplyEvent {
     CoreDied {
         /// Which.
         core: CoreId,
-        /// The signal; 0 if it ended by itself or nobody knows.
+        /// The signal; 0 if it ended by itself or that is not known.
         signal: u8,
     },
     /// It took the system down and will start it anew.

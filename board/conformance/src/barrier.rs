@@ -1,15 +1,15 @@
-//! How the roles of a case wait for each other.
+//! Barriers: how the roles of a case wait for each other.
 
 use crate::case::{Failure, check};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 
-/// How long a role waits for what must come. Far beyond what any board needs, also on a machine
-/// that is busy with other things: it decides only how late a failure is seen.
+/// Time limit for what must happen. No board needs as much, even on a busy machine: the limit only
+/// decides how late a failure is seen.
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
-/// How often a role looks at first that sleeps in between.
+/// Time between the first polls of a role that sleeps in between.
 const LOOK: Duration = Duration::from_ms(1);
-/// What is long enough for something that must *not* come.
+/// Time after which something that must *not* happen would have happened.
 pub(crate) const SETTLE: Duration = Duration::from_ms(20);
 /// How many interrupts without a cause a board may see in one wait.
 const SPURIOUS: u32 = 1_000;
@@ -19,7 +19,7 @@ pub(crate) fn word<B: Board>(board: &B, index: usize) -> &AtomicU32 {
     &board.lmu()[FREE_WORDS + index]
 }
 
-/// The first words of the LMU are where cores meet.
+/// The first words of the LMU are the barrier.
 pub(crate) const FREE_WORDS: usize = 8;
 
 /// Sleeps in small steps until `holds`. Consumes interrupts.

@@ -39,7 +39,7 @@ pub struct Case<B: 'static> {
     pub name: &'static str,
     /// What the case needs.
     pub setting: Setting,
-    /// Who takes part.
+    /// The cores that take part, and what each does.
     pub parts: &'static [Part<B>],
 }
 

@@ -6,7 +6,7 @@
 //! clock.
 //!
 //! What a rig gives to each case: both systems freshly powered on (LMU zero, no edges counted,
-//! generation 1), all boards of the case made before or while its roles start, nobody else on the
+//! generation 1), all boards of the case made before or while its roles start, no other node on the
 //! bus, and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are
 //! absent.
 //!

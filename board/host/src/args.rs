@@ -56,8 +56,8 @@ impl Schedule {
     }
 }
 
-/// Priorities under SCHED_FIFO. The supply must come through whatever the cores do; the vehicle is
-/// physics and waits for nobody; core 0 controls, the others compute.
+/// Priorities under SCHED_FIFO. The supply must run whatever the cores do. The vehicle
+/// is physics and does not wait. Core 0 controls, the others compute.
 const SUPPLY_PRIORITY: u8 = 80;
 const VEHICLE_PRIORITY: u8 = 70;
 const CONTROL_PRIORITY: u8 = 60;
@@ -251,7 +251,7 @@ impl ProcessArgs {
     /// Reads the arguments after the program's name; `None` if they are none of a run's process.
     ///
     /// # Errors
-    /// [`InvalidArgs`] if they begin as such and go on differently.
+    /// [`InvalidArgs`] if they begin like those of a process and the rest is not understood.
     pub fn parse(argv: impl IntoIterator<Item = OsString>) -> Option<Result<Self, InvalidArgs>> {
         let mut argv = argv.into_iter();
         let kind = argv.next()?.into_string().ok()?;

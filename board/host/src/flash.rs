@@ -54,7 +54,7 @@ pub enum FlashFileError {
     },
 }
 
-/// The data flash of one system, for as long as this or any process started meanwhile lives: two
+/// The data flash of one system, as long as this process or one that it has started lives: two
 /// systems that write one flash would each destroy what the other has written.
 #[derive(Debug)]
 pub(crate) struct Claimed {
@@ -78,8 +78,8 @@ pub struct HostFlash {
 #[derive(Debug)]
 struct Device {
     file: File,
-    /// [`IDLE`], [`BUSY`] or [`FAILED`]. Who sets it to `BUSY` owns `operation` until the thread
-    /// sets it to another value.
+    /// [`IDLE`], [`BUSY`] or [`FAILED`]. The caller that sets it to `BUSY` owns `operation` until
+    /// the thread sets it to another value.
     status: AtomicU8,
     /// Never waited for: see `status`.
     operation: Mutex<Started>,
@@ -146,7 +146,7 @@ impl HostFlash {
                 }
                 locked => locked.map_err(|errno| failed(errno.into()))?,
             }
-            // The name may stand for another file by now: whoever opens it would lock that one.
+            // The name may stand for another file by now: the next to open it would lock that one.
             let locked = file.metadata().map_err(failed)?;
             let named = fs::metadata(path);
             if !named.is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino()))
@@ -305,7 +305,7 @@ fn create(path: &Path) -> io::Result<()> {
     };
     fs::create_dir_all(folder)?;
     let mut draft = path.as_os_str().to_owned();
-    // Nobody else's: of this process, and of this moment in it.
+    // Unique: the id of this process and the time.
     draft.push(format!(
         ".{}-{:x}",
         std::process::id(),

@@ -1,7 +1,7 @@
 //! Starting a run and ending it without a trace.
 //!
 //! The launcher is needed for neither driving nor failover: after the start it only waits. If it is
-//! killed, the run goes on until the vehicle ends, and the rest ends with that.
+//! killed, the run continues until the vehicle ends, and the rest ends with the vehicle.
 
 use std::ffi::OsString;
 use std::io;
@@ -100,7 +100,7 @@ pub struct Launcher {
     backplane: Backplane,
     /// Supply A, supply B, vehicle.
     children: Vec<Child>,
-    /// Nobody else's as long as a process of the run lives.
+    /// Locked as long as a process of the run lives.
     flash: Vec<Claimed>,
     /// A signal that asks to end came and was not yet looked at.
     signalled: Arc<AtomicBool>,

@@ -41,7 +41,7 @@ unsafe impl<const N: usize> ZeroCopySend for Words<N> {}
 /// Why a segment could not be created, opened or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
-    /// Nobody has created it (any more).
+    /// It was not created, or is removed.
     #[error("shared memory “{name}” of run {run} does not exist")]
     DoesNotExist {
         /// The run.
@@ -103,7 +103,7 @@ impl<const N: usize> Segment<N> {
     /// Removes the segment that a test has made. Nothing happens if there is none.
     #[cfg(test)]
     pub(crate) fn remove(run: &RunName, name: &str) {
-        // SAFETY: POSIX shared memory keeps its content for those who have it mapped.
+        // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
         unsafe { Storage::<Words<N>>::remove_cfg(&file(run, name).unwrap(), &config(run)) }
             .unwrap();
     }

@@ -4,11 +4,11 @@
 //! lets the kernel find a page at the first touch. In a full `/dev/shm` that touch ends the process
 //! with SIGBUS, and it may be the touch of a process that did nothing but ring a bell. Here
 //! [`Builder::create`] calls `fallocate` before anything touches the memory: a place that is too
-//! small refuses the creator, and nobody later.
+//! small refuses the creator, and no other process later.
 //!
 //! A *lasting* storage belongs to the run and not to the process that created it: no process that
 //! drops it removes it, and [`Builder::create`] takes over the one that is there and initializes
-//! its value anew, in the same memory. Those who have it mapped go on to use it, and must expect
+//! its value anew, in the same memory. Processes that have it mapped keep using it, and must expect
 //! that.
 //!
 //! The suite of iceoryx2 for a dynamic storage is a test of this one: `tests/iceoryx2.rs`.
@@ -50,7 +50,7 @@ use iceoryx2_cal::named_concept::{
 use rustix::fs::FallocateFlags;
 use rustix::io::Errno;
 
-/// Nobody but root can read a storage that is not complete.
+/// Only root can read a storage that is not complete.
 const UNFINISHED: Permission = Permission::OWNER_WRITE;
 const FINISHED: Permission = Permission::OWNER_READ_WRITE;
 const FINISHED_FOR_ALL: Permission = FINISHED
@@ -78,7 +78,7 @@ pub enum CreateError {
     AlreadyExists,
     /// This user may not create one.
     InsufficientPermissions,
-    /// The file system has no room for so many bytes.
+    /// The file system has no room for these bytes.
     NoSpace {
         /// What was asked for.
         bytes: usize,
@@ -259,7 +259,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         if !self.initializer.call(&mut content.value, &mut allocator) {
             return Err(CreateError::InitializationFailed);
         }
-        // Release pairs with the Acquire in `open_now`: who sees it complete sees the value.
+        // Release pairs with the Acquire in `open_now`: a process that sees this sees the value.
         content.complete.store(COMPLETE, Release);
         let name = self.name;
         Ok(Storage {
@@ -284,7 +284,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
             ) => return unfinished,
             Err(_) => return Err(DynamicStorageOpenError::InternalError),
         };
-        // Root may read what nobody can. Before the memory is reserved no page may be touched.
+        // Root may read what no other user can. No page may be touched before all are reserved.
         match memory.permission() {
             Ok(permission) if permission.has(Permission::OWNER_READ) => {}
             Ok(_) => return unfinished,
@@ -450,7 +450,7 @@ impl<T, const LASTING: bool> Drop for Storage<T, LASTING> {
         if self.memory.has_ownership() {
             let content = self.memory.base_address().cast::<Content<T>>();
             // SAFETY: the value was initialized by this storage's builder. As iceoryx2 has it, its
-            // owner is the last who uses it.
+            // owner is the last user.
             unsafe { (*content.as_ptr()).value.assume_init_drop() };
         }
     }
@@ -530,7 +530,7 @@ impl<T: Value, const LASTING: bool> DynamicStorage<T> for Storage<T, LASTING> {
     }
 
     fn get(&self) -> &T {
-        // SAFETY: a storage is built when its value is complete, and nobody makes it incomplete.
+        // SAFETY: a storage is built when its value is complete, and no code makes it incomplete.
         unsafe { self.content().value.assume_init_ref() }
     }
 

@@ -45,7 +45,7 @@ pub(crate) struct TraceRing {
 pub(crate) struct Full;
 
 impl TraceRing {
-    /// The ring in these words, zero when nobody has written yet.
+    /// The ring in these words, zero before the first record.
     ///
     /// # Panics
     /// If there are not [`WORDS`] of them.
@@ -105,13 +105,13 @@ impl TraceRing {
             word.store(value, Relaxed);
         }
         slot[VOID_AT].store(0, Relaxed);
-        // Release pairs with the Acquire in `Reader::next`: who sees the turn sees the record.
+        // Release pairs with the Acquire in `Reader::next`: with the turn it sees the record.
         slot[TURN_AT].store(ticket.wrapping_add(1), Release);
         Ok(())
     }
 }
 
-/// The reading side. There is one at a time; a successor goes on where it ended.
+/// The reading side. There is one at a time; a successor continues where it ended.
 #[derive(Debug)]
 pub(crate) struct Reader {
     ring: TraceRing,
@@ -228,7 +228,7 @@ mod tests {
         ring.write(at(2), [3; 4]).unwrap();
         assert_eq!(all(&mut reader), [1]);
         assert_eq!(all(&mut reader), []);
-        // It goes on, and fills its slot.
+        // It continues, and fills its slot.
         let slot = ring.slot(1);
         for (word, value) in slot.iter().zip(encode_trace(at(1), [2; 4])) {
             word.store(value, Relaxed);

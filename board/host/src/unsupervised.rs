@@ -11,7 +11,7 @@ use crate::isolation::Isolation;
 use crate::memory;
 use crate::name::RunName;
 
-/// System A under power: LMU, doorbells and wires, but nobody who watches or resets its cores.
+/// System A under power: LMU, doorbells and wires, but no supply that watches or resets its cores.
 #[derive(Debug)]
 pub struct UnsupervisedSystem {
     run: RunName,

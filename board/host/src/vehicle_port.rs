@@ -142,7 +142,7 @@ impl HostVehiclePort {
                     // The clock anew: the vehicle itself may have been held up since it looked.
                     let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
-                    // Who sent it is known from the ring, whatever the words say.
+                    // The ring tells the sender, whatever the words say.
                     let sent = (node.system, node.core, Received { frame, at });
                     self.sent.push(sent);
                 }

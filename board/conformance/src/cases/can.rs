@@ -114,7 +114,7 @@ pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
         send(board, &numbered(place.system.index() as u8, number)?)?;
         sleep(board, Duration::from_us(300))?;
     }
-    // The end of both, so that nobody else sends while the listeners compare.
+    // The end of both, so that no core sends while the listeners compare.
     wait_for_all(board, HERE, 2)?;
     wait_for_all(board, HERE, 3)
 }
@@ -323,7 +323,7 @@ pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     )
 }
 
-/// When nothing has come for so long, nothing more comes.
+/// After this time without a frame, no more frames arrive.
 const QUIET: Duration = Duration::from_ms(1_000);
 /// More than any receive FIFO holds.
 const FLOOD: u32 = 6_000;

@@ -14,7 +14,7 @@ pub(super) fn monotonic<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failu
         last = now;
     }
     board.wait(last + SETTLE);
-    check(board.now() > first, "the clock goes on")
+    check(board.now() > first, "the clock advances")
 }
 
 pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
@@ -24,7 +24,7 @@ pub(super) fn deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
             let mut interrupts = 0;
             while board.wait(end) == Wake::Interrupt {
                 interrupts += 1;
-                check(interrupts < 1_000, "a core that nobody interrupts sleeps")?;
+                check(interrupts < 1_000, "a core without interrupts sleeps")?;
             }
             check(board.now() >= end, "wait does not end before its deadline")?;
         }

@@ -92,7 +92,7 @@ pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
     let mut sent = 0;
     while send(board, place.system.index(), sent) {
         sent += 1;
-        check(sent < MANY, "a link that nobody empties fills up")?;
+        check(sent < MANY, "a link that is not emptied fills up")?;
     }
     check(sent > 0, "an empty link has room")?;
     wait_for_peer(board, 2)?;

@@ -10,7 +10,7 @@ use crate::trace_ring;
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
-/// Who writes a trace: the cores and the supplies.
+/// Writers of a trace: the cores and the supplies.
 const TAPES: usize = CoreAddress::COUNT + 2;
 
 /// Registers of the run.

@@ -145,7 +145,7 @@ impl Backplane {
 
 /// The run as a whole.
 impl Backplane {
-    /// Tells the processes of the run who they are; they wait for it. Launcher only.
+    /// Tells the processes of the run their ids; they wait for it. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
             self.system(system, System::SupplyPid)
@@ -314,7 +314,7 @@ impl Backplane {
         self.core(system, core, Core::TraceLost).count();
     }
 
-    /// How many trace records of the core were lost because nobody fetched them; wraps around.
+    /// How many trace records of the core were lost because the ring was full; wraps around.
     pub(crate) fn lost_trace(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::TraceLost).get()
     }

@@ -74,8 +74,8 @@ impl EventState for PendingBits {
             return Err(EventStateActivateError::EventIdOutOfBounds);
         }
         let bit = 1 << (id % u32::BITS as usize);
-        // Release pairs with the Acquire in `drain`: who drains the event sees what was written
-        // before it.
+        // Release pairs with the Acquire in `drain`: a listener that drains the event sees what
+        // was written before it.
         self.words[id / u32::BITS as usize].fetch_or(bit, Release);
         Ok(())
     }

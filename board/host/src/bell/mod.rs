@@ -87,12 +87,12 @@ pub(crate) struct Bell {
 }
 
 impl Bell {
-    /// Takes over the bell of this core. What rang before is forgotten, so the caller looks around
-    /// before it first sleeps.
+    /// Takes over the bell of this core. Earlier rings are forgotten, so the caller polls all
+    /// sources before it first sleeps.
     pub(crate) fn hang(run: &RunName, of: Identity) -> Result<Self, BellError> {
         let listener = listener(run, of.system, of.core)?;
-        // Pairs with the fence in `Ringers::ring`: a ring that was forgotten just now came from one
-        // who had written before what this core finds when it looks around.
+        // Pairs with the fence in `Ringers::ring`: the ringer of a ring that was forgotten just now
+        // has written before what this core finds in its first poll.
         fence(SeqCst);
         Ok(Self { listener })
     }
@@ -124,7 +124,7 @@ impl fmt::Debug for Bell {
     }
 }
 
-/// The bells of all cores, on the side of those who ring. It rings from any context.
+/// The bells of all cores, on the side of the ringers. They ring from any context.
 pub(crate) struct Ringers {
     run: RunName,
     bells: [[Option<BellStorage>; CoreId::COUNT]; 2],
@@ -221,7 +221,7 @@ mod tests {
         fn drop(&mut self) {
             for system in SystemId::ALL {
                 for core in CoreId::ALL {
-                    // SAFETY: POSIX shared memory keeps its content for those who have it mapped.
+                    // SAFETY: POSIX shared memory keeps its content for all that have it mapped.
                     let removed =
                         unsafe { BellEvent::remove_cfg(&file(system, core), &config(&self.0)) };
                     assert!(removed.unwrap());
@@ -253,7 +253,7 @@ mod tests {
     }
 
     /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and
-    /// does so when the listener sleeps again. iceoryx2 then wakes nobody any more; the ring must.
+    /// does so when the listener sleeps again. iceoryx2 would not wake it any more; the ring must.
     #[test]
     fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
         const NOTIFIED: u8 = 2;
@@ -262,8 +262,8 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// Any byte of the bell's memory may be any: a peer can write there. Nobody who rings or sleeps
-    /// is harmed, and the bell of the next incarnation is as good as new.
+    /// A peer can write any value to any byte of the bell's memory. It harms neither ringer nor
+    /// sleeper, and the bell of the next incarnation is as good as new.
     #[test]
     fn a_scribbled_bell_harms_nobody_who_rings_it() {
         let bells = Bells::install();
@@ -271,7 +271,7 @@ mod tests {
         let ringers = Ringers::new(&bells.0);
         let storage = bells.storage();
         let state: *const BellState = storage.get();
-        // SAFETY: the state is so many bytes of a mapping that is shared and writable.
+        // SAFETY: these are the bytes of the state, in a mapping that is shared and writable.
         let bytes = unsafe {
             core::slice::from_raw_parts(state.cast::<AtomicU8>(), size_of::<BellState>())
         };
@@ -293,7 +293,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: those who ring keep their end over the incarnations of the core.
+    /// T-SYNC-3: a ringer keeps its end over the incarnations of the core.
     #[test]
     fn the_next_life_is_rung_through_the_same_end() {
         let bells = Bells::install();

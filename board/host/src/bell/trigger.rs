@@ -1,6 +1,6 @@
 //! A futex as the trigger of an iceoryx2 event.
 //!
-//! The event itself (its state, its name, who may open it) is iceoryx2's; only what the listener
+//! The event itself (its state, its name, its permissions) is iceoryx2's; only what the listener
 //! sleeps on is ours. The triggers that iceoryx2 brings were measured and are described in
 //! `docs/decisions/0002-host-board-over-iceoryx2-building-blocks.md`.
 //!
@@ -50,8 +50,8 @@ impl Futex {
         // SLEEPING.
         match self.0.swap(PENDING, SeqCst) {
             EMPTY | PENDING => {}
-            // Or what no end of the event has left there. Nobody to wake is no error: the listener
-            // may have just died.
+            // SLEEPING, or a value that no end of the event writes. That no process sleeps is no
+            // error: the listener may have just died.
             _ => drop(futex::wake(&self.0, futex::Flags::empty(), 1)),
         }
     }

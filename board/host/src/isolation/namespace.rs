@@ -67,7 +67,7 @@ impl fmt::Display for Refused {
 ///
 /// # Errors
 /// If a child cannot try it, or the process was refused what its child was granted: it may then be
-/// half in a namespace, and must not go on.
+/// half in a namespace, and must end.
 pub(super) fn enter() -> io::Result<Option<String>> {
     let way = Way::of_this_process();
     match way.rehearse()? {
