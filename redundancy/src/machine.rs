@@ -26,6 +26,11 @@ const TERM_STEP_AT_START: u32 = 8;
 /// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
 
+/// This system is there.
+const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
+/// The other system is to begin now, as standby.
+const SYNC: Action = Action::SendEdge(Line::Start, Edge::Falling);
+
 /// The phase, with what is known in this phase only.
 #[derive(Clone, Debug)]
 enum PhaseState {
@@ -253,12 +258,11 @@ impl Redundancy {
 
     fn poll(&mut self, now: Instant, snapshot: &Snapshot, actions: &mut Actions) {
         let seen = self.polls.take(now, snapshot);
-        if seen
+        let late = seen
             .since_last
-            .is_none_or(|span| span > self.config.stall_limit())
-        {
+            .is_none_or(|span| span > self.config.stall_limit());
+        if late && self.witnesses.forgive(now) {
             // Only polled time counts as silence: own absence is no evidence against the other.
-            self.witnesses.forgive(now);
             if let PhaseState::Standby(standby) = &mut self.phase {
                 standby.forgive(now);
             }
@@ -270,7 +274,7 @@ impl Redundancy {
         if let PhaseState::Starting(starting) = &mut self.phase
             && starting.handshake_due(&self.config, now)
         {
-            actions.push(Action::SendEdge(Line::Start, Edge::Rising));
+            actions.push(HANDSHAKE);
         }
         if let Some(evidence) = self.judge(now, &seen) {
             self.apply(now, evidence, actions);
@@ -280,8 +284,9 @@ impl Redundancy {
                 actions.push(Action::Transmit);
             }
             if seen.handshakes > 0 {
-                // The other starts while this system drives: tell it to follow.
-                answer_handshake(actions);
+                // The other starts while this system drives: tell it to follow. Not by a handshake,
+                // which another system that drives would answer in turn.
+                actions.push(SYNC);
             }
         }
         self.note_health(now);
@@ -358,7 +363,8 @@ impl Redundancy {
     fn do_effect(&mut self, effect: Effect, actions: &mut Actions) {
         match effect {
             Effect::LeadStart => {
-                answer_handshake(actions);
+                actions.push(HANDSHAKE);
+                actions.push(SYNC);
                 actions.push(Action::AlignControl);
             }
             Effect::FollowStart => actions.push(Action::AlignControl),
@@ -490,9 +496,3 @@ impl Redundancy {
 
 /// The terms are used up.
 struct NoTermLeft;
-
-/// Handshake and sync edge: the other begins on the sync edge.
-fn answer_handshake(actions: &mut Actions) {
-    actions.push(Action::SendEdge(Line::Start, Edge::Rising));
-    actions.push(Action::SendEdge(Line::Start, Edge::Falling));
-}

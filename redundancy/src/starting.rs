@@ -2,8 +2,8 @@
 //!
 //! Each system repeats its handshake edge until the start is decided, so the order of switching on
 //! does not matter. The system that leads sends a handshake and the sync edge when it has heard the
-//! other. The other begins on the sync edge. A master that already runs answers a handshake in the
-//! same way, so a late system becomes its standby.
+//! other. The other begins on the sync edge. A master that already runs answers a handshake with
+//! the sync edge, so a late system becomes its standby.
 
 use crate::input::Seen;
 use crate::{Config, Evidence};

@@ -157,6 +157,31 @@ fn a_master_held_up_listens_first() {
     }
 }
 
+/// T-RED-2: a master answers a handshake with the sync edge alone: a handshake would be answered in
+/// turn by another that drives, without an end.
+#[test]
+fn a_master_answers_a_handshake_without_one() {
+    let mut bench = Bench::master();
+    bench.snapshot.handshakes += 1;
+    let actions = bench.poll();
+    assert!(actions.contains(SYNC));
+    assert!(!actions.contains(Action::SendEdge(Line::Start, Edge::Rising)));
+}
+
+/// T-RED-9: a standby that polls late every time still takes over: its lateness is forgiven once
+/// between two signs of life of the master.
+#[test]
+fn a_standby_that_is_always_late_takes_over() {
+    let mut bench = Bench::standby();
+    let silent_since = bench.now;
+    while bench.machine.phase() == Phase::Standby {
+        bench.now += Duration::from_ms(3);
+        let _ = bench.poll();
+        assert!(bench.now.since(silent_since) <= Duration::from_ms(26));
+    }
+    assert!(bench.now.since(silent_since) > CONFIG.witness_limit());
+}
+
 /// T-RED-9: alone, with the other off, a master that was held up goes on: nobody can have taken
 /// over.
 #[test]

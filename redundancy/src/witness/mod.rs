@@ -22,6 +22,8 @@ pub(crate) struct Witnesses {
     pub(crate) level: Level,
     pub(crate) can: CanWatch,
     pub(crate) reports: Reports,
+    /// A stall was forgiven since the last sign of life.
+    forgiven: bool,
 }
 
 impl Witnesses {
@@ -31,13 +33,20 @@ impl Witnesses {
             level: Level::High,
             can: CanWatch::new(now),
             reports: Reports::default(),
+            forgiven: false,
         }
     }
 
-    /// This system was held up, or has just begun: silence counts from now on.
-    pub(crate) fn forgive(&mut self, now: Instant) {
+    /// This system was held up, or has just begun: silence counts from now on. Once between two
+    /// signs of life: a system that always polls late must find a dead one too. Returns whether it
+    /// was done.
+    pub(crate) fn forgive(&mut self, now: Instant) -> bool {
+        if core::mem::replace(&mut self.forgiven, true) {
+            return false;
+        }
         self.beats.forgive(now);
         self.can.forgive(now);
+        true
     }
 
     /// Takes what a poll has seen.
@@ -70,6 +79,7 @@ impl Witnesses {
     /// A sign of life of the other system.
     pub(crate) fn on_life(&mut self, config: &Config, now: Instant) {
         self.level.on_life(now, config.witness_limit());
+        self.forgiven = false;
     }
 
     /// Nothing was heard on CAN for too long.
