@@ -7,6 +7,7 @@ mod core_process;
 mod emulated;
 mod failure;
 mod files;
+mod flash;
 mod live;
 mod metrics;
 mod output;
@@ -69,6 +70,8 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Bench(args) => bench(&args),
+        Command::Flash(args) => flash::run(&args),
+        Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::RtosDemo(args) => {
             let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
             print(&shown).map_err(Failure::Run)

@@ -145,6 +145,18 @@ enum Campaign {
         #[arg(long, value_name = "one-slot|one-bank")]
         broken: Option<String>,
     },
+    /// Change good download files in many ways and count what the bootloader accepts wrongly
+    Mutations {
+        /// How many files
+        #[arg(long, default_value_t = 100_000)]
+        count: u64,
+        /// Write {files, wrong} to this file
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+        /// Take what nobody signed; fails if nothing is accepted wrongly
+        #[arg(long)]
+        monitor: bool,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -206,6 +218,21 @@ fn execute() -> Result<()> {
             }
             if let Some(defect) = broken {
                 command.args(["--broken", &defect]);
+            }
+            run(command)
+        }
+        Task::Campaign(Campaign::Mutations {
+            count,
+            json,
+            monitor,
+        }) => {
+            let mut command = boot_campaign(root, "mutations");
+            command.args(["--count", &count.to_string()]);
+            if let Some(path) = json {
+                command.arg("--json").arg(path);
+            }
+            if monitor {
+                command.arg("--monitor");
             }
             run(command)
         }

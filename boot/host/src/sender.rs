@@ -93,6 +93,12 @@ impl Sender {
         self
     }
 
+    /// Whether a loader has answered.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.state != State::Connecting
+    }
+
     /// Records that the loader has, and of how many.
     #[must_use]
     pub fn progress(&self) -> (u32, u32) {

@@ -1,0 +1,275 @@
+//! Changes good files in all ways that are cheap to think of, and counts what is accepted wrongly:
+//! `cargo xtask campaign mutations`.
+#![forbid(unsafe_code)]
+#![allow(clippy::print_stdout, reason = "a command line prints")]
+
+use anyhow::{Context, Result, bail};
+use clap::Parser;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeMap;
+use std::num::NonZero;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::thread;
+use tandem_board::{Instant, ResetCause, SystemId};
+use tandem_boot::{
+    Answer, Bank, Loader, Manifest, Next, Region, Request, Setup, Slot, Target, Trust, TrustMode,
+};
+use tandem_boot_host::life::{Life, TEST_KEY, TEST_PUBLIC};
+use tandem_boot_host::{Image, ProgramFlash, Release, line, records};
+
+#[derive(Parser)]
+#[command(about = "Changes good files and counts what is accepted wrongly")]
+struct Arguments {
+    /// How many files
+    #[arg(long, default_value_t = 100_000)]
+    count: u64,
+    /// The first file's number; each is made from its number alone
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Write {files, wrong} to this file
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Take what nobody signed; files must be accepted wrongly
+    #[arg(long)]
+    monitor: bool,
+}
+
+/// What became of the files.
+#[derive(Default)]
+struct Tally {
+    /// By refusal; "accepted" for those that held the signed image after all.
+    fates: BTreeMap<String, u64>,
+    wrong: Vec<u64>,
+}
+
+fn main() -> Result<ExitCode> {
+    let arguments = Arguments::parse();
+    let workers = thread::available_parallelism().map_or(1, NonZero::get) as u64;
+    let (first, count, monitor) = (arguments.seed, arguments.count, arguments.monitor);
+    let work = |worker: u64| {
+        let numbers = (worker..count).step_by(workers as usize);
+        try_all(numbers.map(|number| first + number), monitor)
+    };
+    let total = thread::scope(|scope| -> Result<Tally> {
+        let work = &work;
+        let workers = (0..workers).map(|worker| scope.spawn(move || work(worker)));
+        let workers: Vec<_> = workers.collect();
+        let mut total = Tally::default();
+        for worker in workers {
+            let Ok(tally) = worker.join() else {
+                bail!("a worker panicked")
+            };
+            let tally = tally?;
+            for (fate, count) in tally.fates {
+                *total.fates.entry(fate).or_default() += count;
+            }
+            total.wrong.extend(tally.wrong);
+        }
+        Ok(total)
+    })?;
+    for (fate, count) in &total.fates {
+        println!("{count:>8} {fate}");
+    }
+    let wrong = total.wrong.len();
+    println!(
+        "{} files, {wrong} accepted wrongly {:?}",
+        arguments.count,
+        {
+            let few: Vec<_> = total.wrong.iter().take(9).collect();
+            few
+        }
+    );
+    if let Some(path) = &arguments.json {
+        let json = serde_json::json!({ "files": arguments.count, "wrong": wrong });
+        std::fs::write(path, json.to_string()).with_context(|| path.display().to_string())?;
+    }
+    let expected = arguments.monitor != total.wrong.is_empty();
+    Ok(if expected {
+        ExitCode::SUCCESS
+    } else {
+        ExitCode::FAILURE
+    })
+}
+
+fn image(slot: Slot, version: u32) -> Image {
+    let body: Vec<u8> = (0..200u32).map(|at| (at * 11 + version) as u8).collect();
+    let release = Release {
+        version,
+        entries: [256; 3],
+        lowest_key: 0,
+    };
+    Image::sign(
+        Target::Application(slot),
+        release,
+        &[(256, &body)],
+        &TEST_KEY,
+    )
+}
+
+/// A controller that drives with an image in slot A.
+fn controller() -> ProgramFlash {
+    let mut flash = ProgramFlash::new();
+    let driving = image(Slot::A, 3);
+    flash.load(driving.place(), &driving.bytes);
+    let release = Release {
+        version: 1,
+        entries: [256, 0, 0],
+        lowest_key: 0,
+    };
+    let loader = Image::sign(Target::Staging, release, &[(256, &[1; 64])], &TEST_KEY);
+    flash.load(0, &loader.bytes);
+    Life::plain().live(&mut flash);
+    flash
+}
+
+fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
+    let mode = if monitor {
+        TrustMode::Monitor
+    } else {
+        TrustMode::Strict
+    };
+    let keys = [TEST_PUBLIC];
+    let setup = Setup {
+        trust: Trust { keys: &keys, mode },
+        system: SystemId::A,
+        bank: Bank::Primary,
+        cause: ResetCause::PowerOn,
+        requested: false,
+    };
+    // Of these, 5 and 6 are good; 2 is an older version than the one that drives.
+    let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];
+    let base = controller();
+    let fresh = || -> Result<_> {
+        match Loader::start(base.clone(), setup, Instant::ORIGIN) {
+            Ok(loader) => Ok(loader),
+            Err(fault) => bail!("the loader does not start: {fault:?}"),
+        }
+    };
+    let mut loader = fresh()?;
+    let mut tally = Tally::default();
+    for number in numbers {
+        let mut chance = ChaCha8Rng::seed_from_u64(number);
+        let lines = mutate(&images, &mut chance);
+        let fate = match send(&mut loader, &lines) {
+            Some(Answer::Refused(refusal)) => format!("{refusal:?}"),
+            Some(Answer::Accepted { .. }) => {
+                let mut flash = std::mem::replace(&mut loader, fresh()?).into_flash();
+                let place = Region::Target(Target::Application(Slot::B)).range().start;
+                let held = |image: &Image| {
+                    let bytes = flash.firm(place, image.bytes.len() as u32);
+                    bytes.is_some_and(|bytes| bytes == image.bytes)
+                };
+                if !images[..2].iter().any(held) {
+                    tally.wrong.push(number);
+                }
+                flash.power_on(0, None);
+                "accepted".into()
+            }
+            _ => "no end".into(),
+        };
+        *tally.fates.entry(fate).or_default() += 1;
+    }
+    Ok(tally)
+}
+
+/// Sends every line once. The last answer, if the file was accepted to its end or refused.
+fn send(loader: &mut Loader<'_, ProgramFlash>, lines: &[String]) -> Option<Answer> {
+    let now = Instant::ORIGIN;
+    let connect = Request::Connect {
+        system: None,
+        resume: false,
+    };
+    let mut last = None;
+    let pieces = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
+    for request in std::iter::once(connect).chain(pieces.map(Request::Data)) {
+        loader.on_frame(now, &request.frame()?);
+        while let Ok(Next::Send(frame)) = loader.next(now) {
+            last = Answer::decode(frame.data());
+            if let Some(Answer::Refused(_)) = last {
+                return last;
+            }
+        }
+    }
+    let ended = lines.last().is_some_and(|line| line.starts_with("S7"));
+    last.filter(|last| ended && matches!(last, Answer::Accepted { .. }))
+}
+
+/// A good file with one to three changes.
+fn mutate(images: &[Image; 3], chance: &mut ChaCha8Rng) -> Vec<String> {
+    let mut image = images[chance.random_range(0..3)].clone();
+    if chance.random_ratio(1, 3) {
+        change_image(&mut image, images, chance);
+    }
+    let mut lines = records("file", &[&image]);
+    for _ in 0..chance.random_range(1..4) {
+        let at = chance.random_range(0..lines.len());
+        match chance.random_range(0..10) {
+            0 => drop(lines.remove(at)),
+            1 => lines.insert(at, lines[chance.random_range(0..lines.len())].clone()),
+            2 => {
+                let other = chance.random_range(0..lines.len());
+                lines.swap(at, other);
+            }
+            3 => lines.truncate(at.max(1)),
+            4 | 5 => {
+                let mut bytes = lines[at].clone().into_bytes();
+                let place = chance.random_range(0..bytes.len());
+                bytes[place] = chance.random_range(b' '..b'~');
+                lines[at] = String::from_utf8(bytes).unwrap_or_default();
+            }
+            6 | 7 => lines[at] = changed_record(&lines[at], chance),
+            8 => lines[at] = lines[at].to_lowercase().replacen('s', "S", 1),
+            _ => {}
+        }
+        if lines.is_empty() {
+            break;
+        }
+    }
+    lines
+}
+
+/// A record with other content and the right checksum.
+fn changed_record(text: &str, chance: &mut ChaCha8Rng) -> String {
+    let Ok(record) = tandem_boot::Record::parse(text.trim_end().as_bytes()) else {
+        return text.to_owned();
+    };
+    let (mut address, mut data) = (record.address, record.data().to_vec());
+    match chance.random_range(0..3) {
+        0 => address ^= 1 << chance.random_range(0..32),
+        1 if !data.is_empty() => data.truncate(chance.random_range(0..data.len())),
+        _ if !data.is_empty() => {
+            let place = chance.random_range(0..data.len());
+            data[place] ^= 1 << chance.random_range(0..8);
+        }
+        _ => {}
+    }
+    line(3, &address.to_be_bytes(), &data)
+}
+
+/// Changes that keep every checksum right, so that only digests and signature are left.
+fn change_image(image: &mut Image, images: &[Image; 3], chance: &mut ChaCha8Rng) {
+    let other = &images[chance.random_range(0..3)];
+    match chance.random_range(0..4) {
+        0 => {
+            let mut manifest = image.manifest;
+            match chance.random_range(0..6) {
+                0 => manifest.version += 1 << chance.random_range(0..31),
+                1 => manifest.key = chance.random_range(0..3),
+                2 => manifest.entries[0] += chance.random_range(0..200),
+                3 => manifest.parts[0].sha256[chance.random_range(0..32)] ^= 1,
+                4 => manifest.lowest_key = chance.random_range(0..3),
+                _ => manifest.crc ^= 1,
+            }
+            let signed: &[u8] = &Manifest::encode(&manifest);
+            image.bytes[..signed.len()].copy_from_slice(signed);
+        }
+        1 => {
+            let place = chance.random_range(192..256);
+            image.bytes[place] ^= 1 << chance.random_range(0..8);
+        }
+        2 => image.bytes[256..].copy_from_slice(&other.bytes[256..]),
+        _ => image.bytes[192..256].copy_from_slice(&other.bytes[192..256]),
+    }
+}

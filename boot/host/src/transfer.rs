@@ -1,0 +1,100 @@
+//! Both ends of a download over a [`Wire`](crate::Wire), in real time.
+
+use crate::{Sender, ToDo, Wire};
+use embedded_storage::nor_flash::NorFlash;
+use std::io;
+use std::time::Instant as Clock;
+use tandem_board::{Duration, Instant};
+use tandem_boot::{Loader, Next, Refusal};
+
+/// Why a file was not transferred.
+#[derive(Debug, thiserror::Error)]
+pub enum TransferError {
+    /// The wire fails.
+    #[error("the CAN bus over UDP fails: {0}; is there a route for multicast?")]
+    Wire(#[from] io::Error),
+    /// Nobody answers.
+    #[error("no bootloader answers within {0} s; reset the controller, or check the bus")]
+    NoAnswer(u64),
+    /// The bootloader says no.
+    #[error("the bootloader refuses the file: {0:?} (docs/boot.md, table of codes)")]
+    Refused(Refusal),
+    /// The flash fails.
+    #[error("the program flash fails")]
+    Flash,
+}
+
+fn since(start: Clock) -> Instant {
+    Instant::from_ns(start.elapsed().as_nanos() as u64)
+}
+
+fn left(now: Instant, until: Instant) -> std::time::Duration {
+    // Never for ever: the caller looks at the clock now and then.
+    let left = until.since(now).as_ns().clamp(1_000, 100_000_000);
+    std::time::Duration::from_nanos(left)
+}
+
+/// Sends a file. `progress` is told the records that the loader has, and of how many.
+///
+/// # Errors
+/// [`TransferError`] says why the file is not on trial.
+pub fn send_file(
+    wire: &Wire,
+    mut host: Sender,
+    connect_within: Duration,
+    mut progress: impl FnMut(u32, u32),
+) -> Result<(), TransferError> {
+    let start = Clock::now();
+    let limit = Instant::ORIGIN + connect_within;
+    loop {
+        let now = since(start);
+        match host.next(now) {
+            ToDo::Send(frame) => {
+                wire.send(&frame)?;
+                if host.is_connected() || now < limit {
+                    continue;
+                }
+                return Err(TransferError::NoAnswer(
+                    connect_within.as_ns() / 1_000_000_000,
+                ));
+            }
+            ToDo::Wait(until) => {
+                if let Some(frame) = wire.receive(left(now, until))? {
+                    host.on_frame(since(start), &frame);
+                    let (done, all) = host.progress();
+                    progress(done, all);
+                }
+            }
+            ToDo::Done => return Ok(()),
+            ToDo::Refused(refusal) => return Err(TransferError::Refused(refusal)),
+            ToDo::Silent => {
+                return Err(TransferError::NoAnswer(
+                    crate::ANSWER_WITHIN.as_ns() / 1_000_000_000,
+                ));
+            }
+        }
+    }
+}
+
+/// Runs a bootloader until the board is to do something else than to wait or send.
+///
+/// # Errors
+/// [`TransferError`] if wire or flash fail.
+pub fn serve<F: NorFlash>(
+    wire: &Wire,
+    start: Clock,
+    loader: &mut Loader<'_, F>,
+) -> Result<Next, TransferError> {
+    loop {
+        let now = since(start);
+        match loader.next(now).map_err(|_| TransferError::Flash)? {
+            Next::Send(frame) => wire.send(&frame)?,
+            Next::Wait(until) => {
+                if let Some(frame) = wire.receive(left(now, until))? {
+                    loader.on_frame(since(start), &frame);
+                }
+            }
+            next => return Ok(next),
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! CAN over UDP multicast, as python-can's `udp_multicast` speaks it: one datagram a frame, one
+//! msgpack map a datagram.
+
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+use socket2::{Domain, Protocol, Socket, Type};
+use std::io;
+use std::net::{Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tandem_board::{CanFrame, CanId};
+
+/// The group that python-can uses unless told otherwise.
+pub const GROUP: Ipv4Addr = Ipv4Addr::new(239, 74, 163, 2);
+/// Its port.
+pub const PORT: u16 = 43113;
+
+#[derive(Serialize)]
+struct Sent<'a> {
+    timestamp: f64,
+    arbitration_id: u32,
+    is_extended_id: bool,
+    is_remote_frame: bool,
+    is_error_frame: bool,
+    channel: Option<()>,
+    dlc: u8,
+    data: &'a serde_bytes::Bytes,
+    is_fd: bool,
+    bitrate_switch: bool,
+    error_state_indicator: bool,
+}
+
+#[derive(Deserialize)]
+struct Heard {
+    arbitration_id: u32,
+    is_extended_id: bool,
+    is_remote_frame: bool,
+    is_error_frame: bool,
+    #[serde(rename = "channel")]
+    _channel: IgnoredAny,
+    data: serde_bytes::ByteBuf,
+    is_fd: bool,
+}
+
+/// One end of the bus.
+#[derive(Debug)]
+pub struct Wire {
+    socket: UdpSocket,
+    group: SocketAddrV4,
+    own: io::Result<std::net::SocketAddr>,
+    sender: UdpSocket,
+}
+
+impl Wire {
+    /// Joins a group. Other processes of this machine may join it too.
+    ///
+    /// # Errors
+    /// What the operating system says: there is no route to the group, as a rule.
+    pub fn join(group: Ipv4Addr, port: u16) -> io::Result<Self> {
+        let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
+        socket.set_reuse_address(true)?;
+        let group = SocketAddrV4::new(group, port);
+        socket.bind(&group.into())?;
+        let socket = UdpSocket::from(socket);
+        socket.join_multicast_v4(group.ip(), &Ipv4Addr::UNSPECIFIED)?;
+        // Connected, so that it has an address by which this end knows its own frames.
+        let sender = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+        sender.connect(group)?;
+        Ok(Self {
+            socket,
+            group,
+            own: sender.local_addr(),
+            sender,
+        })
+    }
+
+    /// Sends a frame.
+    ///
+    /// # Errors
+    /// What the operating system says.
+    pub fn send(&self, frame: &CanFrame) -> io::Result<()> {
+        let (arbitration_id, is_extended_id) = match frame.id() {
+            CanId::Standard(id) => (u32::from(id), false),
+            CanId::Extended(id) => (id, true),
+        };
+        let now = SystemTime::now().duration_since(UNIX_EPOCH);
+        let message = Sent {
+            timestamp: now.unwrap_or_default().as_secs_f64(),
+            arbitration_id,
+            is_extended_id,
+            is_remote_frame: false,
+            is_error_frame: false,
+            channel: None,
+            dlc: frame.data().len() as u8,
+            data: serde_bytes::Bytes::new(frame.data()),
+            is_fd: frame.is_fd(),
+            bitrate_switch: false,
+            error_state_indicator: false,
+        };
+        let bytes = rmp_serde::to_vec_named(&message).map_err(io::Error::other)?;
+        self.sender.send(&bytes).map(drop)
+    }
+
+    /// The next data frame of another end, or `None` after this time. What is no such frame is
+    /// passed over.
+    ///
+    /// # Errors
+    /// What the operating system says.
+    pub fn receive(&self, within: Duration) -> io::Result<Option<CanFrame>> {
+        let end = std::time::Instant::now() + within;
+        let mut bytes = [0; 2048];
+        loop {
+            let left = end.saturating_duration_since(std::time::Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            self.socket.set_read_timeout(Some(left))?;
+            let (length, from) = match self.socket.recv_from(&mut bytes) {
+                Ok(received) => received,
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+                Err(error) => return Err(error),
+            };
+            let is_own = self.own.as_ref().is_ok_and(|own| *own == from);
+            if let Some(frame) = decode(&bytes[..length]).filter(|_| !is_own) {
+                return Ok(Some(frame));
+            }
+        }
+    }
+
+    /// The group and its port.
+    #[must_use]
+    pub const fn group(&self) -> SocketAddrV4 {
+        self.group
+    }
+}
+
+fn decode(bytes: &[u8]) -> Option<CanFrame> {
+    let heard: Heard = rmp_serde::from_slice(bytes).ok()?;
+    let id = if heard.is_extended_id {
+        CanId::Extended(heard.arbitration_id)
+    } else {
+        CanId::Standard(u16::try_from(heard.arbitration_id).ok()?)
+    };
+    let is_data = !heard.is_remote_frame && !heard.is_error_frame;
+    CanFrame::new(id, heard.is_fd, &heard.data)
+        .ok()
+        .filter(|_| is_data)
+}

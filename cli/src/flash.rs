@@ -1,0 +1,141 @@
+//! `tandem flash`: signs a file, sends it to a bootloader over CAN, and shows how far it is; and a
+//! bootloader on this machine to send it to. The protocol is `docs/boot.md`.
+
+use crate::args::{BootloaderArgs, FlashArgs};
+use crate::failure::Failure;
+use anyhow::{Context as _, anyhow, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fs;
+use std::path::Path;
+use std::time::Instant as Clock;
+use tandem_board::{Duration, Instant, ResetCause};
+use tandem_boot::{Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve};
+use tandem_boot_host::{
+    Content, FlashFile, Image, Release, Sender, SigningKey, TransferError, Wire, records,
+    send_file, serve,
+};
+
+/// What RFC 8410 puts before the 32 bytes of a private and of a public key.
+const PRIVATE_DER: [u8; 16] = *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
+const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
+
+/// Sends a file, or only signs it.
+pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
+    let lines = lines(args).map_err(Failure::Usage)?;
+    if let Some(path) = &args.sign_only {
+        let text = lines.concat();
+        return fs::write(path, text)
+            .with_context(|| path.display().to_string())
+            .map_err(Failure::Run);
+    }
+    send(args, lines).map_err(Failure::Run)
+}
+
+/// The records to send: those of a signed file as they are, else signed ones.
+fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
+    let name = args.file.display();
+    let text = fs::read_to_string(&args.file).with_context(|| name.to_string())?;
+    let content = Content::parse(&text).with_context(|| name.to_string())?;
+    let begins_signed = |(_, bytes): &(u32, Vec<u8>)| {
+        bytes
+            .first_chunk()
+            .is_some_and(|page| Manifest::seal(page).is_some())
+    };
+    if content.runs.iter().any(begins_signed) {
+        let lines = text.lines().filter(|line| !line.trim().is_empty());
+        return Ok(lines.map(|line| format!("{}\r\n", line.trim())).collect());
+    }
+    let Some(path) = &args.key else {
+        bail!(
+            "{name} is not signed: name a key with --key (openssl genpkey -algorithm ed25519 \
+             -outform DER)"
+        );
+    };
+    let key = SigningKey {
+        number: args.key_number,
+        seed: key(path, &PRIVATE_DER)?,
+    };
+    let release = Release {
+        version: args.release,
+        entries: [0; 3],
+        lowest_key: 0,
+    };
+    let image = Image::of(&content, release, &key).with_context(|| name.to_string())?;
+    Ok(records(&name.to_string(), &[&image]))
+}
+
+fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
+    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+    let key = bytes
+        .strip_prefix(prefix)
+        .and_then(|key| key.try_into().ok());
+    key.ok_or_else(|| anyhow!("{} is no Ed25519 key in DER", path.display()))
+}
+
+fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
+    let wire = Wire::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} records, {eta} left");
+    let bar = ProgressBar::new(lines.len() as u64).with_style(style?);
+    let mut sender = Sender::new(lines, args.to.map(Into::into), args.window);
+    if args.resume {
+        sender = sender.resuming();
+    }
+    let within = Duration::from_ms(u64::from(args.wait) * 1_000);
+    let sent = send_file(&wire, sender, within, |done, _| {
+        bar.set_position(done.into())
+    });
+    bar.finish_and_clear();
+    sent?;
+    crate::print("verified by the bootloader, on trial from its next start\n")
+}
+
+/// A system's bootloader on its flash file, until it has decided what to start.
+pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
+    let name = args.flash.display();
+    let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
+    if args.approve {
+        return approve(&mut flash).map_err(|fault| anyhow!("{name}: {fault:?}"));
+    }
+    let keys = args.public.iter().map(|path| key(path, &PUBLIC_DER));
+    let keys = keys.collect::<anyhow::Result<Vec<_>>>()?;
+    let wire = Wire::join(args.group, args.port).context("CAN over UDP multicast")?;
+    let mut setup = Setup {
+        trust: Trust {
+            keys: &keys,
+            mode: if args.monitor {
+                TrustMode::Monitor
+            } else {
+                TrustMode::Strict
+            },
+        },
+        system: args.system.into(),
+        bank: Bank::Primary,
+        cause: if args.requested {
+            ResetCause::Software
+        } else {
+            ResetCause::PowerOn
+        },
+        requested: args.requested,
+    };
+    loop {
+        let clock = Clock::now();
+        let loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
+        let mut loader = loader.map_err(|_| TransferError::Flash)?;
+        match serve(&wire, clock, &mut loader)? {
+            Next::Jump(launch) => return crate::print(&shown(&launch)),
+            Next::StartPrimary => setup.bank = Bank::Primary,
+            _ => (setup.cause, setup.requested) = (ResetCause::Software, false),
+        }
+    }
+}
+
+fn shown(launch: &Launch) -> String {
+    let entry = |entry: &Option<u32>| entry.map_or("-".into(), |entry| format!("{entry:#08x}"));
+    let entries: Vec<String> = launch.entries.iter().map(entry).collect();
+    let slot = launch.application;
+    format!(
+        "slot {slot:?}, version {}, entries {}\n",
+        launch.version,
+        entries.join(" ")
+    )
+}
