@@ -146,7 +146,7 @@ fn position(ids: &[u16], id: u16) -> Option<usize> {
     ids.iter().position(|known| *known == id)
 }
 
-/// A frame as it goes on the bus: CAN FD with a standard id.
+/// A frame as it is on the bus: CAN FD with a standard id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Encoded {
     /// Standard CAN id.

@@ -13,7 +13,7 @@ use crate::scenario::ScenarioError;
 const NUMBER_MAX: f64 = 1e8;
 /// A longer lanelet is refused, m: it is a slip of the keyboard, and would fill the memory.
 const LANELET_MAX: f64 = 1e5;
-/// Nobody is faster, m/s.
+/// No vehicle is faster, m/s.
 const SPEED_MAX: f64 = 150.0;
 
 /// A piece of lane between two bounds.

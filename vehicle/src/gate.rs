@@ -16,8 +16,8 @@ use tandem_bus::{Control, GateEcho, Message, Role};
 
 use crate::mastership::Mastership;
 
-/// After this silence a sender may start with any counter, ns: it was down, and frames that were
-/// lost meanwhile are not news.
+/// After this silence a sender may start with any counter, ns: it was down, so missing frames are
+/// no fault.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
 /// What became of a control frame.

@@ -40,7 +40,7 @@ impl Mastership {
         }
         let own = |span: &&mut Span| (span.system, span.term) == (system, term);
         match self.spans.iter_mut().find(own) {
-            // This mastership goes on although the other system's has begun.
+            // This mastership continues although the other system's has begun.
             Some(span) => {
                 if let Some(other_ns) = span.other_ns.take() {
                     let from_ns = other_ns.max(self.counted_ns);

@@ -1,4 +1,4 @@
-//! Figures of a run, kept up to date while it goes on.
+//! Figures of a run, kept up to date in each tick.
 
 use crate::geometry::Footprint;
 use crate::road::LaneId;
@@ -8,7 +8,7 @@ use crate::traffic::Vehicle;
 const COLLISION_APART_S: f64 = 1.0;
 /// Within this distance of a lane's centre the ego counts as being in place, m.
 const IN_PLACE: f64 = 0.3;
-/// An excursion from the lane's centre that has lasted so long without a change of lane is none, s.
+/// An offset from the lane's centre that lasts longer than this counts as no change of lane, s.
 const LANE_CHANGE_S: f64 = 10.0;
 /// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
 const JERK_BIN: f64 = 0.02;

@@ -1,6 +1,7 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
-//! Lanelets are chained into lanes: each goes on with the successor that bends least. Centre lines
+//! Lanelets are chained into lanes: each continues with the successor that bends least. Centre
+//! lines
 //! are smoothed, because maps have corners where roads have curves (US-101 has points every few
 //! metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
@@ -59,9 +60,9 @@ pub struct Lane {
     pub lanelets: Vec<i64>,
     /// Where it begins, if it does so while others were there before.
     pub begin: Option<f64>,
-    /// Where it ends, if others go on.
+    /// Where it ends, if others continue.
     pub end: Option<f64>,
-    /// Every [`STEP`] metres; beyond them it goes on straight.
+    /// Every [`STEP`] metres; beyond them it continues straight.
     sections: Vec<Section>,
 }
 
@@ -217,7 +218,7 @@ impl Road {
         best
     }
 
-    /// Metres to the lane's end from arc length `s`; infinite if it goes on.
+    /// Metres to the lane's end from arc length `s`; infinite if it continues.
     #[must_use]
     pub fn distance_to_end(&self, lane: LaneId, s: f64) -> f64 {
         self.lane(lane)
@@ -346,7 +347,7 @@ mod tests {
         }
     }
 
-    /// A lane whose neighbours go on ends; all others go on for ever, side by side.
+    /// A lane whose neighbours continue ends; all others have no end and stay side by side.
     #[test]
     fn a_lane_drop_ends_and_the_map_does_not() {
         let scenario = Scenario::load("lane-drop").unwrap();
@@ -384,7 +385,7 @@ mod tests {
         }
     }
 
-    /// At a fork a lane goes on straight; the branch begins there and is a lane of its own.
+    /// At a fork a lane continues straight; the branch begins there and is a lane of its own.
     #[test]
     fn a_fork_makes_two_lanes() {
         let lanelet = |id, points: [(f64, f64); 2], successors: &[i64], predecessors: &[i64]| {

@@ -19,7 +19,7 @@ use crate::traffic::{Mode, Participant, Traffic};
 const TICK_NS: u64 = 1_000_000;
 /// The same in seconds.
 const TICK_S: f64 = 1e-3;
-/// Traffic moves, and collisions are looked for, every so many ticks: 15 cm at 30 m/s.
+/// Ticks between two moves of traffic and checks for collisions: 15 cm at 30 m/s.
 const TRAFFIC_TICKS: u64 = 5;
 /// Cycle of the ego's motion and of the driver's request, in ticks.
 const MOTION_TICKS: u64 = 10;
@@ -400,7 +400,7 @@ impl World {
         self.set_speed
     }
 
-    /// How long the world stood still because nobody called [`World::step`], ns.
+    /// How long the world stood still because [`World::step`] was not called, ns.
     #[must_use]
     pub fn stalled_ns(&self) -> u64 {
         self.stalled_ns

@@ -13,10 +13,10 @@ struct Watched {
 }
 
 /// Looks are 5 ms apart. If two are further apart than this, core 0 was held up, and most likely
-/// cores 1 and 2 with it: what nobody looked at is no silence.
+/// cores 1 and 2 with it: time in which core 0 did not look is no silence.
 const HELD_UP: Duration = Duration::from_ms(20);
-/// So much of such a time counts all the same: a core 0 that is always late must find a dead core
-/// too.
+/// This much of that time counts as silence, so that a core 0 that is always late finds a dead
+/// core too.
 const COUNTS: Duration = Duration::from_ms(5);
 
 /// Watches the cycle counters of cores 1 and 2.
@@ -26,9 +26,9 @@ pub(crate) struct Alive {
 }
 
 impl Alive {
-    /// `limit`: without a new cycle for longer than this a core is silent. `first`: so long may the
-    /// first cycle take after the start. `cycles`: the counters now; an earlier life may have left
-    /// them.
+    /// `limit`: without a new cycle for longer than this a core is silent. `first`: the same limit
+    /// for the first cycle after the start. `cycles`: the counters now, which an earlier life may
+    /// have left.
     pub(crate) fn new(now: Instant, first: Duration, cycles: impl Fn(CoreId) -> u32) -> Self {
         let watch = |core| Watched {
             core,

@@ -55,7 +55,7 @@ impl Drive {
         self.scene = Some(scene);
     }
 
-    /// The other system's command was heard: a takeover goes on from it without a jerk.
+    /// The other system's command was heard: a takeover starts from it without a jerk.
     pub(crate) fn on_command_of_master(&mut self, command: Command) {
         self.last = command;
     }

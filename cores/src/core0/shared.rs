@@ -228,7 +228,7 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy.
-    /// A stale frame of a master that was held up is none to go on from.
+    /// Do not resume from a stale frame of a master that was held up.
     fn is_of_master(&self, frame: ControlFrame) -> bool {
         self.redundancy.as_ref().is_none_or(|redundancy| {
             !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()

@@ -69,7 +69,7 @@ impl DegradedControl {
         self.shaper.resume(last);
     }
 
-    /// The command that was given last, or the one to go on from.
+    /// The command that was given last, or the one to resume from.
     #[must_use]
     pub fn last(&self) -> Command {
         self.shaper.last()
@@ -140,7 +140,7 @@ impl DegradedControl {
         )
     }
 
-    /// No lane is seen: goes on in the driven curve, keeps the distance, and slows down to a stop.
+    /// No lane is seen: stays in the driven curve, keeps the distance, and slows down to a stop.
     fn without_lanes(&mut self, ego: &Ego, scene: &Scene, age_s: f32, pose: &Pose) -> Command {
         let line = CentreLine::of_curvature(driven_curvature(&scene.ego));
         let distance = keep_distance(&DRIVER, ego, scene, &line, WIDTH_M + 1.0, (age_s, pose));

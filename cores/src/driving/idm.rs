@@ -61,7 +61,7 @@ pub(crate) fn adaptive(
     )
 }
 
-/// The acceleration that avoids a collision if nobody changes his acceleration.
+/// The acceleration that avoids a collision if both keep theirs from now on.
 fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerates: f32) -> f32 {
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);

@@ -9,7 +9,7 @@ const MAX_BEND: f32 = 0.02;
 /// Width of a lane where nothing is known of it, m.
 pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;
 
-/// A centre line `y(x)` that goes on with constant second derivative on both sides of the view.
+/// A centre line `y(x)` that continues with constant second derivative on both sides of the view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CentreLine {
     c: [f32; 4],

@@ -13,7 +13,7 @@ pub(super) struct Chain {
     pub(super) pieces: Vec<usize>,
     /// It begins where another lane was already: a fork, or a lane that opens.
     pub(super) opens: bool,
-    /// It ends while a neighbour goes on.
+    /// It ends while a neighbour continues.
     pub(super) drops: bool,
 }
 
@@ -136,7 +136,7 @@ pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64
     lanes
 }
 
-/// The direction in which each lane goes on beyond the map: the mean over all lanes that end side
+/// The direction in which each lane continues beyond the map: the mean over all lanes that end side
 /// by side, so that they stay side by side.
 pub(super) fn run_out_headings(lanelets: &[Lanelet], chains: &[Chain]) -> Vec<f64> {
     let ends: Vec<(Vec2, f64)> = chains

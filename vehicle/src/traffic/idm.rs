@@ -23,7 +23,7 @@ pub struct Leader {
 }
 
 impl Leader {
-    /// Nobody ahead.
+    /// No vehicle ahead.
     pub const NONE: Self = Self {
         gap: f64::INFINITY,
         speed: 0.0,

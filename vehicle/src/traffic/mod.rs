@@ -42,7 +42,7 @@ const GAP_RELAXATION_S: f64 = 10.0;
 /// Cars and trucks want to go this fast if the speed limit allows, m/s: a recording may show them
 /// in a jam only.
 const DESIRED_SPEED_MIN: f64 = 13.9;
-/// Most that anybody brakes to let somebody in, m/s².
+/// Hardest braking of a driver to let another vehicle in, m/s².
 const COURTESY: f64 = 1.5;
 
 /// What another vehicle, or the ego, is to those who drive by themselves.
@@ -419,7 +419,7 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     vehicle.place.d += vehicle.lateral_speed * dt;
     let yaw = lane.at(vehicle.place.s).heading + vehicle.lateral_speed.atan2(along);
     let before = vehicle.participant.footprint.pose.yaw;
-    // Nobody turns on the spot: curvature is limited, and so is the yaw rate.
+    // No vehicle turns on the spot: curvature is limited, and so is the yaw rate.
     let turn = (TURN.0 * mean).min(TURN.1) * dt;
     let yaw = before + wrap_angle(yaw - before).clamp(-turn, turn);
     let position = lane.point(vehicle.place);

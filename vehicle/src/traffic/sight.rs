@@ -4,9 +4,9 @@ use super::{Leader, Participant, Vehicle};
 use crate::geometry::wrap_angle;
 use crate::road::{Frenet, LaneId, Road};
 
-/// Farther ahead nobody looks, m.
+/// A driver sees no vehicle farther ahead, m.
 const SIGHT: f64 = 200.0;
-/// Side distance that nobody goes below, m.
+/// Smallest side distance that a driver keeps, m.
 const SIDE: f64 = 0.2;
 /// So far before the end of a lane those beside it make room, m.
 const COURTESY_FROM: f64 = 250.0;

@@ -78,7 +78,7 @@ impl MotionControl {
         self.shaper.resume(last);
     }
 
-    /// The command that [`MotionControl::step`] gave last, or the one it goes on from.
+    /// The command that [`MotionControl::step`] gave last, or the one to resume from.
     #[must_use]
     pub fn last(&self) -> Command {
         self.shaper.last()

@@ -30,7 +30,7 @@ const CONFIRMING_HITS: u16 = 3;
 const CONFIRMING_SENSORS: u32 = 2;
 /// An unconfirmed track ends when it was not seen for this long, s.
 const TENTATIVE_COAST_S: f32 = 0.12;
-/// A confirmed track goes on unseen for this long, s: short occlusions, single dropouts.
+/// A confirmed track is kept unseen for this long, s: short occlusions, single dropouts.
 const COAST_S: f32 = 0.8;
 /// The same close beside the own vehicle, where the fields of view may leave a gap, s.
 const BESIDE_COAST_S: f32 = 2.0;

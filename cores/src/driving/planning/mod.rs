@@ -96,7 +96,7 @@ impl Planner {
     }
 
     /// The trajectory for this scene. Always gives one: if nothing else is left, full braking along
-    /// the lane. Without lanes it goes on in the driven curve and slows down.
+    /// the lane. Without lanes it stays in the driven curve and slows down.
     pub fn plan(&mut self, scene: &Scene) -> Trajectory {
         let line = match &scene.lanes {
             Some(lanes) => CentreLine::new(lanes),
