@@ -136,9 +136,12 @@ impl Board for An521Board {
     }
 
     fn trace(&self, record: TraceRecord) {
-        let count = self.traced.get();
-        self.trace[count % TRACED].set(record);
-        self.traced.set(count.wrapping_add(1));
+        // A handler must not write to the slot that a task is writing to.
+        cpu::without_interrupts(|| {
+            let count = self.traced.get();
+            self.trace[count % TRACED].set(record);
+            self.traced.set(count.wrapping_add(1));
+        });
     }
 }
 
