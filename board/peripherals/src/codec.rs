@@ -236,7 +236,7 @@ mod tests {
 
     #[test]
     fn a_datagram_has_the_length_it_says_and_no_more_than_there_is() {
-        let mut into = [0; DATAGRAM_MAX_WORDS];
+        let mut into = [0; 2 * DATAGRAM_MAX_WORDS];
         let words = encode_datagram(&[7, 8, 9]);
         assert_eq!(decode_datagram(&words, &mut into), 3);
         assert_eq!(into[..4], [7, 8, 9, 0]);

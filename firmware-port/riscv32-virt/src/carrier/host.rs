@@ -1,11 +1,9 @@
 //! The carrier's connection to the world outside, which runs on the host, in lock-step.
 
 use super::ring::Ring;
-use super::run::Carrier;
-use super::{SystemRegisters, interrupt, now, system};
+use super::{SystemRegisters, now, system};
 use crate::exit::exit;
 use crate::hart::time;
-use crate::memory::stack_used;
 use crate::semihosting::{File, HostError};
 use crate::{clint, log};
 use core::sync::atomic::AtomicU32;
@@ -14,7 +12,7 @@ use tandem_board::{CoreAddress, CoreId, Line, RoleLamp, SystemId};
 use tandem_cosim::{
     ANSWER_WORDS, ITEM_WORDS, Item, MAGIC, MAX_WORDS, PERIOD_NS, REPORT_WORDS, Report,
 };
-use tandem_peripherals::codec::{FRAME_WORDS, set_time};
+use tandem_peripherals::codec::FRAME_WORDS;
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
 /// The status of a machine whose world has gone.
@@ -78,9 +76,10 @@ impl Host {
         self.len + ITEM_WORDS <= MAX_WORDS
     }
 
-    pub(super) fn exchange(&mut self, carrier: &mut Carrier) {
+    /// Tells the world what happened in the systems `here`, and gives what it answers to `act`.
+    pub(super) fn exchange(&mut self, here: [bool; 2], act: &mut dyn FnMut(Item)) {
         self.due = (time() / PERIOD_TICKS + 1) * PERIOD_TICKS;
-        self.write(carrier)
+        self.write(here)
             .unwrap_or_else(|error| abandoned("write", error));
         let answer = self.read().unwrap_or_else(|error| abandoned("read", error));
         let mut words = [0; ITEM_WORDS];
@@ -96,21 +95,21 @@ impl Host {
                 exit(ABANDONED)
             };
             at += here - left.len();
-            act(carrier, item);
+            act(item);
         }
     }
 
-    fn write(&mut self, carrier: &Carrier) -> Result<(), HostError> {
+    fn write(&mut self, here: [bool; 2]) -> Result<(), HostError> {
         self.len = REPORT_WORDS;
         while self.has_room()
             && let Some(words) = FRAMES.take()
         {
             self.put(Item::Frame(words));
         }
-        let mut here = [false; 2];
-        for which in carrier.systems() {
-            here[which.index()] = true;
-            self.put_traces(which);
+        for which in SystemId::ALL {
+            if here[which.index()] {
+                self.put_traces(which);
+            }
         }
         for which in SystemId::ALL {
             if !here[which.index()] {
@@ -187,40 +186,4 @@ fn lamp(system: &SystemRegisters) -> RoleLamp {
 fn abandoned(what: &str, error: HostError) -> ! {
     log!("the world is gone: {what}: {error:?}");
     exit(ABANDONED)
-}
-
-fn act(carrier: &mut Carrier, item: Item) {
-    match item {
-        Item::Frame(mut words) => {
-            set_time(&mut words, now());
-            // No core here sent it.
-            carrier.broadcast(None, &words);
-        }
-        Item::Edges {
-            to,
-            line,
-            edge,
-            count,
-        } => {
-            let lines = system(to).edges.get(line);
-            if let Some(edges) = lines.and_then(|edges| edges.get(edge)) {
-                edges.fetch_add(count, Relaxed);
-            }
-            if line == Line::Start.index() {
-                interrupt(to);
-            }
-        }
-        Item::Datagram { to, words } => {
-            // A core that does not fetch loses what comes.
-            let _ = system(to).link.put(&words);
-        }
-        Item::Level { of, high } => carrier.set_power(of, high),
-        Item::Feed { of, on: true } => carrier.power_on(&[of]),
-        Item::Feed { of, on: false } => carrier.power_off(of),
-        Item::End => {
-            log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
-            exit(0)
-        }
-        Item::Trace { .. } => {}
-    }
 }

@@ -1,11 +1,14 @@
 //! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core, now, system};
+use super::{core, interrupt, now, system};
+use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
-use crate::{clint, doorbell, memory, trap};
+use crate::memory::{self, stack_used};
+use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
-use tandem_board::{CoreAddress, CoreId, ResetCause, ResetRequest, SystemId};
+use tandem_board::{CoreAddress, CoreId, Line, ResetCause, ResetRequest, SystemId};
+use tandem_cosim::Item;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
@@ -148,9 +151,46 @@ impl Carrier {
         // Taken out for as long as it works on the rest.
         if let Some(mut host) = self.host.take() {
             if time() >= host.due() {
-                host.exchange(self);
+                host.exchange(self.here, &mut |item| self.act(item));
             }
             self.host = Some(host);
+        }
+    }
+
+    /// Does what the world answers.
+    fn act(&mut self, item: Item) {
+        match item {
+            Item::Frame(mut words) => {
+                set_time(&mut words, now());
+                // No core here sent it.
+                self.broadcast(None, &words);
+            }
+            Item::Edges {
+                to,
+                line,
+                edge,
+                count,
+            } => {
+                let lines = system(to).edges.get(line);
+                if let Some(edges) = lines.and_then(|edges| edges.get(edge)) {
+                    edges.fetch_add(count, Relaxed);
+                }
+                if line == Line::Start.index() {
+                    interrupt(to);
+                }
+            }
+            Item::Datagram { to, words } => {
+                // A core that does not fetch loses what comes.
+                let _ = system(to).link.put(&words);
+            }
+            Item::Level { of, high } => self.set_power(of, high),
+            Item::Feed { of, on: true } => self.power_on(&[of]),
+            Item::Feed { of, on: false } => self.power_off(of),
+            Item::End => {
+                log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
+                exit(0)
+            }
+            Item::Trace { .. } => {}
         }
     }
 
@@ -200,7 +240,7 @@ impl Carrier {
 
     pub(super) fn set_power(&self, which: SystemId, on: bool) {
         if system(which).powered.swap(on, Relaxed) != on {
-            super::interrupt(which.peer());
+            interrupt(which.peer());
         }
     }
 
