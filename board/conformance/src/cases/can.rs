@@ -219,9 +219,9 @@ pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<()
     Ok(())
 }
 
-/// Bursts that are discarded, and the most frames of each.
+/// Bursts that are discarded, and the most frames of each: fewer than a receiver holds.
 const BURSTS: u8 = 10;
-const BURST: u32 = 100;
+const BURST: u32 = 12;
 
 /// Fills the transmit buffer, discards what waits there, and sends one frame that says how many
 /// there were.
