@@ -181,15 +181,22 @@ fn send(loader: &mut Loader<'_, ProgramFlash>, lines: &[String]) -> Option<Answe
         system: None,
         resume: false,
     };
+    loader.on_frame(now, &connect.frame()?);
     let mut last = None;
-    let pieces = lines.iter().flat_map(|line| line.as_bytes().chunks(8));
-    for request in std::iter::once(connect).chain(pieces.map(Request::Data)) {
-        loader.on_frame(now, &request.frame()?);
+    for line in lines {
+        // A line whose end was changed has no answer.
+        last = None;
+        for piece in line.as_bytes().chunks(8) {
+            while let Ok(Next::Send(frame)) = loader.next(now) {
+                last = Answer::decode(frame.data());
+            }
+            loader.on_frame(now, &Request::Data(piece).frame()?);
+        }
         while let Ok(Next::Send(frame)) = loader.next(now) {
             last = Answer::decode(frame.data());
-            if let Some(Answer::Refused(_)) = last {
-                return last;
-            }
+        }
+        if let Some(Answer::Refused(_)) = last {
+            return last;
         }
     }
     let ended = lines.last().is_some_and(|line| line.starts_with("S7"));

@@ -1,4 +1,4 @@
-//! A host on python-can, written from docs/boot.md alone, downloads to a bootloader on the same wire.
+//! A host on python-can, written from docs/boot.md alone, downloads to a bootloader on a wire.
 #![allow(clippy::unwrap_used)]
 
 mod fixture;
