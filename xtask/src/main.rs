@@ -70,7 +70,7 @@ enum Task {
     },
     /// Model-check the primitives of shm with loom
     Loom {
-        /// Relax each memory ordering in turn: a model must fail (some twenty minutes)
+        /// Relax each memory ordering in turn: a model must fail (twenty minutes)
         #[arg(long)]
         weakened: bool,
         /// Only orderings in functions whose name contains this
