@@ -22,6 +22,8 @@ pub struct Mastership {
     last: Option<(u64, u8)>,
     gap_max_ns: u64,
     changes: u32,
+    /// When the obeyed system changed last, ns.
+    changed_ns: u64,
     two_masters_ns: u64,
     /// Two masters were counted up to this time, ns.
     counted_ns: u64,
@@ -33,7 +35,10 @@ impl Mastership {
     pub fn accept(&mut self, at_ns: u64, system: u8, term: u32) {
         if let Some((last_ns, last_system)) = self.last.replace((at_ns, system)) {
             self.gap_max_ns = self.gap_max_ns.max(at_ns.saturating_sub(last_ns));
-            self.changes += u32::from(last_system != system);
+            if last_system != system {
+                self.changes += 1;
+                self.changed_ns = at_ns;
+            }
         }
         for span in self.spans.iter_mut().filter(|span| span.system != system) {
             span.other_ns.get_or_insert(at_ns);
@@ -44,8 +49,9 @@ impl Mastership {
             Some(span) => {
                 if let Some(other_ns) = span.other_ns.take() {
                     let from_ns = other_ns.max(self.counted_ns);
-                    self.two_masters_ns += at_ns.saturating_sub(from_ns);
-                    self.counted_ns = at_ns;
+                    // The other system's last frame counts until the one that followed it.
+                    self.two_masters_ns += self.changed_ns.saturating_sub(from_ns);
+                    self.counted_ns = self.counted_ns.max(self.changed_ns);
                 }
             }
             None => {
@@ -139,6 +145,8 @@ mod tests {
         assert_eq!(of(&frames).two_masters_ns(), 5);
         // The time is not counted twice, whoever comes between.
         let frames = [(0, A, 2), (10, B, 3), (15, B, 5), (20, A, 2)];
+        assert_eq!(of(&frames).two_masters_ns(), 10);
+        let frames = [(0, A, 2), (1, A, 4), (10, B, 3), (20, A, 2), (25, A, 4)];
         assert_eq!(of(&frames).two_masters_ns(), 10);
     }
 
