@@ -7,13 +7,13 @@
 #![no_std]
 
 pub mod board;
-pub mod carrier;
 pub mod clint;
 pub mod doorbell;
 pub mod exit;
 pub mod hart;
 pub mod heap;
 pub mod memory;
+pub mod peripherals;
 mod semihosting;
 pub mod trap;
 pub mod uart;

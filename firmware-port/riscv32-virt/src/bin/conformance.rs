@@ -11,7 +11,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, SystemId};
 use tandem_board_conformance::{Case, Outcome, Rig, Setting, run_all, run_role};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
-use tandem_board_riscv32_virt::carrier::Carrier;
+use tandem_board_riscv32_virt::peripherals::Peripherals;
 use tandem_board_riscv32_virt::{entry, exit, hart, log};
 use tandem_peripherals::supply::Change;
 
@@ -75,7 +75,7 @@ impl fmt::Display for Fault {
 }
 
 struct VirtRig<'c> {
-    carrier: &'c mut Carrier,
+    peripherals: &'c mut Peripherals,
 }
 
 impl VirtRig<'_> {
@@ -91,7 +91,7 @@ impl VirtRig<'_> {
                 return Err(Fault::Failed(part.place));
             }
             // It looks at least every millisecond.
-            match self.carrier.step(hart::time() + 10_000) {
+            match self.peripherals.step(hart::time() + 10_000) {
                 Some((system, Change::Reset(_)))
                     if case.setting != Setting::Restarts
                         && case.parts.iter().any(|part| part.place.system == system) =>
@@ -120,28 +120,31 @@ impl Rig for VirtRig<'_> {
             result.store(RUNS, Ordering::Relaxed);
         }
         let watch = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
-        self.carrier.set_watchdogs(watch);
+        self.peripherals.set_watchdogs(watch);
         for system in SystemId::ALL {
-            self.carrier.new_flash(system);
+            self.peripherals.new_flash(system);
         }
-        self.carrier.power_on(&SystemId::ALL);
+        self.peripherals.power_on(&SystemId::ALL);
         let outcome = self.outcome(case);
         for system in SystemId::ALL {
-            self.carrier.power_off(system);
+            self.peripherals.power_off(system);
         }
         outcome
     }
 }
 
-fn play_all(carrier: &mut Carrier) -> ! {
+fn play_all(peripherals: &mut Peripherals) -> ! {
     for system in SystemId::ALL {
-        carrier.power_off(system);
+        peripherals.power_off(system);
     }
-    let summary = run_all(&mut VirtRig { carrier }, |case, outcome| match outcome {
-        Outcome::Passed => log!("ok      {}", case.name),
-        Outcome::Skipped => log!("skipped {}", case.name),
-        Outcome::Failed(fault) => log!("FAILED  {}: {fault}", case.name),
-    });
+    let summary = run_all(
+        &mut VirtRig { peripherals },
+        |case, outcome| match outcome {
+            Outcome::Passed => log!("ok      {}", case.name),
+            Outcome::Skipped => log!("skipped {}", case.name),
+            Outcome::Failed(fault) => log!("FAILED  {}: {fault}", case.name),
+        },
+    );
     log!(
         "{} passed, {} failed, {} skipped",
         summary.passed,

@@ -18,8 +18,8 @@ use core::sync::atomic::AtomicU32;
 use core::time::Duration;
 use tandem_board::{Board, CoreId};
 use tandem_board_riscv32_virt::board::{VirtBoard, run};
-use tandem_board_riscv32_virt::carrier::Carrier;
 use tandem_board_riscv32_virt::memory::{Strap, strap};
+use tandem_board_riscv32_virt::peripherals::Peripherals;
 use tandem_board_riscv32_virt::{doorbell, entry, heap, log, trap};
 use tandem_cores::core0::{Core0, TaskId};
 use tandem_cores::core1::Core1;
@@ -122,16 +122,16 @@ fn go(board: &VirtBoard, mut core: impl Core) -> ! {
     }
 }
 
-fn outside(carrier: &mut Carrier) -> ! {
+fn outside(peripherals: &mut Peripherals) -> ! {
     let systems = strap(Strap::First);
-    carrier.connect([systems & 1 != 0, systems & 2 != 0]);
-    carrier.set_watchdogs(true);
-    for system in carrier.systems() {
-        carrier.power_off(system);
-        carrier.new_flash(system);
+    peripherals.connect([systems & 1 != 0, systems & 2 != 0]);
+    peripherals.set_watchdogs(true);
+    for system in peripherals.systems() {
+        peripherals.power_off(system);
+        peripherals.new_flash(system);
     }
     loop {
         // The world connects the battery, and ends the machine.
-        carrier.step(u64::MAX);
+        peripherals.step(u64::MAX);
     }
 }

@@ -4,8 +4,8 @@ mod parts;
 
 pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtSupply};
 
-use crate::carrier::{self, Carrier, system};
 use crate::hart::CARRIER;
+use crate::peripherals::{self, Peripherals, system};
 use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
@@ -99,7 +99,7 @@ impl Board for VirtBoard {
     }
 
     fn trace(&self, record: TraceRecord) {
-        let registers = carrier::core(self.identity.address());
+        let registers = peripherals::core(self.identity.address());
         // Tasks and handlers of a core interrupt each other, and the ring has one writer.
         hart::without_interrupts(|| {
             if !registers.trace.put(&encode_trace(self.now(), record)) {
@@ -114,9 +114,9 @@ impl Board for VirtBoard {
 ///
 /// A core begins when the carrier switches its system on; when `core` returns it stays asleep until
 /// a reset. `slice` is the length of its turns in ticks (see [`hart::yield_turn`]).
-pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Carrier) -> !) -> ! {
+pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Peripherals) -> !) -> ! {
     if hart == CARRIER {
-        outside(&mut Carrier::new());
+        outside(&mut Peripherals::new());
     }
     let Some(address) = CoreAddress::from_index(hart) else {
         loop {

@@ -1,6 +1,6 @@
 //! The parts of the board: each a window on the carrier's registers.
 
-use crate::carrier::{self, SystemRegisters};
+use crate::peripherals::{self, SystemRegisters};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
@@ -15,7 +15,7 @@ use tandem_peripherals::watchdog::{Window, question};
 
 /// The registers of the system of core `of`.
 fn system(of: CoreAddress) -> &'static SystemRegisters {
-    carrier::system(of.system)
+    peripherals::system(of.system)
 }
 
 fn must_be_control(of: CoreAddress, what: &str) {
@@ -49,24 +49,24 @@ impl Can for VirtCan {
             sender: Sender::Core(self.0),
             reaches: [true; 2],
         };
-        if !carrier::core(self.0).transmit.put(&frame.encode()) {
+        if !peripherals::core(self.0).transmit.put(&frame.encode()) {
             return Err(TransmitFull);
         }
-        carrier::call();
+        peripherals::call();
         Ok(())
     }
 
     fn discard_unsent(&self) {
-        carrier::core(self.0).transmit.discard();
+        peripherals::core(self.0).transmit.discard();
     }
 
     fn try_receive(&self) -> Option<Received> {
-        let words = carrier::core(self.0).receive.take()?;
+        let words = peripherals::core(self.0).receive.take()?;
         BusFrame::decode(&words).map(|frame| frame.received)
     }
 
     fn wake_on_receive(&self, on: bool) {
-        let registers = carrier::core(self.0);
+        let registers = peripherals::core(self.0);
         // Release pairs with the Acquire of the bus.
         registers.wake_on_receive.store(on, Release);
         if on && !registers.receive.is_empty() {
@@ -75,16 +75,16 @@ impl Can for VirtCan {
     }
 
     fn overruns(&self) -> u32 {
-        carrier::core(self.0).overruns.load(Relaxed)
+        peripherals::core(self.0).overruns.load(Relaxed)
     }
 }
 
 impl Lines for VirtLines {
     fn send(&self, line: Line, edge: Edge) {
         let peer = self.0.system.peer();
-        carrier::system(peer).edges[line.index()][edge as usize].fetch_add(1, Relaxed);
+        peripherals::system(peer).edges[line.index()][edge as usize].fetch_add(1, Relaxed);
         if line.interrupts() {
-            carrier::interrupt(peer);
+            peripherals::interrupt(peer);
         }
     }
 
@@ -93,7 +93,9 @@ impl Lines for VirtLines {
     }
 
     fn peer_powered(&self) -> bool {
-        carrier::system(self.0.system.peer()).powered.load(Relaxed)
+        peripherals::system(self.0.system.peer())
+            .powered
+            .load(Relaxed)
     }
 }
 
@@ -101,7 +103,7 @@ impl Link for VirtLink {
     const MAX_WORDS: usize = DATAGRAM_MAX_WORDS;
 
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull> {
-        let to = carrier::system(self.0.system.peer());
+        let to = peripherals::system(self.0.system.peer());
         match to.link.put(&encode_datagram(words)[..=words.len()]) {
             true => Ok(()),
             false => Err(LinkFull),
@@ -161,10 +163,10 @@ impl Supply for VirtSupply {
         // Full: the supply is behind, and the next service will do.
         if registers
             .services
-            .put(&encode_service(carrier::now(), answer))
+            .put(&encode_service(peripherals::now(), answer))
         {
             registers.service_count.fetch_add(1, Relaxed);
-            carrier::call();
+            peripherals::call();
         }
     }
 
@@ -172,7 +174,7 @@ impl Supply for VirtSupply {
         // Release pairs with the Acquire of the carrier: what came before is done.
         let register = &system(self.0).request;
         register.store(1 + request.code(), Release);
-        carrier::call();
+        peripherals::call();
     }
 
     fn show_role(&self, lamp: RoleLamp) {

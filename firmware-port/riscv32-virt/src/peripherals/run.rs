@@ -17,7 +17,7 @@ use tandem_peripherals::supply::{Change, Config, Power, Supply};
 const YIELD_CYCLES: u32 = 6;
 
 /// The carrier, on its own hart.
-pub struct Carrier {
+pub struct Peripherals {
     /// By [`SystemId::index`].
     supplies: [Supply; 2],
     /// The systems in this machine, by [`SystemId::index`].
@@ -25,7 +25,7 @@ pub struct Carrier {
     host: Option<Host>,
 }
 
-impl Carrier {
+impl Peripherals {
     pub(crate) const fn new() -> Self {
         Self {
             supplies: [Supply::new(Config::TARGET); 2],

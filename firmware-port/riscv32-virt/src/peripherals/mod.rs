@@ -1,4 +1,4 @@
-//! The hardware outside the chips: CAN bus, lines, link, data flash, and the two supplies.
+//! The emulated peripherals: CAN bus, lines, link, data flash, and the two supplies.
 //!
 //! The machine has none of it, so a hart of its own plays it: the *carrier*, as the carrier board
 //! of a TC297 does. Cores see registers, which are atomics in memory of the carrier's, and are
@@ -7,7 +7,7 @@
 //! carrier's hart. The models of `tandem-peripherals` decide what happens.
 //!
 //! With a world outside, the carrier exchanges with it once a millisecond of virtual time: see
-//! [`Carrier::connect`]. A system that is not in this machine then has the same registers here:
+//! [`Peripherals::connect`]. A system that is not in this machine then has the same registers here:
 //! what is sent to it collects there, and goes out with the next exchange.
 
 pub(crate) mod flash;
@@ -15,7 +15,7 @@ mod host;
 pub(crate) mod ring;
 pub(crate) mod run;
 
-pub use run::Carrier;
+pub use run::Peripherals;
 
 use crate::clint;
 use crate::hart::{self, CARRIER};
