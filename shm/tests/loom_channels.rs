@@ -7,10 +7,11 @@ mod common;
 use common::{model, zeroed};
 use loom::thread;
 use tandem_shm::broadcast::{self, Lost};
-use tandem_shm::map::{AttachError, Layout, Map, Region};
+use tandem_shm::map::{AttachError, Layout, Map};
 use tandem_shm::newest::{self, ReadError};
 use tandem_shm::sync::{Ordering, spin};
-use tandem_shm::{Shape, fifo};
+use tandem_shm::typed::{Region, Words};
+use tandem_shm::{LINE_WORDS, Shape, fifo};
 
 const SHAPE: Shape = Shape::new(2, 2);
 
@@ -234,10 +235,11 @@ fn fifo_survives_new_producers() {
 /// Who attaches sees a formatted LMU, whatever was in it before.
 #[test]
 fn map_is_seen_whole_or_not_at_all() {
-    const LAYOUT: Layout = Layout::new(&[Region::new("a", 1)]);
+    const ALONE: Region<Words<1>> = Region::first("alone");
+    const LAYOUT: Layout = ALONE.end();
     model(4, || {
         let words = zeroed(LAYOUT.total_words());
-        words[LAYOUT.offset(0)].store(7, Ordering::Relaxed);
+        words[LAYOUT.total_words() - LINE_WORDS].store(7, Ordering::Relaxed);
         let boot = {
             let words = words.clone();
             thread::spawn(move || {
@@ -245,7 +247,7 @@ fn map_is_seen_whole_or_not_at_all() {
             })
         };
         match Map::attach(&words, LAYOUT) {
-            Ok(map) => assert_eq!(map.region(0)[0].load(Ordering::Relaxed), 0),
+            Ok(map) => assert_eq!(ALONE.attach(&map).unwrap()[0].load(Ordering::Relaxed), 0),
             Err(error) => assert_eq!(error, AttachError::NotReady),
         }
         boot.join().unwrap();
