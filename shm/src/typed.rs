@@ -618,7 +618,8 @@ mod tests {
     fn an_end_exists_once() {
         let map = map();
         let [one, two] = [0, 1].map(|core| start(&map, core, 1));
-        let claims: [fn(&Map<'static>, Life) -> Result<(), EndError>; 6] = [
+        type Claim = fn(&Map<'static>, Life) -> Result<(), EndError>;
+        let claims: [Claim; 6] = [
             |map, life| NEWS.sender(map, life).map(drop),
             |map, life| NEWS.receiver(map, life).map(drop),
             |map, life| PAIR.writer(map, life).map(drop),
