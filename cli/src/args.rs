@@ -300,7 +300,7 @@ pub(crate) struct FlashArgs {
     pub(crate) sign_only: Option<PathBuf>,
 
     /// The system to send it to [default: whichever listens]
-    #[arg(long, value_enum, value_name = "SYSTEM")]
+    #[arg(long, value_enum, ignore_case = true, value_name = "SYSTEM")]
     pub(crate) to: Option<System>,
 
     /// Records under way without an answer; 0 waits for each
@@ -328,8 +328,10 @@ pub(crate) struct FlashArgs {
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub(crate) enum System {
     /// System A
+    #[value(name = "A")]
     A,
     /// System B
+    #[value(name = "B")]
     B,
 }
 
@@ -354,7 +356,7 @@ pub(crate) struct BootloaderArgs {
     pub(crate) public: Vec<PathBuf>,
 
     /// Which system
-    #[arg(long, value_enum, default_value_t = System::A)]
+    #[arg(long, value_enum, ignore_case = true, default_value_t = System::A)]
     pub(crate) system: System,
 
     /// The application asked for a download: wait 10 s for a host, not 20 ms

@@ -9,7 +9,9 @@ use std::fs;
 use std::path::Path;
 use std::time::Instant as Clock;
 use tandem_board::{Duration, Instant, ResetCause};
-use tandem_boot::{Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve};
+use tandem_boot::{
+    Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
+};
 use tandem_boot_host::{
     Content, FlashFile, Image, Release, Sender, SigningKey, TransferError, Wire, records,
     send_file, serve,
@@ -109,7 +111,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             },
         },
         system: args.system.into(),
-        bank: Bank::Primary,
+        bank: bank(&mut flash),
         cause: if args.requested {
             ResetCause::Software
         } else {
@@ -124,9 +126,17 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         match serve(&wire, clock, &mut loader)? {
             Next::Jump(launch) => return crate::print(&shown(&launch)),
             Next::StartPrimary => setup.bank = Bank::Primary,
-            _ => (setup.cause, setup.requested) = (ResetCause::Software, false),
+            _ => {
+                (setup.cause, setup.requested) = (ResetCause::Software, false);
+                setup.bank = bank(&mut flash);
+            }
         }
     }
+}
+
+/// The bank that the boot ROM starts. A file without a bootloader has this program in its place.
+fn bank(flash: &mut FlashFile) -> Bank {
+    rom_choice(flash).unwrap_or(Bank::Primary)
 }
 
 fn shown(launch: &Launch) -> String {
