@@ -129,6 +129,11 @@ impl Session {
             }
             Request::GoBack { .. } => Some(self.ask_again()),
             Request::Data(_) if self.waits_for_go_back => None,
+            // The end of the record before was lost. Without a window the host repeats a record so.
+            Request::Data([b'S', ..]) if self.window > 0 && self.assembler.is_inside() => {
+                self.assembler = Assembler::default();
+                Some(self.ask_again())
+            }
             Request::Data(data) => {
                 let record = self.assembler.push(data)?;
                 Some(self.on_record(record.ok(), flash, ground)).flatten()
@@ -152,17 +157,24 @@ impl Session {
             }
             return Some(self.ask_again());
         };
-        self.attempts = 0;
         // Without a window the host repeats a record whose acknowledgement it did not get.
         let repeated = self.window == 0 && self.last.as_ref() == Some(&record);
         if !repeated && self.state == State::Open {
             match self.download.take(&record, flash, ground) {
                 Ok(ended) => {
+                    self.attempts = 0;
                     self.accepted += 1;
                     self.unanswered += 1;
                     if ended {
                         self.state = State::Finished;
                     }
+                }
+                // With a window: a whole record, or the frame that goes back, may have been lost.
+                Err(Refusal::Gap | Refusal::Overlap | Refusal::Order)
+                    if self.window > 0 && self.attempts < MAX_ATTEMPTS =>
+                {
+                    self.attempts += 1;
+                    return Some(self.ask_again());
                 }
                 Err(refusal) => return Some(self.refuse(refusal)),
             }

@@ -53,6 +53,8 @@ pub struct Sender {
     /// The record that is being sent, and how much of it has gone.
     record: u32,
     sent: usize,
+    /// Records that were ever sent whole.
+    farthest: u32,
     /// The frame that says where the records go on.
     go_back: bool,
     due: Instant,
@@ -77,6 +79,7 @@ impl Sender {
             accepted: 0,
             record: 0,
             sent: 0,
+            farthest: 0,
             go_back: false,
             due: Instant::ORIGIN,
             attempts: 0,
@@ -173,6 +176,7 @@ impl Sender {
         self.sent += piece.len();
         if self.sent == line.len() {
             (self.record, self.sent) = (self.record + 1, 0);
+            self.farthest = self.record.max(self.farthest);
         }
         frame.map_or(ToDo::Silent, ToDo::Send)
     }
@@ -189,6 +193,12 @@ impl Sender {
         let Some(answer) = Answer::decode(frame.data()) else {
             return;
         };
+        // A count beyond what was sent is not the loader's.
+        if let Answer::Accepted { records: count } | Answer::Resend { record: count } = answer
+            && count > self.farthest
+        {
+            return;
+        }
         self.due = now + ANSWER_WITHIN;
         match (self.state, answer) {
             (State::Connecting, Answer::Connected) => {
@@ -208,6 +218,7 @@ impl Sender {
                 },
             ) => {
                 (self.window, self.accepted) = (u32::from(records).max(1), accepted);
+                self.farthest = accepted;
                 (self.state, self.attempts) = (State::Sending, 0);
                 self.back_to(accepted);
             }

@@ -1,0 +1,103 @@
+//! A bus that loses frames in both directions and changes records: the download arrives, whole.
+#![allow(clippy::unwrap_used)]
+
+mod fixture;
+
+use fixture::{factory, image};
+use proptest::prelude::*;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
+use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
+use tandem_boot_host::life::TEST_PUBLIC;
+use tandem_boot_host::{Sender, ToDo, records};
+
+/// A frame as it arrives: mostly as it was sent, sometimes not at all. Frames to the loader are
+/// sometimes changed too: records have a checksum of their own, answers have that of CAN only.
+fn noisy(frame: &CanFrame, per_mille: u32, chance: &mut ChaCha8Rng) -> Option<CanFrame> {
+    let is_answer = frame.id() == tandem_boot::TO_HOST;
+    let dice = chance.random_range(0..1000);
+    if dice < per_mille {
+        return None;
+    }
+    let mut data = frame.data().to_vec();
+    if !is_answer && dice < per_mille * 3 / 2 && !data.is_empty() {
+        let place = chance.random_range(0..data.len());
+        data[place] ^= 1 << (chance.next_u32() % 7);
+    }
+    CanFrame::new(frame.id(), false, &data).ok()
+}
+
+fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
+    let mut flash = factory();
+    let new = image(Slot::B, 2, 700);
+    let mut host = Sender::new(records("new", &[&new]), None, window);
+    let keys = [TEST_PUBLIC];
+    let setup = Setup {
+        trust: Trust {
+            keys: &keys,
+            mode: TrustMode::Strict,
+        },
+        system: SystemId::A,
+        bank: Bank::Primary,
+        cause: ResetCause::Software,
+        requested: true,
+    };
+    let mut chance = ChaCha8Rng::seed_from_u64(seed);
+    let mut now = Instant::ORIGIN;
+    let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+    let end = loop {
+        match loader.next(now).unwrap() {
+            Next::Send(frame) => {
+                if let Some(frame) = noisy(&frame, per_mille, &mut chance) {
+                    host.on_frame(now, &frame);
+                }
+                continue;
+            }
+            Next::Wait(until) => match host.next(now) {
+                ToDo::Send(frame) => {
+                    now = Instant::from_ns(now.as_ns() + 270_000);
+                    if let Some(frame) = noisy(&frame, per_mille, &mut chance) {
+                        loader.on_frame(now, &frame);
+                    }
+                }
+                ToDo::Wait(other) => now = until.min(other),
+                end => break end,
+            },
+            // The farewell is over before the host has heard the last answer.
+            _ => break ToDo::Silent,
+        }
+    };
+    let resends = host.resends();
+    drop(loader);
+    let whole = flash.firm(new.place(), new.bytes.len() as u32) == Some(new.bytes);
+    (end, whole, resends)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    /// T-BOOT-3, T-BOOT-4: with up to 1 % of the frames lost and half as many changed. What the
+    /// host takes for done is whole.
+    #[test]
+    fn a_download_survives_a_noisy_bus(
+        window in prop::sample::select(&[0u8, 1, 4, 16][..]),
+        per_mille in 0u32..10,
+        seed: u64,
+    ) {
+        let (end, whole, _) = download(window, per_mille, seed);
+        prop_assert!(whole || end != ToDo::Done, "{end:?}");
+        let lost_only_the_end = end == ToDo::Silent && whole;
+        prop_assert!(end == ToDo::Done || lost_only_the_end, "window {window}: {end:?}");
+    }
+}
+
+/// T-BOOT-3: a frame that is lost is asked for again.
+#[test]
+fn what_is_lost_is_asked_for_again() {
+    for window in [0, 8] {
+        let (end, whole, resends) = download(window, 10, 5);
+        assert_eq!((end, whole), (ToDo::Done, true));
+        assert!(resends > 0);
+    }
+}
