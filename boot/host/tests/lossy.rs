@@ -69,7 +69,6 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
         }
     };
     let resends = host.resends();
-    drop(loader);
     let whole = flash.firm(new.place(), new.bytes.len() as u32) == Some(new.bytes);
     (end, whole, resends)
 }
