@@ -264,18 +264,18 @@ impl<K: Kind> Region<K> {
 fn claim(word: &AtomicU32, life: Life, lives: Lives<'_>) -> Result<(), EndError> {
     // Core + 1 in the low bits: a zeroed region has no claims.
     let own = life.generation() << 2 | (life.core() as u32 + 1);
-    let mut seen = word.load(Ordering::Relaxed);
     // A core that claims at the same time makes this one look again: they are three.
     for _ in 0..4 {
+        // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
+        let seen = word.load(Ordering::Acquire);
         let holder = Life::new((seen as usize & 3).wrapping_sub(1), seen >> 2);
         if let Some(holder) = holder.filter(|&holder| lives.is_alive(holder)) {
             return Err(EndError::Claimed(holder));
         }
-        // AcqRel pairs with itself: what the last holder did to the region was seen with its end,
-        // by `is_alive`; the next one sees what was done to the claim.
-        match word.compare_exchange(seen, own, Ordering::AcqRel, Ordering::Relaxed) {
-            Ok(_) => return Ok(()),
-            Err(now) => seen = now,
+        // Not Acquire: what the last holder did to the region was seen with its end, by `is_alive`.
+        let claimed = word.compare_exchange(seen, own, Ordering::Release, Ordering::Relaxed);
+        if claimed.is_ok() {
+            return Ok(());
         }
     }
     Err(EndError::Claimed(life))

@@ -5,6 +5,8 @@
 mod common;
 
 use common::{model, zeroed};
+use loom::cell::UnsafeCell;
+use loom::sync::Arc;
 use loom::thread;
 use tandem_shm::broadcast::{self, Lost};
 use tandem_shm::map::{AttachError, Layout, Map};
@@ -137,8 +139,7 @@ fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
     });
 }
 
-/// Every value is received once, whole and in order. (That the producer does not refill a slot
-/// before the consumer has read it is beyond loom: it lets no load see a store that comes later.)
+/// Every value is received once, whole and in order.
 #[test]
 fn fifo_values_arrive_in_order() {
     model(4, || {
@@ -168,6 +169,48 @@ fn fifo_values_arrive_in_order() {
         }
         producer.join().unwrap();
         assert!(consumer.receive().is_none());
+    });
+}
+
+/// No slot is refilled before it was read. loom lets no load see a later store, so a cell that both
+/// ends touch stands for the words of each slot.
+#[test]
+fn fifo_slots_are_refilled_after_they_were_read() {
+    model(3, || {
+        let words = zeroed(fifo::words(SHAPE));
+        let slots = Arc::new([UnsafeCell::new(()), UnsafeCell::new(())]);
+        let producer = {
+            let (words, slots) = (words.clone(), slots.clone());
+            thread::spawn(move || {
+                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                for k in 0..4 {
+                    if k == 3 {
+                        // A successor may refill what its predecessor might have.
+                        producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                    }
+                    let loan = loop {
+                        match producer.loan() {
+                            Ok(loan) => break loan,
+                            Err(fifo::Full) => spin(1),
+                        }
+                    };
+                    slots[k % 2].with_mut(|_| ());
+                    loan.send();
+                }
+            })
+        };
+        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        for k in 0..4 {
+            let item = loop {
+                match consumer.receive() {
+                    Some(item) => break item,
+                    None => spin(1),
+                }
+            };
+            slots[k % 2].with(|_| ());
+            item.release();
+        }
+        producer.join().unwrap();
     });
 }
 

@@ -21,7 +21,7 @@ struct Site {
 }
 
 /// The sources with orderings, and the tests that model them.
-const SOURCES: [(&str, &[&str]); 7] = [
+const SOURCES: [(&str, &[&str]); 8] = [
     ("life", &["loom_announce", "loom_deaths", "loom_lock"]),
     ("lock", &["loom_announce", "loom_deaths", "loom_lock"]),
     ("pool", &["loom_announce", "loom_deaths", "loom_lock"]),
@@ -29,6 +29,7 @@ const SOURCES: [(&str, &[&str]); 7] = [
     ("ring", &["loom_channels"]),
     ("fifo", &["loom_channels"]),
     ("map", &["loom_channels"]),
+    ("typed", &["loom_typed"]),
 ];
 
 const STRONG: [&str; 4] = [

@@ -1,0 +1,62 @@
+//! loom models of typed regions: an end that exists once is claimed by one living core.
+#![cfg(loom)]
+#![allow(clippy::unwrap_used, reason = "test code")]
+
+mod common;
+
+use common::{model, zeroed};
+use loom::thread;
+use tandem_shm::life::Life;
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::sync::AtomicU32;
+use tandem_shm::typed::{EndError, Mailbox, Region};
+
+const NEWS: Region<Mailbox> = Region::first("news");
+const LAYOUT: Layout = NEWS.end();
+
+/// A life of this core that is announced only now, and whether it got the sending end.
+fn claim(words: &[AtomicU32], core: usize, generation: u32) -> bool {
+    let map = Map::attach(words, LAYOUT).unwrap();
+    let life = Life::new(core, generation).unwrap();
+    map.lives().announce(life).unwrap();
+    match NEWS.sender(&map, life) {
+        Ok(_) => true,
+        Err(EndError::Claimed(holder)) => {
+            assert_ne!(holder.core(), core, "nobody else has it");
+            false
+        }
+        Err(error) => panic!("{error:?}"),
+    }
+}
+
+/// Two new lives claim one end at the same time: exactly one gets it.
+#[test]
+fn two_cores_that_claim_at_once_get_one_end() {
+    model(4, || {
+        let words = zeroed(LAYOUT.total_words());
+        Map::format(&words, LAYOUT).unwrap();
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || claim(&words, 1, 1))
+        };
+        let here = claim(&words, 0, 1);
+        assert_ne!(here, other.join().unwrap());
+    });
+}
+
+/// The holder is dead; two successors claim its end at the same time: exactly one gets it.
+#[test]
+fn two_successors_of_a_dead_holder_get_one_end() {
+    model(3, || {
+        let words = zeroed(LAYOUT.total_words());
+        let map = Map::format(&words, LAYOUT).unwrap();
+        assert!(claim(&words, 2, 1));
+        map.lives().mark_dead(Life::new(2, 1).unwrap());
+        let other = {
+            let words = words.clone();
+            thread::spawn(move || claim(&words, 1, 1))
+        };
+        let here = claim(&words, 0, 1);
+        assert_ne!(here, other.join().unwrap());
+    });
+}
