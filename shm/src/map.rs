@@ -303,7 +303,8 @@ mod tests {
 
     #[test]
     fn killed_at_every_step_of_format_nobody_attaches_and_the_successor_formats() {
-        for at in 0.. {
+        // Miri takes long for each step: it gets some of those that zero.
+        for at in (0..).step_by(if cfg!(miri) { 17 } else { 1 }) {
             let words = zeroed(WORDS);
             for word in words {
                 word.store(u32::MAX, Ordering::Relaxed);
