@@ -49,6 +49,8 @@ pub(crate) enum Firmware {
         #[arg(long, default_value_t = 100)]
         lengths: u32,
     },
+    /// Try which reorderings two harts see that run with a host thread each
+    Litmus,
     /// Count the instructions of the paths between cores, and compare them with the baseline
     Bench {
         /// Write the figures here, as a list of {name, min, max}
@@ -78,6 +80,8 @@ pub(crate) enum Image {
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
     Controller,
+    /// Which reorderings two harts see
+    Litmus,
     /// The driving functions over recorded frames; `test` gives it some
     Replay,
     /// Tasks of FreeRTOS that toggle outputs; `tandem rtos-demo --board qemu` draws them
@@ -87,11 +91,12 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    const ALL: [Self; 7] = [
+    const ALL: [Self; 8] = [
         Self::Bench,
         Self::BenchRtos,
         Self::Conformance,
         Self::Controller,
+        Self::Litmus,
         Self::Replay,
         Self::RtosDemo,
         Self::Schedules,
@@ -103,6 +108,7 @@ impl Image {
             Self::BenchRtos => "bench-rtos",
             Self::Conformance => "conformance",
             Self::Controller => "controller",
+            Self::Litmus => "litmus",
             Self::Replay => "replay",
             Self::RtosDemo => "rtos-demo",
             Self::Schedules => "schedules",
@@ -128,6 +134,7 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
         Firmware::Test => test(root),
         Firmware::Size => size::run(root),
         Firmware::Explore { lengths } => explore(root, lengths),
+        Firmware::Litmus => litmus(root),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
     }
 }
@@ -167,9 +174,8 @@ fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
 /// Where the images read their straps; see link.x.
 const STRAPS_AT: u32 = 0x8090_0000;
 
-/// Runs an image to its end, and returns its log. Deterministic: one instruction is 2^`shift`
-/// nanoseconds, and time jumps when all harts sleep.
-fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<String> {
+/// The emulated machine with this image.
+fn machine(root: &Path, image: Image) -> Command {
     let elf = build_dir(root)
         .join(TARGET)
         .join("release")
@@ -178,10 +184,18 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
     command
         .args(["-machine", "virt", "-smp", "7", "-bios", "none"])
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
-        .arg("-icount")
-        .arg(format!("shift={shift},sleep=off"))
         .arg("-kernel")
         .arg(elf);
+    command
+}
+
+/// Runs an image to its end, and returns its log. Deterministic: one instruction is 2^`shift`
+/// nanoseconds, and time jumps when all harts sleep.
+fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<String> {
+    let mut command = machine(root, image);
+    command
+        .arg("-icount")
+        .arg(format!("shift={shift},sleep=off"));
     for (at, value) in (STRAPS_AT..).step_by(4).zip(straps) {
         command
             .arg("-device")
@@ -213,6 +227,14 @@ fn test(root: &Path) -> Result<()> {
         );
         crate::run(command)?;
     }
+    Ok(())
+}
+
+/// Not under icount, which runs all harts in one thread of the host.
+fn litmus(root: &Path) -> Result<()> {
+    let mut command = machine(root, Image::Litmus);
+    command.args(["-accel", "tcg,thread=multi"]);
+    print!("{}", finish(&mut command)?);
     Ok(())
 }
 
