@@ -33,6 +33,18 @@
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
 //!
+//! # Two ways to attach
+//!
+//! | | [`typed`] regions | `attach` of each module |
+//! |---|---|---|
+//! | for whom | Rust, with a constant layout | C, and a layout that is known at run time |
+//! | kind, shape and payload | checked by the compiler | the caller gives the same to all ends |
+//! | an end that exists once | claimed: a second one is refused | the caller sees to it |
+//!
+//! Both give the same ends over the same words, so a core in Rust and one in C can share a region.
+//! Only typed ends make claims and look at them: an end that was attached in the other way is not
+//! seen by them.
+//!
 //! # Example
 //!
 //! Two cores hand over a value: one publishes and signals, the other reads when it is called. The

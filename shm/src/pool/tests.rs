@@ -409,6 +409,8 @@ fn check(ops: &[Op]) {
     }
 }
 
+const MAX_OPS: usize = if cfg!(miri) { 20 } else { 60 };
+
 proptest! {
     #![proptest_config(ProptestConfig {
         cases: if cfg!(miri) { 2 } else { 512 },
@@ -418,7 +420,7 @@ proptest! {
 
     /// T-SHM-1, T-SHM-2, T-SHM-4: the pool does what a plain list of allocations does.
     #[test]
-    fn the_pool_does_what_its_model_does(ops in prop::collection::vec(op(), 1..if cfg!(miri) { 20 } else { 60 })) {
+    fn the_pool_does_what_its_model_does(ops in prop::collection::vec(op(), 1..MAX_OPS)) {
         check(&ops);
     }
 }
