@@ -74,6 +74,29 @@ fn two_cores_exclude_each_other() {
     contend([2, 2], 5);
 }
 
+/// T-LOCK-1: as above, by guards that were detached.
+#[test]
+fn detached_guards_exclude_each_other() {
+    model(3, || {
+        let words = lock_words(2);
+        let guarded = Arc::new(UnsafeCell::new(()));
+        let run = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core| {
+            let mut lock = Lock::attach(words, life(core), lives(words)).unwrap();
+            if let Ok(acquired) = lock.lock(2, spin) {
+                let held = acquired.into_guard().detach();
+                guarded.with_mut(|_| ());
+                drop(held);
+            }
+        };
+        let other = {
+            let (words, guarded) = (words.clone(), guarded.clone());
+            thread::spawn(move || run(&words, &guarded, 1))
+        };
+        run(&words, &guarded, 0);
+        other.join().unwrap();
+    });
+}
+
 /// T-LOCK-1, T-LOCK-3: three cores.
 #[test]
 fn three_cores_exclude_each_other() {

@@ -5,6 +5,7 @@
 mod common;
 
 use common::{model, zeroed};
+use loom::cell::UnsafeCell;
 use loom::sync::{Arc, Notify};
 use loom::thread;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId, WORDS};
@@ -75,6 +76,34 @@ fn no_task_is_missed() {
         sending.join().unwrap();
         receiver.poll(|open| handled[open.task.index()] += open.count);
         assert_eq!(handled, [0, 1, 0, 2]);
+    });
+}
+
+/// A sender that sees no signal open may reuse what the handler has read.
+#[test]
+fn what_a_handler_has_read_may_be_reused() {
+    model(3, || {
+        let words = zeroed(WORDS);
+        let payload = Arc::new(UnsafeCell::new(()));
+        let task = TaskId::new(1).unwrap();
+        let sending = {
+            let (words, payload) = (words.clone(), payload.clone());
+            thread::spawn(move || {
+                let mut sender = Sender::attach(&words).unwrap();
+                payload.with_mut(|_| ());
+                let _ = sender.signal(task);
+                for _ in 0..2 {
+                    if sender.open(task) == 0 {
+                        payload.with_mut(|_| ());
+                    }
+                }
+            })
+        };
+        let mut receiver = Receiver::attach(&words).unwrap();
+        for _ in 0..2 {
+            receiver.poll(|_| payload.with(|_| ()));
+        }
+        sending.join().unwrap();
     });
 }
 
