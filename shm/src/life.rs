@@ -181,24 +181,36 @@ impl<'a> Attached<'a> {
         self.lives
     }
 
-    /// `None` if this life has attached, else what to give to [`Attached::insert`].
+    /// What to give to [`Attached::insert`]. `None` if this life has attached, or is not alive: a
+    /// later life may have attached, which must not be disowned.
     pub(crate) fn earlier(&self, life: Life) -> Option<u32> {
-        // Acquire pairs with the Release in `insert`.
+        // Acquire pairs with the Release in `insert`: a core that sees a later life attached sees
+        // below that it was announced.
         let generation = self.generations[life.core()].load(Ordering::Acquire);
-        (generation != life.generation).then_some(generation)
+        (generation != life.generation && self.lives.is_alive(life)).then_some(generation)
     }
 
     /// This life attaches, now that what earlier lives of its core left in the object is disowned.
-    /// Does nothing if another life, or the same by another end, came first.
-    pub(crate) fn insert(&self, life: Life, earlier: u32) {
+    /// `false` if another life, or the same by another end, came first: look again.
+    #[must_use]
+    pub(crate) fn insert(&self, life: Life, earlier: u32) -> bool {
         // Release pairs with the Acquire in `earlier`: a core that sees this life attached sees
-        // what was disowned.
-        let _ = self.generations[life.core()].compare_exchange(
-            earlier,
-            life.generation,
-            Ordering::Release,
-            Ordering::Relaxed,
-        );
+        // what was disowned, and that this life was announced.
+        self.generations[life.core()]
+            .compare_exchange(
+                earlier,
+                life.generation,
+                Ordering::Release,
+                Ordering::Relaxed,
+            )
+            .is_ok()
+    }
+
+    /// Whether the life of this core that attached last is alive. A later life that is announced
+    /// but has not attached does not count.
+    pub(crate) fn has_living(&self, core: usize) -> bool {
+        let generation = self.generations[core].load(Ordering::Relaxed);
+        self.lives.is_announced(core, generation)
     }
 
     /// Whether an owner word that names `core` and has these bits of a generation is of a life that

@@ -45,6 +45,9 @@ pub const PATIENCE: u32 = 32;
 
 /// The longest pause between two looks, in spins.
 const MAX_PAUSE: u32 = 64;
+/// How often an attachment tries to replace a token that its core's earlier life left. Then the
+/// token has changed by others so often that it is no longer that one.
+const DISOWN_ATTEMPTS: u32 = 16;
 
 const TOKEN_AT: usize = 0;
 /// Lives of a core that have released words of their own.
@@ -161,8 +164,8 @@ impl<'a> Lock<'a> {
     #[cold]
     fn disown_earlier_lives(&self, life: Life) {
         // Each failed attempt is a change by one of two other cores, which takes the orphan or
-        // begins or ends waiting.
-        for attempt in 1.. {
+        // begins or ends waiting, or by an earlier life that attaches late.
+        for attempt in 1..=2 * DISOWN_ATTEMPTS {
             // Acquire pairs with the Release in `take`. Read before `earlier`: a token that was
             // there before this life had attached is not its own.
             let token = self.token().load(Ordering::Acquire);
@@ -175,8 +178,8 @@ impl<'a> Lock<'a> {
             } else {
                 token
             } & !waiting_bit(self.core);
-            if new == token || self.take(token, new) || attempt == 16 {
-                self.attached.insert(life, earlier);
+            let is_disowned = new == token || self.take(token, new) || attempt >= DISOWN_ATTEMPTS;
+            if is_disowned && self.attached.insert(life, earlier) {
                 return;
             }
         }
@@ -344,7 +347,8 @@ impl<'a> Lock<'a> {
         released == token & !WAITING
     }
 
-    /// The waiting bits of living cores whose turn is before this core's.
+    /// The waiting bits of living cores whose turn is before this core's. A bit that an earlier life
+    /// left does not count before its successor attaches, which clears it.
     fn waiting_before(&self, token: u32) -> u32 {
         if token & WAITING & !waiting_bit(self.core) == 0 {
             return 0;
@@ -353,7 +357,7 @@ impl<'a> Lock<'a> {
         (last + 1..=last + CORES)
             .map(|core| core % CORES)
             .take_while(|&core| core != self.core)
-            .filter(|&core| self.attached.lives().current(core).is_some())
+            .filter(|&core| self.attached.has_living(core))
             .fold(0, |bits, core| bits | token & waiting_bit(core))
     }
 }
@@ -447,6 +451,7 @@ mod tests {
     use crate::step::{freeze_at, kill_at, zeroed};
     use crate::sync::spin;
 
+    #[derive(Clone, Copy)]
     struct Bench {
         words: &'static [AtomicU32],
         lives: Lives<'static>,
@@ -549,6 +554,43 @@ mod tests {
         drop(bench.start(0, 1).try_lock());
         bench.kill(0, 1);
         assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
+    }
+
+    /// A life that attaches after its successor has attached, at once or frozen at any step of it:
+    /// the successor keeps the lock that it holds. T-LOCK-3
+    #[test]
+    fn a_life_that_attaches_late_opens_no_lock() {
+        for at in 0.. {
+            let bench = Bench::new();
+            let late = Life::new(0, 1).unwrap();
+            bench.lives.announce(late).unwrap();
+            let meanwhile = move || {
+                let mut successor = bench.start(0, 2);
+                core::mem::forget(successor.try_lock().unwrap());
+            };
+            let attach = || Lock::attach(bench.words, late, bench.lives);
+            let (_, hit) = freeze_at(at, meanwhile, attach);
+            if !hit {
+                meanwhile();
+                let _ = attach();
+            }
+            assert!(bench.start(1, 1).try_lock().is_none(), "frozen at {at}");
+            if !hit {
+                break;
+            }
+        }
+    }
+
+    /// A waiting core that was killed and whose successor has not attached keeps nothing waiting.
+    #[test]
+    fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
+        let bench = Bench::new();
+        let (mut one, _two, mut three) = (bench.start(0, 1), bench.start(1, 1), bench.start(2, 1));
+        drop(one.try_lock());
+        one.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+        assert!(three.try_lock().is_none(), "core 1 waits");
+        bench.lives.announce(Life::new(1, 2).unwrap()).unwrap();
+        assert!(three.try_lock().is_some(), "its successor does not");
     }
 
     /// An owner that releases and then dies, while another core is frozen at any step of its own

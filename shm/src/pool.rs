@@ -41,7 +41,8 @@ pub const BLOCK_WORDS: usize = LINE_WORDS;
 /// The largest number of blocks: they are counted in 9 bits. One less than the LMU of a TC297 has.
 pub const MAX_BLOCKS: usize = 511;
 
-/// How often [`Pool::get`] begins again after another core took a block that it had found free.
+/// How often [`Pool::get`] begins again after another core took a block that it had found free, and
+/// [`Pool::attach`] after another life attached.
 const ATTEMPTS: u32 = 4;
 
 /// How many allocations were begun.
@@ -225,24 +226,29 @@ impl<'a> Pool<'a> {
         Ok(pool)
     }
 
-    /// Frees what earlier lives of a core own, unless `life` has attached already.
+    /// Frees what earlier lives of a core own, unless `life` has attached already or is not alive.
     #[cold]
     fn disown_earlier_lives(&self, life: Life) {
-        let Some(earlier) = self.attached.earlier(life) else {
-            return;
-        };
-        for block in 0..self.states.len() {
-            // Acquire pairs with the Release in `replace`. Read before `earlier`: a head that was
-            // there before this life had attached is not its own.
-            let state = self.states[block].load(Ordering::Acquire);
-            if self.attached.earlier(life).is_none() {
+        // Another attempt only if another core, or an earlier life, attached the core in between.
+        for _ in 0..ATTEMPTS {
+            let Some(earlier) = self.attached.earlier(life) else {
+                return;
+            };
+            for block in 0..self.states.len() {
+                // Acquire pairs with the Release in `replace`. Read before `earlier`: a head that
+                // was there before this life had attached is not its own.
+                let state = self.states[block].load(Ordering::Acquire);
+                if self.attached.earlier(life).is_none() {
+                    return;
+                }
+                if state & CORE_MASK == life.core() as u32 + 1 {
+                    self.replace(block, state, free(stamp_of(state)));
+                }
+            }
+            if self.attached.insert(life, earlier) {
                 return;
             }
-            if state & CORE_MASK == life.core() as u32 + 1 {
-                self.replace(block, state, free(stamp_of(state)));
-            }
         }
-        self.attached.insert(life, earlier);
     }
 
     /// Borrows `n_words` words (`shdmem_get`). They hold what an earlier owner left. Never blocks;
@@ -330,16 +336,15 @@ impl<'a> Pool<'a> {
     /// How many words are free, in whole blocks, as far as one look tells (`size_remain`).
     #[must_use]
     pub fn free_words(&self) -> usize {
-        let mut free = 0;
-        let mut block = 0;
-        while block < self.states.len() {
+        let is_free = |block: usize| {
             // Acquire pairs with the Release in `replace`.
             let state = self.states[block].load(Ordering::Acquire);
-            let run = self.run_of(block, state);
-            free += usize::from(run.is_none());
-            block = run.map_or(block, |(first, head)| self.end_of(first, head) - 1) + 1;
-        }
-        free * BLOCK_WORDS
+            self.run_of(block, state).is_none()
+        };
+        (0..self.states.len())
+            .filter(|&block| is_free(block))
+            .count()
+            * BLOCK_WORDS
     }
 
     /// The head of an allocation that this life owns.

@@ -424,3 +424,76 @@ proptest! {
         check(&ops);
     }
 }
+
+/// A life that attaches after its successor has attached takes nothing from it.
+#[test]
+fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
+    let bench = Bench::new();
+    let late = Life::new(0, 1).unwrap();
+    bench.lives.announce(late).unwrap();
+    let (living, other) = (bench.start(0, 2), bench.start(1, 1));
+    let kept = living.get(16).unwrap();
+    let _late = Pool::attach(bench.words, BLOCKS, late, bench.lives).unwrap();
+    assert_eq!(other.reclaim_dead(), 0);
+    assert!(living.open(kept).is_ok());
+    let next = living.get(16).unwrap();
+    assert!(other.get((BLOCKS - 1) * BLOCK_WORDS).is_err());
+    assert!(living.open(next).is_ok());
+}
+
+/// The same if the late life attaches at any step, and if its attachment is one that a core makes
+/// in its place when it hands over.
+#[test]
+fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
+    for by_hand_over in [false, true] {
+        for at in 0.. {
+            let bench = Bench::new();
+            let (late, next) = (Life::new(1, 1).unwrap(), Life::new(1, 2).unwrap());
+            bench.lives.announce(late).unwrap();
+            let giver = bench.start(0, 1);
+            let given = giver.get(16).unwrap();
+            let kept = std::rc::Rc::new(core::cell::Cell::new(None));
+            let meanwhile = {
+                let kept = kept.clone();
+                move || {
+                    let living = bench.start(1, 2);
+                    kept.set(Some((living, living.get(16).unwrap())));
+                }
+            };
+            let (_, hit) = freeze_at(at, meanwhile, || {
+                if by_hand_over {
+                    let _ = giver.hand_over(given, 1);
+                } else {
+                    let _ = Pool::attach(bench.words, BLOCKS, late, bench.lives);
+                }
+            });
+            if !hit {
+                assert!(at > BLOCKS);
+                break;
+            }
+            let (living, first) = kept.take().unwrap();
+            assert!(bench.lives.is_alive(next));
+            assert!(living.open(first).is_ok(), "frozen at {at}");
+            let second = living.get(16).unwrap();
+            assert_eq!(giver.reclaim_dead(), 0, "frozen at {at}");
+            assert!(
+                living.open(first).is_ok() && living.open(second).is_ok(),
+                "frozen at {at}"
+            );
+        }
+    }
+}
+
+/// To count the free words ends, also while a run is being gathered or its owner was killed there.
+#[test]
+fn free_words_end_wherever_a_core_is_killed() {
+    for at in 0.. {
+        let bench = Bench::new();
+        let (dying, other) = (bench.start(0, 1), bench.start(1, 1));
+        let done = kill_at(at, || dying.get(3 * BLOCK_WORDS).unwrap()).is_some();
+        assert!(other.free_words() <= BLOCKS * BLOCK_WORDS);
+        if done {
+            break;
+        }
+    }
+}

@@ -58,8 +58,9 @@ impl Futex {
 
     /// Takes a ring that is pending.
     fn take(&self) {
-        // Pairs with the swap in `wake`: a ring that comes later finds EMPTY.
-        self.0.store(EMPTY, SeqCst);
+        // Pairs with the swap in `wake`: a ring that comes later finds EMPTY. A swap, not a store:
+        // it reads the PENDING that it replaces, so the bits of that ring are seen by the drain.
+        self.0.swap(EMPTY, SeqCst);
     }
 
     /// Returns when rung, when `timeout` has passed, or on a signal; leaves the word EMPTY or
