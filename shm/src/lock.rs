@@ -287,7 +287,9 @@ impl<'a> Lock<'a> {
                 Err(Missed::Passed { turn }) => passed = (turn, 1),
             }
             if self.token().load(Ordering::Relaxed) & own_bit == 0 {
-                let token = self.token().fetch_or(own_bit, Ordering::Relaxed);
+                // Release pairs with the fence in `waiting_before`: a core that sees the bit sees that
+                // this life has attached, so that the bit counts.
+                let token = self.token().fetch_or(own_bit, Ordering::Release);
                 announced.get_or_insert(token & !(ONE_TURN - 1));
             }
             relax(pause);
@@ -353,6 +355,8 @@ impl<'a> Lock<'a> {
         if token & WAITING & !waiting_bit(self.core) == 0 {
             return 0;
         }
+        // Acquire pairs with the Release of the bit in `lock`.
+        fence(Ordering::Acquire);
         let last = core_of(token);
         (last + 1..=last + CORES)
             .map(|core| core % CORES)
