@@ -155,6 +155,13 @@ fn failing_model(copy: &Path, models: &[&str]) -> Result<Option<String>> {
             return Ok(Some(format!("{model}::{failed}")));
         }
         let error = String::from_utf8_lossy(&output.stderr);
+        // A panic while another one unwinds aborts the process, before the line above is printed.
+        let panicked = error
+            .lines()
+            .find_map(|line| line.strip_prefix("thread '")?.split('\'').next());
+        if let Some(panicked) = panicked {
+            return Ok(Some(format!("{model}::{panicked}")));
+        }
         ensure!(output.status.success(), "{model} does not build:\n{error}");
     }
     Ok(None)
