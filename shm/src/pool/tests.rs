@@ -446,7 +446,7 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
 #[test]
 fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
     for by_hand_over in [false, true] {
-        for at in 0.. {
+        for at in steps() {
             let bench = Bench::new();
             let (late, next) = (Life::new(1, 1).unwrap(), Life::new(1, 2).unwrap());
             bench.lives.announce(late).unwrap();
@@ -487,7 +487,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
 /// To count the free words ends, also while a run is being gathered or its owner was killed there.
 #[test]
 fn free_words_end_wherever_a_core_is_killed() {
-    for at in 0.. {
+    for at in steps() {
         let bench = Bench::new();
         let (dying, other) = (bench.start(0, 1), bench.start(1, 1));
         let done = kill_at(at, || dying.get(3 * BLOCK_WORDS).unwrap()).is_some();
