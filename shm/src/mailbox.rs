@@ -27,10 +27,10 @@
 //! had not returned when the receiver died is handled by its successor, so handlers run at least
 //! once a signal.
 //!
-//! Limit: a sender keeps private copies of its counters and only stores. If a life that was declared
-//! dead runs on and signals beside its successor, it stores an old count: a signal of the successor
-//! may wait for the next one to that task, or a handler is told a wrong count. A board must end a
-//! life before it starts the next; the host's supply kills it, a chip resets it.
+//! Limit: a sender keeps private copies of its counters and only stores. If a life that was
+//! declared dead runs on and signals beside its successor, it stores an old count: a signal of the
+//! successor may wait for the next one to that task, or a handler is told a wrong count. A board
+//! must end a life before it starts the next; the host's supply kills it, a chip resets it.
 
 use crate::region::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};

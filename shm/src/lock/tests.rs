@@ -1,0 +1,371 @@
+//! The lock against deaths and freezes at every access, stragglers and scribble.
+
+use super::*;
+use crate::step::{freeze_at, kill_at, zeroed};
+use crate::sync::spin;
+
+#[derive(Clone, Copy)]
+struct Bench {
+    words: &'static [AtomicU32],
+    lives: Lives<'static>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self {
+            words: zeroed(WORDS),
+            lives: Lives::attach(zeroed(Lives::WORDS)).unwrap(),
+        }
+    }
+
+    /// A new life of a core, at this lock.
+    fn start(&self, core: usize, generation: u32) -> Lock<'static> {
+        let life = Life::new(core, generation).unwrap();
+        self.lives.announce(life).unwrap();
+        Lock::attach(self.words, life, self.lives).unwrap()
+    }
+
+    fn kill(&self, core: usize, generation: u32) {
+        assert!(self.lives.mark_dead(Life::new(core, generation).unwrap()));
+    }
+
+    fn token(&self) -> &'static AtomicU32 {
+        &self.words[TOKEN_AT]
+    }
+}
+
+/// T-LOCK-1: one owner at a time, of three cores.
+#[test]
+fn the_lock_is_taken_once() {
+    let bench = Bench::new();
+    let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+    for _ in 0..3 {
+        let guard = a.try_lock().unwrap();
+        assert!(!guard.is_recovered());
+        assert!(b.try_lock().is_none());
+        assert_eq!(c.lock(5, |_| ()).unwrap_err(), TimedOut);
+        drop(guard);
+        assert!(b.lock(1, |_| ()).is_ok());
+        assert!(c.try_lock().is_some());
+    }
+}
+
+#[test]
+fn a_detached_guard_holds_the_lock_until_it_is_dropped() {
+    let bench = Bench::new();
+    let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+    for _ in 0..3 {
+        let held = a.try_lock().unwrap().into_guard().detach();
+        assert!(b.try_lock().is_none());
+        assert!(a.try_lock().is_none(), "not a second time by the same end");
+        drop(held);
+        assert!(b.try_lock().is_some());
+    }
+    let _lost = a.try_lock().unwrap().into_guard().detach();
+    bench.kill(0, 1);
+    assert!(b.try_lock().unwrap().is_recovered());
+}
+
+/// Two tasks of one core exclude each other as two cores do.
+#[test]
+fn two_ends_of_one_life_exclude_each_other() {
+    let bench = Bench::new();
+    let [mut one, mut two] = [bench.start(0, 1), bench.start(0, 1)];
+    let guard = one.try_lock().unwrap();
+    assert!(two.try_lock().is_none());
+    drop(guard);
+    let guard = two.try_lock().unwrap();
+    assert!(one.try_lock().is_none());
+    drop(guard);
+    assert!(one.try_lock().is_some());
+}
+
+/// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so; whoever
+/// takes it from one that died in the middle of the repair is told again.
+#[test]
+fn a_dead_owner_is_replaced_and_the_taker_is_told() {
+    let bench = Bench::new();
+    let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+    core::mem::forget(a.try_lock().unwrap());
+    assert!(b.try_lock().is_none(), "nobody says that it is dead");
+    bench.kill(0, 1);
+    let guard = b.try_lock().unwrap();
+    assert!(guard.is_recovered());
+    core::mem::forget(guard);
+    bench.start(1, 2);
+    assert!(
+        c.try_lock().unwrap().is_recovered(),
+        "a new life of the owner's core is enough"
+    );
+    assert!(!c.try_lock().unwrap().is_recovered());
+    assert!(!bench.start(0, 2).try_lock().unwrap().is_recovered());
+}
+
+#[test]
+fn a_death_after_the_release_is_no_recovery() {
+    let bench = Bench::new();
+    drop(bench.start(0, 1).try_lock());
+    bench.kill(0, 1);
+    assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
+}
+
+/// A life that attaches after its successor has attached, at once or frozen at any step of it:
+/// the successor keeps the lock that it holds. T-LOCK-3
+#[test]
+fn a_life_that_attaches_late_opens_no_lock() {
+    for at in 0.. {
+        let bench = Bench::new();
+        let late = Life::new(0, 1).unwrap();
+        bench.lives.announce(late).unwrap();
+        let meanwhile = move || {
+            let mut successor = bench.start(0, 2);
+            core::mem::forget(successor.try_lock().unwrap());
+        };
+        let attach = || Lock::attach(bench.words, late, bench.lives);
+        let (_, hit) = freeze_at(at, meanwhile, attach);
+        if !hit {
+            meanwhile();
+            let _ = attach();
+        }
+        assert!(bench.start(1, 1).try_lock().is_none(), "frozen at {at}");
+        if !hit {
+            break;
+        }
+    }
+}
+
+/// A waiting core that was killed and whose successor has not attached keeps nothing waiting.
+#[test]
+fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
+    let bench = Bench::new();
+    let (mut one, _two, mut three) = (bench.start(0, 1), bench.start(1, 1), bench.start(2, 1));
+    drop(one.try_lock());
+    one.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+    assert!(three.try_lock().is_none(), "core 1 waits");
+    bench.lives.announce(Life::new(1, 2).unwrap()).unwrap();
+    assert!(three.try_lock().is_some(), "its successor does not");
+}
+
+/// An owner that releases and then dies, while another core is frozen at any step of its own
+/// attempt: the taker is told of no death.
+#[test]
+fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() {
+    for at in 0.. {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        let held = a.try_lock().unwrap().into_guard().detach();
+        let lives = bench.lives;
+        let meanwhile = move || {
+            drop(held);
+            assert!(lives.mark_dead(Life::new(0, 1).unwrap()));
+        };
+        let (recovered, hit) = freeze_at(at, meanwhile, || {
+            b.lock(2, |_| ())
+                .ok()
+                .map(|acquired| acquired.is_recovered())
+        });
+        if !hit {
+            break;
+        }
+        assert_ne!(recovered, Some(true), "frozen at {at}");
+    }
+}
+
+/// T-LOCK-3: generations that are equal in the bits that a token has do not make the dead
+/// alive, whether the lives between them attach to the lock or not.
+#[test]
+fn a_dead_owner_is_replaced_after_any_number_of_lives() {
+    for lives in [1, 3, 4, 15, 16, 17, 32, 64] {
+        for attach_from in [2, lives, lives + 1, lives + 2] {
+            let bench = Bench::new();
+            let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+            core::mem::forget(a.try_lock().unwrap());
+            for generation in 2..lives + 2 {
+                if generation >= attach_from {
+                    bench.start(0, generation);
+                } else {
+                    let life = Life::new(0, generation).unwrap();
+                    bench.lives.announce(life).unwrap();
+                }
+            }
+            let recovered = b.try_lock().map(|acquired| acquired.is_recovered());
+            assert_eq!(recovered, Some(true), "{lives} lives, {attach_from}");
+        }
+    }
+}
+
+/// T-LOCK-3: an owner killed at any step leaves a lock that the next taker gets.
+#[test]
+fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
+    for at in 0.. {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        drop(b.try_lock());
+        let held = core::cell::Cell::new(false);
+        let done = kill_at(at, || {
+            let guard = a.lock(3, |_| ()).unwrap();
+            held.set(true);
+            drop(guard);
+        });
+        bench.kill(0, 1);
+        let acquired = b.lock(1, |_| ()).unwrap();
+        if held.get() {
+            assert_eq!(acquired.is_recovered(), done.is_none(), "killed at {at}");
+        }
+        drop(acquired);
+        assert!(!bench.start(0, 2).lock(1, |_| ()).unwrap().is_recovered());
+        if done.is_some() {
+            break;
+        }
+    }
+}
+
+/// A waiting core killed at any step keeps nobody from the lock.
+#[test]
+fn a_waiter_killed_at_every_step_keeps_nobody_out() {
+    for at in 0.. {
+        let bench = Bench::new();
+        let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        let guard = a.try_lock().unwrap();
+        let done = kill_at(at, || assert_eq!(b.lock(3, |_| ()).unwrap_err(), TimedOut));
+        drop(guard);
+        // Before anyone knows of the death: patience.
+        assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
+        assert!(a.try_lock().is_some());
+        assert!(c.try_lock().is_some(), "its bit is struck");
+        if done.is_some() {
+            break;
+        }
+    }
+    let bench = Bench::new();
+    let [mut a, _b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+    drop(a.try_lock());
+    bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+    assert!(c.try_lock().is_none(), "it is its turn");
+    bench.kill(1, 1);
+    assert!(c.try_lock().is_some(), "the dead have no turn");
+    bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+    bench.start(1, 2);
+    assert!(
+        c.try_lock().is_some(),
+        "and a successor waits only when it says so"
+    );
+}
+
+/// A straggler: frozen at any step of its critical section, declared dead, replaced in all its
+/// words by a busy lock, thawed. It releases nothing that another holds.
+#[test]
+fn a_straggler_releases_nobody_elses_lock() {
+    for lives in 1..RELEASED_LIVES as u32 {
+        for at in 0..4 {
+            let bench = Bench::new();
+            let mut old = bench.start(0, 1);
+            let mut other = bench.start(1, 1);
+            let words = bench.words;
+            let meanwhile = move || {
+                for generation in 2..=1 + lives {
+                    drop(
+                        Bench {
+                            words,
+                            lives: bench.lives,
+                        }
+                        .start(0, generation)
+                        .try_lock(),
+                    );
+                }
+                let mut new = Bench {
+                    words,
+                    lives: bench.lives,
+                }
+                .start(0, 1 + lives);
+                core::mem::forget(new.lock(PATIENCE + 2, |_| ()).unwrap());
+            };
+            let (_, hit) = freeze_at(at, meanwhile, || drop(old.try_lock()));
+            if hit {
+                assert!(
+                    other.try_lock().is_none(),
+                    "{lives} lives later, frozen at {at}"
+                );
+            }
+        }
+    }
+}
+
+/// T-LOCK-3: starvation is bounded. The lock goes round; a waiting core is passed twice at
+/// most.
+#[test]
+fn the_lock_goes_round_among_waiting_cores() {
+    let bench = Bench::new();
+    let mut cores = [0, 1, 2].map(|core| bench.start(core, 1));
+    drop(cores[1].try_lock());
+    for core in [0, 1, 2] {
+        bench.token().fetch_or(waiting_bit(core), Ordering::Relaxed);
+    }
+    for next in [2, 0, 1] {
+        for core in [0, 1, 2] {
+            if core != next {
+                assert!(cores[core].try_lock().is_none(), "{core} before {next}");
+            }
+        }
+        assert!(cores[next].try_lock().is_some());
+    }
+    assert!(cores[1].try_lock().is_some(), "nobody waits any more");
+}
+
+/// T-LOCK-3: waiting is bounded, backs off, and reads.
+#[test]
+fn waiting_backs_off_and_ends() {
+    let bench = Bench::new();
+    let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+    let guard = a.try_lock().unwrap();
+    let mut pauses = std::vec::Vec::new();
+    let before = bench.token().load(Ordering::Relaxed);
+    assert_eq!(b.lock(9, |pause| pauses.push(pause)).unwrap_err(), TimedOut);
+    assert_eq!(pauses, [1, 2, 4, 8, 16, 32, 64, 64, 64]);
+    assert_eq!(
+        bench.token().load(Ordering::Relaxed),
+        before,
+        "it waits no more"
+    );
+    drop(guard);
+}
+
+/// The number of turns wraps around; a core that comes back exactly then does not hold a lock
+/// that its last release has released already.
+#[test]
+fn turns_wrap_around() {
+    let bench = Bench::new();
+    let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+    drop(b.try_lock());
+    // All turns of a round but one later.
+    let before = (b.mine & !(ONE_TURN - 1)).wrapping_sub(ONE_TURN) | a.identity;
+    bench.token().store(before, Ordering::Relaxed);
+    a.own_released.store(before, Ordering::Relaxed);
+    let guard = b.try_lock().unwrap();
+    assert!(a.try_lock().is_none());
+    drop(guard);
+    assert!(a.try_lock().is_some());
+}
+
+#[test]
+fn scribbled_words_cost_time_and_no_more() {
+    for scribble in [
+        1,
+        4,
+        WAITING,
+        ONE_TURN,
+        0x1234_5678,
+        u32::MAX,
+        u32::MAX << 2,
+    ] {
+        let bench = Bench::new();
+        let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
+        drop(a.try_lock());
+        bench
+            .words
+            .iter()
+            .for_each(|word| word.store(scribble, Ordering::Relaxed));
+        let _ = b.lock(PATIENCE + 3, spin);
+        let _ = a.lock(PATIENCE + 3, spin);
+    }
+}
