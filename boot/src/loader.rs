@@ -153,7 +153,7 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// [`FlashFault`] if the flash cannot be read or written: reset and try again.
     pub fn next(&mut self, now: Instant) -> Result<Next, FlashFault> {
         if core::mem::take(&mut self.was_busy) {
-            // While the flash works the loader hears nobody: that is no silence of the host.
+            // While the flash works, the loader does not read CAN: this is no silence of the host.
             self.session.hear(now);
         }
         if let Some(frame) = self.answer.take() {

@@ -176,7 +176,7 @@ pub enum Request<'a> {
         /// Continue after what was accepted before the connection broke.
         resume: bool,
     },
-    /// Extension: so many records may be under way without an answer.
+    /// Extension: how many records the host may send before it waits for an answer.
     Offer {
         /// At least 1.
         records: u8,

@@ -311,7 +311,7 @@ pub(crate) struct FlashArgs {
     #[arg(long)]
     pub(crate) resume: bool,
 
-    /// Wait so many seconds for a bootloader
+    /// How long to wait for a bootloader, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 30)]
     pub(crate) wait: u32,
 

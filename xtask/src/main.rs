@@ -138,7 +138,7 @@ enum Campaign {
         /// Write {points, bricks} to this file
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
-        /// Only every so many moments
+        /// Cut at every N-th moment only
         #[arg(long, default_value_t = 1)]
         every: u64,
         /// Sweep a bootloader with this defect instead; fails if there is no brick
@@ -153,7 +153,7 @@ enum Campaign {
         /// Write {files, wrong} to this file
         #[arg(long, value_name = "FILE")]
         json: Option<PathBuf>,
-        /// Take what nobody signed; fails if nothing is accepted wrongly
+        /// Accept unsigned files; fails if none is accepted wrongly
         #[arg(long)]
         monitor: bool,
     },

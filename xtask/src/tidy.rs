@@ -72,7 +72,7 @@ const MAY_BE_UNSAFE: &[&str] = &[
 /// Folders with lock-free code: each memory order that is not relaxed names its partner there.
 const NAMES_PARTNERS: &[&str] = &["shm/src/", "board/host/src/", "rtos/src/"];
 const ORDERS: [&str; 4] = ["Acquire", "Release", "AcqRel", "SeqCst"];
-/// The partner is named in a comment at most so many lines above.
+/// The partner is named in a comment at most this many lines above.
 const PARTNER_WITHIN: usize = 12;
 /// No file of code is longer.
 const MAX_LINES: usize = 800;

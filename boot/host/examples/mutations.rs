@@ -31,7 +31,7 @@ struct Arguments {
     /// Write {files, wrong} to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Take what nobody signed; files must be accepted wrongly
+    /// Accept unsigned files; some must then be accepted wrongly
     #[arg(long)]
     monitor: bool,
 }

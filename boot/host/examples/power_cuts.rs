@@ -28,7 +28,7 @@ struct Arguments {
     /// Write {points, bricks} to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Every so many ticks of a scenario; 1 is every byte of every operation
+    /// Cut at every N-th tick of a scenario; 1 is every byte of every operation
     #[arg(long, default_value_t = 1)]
     every: u64,
     /// Sweep a bootloader with a defect instead; bricks must appear

@@ -47,7 +47,7 @@ pub struct Life<'a> {
     pub approves: bool,
     /// A new bootloader that crashes as soon as it is started.
     pub new_loader_crashes: bool,
-    /// Loaders take what nobody signed.
+    /// Loaders accept unsigned images.
     pub monitor: bool,
     /// Public keys of the loaders.
     pub keys: Vec<[u8; 32]>,
