@@ -236,11 +236,11 @@ enum tandem_status_t
   TANDEM_STATUS_WRONG_VERSION = 33,
   // The LMU was formatted by an image with another layout.
   TANDEM_STATUS_WRONG_LAYOUT = 34,
-  // A later life of this core is announced, or this one was marked dead: it must stop.
+  // A later incarnation of this core is announced, or this one was marked dead: it must stop.
   TANDEM_STATUS_OUTDATED = 35,
   // The words were given back, or reclaimed from a dead owner, since.
   TANDEM_STATUS_STALE = 36,
-  // The words belong to another core, or to an earlier life of this one.
+  // The words belong to another core, or to an earlier incarnation of this one.
   TANDEM_STATUS_NOT_OWNER = 37,
   // The handle or the datagram is none: forged or scribbled on.
   TANDEM_STATUS_INVALID = 38,
@@ -409,7 +409,7 @@ typedef struct tandem_newest_reader_t {
   size_t opaque[18];
 } tandem_newest_reader_t;
 
-// A pool as one life of one core sees it. Static, zero at first.
+// A pool as one incarnation of one core sees it. Static, zero at first.
 typedef struct tandem_pool_t {
   // Private.
   size_t opaque[22];
@@ -428,7 +428,7 @@ typedef struct tandem_redundancy_t {
   uint64_t opaque[96];
 } tandem_redundancy_t;
 
-// What a system knows about itself and the other beyond its own life.
+// What a system knows about itself and the other beyond its own incarnation.
 typedef struct tandem_state_t {
   // Not 0: it was master last, or was initialised as master.
   uint32_t is_master;
@@ -554,8 +554,8 @@ extern "C" {
 // `TANDEM_BROADCAST_WORDS` is the same as a constant.
 size_t tandem_broadcast_words(size_t slots, size_t slot_words);
 
-// Attaches to the ring in region `region`, after the values of earlier lives. All ends must be
-// given the same shape. Task; does not block.
+// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
+// be given the same shape. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -641,8 +641,8 @@ tandem_status_t tandem_config_check(const struct tandem_config_t *config);
 // the same as a constant.
 size_t tandem_fifo_words(size_t slots, size_t slot_words);
 
-// Attaches to the FIFO in region `region`, behind what earlier lives have sent. Both ends must be
-// given the same shape. Task; does not block.
+// Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
+// must be given the same shape. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -671,7 +671,7 @@ tandem_status_t tandem_fifo_loan(struct tandem_fifo_producer_t *producer,
 // 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_send(struct tandem_fifo_producer_t *producer);
 
-// Attaches to the FIFO in region `region`, at the oldest value that earlier lives have not
+// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
 // released. Task; does not block.
 //
 // # Safety
@@ -700,9 +700,9 @@ tandem_status_t tandem_fifo_receive(struct tandem_fifo_consumer_t *consumer,
 // 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_release(struct tandem_fifo_consumer_t *consumer);
 
-// Attaches to the lock in region `region`, as life `generation` of core `core`, which was
-// announced. A lock that an earlier life held is not released by this, but recovered by the next
-// taker. Task; does not block.
+// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
+// announced. A lock that an earlier incarnation held is not released by this, but recovered by the
+// next taker. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -744,7 +744,7 @@ tandem_status_t tandem_lock_try_acquire(struct tandem_lock_t *lock);
 tandem_status_t tandem_lock_release(struct tandem_lock_t *lock);
 
 // Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-// once afterwards: an earlier life may not have come so far. Task; does not block.
+// once afterwards: an earlier incarnation may not have come so far. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -779,7 +779,7 @@ tandem_status_t tandem_mailbox_signal_with(struct tandem_mailbox_sender_t *sende
 uint32_t tandem_mailbox_open(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
 // Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-// an earlier life of this core left open come with the first poll. Task; does not block.
+// an earlier incarnation of this core left open come with the first poll. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -879,41 +879,43 @@ tandem_status_t tandem_map_region(const struct tandem_map_t *map,
                                   size_t index,
                                   struct tandem_words_t *words);
 
-// Announces life number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an earlier
-// life of this core owned is free to be taken over from here on. Task; does not block.
+// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
+// earlier incarnation of this core owned is free to be taken over from here on. Task; does not
+// block.
 //
-// `TANDEM_STATUS_OUTDATED` if this life is not the latest, or was marked dead: it must stop.
+// `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
+// stop.
 //
 // # Safety
 // 1 of the caller's contract.
-tandem_status_t tandem_life_announce(const struct tandem_map_t *map,
-                                     uint32_t core,
-                                     uint32_t generation);
+tandem_status_t tandem_incarnation_announce(const struct tandem_map_t *map,
+                                            uint32_t core,
+                                            uint32_t generation);
 
-// Marks a life as dead: it was seen to end and will not run again. For the supervisor of the
-// cores. Any context; does not block.
+// Marks an incarnation as dead: it was seen to end and will not run again. For the supervisor of
+// the cores. Any context; does not block.
 //
-// `TANDEM_STATUS_OUTDATED` if it is not the announced life: there is nothing to mark.
+// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
 //
 // # Safety
 // 1 of the caller's contract.
-tandem_status_t tandem_life_mark_dead(const struct tandem_map_t *map,
-                                      uint32_t core,
-                                      uint32_t generation);
+tandem_status_t tandem_incarnation_mark_dead(const struct tandem_map_t *map,
+                                             uint32_t core,
+                                             uint32_t generation);
 
-// The generation of the living life of a core; 0 if it has not begun, is dead, or the arguments
-// are no good. Any context; does not block.
+// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
+// arguments are no good. Any context; does not block.
 //
 // # Safety
 // 1 of the caller's contract.
-uint32_t tandem_life_current(const struct tandem_map_t *map, uint32_t core);
+uint32_t tandem_incarnation_current(const struct tandem_map_t *map, uint32_t core);
 
 // Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
 // `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
 size_t tandem_newest_words(size_t slots, size_t slot_words);
 
-// Attaches to the channel in region `region`, after the values of earlier lives. All ends must be
-// given the same shape. Task; does not block.
+// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
+// must be given the same shape. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -961,8 +963,8 @@ tandem_status_t tandem_newest_view(struct tandem_newest_reader_t *reader,
                                    struct tandem_words_t *words);
 
 // Whether all that was read through the last view was one value; its number, counted over all
-// lives of the writer and wrapping around, goes to `number` (null: nobody wants to know). Does not
-// block.
+// incarnations of the writer and wrapping around, goes to `number` (null: nobody wants to know).
+// Does not block.
 //
 // `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 //
@@ -986,9 +988,9 @@ tandem_status_t tandem_newest_read(struct tandem_newest_reader_t *reader,
 // `TANDEM_POOL_WORDS` is the same as a constant.
 size_t tandem_pool_words(size_t blocks);
 
-// Attaches to the pool of `blocks` blocks in region `region`, as life `generation` of core `core`,
-// which was announced. The first attachment of a life frees what earlier lives of its core own.
-// Task; does not block.
+// Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
+// `core`, which was announced. The first attachment of an incarnation frees what earlier
+// incarnations of its core own. Task; does not block.
 //
 // # Safety
 // 1, 2 and 3 of the caller's contract.
@@ -1010,8 +1012,8 @@ tandem_status_t tandem_pool_get(struct tandem_pool_t *pool,
                                 size_t count,
                                 struct tandem_handle_t *handle);
 
-// The words that a handle names, if this life owns them; they are one's own until they are given
-// back or handed over. Any context; does not block.
+// The words that a handle names, if this incarnation owns them; they are one's own until they are
+// given back or handed over. Any context; does not block.
 //
 // `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 //
@@ -1041,7 +1043,7 @@ tandem_status_t tandem_pool_hand_over(struct tandem_pool_t *pool,
                                       struct tandem_handle_t handle,
                                       uint32_t to);
 
-// Frees what lives that are not alive own, and returns how many words that were.
+// Frees what incarnations that are not alive own, and returns how many words that were.
 // `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 //
 // # Safety

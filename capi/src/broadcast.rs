@@ -33,8 +33,8 @@ pub extern "C" fn tandem_broadcast_words(slots: usize, slot_words: usize) -> usi
     shape(slots, slot_words).map_or(0, broadcast::words)
 }
 
-/// Attaches to the ring in region `region`, after the values of earlier lives. All ends must be
-/// given the same shape. Task; does not block.
+/// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
+/// be given the same shape. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.

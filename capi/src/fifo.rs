@@ -62,8 +62,8 @@ pub extern "C" fn tandem_fifo_words(slots: usize, slot_words: usize) -> usize {
     shape(slots, slot_words).map_or(0, fifo::words)
 }
 
-/// Attaches to the FIFO in region `region`, behind what earlier lives have sent. Both ends must be
-/// given the same shape. Task; does not block.
+/// Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
+/// must be given the same shape. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -128,7 +128,7 @@ pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> 
     })
 }
 
-/// Attaches to the FIFO in region `region`, at the oldest value that earlier lives have not
+/// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
 /// released. Task; does not block.
 ///
 /// # Safety

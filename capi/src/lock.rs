@@ -30,9 +30,9 @@ opaque!(TandemLock, End, 0x03);
 /// Passes the time of `spins` spins (1 ..= 64) between two looks at a lock: yields or sleeps.
 pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
 
-/// Attaches to the lock in region `region`, as life `generation` of core `core`, which was
-/// announced. A lock that an earlier life held is not released by this, but recovered by the next
-/// taker. Task; does not block.
+/// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
+/// announced. A lock that an earlier incarnation held is not released by this, but recovered by the
+/// next taker. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -47,8 +47,8 @@ pub unsafe extern "C" fn tandem_lock_attach(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         unsafe {
-            let (words, lives) = (map::region(map, region)?, map::lives(map)?);
-            let lock_end = Lock::attach(words, map::life(core, generation)?, lives)?;
+            let (words, incarnations) = (map::region(map, region)?, map::incarnations(map)?);
+            let lock_end = Lock::attach(words, map::incarnation(core, generation)?, incarnations)?;
             let end = End {
                 lock: lock_end,
                 held: None,

@@ -58,7 +58,7 @@ fn task_id(task: u32) -> Result<TaskId, S> {
 }
 
 /// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
-/// once afterwards: an earlier life may not have come so far. Task; does not block.
+/// once afterwards: an earlier incarnation may not have come so far. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -133,7 +133,7 @@ pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, t
 }
 
 /// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
-/// an earlier life of this core left open come with the first poll. Task; does not block.
+/// an earlier incarnation of this core left open come with the first poll. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.

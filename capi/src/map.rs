@@ -1,10 +1,10 @@
-//! The LMU: layout, map, lives.
+//! The LMU: layout, map, incarnations.
 
 use crate::cell::{self, opaque};
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::{CStr, c_char, c_void};
 use core::sync::atomic::AtomicU32;
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::map::{AttachError, Layout, Map, Region};
 
 /// Cores that share an LMU; they are numbered from 0.
@@ -14,7 +14,7 @@ pub const TANDEM_MAX_REGIONS: usize = 32;
 /// The longest name of a region, in bytes.
 pub const TANDEM_MAX_NAME: usize = 31;
 
-const _: () = assert!(TANDEM_CORES == tandem_shm::life::CORES);
+const _: () = assert!(TANDEM_CORES == tandem_shm::incarnation::CORES);
 
 /// One region of a layout. Names and sizes, in order, are the same in every image of a system,
 /// whether in C or in Rust.
@@ -240,17 +240,17 @@ pub(crate) unsafe fn region(
     Ok(attached.map.region(index))
 }
 
-/// The life table.
+/// The incarnation table.
 ///
 /// # Safety
 /// 1 and 3 of the caller's contract.
-pub(crate) unsafe fn lives(map: *const TandemMap) -> Result<Lives<'static>, S> {
+pub(crate) unsafe fn incarnations(map: *const TandemMap) -> Result<Incarnations<'static>, S> {
     // SAFETY: 1 is passed on; a map is written once and then only read.
-    Ok(unsafe { cell::share(map) }?.map.lives())
+    Ok(unsafe { cell::share(map) }?.map.incarnations())
 }
 
-pub(crate) fn life(core: u32, generation: u32) -> Result<Life, S> {
-    Life::new(core as usize, generation).ok_or(S::OutOfRange)
+pub(crate) fn incarnation(core: u32, generation: u32) -> Result<Incarnation, S> {
+    Incarnation::new(core as usize, generation).ok_or(S::OutOfRange)
 }
 
 /// The words of region `index` of the layout, rounded up to whole cache lines: for what this
@@ -276,65 +276,67 @@ pub unsafe extern "C" fn tandem_map_region(
     })
 }
 
-/// Announces life number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an earlier
-/// life of this core owned is free to be taken over from here on. Task; does not block.
+/// Announces incarnation number `generation` (1 ..= 2^30 - 1) of core `core` at its start. What an
+/// earlier incarnation of this core owned is free to be taken over from here on. Task; does not
+/// block.
 ///
-/// `TANDEM_STATUS_OUTDATED` if this life is not the latest, or was marked dead: it must stop.
+/// `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
+/// stop.
 ///
 /// # Safety
 /// 1 of the caller's contract.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn tandem_life_announce(
+pub unsafe extern "C" fn tandem_incarnation_announce(
     map: *const TandemMap,
     core: u32,
     generation: u32,
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let lives = unsafe { lives(map) }?;
-        match lives.announce(life(core, generation)?) {
+        let incarnations = unsafe { incarnations(map) }?;
+        match incarnations.announce(incarnation(core, generation)?) {
             Ok(()) => Ok(S::Ok),
             Err(_) => Err(S::Outdated),
         }
     })
 }
 
-/// Marks a life as dead: it was seen to end and will not run again. For the supervisor of the
-/// cores. Any context; does not block.
+/// Marks an incarnation as dead: it was seen to end and will not run again. For the supervisor of
+/// the cores. Any context; does not block.
 ///
-/// `TANDEM_STATUS_OUTDATED` if it is not the announced life: there is nothing to mark.
+/// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
 ///
 /// # Safety
 /// 1 of the caller's contract.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn tandem_life_mark_dead(
+pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     map: *const TandemMap,
     core: u32,
     generation: u32,
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let lives = unsafe { lives(map) }?;
-        match lives.mark_dead(life(core, generation)?) {
+        let incarnations = unsafe { incarnations(map) }?;
+        match incarnations.mark_dead(incarnation(core, generation)?) {
             true => Ok(S::Ok),
             false => Err(S::Outdated),
         }
     })
 }
 
-/// The generation of the living life of a core; 0 if it has not begun, is dead, or the arguments
-/// are no good. Any context; does not block.
+/// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
+/// arguments are no good. Any context; does not block.
 ///
 /// # Safety
 /// 1 of the caller's contract.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn tandem_life_current(map: *const TandemMap, core: u32) -> u32 {
+pub unsafe extern "C" fn tandem_incarnation_current(map: *const TandemMap, core: u32) -> u32 {
     // SAFETY: the caller's contract is passed on.
-    let lives = unsafe { lives(map) };
-    match (lives, core as usize) {
-        (Ok(lives), core) if core < TANDEM_CORES => {
-            lives.current(core).map_or(0, |life| life.generation())
-        }
+    let incarnations = unsafe { incarnations(map) };
+    match (incarnations, core as usize) {
+        (Ok(incarnations), core) if core < TANDEM_CORES => incarnations
+            .current(core)
+            .map_or(0, |incarnation| incarnation.generation()),
         _ => 0,
     }
 }

@@ -47,8 +47,8 @@ pub extern "C" fn tandem_newest_words(slots: usize, slot_words: usize) -> usize 
     shape(slots, slot_words).map_or(0, newest::words)
 }
 
-/// Attaches to the channel in region `region`, after the values of earlier lives. All ends must be
-/// given the same shape. Task; does not block.
+/// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
+/// must be given the same shape. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -162,8 +162,8 @@ pub unsafe extern "C" fn tandem_newest_view(
 }
 
 /// Whether all that was read through the last view was one value; its number, counted over all
-/// lives of the writer and wrapping around, goes to `number` (null: nobody wants to know). Does not
-/// block.
+/// incarnations of the writer and wrapping around, goes to `number` (null: nobody wants to know).
+/// Does not block.
 ///
 /// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
 ///

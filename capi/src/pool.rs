@@ -14,7 +14,7 @@ pub const TANDEM_MAX_BLOCKS: usize = 511;
 
 const _: () = assert!(TANDEM_BLOCK_WORDS == BLOCK_WORDS && TANDEM_MAX_BLOCKS == MAX_BLOCKS);
 
-/// A pool as one life of one core sees it. Static, zero at first.
+/// A pool as one incarnation of one core sees it. Static, zero at first.
 #[repr(C)]
 #[derive(Debug)]
 pub struct TandemPool {
@@ -53,9 +53,9 @@ pub extern "C" fn tandem_pool_words(blocks: usize) -> usize {
     }
 }
 
-/// Attaches to the pool of `blocks` blocks in region `region`, as life `generation` of core `core`,
-/// which was announced. The first attachment of a life frees what earlier lives of its core own.
-/// Task; does not block.
+/// Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
+/// `core`, which was announced. The first attachment of an incarnation frees what earlier
+/// incarnations of its core own. Task; does not block.
 ///
 /// # Safety
 /// 1, 2 and 3 of the caller's contract.
@@ -74,9 +74,12 @@ pub unsafe extern "C" fn tandem_pool_attach(
         }
         // SAFETY: the caller's contract is passed on.
         unsafe {
-            let (words, lives) = (map::region(map, region)?, map::lives(map)?);
-            let life = map::life(core, generation)?;
-            cell::put(pool, Pool::attach(words, blocks, life, lives)?)
+            let (words, incarnations) = (map::region(map, region)?, map::incarnations(map)?);
+            let incarnation = map::incarnation(core, generation)?;
+            cell::put(
+                pool,
+                Pool::attach(words, blocks, incarnation, incarnations)?,
+            )
         }
     })
 }
@@ -109,8 +112,8 @@ pub unsafe extern "C" fn tandem_pool_get(
     })
 }
 
-/// The words that a handle names, if this life owns them; they are one's own until they are given
-/// back or handed over. Any context; does not block.
+/// The words that a handle names, if this incarnation owns them; they are one's own until they are
+/// given back or handed over. Any context; does not block.
 ///
 /// `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
 ///
@@ -180,7 +183,7 @@ pub unsafe extern "C" fn tandem_pool_hand_over(
     })
 }
 
-/// Frees what lives that are not alive own, and returns how many words that were.
+/// Frees what incarnations that are not alive own, and returns how many words that were.
 /// `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 ///
 /// # Safety

@@ -35,11 +35,11 @@ pub enum TandemStatus {
     WrongVersion = 33,
     /// The LMU was formatted by an image with another layout.
     WrongLayout = 34,
-    /// A later life of this core is announced, or this one was marked dead: it must stop.
+    /// A later incarnation of this core is announced, or this one was marked dead: it must stop.
     Outdated = 35,
     /// The words were given back, or reclaimed from a dead owner, since.
     Stale = 36,
-    /// The words belong to another core, or to an earlier life of this one.
+    /// The words belong to another core, or to an earlier incarnation of this one.
     NotOwner = 37,
     /// The handle or the datagram is none: forged or scribbled on.
     Invalid = 38,

@@ -12,7 +12,7 @@ pub const TANDEM_RECORD_BYTES: usize = 32;
 
 const _: () = assert!(TANDEM_RECORD_BYTES == SystemState::BYTES);
 
-/// What a system knows about itself and the other beyond its own life.
+/// What a system knows about itself and the other beyond its own incarnation.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TandemState {

@@ -60,8 +60,8 @@ fn objects() -> *mut Objects {
             tandem_layout_init(layout, regions.as_ptr(), regions.len()),
             tandem_map_format(map, layout, base, LMU_BYTES),
             tandem_map_attach(map, layout, base, LMU_BYTES),
-            tandem_life_announce(map, 0, 1),
-            tandem_life_announce(map, 1, 1),
+            tandem_incarnation_announce(map, 0, 1),
+            tandem_incarnation_announce(map, 1, 1),
             tandem_mailbox_sender_attach(&raw mut (*o).sender, map, 0),
             tandem_mailbox_receiver_attach(&raw mut (*o).receiver, map, 0),
             tandem_lock_attach(&raw mut (*o).lock, map, 1, 0, 1),
@@ -202,12 +202,15 @@ fn a_lock_is_held_until_it_is_released_or_its_owner_is_dead() {
             tandem_lock_acquire(other, 9, Some(give_way), o.cast()),
             S::Ok
         );
-        assert_eq!(tandem_life_mark_dead(&raw const (*o).map, 1, 1), S::Ok);
         assert_eq!(
-            tandem_life_mark_dead(&raw const (*o).map, 1, 1),
+            tandem_incarnation_mark_dead(&raw const (*o).map, 1, 1),
+            S::Ok
+        );
+        assert_eq!(
+            tandem_incarnation_mark_dead(&raw const (*o).map, 1, 1),
             S::Outdated
         );
-        assert_eq!(tandem_life_current(&raw const (*o).map, 1), 0);
+        assert_eq!(tandem_incarnation_current(&raw const (*o).map, 1), 0);
         assert_eq!(tandem_lock_acquire(lock, 1, None, null_mut()), S::Recovered);
         assert_eq!(tandem_lock_release(lock), S::Ok);
     }
@@ -317,7 +320,10 @@ fn words_of_the_pool_are_named_by_handles_that_are_checked() {
         assert_eq!(tandem_pool_hand_over(pool, *h, 2), S::ReceiverDead);
         assert_eq!(tandem_pool_hand_over(pool, *h, 1), S::Ok);
         assert_eq!(tandem_pool_give_back(pool, *h), S::NotOwner);
-        assert_eq!(tandem_life_mark_dead(&raw const (*o).map, 1, 1), S::Ok);
+        assert_eq!(
+            tandem_incarnation_mark_dead(&raw const (*o).map, 1, 1),
+            S::Ok
+        );
         assert_eq!(tandem_pool_reclaim_dead(pool), 32);
         assert_eq!(tandem_pool_give_back(pool, *h), S::Stale);
         let forged = TandemHandle {
@@ -363,7 +369,7 @@ fn what_is_not_attached_is_refused() {
         assert_eq!(tandem_layout_init(y, &raw const good, 1), S::Ok);
         // A layout is no map.
         let as_map = y.cast::<TandemMap>();
-        assert_eq!(tandem_life_announce(as_map, 0, 1), S::NotAttached);
+        assert_eq!(tandem_incarnation_announce(as_map, 0, 1), S::NotAttached);
         let m = &raw mut map;
         assert_eq!(tandem_map_format(m, y, null_mut(), 64), S::BadPointer);
         let mut lmu = zeroed::<Lmu>();
@@ -375,12 +381,12 @@ fn what_is_not_attached_is_refused() {
         );
         assert_eq!(tandem_map_format(m, y, base, 64), S::TooSmall);
         assert_eq!(tandem_map_format(m, y, base, LMU_BYTES), S::Ok);
-        assert_eq!(tandem_life_announce(m, 3, 1), S::OutOfRange);
-        assert_eq!(tandem_life_announce(m, 0, 0), S::OutOfRange);
-        assert_eq!(tandem_life_announce(m, 0, 5), S::Ok);
-        assert_eq!(tandem_life_announce(m, 0, 4), S::Outdated);
-        assert_eq!(tandem_life_current(m, 0), 5);
-        assert_eq!(tandem_life_current(m, 3), 0);
+        assert_eq!(tandem_incarnation_announce(m, 3, 1), S::OutOfRange);
+        assert_eq!(tandem_incarnation_announce(m, 0, 0), S::OutOfRange);
+        assert_eq!(tandem_incarnation_announce(m, 0, 5), S::Ok);
+        assert_eq!(tandem_incarnation_announce(m, 0, 4), S::Outdated);
+        assert_eq!(tandem_incarnation_current(m, 0), 5);
+        assert_eq!(tandem_incarnation_current(m, 3), 0);
         lmu.0[1].store(99, Ordering::Relaxed);
         assert_eq!(tandem_map_attach(m, y, base, LMU_BYTES), S::WrongVersion);
     }
@@ -402,7 +408,7 @@ unsafe extern "C" fn read(context: *mut c_void, offset: u32, into: *mut u8, coun
     0
 }
 
-/// What the machine wants to be kept is found by its next life.
+/// What the machine wants to be kept is found by its next incarnation.
 #[test]
 fn the_state_goes_through_the_flash_of_c() {
     let mut flash = Flash([0xFF; 256]);

@@ -37,7 +37,7 @@ pub struct Core1<'b, B: Board> {
 }
 
 impl<'b, B: Board> Core1<'b, B> {
-    /// Starts the core's life on this board.
+    /// Starts the core's incarnation on this board.
     #[must_use]
     pub fn new(board: &'b B) -> Self {
         let start = board.now();
@@ -63,12 +63,12 @@ impl<'b, B: Board> Core1<'b, B> {
             return;
         };
         let (Ok(to_planning), Ok(scenes)) = (
-            MAILBOX_1_TO_2.sender(&map.map, map.life),
-            SCENE.writer(&map.map, map.life),
+            MAILBOX_1_TO_2.sender(&map.map, map.incarnation),
+            SCENE.writer(&map.map, map.incarnation),
         ) else {
             return;
         };
-        // What an earlier life has counted, but not rung for.
+        // What an earlier incarnation has counted, but not rung for.
         self.board.ring(CoreId::PLANNING);
         self.attached = Some(Attached {
             map,

@@ -70,7 +70,7 @@ pub struct Core2<'b, B: Board> {
 }
 
 impl<'b, B: Board> Core2<'b, B> {
-    /// Starts the core's life on this board.
+    /// Starts the core's incarnation on this board.
     #[must_use]
     pub fn new(board: &'b B) -> Self {
         let generation = board.identity().generation.0;
@@ -93,18 +93,18 @@ impl<'b, B: Board> Core2<'b, B> {
 
     fn attach(&mut self) -> Option<()> {
         let lmu = ControllerMap::attach(self.board).ok()?;
-        let (map, life) = (lmu.map, lmu.life);
+        let (map, incarnation) = (lmu.map, lmu.incarnation);
         let planning = Planning {
             board: self.board,
             map: lmu,
             scenes: SCENE.reader(&map).ok()?,
             planner: Planner::new(),
-            trajectories: TRAJECTORY.writer(&map, life).ok()?,
-            to_control: MAILBOX_2_TO_0.sender(&map, life).ok()?,
+            trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,
+            to_control: MAILBOX_2_TO_0.sender(&map, incarnation).ok()?,
         };
-        // What an earlier life has counted, but not rung for.
+        // What an earlier incarnation has counted, but not rung for.
         self.board.ring(CoreId::CONTROL);
-        let receiver = MAILBOX_1_TO_2.receiver(&map, life).ok()?;
+        let receiver = MAILBOX_1_TO_2.receiver(&map, incarnation).ok()?;
         self.attached = Some((receiver, planning));
         Some(())
     }

@@ -5,7 +5,7 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant};
 use tandem_shm::LINE_WORDS;
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::TaskId;
 use tandem_shm::map::{AttachError, Layout, Map};
 use tandem_shm::typed::{Mailbox, Newest, Region, Words};
@@ -40,19 +40,19 @@ const _: () = assert!(
     "the LMU of a TC297 has 32 KiB"
 );
 
-/// The LMU as one life of one core of the controller sees it.
+/// The LMU as one incarnation of one core of the controller sees it.
 #[derive(Clone, Copy)]
 pub struct ControllerMap<'a> {
     /// Where the regions are.
     pub map: Map<'a>,
-    /// This life, which was announced.
-    pub life: Life,
+    /// This incarnation, which was announced.
+    pub incarnation: Incarnation,
     alive: &'a [AtomicU32],
 }
 
 impl<'a> ControllerMap<'a> {
-    /// Attaches this core, and announces its life. Core 0 formats an LMU that is not formatted, as
-    /// it is after power-on, or that holds anything else.
+    /// Attaches this core, and announces its incarnation. Core 0 formats an LMU that is not
+    /// formatted, as it is after power-on, or that holds anything else.
     ///
     /// # Errors
     /// [`AttachError`]: not formatted yet (try again), or formatted for another image.
@@ -70,19 +70,25 @@ impl<'a> ControllerMap<'a> {
             Err(_) if identity.core == CoreId::CONTROL => Map::format(board.lmu(), LAYOUT)?,
             Err(error) => return Err(error),
         };
-        let Some(life) = Life::new(identity.core.index(), identity.generation.0) else {
+        let Some(incarnation) = Incarnation::new(identity.core.index(), identity.generation.0)
+        else {
             panic!("this board's generation breaks its contract")
         };
-        // A life that is announced as over cannot be this one: its supply gives out generations.
-        let _outdated = map.lives().announce(life);
+        // An incarnation that is announced as over cannot be this one: its supply gives out
+        // generations.
+        let _outdated = map.incarnations().announce(incarnation);
         let alive = ALIVE.attach(&map)?;
-        Ok(Self { map, life, alive })
+        Ok(Self {
+            map,
+            incarnation,
+            alive,
+        })
     }
 
     /// Counts one cycle of this core, for the alive supervision.
     pub fn count_cycle(&self) {
         // Relaxed: the count itself is the message.
-        let word = &self.alive[self.life.core() * LINE_WORDS];
+        let word = &self.alive[self.incarnation.core() * LINE_WORDS];
         word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
     }
 

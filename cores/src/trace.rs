@@ -84,7 +84,7 @@ impl FloodSource {
 pub enum Event {
     /// The core runs.
     Started {
-        /// Life of the core.
+        /// Incarnation of the core.
         generation: u32,
         /// Reset cause: 0 power-on, 1 software, 2 watchdog, 3 trap; 0 on cores 1 and 2.
         cause: u8,

@@ -15,7 +15,7 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::Started { generation, cause } => {
             let causes = ["power-on", "software", "watchdog", "trap"];
             let cause = causes.get(usize::from(cause)).unwrap_or(&"unknown cause");
-            format!("starts, life {generation}: {cause}")
+            format!("starts, incarnation {generation}: {cause}")
         }
         Event::Role { role, mode, term } => {
             let full = mode == Mode::L3 as u8;
@@ -79,7 +79,7 @@ const fn flood_source(source: FloodSource) -> &'static str {
 pub fn supply_event(event: SupplyEvent) -> String {
     match event {
         SupplyEvent::CoreStarted { core, generation } => {
-            format!("core {core} starts, life {}", generation.0)
+            format!("core {core} starts, incarnation {}", generation.0)
         }
         SupplyEvent::CoreDied { core, signal: 0 } => format!("core {core} died"),
         SupplyEvent::CoreDied { core, signal } => format!("core {core} died of signal {signal}"),

@@ -80,7 +80,7 @@ impl FailureMode {
     }
 }
 
-/// What a system knows about itself and the other beyond its own life. T-RED-1
+/// What a system knows about itself and the other beyond its own incarnation. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemState {
     /// It was master last, or was initialised as master.

@@ -31,7 +31,7 @@ pub struct Sender<'a> {
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the ring, after the values of earlier lives.
+    /// Attaches to the ring, after the values of earlier incarnations.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.

@@ -172,7 +172,7 @@ pub struct Producer<'a> {
 }
 
 impl<'a> Producer<'a> {
-    /// Attaches to the queue, behind what earlier lives have sent. Looks at each slot once.
+    /// Attaches to the queue, behind what earlier incarnations have sent. Looks at each slot once.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -193,7 +193,7 @@ impl<'a> Producer<'a> {
         })
     }
 
-    /// How many values were sent, wrapping, over all lives of the producer.
+    /// How many values were sent, wrapping, over all incarnations of the producer.
     #[must_use]
     pub const fn sent(&self) -> u32 {
         self.tail
@@ -274,7 +274,7 @@ pub struct Consumer<'a> {
 }
 
 impl<'a> Consumer<'a> {
-    /// Attaches to the queue, at the oldest value that earlier lives have not released.
+    /// Attaches to the queue, at the oldest value that earlier incarnations have not released.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.

@@ -9,7 +9,7 @@
 //! |---|---|---|
 //! | [`map`] | header, regions | boot core |
 //! | [`typed`] | what lies in which region, by types | at attachment |
-//! | [`life`] | which life of each core is the current one | each core, supervisor |
+//! | [`incarnation`] | which incarnation of each core is the current one | each core, supervisor |
 //! | [`lock`] | mutual exclusion, recovered from a dead owner | any core |
 //! | [`mailbox`] | signals to tasks of another core, none lost | one sender, one receiver |
 //! | [`pool`] | words to borrow and give back | any core |
@@ -26,10 +26,10 @@
 //!   hold, nothing here panics, indexes out of bounds or loops without bound.
 //! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is
 //!   a copy of words that it alone writes.
-//! - **Two lives of one core do not run at once**: a reset ends a life before the next one begins,
-//!   and what the old life wrote is visible to the new one (a reset drains store buffers and, where
-//!   they are not coherent, caches). [`lock`] and [`pool`] additionally bear a *straggler*, an old
-//!   life that was declared dead and runs on.
+//! - **Two incarnations of one core do not run at once**: a reset ends an incarnation before the
+//!   next one begins, and what the old incarnation wrote is visible to the new one (a reset drains
+//!   store buffers and, where they are not coherent, caches). [`lock`] and [`pool`] additionally
+//!   bear a *straggler*, an old incarnation that was declared dead and runs on.
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
 //!
@@ -52,7 +52,7 @@
 //! or a writer exists once. More in [`typed`].
 //!
 //! ```
-//! use tandem_shm::life::Life;
+//! use tandem_shm::incarnation::Incarnation;
 //! use tandem_shm::mailbox::{Ring, TaskId};
 //! use tandem_shm::map::Map;
 //! use tandem_shm::typed::{EndError, Mailbox, Newest, Region};
@@ -60,7 +60,11 @@
 //! const NEWS: Region<Mailbox> = Region::first("news");
 //! const SPEED: Region<Newest<u32>> = NEWS.then("speed");
 //!
-//! fn hand_over(map: &Map<'_>, here: Life, there: Life) -> Result<Option<u32>, EndError> {
+//! fn hand_over(
+//!     map: &Map<'_>,
+//!     here: Incarnation,
+//!     there: Incarnation,
+//! ) -> Result<Option<u32>, EndError> {
 //!     let (mut writer, mut to) = (SPEED.writer(map, here)?, NEWS.sender(map, here)?);
 //!     let (mut reader, mut from) = (SPEED.reader(map)?, NEWS.receiver(map, there)?);
 //!
@@ -80,9 +84,9 @@
 //! # struct Lmu([AtomicU32; 512]);
 //! # let lmu = Lmu([const { AtomicU32::new(0) }; 512]);
 //! let map = Map::format(&lmu.0, SPEED.end()).unwrap();
-//! let [here, there] = [0, 1].map(|core| Life::new(core, 1).unwrap());
-//! for life in [here, there] {
-//!     map.lives().announce(life).unwrap();
+//! let [here, there] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+//! for incarnation in [here, there] {
+//!     map.incarnations().announce(incarnation).unwrap();
 //! }
 //! assert_eq!(hand_over(&map, here, there), Ok(Some(42)));
 //! ```
@@ -94,7 +98,7 @@ extern crate std;
 
 pub mod broadcast;
 pub mod fifo;
-pub mod life;
+pub mod incarnation;
 pub mod lock;
 pub mod mailbox;
 pub mod map;

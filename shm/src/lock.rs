@@ -1,18 +1,19 @@
 //! The lock: compare-and-swap, owner with generation, bounded waiting, recovery, fair turns.
 //!
 //! One cache line. Word 0 is the *token* of the last acquisition: which core took the lock, in
-//! which of its lives, in which turn (one more with each acquisition), and which cores wait. Words
-//! 1 to 12 are one *released* word for each core and life (by its generation mod 4): the owner
-//! gives the lock back by storing its token there. So the lock is free if the token's owner has
-//! released that very token, and taking it is one compare-and-swap from that token to one's own.
-//! Words 13 to 15 say which life of each core attached last. T-LOCK-1, T-LOCK-3
+//! which of its incarnations, in which turn (one more with each acquisition), and which cores wait.
+//! Words 1 to 12 are one *released* word for each core and incarnation (by its generation mod 4):
+//! the owner gives the lock back by storing its token there. So the lock is free if the token's
+//! owner has released that very token, and taking it is one compare-and-swap from that token to
+//! one's own. Words 13 to 15 say which incarnation of each core attached last. T-LOCK-1, T-LOCK-3
 //!
 //! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
-//!   token into a word of its own life. The next three lives of its core use other words.
-//! - **Recovery**: a token that is not released and whose life is not alive is an orphan. Any core
-//!   may take over from it by the same compare-and-swap, and is told so by [`Acquired::Recovered`].
-//!   The token has 4 bits of the generation; the first attachment of a life marks a token of an
-//!   earlier life with equal bits as an orphan.
+//!   token into a word of its own incarnation. The next three incarnations of its core use other
+//!   words.
+//! - **Recovery**: a token that is not released and whose incarnation is not alive is an orphan.
+//!   Any core may take over from it by the same compare-and-swap, and is told so by
+//!   [`Acquired::Recovered`]. The token has 4 bits of the generation; the first attachment of an
+//!   incarnation marks a token of an earlier incarnation with equal bits as an orphan.
 //! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
 //!   performance of spin lock alternatives", 1990): waiting cores read, and give up after the given
 //!   number of polls.
@@ -29,7 +30,7 @@
 //! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's,
 //! would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such a core.
 
-use crate::life::{Attached, CORES, Life, Lives};
+use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
 use crate::region::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
 
@@ -45,12 +46,12 @@ pub const PATIENCE: u32 = 32;
 
 /// The longest pause between two looks, in spins.
 const MAX_PAUSE: u32 = 64;
-/// How often an attachment tries to replace a token that its core's earlier life left. Then the
-/// token has changed by others so often that it is no longer that one.
+/// How often an attachment tries to replace a token that its core's earlier incarnation left. Then
+/// the token has changed by others so often that it is no longer that one.
 const DISOWN_ATTEMPTS: u32 = 16;
 
 const TOKEN_AT: usize = 0;
-/// Lives of a core that have released words of their own.
+/// Incarnations of a core that have released words of their own.
 const RELEASED_LIVES: usize = 4;
 const ATTACHED_AT: usize = 1 + CORES * RELEASED_LIVES;
 
@@ -84,7 +85,7 @@ const fn waiting_bit(core: usize) -> u32 {
     1 << (WAITING_SHIFT + core as u32)
 }
 
-/// The index of the word in which this life of the core releases.
+/// The index of the word in which this incarnation of the core releases.
 const fn released_at(core: usize, generation: u32) -> usize {
     1 + core * RELEASED_LIVES + generation as usize % RELEASED_LIVES
 }
@@ -101,13 +102,13 @@ enum Missed {
     Passed { turn: u32 },
 }
 
-/// The lock as one life of one core sees it. Several tasks of a core may each attach.
+/// The lock as one incarnation of one core sees it. Several tasks of a core may each attach.
 ///
 /// For tasks; a handler uses [`Lock::try_lock`] only, or it waits for the task that it interrupts.
 #[derive(Debug)]
 pub struct Lock<'a> {
     words: &'a [AtomicU32; WORDS],
-    /// The released word of this life.
+    /// The released word of this incarnation.
     own_released: &'a AtomicU32,
     attached: Attached<'a>,
     core: usize,
@@ -120,25 +121,30 @@ pub struct Lock<'a> {
 }
 
 impl<'a> Lock<'a> {
-    /// Attaches to the lock. `life` must have been [announced](Lives::announce). Never blocks.
+    /// Attaches to the lock. `incarnation` must have been [announced](Incarnations::announce).
+    /// Never blocks.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32], life: Life, lives: Lives<'a>) -> Result<Self, FitError> {
+    pub fn attach(
+        words: &'a [AtomicU32],
+        incarnation: Incarnation,
+        incarnations: Incarnations<'a>,
+    ) -> Result<Self, FitError> {
         let words: &[AtomicU32; WORDS] = fit_exactly(words)?;
         let generations = words.last_chunk().ok_or(FitError::TooSmall)?;
-        let generation = life.generation() & GENERATION_MASK;
+        let generation = incarnation.generation() & GENERATION_MASK;
         let lock = Self {
             words,
-            own_released: &words[released_at(life.core(), generation)],
-            attached: Attached::new(generations, lives),
-            core: life.core(),
-            identity: (life.core() as u32 + 1) | generation << GENERATION_SHIFT,
+            own_released: &words[released_at(incarnation.core(), generation)],
+            attached: Attached::new(generations, incarnations),
+            core: incarnation.core(),
+            identity: (incarnation.core() as u32 + 1) | generation << GENERATION_SHIFT,
             mine: 0,
             #[cfg(loom)]
             patience: PATIENCE,
         };
-        lock.disown_earlier_lives(life);
+        lock.disown_earlier_incarnations(incarnation);
         Ok(lock)
     }
 
@@ -159,17 +165,17 @@ impl<'a> Lock<'a> {
         PATIENCE
     }
 
-    /// Undoes what earlier lives of this core left: a waiting bit, and perhaps a token that looks
-    /// like one of this life.
+    /// Undoes what earlier incarnations of this core left: a waiting bit, and perhaps a token that
+    /// looks like one of this incarnation.
     #[cold]
-    fn disown_earlier_lives(&self, life: Life) {
+    fn disown_earlier_incarnations(&self, incarnation: Incarnation) {
         // Each failed attempt is a change by one of two other cores, which takes the orphan or
-        // begins or ends waiting, or by an earlier life that attaches late.
+        // begins or ends waiting, or by an earlier incarnation that attaches late.
         for attempt in 1..=2 * DISOWN_ATTEMPTS {
             // Acquire pairs with the Release in `take`. Read before `earlier`: a token that was
-            // there before this life had attached is not its own.
+            // there before this incarnation had attached is not its own.
             let token = self.token().load(Ordering::Acquire);
-            let Some(earlier) = self.attached.earlier(life) else {
+            let Some(earlier) = self.attached.earlier(incarnation) else {
                 return;
             };
             let is_alike = token & (CORE_MASK | ORPHAN) == self.identity;
@@ -179,7 +185,7 @@ impl<'a> Lock<'a> {
                 token
             } & !waiting_bit(self.core);
             let is_disowned = new == token || self.take(token, new) || attempt >= DISOWN_ATTEMPTS;
-            if is_disowned && self.attached.insert(life, earlier) {
+            if is_disowned && self.attached.insert(incarnation, earlier) {
                 return;
             }
         }
@@ -288,7 +294,7 @@ impl<'a> Lock<'a> {
             }
             if self.token().load(Ordering::Relaxed) & own_bit == 0 {
                 // Release pairs with the fence in `waiting_before`: a core that sees the bit sees
-                // that this life has attached, so that the bit counts.
+                // that this incarnation has attached, so that the bit counts.
                 let token = self.token().fetch_or(own_bit, Ordering::Release);
                 announced.get_or_insert(token & !(ONE_TURN - 1));
             }
@@ -350,7 +356,7 @@ impl<'a> Lock<'a> {
     }
 
     /// The waiting bits of living cores whose turn is before this core's. A bit that an earlier
-    /// life left does not count before its successor attaches, which clears it.
+    /// incarnation left does not count before its successor attaches, which clears it.
     fn waiting_before(&self, token: u32) -> u32 {
         if token & WAITING & !waiting_bit(self.core) == 0 {
             return 0;

@@ -27,10 +27,10 @@
 //! had not returned when the receiver died is handled by its successor, so handlers run at least
 //! once a signal.
 //!
-//! Limit: a sender keeps private copies of its counters and only stores. If a life that was
+//! Limit: a sender keeps private copies of its counters and only stores. If an incarnation that was
 //! declared dead runs on and signals beside its successor, it stores an old count: a signal of the
 //! successor may wait for the next one to that task, or a handler is told a wrong count. A board
-//! must end a life before it starts the next; the host's supply kills it, a chip resets it.
+//! must end an incarnation before it starts the next; the host's supply kills it, a chip resets it.
 
 use crate::region::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
@@ -144,9 +144,9 @@ pub struct Sender<'a> {
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the mailbox. What an earlier life of the sending core had counted but not yet
-    /// posted is posted; ring the receiver's doorbell once afterwards, that life may not have come
-    /// so far.
+    /// Attaches to the mailbox. What an earlier incarnation of the sending core had counted but not
+    /// yet posted is posted; ring the receiver's doorbell once afterwards, that incarnation may not
+    /// have come so far.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -248,8 +248,8 @@ pub struct Receiver<'a> {
 }
 
 impl<'a> Receiver<'a> {
-    /// Attaches to the mailbox (`init_sync_mailbox`). Signals that an earlier life of the receiving
-    /// core left open come with the first [`Receiver::poll`].
+    /// Attaches to the mailbox (`init_sync_mailbox`). Signals that an earlier incarnation of the
+    /// receiving core left open come with the first [`Receiver::poll`].
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.

@@ -1,12 +1,12 @@
 //! The map of the LMU: a header that says what lies where, and the regions.
 //!
-//! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [life
-//! table](crate::life). Then the regions in the order of the [`Layout`], each from a line boundary
-//! on. The boot core (or the supply) formats once at power-on: it zeroes everything, writes the
-//! header, and publishes `ready` last; if it dies on the way, its successor formats again. The
-//! others attach, which checks that they were built with the same layout.
+//! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [incarnation
+//! table](crate::incarnation). Then the regions in the order of the [`Layout`], each from a line
+//! boundary on. The boot core (or the supply) formats once at power-on: it zeroes everything,
+//! writes the header, and publishes `ready` last; if it dies on the way, its successor formats
+//! again. The others attach, which checks that they were built with the same layout.
 
-use crate::life::Lives;
+use crate::incarnation::Incarnations;
 use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
@@ -15,7 +15,7 @@ const VERSION_AT: usize = 1;
 const LAYOUT_AT: usize = 2;
 const READY_AT: usize = 3;
 const LIVES_AT: usize = LINE_WORDS;
-const HEADER_WORDS: usize = LIVES_AT + Lives::WORDS;
+const HEADER_WORDS: usize = LIVES_AT + Incarnations::WORDS;
 
 /// "TLMU"
 const MAGIC: u32 = 0x544C_4D55;
@@ -228,10 +228,10 @@ impl<'a> Map<'a> {
         &self.words[self.layout.offset(index)..self.layout.offset(index + 1)]
     }
 
-    /// The life table of the cores.
+    /// The incarnation table of the cores.
     #[must_use]
-    pub fn lives(&self) -> Lives<'a> {
-        Lives::new(&self.words[LIVES_AT..LIVES_AT + Lives::WORDS])
+    pub fn incarnations(&self) -> Incarnations<'a> {
+        Incarnations::new(&self.words[LIVES_AT..LIVES_AT + Incarnations::WORDS])
     }
 }
 
@@ -298,7 +298,7 @@ mod tests {
                 .iter()
                 .all(|word| word.load(Ordering::Relaxed) == 0)
         );
-        assert_eq!(map.lives().current(0), None);
+        assert_eq!(map.incarnations().current(0), None);
     }
 
     #[test]

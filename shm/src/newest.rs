@@ -32,7 +32,7 @@ const fn stride(shape: Shape) -> usize {
     }
 }
 
-/// Which value it was: the writer counts them, wrapping around, over all its lives.
+/// Which value it was: the writer counts them, wrapping around, over all its incarnations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp(pub u32);
 
@@ -52,7 +52,7 @@ pub struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    /// Attaches to the channel, after the values of earlier lives.
+    /// Attaches to the channel, after the values of earlier incarnations.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.

@@ -2,10 +2,10 @@
 //!
 //! One line of counters, then one *state* word for each block of 16 words, then the blocks. An
 //! allocation is a run of neighbouring blocks. The state of its first block, the *head*, says which
-//! life owns the run, how many blocks it has, and which allocation it is: a stamp, the number of
-//! the allocation. The state of each further block names the first block and carries the same
-//! stamp; it counts only while the head has that stamp and an owner. So one compare-and-swap of the
-//! head gives all blocks of a run back, hands them over, or takes them from the dead.
+//! incarnation owns the run, how many blocks it has, and which allocation it is: a stamp, the
+//! number of the allocation. The state of each further block names the first block and carries the
+//! same stamp; it counts only while the head has that stamp and an owner. So one compare-and-swap
+//! of the head gives all blocks of a run back, hands them over, or takes them from the dead.
 //!
 //! There is no lock. A core that borrows takes the blocks one after the other, each by a
 //! compare-and-swap from the state in which it has seen the block to be free:
@@ -18,12 +18,13 @@
 //! Another core has been quicker then; so one of the cores always gets ahead, and a core that is
 //! pre-empted, frozen or dead keeps no other waiting.
 //!
-//! **Stragglers**: a life that was declared dead and runs on takes nothing from the living. A block
-//! that it has seen free and that was borrowed since has another state; if it took blocks before,
-//! they became free by a change of its head, and step 3 fails.
+//! **Stragglers**: an incarnation that was declared dead and runs on takes nothing from the living.
+//! A block that it has seen free and that was borrowed since has another state; if it took blocks
+//! before, they became free by a change of its head, and step 3 fails.
 //!
-//! **Deaths**: what a dead life owns is free. The next walk that needs it takes it, or
-//! [`Pool::reclaim_dead`]; the first attachment of a life frees what earlier lives of its core own.
+//! **Deaths**: what a dead incarnation owns is free. The next walk that needs it takes it, or
+//! [`Pool::reclaim_dead`]; the first attachment of an incarnation frees what earlier incarnations
+//! of its core own.
 //!
 //! First fit; neighbouring free blocks are one free space by themselves.
 //!
@@ -31,7 +32,7 @@
 //! succeeds, if exactly a multiple of 2^16 allocations of the pool lie between and the block is in
 //! the same state again.
 
-use crate::life::{Attached, CORES, Life, Lives};
+use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
 use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
@@ -42,7 +43,7 @@ pub const BLOCK_WORDS: usize = LINE_WORDS;
 pub const MAX_BLOCKS: usize = 511;
 
 /// How often [`Pool::get`] begins again after another core took a block that it had found free, and
-/// [`Pool::attach`] after another life attached.
+/// [`Pool::attach`] after another incarnation attached.
 const ATTEMPTS: u32 = 4;
 
 /// How many allocations were begun.
@@ -76,10 +77,10 @@ const fn blocks_at(blocks: usize) -> usize {
     STATES_AT + whole_lines(blocks)
 }
 
-/// The head of a run that `life` owns.
-const fn owned(life: Life, blocks: usize, stamp: u16) -> u32 {
-    (life.core() as u32 + 1)
-        | (life.generation() & GENERATION_MASK) << GENERATION_SHIFT
+/// The head of a run that `incarnation` owns.
+const fn owned(incarnation: Incarnation, blocks: usize, stamp: u16) -> u32 {
+    (incarnation.core() as u32 + 1)
+        | (incarnation.generation() & GENERATION_MASK) << GENERATION_SHIFT
         | (blocks as u32) << NUMBER_SHIFT
         | (stamp as u32) << STAMP_SHIFT
 }
@@ -166,7 +167,7 @@ pub enum HandleError {
     Invalid,
     /// The words were given back, or reclaimed from a dead owner, since.
     Stale,
-    /// They belong to another core, or to an earlier life of this one.
+    /// They belong to another core, or to an earlier incarnation of this one.
     NotOwner,
 }
 
@@ -185,20 +186,20 @@ impl From<HandleError> for HandOverError {
     }
 }
 
-/// The pool as one life of one core sees it.
+/// The pool as one incarnation of one core sees it.
 #[derive(Clone, Copy, Debug)]
 pub struct Pool<'a> {
     allocations: &'a AtomicU32,
     states: &'a [AtomicU32],
     blocks: &'a [AtomicU32],
-    life: Life,
+    incarnation: Incarnation,
     attached: Attached<'a>,
 }
 
 impl<'a> Pool<'a> {
-    /// Attaches to a pool of `blocks` blocks, and at the first attachment of a life frees what
-    /// earlier lives of its core own. `life` must have been [announced](Lives::announce). Never
-    /// blocks.
+    /// Attaches to a pool of `blocks` blocks, and at the first attachment of an incarnation frees
+    /// what earlier incarnations of its core own. `incarnation` must have been
+    /// [announced](Incarnations::announce). Never blocks.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -208,8 +209,8 @@ impl<'a> Pool<'a> {
     pub fn attach(
         words: &'a [AtomicU32],
         blocks: usize,
-        life: Life,
-        lives: Lives<'a>,
+        incarnation: Incarnation,
+        incarnations: Incarnations<'a>,
     ) -> Result<Self, FitError> {
         let words = fit(words, self::words(blocks))?;
         let generations: &[AtomicU32; CORES] = words[ATTACHED_AT..]
@@ -219,33 +220,35 @@ impl<'a> Pool<'a> {
             allocations: &words[ALLOCATIONS_AT],
             states: &words[STATES_AT..STATES_AT + blocks],
             blocks: &words[blocks_at(blocks)..],
-            life,
-            attached: Attached::new(generations, lives),
+            incarnation,
+            attached: Attached::new(generations, incarnations),
         };
-        pool.disown_earlier_lives(life);
+        pool.disown_earlier_incarnations(incarnation);
         Ok(pool)
     }
 
-    /// Frees what earlier lives of a core own, unless `life` has attached already or is not alive.
+    /// Frees what earlier incarnations of a core own, unless `incarnation` has attached already or
+    /// is not alive.
     #[cold]
-    fn disown_earlier_lives(&self, life: Life) {
-        // Another attempt only if another core, or an earlier life, attached the core in between.
+    fn disown_earlier_incarnations(&self, incarnation: Incarnation) {
+        // Another attempt only if another core, or an earlier incarnation, attached the core in
+        // between.
         for _ in 0..ATTEMPTS {
-            let Some(earlier) = self.attached.earlier(life) else {
+            let Some(earlier) = self.attached.earlier(incarnation) else {
                 return;
             };
             for block in 0..self.states.len() {
                 // Acquire pairs with the Release in `replace`. Read before `earlier`: a head that
-                // was there before this life had attached is not its own.
+                // was there before this incarnation had attached is not its own.
                 let state = self.states[block].load(Ordering::Acquire);
-                if self.attached.earlier(life).is_none() {
+                if self.attached.earlier(incarnation).is_none() {
                     return;
                 }
-                if state & CORE_MASK == life.core() as u32 + 1 {
+                if state & CORE_MASK == incarnation.core() as u32 + 1 {
                     self.replace(block, state, free(stamp_of(state)));
                 }
             }
-            if self.attached.insert(life, earlier) {
+            if self.attached.insert(incarnation, earlier) {
                 return;
             }
         }
@@ -278,8 +281,8 @@ impl<'a> Pool<'a> {
         Err(GetError::Busy)
     }
 
-    /// The words of an allocation that this life owns. The slice outlives the ownership, but what
-    /// is in it is one's own only until it is given back or handed over.
+    /// The words of an allocation that this incarnation owns. The slice outlives the ownership, but
+    /// what is in it is one's own only until it is given back or handed over.
     ///
     /// # Errors
     /// [`HandleError`]
@@ -305,13 +308,13 @@ impl<'a> Pool<'a> {
     /// [`HandOverError`]
     ///
     /// # Panics
-    /// If `to` is no core (see [`CORES`](crate::life::CORES)).
+    /// If `to` is no core (see [`CORES`](crate::incarnation::CORES)).
     pub fn hand_over(&self, handle: Handle, to: usize) -> Result<(), HandOverError> {
         let head = self.checked(handle)?;
-        let receiver = self.attached.lives().current(to);
+        let receiver = self.attached.incarnations().current(to);
         let receiver = receiver.ok_or(HandOverError::ReceiverDead)?;
         // The receiver may not have attached yet; then this core does it in its place.
-        self.disown_earlier_lives(receiver);
+        self.disown_earlier_incarnations(receiver);
         let new = owned(receiver, number_of(head), handle.stamp);
         Ok(self.change(handle, head, new)?)
     }
@@ -347,7 +350,7 @@ impl<'a> Pool<'a> {
             * BLOCK_WORDS
     }
 
-    /// The head of an allocation that this life owns.
+    /// The head of an allocation that this incarnation owns.
     fn checked(&self, handle: Handle) -> Result<u32, HandleError> {
         let block = handle.block as usize;
         let need = handle.len().div_ceil(BLOCK_WORDS);
@@ -360,7 +363,7 @@ impl<'a> Pool<'a> {
             Err(HandleError::Stale)
         } else if number_of(head) != need {
             Err(HandleError::Invalid)
-        } else if head != owned(self.life, need, handle.stamp) {
+        } else if head != owned(self.incarnation, need, handle.stamp) {
             Err(HandleError::NotOwner)
         } else {
             Ok(head)
@@ -371,7 +374,7 @@ impl<'a> Pool<'a> {
         if self.replace(handle.block as usize, from, to) {
             Ok(())
         } else {
-            // This life was declared dead, and its words were reclaimed.
+            // This incarnation was declared dead, and its words were reclaimed.
             Err(HandleError::Stale)
         }
     }
@@ -379,9 +382,9 @@ impl<'a> Pool<'a> {
     /// Replaces the state of a block, if it is still the expected one.
     #[inline]
     fn replace(&self, block: usize, expected: u32, new: u32) -> bool {
-        // Release pairs with the Acquire of each load of a state: what this life did to the words
-        // comes before what the next owner does, and a core that sees a run sees that its owner was
-        // announced and had attached.
+        // Release pairs with the Acquire of each load of a state: what this incarnation did to the
+        // words comes before what the next owner does, and a core that sees a run sees that its
+        // owner was announced and had attached.
         self.states[block]
             .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
             .is_ok()
@@ -417,10 +420,10 @@ impl<'a> Pool<'a> {
     }
 
     /// Takes `need` blocks that were free, from `first` on, whose state was `state`. On `false` it
-    /// has taken none: another core was quicker, or this life was declared dead.
+    /// has taken none: another core was quicker, or this incarnation was declared dead.
     #[inline]
     fn gather(&self, first: usize, state: u32, need: usize, stamp: u16) -> bool {
-        let head = owned(self.life, need, stamp);
+        let head = owned(self.incarnation, need, stamp);
         if need == 1 {
             return self.replace(first, state, head);
         }

@@ -4,7 +4,7 @@
 //! once (sequential consistency): memory orderings are loom's business.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
-use crate::life::{Life, Lives};
+use crate::incarnation::{Incarnation, Incarnations};
 use crate::lock::{self, Lock};
 use crate::mailbox::{self, Receiver, Sender, TaskId};
 use crate::pool::{self, BLOCK_WORDS, Pool};
@@ -16,8 +16,8 @@ use std::vec::Vec;
 
 /// Schedules of each model.
 const SCHEDULES: usize = 3_000;
-/// Lives of each core in one schedule.
-const LIVES: u32 = 4;
+/// Incarnations of each core in one schedule.
+const INCARNATIONS: u32 = 4;
 
 fn below(limit: u32) -> u32 {
     thread_rng().gen_range(0..limit)
@@ -37,14 +37,18 @@ fn in_random_schedules(words: usize, core: fn(&'static [AtomicU32], usize)) {
     shuttle::check_random(move || switch_cores(model), SCHEDULES);
 }
 
-fn announce(words: &'static [AtomicU32], core: usize, generation: u32) -> (Life, Lives<'static>) {
-    let life = Life::new(core, generation).unwrap();
-    let lives = Lives::attach(words).unwrap();
-    lives.announce(life).unwrap();
-    (life, lives)
+fn announce(
+    words: &'static [AtomicU32],
+    core: usize,
+    generation: u32,
+) -> (Incarnation, Incarnations<'static>) {
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    let incarnations = Incarnations::attach(words).unwrap();
+    incarnations.announce(incarnation).unwrap();
+    (incarnation, incarnations)
 }
 
-const OBJECT_AT: usize = Lives::WORDS;
+const OBJECT_AT: usize = Incarnations::WORDS;
 
 /// T-LOCK-1, T-LOCK-3: cores die at any access and come back while others use the lock. One at a
 /// time is inside, and a taker is told of a death exactly when one died inside.
@@ -53,11 +57,12 @@ fn the_lock_in_random_schedules_with_deaths() {
     const INSIDE_AT: usize = OBJECT_AT + lock::WORDS;
     fn core(words: &'static [AtomicU32], core: usize) {
         let inside = &words[INSIDE_AT];
-        for generation in 1..=LIVES {
-            let (life, lives) = announce(words, core, generation);
+        for generation in 1..=INCARNATIONS {
+            let (incarnation, incarnations) = announce(words, core, generation);
             let at = below(60) as usize;
             let end = kill_at(at, || {
-                let mut lock = Lock::attach(&words[OBJECT_AT..], life, lives).unwrap();
+                let mut lock =
+                    Lock::attach(&words[OBJECT_AT..], incarnation, incarnations).unwrap();
                 for _ in 0..3 {
                     let Ok(acquired) = lock.lock(40, |_| ()) else {
                         continue;
@@ -70,7 +75,7 @@ fn the_lock_in_random_schedules_with_deaths() {
                 }
             });
             if end.is_none() {
-                lives.mark_dead(life);
+                incarnations.mark_dead(incarnation);
             }
         }
     }
@@ -106,22 +111,23 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
         }
     }
     fn core(words: &'static [AtomicU32], core: usize) {
-        for generation in 1..=LIVES {
-            let (life, lives) = announce(words, core, generation);
-            let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives).unwrap();
+        for generation in 1..=INCARNATIONS {
+            let (incarnation, incarnations) = announce(words, core, generation);
+            let pool =
+                Pool::attach(&words[OBJECT_AT..], BLOCKS, incarnation, incarnations).unwrap();
             let at = below(40) as usize;
             if below(2) == 0 {
                 let mark = generation << 2 | core as u32;
                 kill_at(at, || (0..2).for_each(|_| borrow(&pool, mark)));
-                lives.mark_dead(life);
+                incarnations.mark_dead(incarnation);
             } else {
-                let end = move || assert!(lives.mark_dead(life));
+                let end = move || assert!(incarnations.mark_dead(incarnation));
                 freeze_at(at, end, || (0..2).for_each(|_| straggle(&pool)));
-                lives.mark_dead(life);
+                incarnations.mark_dead(incarnation);
             }
         }
-        let (life, lives) = announce(words, core, LIVES + 1);
-        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives).unwrap();
+        let (incarnation, incarnations) = announce(words, core, INCARNATIONS + 1);
+        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, incarnation, incarnations).unwrap();
         words[OBJECT_AT + pool::words(BLOCKS)].fetch_add(1, Ordering::Relaxed);
         while words[OBJECT_AT + pool::words(BLOCKS)].load(Ordering::Relaxed) < 3 {}
         pool.reclaim_dead();
@@ -139,7 +145,7 @@ fn the_mailbox_in_random_schedules_with_deaths() {
     const DONE_AT: usize = SENT_AT + 2;
     fn sender(words: &'static [AtomicU32]) {
         let task = TaskId::new(3).unwrap();
-        for _ in 0..LIVES {
+        for _ in 0..INCARNATIONS {
             kill_at(below(30) as usize, || {
                 let mut sender = Sender::attach(words).unwrap();
                 for _ in 0..3 {

@@ -5,12 +5,13 @@
 //! constants; its end is the [`Layout`] by which images recognise each other.
 //!
 //! An end that exists once (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a
-//! word of the region, which no other use has, names the life that attached it. A second attachment
-//! is refused as long as that life is alive; a successor of a dead life may attach.
+//! word of the region, which no other use has, names the incarnation that attached it. A second
+//! attachment is refused as long as that incarnation is alive; a successor of a dead incarnation
+//! may attach.
 //!
 //! ```
 //! use core::sync::atomic::AtomicU32;
-//! use tandem_shm::life::Life;
+//! use tandem_shm::incarnation::Incarnation;
 //! use tandem_shm::mailbox::{Ring, TaskId};
 //! use tandem_shm::map::{Layout, Map};
 //! use tandem_shm::typed::{Mailbox, Newest, Region};
@@ -24,9 +25,9 @@
 //! # let lmu = Lmu([const { AtomicU32::new(0) }; LAYOUT.total_words()]);
 //! # let words = &lmu.0;
 //! let map = Map::format(words, LAYOUT).unwrap();
-//! let [one, two] = [0, 1].map(|core| Life::new(core, 1).unwrap());
-//! for life in [one, two] {
-//!     map.lives().announce(life).unwrap();
+//! let [one, two] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+//! for incarnation in [one, two] {
+//!     map.incarnations().announce(incarnation).unwrap();
 //! }
 //! let mut speed = SPEED.writer(&map, one).unwrap();
 //! let mut to = NEWS.sender(&map, one).unwrap();
@@ -44,7 +45,7 @@
 
 use core::marker::PhantomData;
 
-use crate::life::{Life, Lives};
+use crate::incarnation::{Incarnation, Incarnations};
 use crate::lock::{self, Lock};
 use crate::map::{Layout, Map};
 use crate::newest::{ReadError, Stamp};
@@ -216,8 +217,8 @@ impl<K> Copy for Region<K> {}
 /// Why an end of a region cannot be attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndError {
-    /// This end exists once, and this life, which is alive, has it.
-    Claimed(Life),
+    /// This end exists once, and this incarnation, which is alive, has it.
+    Claimed(Incarnation),
     /// The region is not of this map's layout.
     Fit(FitError),
 }
@@ -260,16 +261,20 @@ impl<K: Kind> Region<K> {
     }
 }
 
-/// Claims the end whose claim stands in `word` for this life.
-fn claim(word: &AtomicU32, life: Life, lives: Lives<'_>) -> Result<(), EndError> {
+/// Claims the end whose claim stands in `word` for this incarnation.
+fn claim(
+    word: &AtomicU32,
+    incarnation: Incarnation,
+    incarnations: Incarnations<'_>,
+) -> Result<(), EndError> {
     // Core + 1 in the low bits: a zeroed region has no claims.
-    let own = life.generation() << 2 | (life.core() as u32 + 1);
+    let own = incarnation.generation() << 2 | (incarnation.core() as u32 + 1);
     // A core that claims at the same time makes this one look again: they are three.
     for _ in 0..4 {
         // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
         let seen = word.load(Ordering::Acquire);
-        let holder = Life::new((seen as usize & 3).wrapping_sub(1), seen >> 2);
-        if let Some(holder) = holder.filter(|&holder| lives.is_alive(holder)) {
+        let holder = Incarnation::new((seen as usize & 3).wrapping_sub(1), seen >> 2);
+        if let Some(holder) = holder.filter(|&holder| incarnations.is_alive(holder)) {
             return Err(EndError::Claimed(holder));
         }
         // Not Acquire: what the last holder did to the region was seen with its end, by `is_alive`.
@@ -278,7 +283,7 @@ fn claim(word: &AtomicU32, life: Life, lives: Lives<'_>) -> Result<(), EndError>
             return Ok(());
         }
     }
-    Err(EndError::Claimed(life))
+    Err(EndError::Claimed(incarnation))
 }
 
 impl<const COUNT: usize> Region<Words<COUNT>> {
@@ -296,18 +301,26 @@ impl Region<SharedLock> {
     ///
     /// # Errors
     /// [`FitError`] if the region is not of this map's layout.
-    pub fn attach<'a>(&self, map: &Map<'a>, life: Life) -> Result<Lock<'a>, FitError> {
-        Lock::attach(self.words(map)?, life, map.lives())
+    pub fn attach<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Lock<'a>, FitError> {
+        Lock::attach(self.words(map)?, incarnation, map.incarnations())
     }
 }
 
 impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
-    /// The pool, for this life.
+    /// The pool, for this incarnation.
     ///
     /// # Errors
     /// [`FitError`] if the region is not of this map's layout.
-    pub fn attach<'a>(&self, map: &Map<'a>, life: Life) -> Result<Pool<'a>, FitError> {
-        Pool::attach(self.words(map)?, BLOCKS, life, map.lives())
+    pub fn attach<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Pool<'a>, FitError> {
+        Pool::attach(self.words(map)?, BLOCKS, incarnation, map.incarnations())
     }
 }
 
@@ -316,9 +329,17 @@ impl Region<Mailbox> {
     ///
     /// # Errors
     /// [`EndError`]
-    pub fn sender<'a>(&self, map: &Map<'a>, life: Life) -> Result<mailbox::Sender<'a>, EndError> {
+    pub fn sender<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<mailbox::Sender<'a>, EndError> {
         let words = self.words(map)?;
-        claim(&words[mailbox::SENDER_CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[mailbox::SENDER_CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(mailbox::Sender::attach(words)?)
     }
 
@@ -329,10 +350,14 @@ impl Region<Mailbox> {
     pub fn receiver<'a>(
         &self,
         map: &Map<'a>,
-        life: Life,
+        incarnation: Incarnation,
     ) -> Result<mailbox::Receiver<'a>, EndError> {
         let words = self.words(map)?;
-        claim(&words[mailbox::RECEIVER_CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[mailbox::RECEIVER_CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(mailbox::Receiver::attach(words)?)
     }
 }
@@ -387,9 +412,17 @@ impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
     ///
     /// # Errors
     /// [`EndError`]
-    pub fn writer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Writer<'a, T>, EndError> {
+    pub fn writer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Writer<'a, T>, EndError> {
         let words = self.words(map)?;
-        claim(&words[crate::ring::CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[crate::ring::CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(Writer {
             channel: newest::Writer::attach(words, Newest::<T, SLOTS>::SHAPE)?,
             payload: PhantomData,
@@ -458,9 +491,17 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
     ///
     /// # Errors
     /// [`EndError`]
-    pub fn producer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Producer<'a, T>, EndError> {
+    pub fn producer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Producer<'a, T>, EndError> {
         let words = self.words(map)?;
-        claim(&words[fifo::PRODUCER_CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[fifo::PRODUCER_CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(Producer {
             queue: fifo::Producer::attach(words, Fifo::<T, SLOTS>::SHAPE)?,
             payload: PhantomData,
@@ -471,9 +512,17 @@ impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
     ///
     /// # Errors
     /// [`EndError`]
-    pub fn consumer<'a>(&self, map: &Map<'a>, life: Life) -> Result<Consumer<'a, T>, EndError> {
+    pub fn consumer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Consumer<'a, T>, EndError> {
         let words = self.words(map)?;
-        claim(&words[fifo::CONSUMER_CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[fifo::CONSUMER_CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(Consumer {
             queue: fifo::Consumer::attach(words, Fifo::<T, SLOTS>::SHAPE)?,
             payload: PhantomData,
@@ -529,10 +578,14 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
     pub fn sender<'a>(
         &self,
         map: &Map<'a>,
-        life: Life,
+        incarnation: Incarnation,
     ) -> Result<BroadcastSender<'a, T>, EndError> {
         let words = self.words(map)?;
-        claim(&words[crate::ring::CLAIM_AT], life, map.lives())?;
+        claim(
+            &words[crate::ring::CLAIM_AT],
+            incarnation,
+            map.incarnations(),
+        )?;
         Ok(BroadcastSender {
             ring: broadcast::Sender::attach(words, Broadcast::<T, SLOTS>::SHAPE)?,
             payload: PhantomData,
@@ -567,10 +620,10 @@ mod tests {
     const GUARDED: Region<Words<2>> = POOL.then("guarded");
     const LAYOUT: Layout = GUARDED.end();
 
-    fn start(map: &Map<'_>, core: usize, generation: u32) -> Life {
-        let life = Life::new(core, generation).unwrap();
-        map.lives().announce(life).unwrap();
-        life
+    fn start(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        map.incarnations().announce(incarnation).unwrap();
+        incarnation
     }
 
     fn map() -> Map<'static> {
@@ -618,14 +671,14 @@ mod tests {
     fn an_end_exists_once() {
         let map = map();
         let [one, two] = [0, 1].map(|core| start(&map, core, 1));
-        type Claim = fn(&Map<'static>, Life) -> Result<(), EndError>;
+        type Claim = fn(&Map<'static>, Incarnation) -> Result<(), EndError>;
         let claims: [Claim; 6] = [
-            |map, life| NEWS.sender(map, life).map(drop),
-            |map, life| NEWS.receiver(map, life).map(drop),
-            |map, life| PAIR.writer(map, life).map(drop),
-            |map, life| ORDERS.producer(map, life).map(drop),
-            |map, life| ORDERS.consumer(map, life).map(drop),
-            |map, life| NOTES.sender(map, life).map(drop),
+            |map, incarnation| NEWS.sender(map, incarnation).map(drop),
+            |map, incarnation| NEWS.receiver(map, incarnation).map(drop),
+            |map, incarnation| PAIR.writer(map, incarnation).map(drop),
+            |map, incarnation| ORDERS.producer(map, incarnation).map(drop),
+            |map, incarnation| ORDERS.consumer(map, incarnation).map(drop),
+            |map, incarnation| NOTES.sender(map, incarnation).map(drop),
         ];
         for claim in claims {
             assert_eq!(claim(&map, one), Ok(()));
@@ -636,7 +689,7 @@ mod tests {
         for claim in claims {
             assert_eq!(claim(&map, successor), Ok(()));
         }
-        assert!(map.lives().mark_dead(successor));
+        assert!(map.incarnations().mark_dead(successor));
         for claim in claims {
             assert_eq!(claim(&map, two), Ok(()));
         }

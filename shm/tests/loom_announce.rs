@@ -1,4 +1,5 @@
-//! loom models of lives that begin while others run: nothing is taken from a life that is alive.
+//! loom models of incarnations that begin while others run: nothing is taken from an incarnation
+//! that is alive.
 #![cfg(loom)]
 #![allow(clippy::unwrap_used, reason = "test code")]
 
@@ -8,30 +9,30 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::pool::{self, Pool};
 use tandem_shm::sync::{AtomicU32, spin};
 
 const LIVES_AT: usize = 0;
-const OBJECT_AT: usize = Lives::WORDS;
+const OBJECT_AT: usize = Incarnations::WORDS;
 const LOCK_WORDS: usize = OBJECT_AT + lock::WORDS;
 
-fn lives(words: &[AtomicU32]) -> Lives<'_> {
-    Lives::attach(&words[LIVES_AT..]).unwrap()
+fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
+    Incarnations::attach(&words[LIVES_AT..]).unwrap()
 }
 
-/// A new life of this core: announced, then attached.
+/// A new incarnation of this core: announced, then attached.
 fn start_lock(words: &[AtomicU32], core: usize, generation: u32) -> Lock<'_> {
-    let life = Life::new(core, generation).unwrap();
-    lives(words).announce(life).unwrap();
-    Lock::attach(&words[OBJECT_AT..], life, lives(words)).unwrap()
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    incarnations(words).announce(incarnation).unwrap();
+    Lock::attach(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
 }
 
 /// T-LOCK-1: a core announces itself and takes the lock by its first acquisition while another core
 /// looks at it. No taker is told of a death, and never are two inside.
 #[test]
-fn a_new_life_that_holds_the_lock_is_seen_alive() {
+fn a_new_incarnation_that_holds_the_lock_is_seen_alive() {
     model(3, || {
         let words = zeroed(LOCK_WORDS);
         let guarded = Arc::new(UnsafeCell::new(()));
@@ -57,7 +58,7 @@ fn a_new_life_that_holds_the_lock_is_seen_alive() {
 /// T-LOCK-1: the same by a token that the taker did not find as its own: `look` instead of
 /// `retake`.
 #[test]
-fn a_new_life_that_takes_the_lock_after_another_is_seen_alive() {
+fn a_new_incarnation_that_takes_the_lock_after_another_is_seen_alive() {
     model(3, || {
         let words = zeroed(LOCK_WORDS);
         let mut first = start_lock(&words, 0, 1);
@@ -81,10 +82,10 @@ fn a_new_life_that_takes_the_lock_after_another_is_seen_alive() {
     });
 }
 
-/// A core gives the lock back, is reset, and announces its next life while another core wants the
-/// lock: that core is told of no death.
+/// A core gives the lock back, is reset, and announces its next incarnation while another core
+/// wants the lock: that core is told of no death.
 #[test]
-fn a_release_before_the_next_life_is_no_recovery() {
+fn a_release_before_the_next_incarnation_is_no_recovery() {
     model(3, || {
         let words = zeroed(LOCK_WORDS);
         let other = {
@@ -97,7 +98,9 @@ fn a_release_before_the_next_life_is_no_recovery() {
             })
         };
         drop(start_lock(&words, 0, 1).try_lock());
-        lives(&words).announce(Life::new(0, 2).unwrap()).unwrap();
+        incarnations(&words)
+            .announce(Incarnation::new(0, 2).unwrap())
+            .unwrap();
         other.join().unwrap();
     });
 }
@@ -106,15 +109,21 @@ const BLOCKS: usize = 2;
 const POOL_WORDS: usize = OBJECT_AT + pool::words(BLOCKS);
 
 fn start_pool(words: &[AtomicU32], core: usize, generation: u32) -> Pool<'_> {
-    let life = Life::new(core, generation).unwrap();
-    lives(words).announce(life).unwrap();
-    Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives(words)).unwrap()
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    incarnations(words).announce(incarnation).unwrap();
+    Pool::attach(
+        &words[OBJECT_AT..],
+        BLOCKS,
+        incarnation,
+        incarnations(words),
+    )
+    .unwrap()
 }
 
-/// T-SHM-2: a core announces itself and borrows while another core reclaims what dead lives own:
-/// that core frees nothing.
+/// T-SHM-2: a core announces itself and borrows while another core reclaims what dead incarnations
+/// own: that core frees nothing.
 #[test]
-fn the_words_of_a_new_life_are_not_reclaimed() {
+fn the_words_of_a_new_incarnation_are_not_reclaimed() {
     model(3, || {
         let words = zeroed(POOL_WORDS);
         let other = {
@@ -129,8 +138,8 @@ fn the_words_of_a_new_life_are_not_reclaimed() {
         let pool = start_pool(&words, 0, 1);
         assert_eq!(pool.reclaim_dead(), 0, "nobody died");
         let handle = other.join().unwrap();
-        let owner = Life::new(1, 1).unwrap();
-        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, owner, lives(&words)).unwrap();
+        let owner = Incarnation::new(1, 1).unwrap();
+        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, owner, incarnations(&words)).unwrap();
         assert!(pool.open(handle).is_ok(), "its words were taken");
     });
 }

@@ -8,33 +8,39 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Receiver, Sender, TaskId};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::step::kill_at;
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
-const OBJECT_AT: usize = Lives::WORDS;
+const OBJECT_AT: usize = Incarnations::WORDS;
 
-fn lives(words: &[AtomicU32]) -> Lives<'_> {
-    Lives::attach(words).unwrap()
+fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
+    Incarnations::attach(words).unwrap()
 }
 
-fn announce(words: &[AtomicU32], core: usize, generation: u32) -> Life {
-    let life = Life::new(core, generation).unwrap();
-    lives(words).announce(life).unwrap();
-    life
+fn announce(words: &[AtomicU32], core: usize, generation: u32) -> Incarnation {
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    incarnations(words).announce(incarnation).unwrap();
+    incarnation
 }
 
-fn lock(words: &[AtomicU32], life: Life) -> Lock<'_> {
-    Lock::attach(&words[OBJECT_AT..], life, lives(words)).unwrap()
+fn lock(words: &[AtomicU32], incarnation: Incarnation) -> Lock<'_> {
+    Lock::attach(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
 }
 
 const BLOCKS: usize = 3;
 
-fn pool(words: &[AtomicU32], life: Life) -> Pool<'_> {
-    Pool::attach(&words[OBJECT_AT..], BLOCKS, life, lives(words)).unwrap()
+fn pool(words: &[AtomicU32], incarnation: Incarnation) -> Pool<'_> {
+    Pool::attach(
+        &words[OBJECT_AT..],
+        BLOCKS,
+        incarnation,
+        incarnations(words),
+    )
+    .unwrap()
 }
 
 /// T-LOCK-3: the owner dies at any access of taking and releasing, while another core wants the
@@ -49,8 +55,8 @@ fn a_lock_survives_its_owner_at_every_access() {
             let dying = {
                 let (words, guarded) = (words.clone(), guarded.clone());
                 thread::spawn(move || {
-                    let life = announce(&words, 0, 1);
-                    let mut lock = lock(&words, life);
+                    let incarnation = announce(&words, 0, 1);
+                    let mut lock = lock(&words, incarnation);
                     let mut inside = false;
                     let end = kill_at(at, || {
                         if let Some(guard) = lock.try_lock() {
@@ -60,12 +66,12 @@ fn a_lock_survives_its_owner_at_every_access() {
                             drop(guard);
                         }
                     });
-                    lives(&words).mark_dead(life);
+                    incarnations(&words).mark_dead(incarnation);
                     inside && end.is_none()
                 })
             };
-            let life = announce(&words, 1, 1);
-            let mut lock = lock(&words, life);
+            let incarnation = announce(&words, 1, 1);
+            let mut lock = lock(&words, incarnation);
             let mut told = 0;
             let mut take = |polls| {
                 if let Ok(acquired) = lock.lock(polls, spin) {
@@ -92,8 +98,8 @@ fn a_pool_survives_a_borrower_at_every_access() {
             let dying = {
                 let words = words.clone();
                 thread::spawn(move || {
-                    let life = announce(&words, 0, 1);
-                    let pool = pool(&words, life);
+                    let incarnation = announce(&words, 0, 1);
+                    let pool = pool(&words, incarnation);
                     kill_at(at, || {
                         if let Ok(handle) = pool.get(2 * BLOCK_WORDS) {
                             let own = pool.open(handle).unwrap();
@@ -103,11 +109,11 @@ fn a_pool_survives_a_borrower_at_every_access() {
                             pool.give_back(handle).unwrap();
                         }
                     });
-                    lives(&words).mark_dead(life);
+                    incarnations(&words).mark_dead(incarnation);
                 })
             };
-            let life = announce(&words, 1, 1);
-            let pool = pool(&words, life);
+            let incarnation = announce(&words, 1, 1);
+            let pool = pool(&words, incarnation);
             let got = pool.get(1);
             if let Ok(handle) = got {
                 let own = pool.open(handle).unwrap();

@@ -8,7 +8,7 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Acquired, Lock, MAX_WAITED_TURNS};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
@@ -18,19 +18,19 @@ const LOOKS: u32 = 8;
 
 const LIVES_AT: usize = lock::WORDS;
 
-fn life(core: usize) -> Life {
-    Life::new(core, 1).unwrap()
+fn incarnation(core: usize) -> Incarnation {
+    Incarnation::new(core, 1).unwrap()
 }
 
-fn lives(words: &[AtomicU32]) -> Lives<'_> {
-    Lives::attach(&words[LIVES_AT..]).unwrap()
+fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
+    Incarnations::attach(&words[LIVES_AT..]).unwrap()
 }
 
-/// The words of a lock and its life table, with these cores alive.
+/// The words of a lock and its incarnation table, with these cores alive.
 fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
-    let words = zeroed(LIVES_AT + Lives::WORDS);
+    let words = zeroed(LIVES_AT + Incarnations::WORDS);
     for core in 0..cores {
-        lives(&words).announce(life(core)).unwrap();
+        incarnations(&words).announce(incarnation(core)).unwrap();
     }
     words
 }
@@ -42,7 +42,7 @@ fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
         let words = lock_words(CORES);
         let guarded = Arc::new(UnsafeCell::new(0u32));
         let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
-            let mut lock = Lock::attach(&words, life(core), lives(&words)).unwrap();
+            let mut lock = Lock::attach(&words, incarnation(core), incarnations(&words)).unwrap();
             // The bound holds for cores that poll: more polls than a model has.
             lock.set_patience(u32::MAX);
             for _ in 0..times[core] {
@@ -81,7 +81,7 @@ fn detached_guards_exclude_each_other() {
         let words = lock_words(2);
         let guarded = Arc::new(UnsafeCell::new(()));
         let run = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core| {
-            let mut lock = Lock::attach(words, life(core), lives(words)).unwrap();
+            let mut lock = Lock::attach(words, incarnation(core), incarnations(words)).unwrap();
             if let Ok(acquired) = lock.lock(2, spin) {
                 let held = acquired.into_guard().detach();
                 guarded.with_mut(|_| ());
@@ -116,7 +116,7 @@ fn one_taker_is_told_of_the_death() {
     model(3, || {
         let words = lock_words(3);
         core::mem::forget(
-            Lock::attach(&words, life(0), lives(&words))
+            Lock::attach(&words, incarnation(0), incarnations(&words))
                 .unwrap()
                 .try_lock(),
         );
@@ -125,7 +125,8 @@ fn one_taker_is_told_of_the_death() {
             .map(|core| {
                 let (words, recovered) = (words.clone(), recovered.clone());
                 thread::spawn(move || {
-                    let mut lock = Lock::attach(&words, life(core), lives(&words)).unwrap();
+                    let mut lock =
+                        Lock::attach(&words, incarnation(core), incarnations(&words)).unwrap();
                     match lock.lock(6, spin) {
                         Ok(acquired) => {
                             recovered.with_mut(|_| ());
@@ -136,9 +137,9 @@ fn one_taker_is_told_of_the_death() {
                 })
             })
             .collect();
-        lives(&words).mark_dead(life(0));
+        incarnations(&words).mark_dead(incarnation(0));
         let told: u32 = takers.into_iter().map(|taker| taker.join().unwrap()).sum();
-        let mut lock = Lock::attach(&words, life(1), lives(&words)).unwrap();
+        let mut lock = Lock::attach(&words, incarnation(1), incarnations(&words)).unwrap();
         let told = told + u32::from(lock.try_lock().unwrap().is_recovered());
         assert_eq!(told, 1);
     });
@@ -152,7 +153,7 @@ fn a_core_that_loses_patience_excludes_the_others() {
         let words = lock_words(3);
         let guarded = Arc::new(UnsafeCell::new(()));
         let take = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core, polls| {
-            let mut lock = Lock::attach(words, life(core), lives(words)).unwrap();
+            let mut lock = Lock::attach(words, incarnation(core), incarnations(words)).unwrap();
             lock.set_patience(1);
             if let Ok(acquired) = lock.lock(polls, spin) {
                 assert!(!acquired.is_recovered(), "nobody died");
@@ -179,21 +180,23 @@ fn a_core_that_loses_patience_excludes_the_others() {
 
 const BLOCKS: usize = 2;
 
-/// The words of a pool and a life table with cores 0 and 1 alive.
+/// The words of a pool and an incarnation table with cores 0 and 1 alive.
 fn pool_words() -> Arc<Vec<AtomicU32>> {
-    let words = zeroed(pool::words(BLOCKS) + Lives::WORDS);
+    let words = zeroed(pool::words(BLOCKS) + Incarnations::WORDS);
     for core in 0..2 {
-        pool_lives(&words).announce(life(core)).unwrap();
+        pool_incarnations(&words)
+            .announce(incarnation(core))
+            .unwrap();
     }
     words
 }
 
-fn pool_lives(words: &[AtomicU32]) -> Lives<'_> {
-    Lives::attach(&words[pool::words(BLOCKS)..]).unwrap()
+fn pool_incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
+    Incarnations::attach(&words[pool::words(BLOCKS)..]).unwrap()
 }
 
 fn attach(words: &[AtomicU32], core: usize) -> Pool<'_> {
-    Pool::attach(words, BLOCKS, life(core), pool_lives(words)).unwrap()
+    Pool::attach(words, BLOCKS, incarnation(core), pool_incarnations(words)).unwrap()
 }
 
 /// T-SHM-1, T-SHM-2: two cores get and give back at the same time; nothing is given twice or lost.
@@ -228,7 +231,7 @@ fn two_cores_get_different_blocks() {
 fn three_cores_borrow_without_overlap() {
     model(2, || {
         let words = pool_words();
-        pool_lives(&words).announce(life(2)).unwrap();
+        pool_incarnations(&words).announce(incarnation(2)).unwrap();
         let guarded = Arc::new([UnsafeCell::new(()), UnsafeCell::new(())]);
         let borrow = |words: &[AtomicU32], guarded: &[UnsafeCell<()>; 2], core, blocks| {
             let pool = attach(words, core);
@@ -263,7 +266,9 @@ fn the_words_of_the_dead_are_reclaimed_once() {
         let guarded = Arc::new(UnsafeCell::new(()));
         let lost = attach(&words, 0).get(BLOCKS * BLOCK_WORDS).unwrap();
         let reuse = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core| {
-            pool_lives(words).announce(life(core)).unwrap();
+            pool_incarnations(words)
+                .announce(incarnation(core))
+                .unwrap();
             let pool = attach(words, core);
             let reclaimed = pool.reclaim_dead();
             if let Ok(handle) = pool.get(BLOCKS * BLOCK_WORDS) {
@@ -276,7 +281,7 @@ fn the_words_of_the_dead_are_reclaimed_once() {
             let (words, guarded) = (words.clone(), guarded.clone());
             thread::spawn(move || reuse(&words, &guarded, 1))
         };
-        pool_lives(&words).mark_dead(life(0));
+        pool_incarnations(&words).mark_dead(incarnation(0));
         let reclaimed = reuse(&words, &guarded, 2) + other.join().unwrap();
         assert!(reclaimed <= BLOCKS * BLOCK_WORDS, "freed twice");
         let pool = attach(&words, 2);

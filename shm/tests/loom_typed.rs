@@ -6,7 +6,7 @@ mod common;
 
 use common::{model, zeroed};
 use loom::thread;
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::sync::AtomicU32;
 use tandem_shm::typed::{EndError, Mailbox, Region};
@@ -14,12 +14,12 @@ use tandem_shm::typed::{EndError, Mailbox, Region};
 const NEWS: Region<Mailbox> = Region::first("news");
 const LAYOUT: Layout = NEWS.end();
 
-/// A life of this core that is announced only now, and whether it got the sending end.
+/// An incarnation of this core that is announced only now, and whether it got the sending end.
 fn claim(words: &[AtomicU32], core: usize, generation: u32) -> bool {
     let map = Map::attach(words, LAYOUT).unwrap();
-    let life = Life::new(core, generation).unwrap();
-    map.lives().announce(life).unwrap();
-    match NEWS.sender(&map, life) {
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    map.incarnations().announce(incarnation).unwrap();
+    match NEWS.sender(&map, incarnation) {
         Ok(_) => true,
         Err(EndError::Claimed(holder)) => {
             assert_ne!(holder.core(), core, "nobody else has it");
@@ -29,7 +29,7 @@ fn claim(words: &[AtomicU32], core: usize, generation: u32) -> bool {
     }
 }
 
-/// Two new lives claim one end at the same time: exactly one gets it.
+/// Two new incarnations claim one end at the same time: exactly one gets it.
 #[test]
 fn two_cores_that_claim_at_once_get_one_end() {
     model(4, || {
@@ -51,7 +51,8 @@ fn two_successors_of_a_dead_holder_get_one_end() {
         let words = zeroed(LAYOUT.total_words());
         let map = Map::format(&words, LAYOUT).unwrap();
         assert!(claim(&words, 2, 1));
-        map.lives().mark_dead(Life::new(2, 1).unwrap());
+        map.incarnations()
+            .mark_dead(Incarnation::new(2, 1).unwrap());
         let other = {
             let words = words.clone();
             thread::spawn(move || claim(&words, 1, 1))

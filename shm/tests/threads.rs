@@ -5,7 +5,7 @@
 use std::thread;
 
 use tandem_shm::broadcast::{self, Lost};
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Ring, TaskId};
 use tandem_shm::newest::{self, ReadError};
@@ -148,24 +148,25 @@ fn signals_wake_a_sleeping_receiver() {
 #[test]
 fn words_go_round_and_the_lock_guards_a_counter() {
     const BLOCKS: usize = 3;
-    const POOL_AT: usize = Lives::WORDS + lock::WORDS;
+    const POOL_AT: usize = Incarnations::WORDS + lock::WORDS;
     const QUEUES_AT: usize = POOL_AT + pool::words(BLOCKS);
     const HANDLES: Shape = Shape::new(8, 4);
     const QUEUE_WORDS: usize = fifo::words(HANDLES);
     const WORDS: usize = QUEUES_AT + 2 * QUEUE_WORDS + LINE_WORDS;
     with_words(WORDS, |words| {
-        let lives = Lives::attach(words).unwrap();
-        let identities = [0, 1].map(|core| Life::new(core, 1).unwrap());
-        for life in identities {
-            lives.announce(life).unwrap();
+        let incarnations = Incarnations::attach(words).unwrap();
+        let identities = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+        for incarnation in identities {
+            incarnations.announce(incarnation).unwrap();
         }
         let queue = |from: usize| &words[QUEUES_AT + from * QUEUE_WORDS..];
         let counter = &words[WORDS - 1];
-        let core = |life: Life| {
-            let other = 1 - life.core();
-            let mut lock = Lock::attach(&words[Lives::WORDS..], life, lives).unwrap();
-            let pool = Pool::attach(&words[POOL_AT..], BLOCKS, life, lives).unwrap();
-            let mut to = fifo::Producer::attach(queue(life.core()), HANDLES).unwrap();
+        let core = |incarnation: Incarnation| {
+            let other = 1 - incarnation.core();
+            let mut lock =
+                Lock::attach(&words[Incarnations::WORDS..], incarnation, incarnations).unwrap();
+            let pool = Pool::attach(&words[POOL_AT..], BLOCKS, incarnation, incarnations).unwrap();
+            let mut to = fifo::Producer::attach(queue(incarnation.core()), HANDLES).unwrap();
             let mut from = fifo::Consumer::attach(queue(other), HANDLES).unwrap();
             let handle = pool.get(2).unwrap();
             pool.hand_over(handle, other).unwrap();
@@ -193,8 +194,8 @@ fn words_go_round_and_the_lock_guards_a_counter() {
             }
         };
         thread::scope(|scope| {
-            for life in identities {
-                scope.spawn(move || core(life));
+            for incarnation in identities {
+                scope.spawn(move || core(incarnation));
             }
         });
         assert_eq!(counter.load(Ordering::Relaxed), 2 * TIMES);

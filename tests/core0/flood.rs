@@ -51,8 +51,8 @@ const fn drives(lamp: RoleLamp) -> bool {
     matches!(lamp, RoleLamp::Master | RoleLamp::DegradedMaster)
 }
 
-/// T-CHIP-5, T-SYNC-3: core 0 drives on in its first life, takes no more interrupts than its limit
-/// permits, and tells of each source.
+/// T-CHIP-5, T-SYNC-3: core 0 drives on in its first incarnation, takes no more interrupts than its
+/// limit permits, and tells of each source.
 fn drive_on(script: &mut Script) {
     script.until("A drives", |script| {
         drives(script.port().role(SystemId::A)) && !script.accepted.is_empty()
@@ -62,8 +62,8 @@ fn drive_on(script: &mut Script) {
     let span = script.now().since(begin);
 
     let backplane = script.port().backplane();
-    let life = backplane.generation(SystemId::A, CoreId::CONTROL);
-    assert_eq!(life, Generation(1), "the flood has reset A");
+    let incarnation = backplane.generation(SystemId::A, CoreId::CONTROL);
+    assert_eq!(incarnation, Generation(1), "the flood has reset A");
     let accepted = &script.accepted[frames..];
     assert!(accepted.iter().all(|(_, by)| *by == SystemId::A));
     // A third of those that are due: the machine may be busy.

@@ -1,8 +1,8 @@
 //! Counts what one thread of this process asks of Linux and of the allocator, by ptrace.
 //!
 //! A child of the traced process stops it at each system call. The traced process marks points of
-//! its life, and each request to its allocator, by system calls with numbers that Linux does not
-//! have: so the tracer sees all in the order in which it happened, and by which thread.
+//! its incarnation, and each request to its allocator, by system calls with numbers that Linux does
+//! not have: so the tracer sees all in the order in which it happened, and by which thread.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::collections::BTreeMap;
@@ -104,7 +104,7 @@ unsafe fn ptrace(request: libc::c_uint, thread: libc::pid_t, at: usize, data: us
     unsafe { libc::ptrace(request, thread, at, data) }
 }
 
-/// The life of the tracer.
+/// The incarnation of the tracer.
 fn trace(process: libc::pid_t, ready: i32, into: &Path) {
     let options = libc::PTRACE_O_TRACESYSGOOD | libc::PTRACE_O_TRACECLONE;
     // SAFETY: seizes the parent and stops it once; the pipe's end is ours.

@@ -128,11 +128,12 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let death_ns = events[death.unwrap()].at_ns;
     let reborn = events
         .iter()
-        .find(|e| e.thread == core && e.name.starts_with("starts, life 2"));
+        .find(|e| e.thread == core && e.name.starts_with("starts, incarnation 2"));
     let reborn_ns = reborn.unwrap().at_ns;
     assert!(death_ns < reborn_ns);
 
-    // Each frame that the vehicle obeyed was sent in a cycle of the first life, which was traced.
+    // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which was
+    // traced.
     let cycles = events
         .iter()
         .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
@@ -144,7 +145,7 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     assert!(obeyed > 0);
     let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
     assert!(before >= obeyed, "{before} cycles, {obeyed} frames");
-    // And nothing between the lives.
+    // And nothing between the incarnations.
     assert!(
         !cycles
             .iter()

@@ -133,7 +133,7 @@ enum Campaign {
         seed: u64,
     },
     /// Lose power at every byte of every flash operation of an update, and again while the
-    /// controller recovers; each life is a process of its own. Fails if there is a brick
+    /// controller recovers; each incarnation is a process of its own. Fails if there is a brick
     PowerCuts {
         /// Write {points, bricks} to this file
         #[arg(long, value_name = "FILE")]

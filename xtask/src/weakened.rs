@@ -22,7 +22,10 @@ struct Site {
 
 /// The sources with orderings, and the tests that model them.
 const SOURCES: [(&str, &[&str]); 8] = [
-    ("life", &["loom_announce", "loom_deaths", "loom_lock"]),
+    (
+        "incarnation",
+        &["loom_announce", "loom_deaths", "loom_lock"],
+    ),
     ("lock", &["loom_announce", "loom_deaths", "loom_lock"]),
     ("pool", &["loom_announce", "loom_deaths", "loom_lock"]),
     ("mailbox", &["loom_mailbox", "loom_deaths"]),

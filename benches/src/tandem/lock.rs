@@ -9,20 +9,22 @@ use crate::worker::{Child, Part, Role, perform};
 use std::hint::black_box;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::sync::spin;
 
-const LOCK_AT: usize = Lives::WORDS;
+const LOCK_AT: usize = Incarnations::WORDS;
 const WORDS: usize = LOCK_AT + lock::WORDS;
 const OWN_BYTES: u64 = 4 * WORDS as u64;
 
 fn attach(shared: &Shared, core: usize, generation: u32) -> Lock<'static> {
     let words = shared.case();
-    let lives = Lives::attach(words).expect("it fits");
-    let life = Life::new(core, generation).expect("a life");
-    lives.announce(life).expect("the first life");
-    Lock::attach(&words[LOCK_AT..], life, lives).expect("it fits")
+    let incarnations = Incarnations::attach(words).expect("it fits");
+    let incarnation = Incarnation::new(core, generation).expect("an incarnation");
+    incarnations
+        .announce(incarnation)
+        .expect("the first incarnation");
+    Lock::attach(&words[LOCK_AT..], incarnation, incarnations).expect("it fits")
 }
 
 /// Taking and giving back a lock that no other core wants.
@@ -82,8 +84,8 @@ const ANNOUNCED_AT: usize = WORDS + 16;
 const RECOVERED_AT: usize = WORDS + 32;
 
 /// An owner takes the lock and is killed (-9); the supervisor, which has seen it end, marks its
-/// life as dead; a core that waits on another CPU takes the lock over. A sample is the time from
-/// the mark to the guard.
+/// incarnation as dead; a core that waits on another CPU takes the lock over. A sample is the time
+/// from the mark to the guard.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
@@ -136,10 +138,10 @@ fn one_death(shared: &Shared, plan: &Plan, generation: u32) -> io::Result<()> {
         spin(1);
     }
     owner.kill();
-    let lives = Lives::attach(shared.case()).expect("it fits");
-    let dead = Life::new(OWNER, generation).expect("a life");
+    let incarnations = Incarnations::attach(shared.case()).expect("it fits");
+    let dead = Incarnation::new(OWNER, generation).expect("an incarnation");
     word(shared, ANNOUNCED_AT).store(ticks(), Ordering::Relaxed);
-    lives.mark_dead(dead);
+    incarnations.mark_dead(dead);
     wait_for(word(shared, RECOVERED_AT), generation, give_way);
     Ok(())
 }

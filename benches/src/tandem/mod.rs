@@ -102,12 +102,12 @@ impl Core {
         system: &UnsupervisedSystem,
         core: CoreId,
         peer: CoreId,
-        life: u32,
+        incarnation: u32,
         policy: WaitPolicy,
         way: Way,
     ) -> Self {
         let board = system
-            .attach(core, Generation(life))
+            .attach(core, Generation(incarnation))
             .expect("the bare system is powered");
         let board: &'static HostBoard = Box::leak(Box::new(board));
         let words_to = |to: CoreId| -> &'static [AtomicU32] {
@@ -167,9 +167,10 @@ impl End for Core {
 /// # Errors
 /// As [`between_processes`].
 pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
-    let (system, life) = (plan.system(), next_life());
+    let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start = |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, way);
+    let start =
+        |core, peer| move |_: &Shared| Core::start(system, core, peer, incarnation, policy, way);
     between_processes(plan, 0, start(a, b), start(b, a))
 }
 
@@ -179,10 +180,10 @@ pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
 /// As [`through_three`].
 pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
     const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
-    let (system, life) = (plan.system(), next_life());
+    let (system, incarnation) = (plan.system(), next_incarnation());
     through_three(plan, 0, |part, _| {
         let (core, next) = (CHAIN[part], CHAIN[(part + 1) % 3]);
-        Core::start(system, core, next, life, policies[part], Way::Signal)
+        Core::start(system, core, next, incarnation, policies[part], Way::Signal)
     })
 }
 
@@ -191,15 +192,16 @@ pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
 /// # Errors
 /// As [`at_fixed_rate`].
 pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
-    let (system, life) = (plan.system(), next_life());
+    let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start =
-        |core, peer| move |_: &Shared| Core::start(system, core, peer, life, policy, Way::Signal);
+    let start = |core, peer| {
+        move |_: &Shared| Core::start(system, core, peer, incarnation, policy, Way::Signal)
+    };
     at_fixed_rate(plan, 0, start(a, b), start(b, a))
 }
 
-/// Lives rise from batch to batch, as those of a core that is reset.
-pub(crate) fn next_life() -> u32 {
-    static LIVES: AtomicU32 = AtomicU32::new(1);
-    LIVES.fetch_add(1, Relaxed)
+/// Incarnations rise from batch to batch, as those of a core that is reset.
+pub(crate) fn next_incarnation() -> u32 {
+    static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
+    INCARNATIONS.fetch_add(1, Relaxed)
 }

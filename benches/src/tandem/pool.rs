@@ -6,20 +6,22 @@ use crate::shared::Shared;
 use crate::worker::{Part, perform};
 use std::hint::black_box;
 use std::io;
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::pool::{self, Pool};
 
 const BLOCKS: usize = 64;
-const POOL_AT: usize = Lives::WORDS;
+const POOL_AT: usize = Incarnations::WORDS;
 const OWN_BYTES: u64 = 4 * (POOL_AT + pool::words(BLOCKS)) as u64;
 const WORDS: usize = 16;
 
 fn attach(shared: &Shared, core: usize) -> Pool<'static> {
     let words = shared.case();
-    let lives = Lives::attach(words).expect("it fits");
-    let life = Life::new(core, 1).expect("a life");
-    lives.announce(life).expect("the first life");
-    Pool::attach(&words[POOL_AT..], BLOCKS, life, lives).expect("it fits")
+    let incarnations = Incarnations::attach(words).expect("it fits");
+    let incarnation = Incarnation::new(core, 1).expect("an incarnation");
+    incarnations
+        .announce(incarnation)
+        .expect("the first incarnation");
+    Pool::attach(&words[POOL_AT..], BLOCKS, incarnation, incarnations).expect("it fits")
 }
 
 fn take_and_give(pool: &mut Pool<'_>) {

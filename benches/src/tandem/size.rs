@@ -5,7 +5,7 @@
 //! on the host in a segment of its own. Each direction has two payloads, so that one can be
 //! filled while the other is read.
 
-use super::{Core, Way, next_life};
+use super::{Core, Way, next_incarnation};
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
 use std::io;
@@ -69,11 +69,18 @@ pub fn in_place(plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let words = (bytes / 4).next_multiple_of(LINE);
     let payloads = Shared::with_case_words(2 * PAYLOADS * words)?;
     let ways = payloads.case().split_at(PAYLOADS * words);
-    let (system, life) = (plan.system(), next_life());
+    let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer, out, inward| {
         move |_: &Shared| {
-            let core = Core::start(system, core, peer, life, WaitPolicy::Spin, Way::Signal);
+            let core = Core::start(
+                system,
+                core,
+                peer,
+                incarnation,
+                WaitPolicy::Spin,
+                Way::Signal,
+            );
             InPlace::start(core, out, inward)
         }
     };

@@ -8,7 +8,7 @@ use std::io;
 use std::sync::atomic::Ordering;
 use tandem_board::{Board, CoreId, Duration, Generation};
 use tandem_board_host::{HostBoard, UnsupervisedSystem, isolation};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Ring, TaskId};
 use tandem_shm::map::{AttachError, Layout, Map};
 use tandem_shm::typed::{Mailbox, Region};
@@ -41,7 +41,7 @@ const fn mailbox(from: usize, to: usize) -> usize {
 const STARTED: u8 = 1;
 
 /// Each round powers a fresh system on: LMU, doorbells, data flash, three core processes. Core 0
-/// formats the LMU; each core announces its life, signals both others and waits, asleep, for
+/// formats the LMU; each core announces its incarnation, signals both others and waits, asleep, for
 /// theirs. A sample is the time from before the power-on until the last core is in sync.
 ///
 /// # Errors
@@ -83,23 +83,25 @@ pub fn start_up(plan: &Plan) -> io::Result<Batch> {
     })
 }
 
-/// The life of a core until it has heard of both others.
+/// The incarnation of a core until it has heard of both others.
 fn start_core(system: &UnsupervisedSystem, core: CoreId) -> Result<(), Box<dyn std::error::Error>> {
     let board = system.attach(core, Generation(1))?;
     let map = map(&board, core);
-    let life = Life::new(core.index(), 1).ok_or("no life")?;
-    map.lives().announce(life).map_err(|_| "outdated")?;
+    let incarnation = Incarnation::new(core.index(), 1).ok_or("no incarnation")?;
+    map.incarnations()
+        .announce(incarnation)
+        .map_err(|_| "outdated")?;
     let started = TaskId::new(STARTED).ok_or("no task")?;
     let others = CoreId::ALL.into_iter().filter(|other| *other != core);
     let mut receivers = vec![];
     for other in others.clone() {
         let inward = MAILBOXES[mailbox(other.index(), core.index())];
-        let receiver = inward.receiver(&map, life).map_err(|_| "taken")?;
+        let receiver = inward.receiver(&map, incarnation).map_err(|_| "taken")?;
         receivers.push((receiver, false));
     }
     for other in others {
         let out = MAILBOXES[mailbox(core.index(), other.index())];
-        let mut sender = out.sender(&map, life).map_err(|_| "taken")?;
+        let mut sender = out.sender(&map, incarnation).map_err(|_| "taken")?;
         if sender.signal(started) == Ring::Needed {
             board.ring(other);
         }

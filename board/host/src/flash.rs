@@ -226,7 +226,7 @@ impl Drop for HostFlash {
 }
 
 impl Device {
-    /// The life of the background thread.
+    /// The incarnation of the background thread.
     fn work(&self) {
         // What programming reads back, kept for its memory.
         let mut present = [flash::ERASED; SECTOR];

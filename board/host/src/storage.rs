@@ -251,8 +251,8 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         let content = memory.base_address().cast::<Content<T>>();
         let beyond = size_of::<Content<T>>();
         // SAFETY: the memory is at least as large as a `Content`, aligned to a page, and mapped as
-        // long as `memory` lives. Fresh memory is zero, and any bits are a `Content`. What is
-        // behind it is in the mapping as well.
+        // long as `memory` incarnations. Fresh memory is zero, and any bits are a `Content`. What
+        // is behind it is in the mapping as well.
         let (content, rest) =
             unsafe { (&mut *content.as_ptr(), memory.base_address().add(beyond)) };
         let mut allocator = BumpAllocator::new(rest, memory.size() - beyond);

@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_killed_writer_never_filled_is_void_for_the_next_life() {
+    fn what_a_killed_writer_never_filled_is_void_for_the_next_incarnation() {
         let words = words();
         let (ring, mut reader) = ends(words);
         // A slot of the second round holds an old record.
@@ -273,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn scribbled_counters_are_no_records_and_the_next_life_heals_the_ring() {
+    fn scribbled_counters_are_no_records_and_the_next_incarnation_heals_the_ring() {
         for (reserved, read) in [(7, 1 << 31), (1 << 31, 0), (0, 5)] {
             let words = words();
             words[RESERVED_AT].store(reserved, Relaxed);

@@ -25,7 +25,7 @@ pub struct Config {
     /// The hold doubles with each reset up to here, so that a program which dies at its start does
     /// not use up the machine.
     pub longest_hold: Duration,
-    /// A life that lasted this long ends the doubling.
+    /// An incarnation that lasted this long ends the doubling.
     pub stable: Duration,
 }
 
@@ -72,7 +72,7 @@ pub enum Power {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Change {
-    /// All cores begin a life, which began for this cause.
+    /// All cores begin an incarnation, which began for this cause.
     Start(ResetCause),
     /// All cores stop. The supply will start them again.
     Reset(ResetCause),
@@ -136,7 +136,7 @@ impl Supply {
         matches!(self.state, State::On { .. })
     }
 
-    /// Why the life of the system began that runs, or the next one will begin.
+    /// Why the incarnation of the system began that runs, or the next one will begin.
     #[must_use]
     pub const fn cause(&self) -> ResetCause {
         match self.state {
@@ -173,7 +173,7 @@ impl Supply {
         }
     }
 
-    /// A core asks for a reset. [`Supply::poll`] obeys the first request of a life.
+    /// A core asks for a reset. [`Supply::poll`] obeys the first request of an incarnation.
     pub fn request(&mut self, asked: ResetRequest) {
         if let State::On { request, .. } = &mut self.state {
             request.get_or_insert(asked);
@@ -210,7 +210,7 @@ impl Supply {
         Some(Change::Reset(cause))
     }
 
-    /// Does what is due. `cores_stand` says that no core of an earlier life runs any more.
+    /// Does what is due. `cores_stand` says that no core of an earlier incarnation runs any more.
     pub fn poll(&mut self, now: Instant, cores_stand: bool) -> Option<Change> {
         match self.state {
             State::On {
@@ -389,9 +389,9 @@ mod tests {
         assert_eq!(IN_RESET().next(), ms(20));
     }
 
-    /// A life tells its cause, and nothing of an old life reaches the next one.
+    /// An incarnation tells its cause, and nothing of an old incarnation reaches the next one.
     #[test]
-    fn a_new_life_is_free_of_the_old_one() {
+    fn a_new_incarnation_is_free_of_the_old_one() {
         let mut supply = ON();
         assert_eq!(supply.cause(), ResetCause::PowerOn);
         assert_eq!(supply.service(ms(1), ms(1), Some(watchdog_answer(3))), None);
@@ -408,7 +408,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_request_of_a_life_counts() {
+    fn the_first_request_of_a_incarnation_counts() {
         let mut supply = ON();
         supply.request(ResetRequest::CoreDead);
         supply.request(ResetRequest::Suspend);
@@ -419,7 +419,8 @@ mod tests {
         );
     }
 
-    /// The hold doubles up to its limit, and is short again after a stable life or a power-on.
+    /// The hold doubles up to its limit, and is short again after a stable incarnation or a
+    /// power-on.
     #[test]
     fn the_hold_grows_with_each_reset_that_follows_soon() {
         let mut supply = ON();
@@ -432,7 +433,7 @@ mod tests {
         }
         now += 3_000;
         assert!(supply.reset(ms(now), ResetCause::Trap).is_some());
-        assert_eq!(supply.next(), ms(now + 20), "after a stable life");
+        assert_eq!(supply.next(), ms(now + 20), "after a stable incarnation");
         assert!(supply.power_off().is_some());
         assert!(supply.power_on(ms(now)).is_some());
         assert!(supply.reset(ms(now), ResetCause::Trap).is_some());

@@ -34,8 +34,8 @@ impl Window {
     };
 }
 
-/// The question that follows `services` services of one life; 0 ..= 15, each in turn in a scrambled
-/// order. A core that counts its services needs not ask.
+/// The question that follows `services` services of one incarnation; 0 ..= 15, each in turn in a
+/// scrambled order. A core that counts its services needs not ask.
 #[must_use]
 pub const fn question(services: u32) -> u8 {
     // An odd factor permutes the residues.
@@ -53,11 +53,11 @@ pub enum WatchdogFault {
     WrongAnswer,
 }
 
-/// Watches over one life of a system.
+/// Watches over one incarnation of a system.
 #[derive(Clone, Copy, Debug)]
 pub struct Watchdog {
     window: Window,
-    /// The last service, or the start of this life.
+    /// The last service, or the start of this incarnation.
     last: Instant,
     services: u32,
     served: bool,

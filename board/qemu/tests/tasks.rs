@@ -1,5 +1,5 @@
-//! Core 0's tasks in the controller's image: FreeRTOS runs them by priority, in every life of the
-//! core. Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
+//! Core 0's tasks in the controller's image: FreeRTOS runs them by priority, in every incarnation
+//! of the core. Needs QEMU and the images, so that only `cargo xtask firmware test` runs it.
 #![allow(
     clippy::unwrap_used,
     clippy::expect_used,
@@ -95,7 +95,7 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
                         .map(|job| Job { to: *at, ..job }),
                 );
             }
-            // What the last life had begun never ends.
+            // What the last incarnation had begun never ends.
             Event::Started { .. } => open.clear(),
             _ => {}
         }
@@ -146,25 +146,27 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
     }
 }
 
-/// A reset of the core does not end FreeRTOS: the kernel starts again in each life. Here monitoring
-/// holds the watchdog up, of which every 600th job takes 100 ms longer.
+/// A reset of the core does not end FreeRTOS: the kernel starts again in each incarnation. Here
+/// monitoring holds the watchdog up, of which every 600th job takes 100 ms longer.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_kernel_runs_again_after_a_reset_of_the_core() {
     let (events, log) = run(overload(TaskId::Monitoring, 100, 600));
-    let lives: Vec<(Instant, u32)> = events
+    let incarnations: Vec<(Instant, u32)> = events
         .iter()
         .filter_map(|(at, event)| match event {
             Event::Started { generation, .. } => Some((*at, *generation)),
             _ => None,
         })
         .collect();
-    let numbers: Vec<u32> = lives.iter().map(|(_, number)| *number).collect();
-    assert_eq!(numbers, [1, 2], "lives of core 0: {log}");
+    let numbers: Vec<u32> = incarnations.iter().map(|(_, number)| *number).collect();
+    assert_eq!(numbers, [1, 2], "incarnations of core 0: {log}");
     let jobs = jobs(&events);
-    for (life, (begin, number)) in lives.iter().enumerate() {
-        let end = lives.get(life + 1).map_or(Instant::NEVER, |next| next.0);
-        let of_life = |job: &&Job| *begin <= job.from && job.from < end;
+    for (incarnation, (begin, number)) in incarnations.iter().enumerate() {
+        let end = incarnations
+            .get(incarnation + 1)
+            .map_or(Instant::NEVER, |next| next.0);
+        let of_incarnation = |job: &&Job| *begin <= job.from && job.from < end;
         for task in [
             TaskId::Roles,
             TaskId::Monitoring,
@@ -174,10 +176,13 @@ fn the_kernel_runs_again_after_a_reset_of_the_core() {
             let code = task.info().code;
             let count = jobs
                 .iter()
-                .filter(of_life)
+                .filter(of_incarnation)
                 .filter(|job| job.task == code)
                 .count();
-            assert!(count > 5, "{count} jobs of {task:?} in life {number}");
+            assert!(
+                count > 5,
+                "{count} jobs of {task:?} in incarnation {number}"
+            );
         }
         // Only the kernel makes tasks ready.
         let of_kernel = |(at, event): &&(Instant, Event)| {
@@ -186,9 +191,9 @@ fn the_kernel_runs_again_after_a_reset_of_the_core() {
         let ready = events.iter().filter(of_kernel).count();
         assert!(
             ready > 100,
-            "{ready} releases by the kernel in life {number}"
+            "{ready} releases by the kernel in incarnation {number}"
         );
-        let says = format!("core 0 of A runs its tasks under FreeRTOS, life {number}");
+        let says = format!("core 0 of A runs its tasks under FreeRTOS, incarnation {number}");
         assert!(log.contains(&says), "{log}");
     }
 }

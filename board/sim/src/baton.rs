@@ -5,7 +5,7 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use tandem_board::Instant;
 
-/// What unwinds a blocking core whose life is over, out of the call in which it is parked.
+/// What unwinds a blocking core whose incarnation is over, out of the call in which it is parked.
 #[derive(Clone, Copy, Debug)]
 pub struct CoreKilled;
 
@@ -25,7 +25,7 @@ pub(crate) struct Baton {
 
 impl Baton {
     /// Lets the others run until `until` on the core's clock, or until the pair has a reason to
-    /// resume this core. Unwinds with [`CoreKilled`] when the core's life is over.
+    /// resume this core. Unwinds with [`CoreKilled`] when the core's incarnation is over.
     pub(crate) fn park(&self, until: Instant) {
         if std::thread::panicking() {
             return;

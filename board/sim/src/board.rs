@@ -18,23 +18,23 @@ use tandem_peripherals::watchdog::Window;
 /// on its system's clock.
 pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
-/// A core's connection to the machine, for one life of the core.
+/// A core's connection to the machine, for one incarnation of the core.
 #[derive(Clone)]
 pub(crate) struct Port {
     pub(crate) shared: Arc<Shared>,
     pub(crate) place: CoreAddress,
     pub(crate) generation: Generation,
-    pub(crate) life: u64,
+    pub(crate) incarnation: u64,
     pub(crate) baton: Option<Arc<Baton>>,
 }
 
 impl Port {
-    /// Runs `act` unless this life of the core is over: the dead do not act.
+    /// Runs `act` unless this incarnation of the core is over: the dead do not act.
     fn alive<R>(&self, act: impl FnOnce(&mut crate::machine::Machine) -> R) -> Option<R> {
         let mut machine = self.shared.lock();
         let core = machine.core(self.place);
-        let lives = core.alive && core.life == self.life;
-        lives.then(|| act(&mut machine))
+        let incarnations = core.alive && core.incarnation == self.incarnation;
+        incarnations.then(|| act(&mut machine))
     }
 
     /// What a blocking core pays for looking at something that may change: the others run
@@ -74,7 +74,7 @@ impl Port {
         let mut machine = self.shared.lock();
         let now = machine.local(self.place.system);
         let core = machine.core(self.place);
-        let pending = core.life == self.life && core::mem::take(&mut core.pending);
+        let pending = core.incarnation == self.incarnation && core::mem::take(&mut core.pending);
         if !pending && now < deadline {
             core.attention = Attention::Waits;
             return None;
@@ -103,10 +103,10 @@ impl Port {
     }
 }
 
-/// What one core sees of a [`SimPair`](crate::SimPair), for one life of that core.
+/// What one core sees of a [`SimPair`](crate::SimPair), for one incarnation of that core.
 ///
-/// When that life is over (power lost, reset, core killed), what is sent through a board that
-/// somebody kept goes nowhere.
+/// When that incarnation is over (power lost, reset, core killed), what is sent through a board
+/// that somebody kept goes nowhere.
 ///
 /// # Panics
 /// `wait` panics on a core that is polled. Programming the flash and serving the watchdog panic on

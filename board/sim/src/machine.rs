@@ -56,7 +56,7 @@ pub enum EventKind {
     Suspended,
     /// A core died.
     CoreDied(CoreId),
-    /// A single core began a new life.
+    /// A single core began a new incarnation.
     CoreRestarted(CoreId),
     /// The system shows another role.
     Lamp(RoleLamp),
@@ -76,8 +76,9 @@ pub(crate) enum Attention {
 pub(crate) struct Core {
     pub(crate) alive: bool,
     pub(crate) generation: u32,
-    /// Differs between any two lives, unlike the generation, which begins anew with the power.
-    pub(crate) life: u64,
+    /// Differs between any two incarnations, unlike the generation, which begins anew with the
+    /// power.
+    pub(crate) incarnation: u64,
     pub(crate) pending: bool,
     pub(crate) attention: Attention,
     pub(crate) deadline_ns: u64,
@@ -96,7 +97,7 @@ impl Core {
         Self {
             alive: false,
             generation: 0,
-            life: 0,
+            incarnation: 0,
             pending: false,
             attention: Attention::Polled,
             deadline_ns: 0,
@@ -111,9 +112,9 @@ impl Core {
     }
 
     pub(crate) fn start(&mut self, generation: u32, now_ns: u64) {
-        let life = self.life + 1;
+        let incarnation = self.incarnation + 1;
         *self = Self::new();
-        (self.alive, self.generation, self.life) = (true, generation, life);
+        (self.alive, self.generation, self.incarnation) = (true, generation, incarnation);
         self.deadline_ns = now_ns;
     }
 

@@ -25,7 +25,7 @@ const WORLD_PERIOD: Duration = Duration::from_ms(1);
 const LIVELOCK_POLLS: u32 = 100_000;
 
 struct Running {
-    life: u64,
+    incarnation: u64,
     board: SimBoard,
     poll: Poller,
 }
@@ -42,7 +42,8 @@ pub struct SimPair {
 
 impl SimPair {
     /// Two systems without power. `factory` makes the code of a core at each of its starts: at
-    /// power-on and after each reset; the board's identity says which core, and which of its lives.
+    /// power-on and after each reset; the board's identity says which core, and which of its
+    /// incarnations.
     pub fn new(config: Config, factory: impl FnMut(&SimBoard) -> Poller + 'static) -> Self {
         let order = ChaCha8Rng::seed_from_u64(config.seed ^ 0x5EED);
         Self {
@@ -72,7 +73,7 @@ impl SimPair {
         self.shared.lock().at()
     }
 
-    /// The board of a core in its present life.
+    /// The board of a core in its present incarnation.
     #[must_use]
     pub fn board(&self, system: SystemId, core: CoreId) -> SimBoard {
         self.board_at(CoreAddress { system, core })
@@ -81,14 +82,14 @@ impl SimPair {
     fn board_at(&self, place: CoreAddress) -> SimBoard {
         let mut machine = self.shared.lock();
         let core = machine.core(place);
-        let (generation, life) = (Generation(core.generation), core.life);
+        let (generation, incarnation) = (Generation(core.generation), core.incarnation);
         drop(machine);
         let shared = Arc::clone(&self.shared);
         SimBoard::new(Port {
             shared,
             place,
             generation,
-            life,
+            incarnation,
             baton: None,
         })
     }
@@ -147,7 +148,7 @@ impl SimPair {
         loop {
             self.shared.lock().settle();
             self.tick_world();
-            self.follow_lives();
+            self.follow_incarnations();
             let mut due = self.due();
             if due.is_empty() {
                 return;
@@ -201,25 +202,30 @@ impl SimPair {
         self.world_next += WORLD_PERIOD;
     }
 
-    /// Ends the code of cores whose life is over, and makes the code of those that began one.
-    fn follow_lives(&mut self) {
+    /// Ends the code of cores whose incarnation is over, and makes the code of those that began
+    /// one.
+    fn follow_incarnations(&mut self) {
         for place in CoreAddress::ALL {
-            let (alive, life) = {
+            let (alive, incarnation) = {
                 let mut machine = self.shared.lock();
                 let core = machine.core(place);
-                (core.alive, core.life)
+                (core.alive, core.incarnation)
             };
             let slot = &mut self.cores[place.system.index()][place.core.index()];
             if slot
                 .as_ref()
-                .is_some_and(|running| !alive || running.life != life)
+                .is_some_and(|running| !alive || running.incarnation != incarnation)
             {
                 *slot = None;
             }
             if alive && slot.is_none() {
                 let board = self.board_at(place);
                 let poll = (self.factory)(&board);
-                let running = Running { life, board, poll };
+                let running = Running {
+                    incarnation,
+                    board,
+                    poll,
+                };
                 self.cores[place.system.index()][place.core.index()] = Some(running);
             }
         }
@@ -241,8 +247,8 @@ impl SimPair {
             let mut machine = self.shared.lock();
             let now_ns = machine.now_ns;
             let core = machine.core(place);
-            // One polled before at this instant may have ended this life.
-            if core.life != running.life || !core.is_due(now_ns) {
+            // One polled before at this instant may have ended this incarnation.
+            if core.incarnation != running.incarnation || !core.is_due(now_ns) {
                 return;
             }
             if core.attention == Attention::Polled {
@@ -262,13 +268,13 @@ impl SimPair {
     /// Switches a supply on: the LMU is zero, the cores start in generation 1. Nothing if it is on.
     pub fn power_on(&mut self, system: SystemId) {
         self.shared.power_on(system);
-        self.follow_lives();
+        self.follow_incarnations();
     }
 
     /// Takes the power from a system, at once.
     pub fn power_off(&mut self, system: SystemId) {
         self.shared.lock().power_off(system);
-        self.follow_lives();
+        self.follow_incarnations();
     }
 
     /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is
@@ -280,21 +286,21 @@ impl SimPair {
     /// The supply resets a system that is on; it restarts after [`Config::reset_hold`].
     pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
         self.shared.lock().reset(system, cause);
-        self.follow_lives();
+        self.follow_incarnations();
     }
 
     /// A core dies and stays dead; nobody is told.
     pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
         self.shared.lock().kill_core(CoreAddress { system, core });
-        self.follow_lives();
+        self.follow_incarnations();
     }
 
-    /// A single core begins its next life; the LMU keeps its content.
+    /// A single core begins its next incarnation; the LMU keeps its content.
     pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
         self.shared
             .lock()
             .restart_core(CoreAddress { system, core });
-        self.follow_lives();
+        self.follow_incarnations();
     }
 
     /// A core does nothing for a span of virtual time; what comes for it stays pending.

@@ -58,7 +58,7 @@ impl Machine {
         self.with_supply(system, |supply| supply.power_on(now));
     }
 
-    /// The cores of a system begin a new life.
+    /// The cores of a system begin a new incarnation.
     fn start(&mut self, system: SystemId, cause: ResetCause) {
         let now_ns = self.now_ns;
         let skipped = u32::from(self.has(Defect::WrongGeneration));
@@ -129,7 +129,7 @@ impl Machine {
         self.log(place.system, EventKind::Requested(place.core, request));
     }
 
-    /// Why the life of the system began, as its cores read it.
+    /// Why the incarnation of the system began, as its cores read it.
     pub(crate) fn reset_cause(&self, system: SystemId) -> ResetCause {
         match self.has(Defect::CauseForgotten) {
             true => ResetCause::PowerOn,

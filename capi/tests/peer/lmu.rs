@@ -6,7 +6,7 @@ use std::fs::File;
 use std::os::fd::AsRawFd;
 use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::map::{Layout, Map, Region};
 use tandem_shm::pool::Pool;
@@ -122,7 +122,9 @@ impl Bench {
     pub(crate) fn new() -> Self {
         let file = NamedTempFile::with_prefix("tandem-capi-lmu-").unwrap();
         let map = Map::format(shared(file.as_file()), LAYOUT).unwrap();
-        map.lives().announce(Life::new(0, 1).unwrap()).unwrap();
+        map.incarnations()
+            .announce(Incarnation::new(0, 1).unwrap())
+            .unwrap();
         Self {
             file,
             map,
@@ -135,7 +137,7 @@ impl Bench {
         }
     }
 
-    /// Starts a life of core 1.
+    /// Starts an incarnation of core 1.
     pub(crate) fn start(&mut self, generation: u32) -> Peer {
         self.since = Instant::now();
         let mut command = Command::new(peer());
@@ -148,14 +150,20 @@ impl Bench {
     }
 
     pub(crate) fn lock(&self, core: usize, generation: u32) -> Lock<'static> {
-        let life = Life::new(core, generation).unwrap();
-        self.map.lives().announce(life).unwrap();
-        Lock::attach(self.map.region(LOCK), life, self.map.lives()).unwrap()
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        self.map.incarnations().announce(incarnation).unwrap();
+        Lock::attach(self.map.region(LOCK), incarnation, self.map.incarnations()).unwrap()
     }
 
     pub(crate) fn pool(&self, core: usize, generation: u32) -> Pool<'static> {
-        let life = Life::new(core, generation).unwrap();
-        Pool::attach(self.map.region(POOL), BLOCKS, life, self.map.lives()).unwrap()
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        Pool::attach(
+            self.map.region(POOL),
+            BLOCKS,
+            incarnation,
+            self.map.incarnations(),
+        )
+        .unwrap()
     }
 
     pub(crate) fn guarded(&self) -> [u32; 2] {

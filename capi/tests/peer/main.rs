@@ -9,7 +9,7 @@ use build::peer;
 use lmu::{ANSWER_WORDS, Bench, NEWEST, NEWEST_WORDS, ORDER_WORDS, Order, RING, RING_WORDS};
 use std::process::Command;
 use std::time::Duration;
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::{broadcast, newest};
 
 /// The header is C99 without a warning, and C++; sizes and refusals are what it says.
@@ -74,9 +74,14 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     let mut lock = bench.lock(0, 1);
     assert!(
         lock.lock(100, |_| ()).is_err(),
-        "its life was not marked dead yet"
+        "its incarnation was not marked dead yet"
     );
-    assert!(bench.map().lives().mark_dead(Life::new(1, 1).unwrap()));
+    assert!(
+        bench
+            .map()
+            .incarnations()
+            .mark_dead(Incarnation::new(1, 1).unwrap())
+    );
     let acquired = lock.lock(100, |_| ()).unwrap();
     assert!(acquired.is_recovered());
     assert_eq!(bench.guarded(), [1, 0], "half-changed");
@@ -105,8 +110,8 @@ fn c_is_killed_at_any_moment_and_the_lock_tells() {
         }
         std::thread::sleep(Duration::from_micros(u64::from(generation) * 371 % 1000));
         child.kill();
-        let life = Life::new(1, generation).unwrap();
-        assert!(bench.map().lives().mark_dead(life));
+        let incarnation = Incarnation::new(1, generation).unwrap();
+        assert!(bench.map().incarnations().mark_dead(incarnation));
         let taken = lock.lock(1_000, |_| std::thread::yield_now()).unwrap();
         let [one, two] = bench.guarded();
         if taken.is_recovered() {
@@ -132,7 +137,12 @@ fn rust_dies_with_the_lock_and_c_is_told() {
     let mut lock = bench.lock(2, 1);
     core::mem::forget(lock.try_lock().unwrap());
     bench.set_guarded([7, 0]);
-    assert!(bench.map().lives().mark_dead(Life::new(2, 1).unwrap()));
+    assert!(
+        bench
+            .map()
+            .incarnations()
+            .mark_dead(Incarnation::new(2, 1).unwrap())
+    );
     assert_eq!(bench.ask(&[Order::Recover as u32])[1], RECOVERED);
     assert_eq!(bench.guarded(), [7, 7], "repaired by C");
     bench.stop(child);

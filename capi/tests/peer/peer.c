@@ -259,8 +259,8 @@ static void attach(void *base, uint32_t generation)
     MUST(tandem_map_attach(&map, &layout, (char *)base + 4, LMU_BYTES - 4) == TANDEM_STATUS_MISALIGNED);
     MUST(tandem_map_attach(&map, &layout, base, 64) == TANDEM_STATUS_TOO_SMALL);
     OK(tandem_map_attach(&map, &layout, base, LMU_BYTES));
-    OK(tandem_life_announce(&map, CORE, generation));
-    MUST(tandem_life_current(&map, CORE) == generation);
+    OK(tandem_incarnation_announce(&map, CORE, generation));
+    MUST(tandem_incarnation_current(&map, CORE) == generation);
     OK(tandem_lock_attach(&lock, &map, LOCK, CORE, generation));
     OK(tandem_mailbox_sender_attach(&sender, &map, FROM_C));
     OK(tandem_mailbox_receiver_attach(&receiver, &map, TO_C));

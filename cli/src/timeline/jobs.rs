@@ -257,7 +257,7 @@ impl Jobs {
             .extend(response_ns.map(|response_ns| response_ns as f64 * 1e-6));
     }
 
-    /// The core's life is over, and so is every job.
+    /// The core's incarnation is over, and so is every job.
     pub(super) fn cut(&mut self) {
         let codes: Vec<TaskCode> = self.tasks.keys().copied().collect();
         codes

@@ -210,7 +210,7 @@ const fn place(system: SystemId, core: CoreId) -> usize {
     system.index() * CoreId::COUNT + core.index()
 }
 
-/// When a core's life ended, as its supply saw it, ns.
+/// When a core's incarnation ended, as its supply saw it, ns.
 fn ends_of(supplies: &[(u64, SystemId, SupplyEvent)], of: SystemId, core: CoreId) -> Vec<u64> {
     let ends = |event: &SupplyEvent| match event {
         SupplyEvent::CoreDied { core: died, .. } => *died == core,
@@ -251,7 +251,7 @@ impl Wakes {
     /// The time of the last such signal before `at_ns` if it has no arrow yet; it gets this one.
     fn arrive(&mut self, key: SignalKey, at_ns: u64, arrow: u64) -> Option<u64> {
         let sent = self.sent.get_mut(&key)?;
-        // Numbers begin anew in each life, so there may be several.
+        // Numbers begin anew in each incarnation, so there may be several.
         let before = sent.partition_point(|(sent_ns, _)| *sent_ns <= at_ns);
         let (sent_ns, given) = sent.get_mut(before.checked_sub(1)?)?;
         (*given == 0).then(|| {
@@ -270,7 +270,7 @@ impl Wakes {
 /// Builds the line of one core.
 struct LineBuilder {
     line: CoreLine,
-    /// Ends of lives, by time, that lie ahead.
+    /// Ends of incarnations, by time, that lie ahead.
     ends: std::iter::Peekable<std::vec::IntoIter<u64>>,
     /// Slices that have begun and not ended, the innermost last, each with the time of slices
     /// within it, ns.
@@ -413,8 +413,8 @@ impl LineBuilder {
         self.line.marks.push(Mark { at_ns, event, flow });
     }
 
-    /// The core's life ended before `until_ns`: so do its slices, when the supply saw it or else
-    /// with its last record.
+    /// The core's incarnation ended before `until_ns`: so do its slices, when the supply saw it or
+    /// else with its last record.
     fn cut(&mut self, until_ns: u64) {
         let last_ns = self.last_ns;
         while self.ends.next_if(|end_ns| *end_ns < last_ns).is_some() {}

@@ -252,7 +252,8 @@ impl Trace {
         }
     }
 
-    /// Role and function as slices: from one change to the next, or to the end of the core's life.
+    /// Role and function as slices: from one change to the next, or to the end of the core's
+    /// incarnation.
     fn roles(&mut self, log: &RunLog, system: SystemId, process: u64) {
         let track = self.track(Some(process), "role");
         let mine = log

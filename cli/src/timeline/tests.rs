@@ -219,7 +219,7 @@ fn what_a_core_did_when_it_was_killed_ends_when_the_supply_saw_it() {
     let shown = slices(&timeline, CONTROL);
     assert_eq!(shown[1], ("control".into(), 200, 250, 1, true));
     assert_eq!(shown[0], ("heartbeat and roles".into(), 100, 250, 0, true));
-    // The next life is not stretched to an end that it did not have.
+    // The next incarnation is not stretched to an end that it did not have.
     assert_eq!((shown[2].1, shown[2].2, shown[2].4), (1_000, 1_000, true));
     assert_eq!(figures(&timeline, "control").cut, 1);
     assert_eq!(figures(&timeline, "heartbeat and roles").cut, 2);
@@ -255,7 +255,7 @@ fn woken(flow: u32) -> Event {
     Event::Woken { core, flow }
 }
 
-/// Numbers of signals begin anew with each life of the sender.
+/// Numbers of signals begin anew with each incarnation of the sender.
 #[test]
 fn a_signal_is_joined_to_the_last_one_of_its_number_and_only_once() {
     let mut entries = on_core(

@@ -244,7 +244,7 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
     executor.runtime.trace(Event::Held { task, longest_ns });
 }
 
-/// The life of a task.
+/// The incarnation of a task.
 fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl Task<'static, B>) {
     let board = executor.runtime.board;
     let ticks = TickGrid {
@@ -288,7 +288,7 @@ where
     let options = TaskOptions::new(info.name, Priority::new(info.priority))
         .stack_bytes(runtime.options.stack_bytes);
     let below = made.clone();
-    let life = move |ctx: &TaskContext| {
+    let incarnation = move |ctx: &TaskContext| {
         let executor = OfTask {
             ctx,
             runtime,
@@ -298,7 +298,7 @@ where
         };
         run(&executor, body);
     };
-    let handle = kernel.spawn(&options, life);
+    let handle = kernel.spawn(&options, incarnation);
     let handle = handle.map_err(|error| RunError::Spawn(task, error))?;
     let number = handle.number(kernel).unwrap_or(0);
     runtime.state(task).number.store(number, Relaxed);

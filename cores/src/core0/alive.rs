@@ -27,8 +27,8 @@ pub(crate) struct Alive {
 
 impl Alive {
     /// `limit`: without a new cycle for longer than this a core is silent. `first`: the same limit
-    /// for the first cycle after the start. `cycles`: the counters now, which an earlier life may
-    /// have left.
+    /// for the first cycle after the start. `cycles`: the counters now, which an earlier
+    /// incarnation may have left.
     pub(crate) fn new(now: Instant, first: Duration, cycles: impl Fn(CoreId) -> u32) -> Self {
         let watch = |core| Watched {
             core,
@@ -76,7 +76,8 @@ impl Alive {
         self.watched.iter().find(silent).map(|watched| watched.core)
     }
 
-    /// Whether both cores have passed through a cycle in this life: the chain can carry a drive.
+    /// Whether both cores have passed through a cycle in this incarnation: the chain can carry a
+    /// drive.
     pub(crate) fn all_seen(&self) -> bool {
         self.watched.iter().all(|watched| watched.seen)
     }

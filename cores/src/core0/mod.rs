@@ -169,7 +169,8 @@ pub struct Parts<'b, B: Board> {
 }
 
 impl<'b, B: Board> Parts<'b, B> {
-    /// Starts the core's life on this board: reads the state from the data flash (bounded time).
+    /// Starts the core's incarnation on this board: reads the state from the data flash (bounded
+    /// time).
     #[must_use]
     pub fn new(board: &'b B, config: Config) -> Self {
         Self {

@@ -56,7 +56,8 @@ pub struct Core0<'b, B: Board> {
 }
 
 impl<'b, B: Board> Core0<'b, B> {
-    /// Starts the core's life on this board: reads the state from the data flash (bounded time).
+    /// Starts the core's incarnation on this board: reads the state from the data flash (bounded
+    /// time).
     #[must_use]
     pub fn new(board: &'b B, config: Config) -> Self {
         let Parts {

@@ -81,7 +81,7 @@ pub struct Shared<'b, B: Board> {
 }
 
 impl<'b, B: Board> Shared<'b, B> {
-    /// Starts the core's life: reads the state from the data flash (bounded time).
+    /// Starts the core's incarnation: reads the state from the data flash (bounded time).
     pub(super) fn new(board: &'b B, config: Config) -> Self {
         let started = board.now();
         let identity = board.identity();

@@ -254,9 +254,11 @@ struct Lmu<'b> {
 
 impl<'b> Lmu<'b> {
     fn attach<B: Board>(board: &'b B) -> Option<Self> {
-        let ControllerMap { map, life, .. } = ControllerMap::attach(board).ok()?;
+        let ControllerMap {
+            map, incarnation, ..
+        } = ControllerMap::attach(board).ok()?;
         Some(Self {
-            from_planning: MAILBOX_2_TO_0.receiver(&map, life).ok()?,
+            from_planning: MAILBOX_2_TO_0.receiver(&map, incarnation).ok()?,
             scenes: SCENE.reader(&map).ok()?,
             trajectories: TRAJECTORY.reader(&map).ok()?,
         })

@@ -24,7 +24,7 @@ void sleep_until_rung(void);
 /* Gives the emulator's turn to the next hart: in every loop that spins. */
 void yield_turn(void);
 
-/* Begins the next life of this core, as a reset does. */
+/* Begins the next incarnation of this core, as a reset does. */
 void reset_core(void);
 
 /* Writes a line and ends the emulator with a status that is not 0. */

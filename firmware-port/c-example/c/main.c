@@ -1,5 +1,5 @@
 /* Core 2, in C: answers signals, works on what core 1 sends, shares a lock, dies once with it, and in
- * its second life leads a system that is alone. The same layout stands in src/main.rs. */
+ * its second incarnation leads a system that is alone. The same layout stands in src/main.rs. */
 #include "board.h"
 #include "tandem.h"
 
@@ -30,7 +30,7 @@ static tandem_newest_writer_t result;
 static tandem_redundancy_t machine;
 static tandem_words_t guarded;
 
-/* Which life this is; survives a reset of the core. */
+/* Which incarnation this is; survives a reset of the core. */
 static uint32_t generation __attribute__((section(".kept")));
 
 static void answer(uint32_t value)
@@ -110,7 +110,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
     (void)count;
     (void)value;
     if (generation > 1) {
-        /* The signal that killed the first life comes again: its handler had not returned. */
+        /* The signal that killed the first incarnation comes again: its handler had not returned. */
         return;
     }
     MUST(tandem_lock_acquire(&lock, 100000, relax, NULL) == TANDEM_STATUS_OK);
@@ -158,7 +158,7 @@ static void attach(void)
         status = tandem_map_attach(&map, &layout, LMU, LMU_BYTES);
     } while (status == TANDEM_STATUS_NOT_READY);
     MUST(status == TANDEM_STATUS_OK);
-    MUST(tandem_life_announce(&map, CORE, generation) == TANDEM_STATUS_OK);
+    MUST(tandem_incarnation_announce(&map, CORE, generation) == TANDEM_STATUS_OK);
     MUST(tandem_mailbox_receiver_attach(&from_0, &map, FROM_0) == TANDEM_STATUS_OK);
     MUST(tandem_mailbox_receiver_attach(&from_1, &map, FROM_1) == TANDEM_STATUS_OK);
     MUST(tandem_mailbox_sender_attach(&to_0, &map, TO_0) == TANDEM_STATUS_OK);

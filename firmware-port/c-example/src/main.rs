@@ -10,7 +10,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
 use tandem_shm::map::{Layout, Map, Region};
@@ -76,10 +76,10 @@ fn must<T, E>(result: Result<T, E>) -> T {
     }
 }
 
-fn life(core: usize, generation: u32) -> Life {
-    match Life::new(core, generation) {
-        Some(life) => life,
-        None => panic!("there is such a life"),
+fn incarnation(core: usize, generation: u32) -> Incarnation {
+    match Incarnation::new(core, generation) {
+        Some(incarnation) => incarnation,
+        None => panic!("there is such an incarnation"),
     }
 }
 
@@ -89,12 +89,12 @@ fn main(hart: usize) -> ! {
         trap::on_doorbell(|| ());
         hart::interrupts_on();
         let map = must(Map::format(lmu, LAYOUT));
-        must(map.lives().announce(life(0, 1)));
+        must(map.incarnations().announce(incarnation(0, 1)));
         ask(map);
         exit::exit(0);
     }
     let map = wait_for("core 0 formats", || Map::attach(lmu, LAYOUT).ok());
-    must(map.lives().announce(life(1, 1)));
+    must(map.incarnations().announce(incarnation(1, 1)));
     help(map);
     loop {
         hart::sleep();
@@ -150,8 +150,10 @@ fn ask(map: Map<'static>) {
         to: must(Sender::attach(map.region(TO_2))),
         from: must(Receiver::attach(map.region(FROM_2))),
     };
-    let lives = map.lives();
-    wait_for("the core in C announces itself", || lives.current(IN_C));
+    let incarnations = map.incarnations();
+    wait_for("the core in C announces itself", || {
+        incarnations.current(IN_C)
+    });
 
     let (mut least, mut most) = (u32::MAX, 0);
     for value in 0..PINGS {
@@ -169,7 +171,11 @@ fn ask(map: Map<'static>) {
     take_results(map);
     log!("fifo, newest  {ITEMS} items of 16 words from Rust summed up in C, in place");
 
-    let mut own = must(Lock::attach(map.region(LOCK), life(0, 1), lives));
+    let mut own = must(Lock::attach(
+        map.region(LOCK),
+        incarnation(0, 1),
+        incarnations,
+    ));
     talk.tell(COUNT, TURNS);
     STEP.store(CONTEND, Ordering::Release);
     count(&mut own, map);
@@ -186,7 +192,10 @@ fn ask(map: Map<'static>) {
         own.lock(50, |_| hart::yield_turn()).is_err(),
         "it holds the lock"
     );
-    assert!(lives.mark_dead(life(IN_C, 1)), "it is in its first life");
+    assert!(
+        incarnations.mark_dead(incarnation(IN_C, 1)),
+        "it is in its first incarnation"
+    );
     let taken = must(own.lock(50, |_| hart::yield_turn()));
     assert!(taken.is_recovered(), "core 0 is told that the owner died");
     assert_eq!(guarded(map), [3 * TURNS + 1, 3 * TURNS], "half-changed");
@@ -195,13 +204,17 @@ fn ask(map: Map<'static>) {
     log!("recovery      C died with the lock, Rust was told and repaired");
 
     clint::post(IN_C);
-    let second = || lives.current(IN_C).filter(|life| life.generation() == 2);
-    wait_for("the core in C begins its second life", second);
+    let second = || {
+        incarnations
+            .current(IN_C)
+            .filter(|incarnation| incarnation.generation() == 2)
+    };
+    wait_for("the core in C begins its second incarnation", second);
     talk.tell(PING, 7);
-    assert_eq!(talk.hear(), 15, "the second life answers");
+    assert_eq!(talk.hear(), 15, "the second incarnation answers");
     talk.tell(COUNT, 1);
     assert_eq!(talk.hear(), 1, "and takes the lock");
-    log!("second life   C attached where its first life had stopped");
+    log!("second incarnation   C attached where its first incarnation had stopped");
 
     talk.tell(LEAD, 10_000);
     let after_ms = talk.hear();
@@ -272,7 +285,11 @@ fn help(map: Map<'static>) {
             clint::post(IN_C);
         }
     }
-    let mut lock = must(Lock::attach(map.region(LOCK), life(1, 1), map.lives()));
+    let mut lock = must(Lock::attach(
+        map.region(LOCK),
+        incarnation(1, 1),
+        map.incarnations(),
+    ));
     wait_for("core 0 wants the lock to be contended for", || {
         step(CONTEND)
     });

@@ -19,13 +19,13 @@ pub(crate) struct HartState {
     pub(crate) places: AtomicU32,
     /// The carrier wants this hart to stand still.
     pub(crate) held: AtomicBool,
-    /// Between two lives: one of the four below.
-    life: AtomicU32,
+    /// Between two incarnations: one of the four below.
+    incarnation: AtomicU32,
     on_doorbell: AtomicPtr<()>,
 }
 
-// Before its first life begins to stand still: 0.
-/// Its last life is over, and nothing of it runs.
+// Before its first incarnation begins to stand still: 0.
+/// Its last incarnation is over, and nothing of it runs.
 const STANDS: u32 = 1;
 /// The carrier lets it go. The carrier may take that back; whoever changes the word first has it.
 const GOES: u32 = 2;
@@ -47,7 +47,7 @@ pub(crate) static STATES: [HartState; HARTS] = [const {
         slice: AtomicU32::new(0),
         places: AtomicU32::new(0),
         held: AtomicBool::new(false),
-        life: AtomicU32::new(0),
+        incarnation: AtomicU32::new(0),
         on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
     }
 }; HARTS];
@@ -64,7 +64,7 @@ pub fn on_doorbell(handler: Handler) {
     hart::enable(MSI);
 }
 
-/// Ends the life of another hart at its next doorbell, which is rung here. Wait until it
+/// Ends the incarnation of another hart at its next doorbell, which is rung here. Wait until it
 /// [`stands`].
 pub(crate) fn hold(hart: usize) {
     let state = &STATES[hart % HARTS];
@@ -73,7 +73,7 @@ pub(crate) fn hold(hart: usize) {
     // One that was let go and has not gone yet stands on.
     let taken_back =
         state
-            .life
+            .incarnation
             .compare_exchange(GOES, STANDS, Ordering::Relaxed, Ordering::Relaxed);
     if taken_back.is_err() {
         clint::post(hart);
@@ -83,7 +83,7 @@ pub(crate) fn hold(hart: usize) {
 /// Whether a hart that is held stands still.
 pub(crate) fn stands(hart: usize) -> bool {
     // Acquire pairs with the Release in `begin_held`.
-    STATES[hart % HARTS].life.load(Ordering::Acquire) == STANDS
+    STATES[hart % HARTS].incarnation.load(Ordering::Acquire) == STANDS
 }
 
 /// Lets a hart go that stands.
@@ -91,11 +91,11 @@ pub(crate) fn release(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.held.store(false, Ordering::Relaxed);
     // Release pairs with the Acquire in `sleep_while_held`: it sees all that was prepared.
-    state.life.store(GOES, Ordering::Release);
+    state.incarnation.store(GOES, Ordering::Release);
     clint::post(hart);
 }
 
-/// This hart stands from now on, with nothing of its last life. Interrupts are off.
+/// This hart stands from now on, with nothing of its last incarnation. Interrupts are off.
 pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.rung.store(false, Ordering::Relaxed);
@@ -106,16 +106,16 @@ pub(crate) fn begin_held(hart: usize) {
     hart::disable(MTI);
     hart::enable(MSI);
     // Release pairs with the Acquire in `stands`: the carrier does nothing to a hart that lives.
-    state.life.store(STANDS, Ordering::Release);
+    state.incarnation.store(STANDS, Ordering::Release);
 }
 
 /// Sleeps until this hart is released. Interrupts are off.
 pub(crate) fn sleep_while_held(hart: usize) {
     loop {
         clint::clear(hart);
-        let life = &STATES[hart % HARTS].life;
+        let incarnation = &STATES[hart % HARTS].incarnation;
         // Acquire pairs with the Release in `release`.
-        let goes = life.compare_exchange(GOES, RUNS, Ordering::Acquire, Ordering::Relaxed);
+        let goes = incarnation.compare_exchange(GOES, RUNS, Ordering::Acquire, Ordering::Relaxed);
         if goes.is_ok() {
             return;
         }
@@ -123,8 +123,8 @@ pub(crate) fn sleep_while_held(hart: usize) {
     }
 }
 
-/// Ends this life if the carrier wants that. For a doorbell's handler under an operating system
-/// that has a trap vector of its own.
+/// Ends this incarnation if the carrier wants that. For a doorbell's handler under an operating
+/// system that has a trap vector of its own.
 pub fn end_if_held() {
     let number = hart::number() % HARTS;
     end_if(number, &STATES[number]);
@@ -133,8 +133,8 @@ pub fn end_if_held() {
 #[inline]
 fn end_if(number: usize, state: &HartState) {
     if state.is_held() {
-        // SAFETY: the life that was interrupted is over: nothing of its stack is used again, and
-        // what it shares with other harts are atomics.
+        // SAFETY: the incarnation that was interrupted is over: nothing of its stack is used again,
+        // and what it shares with other harts are atomics.
         unsafe { tandem_restart_hart(number) };
     }
 }

@@ -23,7 +23,7 @@ impl Redundancy {
             actions.record(Event::Implausible);
             return;
         }
-        self.witnesses.on_life(&self.config, now);
+        self.witnesses.on_incarnation(&self.config, now);
         self.term_known = true;
         if let PhaseState::Starting(starting) = &mut self.phase {
             starting.on_control_frame();
@@ -74,7 +74,7 @@ impl Redundancy {
         reaches_bus: bool,
         actions: &mut Actions,
     ) {
-        self.witnesses.on_life(&self.config, now);
+        self.witnesses.on_incarnation(&self.config, now);
         // A system that has just started may have forgotten the newest terms as well.
         self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);

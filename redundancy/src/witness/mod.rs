@@ -22,7 +22,7 @@ pub(crate) struct Witnesses {
     pub(crate) level: Level,
     pub(crate) can: CanWatch,
     pub(crate) reports: Reports,
-    /// A stall was forgiven since the last sign of life.
+    /// A stall was forgiven since the last sign of incarnation.
     forgiven: bool,
 }
 
@@ -38,8 +38,8 @@ impl Witnesses {
     }
 
     /// This system was held up, or has just begun: silence counts from now on. Once between two
-    /// signs of life: a system that always polls late must find a dead one too. Returns whether it
-    /// was done.
+    /// signs of incarnation: a system that always polls late must find a dead one too. Returns
+    /// whether it was done.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
             return false;
@@ -66,7 +66,7 @@ impl Witnesses {
         }
         self.level.update(now, seen.peer_powered);
         if seen.heartbeats() > 0 {
-            self.on_life(config, now);
+            self.on_incarnation(config, now);
         }
         self.can
             .update(now, seen.can_frames, config.witness_limit());
@@ -76,9 +76,9 @@ impl Witnesses {
         }
     }
 
-    /// A sign of life of the other system.
-    pub(crate) fn on_life(&mut self, config: &Config, now: Instant) {
-        self.level.on_life(now, config.witness_limit());
+    /// A sign of incarnation of the other system.
+    pub(crate) fn on_incarnation(&mut self, config: &Config, now: Instant) {
+        self.level.on_incarnation(now, config.witness_limit());
         self.forgiven = false;
     }
 

@@ -7,26 +7,29 @@ use crate::sync::spin;
 #[derive(Clone, Copy)]
 struct Bench {
     words: &'static [AtomicU32],
-    lives: Lives<'static>,
+    incarnations: Incarnations<'static>,
 }
 
 impl Bench {
     fn new() -> Self {
         Self {
             words: zeroed(WORDS),
-            lives: Lives::attach(zeroed(Lives::WORDS)).unwrap(),
+            incarnations: Incarnations::attach(zeroed(Incarnations::WORDS)).unwrap(),
         }
     }
 
-    /// A new life of a core, at this lock.
+    /// A new incarnation of a core, at this lock.
     fn start(&self, core: usize, generation: u32) -> Lock<'static> {
-        let life = Life::new(core, generation).unwrap();
-        self.lives.announce(life).unwrap();
-        Lock::attach(self.words, life, self.lives).unwrap()
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        self.incarnations.announce(incarnation).unwrap();
+        Lock::attach(self.words, incarnation, self.incarnations).unwrap()
     }
 
     fn kill(&self, core: usize, generation: u32) {
-        assert!(self.lives.mark_dead(Life::new(core, generation).unwrap()));
+        assert!(
+            self.incarnations
+                .mark_dead(Incarnation::new(core, generation).unwrap())
+        );
     }
 
     fn token(&self) -> &'static AtomicU32 {
@@ -68,7 +71,7 @@ fn a_detached_guard_holds_the_lock_until_it_is_dropped() {
 
 /// Two tasks of one core exclude each other as two cores do.
 #[test]
-fn two_ends_of_one_life_exclude_each_other() {
+fn two_ends_of_one_incarnation_exclude_each_other() {
     let bench = Bench::new();
     let [mut one, mut two] = [bench.start(0, 1), bench.start(0, 1)];
     let guard = one.try_lock().unwrap();
@@ -95,7 +98,7 @@ fn a_dead_owner_is_replaced_and_the_taker_is_told() {
     bench.start(1, 2);
     assert!(
         c.try_lock().unwrap().is_recovered(),
-        "a new life of the owner's core is enough"
+        "a new incarnation of the owner's core is enough"
     );
     assert!(!c.try_lock().unwrap().is_recovered());
     assert!(!bench.start(0, 2).try_lock().unwrap().is_recovered());
@@ -109,19 +112,19 @@ fn a_death_after_the_release_is_no_recovery() {
     assert!(!bench.start(1, 1).try_lock().unwrap().is_recovered());
 }
 
-/// A life that attaches after its successor has attached, at once or frozen at any step of it:
-/// the successor keeps the lock that it holds. T-LOCK-3
+/// An incarnation that attaches after its successor has attached, at once or frozen at any step of
+/// it: the successor keeps the lock that it holds. T-LOCK-3
 #[test]
-fn a_life_that_attaches_late_opens_no_lock() {
+fn a_incarnation_that_attaches_late_opens_no_lock() {
     for at in 0.. {
         let bench = Bench::new();
-        let late = Life::new(0, 1).unwrap();
-        bench.lives.announce(late).unwrap();
+        let late = Incarnation::new(0, 1).unwrap();
+        bench.incarnations.announce(late).unwrap();
         let meanwhile = move || {
             let mut successor = bench.start(0, 2);
             core::mem::forget(successor.try_lock().unwrap());
         };
-        let attach = || Lock::attach(bench.words, late, bench.lives);
+        let attach = || Lock::attach(bench.words, late, bench.incarnations);
         let (_, hit) = freeze_at(at, meanwhile, attach);
         if !hit {
             meanwhile();
@@ -142,7 +145,10 @@ fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
     drop(one.try_lock());
     one.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
     assert!(three.try_lock().is_none(), "core 1 waits");
-    bench.lives.announce(Life::new(1, 2).unwrap()).unwrap();
+    bench
+        .incarnations
+        .announce(Incarnation::new(1, 2).unwrap())
+        .unwrap();
     assert!(three.try_lock().is_some(), "its successor does not");
 }
 
@@ -154,10 +160,10 @@ fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() 
         let bench = Bench::new();
         let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
         let held = a.try_lock().unwrap().into_guard().detach();
-        let lives = bench.lives;
+        let incarnations = bench.incarnations;
         let meanwhile = move || {
             drop(held);
-            assert!(lives.mark_dead(Life::new(0, 1).unwrap()));
+            assert!(incarnations.mark_dead(Incarnation::new(0, 1).unwrap()));
         };
         let (recovered, hit) = freeze_at(at, meanwhile, || {
             b.lock(2, |_| ())
@@ -172,24 +178,28 @@ fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() 
 }
 
 /// T-LOCK-3: generations that are equal in the bits that a token has do not make the dead
-/// alive, whether the lives between them attach to the lock or not.
+/// alive, whether the incarnations between them attach to the lock or not.
 #[test]
-fn a_dead_owner_is_replaced_after_any_number_of_lives() {
-    for lives in [1, 3, 4, 15, 16, 17, 32, 64] {
-        for attach_from in [2, lives, lives + 1, lives + 2] {
+fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
+    for incarnations in [1, 3, 4, 15, 16, 17, 32, 64] {
+        for attach_from in [2, incarnations, incarnations + 1, incarnations + 2] {
             let bench = Bench::new();
             let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
             core::mem::forget(a.try_lock().unwrap());
-            for generation in 2..lives + 2 {
+            for generation in 2..incarnations + 2 {
                 if generation >= attach_from {
                     bench.start(0, generation);
                 } else {
-                    let life = Life::new(0, generation).unwrap();
-                    bench.lives.announce(life).unwrap();
+                    let incarnation = Incarnation::new(0, generation).unwrap();
+                    bench.incarnations.announce(incarnation).unwrap();
                 }
             }
             let recovered = b.try_lock().map(|acquired| acquired.is_recovered());
-            assert_eq!(recovered, Some(true), "{lives} lives, {attach_from}");
+            assert_eq!(
+                recovered,
+                Some(true),
+                "{incarnations} incarnations, {attach_from}"
+            );
         }
     }
 }
@@ -256,18 +266,18 @@ fn a_waiter_killed_at_every_step_keeps_nobody_out() {
 /// words by a busy lock, thawed. It releases nothing that another holds.
 #[test]
 fn a_straggler_releases_nobody_elses_lock() {
-    for lives in 1..RELEASED_LIVES as u32 {
+    for incarnations in 1..RELEASED_LIVES as u32 {
         for at in 0..4 {
             let bench = Bench::new();
             let mut old = bench.start(0, 1);
             let mut other = bench.start(1, 1);
             let words = bench.words;
             let meanwhile = move || {
-                for generation in 2..=1 + lives {
+                for generation in 2..=1 + incarnations {
                     drop(
                         Bench {
                             words,
-                            lives: bench.lives,
+                            incarnations: bench.incarnations,
                         }
                         .start(0, generation)
                         .try_lock(),
@@ -275,16 +285,16 @@ fn a_straggler_releases_nobody_elses_lock() {
                 }
                 let mut new = Bench {
                     words,
-                    lives: bench.lives,
+                    incarnations: bench.incarnations,
                 }
-                .start(0, 1 + lives);
+                .start(0, 1 + incarnations);
                 core::mem::forget(new.lock(PATIENCE + 2, |_| ()).unwrap());
             };
             let (_, hit) = freeze_at(at, meanwhile, || drop(old.try_lock()));
             if hit {
                 assert!(
                     other.try_lock().is_none(),
-                    "{lives} lives later, frozen at {at}"
+                    "{incarnations} incarnations later, frozen at {at}"
                 );
             }
         }

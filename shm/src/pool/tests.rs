@@ -15,22 +15,22 @@ fn steps() -> impl Iterator<Item = usize> {
 #[derive(Clone, Copy)]
 struct Bench {
     words: &'static [AtomicU32],
-    lives: Lives<'static>,
+    incarnations: Incarnations<'static>,
 }
 
 impl Bench {
     fn new() -> Self {
-        let lives = Lives::attach(zeroed(Lives::WORDS)).unwrap();
+        let incarnations = Incarnations::attach(zeroed(Incarnations::WORDS)).unwrap();
         Self {
             words: zeroed(words(BLOCKS)),
-            lives,
+            incarnations,
         }
     }
 
     fn start(&self, core: usize, generation: u32) -> Pool<'static> {
-        let life = Life::new(core, generation).unwrap();
-        self.lives.announce(life).unwrap();
-        Pool::attach(self.words, BLOCKS, life, self.lives).unwrap()
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        self.incarnations.announce(incarnation).unwrap();
+        Pool::attach(self.words, BLOCKS, incarnation, self.incarnations).unwrap()
     }
 }
 
@@ -112,14 +112,21 @@ fn the_words_of_the_dead_are_reclaimed() {
     let handed = dying.get(16).unwrap();
     dying.hand_over(handed, 1).unwrap();
     assert_eq!(other.reclaim_dead(), 0);
-    bench.lives.announce(Life::new(0, 2).unwrap()).unwrap();
+    bench
+        .incarnations
+        .announce(Incarnation::new(0, 2).unwrap())
+        .unwrap();
     assert_eq!(other.reclaim_dead(), 4 * BLOCK_WORDS);
     let successor = bench.start(0, 2);
     assert_eq!(successor.open(old).unwrap_err(), HandleError::Stale);
     assert!(other.open(kept).is_ok() && other.open(handed).is_ok());
     // And without an explicit call, where the words are needed.
     let _ = bench.start(2, 1).get(48).unwrap();
-    assert!(bench.lives.mark_dead(Life::new(2, 1).unwrap()));
+    assert!(
+        bench
+            .incarnations
+            .mark_dead(Incarnation::new(2, 1).unwrap())
+    );
     assert!(other.get(48).is_ok());
 }
 
@@ -137,7 +144,11 @@ fn killed_at_every_step_everything_comes_back() {
             dying.hand_over(one, 1).unwrap();
             dying.give_back(two).unwrap();
         });
-        assert!(bench.lives.mark_dead(Life::new(0, 1).unwrap()));
+        assert!(
+            bench
+                .incarnations
+                .mark_dead(Incarnation::new(0, 1).unwrap())
+        );
         other.reclaim_dead();
         // What is still owned was handed over to the living.
         let lost = (BLOCKS - 1) * BLOCK_WORDS - other.free_words();
@@ -161,7 +172,11 @@ fn a_straggler_takes_nothing_from_the_living() {
         let straggler = bench.start(0, 1);
         let own = straggler.get(16).unwrap();
         let meanwhile = move || {
-            assert!(bench.lives.mark_dead(Life::new(0, 1).unwrap()));
+            assert!(
+                bench
+                    .incarnations
+                    .mark_dead(Incarnation::new(0, 1).unwrap())
+            );
             let living = bench.start(1, 1);
             for words in [16, 48, 64] {
                 living.get(words).unwrap();
@@ -197,7 +212,11 @@ fn a_straggler_gets_no_run_in_the_middle_of_another() {
             let meanwhile = {
                 let given = given.clone();
                 move || {
-                    assert!(bench.lives.mark_dead(Life::new(0, 1).unwrap()));
+                    assert!(
+                        bench
+                            .incarnations
+                            .mark_dead(Incarnation::new(0, 1).unwrap())
+                    );
                     // The blocks before the straggler's become free: the run begins there.
                     let head =
                         |block: usize| bench.words[STATES_AT + block].load(Ordering::Relaxed);
@@ -258,26 +277,26 @@ fn a_frozen_core_keeps_nobody_waiting() {
 
 /// Generations that are equal in the bits that a head word has do not make the dead alive.
 #[test]
-fn the_words_of_the_dead_come_back_after_any_number_of_lives() {
-    for lives in [1, 15, 16, 31, 32, 64] {
-        for attach_from in [2, lives, lives + 1, lives + 2] {
+fn the_words_of_the_dead_come_back_after_any_number_of_incarnations() {
+    for incarnations in [1, 15, 16, 31, 32, 64] {
+        for attach_from in [2, incarnations, incarnations + 1, incarnations + 2] {
             let bench = Bench::new();
             let dying = bench.start(0, 1);
             let other = bench.start(1, 1);
             let old = dying.get(40).unwrap();
-            for generation in 2..lives + 2 {
+            for generation in 2..incarnations + 2 {
                 if generation >= attach_from {
                     assert!(bench.start(0, generation).open(old).is_err());
                 } else {
-                    let life = Life::new(0, generation).unwrap();
-                    bench.lives.announce(life).unwrap();
+                    let incarnation = Incarnation::new(0, generation).unwrap();
+                    bench.incarnations.announce(incarnation).unwrap();
                 }
             }
             other.reclaim_dead();
             assert_eq!(
                 other.free_words(),
                 BLOCKS * BLOCK_WORDS,
-                "{lives}, {attach_from}"
+                "{incarnations}, {attach_from}"
             );
         }
     }
@@ -425,15 +444,15 @@ proptest! {
     }
 }
 
-/// A life that attaches after its successor has attached takes nothing from it.
+/// An incarnation that attaches after its successor has attached takes nothing from it.
 #[test]
 fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     let bench = Bench::new();
-    let late = Life::new(0, 1).unwrap();
-    bench.lives.announce(late).unwrap();
+    let late = Incarnation::new(0, 1).unwrap();
+    bench.incarnations.announce(late).unwrap();
     let (living, other) = (bench.start(0, 2), bench.start(1, 1));
     let kept = living.get(16).unwrap();
-    let _late = Pool::attach(bench.words, BLOCKS, late, bench.lives).unwrap();
+    let _late = Pool::attach(bench.words, BLOCKS, late, bench.incarnations).unwrap();
     assert_eq!(other.reclaim_dead(), 0);
     assert!(living.open(kept).is_ok());
     let next = living.get(16).unwrap();
@@ -441,15 +460,18 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     assert!(living.open(next).is_ok());
 }
 
-/// The same if the late life attaches at any step, and if its attachment is one that a core makes
-/// in its place when it hands over.
+/// The same if the late incarnation attaches at any step, and if its attachment is one that a core
+/// makes in its place when it hands over.
 #[test]
-fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
+fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     for by_hand_over in [false, true] {
         for at in steps() {
             let bench = Bench::new();
-            let (late, next) = (Life::new(1, 1).unwrap(), Life::new(1, 2).unwrap());
-            bench.lives.announce(late).unwrap();
+            let (late, next) = (
+                Incarnation::new(1, 1).unwrap(),
+                Incarnation::new(1, 2).unwrap(),
+            );
+            bench.incarnations.announce(late).unwrap();
             let giver = bench.start(0, 1);
             let given = giver.get(16).unwrap();
             let kept = std::rc::Rc::new(core::cell::Cell::new(None));
@@ -464,7 +486,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
                 if by_hand_over {
                     let _ = giver.hand_over(given, 1);
                 } else {
-                    let _ = Pool::attach(bench.words, BLOCKS, late, bench.lives);
+                    let _ = Pool::attach(bench.words, BLOCKS, late, bench.incarnations);
                 }
             });
             if !hit {
@@ -472,7 +494,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_life() {
                 break;
             }
             let (living, first) = kept.take().unwrap();
-            assert!(bench.lives.is_alive(next));
+            assert!(bench.incarnations.is_alive(next));
             assert!(living.open(first).is_ok(), "frozen at {at}");
             let second = living.get(16).unwrap();
             assert_eq!(giver.reclaim_dead(), 0, "frozen at {at}");

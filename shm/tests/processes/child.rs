@@ -2,11 +2,11 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{Acquired, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
-/// Longest life of a child, in seconds: the watchdog against a test that hangs.
+/// Longest incarnation of a child, in seconds: the watchdog against a test that hangs.
 const WATCHDOG_S: u32 = 120;
 
 /// Zeroed words that all children share; there until the test process ends.
@@ -131,11 +131,15 @@ pub(crate) fn take<'l, 'a>(lock: &'l mut Lock<'a>) -> Acquired<'l, 'a> {
     .unwrap()
 }
 
-/// A life that is announced in the life table in these words.
-pub(crate) fn announce(lives: Lives<'_>, core: usize, generation: u32) -> Life {
-    let life = Life::new(core, generation).unwrap();
-    lives.announce(life).unwrap();
-    life
+/// An incarnation that is announced in the incarnation table in these words.
+pub(crate) fn announce(
+    incarnations: Incarnations<'_>,
+    core: usize,
+    generation: u32,
+) -> Incarnation {
+    let incarnation = Incarnation::new(core, generation).unwrap();
+    incarnations.announce(incarnation).unwrap();
+    incarnation
 }
 
 /// Waits until all have come here: `count` processes, or threads.

@@ -1,7 +1,7 @@
 //! Processes that are killed and frozen at random moments while they use what is in the LMU.
 
 use crate::child::{Child, announce, give_way, shared, sleep_us, take};
-use tandem_shm::life::{Life, Lives};
+use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Acquired, Lock};
 use tandem_shm::newest::{ReadError, Reader, Writer};
 use tandem_shm::sync::{AtomicU32, Ordering};
@@ -34,7 +34,7 @@ fn scatter(i: u64, below: u64) -> u64 {
     ((i + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 33) % below
 }
 
-const LOCK_AT: usize = Lives::WORDS;
+const LOCK_AT: usize = Incarnations::WORDS;
 const GUARDED_AT: usize = LOCK_AT + lock::WORDS;
 /// Who is inside: core + 1.
 const INSIDE: usize = GUARDED_AT;
@@ -73,9 +73,13 @@ fn stay_inside(words: &[AtomicU32], core: usize, acquired: Acquired<'_, '_>) {
 
 fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Child {
     Child::start(move || {
-        let lives = Lives::attach(words).unwrap();
-        let mut lock =
-            Lock::attach(&words[LOCK_AT..], announce(lives, core, generation), lives).unwrap();
+        let incarnations = Incarnations::attach(words).unwrap();
+        let mut lock = Lock::attach(
+            &words[LOCK_AT..],
+            announce(incarnations, core, generation),
+            incarnations,
+        )
+        .unwrap();
         while words[STOP].load(Ordering::Relaxed) == 0 {
             stay_inside(words, core, take(&mut lock));
         }
@@ -87,7 +91,7 @@ fn start_core(words: &'static [AtomicU32], core: usize, generation: u32) -> Chil
 fn a_lock_whose_owner_is_killed_is_recovered() {
     const KILLS: u64 = 120;
     let words = shared(WORDS);
-    let lives = Lives::attach(words).unwrap();
+    let incarnations = Incarnations::attach(words).unwrap();
     let mut generations = [1; CORES];
     let mut children: Vec<_> = (0..CORES)
         .map(|core| Some(start_core(words, core, 1)))
@@ -101,7 +105,7 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
         // Every second time the supervisor marks the death, else the successor's announcement tells
         // it.
         if i.is_multiple_of(2) {
-            lives.mark_dead(Life::new(core, generations[core]).unwrap());
+            incarnations.mark_dead(Incarnation::new(core, generations[core]).unwrap());
         }
         generations[core] += 1;
         children[core] = Some(start_core(words, core, generations[core]));
@@ -129,19 +133,30 @@ fn a_lock_whose_owner_is_killed_is_recovered() {
 /// release the lock of its successor.
 fn a_thawed_owner_does_not_release_anothers_lock() {
     let words = shared(WORDS);
-    let lives = Lives::attach(words).unwrap();
+    let incarnations = Incarnations::attach(words).unwrap();
     let frozen = Child::start(move || {
-        let lives = Lives::attach(words).unwrap();
-        let mut lock = Lock::attach(&words[LOCK_AT..], announce(lives, 0, 1), lives).unwrap();
+        let incarnations = Incarnations::attach(words).unwrap();
+        let mut lock = Lock::attach(
+            &words[LOCK_AT..],
+            announce(incarnations, 0, 1),
+            incarnations,
+        )
+        .unwrap();
         let guard = take(&mut lock);
         // SAFETY: sends a signal to this very process.
         unsafe { libc::raise(libc::SIGSTOP) };
         drop(guard);
     });
     frozen.wait_stopped();
-    assert!(lives.mark_dead(Life::new(0, 1).unwrap()));
-    let [mut one, mut two] = [1, 2]
-        .map(|core| Lock::attach(&words[LOCK_AT..], announce(lives, core, 1), lives).unwrap());
+    assert!(incarnations.mark_dead(Incarnation::new(0, 1).unwrap()));
+    let [mut one, mut two] = [1, 2].map(|core| {
+        Lock::attach(
+            &words[LOCK_AT..],
+            announce(incarnations, core, 1),
+            incarnations,
+        )
+        .unwrap()
+    });
     let guard = one.try_lock().unwrap();
     assert!(guard.is_recovered());
     frozen.signal(libc::SIGCONT);

@@ -1,7 +1,7 @@
 //! Three processes increment one counter: without the lock some get lost, with it none. T-LOCK-2
 
 use crate::child::{Child, announce, give_way, meet, shared, take};
-use tandem_shm::life::Lives;
+use tandem_shm::incarnation::Incarnations;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering};
 
@@ -22,7 +22,7 @@ const INCREMENTS: u32 = 20_000;
 const GIVE_WAY_EVERY: u32 = 64;
 
 const LIVES_AT: usize = 0;
-const LOCK_AT: usize = LIVES_AT + Lives::WORDS;
+const LOCK_AT: usize = LIVES_AT + Incarnations::WORDS;
 const COUNTER_AT: usize = LOCK_AT + lock::WORDS;
 const START_AT: usize = COUNTER_AT + 16;
 const WORDS: usize = START_AT + 16;
@@ -43,9 +43,9 @@ fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) ->
     let children: Vec<_> = (0..CORES as usize)
         .map(|core| {
             Child::start(move || {
-                let lives = Lives::attach(words).unwrap();
-                let life = announce(lives, core, 1);
-                let mut lock = Lock::attach(&words[LOCK_AT..], life, lives).unwrap();
+                let incarnations = Incarnations::attach(words).unwrap();
+                let incarnation = announce(incarnations, core, 1);
+                let mut lock = Lock::attach(&words[LOCK_AT..], incarnation, incarnations).unwrap();
                 meet(&words[START_AT], CORES);
                 for i in 0..INCREMENTS {
                     work(words, &mut lock, i);

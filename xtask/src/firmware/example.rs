@@ -111,7 +111,7 @@ fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     println!("{:<44} {:>7}", "bytes", "text");
     let shown = |what: &str, text: u32| println!("{what:<44} {text:>7}");
     let count = |functions: usize| format!("{functions} functions");
-    let messages = ["layout_init", "map_", "life_", "mailbox", "fifo"];
+    let messages = ["layout_init", "map_", "incarnation_", "mailbox", "fifo"];
     let of_messages = |name: &&String| messages.iter().any(|part| name.contains(part));
     let few: Vec<&String> = all.iter().filter(of_messages).collect();
     let text = linked(root, library, &few)?;

@@ -61,7 +61,7 @@ pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<
     )
 }
 
-fn is_first_life<B: Board>(board: &B) -> bool {
+fn is_first_incarnation<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
 
@@ -99,7 +99,7 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
 
 /// First incarnation: a wrong answer. Second incarnation: that was the cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         serve(board);
         sleep(board, middle::<B::Supply>())?;
         let question = board.supply().watchdog_question();
@@ -112,7 +112,7 @@ pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 
 /// First incarnation: a right answer before the window opens.
 pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         check(
             B::Supply::WINDOW_OPENS_US > 0,
             "a window watchdog has a closed window",
@@ -127,7 +127,7 @@ pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
 
 /// First incarnation: one service, and no second.
 pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         serve(board);
         return expect_reset(board, "no service in the window resets the system");
     }
@@ -136,7 +136,7 @@ pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
 
 /// First incarnation: no service at all.
 pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         return expect_reset(board, "no first service resets the system");
     }
     reset_for(board, ResetCause::Watchdog)
@@ -144,7 +144,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
 
 /// First incarnation: asks for a reset.
 pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         board.supply().request_reset(ResetRequest::Software);
         return expect_reset(board, "a reset that was asked for comes");
     }
@@ -153,7 +153,7 @@ pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
 
 /// First incarnation: reports a dead core of its system.
 pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         board.supply().request_reset(ResetRequest::CoreDead);
         return expect_reset(board, "a report of a dead core resets the system");
     }
@@ -162,7 +162,7 @@ pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(
 
 /// A core of a system that another core of it lets reset.
 pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
     }
     equal(
@@ -196,16 +196,16 @@ pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
 
 /// First incarnation: asks for a reset when the other system watches.
 pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
-    if is_first_life(board) {
+    if is_first_incarnation(board) {
         wait_for_peer(board, 1)?;
         sleep(board, Duration::from_ms(5))?;
     }
     software_reset(board, place)
 }
 
-/// The other system is reset: its level line falls, and rises when its next life begins.
+/// The other system is reset: its level line falls, and rises when its next incarnation begins.
 pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if !is_first_life(board) {
+    if !is_first_incarnation(board) {
         // Nobody serves this system when its role has ended.
         return Ok(());
     }

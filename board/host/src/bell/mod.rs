@@ -295,10 +295,10 @@ mod tests {
 
     /// T-SYNC-3: a ringer keeps its end over the incarnations of the core.
     #[test]
-    fn the_next_life_is_rung_through_the_same_end() {
+    fn the_next_incarnation_is_rung_through_the_same_end() {
         let bells = Bells::install();
         let ringers = Ringers::new(&bells.0);
-        for _life in 0..3 {
+        for _incarnation in 0..3 {
             ringers.ring(OF.system, OF.core);
             let bell = Bell::hang(&bells.0, OF).unwrap();
             assert!(!bell.wait(clock::now()), "rung in the incarnation before");

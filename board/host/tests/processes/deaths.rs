@@ -77,7 +77,7 @@ pub(crate) const CASES: &[Case] = &[
         vehicle: paced,
     },
     Case {
-        name: "bells_ring_the_life_that_is",
+        name: "bells_ring_the_incarnation_that_is",
         core: answer_rings,
         vehicle: reset_and_ring,
     },

@@ -10,7 +10,7 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration};
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log, memory};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
 use tandem_shm::map::{Layout, Map, Region};
@@ -88,29 +88,33 @@ fn main(own: usize) -> ! {
 }
 
 type Checked = Result<(), &'static str>;
-/// What each processor does in a test: its number, its board, the LMU, its life.
-type Role = fn(usize, &An521Board, Map<'_>, Life) -> Checked;
+/// What each processor does in a test: its number, its board, the LMU, its incarnation.
+type Role = fn(usize, &An521Board, Map<'_>, Incarnation) -> Checked;
 
 fn check(holds: bool, what: &'static str) -> Checked {
     if holds { Ok(()) } else { Err(what) }
 }
 
 fn run(own: usize, board: &An521Board, map: Map<'_>) -> Checked {
-    let life = Life::new(own, 1).ok_or("there is such a core")?;
-    let lives = map.lives();
-    check(lives.announce(life).is_ok(), "a first life is announced")?;
+    let incarnation = Incarnation::new(own, 1).ok_or("there is such a core")?;
+    let incarnations = map.incarnations();
+    check(
+        incarnations.announce(incarnation).is_ok(),
+        "a first incarnation is announced",
+    )?;
     let cases: [Role; 5] = [exclude, signal, queue, look, lend];
     for (index, case) in (2..).step_by(10).zip(cases) {
         meet(own, index);
-        case(own, board, map, life)?;
+        case(own, board, map, incarnation)?;
     }
     Ok(())
 }
 
 /// What the lock guards is never seen in the middle of a change.
-fn exclude(_: usize, _: &An521Board, map: Map<'_>, life: Life) -> Checked {
+fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
-    let mut lock = Lock::attach(map.region(LOCK), life, map.lives()).map_err(|_| fit)?;
+    let mut lock =
+        Lock::attach(map.region(LOCK), incarnation, map.incarnations()).map_err(|_| fit)?;
     let [one, two] = [0, 1].map(|at: usize| &map.region(GUARDED)[at]);
     let broken = memory::strap(1) != 0;
     for _ in 0..ROUNDS {
@@ -135,7 +139,7 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, life: Life) -> Checked {
 }
 
 /// To and fro, with sleeps: no signal is lost, each comes with its value.
-fn signal(own: usize, board: &An521Board, map: Map<'_>, _: Life) -> Checked {
+fn signal(own: usize, board: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
     let fit = "the regions fit";
     let [to, from] = if own == 0 { [TO_1, TO_0] } else { [TO_0, TO_1] };
     let mut sender = Sender::attach(map.region(to)).map_err(|_| fit)?;
@@ -167,7 +171,7 @@ fn signal(own: usize, board: &An521Board, map: Map<'_>, _: Life) -> Checked {
 }
 
 /// Every value, in order.
-fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Life) -> Checked {
+fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
     let words = map.region(QUEUED);
     if own == 0 {
         let mut producer = fifo::Producer::attach(words, QUEUE).map_err(|_| "the regions fit")?;
@@ -193,7 +197,7 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Life) -> Checked {
 }
 
 /// The newest value is never torn; what the ring loses it counts.
-fn look(own: usize, _: &An521Board, map: Map<'_>, _: Life) -> Checked {
+fn look(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
     let fit = "the regions fit";
     let [value_words, ring_words] = [NEWEST, BROADCAST].map(|region| map.region(region));
     if own == 0 {
@@ -234,9 +238,10 @@ fn look(own: usize, _: &An521Board, map: Map<'_>, _: Life) -> Checked {
 }
 
 /// Words are handed over and given back by whoever got them.
-fn lend(own: usize, _: &An521Board, map: Map<'_>, life: Life) -> Checked {
+fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
-    let pool = Pool::attach(map.region(POOL), BLOCKS, life, map.lives()).map_err(|_| fit)?;
+    let pool =
+        Pool::attach(map.region(POOL), BLOCKS, incarnation, map.incarnations()).map_err(|_| fit)?;
     let words = map.region(QUEUED);
     if own == 0 {
         let mut producer = fifo::Producer::attach(words, QUEUE).map_err(|_| fit)?;

@@ -10,7 +10,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map, Region};
@@ -80,10 +80,10 @@ fn must<T, E>(result: Result<T, E>) -> T {
     }
 }
 
-fn life(core: usize) -> Life {
-    match Life::new(core, 1) {
-        Some(life) => life,
-        None => panic!("a first life"),
+fn incarnation(core: usize) -> Incarnation {
+    match Incarnation::new(core, 1) {
+        Some(incarnation) => incarnation,
+        None => panic!("a first incarnation"),
     }
 }
 
@@ -91,7 +91,7 @@ fn life(core: usize) -> Life {
 fn attach(core: usize) -> Map<'static> {
     loop {
         if let Ok(map) = Map::attach(memory::lmu(SystemId::A), LAYOUT) {
-            must(map.lives().announce(life(core)));
+            must(map.incarnations().announce(incarnation(core)));
             return map;
         }
         hart::yield_turn();
@@ -99,7 +99,11 @@ fn attach(core: usize) -> Map<'static> {
 }
 
 fn lock_of(map: &Map<'static>, core: usize) -> Lock<'static> {
-    must(Lock::attach(map.region(3), life(core), map.lives()))
+    must(Lock::attach(
+        map.region(3),
+        incarnation(core),
+        map.incarnations(),
+    ))
 }
 
 /// Lets everyone else come to rest.
@@ -161,8 +165,8 @@ fn measure() {
     let pool = must(Pool::attach(
         map.region(4),
         POOL_BLOCKS,
-        life(0),
-        map.lives(),
+        incarnation(0),
+        map.incarnations(),
     ));
 
     bench("clock/two-readings", |_| {

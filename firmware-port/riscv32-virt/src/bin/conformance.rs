@@ -38,7 +38,7 @@ fn result_of(place: CoreAddress) -> &'static AtomicU32 {
     &RESULTS[place.index()]
 }
 
-/// What each core does in each of its lives.
+/// What each core does in each of its incarnations.
 fn play_role(board: &VirtBoard) {
     let case = CASE.load(Ordering::Relaxed) as usize;
     let place = board.identity().address();

@@ -2,8 +2,9 @@
 //! vehicle on the host.
 //!
 //! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both. Alone in a machine, a
-//! system's core 0 runs its tasks under FreeRTOS, in every life. The kernel's statics exist once in
-//! an image, so with both systems core 0 runs them to completion. Cores 1 and 2 have no kernel.
+//! system's core 0 runs its tasks under FreeRTOS, in every incarnation. The kernel's statics exist
+//! once in an image, so with both systems core 0 runs them to completion. Cores 1 and 2 have no
+//! kernel.
 //!
 //! Strap `Second`, bit 0: a system that returns becomes the standby of the running one.
 //! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
@@ -45,7 +46,7 @@ fn main(hart: usize) -> ! {
     run(hart, SLICE_TICKS, core, outside)
 }
 
-/// One life of one core.
+/// One incarnation of one core.
 fn core(board: &VirtBoard) {
     match board.identity().core {
         CoreId::CONTROL if strap(Strap::First) == BOTH_SYSTEMS => {
@@ -74,13 +75,14 @@ fn overload() -> Option<Overload> {
     })
 }
 
-/// The kernel, new in every life of the core.
+/// The kernel, new in every incarnation of the core.
 fn kernel() -> Kernel {
     if let Ok(first) = Kernel::take() {
         return first;
     }
     // SAFETY: the kernel and the heap are this hart's alone, and its start-up code has thrown the
-    // stack of its last life away. What that life shares with other harts is not of the heap.
+    // stack of its last incarnation away. What that incarnation shares with other harts is not of
+    // the heap.
     #[allow(unsafe_code, reason = "a reset is beyond the language")]
     unsafe {
         tandem_rtos::riscv32::after_reset();
@@ -95,7 +97,7 @@ fn kernel() -> Kernel {
 /// Core 0 with its tasks under FreeRTOS.
 fn under_kernel(board: &VirtBoard) -> ! {
     log!(
-        "core 0 of {} runs its tasks under FreeRTOS, life {}",
+        "core 0 of {} runs its tasks under FreeRTOS, incarnation {}",
         board.identity().system,
         board.identity().generation.0
     );

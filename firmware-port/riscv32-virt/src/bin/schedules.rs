@@ -18,7 +18,7 @@ use tandem_board::SystemId;
 use tandem_board_riscv32_virt::hart::{self, CARRIER};
 use tandem_board_riscv32_virt::memory::{Strap, strap};
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, log, memory};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId};
 use tandem_shm::map::{Layout, Map, Region};
@@ -239,13 +239,13 @@ fn until(mut holds: impl FnMut() -> bool) -> Checked {
 
 fn all_tests(hart: usize, generation: u32) -> Checked {
     let map = Map::attach(memory::lmu(SystemId::A), LAYOUT).map_err(|_| 1u32)?;
-    let life = Life::new(hart, generation).ok_or(1u32)?;
-    map.lives().announce(life).map_err(|_| 1u32)?;
+    let incarnation = Incarnation::new(hart, generation).ok_or(1u32)?;
+    map.incarnations().announce(incarnation).map_err(|_| 1u32)?;
     meet(1)?;
     if is_broken() {
         return test_broken_lock(&map, hart);
     }
-    test_lock(&map, hart, life)?;
+    test_lock(&map, hart, incarnation)?;
     meet(2)?;
     check(
         map.region(COUNTER)[0].load(Relaxed) == CORES as u32 * ROUNDS,
@@ -253,7 +253,7 @@ fn all_tests(hart: usize, generation: u32) -> Checked {
     )?;
     test_mailbox(&map, hart)?;
     meet(3)?;
-    test_pool(&map, hart, life)?;
+    test_pool(&map, hart, incarnation)?;
     meet(5)?;
     test_channels(&map, hart)
 }
@@ -270,8 +270,9 @@ fn count(map: &Map<'_>, hart: usize) {
 }
 
 /// T-LOCK-1: no increment is lost.
-fn test_lock(map: &Map<'static>, hart: usize, life: Life) -> Checked {
-    let mut lock = Lock::attach(map.region(LOCK), life, map.lives()).map_err(|_| 1u32)?;
+fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
+    let mut lock =
+        Lock::attach(map.region(LOCK), incarnation, map.incarnations()).map_err(|_| 1u32)?;
     for _ in 0..ROUNDS {
         let acquired = lock
             .lock(1_000_000, tandem_shm::sync::spin)
@@ -334,8 +335,14 @@ fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
 }
 
 /// T-SHM-1: nobody gets words that another one has, and all come back.
-fn test_pool(map: &Map<'static>, hart: usize, life: Life) -> Checked {
-    let pool = Pool::attach(map.region(POOL), POOL_BLOCKS, life, map.lives()).map_err(|_| 3u32)?;
+fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
+    let pool = Pool::attach(
+        map.region(POOL),
+        POOL_BLOCKS,
+        incarnation,
+        map.incarnations(),
+    )
+    .map_err(|_| 3u32)?;
     for round in 0..ROUNDS {
         let words = 1 + (round as usize * 7 + hart * 5) % 40;
         let Ok(handle) = pool.get(words) else {

@@ -1,4 +1,4 @@
-//! Every primitive of `shm` once: map, lives, lock, mailbox, pool, the three channels.
+//! Every primitive of `shm` once: map, incarnations, lock, mailbox, pool, the three channels.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -6,7 +6,7 @@
 use core::hint::black_box;
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, entry, hart, memory};
-use tandem_shm::life::Life;
+use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map, Region};
@@ -27,12 +27,12 @@ const LAYOUT: Layout = Layout::new(&[
 ]);
 
 fn main(hart: usize) -> ! {
-    let life = Life::new(hart % 3, black_box(1));
-    if let Some(life) = life {
+    let incarnation = Incarnation::new(hart % 3, black_box(1));
+    if let Some(incarnation) = incarnation {
         let _ = Map::format(memory::lmu(SystemId::A), LAYOUT);
-        share(life);
-        send(life);
-        receive(life);
+        share(incarnation);
+        send(incarnation);
+        receive(incarnation);
     }
     loop {
         hart::sleep();
@@ -43,12 +43,12 @@ fn map() -> Option<Map<'static>> {
     Map::attach(memory::lmu(SystemId::A), LAYOUT).ok()
 }
 
-fn share(life: Life) -> Option<()> {
+fn share(incarnation: Incarnation) -> Option<()> {
     let map = map()?;
-    map.lives().announce(life).ok()?;
-    let mut lock = Lock::attach(map.region(4), life, map.lives()).ok()?;
+    map.incarnations().announce(incarnation).ok()?;
+    let mut lock = Lock::attach(map.region(4), incarnation, map.incarnations()).ok()?;
     drop(lock.lock(black_box(10), tandem_shm::sync::spin).ok()?);
-    let pool = Pool::attach(map.region(5), BLOCKS, life, map.lives()).ok()?;
+    let pool = Pool::attach(map.region(5), BLOCKS, incarnation, map.incarnations()).ok()?;
     pool.reclaim_dead();
     let handle = pool.get(black_box(20)).ok()?;
     black_box(pool.open(handle).ok()?);
@@ -56,7 +56,7 @@ fn share(life: Life) -> Option<()> {
     pool.give_back(handle).ok()
 }
 
-fn send(_: Life) -> Option<()> {
+fn send(_: Incarnation) -> Option<()> {
     let map = map()?;
     let mut to = Sender::attach(map.region(0)).ok()?;
     let message: [u32; 16] = black_box([1; 16]);
@@ -76,7 +76,7 @@ fn send(_: Life) -> Option<()> {
     Some(())
 }
 
-fn receive(_: Life) -> Option<()> {
+fn receive(_: Incarnation) -> Option<()> {
     let map = map()?;
     let mut from = Receiver::attach(map.region(0)).ok()?;
     let mut tasks = TaskTable::new();

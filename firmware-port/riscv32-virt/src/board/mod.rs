@@ -1,4 +1,4 @@
-//! The board as one core sees it, for one life of the core.
+//! The board as one core sees it, for one incarnation of the core.
 
 mod parts;
 
@@ -14,8 +14,8 @@ use tandem_peripherals::codec::encode_trace;
 
 /// QEMU's `virt` machine as a core of one of the systems.
 ///
-/// Made by [`run`] at the beginning of each life. Programming the flash and serving the watchdog
-/// is core 0's; on another core they panic.
+/// Made by [`run`] at the beginning of each incarnation. Programming the flash and serving the
+/// watchdog is core 0's; on another core they panic.
 #[derive(Clone, Debug)]
 pub struct VirtBoard {
     identity: Identity,
@@ -109,8 +109,8 @@ impl Board for VirtBoard {
     }
 }
 
-/// Runs a program on all harts: `core` for each life of each core, `outside` once on the carrier.
-/// Every hart's main calls it.
+/// Runs a program on all harts: `core` for each incarnation of each core, `outside` once on the
+/// carrier. Every hart's main calls it.
 ///
 /// A core begins when the carrier switches its system on; when `core` returns it stays asleep until
 /// a reset. `slice` is the length of its turns in ticks (see [`hart::yield_turn`]).

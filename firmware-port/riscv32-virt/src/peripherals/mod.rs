@@ -48,7 +48,7 @@ pub(crate) struct SystemRegisters {
     pub(crate) flash: flash::Registers,
     /// Services of the watchdog on their way to the supply.
     pub(crate) services: Ring<4, SERVICE_WORDS>,
-    /// How many services core 0 gave in this life; wraps around.
+    /// How many services core 0 gave in this incarnation; wraps around.
     pub(crate) service_count: AtomicU32,
     /// The supply is on and holds the system out of reset.
     pub(crate) powered: AtomicBool,

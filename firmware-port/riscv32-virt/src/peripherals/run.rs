@@ -244,7 +244,7 @@ impl Peripherals {
         }
     }
 
-    /// Begins the next life of a system that is held.
+    /// Begins the next incarnation of a system that is held.
     fn release(&mut self, which: SystemId, cause: ResetCause) {
         let registers = system(which);
         registers.cores.iter().for_each(super::CoreRegisters::clear);
