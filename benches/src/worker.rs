@@ -105,7 +105,7 @@ pub fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) ->
     })
 }
 
-/// The incarnation of a part, in its own process. Whether it came to its end.
+/// What a part does in its own process. Whether it came to its end.
 fn play(shared: &Shared, number: usize, run: Run<'_>) -> bool {
     // The message goes to the parent, not to the terminal.
     std::panic::set_hook(Box::new(|_| {}));

@@ -126,7 +126,7 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) at_s: f64,
     /// The sign by which the new master knew that the old one had failed.
     pub(crate) cause: String,
-    /// From its last sign of incarnation to the decision, ms.
+    /// From its last sign of life to the decision, ms.
     pub(crate) detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
     pub(crate) gap_ms: f64,

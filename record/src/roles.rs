@@ -117,7 +117,7 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
         // A suspended system stays suspended, and need not say it again.
         if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != State::Suspended {
-            // It shows its state for an instant, so that a single sign of incarnation is not lost.
+            // It shows its state for an instant, so that a single sign of life is not lost.
             let until_s = (from_s + 0.01).min(next_s);
             push(from_s, until_s, *state);
             push(until_s, next_s, State::Off);

@@ -34,7 +34,7 @@ pub struct Takeover {
     pub at_ns: u64,
     /// The sign by which the new master says that it knew the old one's failure.
     pub cause: Option<Evidence>,
-    /// From the old master's last sign of incarnation to the decision, ms, as the new master says
+    /// From the old master's last sign of life to the decision, ms, as the new master says
     /// it.
     pub detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
@@ -81,7 +81,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
         .collect()
 }
 
-/// From the last sign of incarnation to the decision, ms, in a report of a takeover.
+/// From the last sign of life to the decision, ms, in a report of a takeover.
 #[must_use]
 pub fn detected_ms(report: Event) -> Option<f64> {
     match report {

@@ -80,7 +80,7 @@ impl Driving {
         core::mem::take(&mut self.refused)
     }
 
-    /// Whether the other may have taken over since this master last showed a sign of incarnation.
+    /// Whether the other may have taken over since this master last showed a sign of life.
     /// It cannot have while the third witness was not yet silent for its limit, nor if it is not
     /// there.
     pub(crate) fn may_be_deposed(

@@ -169,7 +169,7 @@ fn a_master_answers_a_handshake_without_one() {
 }
 
 /// T-RED-9: a standby that polls late every time still takes over: its lateness is forgiven once
-/// between two signs of incarnation of the master.
+/// between two signs of life of the master.
 #[test]
 fn a_standby_that_is_always_late_takes_over() {
     let mut bench = Bench::standby();

@@ -244,7 +244,7 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
     executor.runtime.trace(Event::Held { task, longest_ns });
 }
 
-/// The incarnation of a task.
+/// What a task does, for ever.
 fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl Task<'static, B>) {
     let board = executor.runtime.board;
     let ticks = TickGrid {
@@ -288,7 +288,7 @@ where
     let options = TaskOptions::new(info.name, Priority::new(info.priority))
         .stack_bytes(runtime.options.stack_bytes);
     let below = made.clone();
-    let incarnation = move |ctx: &TaskContext| {
+    let entry = move |ctx: &TaskContext| {
         let executor = OfTask {
             ctx,
             runtime,
@@ -298,7 +298,7 @@ where
         };
         run(&executor, body);
     };
-    let handle = kernel.spawn(&options, incarnation);
+    let handle = kernel.spawn(&options, entry);
     let handle = handle.map_err(|error| RunError::Spawn(task, error))?;
     let number = handle.number(kernel).unwrap_or(0);
     runtime.state(task).number.store(number, Relaxed);

@@ -26,7 +26,7 @@ impl Level {
         };
     }
 
-    /// The other system was seen to live. `under_way`: a sign of incarnation that is seen later
+    /// The other system was seen to live. `under_way`: a sign of life that is seen later
     /// than this after the fall of the level was sent after the fall.
     pub(crate) fn on_incarnation(&mut self, now: Instant, under_way: Duration) {
         if let Self::Low { since } = *self

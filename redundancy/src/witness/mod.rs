@@ -22,7 +22,7 @@ pub(crate) struct Witnesses {
     pub(crate) level: Level,
     pub(crate) can: CanWatch,
     pub(crate) reports: Reports,
-    /// A stall was forgiven since the last sign of incarnation.
+    /// A stall was forgiven since the last sign of life.
     forgiven: bool,
 }
 
@@ -38,7 +38,7 @@ impl Witnesses {
     }
 
     /// This system was held up, or has just begun: silence counts from now on. Once between two
-    /// signs of incarnation: a system that always polls late must find a dead one too. Returns
+    /// signs of life: a system that always polls late must find a dead one too. Returns
     /// whether it was done.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
@@ -76,7 +76,7 @@ impl Witnesses {
         }
     }
 
-    /// A sign of incarnation of the other system.
+    /// A sign of life of the other system.
     pub(crate) fn on_incarnation(&mut self, config: &Config, now: Instant) {
         self.level.on_incarnation(now, config.witness_limit());
         self.forgiven = false;
