@@ -1,6 +1,6 @@
 //! Bootloader: S-records over CAN, slots, trust: sans-IO (no_std).
 //!
-//! [`Loader`] is told the time and what came from the bus, and answers with [`Next`]; it reaches
+//! [`start`] runs it on a board. [`Loader`], which does the work, is told the time and what came from the bus, and answers with [`Next`]; it reaches
 //! flash through `embedded_storage::nor_flash::NorFlash` and nothing else of the machine. The
 //! application calls [`approve`] once it has proved itself. Protocol, storage map, states and what
 //! each loss of power leaves stand in `docs/boot.md`.
@@ -21,6 +21,7 @@ mod page;
 mod protocol;
 mod session;
 mod srec;
+mod start;
 mod trust;
 
 pub use environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
@@ -37,4 +38,5 @@ pub use map::{
 pub use protocol::{Answer, Refusal, Request, TO_HOST, TO_LOADER};
 pub use session::{MAX_WINDOW, RESEND_AFTER};
 pub use srec::{Assembler, MAX_DATA, Record, RecordError, RecordType};
+pub use start::{Leave, start};
 pub use trust::{Trust, TrustMode};

@@ -32,8 +32,6 @@ pub struct Setup<'k> {
     pub bank: Bank,
     /// Why the system started.
     pub cause: ResetCause,
-    /// The application asked for a download before it reset the system.
-    pub requested: bool,
 }
 
 /// When a host may connect.
@@ -53,7 +51,7 @@ enum Entry {
 const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
     match setup.cause {
         ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
-        ResetCause::Software if setup.requested => Entry::Until(after(now, HOST_SILENCE)),
+        ResetCause::Download => Entry::Until(after(now, HOST_SILENCE)),
         ResetCause::Software | ResetCause::Watchdog | ResetCause::Trap => Entry::Never,
     }
 }
@@ -223,7 +221,8 @@ impl<'k, F: NorFlash> Loader<'k, F> {
     /// Both loaders hear a host that names no system. At power-on only A answers it; a loader that
     /// an application or an empty slot keeps waiting is alone in that, and answers.
     fn is_for_us(&self, system: Option<SystemId>) -> bool {
-        let alone = self.setup.requested || self.entry == Entry::Always;
+        let asked = self.setup.cause == ResetCause::Download;
+        let alone = asked || self.entry == Entry::Always;
         system.map_or(alone || self.setup.system == SystemId::A, |system| {
             system == self.setup.system
         })
@@ -580,17 +579,14 @@ mod tests {
     /// T-BOOT-1: the whole table of the entry rule.
     #[test]
     fn a_host_may_connect_at_power_on_or_on_request_only() {
-        use ResetCause::{PowerOn, Software, Trap, Watchdog};
+        use ResetCause::{Download, PowerOn, Software, Trap, Watchdog};
         let now = Instant::from_ns(5);
-        for (cause, requested, expected) in [
-            (PowerOn, false, Some(CONNECT_WINDOW)),
-            (PowerOn, true, Some(CONNECT_WINDOW)),
-            (Software, false, None),
-            (Software, true, Some(HOST_SILENCE)),
-            (Watchdog, false, None),
-            (Watchdog, true, None),
-            (Trap, false, None),
-            (Trap, true, None),
+        for (cause, expected) in [
+            (PowerOn, Some(CONNECT_WINDOW)),
+            (Software, None),
+            (Watchdog, None),
+            (Trap, None),
+            (Download, Some(HOST_SILENCE)),
         ] {
             let setup = Setup {
                 trust: Trust {
@@ -600,10 +596,9 @@ mod tests {
                 system: SystemId::A,
                 bank: Bank::Primary,
                 cause,
-                requested,
             };
             let expected = expected.map_or(Entry::Never, |span| Entry::Until(now + span));
-            assert_eq!(entry(&setup, now), expected, "{cause:?} {requested}");
+            assert_eq!(entry(&setup, now), expected, "{cause:?}");
         }
     }
 }

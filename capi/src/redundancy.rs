@@ -216,7 +216,8 @@ impl From<Actions> for TandemActions {
                 }
                 Action::Reset(request) => {
                     made.reset = match request {
-                        ResetRequest::Software => TANDEM_RESET_SOFTWARE,
+                        // The redundancy asks for no download.
+                        ResetRequest::Software | ResetRequest::Download => TANDEM_RESET_SOFTWARE,
                         ResetRequest::CoreDead => TANDEM_RESET_CORE_DEAD,
                         ResetRequest::Suspend => TANDEM_RESET_SUSPEND,
                     }

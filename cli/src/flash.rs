@@ -113,11 +113,10 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         system: args.system.into(),
         bank: bank(&mut flash),
         cause: if args.requested {
-            ResetCause::Software
+            ResetCause::Download
         } else {
             ResetCause::PowerOn
         },
-        requested: args.requested,
     };
     loop {
         let clock = Clock::now();
@@ -127,7 +126,7 @@ pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
             Next::Jump(launch) => return crate::print(&shown(&launch)),
             Next::StartPrimary => setup.bank = Bank::Primary,
             _ => {
-                (setup.cause, setup.requested) = (ResetCause::Software, false);
+                setup.cause = ResetCause::Software;
                 setup.bank = bank(&mut flash);
             }
         }

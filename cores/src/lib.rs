@@ -16,6 +16,7 @@ extern crate std;
 pub mod core0;
 pub mod core1;
 pub mod core2;
+mod download;
 pub mod driving;
 pub mod layout;
 pub mod schedule;
@@ -23,7 +24,7 @@ pub mod task_table;
 pub mod trace;
 pub mod words;
 
-use tandem_board::{Board, Can, CanId, Duration, Instant};
+use tandem_board::{Board, Can, CanId, Duration, Instant, SystemId};
 use tandem_bus::e2e::Check;
 use tandem_bus::{Message, ReceiveError};
 
@@ -78,9 +79,11 @@ enum Heard {
     Valid(Message),
     /// Its CRC is right, but its counter is wrong: repeated, or out of sequence.
     WrongCounter(Message),
+    /// A host asks for the bootloader of a system.
+    Download(SystemId),
 }
 
-/// The next received frame of the DBC whose CRC is right, with the time at which it was on the bus.
+/// The next received frame of the DBC whose CRC is right, or request of a host, with the time at which it was on the bus.
 /// Skips other frames.
 ///
 /// Takes at most `left` frames from the receiver, of whatever kind, and counts `left` down; 0 means
@@ -94,7 +97,10 @@ fn read_can<B: Board>(
         let received = board.can().try_receive()?;
         *left -= 1;
         let CanId::Standard(id) = received.frame.id() else {
-            continue;
+            match download::requested(&received.frame) {
+                Some(system) => return Some((received.at, Heard::Download(system))),
+                None => continue,
+            }
         };
         let data = received.frame.data();
         match receiver.receive(id.into(), data) {

@@ -90,6 +90,7 @@ pub fn supply_event(event: SupplyEvent) -> String {
                 ResetCause::Software => "software",
                 ResetCause::Watchdog => "watchdog",
                 ResetCause::Trap => "trap or dead core",
+                ResetCause::Download => "for a download",
             }
         ),
         SupplyEvent::Suspended => "suspended".to_owned(),

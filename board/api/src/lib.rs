@@ -85,6 +85,13 @@ pub trait Board {
     /// effect.
     fn ring(&self, to: CoreId);
 
+    /// Releases another core of this system from reset. One at a time; core 0 only.
+    ///
+    /// At each start of the system core 0 runs alone, and the others stand still until it releases
+    /// them. A released core begins the incarnation of its system. What core 0 wrote to the LMU
+    /// before is visible to it. No effect on a core that was released in this incarnation.
+    fn release_core(&self, core: CoreId);
+
     /// Sleeps until an interrupt is pending or `deadline` has passed, and consumes what is pending.
     /// Task; blocks.
     ///

@@ -11,10 +11,12 @@ pub enum ResetCause {
     Watchdog,
     /// A core trapped, died, or was reset by the supply because another core reported it dead.
     Trap,
+    /// The software asked for it, to take a download.
+    Download,
 }
 
 impl ResetCause {
-    /// Every cause but power-on and a reset that the software asked for. T-RED-5
+    /// Every cause but power-on and the resets that the software asked for. T-RED-5
     #[must_use]
     pub const fn is_abnormal(self) -> bool {
         matches!(self, Self::Watchdog | Self::Trap)
@@ -23,7 +25,13 @@ impl ResetCause {
 
 impl ResetCause {
     /// All of them, in the order of their codes.
-    pub const ALL: [Self; 4] = [Self::PowerOn, Self::Software, Self::Watchdog, Self::Trap];
+    pub const ALL: [Self; 5] = [
+        Self::PowerOn,
+        Self::Software,
+        Self::Watchdog,
+        Self::Trap,
+        Self::Download,
+    ];
 
     /// The number by which a cause is passed on.
     #[must_use]
@@ -47,11 +55,19 @@ pub enum ResetRequest {
     CoreDead,
     /// Hold the system in reset for good: it has failed and suspends (T-RED-5).
     Suspend,
+    /// An orderly restart after which the bootloader waits for a host; the next reset cause is
+    /// [`ResetCause::Download`].
+    Download,
 }
 
 impl ResetRequest {
     /// All of them, in the order of their codes.
-    pub const ALL: [Self; 3] = [Self::Software, Self::CoreDead, Self::Suspend];
+    pub const ALL: [Self; 4] = [
+        Self::Software,
+        Self::CoreDead,
+        Self::Suspend,
+        Self::Download,
+    ];
 
     /// The number by which a request is passed on.
     #[must_use]

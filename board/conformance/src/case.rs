@@ -27,9 +27,26 @@ pub enum Setting {
     /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the
     /// next generation. The case has passed when every role has returned `Ok` in some incarnation.
     Restarts,
+    /// As [`Setting::Restarts`], and the role of core 0 releases the other cores itself. In every
+    /// other setting they are released before that role begins.
+    Releases,
     /// System A asks to be held in reset for good: its roles need not end. Those of system B must
     /// return `Ok`. The watchdogs do not reset anybody.
     Suspends,
+}
+
+impl Setting {
+    /// Whether the watchdogs watch.
+    #[must_use]
+    pub const fn watches(self) -> bool {
+        matches!(self, Self::Watchdog | Self::Restarts | Self::Releases)
+    }
+
+    /// Whether a system with a role may be reset, and its roles then run again.
+    #[must_use]
+    pub const fn restarts(self) -> bool {
+        matches!(self, Self::Restarts | Self::Releases)
+    }
 }
 
 /// One case of the suite.

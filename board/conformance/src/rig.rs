@@ -1,9 +1,9 @@
 //! How a board runs the suite.
 
-use crate::case::{Case, Failure, Part, fail};
+use crate::case::{Case, Failure, Part, Setting, fail};
 use crate::cases::cases;
 use core::fmt::Display;
-use tandem_board::Board;
+use tandem_board::{Board, CoreId};
 
 /// What runs cases on one kind of board.
 pub trait Rig {
@@ -70,15 +70,21 @@ pub fn run_all<R: Rig>(
 }
 
 /// Plays part `part` of case `case` of [`cases`]: how a process or a hart that was
-/// started for one role finds it.
+/// started for one role finds it. On core 0 it releases the other cores first, unless the case is
+/// about that.
 ///
 /// # Errors
 /// The [`Failure`] that the role saw, also if there is no such case or part.
 pub fn run_role<B: Board + 'static>(case: usize, part: usize, board: &B) -> Result<(), Failure> {
     let cases = cases::<B>();
-    let found = cases.get(case).and_then(|case| case.parts.get(part));
-    let Some(Part { place, role }) = found else {
+    let case = cases.get(case);
+    let found = case.and_then(|case| Some((case.setting, case.parts.get(part)?)));
+    let Some((setting, Part { place, role })) = found else {
         return fail("there is a case and a part with these numbers");
     };
+    if place.core == CoreId::CONTROL && setting != Setting::Releases {
+        board.release_core(CoreId::PERCEPTION);
+        board.release_core(CoreId::PLANNING);
+    }
     role(board, *place)
 }

@@ -137,6 +137,10 @@ impl Board for HostBoard {
         self.ringers.ring(self.of.system, to);
     }
 
+    fn release_core(&self, core: CoreId) {
+        self.backplane.release_core(self.of.system, core);
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         if !self.looked_around.swap(true, Relaxed) {
             return Wake::Interrupt;

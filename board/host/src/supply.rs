@@ -90,6 +90,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         services: fifo::Consumer::attach(backplane.ring(services), services.shape)?,
         link,
         cores: [None, None, None],
+        begun: [false; CoreId::COUNT],
         model: Model::new(Config::DESKTOP),
         peer,
     };
@@ -138,6 +139,8 @@ struct Supply<'a> {
     services: fifo::Consumer<'static>,
     link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
+    /// Which cores have begun in this incarnation of the system.
+    begun: [bool; CoreId::COUNT],
     model: Model,
     peer: Option<Watched>,
 }
@@ -226,6 +229,11 @@ impl Supply<'_> {
         if let Some(request) = self.backplane.take_reset_request(self.args.system) {
             self.model.request(request);
         }
+        if self.model.is_on() {
+            for core in self.backplane.take_released(self.args.system) {
+                self.start(core);
+            }
+        }
         let mut words = [0; SERVICE_WORDS];
         while self.model.is_on() && self.services.receive_into(&mut words) {
             let (at, answer) = decode_service(words);
@@ -239,7 +247,7 @@ impl Supply<'_> {
     fn carry_out(&mut self, change: Option<Change>) {
         match change {
             None => {}
-            Some(Change::Start(cause)) => self.start_all(cause),
+            Some(Change::Start(cause)) => self.start_system(cause),
             Some(Change::Reset(cause)) => self.stop_all(cause, RoleLamp::Starting),
             Some(Change::Suspend) => {
                 self.stop_all(ResetCause::Software, RoleLamp::Suspended);
@@ -257,15 +265,23 @@ impl Supply<'_> {
         self.backplane.show_role(self.args.system, lamp);
     }
 
-    fn start_all(&mut self, cause: ResetCause) {
+    fn start_system(&mut self, cause: ResetCause) {
         self.clear_memory();
         self.backplane.set_reset_cause(self.args.system, cause);
         // Requests of the incarnation that is over.
         self.backplane.take_reset_request(self.args.system);
-        self.set_level(self.args.system, true);
+        self.backplane
+            .take_released(self.args.system)
+            .for_each(drop);
+        self.begun = [false; CoreId::COUNT];
         for core in CoreId::ALL {
-            self.start(core);
+            let generation = self.backplane.generation(self.args.system, core).0 + 1;
+            self.backplane
+                .set_generation(self.args.system, core, Generation(generation));
         }
+        self.set_level(self.args.system, true);
+        // It releases the others. T-BOOT-2
+        self.start(CoreId::CONTROL);
     }
 
     /// All cores are dead: what they had in common begins anew, as after power-on.
@@ -286,9 +302,11 @@ impl Supply<'_> {
     }
 
     fn start(&mut self, core: CoreId) {
+        if core::mem::replace(&mut self.begun[core.index()], true) {
+            return;
+        }
         let system = self.args.system;
-        let generation = Generation(self.backplane.generation(system, core).0 + 1);
-        self.backplane.set_generation(system, core, generation);
+        let generation = self.backplane.generation(system, core);
         let mut command = (self.command)(&self.args.core(core, generation));
         // A core that cannot be started is one that died at its start: for core 0 that is a reset,
         // as the watchdog is not served.
@@ -370,6 +388,7 @@ mod tests {
             services: fifo::Consumer::attach(words, ring.shape).unwrap(),
             link: RINGS.link[args.system.peer().index()],
             cores: [None, None, None],
+            begun: [false; CoreId::COUNT],
             model: Model::new(Config::DESKTOP),
             peer: None,
         };

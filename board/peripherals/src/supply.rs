@@ -72,7 +72,7 @@ pub enum Power {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Change {
-    /// All cores begin an incarnation, which began for this cause.
+    /// The system begins an incarnation for this cause: core 0 starts, and releases the others.
     Start(ResetCause),
     /// All cores stop. The supply will start them again.
     Reset(ResetCause),
@@ -218,6 +218,7 @@ impl Supply {
             } => match request {
                 Some(ResetRequest::Software) => self.reset(now, ResetCause::Software),
                 Some(ResetRequest::CoreDead) => self.reset(now, ResetCause::Trap),
+                Some(ResetRequest::Download) => self.reset(now, ResetCause::Download),
                 Some(ResetRequest::Suspend) => {
                     self.state = State::Suspended;
                     Some(Change::Suspend)
@@ -298,7 +299,7 @@ mod tests {
     };
 
     type Input = fn(&mut Supply) -> Option<Change>;
-    const INPUTS: [(&str, Input); 10] = [
+    const INPUTS: [(&str, Input); 11] = [
         ("power on", |s| s.power_on(ms(1))),
         ("power off", Supply::power_off),
         ("right service", |s| {
@@ -309,6 +310,7 @@ mod tests {
         ("core 0 died", |s| s.reset(ms(1), ResetCause::Trap)),
         ("asks for a reset", |s| asks(s, ResetRequest::Software)),
         ("reports a dead core", |s| asks(s, ResetRequest::CoreDead)),
+        ("asks for a download", |s| asks(s, ResetRequest::Download)),
         ("suspends", |s| asks(s, ResetRequest::Suspend)),
         ("hold is over", |s| s.poll(ms(20), true)),
     ];
@@ -322,7 +324,7 @@ mod tests {
     #[test]
     fn every_cell_of_the_table() {
         use Change::{PowerOff, Reset, Start, Suspend};
-        use ResetCause::{PowerOn, Software, Trap, Watchdog};
+        use ResetCause::{Download, PowerOn, Software, Trap, Watchdog};
         let held = |until, cause| Power::Reset {
             until: ms(until),
             cause,
@@ -348,6 +350,7 @@ mod tests {
                     (Some(Reset(Trap)), held(21, Trap)),
                     (Some(Reset(Software)), held(21, Software)),
                     (Some(Reset(Trap)), held(21, Trap)),
+                    (Some(Reset(Download)), held(21, Download)),
                     (Some(Suspend), Power::Suspended),
                     (None, Power::On),
                 ],
@@ -355,7 +358,7 @@ mod tests {
             (IN_RESET, {
                 let mut row = [(None, trap); INPUTS.len()];
                 row[1] = (Some(PowerOff), Power::Off);
-                row[9] = (Some(Start(Trap)), Power::On);
+                row[10] = (Some(Start(Trap)), Power::On);
                 row
             }),
             (SUSPENDED, {

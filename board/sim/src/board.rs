@@ -188,6 +188,13 @@ impl Board for SimBoard {
             .alive(|machine| machine.ring(self.port.place.system, to));
     }
 
+    fn release_core(&self, core: CoreId) {
+        assert!(self.port.is_control(), "only core 0 releases cores");
+        let system = self.port.place.system;
+        self.port
+            .alive(|machine| machine.release_core(CoreAddress { system, core }));
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         self.port.wait(deadline)
     }

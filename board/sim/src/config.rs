@@ -154,6 +154,14 @@ pub enum Defect {
     DirtyLmu,
     /// The generation does not begin at 1.
     WrongGeneration,
+    /// All cores start with core 0.
+    NoneHeld,
+    /// A release has no effect.
+    NeverReleased,
+    /// A release is one of all cores.
+    ReleasesAll,
+    /// A core that is released twice begins twice.
+    ReleasesAgain,
     /// A core receives the CAN frames that it sends.
     SelfReception,
     /// The other system does not hear this system's CAN frames.
@@ -228,7 +236,7 @@ pub enum Defect {
 
 impl Defect {
     /// All of them.
-    pub const ALL: [Self; 46] = [
+    pub const ALL: [Self; 50] = [
         Self::LostRing,
         Self::MisdirectedRing,
         Self::EarlyDeadline,
@@ -240,6 +248,10 @@ impl Defect {
         Self::OneLmu,
         Self::DirtyLmu,
         Self::WrongGeneration,
+        Self::NoneHeld,
+        Self::NeverReleased,
+        Self::ReleasesAll,
+        Self::ReleasesAgain,
         Self::SelfReception,
         Self::NoBroadcast,
         Self::DiscardsLaterFrame,

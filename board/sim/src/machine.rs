@@ -75,6 +75,8 @@ pub(crate) enum Attention {
 
 pub(crate) struct Core {
     pub(crate) alive: bool,
+    /// Core 0 has not released it in this incarnation.
+    pub(crate) held: bool,
     pub(crate) generation: u32,
     /// Differs between any two incarnations, unlike the generation, which begins anew with the
     /// power.
@@ -96,6 +98,7 @@ impl Core {
     fn new() -> Self {
         Self {
             alive: false,
+            held: false,
             generation: 0,
             incarnation: 0,
             pending: false,

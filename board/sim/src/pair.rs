@@ -56,7 +56,7 @@ impl SimPair {
         }
     }
 
-    /// Two systems with power whose cores do nothing, for tests that act through
+    /// Two systems with power whose cores run and do nothing, for tests that act through
     /// [`SimPair::board`].
     #[must_use]
     pub fn idle(config: Config) -> Self {
@@ -64,6 +64,10 @@ impl SimPair {
         SystemId::ALL
             .into_iter()
             .for_each(|system| pair.power_on(system));
+        for place in CoreAddress::ALL {
+            pair.shared.lock().release_core(place);
+        }
+        pair.follow_incarnations();
         pair
     }
 
@@ -265,7 +269,7 @@ impl SimPair {
 
 /// Faults.
 impl SimPair {
-    /// Switches a supply on: the LMU is zero, the cores start in generation 1. Nothing if it is on.
+    /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. Nothing if it is on.
     pub fn power_on(&mut self, system: SystemId) {
         self.shared.power_on(system);
         self.follow_incarnations();

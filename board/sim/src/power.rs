@@ -58,17 +58,48 @@ impl Machine {
         self.with_supply(system, |supply| supply.power_on(now));
     }
 
-    /// The cores of a system begin a new incarnation.
+    /// Core 0 of a system begins a new incarnation; the others wait for its release.
     fn start(&mut self, system: SystemId, cause: ResetCause) {
-        let now_ns = self.now_ns;
         let skipped = u32::from(self.has(Defect::WrongGeneration));
+        let all = self.has(Defect::NoneHeld);
         let state = self.system(system);
         state.lamp = RoleLamp::Starting;
         // All are dead here, but for a defect.
         for core in state.cores.iter_mut().filter(|core| !core.alive) {
-            core.start(core.generation + 1 + skipped, now_ns);
+            (core.held, core.generation) = (true, core.generation + 1 + skipped);
+        }
+        for core in CoreId::ALL {
+            if all || core == CoreId::CONTROL {
+                self.release(CoreAddress { system, core });
+            }
         }
         self.log(system, EventKind::Started(cause));
+    }
+
+    /// What core 0 asks for, with the defects of the release.
+    pub(crate) fn release_core(&mut self, place: CoreAddress) {
+        let others = [CoreId::PERCEPTION, CoreId::PLANNING];
+        match self.config.defect {
+            Some(Defect::NeverReleased) => {}
+            Some(Defect::ReleasesAll) => {
+                for core in others {
+                    self.release(CoreAddress { core, ..place });
+                }
+            }
+            Some(Defect::ReleasesAgain) => {
+                self.core(place).held = true;
+                self.release(place);
+            }
+            _ => self.release(place),
+        }
+    }
+
+    fn release(&mut self, place: CoreAddress) {
+        let now_ns = self.now_ns;
+        let core = self.core(place);
+        if core.held {
+            core.start(core.generation, now_ns);
+        }
     }
 
     /// The cores of a system and what the chip was doing end.
@@ -93,7 +124,7 @@ impl Machine {
         let reached = if partial { 2 } else { CoreId::COUNT };
         state.cores[..reached]
             .iter_mut()
-            .for_each(|core| core.alive = false);
+            .for_each(|core| (core.alive, core.held) = (false, false));
         self.log(system, why);
     }
 

@@ -6,7 +6,7 @@ use std::fmt;
 use std::sync::{Arc, Mutex};
 use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
-    Case, Failure, Outcome, Part, Rig, Setting, Summary, cases, run_all,
+    Case, Failure, Outcome, Part, Rig, Setting, Summary, cases, run_all, run_role,
 };
 use tandem_board_sim::{Config, Defect, EventKind, Order, SimBoard, SimPair, blocking};
 
@@ -52,8 +52,8 @@ impl Rig for SimRig {
         true
     }
 
-    fn play(&mut self, _: usize, case: &Case<SimBoard>) -> Result<(), Fault> {
-        let watchdog = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
+    fn play(&mut self, number: usize, case: &Case<SimBoard>) -> Result<(), Fault> {
+        let watchdog = case.setting.watches();
         let suspends = case.setting == Setting::Suspends;
         let config = Config {
             watchdog,
@@ -65,10 +65,9 @@ impl Rig for SimRig {
             let Some(index) = part_of(board.identity(), parts) else {
                 return Box::new(|_| Instant::NEVER);
             };
-            let Part { place, role } = parts[index];
             let told = Arc::clone(&told);
             blocking(board, move |board| {
-                let result = role(board, place);
+                let result = run_role(number, index, board);
                 told.lock().unwrap()[index] = Some(result);
             })
         });
@@ -81,7 +80,7 @@ impl Rig for SimRig {
             let mut resets = events.filter(|event| matches!(event.kind, EventKind::Reset(_)));
             let reset = resets.find(|event| plays(event.system));
             reset
-                .filter(|_| case.setting != Setting::Restarts)
+                .filter(|_| !case.setting.restarts())
                 .map(|event| event.system)
         };
         let hung = pair.run_while(Instant::ORIGIN + HANGS_AFTER, |pair| {

@@ -31,6 +31,14 @@ fn frame(value: u8) -> CanFrame {
     CanFrame::new(CanId::Standard(0x123), false, &[value]).unwrap()
 }
 
+/// What core 0 does first.
+fn release_others(board: &SimBoard) {
+    if board.identity().core == CoreId::CONTROL {
+        board.release_core(CoreId::PERCEPTION);
+        board.release_core(CoreId::PLANNING);
+    }
+}
+
 /// A pair on whose core `core` of system A `make` runs, with power on both systems.
 fn pair_with(
     config: Config,
@@ -38,6 +46,7 @@ fn pair_with(
     mut make: impl FnMut(&SimBoard) -> Poller + 'static,
 ) -> SimPair {
     let mut pair = SimPair::new(config, move |board| {
+        release_others(board);
         let identity = board.identity();
         match (identity.system, identity.core == core) {
             (A, true) => make(board),
@@ -73,7 +82,8 @@ fn kinds(pair: &SimPair, system: SystemId) -> Vec<EventKind> {
 
 /// Six cores that send, ring and answer each other.
 fn chatter(config: Config) -> SimPair {
-    let mut pair = SimPair::new(config, |_| {
+    let mut pair = SimPair::new(config, |board| {
+        release_others(board);
         let mut count = 0_u8;
         let mut next = Instant::ORIGIN;
         Box::new(move |board| {
@@ -136,6 +146,7 @@ fn a_core_has_its_share_of_the_bus() {
 fn blocking_cores_are_deterministic_too() {
     let run = || {
         let mut pair = SimPair::new(relaxed(), |board| {
+            release_others(board);
             blocking(board, |board| {
                 for count in 0..50 {
                     // The rings of the others make it faster than the bus permits.

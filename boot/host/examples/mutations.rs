@@ -136,7 +136,6 @@ fn try_all(numbers: impl Iterator<Item = u64>, monitor: bool) -> Result<Tally> {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
-        requested: false,
     };
     // Of these, 5 and 6 are good; 2 is an older version than the one that drives.
     let images = [image(Slot::B, 5), image(Slot::B, 6), image(Slot::B, 2)];

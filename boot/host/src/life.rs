@@ -167,7 +167,6 @@ impl Run {
             system: SystemId::A,
             bank,
             cause,
-            requested: false,
         };
         let file = life
             .file

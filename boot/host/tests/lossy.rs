@@ -40,8 +40,7 @@ fn download(window: u8, per_mille: u32, seed: u64) -> (ToDo, bool, u64) {
         },
         system: SystemId::A,
         bank: Bank::Primary,
-        cause: ResetCause::Software,
-        requested: true,
+        cause: ResetCause::Download,
     };
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let mut now = Instant::ORIGIN;

@@ -37,7 +37,6 @@ fn measure(window: u8, host_ns: u64, flash_takes_time: bool) -> Measured {
         system: SystemId::A,
         bank: Bank::Primary,
         cause: ResetCause::PowerOn,
-        requested: false,
     };
     let mut measured = Measured {
         total_ns: 0,

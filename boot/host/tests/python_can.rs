@@ -59,7 +59,7 @@ fn controller(folder: &tempfile::TempDir) -> FlashFile {
     flash
 }
 
-fn start(flash: &mut FlashFile, cause: ResetCause, requested: bool) -> Next {
+fn start(flash: &mut FlashFile, cause: ResetCause) -> Next {
     let wire = Wire::join(GROUP, PORT).unwrap();
     let keys = [TEST_PUBLIC];
     let setup = Setup {
@@ -70,7 +70,6 @@ fn start(flash: &mut FlashFile, cause: ResetCause, requested: bool) -> Next {
         system: SystemId::A,
         bank: Bank::Primary,
         cause,
-        requested,
     };
     let clock = Clock::now();
     let mut loader = Loader::start(flash, setup, Instant::ORIGIN).unwrap();
@@ -103,10 +102,10 @@ fn python_can_inside() {
             .arg(&file)
             .stdout(std::process::Stdio::piped());
         let python = python.spawn().unwrap();
-        let _ = start(&mut flash, ResetCause::Software, true);
+        let _ = start(&mut flash, ResetCause::Download);
         let output = python.wait_with_output().unwrap();
         assert_eq!(String::from_utf8(output.stdout).unwrap(), expected);
-        let Next::Jump(launch) = start(&mut flash, ResetCause::Software, false) else {
+        let Next::Jump(launch) = start(&mut flash, ResetCause::Software) else {
             panic!("does not boot")
         };
         assert_eq!((launch.application, launch.version), (Slot::B, 2));
@@ -129,8 +128,8 @@ fn resume_inside() {
     let lines = records("new", &[&new]);
     let half = lines[..lines.len() / 2].to_vec();
     let controller = std::thread::spawn(move || {
-        let _ = start(&mut flash, ResetCause::Software, true);
-        start(&mut flash, ResetCause::Software, false)
+        let _ = start(&mut flash, ResetCause::Download);
+        start(&mut flash, ResetCause::Software)
     });
     let wire = Wire::join(GROUP, PORT).unwrap();
     let within = Duration::from_ms(60_000);
@@ -172,7 +171,7 @@ fn abnormal_inside() {
         send_file(&wire, host, Duration::from_ms(500), |_, _| {})
     });
     for cause in [ResetCause::Watchdog, ResetCause::Trap, ResetCause::Software] {
-        assert!(matches!(start(&mut flash, cause, false), Next::Jump(_)));
+        assert!(matches!(start(&mut flash, cause), Next::Jump(_)));
     }
     let said = host.join().unwrap();
     assert!(matches!(said, Err(TransferError::NoAnswer(_))), "{said:?}");

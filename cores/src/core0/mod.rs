@@ -25,7 +25,7 @@ pub use drive::Drive;
 pub use limits::{CAN_FRAMES, DOORBELL_DISTANCE, EDGES_PER_MS, LINK_DATAGRAMS};
 pub use run_to_completion::Core0;
 pub use shared::Shared;
-use tandem_board::{Board, Duration, Instant};
+use tandem_board::{Board, CoreId, Duration, Instant};
 pub use tasks::{Control, Degraded, Monitoring, Roles, Status, TrajectoryInput};
 
 /// Period of the control task.
@@ -169,10 +169,13 @@ pub struct Parts<'b, B: Board> {
 }
 
 impl<'b, B: Board> Parts<'b, B> {
-    /// Starts the core's incarnation on this board: reads the state from the data flash (bounded
+    /// Starts the core's incarnation on this board: releases cores 1 and 2, and reads the state from the data flash (bounded
     /// time).
     #[must_use]
     pub fn new(board: &'b B, config: Config) -> Self {
+        // T-BOOT-2. They start while this core reads its state.
+        board.release_core(CoreId::PERCEPTION);
+        board.release_core(CoreId::PLANNING);
         Self {
             shared: Shared::new(board, config),
             drive: Drive::new(),

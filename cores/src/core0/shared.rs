@@ -19,6 +19,8 @@ use tandem_redundancy::{
 
 /// While the start protocol waits for cores 1 and 2, core 0 looks this often.
 const BOOT_POLL: Duration = Duration::from_ms(1);
+/// A vehicle that is slower stands still, m/s: the noise of the measured speed stays below.
+const STANDSTILL: f32 = 0.1;
 /// Motions of the chassis that come between two control cycles: three, and as many again.
 const MOTIONS: usize = 6;
 
@@ -74,6 +76,8 @@ pub struct Shared<'b, B: Board> {
     /// Cores 1 and 2 have both passed through a cycle.
     pub(super) all_seen: bool,
     ego_seen: bool,
+    /// The vehicle does not move.
+    stands: bool,
     /// The latest scene has lanes.
     pub(super) lanes_seen: bool,
     pub(super) deadline_misses: u32,
@@ -115,6 +119,7 @@ impl<'b, B: Board> Shared<'b, B> {
             inbox: Inbox::default(),
             all_seen: false,
             ego_seen: false,
+            stands: false,
             lanes_seen: false,
             deadline_misses: 0,
             tracks: 0,
@@ -143,6 +148,10 @@ impl<'b, B: Board> Shared<'b, B> {
                     self.hear(at, message)
                 }
                 Heard::WrongCounter(message) => self.hear_stale(message),
+                Heard::Download(system) => {
+                    self.on_host(system);
+                    TaskSet::NONE
+                }
             };
         }
         if left == 0 {
@@ -189,6 +198,16 @@ impl<'b, B: Board> Shared<'b, B> {
         }
     }
 
+    /// A host asks for the bootloader of a system. Only a system whose absence changes nothing goes:
+    /// the standby of a master, or whoever stands still. T-BOOT-1
+    fn on_host(&mut self, of: SystemId) {
+        let phase = self.phase();
+        let stands = self.stands && phase.is_some();
+        if of == self.system && (stands || phase == Some(Phase::Standby)) {
+            self.board.supply().request_reset(ResetRequest::Download);
+        }
+    }
+
     fn hear(&mut self, at: Instant, message: Message) -> TaskSet {
         match message {
             Message::GateEcho(echo) => {
@@ -197,6 +216,7 @@ impl<'b, B: Board> Shared<'b, B> {
             }
             Message::EgoMotion(motion) => {
                 self.ego_seen = true;
+                self.stands = motion.speed.abs() < STANDSTILL;
                 self.inbox.on_ego(at, ego_of(&motion));
                 TaskSet::NONE
             }

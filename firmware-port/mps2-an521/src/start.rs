@@ -92,10 +92,17 @@ extern "C" fn start_0() -> ! {
     // SAFETY: the second processor has not run; its table is whole and stays.
     unsafe {
         write_volatile(INITSVTOR1, (&raw const VECTORS_1).addr() as u32);
+    }
+    main()
+}
+
+/// Lets the second processor begin; nothing if it runs.
+pub(crate) fn release_second() {
+    // SAFETY: its vector table is whole and stays; the register holds the processor's reset.
+    unsafe {
         asm!("dsb");
         write_volatile(CPUWAIT, 0);
     }
-    main()
 }
 
 extern "C" fn start_1() -> ! {

@@ -44,6 +44,10 @@ impl Board for Counted<'_> {
         uncounted(|| self.board.ring(to));
     }
 
+    fn release_core(&self, core: CoreId) {
+        uncounted(|| self.board.release_core(core));
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         uncounted(|| self.board.wait(deadline))
     }

@@ -332,6 +332,10 @@ impl Board for Endless {
         self.board.ring(to);
     }
 
+    fn release_core(&self, core: CoreId) {
+        self.board.release_core(core);
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         self.board.wait(deadline)
     }

@@ -89,6 +89,10 @@ impl Board for HeldUp {
         self.board.ring(to);
     }
 
+    fn release_core(&self, core: CoreId) {
+        self.board.release_core(core);
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         self.board.wait(deadline)
     }

@@ -7,15 +7,16 @@ mod flash;
 mod lines;
 mod link;
 mod lmu;
+mod release;
 mod supply;
 
 use crate::case::{Case, Part, Setting};
 use tandem_board::{Board, CoreAddress};
 
-use Setting::{Plain, Restarts, Suspends, Watchdog};
+use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
-const COUNT: usize = 45;
+const COUNT: usize = 47;
 
 /// Makes the parts of a case live as long as the program.
 macro_rules! case {
@@ -33,8 +34,11 @@ macro_rules! case {
 #[rustfmt::skip]
 pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
     [
+        case!("release-one-by-one", Releases,
+            A0: release::releases::<B>, A1: release::released::<B>, A2: release::released::<B>),
         case!("clock-monotonic", Plain, A0: clock::monotonic::<B>),
-        case!("clock-deadline", Plain, A0: clock::deadline::<B>, B1: clock::deadline::<B>),
+        case!("clock-deadline", Plain, A0: clock::deadline::<B>,
+            B0: release::nothing_more::<B>, B1: clock::deadline::<B>),
         case!("clock-past-deadline", Plain, A0: clock::past_deadline::<B>),
         case!("clock-shared", Plain, A0: clock::shared::<B>, A1: clock::shared::<B>),
         case!("identity", Plain,
@@ -53,7 +57,8 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
             A0: doorbell::hasty_ringer::<B>, A1: doorbell::last_value::<B>),
         case!("doorbell-all-pairs", Plain,
             A0: doorbell::relay::<B>, A1: doorbell::relay::<B>, A2: doorbell::relay::<B>),
-        case!("doorbell-own", Plain, A0: doorbell::own::<B>, B1: doorbell::own::<B>),
+        case!("doorbell-own", Plain, A0: doorbell::own::<B>,
+            B0: release::nothing_more::<B>, B1: doorbell::own::<B>),
         case!("doorbell-absent", Plain, A0: doorbell::absent::<B>),
         case!("can-order", Plain,
             A0: can::order_sender::<B>, A1: can::order_receiver::<B>,
@@ -92,6 +97,7 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
         case!("supply-never", Restarts, B0: supply::never::<B>),
         case!("supply-software-reset", Restarts,
             A0: supply::software_reset::<B>, A2: supply::bystander::<B>),
+        case!("supply-download-reset", Restarts, A0: supply::download_reset::<B>),
         case!("supply-core-dead", Restarts,
             A0: supply::bystander::<B>, A1: supply::reports_core_dead::<B>),
         case!("supply-suspend", Suspends, A0: supply::suspends::<B>, B0: supply::sees_low::<B>),

@@ -8,11 +8,11 @@ use tandem_board::{
 };
 
 /// The middle of the window, counted from a service.
-fn middle<S: Supply>() -> Duration {
+pub(super) fn middle<S: Supply>() -> Duration {
     Duration::from_us(u64::from(S::WINDOW_OPENS_US / 2 + S::WINDOW_CLOSES_US / 2))
 }
 
-fn serve<B: Board>(board: &B) {
+pub(super) fn serve<B: Board>(board: &B) {
     board
         .supply()
         .service_watchdog(watchdog_answer(board.supply().watchdog_question()));
@@ -61,7 +61,7 @@ pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<
     )
 }
 
-fn is_first_incarnation<B: Board>(board: &B) -> bool {
+pub(super) fn is_first_incarnation<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
 
@@ -76,7 +76,7 @@ fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
 
 /// The first incarnation ends here, by a reset that is due.
 #[track_caller]
-fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
+pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
     sleep(board, PATIENCE)?;
     fail(what)
 }
@@ -149,6 +149,15 @@ pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), 
         return expect_reset(board, "a reset that was asked for comes");
     }
     reset_for(board, ResetCause::Software)
+}
+
+/// First incarnation: asks for a download.
+pub(super) fn download_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
+    if is_first_incarnation(board) {
+        board.supply().request_reset(ResetRequest::Download);
+        return expect_reset(board, "a reset that was asked for comes");
+    }
+    reset_for(board, ResetCause::Download)
 }
 
 /// First incarnation: reports a dead core of its system.

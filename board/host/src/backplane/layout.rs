@@ -34,6 +34,7 @@ pub(super) enum System {
     ResetCause,
     ResetRequest = LINE as isize,
     Lamp,
+    Released,
 }
 
 /// Registers of a core, by writer: supply, then the core.

@@ -20,7 +20,7 @@ use layout::{Core, Run, System, WORDS};
 pub(crate) use layout::{RINGS, Ring, supply_trace_ring};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
-const MAGIC: u32 = 0x5444_4D02;
+const MAGIC: u32 = 0x5444_4D03;
 const NAME: &str = "backplane";
 
 /// The processes of a run have different builds of this program.
@@ -253,6 +253,20 @@ impl Backplane {
         let code = register.checked_sub(1)?;
         // A code of no request would be a scribbled register: the cautious reading.
         Some(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend))
+    }
+
+    /// Core 0 asks the supply to let a core begin.
+    pub(crate) fn release_core(self, system: SystemId, core: CoreId) {
+        self.system(system, System::Released)
+            .change_bits(1 << core.index(), true);
+    }
+
+    /// Takes the cores that core 0 has released. Supply only.
+    pub(crate) fn take_released(self, system: SystemId) -> impl Iterator<Item = CoreId> {
+        let released = self.system(system, System::Released).replace(0);
+        CoreId::ALL
+            .into_iter()
+            .filter(move |core| released >> core.index() & 1 == 1)
     }
 
     pub(crate) fn show_role(self, system: SystemId, lamp: RoleLamp) {

@@ -53,7 +53,7 @@ pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
         return true;
     }
     let board: Arc<HostBoard> = Arc::new(HostBoard::attach(args).expect("a board"));
-    let watched = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
+    let watched = case.setting.watches();
     let serves = Arc::new(AtomicBool::new(part.is_none() || !watched));
     if me.core == CoreId::CONTROL {
         let (board, serves) = (Arc::clone(&board), Arc::clone(&serves));

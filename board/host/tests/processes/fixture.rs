@@ -192,6 +192,10 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
                 if claims_realtime(case.name) {
                     board.trace([GRANTED, u32::from(grant.is_realtime()), 0, 0]);
                 }
+                if args.identity.core == CoreId::CONTROL {
+                    board.release_core(CoreId::PERCEPTION);
+                    board.release_core(CoreId::PLANNING);
+                }
                 (case.core)(&board);
             }
             Err(error) => {

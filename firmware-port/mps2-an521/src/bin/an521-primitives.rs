@@ -68,6 +68,7 @@ fn main(own: usize) -> ! {
     }
     if own == 0 {
         clock::set_turns(memory::strap(0).max(20));
+        board.release_core(CoreId::PERCEPTION);
     }
     meet(own, 1);
     let result = Map::attach(board.lmu(), LAYOUT)

@@ -46,6 +46,11 @@ impl An521Board {
         let own = cpu::number();
         let of = cast[own]?;
         let CoreAddress { system, core } = of;
+        let second = cast[1].filter(|_| own == 0);
+        if second.is_some_and(|second| second.core == CoreId::CONTROL) {
+            // Nothing holds a core 0 that has power.
+            crate::start::release_second();
+        }
         Some(Self {
             identity: Identity {
                 system,
@@ -92,6 +97,12 @@ impl Board for An521Board {
     fn ring(&self, to: CoreId) {
         if let Some(cpu) = player(&self.cast, self.identity.system, to) {
             mhu::interrupt(Unit::Doorbell, cpu);
+        }
+    }
+
+    fn release_core(&self, core: CoreId) {
+        if player(&self.cast, self.identity.system, core) == Some(1) {
+            crate::start::release_second();
         }
     }
 

@@ -93,7 +93,7 @@ impl VirtRig<'_> {
             // It looks at least every millisecond.
             match self.peripherals.step(hart::time() + 10_000) {
                 Some((system, Change::Reset(_)))
-                    if case.setting != Setting::Restarts
+                    if !case.setting.restarts()
                         && case.parts.iter().any(|part| part.place.system == system) =>
                 {
                     return Err(Fault::Reset(system));
@@ -119,8 +119,7 @@ impl Rig for VirtRig<'_> {
         for result in &RESULTS {
             result.store(RUNS, Ordering::Relaxed);
         }
-        let watch = matches!(case.setting, Setting::Watchdog | Setting::Restarts);
-        self.peripherals.set_watchdogs(watch);
+        self.peripherals.set_watchdogs(case.setting.watches());
         for system in SystemId::ALL {
             self.peripherals.new_flash(system);
         }

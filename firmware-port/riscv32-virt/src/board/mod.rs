@@ -8,7 +8,7 @@ use crate::hart::CARRIER;
 use crate::peripherals::{self, Peripherals, system};
 use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
-use core::sync::atomic::Ordering::Relaxed;
+use core::sync::atomic::Ordering::{Relaxed, Release};
 use tandem_board::{Board, CoreAddress, CoreId, Generation, Identity, Instant, TraceRecord, Wake};
 use tandem_peripherals::codec::encode_trace;
 
@@ -71,6 +71,16 @@ impl Board for VirtBoard {
         clint::post(CoreAddress::new(self.identity.system, to).index());
     }
 
+    fn release_core(&self, core: CoreId) {
+        let of = self.identity;
+        assert!(of.core == CoreId::CONTROL, "only core 0 releases cores");
+        // Release pairs with the Acquire of the carrier, which lets the core go.
+        system(of.system)
+            .released
+            .fetch_or(1 << core.index(), Release);
+        peripherals::call();
+    }
+
     fn wait(&self, deadline: Instant) -> Wake {
         match doorbell::wait(ticks(deadline)) {
             true => Wake::Interrupt,
@@ -112,7 +122,7 @@ impl Board for VirtBoard {
 /// Runs a program on all harts: `core` for each incarnation of each core, `outside` once on the
 /// carrier. Every hart's main calls it.
 ///
-/// A core begins when the carrier switches its system on; when `core` returns it stays asleep until
+/// Core 0 begins when the carrier switches its system on, another core when core 0 releases it; when `core` returns it stays asleep until
 /// a reset. `slice` is the length of its turns in ticks (see [`hart::yield_turn`]).
 pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Peripherals) -> !) -> ! {
     if hart == CARRIER {

@@ -57,6 +57,8 @@ pub(crate) struct SystemRegisters {
     /// What the system asks of its reset generator.
     pub(crate) request: AtomicU32,
     pub(crate) lamp: AtomicU32,
+    /// The cores that core 0 has released and that have not gone yet, by bits.
+    pub(crate) released: AtomicU32,
 }
 
 impl CoreRegisters {
@@ -94,6 +96,7 @@ impl SystemRegisters {
             cause: AtomicU32::new(0),
             request: AtomicU32::new(0),
             lamp: AtomicU32::new(0),
+            released: AtomicU32::new(0),
         }
     }
 }

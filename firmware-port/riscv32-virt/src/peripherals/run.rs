@@ -197,6 +197,14 @@ impl Peripherals {
     /// Gives a supply what its registers hold, and asks it.
     fn look_after(&mut self, which: SystemId) -> Option<Change> {
         let registers = system(which);
+        // Acquire pairs with the Release of core 0.
+        let released = registers.released.swap(0, Acquire);
+        for core in CoreId::ALL {
+            let hart = CoreAddress::new(which, core).index();
+            if released >> core.index() & 1 == 1 && trap::stands(hart) {
+                trap::release(hart);
+            }
+        }
         let supply = &mut self.supplies[which.index()];
         // Acquire pairs with the Release of the core that asks. 0: no request.
         if let Some(code) = registers.request.swap(0, Acquire).checked_sub(1) {
@@ -233,6 +241,7 @@ impl Peripherals {
             }
         }
         registers.request.store(0, Relaxed);
+        registers.released.store(0, Relaxed);
         // Outputs of a chip in reset are low.
         registers.lamp.store(0, Relaxed);
         self.set_power(which, false);
@@ -255,9 +264,8 @@ impl Peripherals {
         registers.services.clear();
         registers.service_count.store(0, Relaxed);
         self.set_power(which, true);
-        for core in CoreId::ALL {
-            trap::release(CoreAddress::new(which, core).index());
-        }
+        // It releases the others. T-BOOT-2
+        trap::release(CoreAddress::new(which, CoreId::CONTROL).index());
     }
 
     /// The bus: every frame goes to all cores but its sender, in one order.
