@@ -100,6 +100,16 @@ pub(crate) struct RunArgs {
     #[arg(long, value_enum, default_value_t = BoardKind::Host)]
     pub(crate) board: BoardKind,
 
+    /// Keep the program flash of both systems in this folder, and the key that signs for them;
+    /// what is missing is made [default: a new flash with a factory image, for this run only]
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) program_flash: Option<PathBuf>,
+
+    /// Bring both systems this release while they drive, each when it is standby; needs
+    /// --reintegrate to see the second
+    #[arg(long, value_name = "RELEASE")]
+    pub(crate) update: Option<u32>,
+
     /// The controller's image for an emulated board
     /// [default: what `cargo xtask firmware build` made]
     #[arg(long, value_name = "FILE")]

@@ -1,8 +1,8 @@
 //! The process that is one core of one system.
 
-use crate::control_core;
 use crate::run_config::{Profile, RunConfig};
-use anyhow::Context as _;
+use crate::{boot, control_core, three_frames};
+use anyhow::{Context as _, bail};
 use tandem_board::{Board, CoreId, Wake};
 use tandem_board_host::{CoreArgs, HostBoard};
 use tandem_cores::core1::Core1;
@@ -11,14 +11,27 @@ use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 
-/// Runs the core until its supply ends it. Returns only if it cannot start.
+/// Runs the core until its supply ends it: first the bootloader, then what the slot holds. Returns
+/// only if it cannot start.
 ///
 /// # Errors
 /// If the run that it belongs to is gone, or its arguments are not this program's.
 pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
+    let run = RunConfig::from_extra(&args.common.extra)?;
     let grant = args.claim();
-    let config = config(&RunConfig::from_extra(&args.common.extra)?);
+    match (&args.application, &run.program_flash) {
+        (None, Some(flash)) => return boot::run(args, flash),
+        (None, None) => bail!("the run has no program flash"),
+        (Some(name), _) if name == three_frames::NAME => return three_frames::run(args),
+        (Some(name), _) if name != boot::CONTROLLER => bail!("no application {name:?} here"),
+        (Some(_), _) => {}
+    }
+    let config = config(&run);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;
+    let of = args.identity;
+    if let Some(flash) = run.program_flash.filter(|_| of.core == CoreId::CONTROL) {
+        boot::approve_later(&board, flash, of.system)?;
+    }
     match args.identity.core {
         CoreId::CONTROL => control_core::go(board, config, grant),
         CoreId::PERCEPTION => go(&board, Core1::new(&board)),

@@ -49,6 +49,21 @@ impl RunFiles {
         self.path(&format!("{system}.dflash"))
     }
 
+    /// Program flash of a system, unless a folder keeps it.
+    pub(crate) fn program_flash(&self, system: SystemId) -> PathBuf {
+        self.path(&format!("{system}.pflash"))
+    }
+
+    /// The records of an update of a system.
+    pub(crate) fn update(&self, system: SystemId) -> PathBuf {
+        self.path(&format!("{system}.update"))
+    }
+
+    /// How the updates ended, a line each.
+    pub(crate) fn updated(&self) -> PathBuf {
+        self.path("updated.txt")
+    }
+
     fn path(&self, name: &str) -> PathBuf {
         PathBuf::from(format!("{}{name}", self.prefix))
     }

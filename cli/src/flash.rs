@@ -18,7 +18,8 @@ use tandem_boot_host::{
 };
 
 /// What RFC 8410 puts before the 32 bytes of a private and of a public key.
-const PRIVATE_DER: [u8; 16] = *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
+pub(crate) const PRIVATE_DER: [u8; 16] =
+    *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
 
 /// Sends a file, or only signs it.
@@ -66,7 +67,7 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     Ok(records(&name.to_string(), &[&image]))
 }
 
-fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
+pub(crate) fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
     let bytes = fs::read(path).with_context(|| path.display().to_string())?;
     let key = bytes
         .strip_prefix(prefix)

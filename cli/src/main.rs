@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod boot;
 mod control_core;
 mod core_process;
 mod emulated;
@@ -21,7 +22,9 @@ mod run_config;
 mod summary;
 #[cfg(test)]
 mod synthetic;
+mod three_frames;
 mod timeline;
+mod update;
 mod vehicle;
 mod vehicle_port;
 mod world_record;

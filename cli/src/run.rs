@@ -16,13 +16,14 @@ use tandem_record::{RunLog, file};
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, CpuList, RunArgs, Timing};
+use crate::boot::{self, ProgramFlash};
 use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::live::Progress;
 use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, Output};
 use crate::percentiles::Spans;
-use crate::run_config::{Profile, RunConfig};
+use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::timeline::{self, Timeline};
 use crate::{core_process, emulated, report, summary};
 
@@ -46,8 +47,11 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         duration_s: args.duration,
         profile,
         reintegrate: args.reintegrate,
+        program_flash: None,
+        update: None,
     };
     let files = RunFiles::of(launcher.isolation().run());
+    let config = with_flash(args, &files, config).map_err(Failure::Run)?;
     let ended = drive(args, &checked, &config, &files, &mut launcher).map_err(Failure::Run)?;
     if ended.interrupted {
         launcher.finish();
@@ -57,6 +61,17 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
     };
+    if args.update.is_some() && !args.quiet {
+        let ended = fs::read_to_string(files.updated()).unwrap_or_default();
+        eprint!(
+            "{}",
+            if ended.is_empty() {
+                "no system was updated\n"
+            } else {
+                &ended
+            }
+        );
+    }
     let collected = Collected::new(&checked.out, &files, &because);
     let around = Surroundings {
         leftovers: leftovers(&launcher.finish()),
@@ -74,6 +89,8 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
         // Virtual time is never late.
         profile: Profile::Rt,
         reintegrate: args.reintegrate,
+        program_flash: None,
+        update: None,
     };
     emulated::controller(args).map_err(Failure::Usage)?;
     let folder = tempfile::tempdir()
@@ -88,6 +105,37 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     conclude(args, checked, collected, &surroundings(&config, told))
+}
+
+/// The run with its program flashes and its update.
+fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Result<RunConfig> {
+    let (key, paths) = match &args.program_flash {
+        Some(folder) => (
+            boot::key_in(&folder.join("key.der"))?,
+            SystemId::ALL.map(|system| folder.join(format!("{system}.pflash"))),
+        ),
+        None => (
+            boot::new_key()?,
+            SystemId::ALL.map(|system| files.program_flash(system)),
+        ),
+    };
+    let flash = ProgramFlash::of(paths, &key)?;
+    let mut update = None;
+    if let Some(release) = args.update {
+        let lines = SystemId::ALL.map(|system| files.update(system));
+        for (system, path) in SystemId::ALL.into_iter().zip(&lines) {
+            boot::write_lines(path, &flash.update(system, release, &key)?)?;
+        }
+        update = Some(UpdateFiles {
+            lines,
+            ended: files.updated(),
+        });
+    }
+    Ok(RunConfig {
+        program_flash: Some(flash),
+        update,
+        ..run
+    })
 }
 
 fn surroundings(config: &RunConfig, granted: String) -> Surroundings {

@@ -1,8 +1,11 @@
 //! What a run is to do, as its processes are told.
 
 use std::ffi::OsString;
+use std::path::PathBuf;
 
 use anyhow::Context as _;
+
+use crate::boot::ProgramFlash;
 use serde::{Deserialize, Serialize};
 
 /// The time limits of the cores.
@@ -38,6 +41,19 @@ pub(crate) struct RunConfig {
     pub(crate) profile: Profile,
     /// Whether a system that comes back may become the standby of a running pair.
     pub(crate) reintegrate: bool,
+    /// The program flashes that the systems boot from; `None` on a board that has its own.
+    pub(crate) program_flash: Option<ProgramFlash>,
+    /// Records that are sent to each system while the other drives.
+    pub(crate) update: Option<UpdateFiles>,
+}
+
+/// The update of a run.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(crate) struct UpdateFiles {
+    /// The records for each system.
+    pub(crate) lines: [PathBuf; 2],
+    /// How the updates ended: a line each.
+    pub(crate) ended: PathBuf,
 }
 
 impl RunConfig {
@@ -79,6 +95,11 @@ mod tests {
             duration_s: 0.5,
             profile: Profile::Desktop,
             reintegrate: true,
+            program_flash: None,
+            update: Some(UpdateFiles {
+                lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],
+                ended: "/tmp/updated".into(),
+            }),
         };
         assert_eq!(
             RunConfig::from_extra(&config.to_extra().unwrap()).unwrap(),

@@ -14,6 +14,7 @@ use crate::files::RunFiles;
 use crate::live::Live;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
+use crate::update::Update;
 use crate::vehicle_port::{OnHost, VehiclePort};
 use crate::world_record;
 
@@ -51,7 +52,7 @@ pub(crate) fn drive<P: VehiclePort>(
     port: P,
     recorder: Recorder,
 ) -> anyhow::Result<Ended> {
-    let mut drive = Drive::new(run, scenario, port, recorder);
+    let mut drive = Drive::new(run, scenario, port, recorder)?;
     let ended = drive.work()?;
     drive.finish(ended)?;
     Ok(ended)
@@ -68,6 +69,7 @@ pub(crate) enum Ended {
 
 struct Drive<P> {
     world: World,
+    update: Option<Update>,
     port: P,
     recorder: Recorder,
     duration_s: f64,
@@ -80,7 +82,12 @@ struct Drive<P> {
 }
 
 impl<P: VehiclePort> Drive<P> {
-    fn new(run: &RunConfig, scenario: &Scenario, port: P, mut recorder: Recorder) -> Self {
+    fn new(
+        run: &RunConfig,
+        scenario: &Scenario,
+        port: P,
+        mut recorder: Recorder,
+    ) -> anyhow::Result<Self> {
         let now_us = port.now().as_ns() / 1_000;
         let today = SystemTime::now()
             .duration_since(UNIX_EPOCH)
@@ -91,8 +98,10 @@ impl<P: VehiclePort> Drive<P> {
             duration_s: run.duration_s,
             epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
         }));
-        Self {
+        let update = run.update.as_ref().map(Update::read).transpose()?;
+        Ok(Self {
             world: World::new(scenario, Config { seed: run.seed }),
+            update,
             port,
             recorder,
             duration_s: run.duration_s,
@@ -101,7 +110,7 @@ impl<P: VehiclePort> Drive<P> {
             collides: false,
             powered: [false; 2],
             lost_trace: 0,
-        }
+        })
     }
 
     fn work(&mut self) -> anyhow::Result<Ended> {
@@ -114,6 +123,7 @@ impl<P: VehiclePort> Drive<P> {
             self.receive();
             // The tick's own time, not the time of waking: the world does not feel jitter.
             self.send(due);
+            self.update();
             self.look(due.as_ns());
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
@@ -127,12 +137,16 @@ impl<P: VehiclePort> Drive<P> {
     fn receive(&mut self) {
         let Self {
             world,
+            update,
             port,
             recorder,
             ..
         } = self;
         let now = port.now();
         port.transmitted(&mut |_, _, Received { frame, at: sent }| {
+            if let Some(update) = update {
+                update.on_frame(now, &frame);
+            }
             let judged = match frame.id() {
                 CanId::Standard(id) => world.on_frame(now.as_ns(), u32::from(id), frame.data()),
                 CanId::Extended(_) => None,
@@ -165,6 +179,26 @@ impl<P: VehiclePort> Drive<P> {
                     verdict: None,
                 }));
             }
+        });
+        port.ring_receivers();
+    }
+
+    /// Lets the programming host send.
+    fn update(&mut self) {
+        let Some(update) = self.update.as_mut().filter(|_| self.running) else {
+            return;
+        };
+        let now = self.port.now();
+        let roles = SystemId::ALL.map(|system| self.port.role(system));
+        let Self { port, recorder, .. } = self;
+        update.poll(now, roles, &mut |frame| {
+            port.broadcast(frame);
+            recorder.record(Entry::Frame(BusFrame {
+                at: now,
+                sent: now,
+                frame: *frame,
+                verdict: None,
+            }));
         });
         port.ring_receivers();
     }

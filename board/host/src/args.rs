@@ -94,6 +94,8 @@ pub struct CoreArgs {
     pub identity: Identity,
     /// The file that is the system's data flash.
     pub flash: PathBuf,
+    /// The application that a slot has named; `None` in the first program of a core.
+    pub application: Option<String>,
 }
 
 /// What the vehicle is told.
@@ -119,6 +121,9 @@ pub enum ProcessArgs {
 #[error("hidden argument {0}: missing or not understood (it is made by this program itself)")]
 pub struct InvalidArgs(&'static str);
 
+/// What the first argument of an application begins with; see [`jump`](crate::jump). The path of
+/// its slot follows.
+pub(crate) const APPLICATION: &str = "__application ";
 const SUPPLY: &str = "__supply";
 const CORE: &str = "__core";
 const VEHICLE: &str = "__vehicle";
@@ -135,6 +140,7 @@ impl SupplyArgs {
                 generation,
             },
             flash: self.flash.clone(),
+            application: None,
         }
     }
 
@@ -254,11 +260,20 @@ impl ProcessArgs {
     /// [`InvalidArgs`] if they begin like those of a process and the rest is not understood.
     pub fn parse(argv: impl IntoIterator<Item = OsString>) -> Option<Result<Self, InvalidArgs>> {
         let mut argv = argv.into_iter();
-        let kind = argv.next()?.into_string().ok()?;
+        let mut kind = argv.next()?.into_string().ok()?;
+        let application = kind.strip_prefix(APPLICATION).map(str::to_owned);
+        if application.is_some() {
+            argv.next()?;
+            kind = argv.next()?.into_string().ok()?;
+        }
         if ![SUPPLY, CORE, VEHICLE].contains(&kind.as_str()) {
             return None;
         }
-        Some(Self::parse_kind(&kind, argv))
+        let mut parsed = Self::parse_kind(&kind, argv);
+        if let Ok(Self::Core(core)) = &mut parsed {
+            core.application = application;
+        }
+        Some(parsed)
     }
 
     fn parse_kind(kind: &str, argv: impl Iterator<Item = OsString>) -> Result<Self, InvalidArgs> {
@@ -288,6 +303,7 @@ impl ProcessArgs {
                         generation,
                     },
                     flash: options.value("--flash")?.into(),
+                    application: None,
                 })
             }
             _ => Self::Vehicle(VehicleArgs { common }),
@@ -384,6 +400,27 @@ mod tests {
         ] {
             assert_eq!(ProcessArgs::parse(args.to_argv()), Some(Ok(args)));
         }
+    }
+
+    /// T-BOOT-7: as the kernel starts the script of a slot.
+    #[test]
+    fn an_application_is_told_its_name_and_the_arguments_of_its_core() {
+        let args = CoreArgs {
+            common: common(Pinning::Off),
+            identity: Identity {
+                system: SystemId::A,
+                core: CoreId::CONTROL,
+                generation: Generation(2),
+            },
+            flash: "/tmp/a.dflash".into(),
+            application: Some("three-frames".to_owned()),
+        };
+        let mut argv = vec![
+            "__application three-frames".into(),
+            "/proc/self/fd/9".into(),
+        ];
+        argv.extend(ProcessArgs::Core(args.clone()).to_argv());
+        assert_eq!(ProcessArgs::parse(argv), Some(Ok(ProcessArgs::Core(args))));
     }
 
     #[test]

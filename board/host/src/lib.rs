@@ -22,6 +22,7 @@ mod can;
 pub mod clock;
 mod flash;
 pub mod isolation;
+pub mod jump;
 mod launch;
 mod lines;
 mod memory;

@@ -48,6 +48,7 @@ impl UnsupervisedSystem {
                 generation,
             },
             flash: self.flash.clone(),
+            application: None,
         })
     }
 }

@@ -25,7 +25,7 @@ fn words(twin: &mut Redundancy, actions: Option<Actions>, now: Instant) -> [u32;
                 Action::DiscardUnsent => words[5] = 1,
                 Action::AlignControl => words[6] = 1,
                 Action::Persist(state) => words[7..9].copy_from_slice(&[1, state.term.bits()]),
-                Action::Reset(ResetRequest::Software) => words[9] = 1,
+                Action::Reset(ResetRequest::Software | ResetRequest::Download) => words[9] = 1,
                 Action::Reset(ResetRequest::CoreDead) => words[9] = 2,
                 Action::Reset(ResetRequest::Suspend) => words[9] = 3,
                 Action::Record(_) => {}

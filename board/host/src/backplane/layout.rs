@@ -32,6 +32,7 @@ pub(super) enum System {
     PowerOns,
     LevelLow,
     ResetCause,
+    Booted,
     ResetRequest = LINE as isize,
     Lamp,
     Released,

@@ -255,6 +255,15 @@ impl Backplane {
         Some(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend))
     }
 
+    pub(crate) fn set_booted(self, system: SystemId, slot: u32) {
+        self.system(system, System::Booted).set(slot);
+    }
+
+    /// The slot that core 0 jumped to last.
+    pub(crate) fn booted(self, system: SystemId) -> u32 {
+        self.system(system, System::Booted).get()
+    }
+
     /// Core 0 asks the supply to let a core begin.
     pub(crate) fn release_core(self, system: SystemId, core: CoreId) {
         self.system(system, System::Released)

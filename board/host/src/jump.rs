@@ -1,0 +1,55 @@
+//! From the first program of a core to the one that a slot holds: the same process, another image.
+//!
+//! A slot holds what Linux can execute: an ELF file, or a script. The script
+//! `#!/proc/self/exe __application NAME` is the application NAME of the executable that runs.
+
+use std::io::{self, Write as _};
+use std::os::fd::AsRawFd as _;
+use std::os::unix::process::CommandExt as _;
+use std::process::Command;
+
+use rustix::fs::{MemfdFlags, memfd_create};
+
+use crate::args::{APPLICATION, CoreArgs, ProcessArgs};
+use crate::backplane::{Backplane, BackplaneError};
+
+/// What a slot holds to start an application of the executable that runs.
+#[must_use]
+pub fn script(application: &str) -> Vec<u8> {
+    format!("#!/proc/self/exe {APPLICATION}{application}\n").into_bytes()
+}
+
+/// Replaces the program of this process. The process keeps its id and dies with its supply as
+/// before; nothing else of the old program stays but its priority. Returns only if it fails.
+#[must_use]
+pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
+    // Open over the exec: the interpreter of a script is told this path.
+    let execute = || -> io::Result<core::convert::Infallible> {
+        let mut file = std::fs::File::from(memfd_create("slot", MemfdFlags::empty())?);
+        file.write_all(image)?;
+        let path = format!("/proc/self/fd/{}", file.as_raw_fd());
+        let argv = ProcessArgs::Core(args.clone()).to_argv();
+        Err(Command::new(path).args(argv).exec())
+    };
+    match execute() {
+        Ok(never) => match never {},
+        Err(error) => error,
+    }
+}
+
+/// Says which slot core 0 is about to jump to: the other cores of its system follow.
+///
+/// # Errors
+/// [`BackplaneError`] if the run is over.
+pub fn set_booted(args: &CoreArgs, slot: u32) -> Result<(), BackplaneError> {
+    Backplane::open(&args.common.run)?.set_booted(args.identity.system, slot);
+    Ok(())
+}
+
+/// The slot that core 0 of this core's system has jumped to.
+///
+/// # Errors
+/// [`BackplaneError`] if the run is over.
+pub fn booted(args: &CoreArgs) -> Result<u32, BackplaneError> {
+    Ok(Backplane::open(&args.common.run)?.booted(args.identity.system))
+}

@@ -1,0 +1,228 @@
+//! The first program of each core of a run: the bootloader on core 0, a jump to its slot on the
+//! others. And the program flashes that they start from. T-BOOT-1, T-BOOT-2
+
+use std::fs::{self, File};
+use std::io::{Read as _, Write as _};
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow};
+use embedded_storage::nor_flash::ReadNorFlash as _;
+use serde::{Deserialize, Serialize};
+use tandem_board::{CoreId, RoleLamp, SystemId};
+use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
+use tandem_boot::{
+    BODY_OFFSET, Bank, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot, Target,
+    Trust, TrustMode, approve, rom_choice, start,
+};
+use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
+
+use crate::flash::{PRIVATE_DER, key};
+
+/// What the slots of a run name the controller.
+pub(crate) const CONTROLLER: &str = "controller";
+/// An application that is tried before the image approves itself: one second with a role.
+const PROVES_ITSELF: Duration = Duration::from_secs(1);
+
+/// The program flashes of a run, as its processes are told.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct ProgramFlash {
+    /// By [`SystemId::index`].
+    pub(crate) files: [PathBuf; 2],
+    /// Whom the bootloaders believe.
+    public: [u8; 32],
+}
+
+impl ProgramFlash {
+    /// The flashes in these files. Those that are missing are made as a factory makes them:
+    /// release 1 of the controller, signed with this key.
+    ///
+    /// # Errors
+    /// If a file cannot be read or made, or is no flash.
+    pub(crate) fn of(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+        for file in &files {
+            if !file.exists() {
+                let image = application(CONTROLLER, Slot::A, 1, key);
+                let flash = FlashFile::open(file).with_context(|| file.display().to_string())?;
+                flash
+                    .load(image.place(), &image.bytes)
+                    .with_context(|| file.display().to_string())?;
+            }
+        }
+        let public = key.public();
+        Ok(Self { files, public })
+    }
+
+    fn open(&self, system: SystemId) -> anyhow::Result<FlashFile> {
+        let path = &self.files[system.index()];
+        FlashFile::open(path).with_context(|| path.display().to_string())
+    }
+
+    /// The records that bring this release of the controller to a system: for the slot that does
+    /// not boot.
+    ///
+    /// # Errors
+    /// If the flash cannot be read.
+    pub(crate) fn update(
+        &self,
+        system: SystemId,
+        release: u32,
+        key: &SigningKey,
+    ) -> anyhow::Result<Vec<String>> {
+        let store = EnvironmentStore::load(&mut self.open(system)?);
+        let store = store.map_err(|fault| anyhow!("the program flash of {system}: {fault:?}"))?;
+        let active = store.and_then(|store| store.get().active.application);
+        let slot = active.unwrap_or(Slot::A).other();
+        let image = application(CONTROLLER, slot, release, key);
+        Ok(records(CONTROLLER, &[&image]))
+    }
+
+    /// Waits until the application has proved itself, and approves its image. U-3
+    fn approve_in_time(&self, backplane: Backplane, system: SystemId) -> anyhow::Result<()> {
+        let has_role = || {
+            let role = backplane.role(system);
+            role != RoleLamp::Starting && role != RoleLamp::Suspended
+        };
+        loop {
+            thread::sleep(PROVES_ITSELF);
+            if has_role() {
+                let approved = approve(&mut self.open(system)?);
+                return approved.map_err(|fault| anyhow!("approving the image: {fault:?}"));
+            }
+        }
+    }
+}
+
+/// A release of an application of this executable, for a slot.
+pub(crate) fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
+    let release = Release {
+        version,
+        entries: [BODY_OFFSET; CoreId::COUNT],
+        lowest_key: 0,
+    };
+    let script = jump::script(name);
+    Image::sign(
+        Target::Application(slot),
+        release,
+        &[(BODY_OFFSET, &script)],
+        key,
+    )
+}
+
+/// The key in this file; made if there is none.
+///
+/// # Errors
+/// If it cannot be read or written, or is no key.
+pub(crate) fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
+    if !path.exists() {
+        let key = new_key()?;
+        let mut options = File::options();
+        let mut file = options
+            .write(true)
+            .create_new(true)
+            .mode(0o600)
+            .open(path)
+            .with_context(|| path.display().to_string())?;
+        file.write_all(&[&PRIVATE_DER[..], &key.seed].concat())
+            .with_context(|| path.display().to_string())?;
+    }
+    let seed = key(path, &PRIVATE_DER)?;
+    Ok(SigningKey { number: 0, seed })
+}
+
+/// A key that nobody else has.
+///
+/// # Errors
+/// If the system gives no random numbers.
+pub(crate) fn new_key() -> anyhow::Result<SigningKey> {
+    let mut seed = [0; 32];
+    let mut random = File::open("/dev/urandom").context("/dev/urandom")?;
+    random.read_exact(&mut seed).context("/dev/urandom")?;
+    Ok(SigningKey { number: 0, seed })
+}
+
+/// Runs the first program of a core, which becomes the application in a slot.
+///
+/// # Errors
+/// If the run is over, or the slot cannot be read or executed. It does not return otherwise.
+pub(crate) fn run(args: &CoreArgs, flash: &ProgramFlash) -> anyhow::Result<()> {
+    let system = args.identity.system;
+    let mut file = flash.open(system)?;
+    let slot = if args.identity.core == CoreId::CONTROL {
+        let slot = boot(args, &mut file, flash)?;
+        jump::set_booted(args, slot as u32)?;
+        slot
+    } else if jump::booted(args)? == Slot::B as u32 {
+        Slot::B
+    } else {
+        Slot::A
+    };
+    let program = program(&mut file, slot, args.identity.core)?;
+    Err(jump::jump(&program, args)).with_context(|| format!("executing slot {slot:?}"))
+}
+
+/// The bootloader, until core 0 leaves it.
+fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlash) -> anyhow::Result<Slot> {
+    let board = HostBoard::attach(args).context("the bootloader cannot attach to its board")?;
+    let trust = Trust {
+        keys: &[flash.public],
+        mode: TrustMode::Strict,
+    };
+    // A file without a bootloader has this program in its place.
+    let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
+    loop {
+        match start(&board, &mut *file, trust, bank) {
+            Leave::Jump(launch) => return Ok(launch.application),
+            Leave::StartPrimary => bank = Bank::Primary,
+        }
+    }
+}
+
+/// What a slot holds for a core: from its entry to the end of that part.
+fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec<u8>> {
+    let place = Region::Target(Target::Application(slot)).range().start;
+    let unreadable = |_| anyhow!("the program flash cannot be read");
+    let mut bytes = [0; SIGNED_BYTES];
+    file.read(place, &mut bytes).map_err(unreadable)?;
+    let manifest = Manifest::decode(&bytes).map_err(|why| anyhow!("slot {slot:?}: {why:?}"))?;
+    let entry = manifest.entries[core.index()];
+    let holds =
+        |part: &&tandem_boot::Part| (part.offset..part.offset + part.length).contains(&entry);
+    let part = manifest.parts().find(holds);
+    let part = part.with_context(|| format!("slot {slot:?} has nothing for core {core}"))?;
+    let mut program = vec![0; (part.offset + part.length - entry) as usize];
+    file.read(place + entry, &mut program).map_err(unreadable)?;
+    Ok(program)
+}
+
+/// Approves the running image when it has proved itself, on a thread of its own.
+///
+/// # Errors
+/// If the thread cannot be started.
+pub(crate) fn approve_later(
+    board: &HostBoard,
+    flash: ProgramFlash,
+    system: SystemId,
+) -> anyhow::Result<()> {
+    let backplane = board.backplane();
+    let approval = move || {
+        if let Err(error) = flash.approve_in_time(backplane, system) {
+            eprintln!("{error:#}");
+        }
+    };
+    thread::Builder::new()
+        .name("approval".to_owned())
+        .spawn(approval)
+        .map(drop)
+        .context("the thread of the approval")
+}
+
+/// Writes the records of an update where the vehicle finds them.
+///
+/// # Errors
+/// If the file cannot be written.
+pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
+    fs::write(path, lines.concat()).with_context(|| path.display().to_string())
+}

@@ -1,0 +1,112 @@
+//! The programming host of a vehicle: brings both systems a new release, one after the other, each
+//! while the other drives. U-3, U-5
+
+use std::fs::{self, File};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::Context as _;
+use tandem_board::{CanFrame, Duration, Instant, RoleLamp, SystemId};
+use tandem_boot_host::{Sender, ToDo};
+
+use crate::run_config::UpdateFiles;
+
+/// How long a system must have been standby, with the other driving, before it is updated.
+const SETTLED: Duration = Duration::from_ms(1_000);
+/// Frames of a download in a millisecond: what a bus of 500 kbit/s carries of them.
+const FRAMES_PER_MS: usize = 3;
+/// Records under way.
+const WINDOW: u8 = 8;
+
+/// Both updates.
+pub(crate) struct Update {
+    /// Where the end of each is noted.
+    ended: PathBuf,
+    /// What each system is to get; taken when it begins.
+    lines: [Option<Vec<String>>; 2],
+    under_way: Option<(SystemId, Sender)>,
+    /// Since when a system could be updated.
+    standby_since: [Option<Instant>; 2],
+}
+
+impl Update {
+    /// The updates in these files.
+    ///
+    /// # Errors
+    /// If one cannot be read.
+    pub(crate) fn read(files: &UpdateFiles) -> anyhow::Result<Self> {
+        let read = |path: &PathBuf| {
+            let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            anyhow::Ok(Some(
+                text.split_inclusive('\n').map(str::to_owned).collect(),
+            ))
+        };
+        let [a, b] = &files.lines;
+        Ok(Self {
+            ended: files.ended.clone(),
+            lines: [read(a)?, read(b)?],
+            under_way: None,
+            standby_since: [None; 2],
+        })
+    }
+
+    /// A frame that was on the bus.
+    pub(crate) fn on_frame(&mut self, now: Instant, frame: &CanFrame) {
+        if let Some((_, sender)) = &mut self.under_way {
+            sender.on_frame(now, frame);
+        }
+    }
+
+    /// Sends what is due in this millisecond, given what the systems show of their roles.
+    pub(crate) fn poll(
+        &mut self,
+        now: Instant,
+        roles: [RoleLamp; 2],
+        send: &mut dyn FnMut(&CanFrame),
+    ) {
+        if self.under_way.is_none() {
+            self.begin(now, roles);
+        }
+        let Some((system, sender)) = &mut self.under_way else {
+            return;
+        };
+        for _ in 0..FRAMES_PER_MS {
+            match sender.next(now) {
+                ToDo::Send(frame) => send(&frame),
+                ToDo::Wait(_) => return,
+                end => {
+                    let line = match end {
+                        ToDo::Done => format!("{system} has taken the update\n"),
+                        end => format!("{system} has not taken the update: {end:?}\n"),
+                    };
+                    note(&self.ended, &line);
+                    self.under_way = None;
+                    return;
+                }
+            }
+        }
+    }
+
+    fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
+        for system in SystemId::ALL {
+            let [own, other] = [system, system.peer()].map(|system| roles[system.index()]);
+            let drives = matches!(other, RoleLamp::Master | RoleLamp::DegradedMaster);
+            let since = &mut self.standby_since[system.index()];
+            if own != RoleLamp::Standby || !drives {
+                *since = None;
+                continue;
+            }
+            let settled = now.since(*since.get_or_insert(now)) >= SETTLED;
+            if settled && let Some(lines) = self.lines[system.index()].take() {
+                self.under_way = Some((system, Sender::new(lines, Some(system), WINDOW)));
+                return;
+            }
+        }
+    }
+}
+
+/// Adds a line. One that is lost is missed at the end of the run.
+fn note(path: &Path, line: &str) {
+    let file = File::options().create(true).append(true).open(path);
+    let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));
+}
