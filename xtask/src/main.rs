@@ -157,6 +157,14 @@ enum Campaign {
         #[arg(long)]
         monitor: bool,
     },
+    /// Try faults on the control core in virtual time: each single one at 20 moments, all pairs
+    /// within one system, and random sequences. Fails if one violates what is not known to be
+    /// violated
+    Faults {
+        /// As `--count 100000 --from SEED --json FILE`; `--help` lists them
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -211,7 +219,7 @@ fn execute() -> Result<()> {
             every,
             broken,
         }) => {
-            let mut command = boot_campaign(root, "power_cuts");
+            let mut command = campaign(root, "tandem-boot-host", "power_cuts");
             command.args(["--every", &every.to_string()]);
             if let Some(path) = json {
                 command.arg("--json").arg(path);
@@ -226,7 +234,7 @@ fn execute() -> Result<()> {
             json,
             monitor,
         }) => {
-            let mut command = boot_campaign(root, "mutations");
+            let mut command = campaign(root, "tandem-boot-host", "mutations");
             command.args(["--count", &count.to_string()]);
             if let Some(path) = json {
                 command.arg("--json").arg(path);
@@ -234,6 +242,11 @@ fn execute() -> Result<()> {
             if monitor {
                 command.arg("--monitor");
             }
+            run(command)
+        }
+        Task::Campaign(Campaign::Faults { arguments }) => {
+            let mut command = campaign(root, "tandem-tests", "faults");
+            command.args(arguments);
             run(command)
         }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
@@ -350,13 +363,13 @@ fn startup_kills(root: &Path, count: u32) -> Result<()> {
     run(command)
 }
 
-/// A campaign of the boot room; its paths are the caller's.
-fn boot_campaign(root: &Path, name: &str) -> Command {
+/// A campaign that is an example of a package; its paths are the caller's.
+fn campaign(root: &Path, package: &str, name: &str) -> Command {
     let manifest = root.join("Cargo.toml");
     let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
     command.args(["run", "--quiet", "--release", "--manifest-path"]);
     command.arg(manifest);
-    command.args(["-p", "tandem-boot-host", "--example", name, "--"]);
+    command.args(["-p", package, "--example", name, "--"]);
     command
 }
 

@@ -42,6 +42,18 @@ impl Clock {
     }
 }
 
+/// What is wrong with a system's connection to the CAN bus. The default is a whole one.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusFault {
+    /// Of a thousand frames that it sends, this many do not reach the bus. 1000: its transmitter
+    /// is dead.
+    pub lost_out: u16,
+    /// Of a thousand frames on the bus, this many do not reach it. 1000: its receiver is dead.
+    pub lost_in: u16,
+    /// Its frames reach the bus this much later.
+    pub late: Duration,
+}
+
 /// In which order cores run that are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {

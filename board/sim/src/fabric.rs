@@ -22,6 +22,11 @@ impl Machine {
         if self.systems[to.index()].supply.power() == Power::Off {
             return;
         }
+        self.count_edge(to, line, edge);
+    }
+
+    /// An edge arrives.
+    pub(crate) fn count_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
         let counted = if self.has(Defect::WrongEdge) {
             Edge::Rising
         } else {
@@ -30,7 +35,7 @@ impl Machine {
         let count = &mut self.system(to).edges[line.index()][counted as usize];
         *count = count.wrapping_add(1);
         if line.interrupts() && !self.has(Defect::SilentStart) {
-            self.raise_peer(from);
+            self.raise_peer(to.peer());
         }
     }
 
@@ -94,7 +99,10 @@ impl Machine {
         if core::mem::take(&mut core.loses_next) {
             return Ok(());
         }
-        self.put_on_bus(Sender::Core(from), frame);
+        let lost_out = self.systems[from.system.index()].bus_fault.lost_out;
+        if !self.loses(lost_out) {
+            self.transmit(from, frame);
+        }
         Ok(())
     }
 
@@ -112,6 +120,8 @@ impl Machine {
             let own = sender == Sender::Core(place);
             let deaf = self.has(Defect::NoBroadcast)
                 && matches!(sender, Sender::Core(from) if from.system != place.system);
+            let lost_in = self.systems[place.system.index()].bus_fault.lost_in;
+            let deaf = deaf || self.loses(lost_in);
             if (!own || self.has(Defect::SelfReception)) && !deaf {
                 self.hear_can(place, sender, frame);
             }

@@ -18,6 +18,7 @@ struct UnderWay {
 pub(crate) struct Flash {
     bytes: Vec<u8>,
     under_way: Option<UnderWay>,
+    hangs: bool,
 }
 
 impl Flash {
@@ -26,7 +27,12 @@ impl Flash {
         Self {
             bytes: vec![ERASED; SIZE],
             under_way: None,
+            hangs: false,
         }
+    }
+
+    pub(crate) fn hang(&mut self, hangs: bool) {
+        self.hangs = hangs;
     }
 
     pub(crate) fn bytes(&self) -> &[u8] {
@@ -45,7 +51,7 @@ impl Flash {
     pub(crate) fn ends_ns(&self) -> Option<u64> {
         let UnderWay {
             operation, begun, ..
-        } = self.under_way.as_ref()?;
+        } = self.under_way.as_ref().filter(|_| !self.hangs)?;
         Some(operation.ends(*begun).as_ns())
     }
 

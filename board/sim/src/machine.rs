@@ -1,6 +1,6 @@
 //! The state of the two systems and of what lies between them.
 
-use crate::config::{Config, Defect};
+use crate::config::{BusFault, Config, Defect};
 use crate::flash::Flash;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -8,8 +8,8 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Instant, Received, ResetCause, ResetRequest, RoleLamp, SystemId,
-    Traced,
+    CanFrame, CoreAddress, CoreId, Duration, Instant, Received, ResetCause, ResetRequest, RoleLamp,
+    SystemId, Traced,
 };
 use tandem_peripherals::bus::TransmitLimit;
 use tandem_peripherals::codec::Sender;
@@ -85,6 +85,8 @@ pub(crate) struct Core {
     pub(crate) attention: Attention,
     pub(crate) deadline_ns: u64,
     pub(crate) frozen_until_ns: u64,
+    /// Not due for this long after each poll.
+    pub(crate) rest: Duration,
     pub(crate) can_fifo: VecDeque<Received>,
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
@@ -105,6 +107,7 @@ impl Core {
             attention: Attention::Polled,
             deadline_ns: 0,
             frozen_until_ns: 0,
+            rest: Duration::ZERO,
             can_fifo: VecDeque::new(),
             can_wakes: false,
             overruns: 0,
@@ -115,8 +118,9 @@ impl Core {
     }
 
     pub(crate) fn start(&mut self, generation: u32, now_ns: u64) {
-        let incarnation = self.incarnation + 1;
+        let (incarnation, rest) = (self.incarnation + 1, self.rest);
         *self = Self::new();
+        self.rest = rest;
         (self.alive, self.generation, self.incarnation) = (true, generation, incarnation);
         self.deadline_ns = now_ns;
     }
@@ -145,6 +149,8 @@ pub(crate) struct System {
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
     pub(crate) edges: [[u32; 2]; 3],
+    pub(crate) level_held_low: bool,
+    pub(crate) bus_fault: BusFault,
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
 
@@ -157,6 +163,8 @@ impl System {
             flash_bytes_to_live: None,
             lamp: RoleLamp::Starting,
             edges: [[0; 2]; 3],
+            level_held_low: false,
+            bus_fault: BusFault::default(),
             inbox: VecDeque::new(),
         }
     }
@@ -169,6 +177,8 @@ pub(crate) struct Machine {
     pub(crate) systems: [System; 2],
     pub(crate) cuts: Cuts,
     pub(crate) bus: Vec<OnBus>,
+    /// Frames that are late: when each reaches the bus, and from whom.
+    pub(crate) on_the_way: VecDeque<(u64, CoreAddress, CanFrame)>,
     /// What the world has not heard yet.
     pub(crate) unheard: Vec<OnBus>,
     pub(crate) trace: Vec<Traced>,
@@ -202,6 +212,7 @@ impl Shared {
             systems: [System::new(supply), System::new(supply)],
             cuts: Cuts::default(),
             bus: Vec::new(),
+            on_the_way: VecDeque::new(),
             unheard: Vec::new(),
             trace: Vec::new(),
             trace_lost: 0,

@@ -10,11 +10,10 @@ use rand_chacha::rand_core::SeedableRng;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    CoreAddress, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId, Traced,
+    CoreAddress, CoreId, Duration, Generation, Instant, RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
-use tandem_peripherals::wires::Wire;
 
 /// What the vehicle does every millisecond.
 type World = Box<dyn FnMut(&mut WorldTick)>;
@@ -32,7 +31,7 @@ struct Running {
 
 /// Two systems of three cores with everything between them, on one virtual clock.
 pub struct SimPair {
-    shared: Arc<Shared>,
+    pub(crate) shared: Arc<Shared>,
     factory: Box<dyn FnMut(&SimBoard) -> Poller>,
     cores: [[Option<Running>; CoreId::COUNT]; 2],
     world: Option<World>,
@@ -208,7 +207,7 @@ impl SimPair {
 
     /// Ends the code of cores whose incarnation is over, and makes the code of those that began
     /// one.
-    fn follow_incarnations(&mut self) {
+    pub(crate) fn follow_incarnations(&mut self) {
         for place in CoreAddress::ALL {
             let (alive, incarnation) = {
                 let mut machine = self.shared.lock();
@@ -263,77 +262,10 @@ impl SimPair {
         let deadline = (running.poll)(&running.board);
         let mut machine = self.shared.lock();
         let clock = machine.config.clocks[place.system.index()];
-        machine.core(place).deadline_ns = clock.virtual_ns(deadline.as_ns());
-    }
-}
-
-/// Faults.
-impl SimPair {
-    /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. Nothing if it is on.
-    pub fn power_on(&mut self, system: SystemId) {
-        self.shared.power_on(system);
-        self.follow_incarnations();
-    }
-
-    /// Takes the power from a system, at once.
-    pub fn power_off(&mut self, system: SystemId) {
-        self.shared.lock().power_off(system);
-        self.follow_incarnations();
-    }
-
-    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is
-    /// before the next operation changes its first byte.
-    pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
-        self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
-    }
-
-    /// The supply resets a system that is on; it restarts after [`Config::reset_hold`].
-    pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
-        self.shared.lock().reset(system, cause);
-        self.follow_incarnations();
-    }
-
-    /// A core dies and stays dead; nobody is told.
-    pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
-        self.shared.lock().kill_core(CoreAddress { system, core });
-        self.follow_incarnations();
-    }
-
-    /// A single core begins its next incarnation; the LMU keeps its content.
-    pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
-        self.shared
-            .lock()
-            .restart_core(CoreAddress { system, core });
-        self.follow_incarnations();
-    }
-
-    /// A core does nothing for a span of virtual time; what comes for it stays pending.
-    pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
-        let mut machine = self.shared.lock();
-        let thaws = (machine.at() + span).as_ns();
-        machine.core(CoreAddress { system, core }).frozen_until_ns = thaws;
-    }
-
-    /// All cores of a system do nothing for a span of virtual time; the supply goes on.
-    pub fn freeze(&mut self, system: SystemId, span: Duration) {
-        CoreId::ALL
-            .into_iter()
-            .for_each(|core| self.freeze_core(system, core, span));
-    }
-
-    /// Cuts a connection that comes from this system.
-    pub fn cut(&mut self, wire: Wire, from: SystemId) {
-        self.shared.lock().set_cut(wire, from, true);
-    }
-
-    /// Mends a connection that was cut.
-    pub fn mend(&mut self, wire: Wire, from: SystemId) {
-        self.shared.lock().set_cut(wire, from, false);
-    }
-
-    /// Changes the content of a system's flash by hand, as a programming device would.
-    pub fn edit_flash(&mut self, system: SystemId, edit: impl FnOnce(&mut [u8])) {
-        edit(self.shared.lock().system(system).flash.bytes_mut());
+        let now_ns = machine.now_ns;
+        let core = machine.core(place);
+        core.deadline_ns = clock.virtual_ns(deadline.as_ns());
+        core.frozen_until_ns = core.frozen_until_ns.max(now_ns + core.rest.as_ns());
     }
 }
 

@@ -19,7 +19,8 @@ impl Machine {
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
         let stuck = self.has(Defect::LevelStuckHigh);
-        self.cuts.level(system, shown || stuck)
+        let held_low = self.systems[system.index()].level_held_low;
+        self.cuts.level(system, shown || stuck) && !held_low
     }
 
     /// Lets a supply act; a change of the level line interrupts the other system.
@@ -192,6 +193,7 @@ impl Machine {
     /// What the supplies and the flash do at this instant.
     pub(crate) fn settle(&mut self) {
         let now = self.at();
+        self.settle_bus();
         for system in SystemId::ALL {
             self.settle_flash(system);
             if self.systems[system.index()].supply.next() <= now {
@@ -236,7 +238,8 @@ impl Machine {
                 .unwrap_or(u64::MAX);
             supply.min(flash).min(cut).min(cores)
         };
-        of_system(SystemId::A).min(of_system(SystemId::B))
+        let systems = of_system(SystemId::A).min(of_system(SystemId::B));
+        systems.min(self.bus_next_ns())
     }
 }
 

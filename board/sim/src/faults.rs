@@ -1,0 +1,172 @@
+//! What fails: power, cores, wires, the bus, the flash, the clock.
+
+use crate::config::{BusFault, Clock};
+use crate::machine::Machine;
+use crate::pair::SimPair;
+use rand::RngExt;
+use tandem_board::{CanFrame, CoreAddress, CoreId, Duration, Edge, Line, ResetCause, SystemId};
+use tandem_peripherals::codec::Sender;
+use tandem_peripherals::wires::Wire;
+
+/// Faults.
+impl SimPair {
+    /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. Nothing if it is on.
+    pub fn power_on(&mut self, system: SystemId) {
+        self.shared.power_on(system);
+        self.follow_incarnations();
+    }
+
+    /// Takes the power from a system, at once.
+    pub fn power_off(&mut self, system: SystemId) {
+        self.shared.lock().power_off(system);
+        self.follow_incarnations();
+    }
+
+    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is
+    /// before the next operation changes its first byte.
+    pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
+        self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
+    }
+
+    /// The supply resets a system that is on; it restarts after [`Config::reset_hold`].
+    pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
+        self.shared.lock().reset(system, cause);
+        self.follow_incarnations();
+    }
+
+    /// A core dies and stays dead; nobody is told.
+    pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
+        self.shared.lock().kill_core(CoreAddress { system, core });
+        self.follow_incarnations();
+    }
+
+    /// A single core begins its next incarnation; the LMU keeps its content.
+    pub fn restart_core(&mut self, system: SystemId, core: CoreId) {
+        self.shared
+            .lock()
+            .restart_core(CoreAddress { system, core });
+        self.follow_incarnations();
+    }
+
+    /// A core does nothing for a span of virtual time; what comes for it stays pending.
+    pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
+        let mut machine = self.shared.lock();
+        let thaws = (machine.at() + span).as_ns();
+        machine.core(CoreAddress { system, core }).frozen_until_ns = thaws;
+    }
+
+    /// All cores of a system do nothing for a span of virtual time; the supply goes on.
+    pub fn freeze(&mut self, system: SystemId, span: Duration) {
+        CoreId::ALL
+            .into_iter()
+            .for_each(|core| self.freeze_core(system, core, span));
+    }
+
+    /// Cuts a connection that comes from this system.
+    pub fn cut(&mut self, wire: Wire, from: SystemId) {
+        self.shared.lock().set_cut(wire, from, true);
+    }
+
+    /// Mends a connection that was cut.
+    pub fn mend(&mut self, wire: Wire, from: SystemId) {
+        self.shared.lock().set_cut(wire, from, false);
+    }
+
+    /// Changes the content of a system's flash by hand, as a programming device would.
+    pub fn edit_flash(&mut self, system: SystemId, edit: impl FnOnce(&mut [u8])) {
+        edit(self.shared.lock().system(system).flash.bytes_mut());
+    }
+
+    /// The level line of this system reads as low at the other one, though the system is on.
+    pub fn hold_level_low(&mut self, system: SystemId, held: bool) {
+        self.shared.lock().hold_level_low(system, held);
+    }
+
+    /// An edge that no system has sent arrives at `to`.
+    pub fn stray_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
+        self.shared.lock().count_edge(to, line, edge);
+    }
+
+    /// Changes what is wrong with a system's connection to the CAN bus.
+    pub fn disturb_bus(&mut self, system: SystemId, fault: BusFault) {
+        self.shared.lock().system(system).bus_fault = fault;
+    }
+
+    /// A core rests for this span after each poll, so that all its deadlines pass late.
+    pub fn rest_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
+        self.shared.lock().core(CoreAddress { system, core }).rest = span;
+    }
+
+    /// The operation of the flash that is under way, and each later one, does not end while this
+    /// is so.
+    pub fn hang_flash(&mut self, system: SystemId, hangs: bool) {
+        self.shared.lock().system(system).flash.hang(hangs);
+    }
+
+    /// The clock of a system goes on from the time that it shows, faster than virtual time by
+    /// `drift_ppb` parts per billion.
+    pub fn set_clock_rate(&mut self, system: SystemId, drift_ppb: i32) {
+        let mut machine = self.shared.lock();
+        let now_ns = machine.now_ns;
+        let clock = &mut machine.config.clocks[system.index()];
+        *clock = clock.with_rate(now_ns, drift_ppb);
+    }
+}
+
+impl Machine {
+    fn hold_level_low(&mut self, system: SystemId, held: bool) {
+        let before = self.level(system);
+        self.system(system).level_held_low = held;
+        if self.level(system) != before {
+            self.raise_peer(system);
+        }
+    }
+
+    /// Whether one of these is lost: `permille` of a thousand.
+    pub(crate) fn loses(&mut self, permille: u16) -> bool {
+        permille > 0 && self.noise.random_range(0..1000) < permille
+    }
+
+    /// Puts a frame on the bus, or makes it wait if its sender's connection is slow.
+    pub(crate) fn transmit(&mut self, from: CoreAddress, frame: &CanFrame) {
+        let late = self.systems[from.system.index()].bus_fault.late;
+        if late == Duration::ZERO {
+            self.put_on_bus(Sender::Core(from), frame);
+        } else {
+            let at_ns = (self.at() + late).as_ns();
+            self.on_the_way.push_back((at_ns, from, *frame));
+        }
+    }
+
+    /// Puts the frames on the bus whose time has come.
+    pub(crate) fn settle_bus(&mut self) {
+        while let Some((at_ns, from, frame)) = self.on_the_way.front().copied()
+            && at_ns <= self.now_ns
+        {
+            self.on_the_way.pop_front();
+            self.put_on_bus(Sender::Core(from), &frame);
+        }
+    }
+
+    /// When the next frame reaches the bus that is on the way.
+    pub(crate) fn bus_next_ns(&self) -> u64 {
+        self.on_the_way
+            .front()
+            .map_or(u64::MAX, |(at_ns, ..)| *at_ns)
+    }
+}
+
+impl Clock {
+    /// This clock, which goes on at another rate from virtual time `at_ns`.
+    fn with_rate(self, at_ns: u64, drift_ppb: i32) -> Self {
+        let shows = self.local_ns(at_ns);
+        let from_zero = Self {
+            offset_ns: 0,
+            drift_ppb,
+        };
+        Self {
+            offset_ns: shows.saturating_sub(from_zero.local_ns(at_ns)),
+            drift_ppb,
+        }
+    }
+}

@@ -1,0 +1,290 @@
+//! Both systems and a vehicle in virtual time, and faults that are done to them.
+
+use super::fault::{Act, Fault};
+use std::cell::RefCell;
+use std::rc::Rc;
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId,
+};
+use tandem_board_sim::{
+    BusFault, Clock, Config as BoardConfig, EventKind, Poller, SimBoard, SimPair, Wire, WorldTick,
+};
+use tandem_bus::{EgoMotion, Message, Transmitter};
+use tandem_cores::core0::Core0;
+use tandem_cores::layout::ControllerMap;
+use tandem_cores::trace::Event;
+use tandem_cores::{Config, Core};
+use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
+
+/// Ends core 1 of each system that hears it. No frame of the DBC.
+const POISON: CanId = CanId::Standard(0x7E0);
+
+/// What is outside the systems: the gate, and the frames that they need to hear.
+#[derive(Default)]
+pub struct Vehicle {
+    gate: Gate,
+    transmitter: Option<Transmitter>,
+    /// Control frames that acted.
+    pub accepted: Vec<Acceptance>,
+    /// Control frames of an old term.
+    pub fenced: Vec<Acceptance>,
+    ticks: u64,
+    silent: bool,
+    poison: bool,
+}
+
+impl Vehicle {
+    fn tick(&mut self, tick: &mut WorldTick) {
+        for on_bus in &tick.heard {
+            let CanId::Standard(id) = on_bus.frame.id() else {
+                continue;
+            };
+            let at_ns = on_bus.at.as_ns();
+            let judged = self.gate.on_frame(at_ns, id.into(), on_bus.frame.data());
+            if let Some(judged) = judged {
+                match judged.acceptance.verdict {
+                    Verdict::Accepted => self.accepted.push(judged.acceptance),
+                    Verdict::Fenced => self.fenced.push(judged.acceptance),
+                    Verdict::NotMaster | Verdict::Invalid => {}
+                }
+            }
+        }
+        let at_ns = tick.at.as_ns();
+        if self.ticks.is_multiple_of(10) && !self.silent {
+            let motion = EgoMotion {
+                speed: 20.0,
+                ..EgoMotion::default()
+            };
+            let transmitter = self.transmitter.get_or_insert_with(Transmitter::new);
+            for message in [
+                Message::GateEcho(self.gate.echo(at_ns)),
+                Message::EgoMotion(motion),
+            ] {
+                let frame = transmitter.encode(&message);
+                tick.send(frame_of(CanId::Standard(frame.id), frame.data()));
+            }
+        }
+        if self.ticks.is_multiple_of(100) && self.poison {
+            tick.send(frame_of(POISON, &[0; 8]));
+        }
+        self.ticks += 1;
+    }
+}
+
+fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
+    CanFrame::new(id, true, data).expect("a frame of at most 64 bytes")
+}
+
+/// The core of this board: core 0 is the real one; the others count cycles, and core 1 dies of
+/// poison.
+fn poller(board: &SimBoard, config: Config) -> Poller {
+    // A reset ends the core but not this process: a few boards are leaked.
+    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+    let core = board.identity().core;
+    if core == CoreId::CONTROL {
+        let mut core = Core0::new(board, config);
+        return Box::new(move |_| core.poll());
+    }
+    let (mut map, mut dead) = (None, false);
+    Box::new(move |_| {
+        while let Some(received) = board.can().try_receive() {
+            dead |= received.frame.id() == POISON && core == CoreId::PERCEPTION;
+        }
+        if dead {
+            return Instant::NEVER;
+        }
+        map = map.take().or_else(|| ControllerMap::attach(board).ok());
+        let Some(map) = &map else {
+            return board.now() + Duration::from_ms(1);
+        };
+        map.count_cycle();
+        board.now() + Duration::from_ms(50)
+    })
+}
+
+/// Both systems and one vehicle in virtual time.
+pub struct Bench {
+    /// The machine.
+    pub pair: SimPair,
+    /// What the vehicle saw until now.
+    pub vehicle: Rc<RefCell<Vehicle>>,
+    /// The limits of both systems.
+    pub config: Config,
+    bus: [BusFault; 2],
+}
+
+impl Bench {
+    /// Limits of the campaign: those of `redundancy`, with short waits at the start.
+    #[must_use]
+    pub fn config(redundancy: tandem_redundancy::Config) -> Config {
+        Config {
+            redundancy: tandem_redundancy::Config {
+                start_limit: Duration::from_ms(300),
+                ..redundancy
+            },
+            // There are no sensors to wait for.
+            boot_limit: Duration::from_ms(60),
+            ..Config::rt()
+        }
+    }
+
+    /// Two systems without power. `seed`: of what the machine draws. `told`: whether the cores'
+    /// events are kept.
+    #[must_use]
+    pub fn new(config: Config, seed: u64, told: bool) -> Self {
+        // Far from zero, so that a clock may slow down.
+        let clock = |offset_s: u64| Clock {
+            offset_ns: offset_s * 1_000_000_000,
+            drift_ppb: 0,
+        };
+        let board_config = BoardConfig {
+            seed,
+            clocks: [clock(1_000), clock(77_000)],
+            trace_records: if told { 1 << 20 } else { 0 },
+            ..BoardConfig::default()
+        };
+        let mut pair = SimPair::new(board_config, move |board| poller(board, config));
+        let vehicle = Rc::new(RefCell::new(Vehicle::default()));
+        let shared = Rc::clone(&vehicle);
+        pair.set_world(move |tick| shared.borrow_mut().tick(tick));
+        Self {
+            pair,
+            vehicle,
+            config,
+            bus: [BusFault::default(); 2],
+        }
+    }
+
+    /// Both in dual operation, A driving.
+    ///
+    /// # Panics
+    /// If they do not begin.
+    #[must_use]
+    pub fn dual(config: Config, seed: u64, told: bool) -> Self {
+        let mut bench = Self::new(config, seed, told);
+        SystemId::ALL
+            .into_iter()
+            .for_each(|system| bench.pair.power_on(system));
+        bench.pair.run_for(Duration::from_ms(300));
+        let roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
+        let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
+        assert_eq!(roles, dual, "no dual operation");
+        bench
+    }
+
+    /// Runs for `span` while these faults, whose times count from now, come and go; then everything
+    /// is mended and has power.
+    pub fn suffer(&mut self, faults: &[Fault], span: Duration) {
+        let begin = self.pair.now();
+        let mut acts: Vec<(Duration, Act)> =
+            faults.iter().flat_map(|fault| fault.acts(span)).collect();
+        acts.sort_by_key(|(at, _)| *at);
+        for (at, act) in acts {
+            self.pair.run_until(begin + at.min(span));
+            self.act(act);
+        }
+        self.pair.run_until(begin + span);
+        self.mend();
+    }
+
+    fn mend(&mut self) {
+        self.act(Act::Poison(false));
+        self.act(Act::VehicleSilent(false));
+        for system in SystemId::ALL {
+            let lines = [Line::Start, Line::Heartbeat1, Line::Heartbeat2].map(Wire::Line);
+            for wire in lines
+                .into_iter()
+                .chain([Wire::Level, Wire::Link, Wire::Can])
+            {
+                self.act(Act::Cut(wire, system, false));
+            }
+            for act in [
+                Act::LevelLow(system, false),
+                Act::LostOut(system, 0),
+                Act::LostIn(system, 0),
+                Act::Late(system, 0),
+                Act::Rest(system, 0),
+                Act::Freeze(system, 0),
+                Act::Clock(system, 0),
+                Act::FlashHangs(system, false),
+                Act::Power(system, true),
+            ] {
+                self.act(act);
+            }
+        }
+    }
+
+    fn act(&mut self, act: Act) {
+        let pair = &mut self.pair;
+        match act {
+            Act::Cut(wire, from, true) => pair.cut(wire, from),
+            Act::Cut(wire, from, false) => pair.mend(wire, from),
+            Act::LevelLow(of, held) => pair.hold_level_low(of, held),
+            Act::Edge(to, line, edge) => pair.stray_edge(to, line, edge),
+            Act::LostOut(of, permille) => self.disturb(of, |bus| bus.lost_out = permille),
+            Act::LostIn(of, permille) => self.disturb(of, |bus| bus.lost_in = permille),
+            Act::Late(of, ms) => self.disturb(of, |bus| bus.late = Duration::from_ms(ms.into())),
+            Act::Power(of, true) => pair.power_on(of),
+            Act::Power(of, false) => pair.power_off(of),
+            Act::Reset(of, cause) => pair.reset(of, cause),
+            Act::Freeze(of, ms) => pair.freeze(of, Duration::from_ms(ms.into())),
+            Act::Kill(of, core) => pair.kill_core(of, core),
+            Act::Rest(of, ms) => {
+                pair.rest_core(of, CoreId::CONTROL, Duration::from_ms(ms.into()));
+            }
+            Act::Clock(of, permille) => pair.set_clock_rate(of, i32::from(permille) * 1_000_000),
+            Act::FlashHangs(of, hangs) => pair.hang_flash(of, hangs),
+            Act::FlashLost(of) => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
+            Act::Poison(on) => self.vehicle.borrow_mut().poison = on,
+            Act::VehicleSilent(on) => self.vehicle.borrow_mut().silent = on,
+        }
+    }
+
+    fn disturb(&mut self, of: SystemId, change: impl FnOnce(&mut BusFault)) {
+        let fault = &mut self.bus[of.index()];
+        change(fault);
+        self.pair.disturb_bus(of, *fault);
+    }
+
+    /// What happened so far, a line each: what the cores told, and what the supplies did.
+    #[must_use]
+    pub fn story(&mut self) -> Vec<String> {
+        let mut lines: Vec<(Instant, String)> = Vec::new();
+        for traced in self.pair.take_trace().0 {
+            let tells = Event::decode(traced.record).filter(|event| {
+                !matches!(
+                    event,
+                    Event::ControlCycle { .. } | Event::TaskIn { .. } | Event::TaskOut { .. }
+                )
+            });
+            let (system, core) = (traced.system, traced.core);
+            lines.extend(tells.map(|event| (traced.at, format!("{system}{core} {event:?}"))));
+        }
+        for event in self.pair.events() {
+            if !matches!(event.kind, EventKind::Lamp(_)) {
+                lines.push((event.at, format!("{} {:?}", event.system, event.kind)));
+            }
+        }
+        let vehicle = self.vehicle.borrow();
+        let mut last: Option<Acceptance> = None;
+        for frame in &vehicle.accepted {
+            let at = Instant::from_ns(frame.at_ns);
+            let gap_ns = last.map_or(0, |last| frame.at_ns - last.at_ns);
+            let other =
+                last.is_none_or(|last| (last.system, last.term) != (frame.system, frame.term));
+            if other || gap_ns > 12_000_000 {
+                let gap = gap_ns as f64 * 1e-6;
+                let (of, term) = (frame.system, frame.term);
+                lines.push((
+                    at,
+                    format!("vehicle obeys {of}, term {term}, after {gap:.1} ms"),
+                ));
+            }
+            last = Some(*frame);
+        }
+        lines.sort_by_key(|(at, _)| *at);
+        let line =
+            |(at, text): (Instant, String)| format!("{:9.2} ms {text}", at.as_ns() as f64 * 1e-6);
+        lines.into_iter().map(line).collect()
+    }
+}

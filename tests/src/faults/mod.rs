@@ -1,0 +1,15 @@
+//! Faults as data, what they may cost, and the campaign that tries them on the real control core.
+//!
+//! Core 0, its state store and the vehicle's gate are the real ones; cores 1 and 2 only count
+//! cycles. Wires, bus, flash, supplies and clocks are those of the simulator.
+
+mod bench;
+mod fault;
+mod judge;
+mod known;
+mod plan;
+
+pub use bench::{Bench, Vehicle};
+pub use fault::{Fault, Kind, Way};
+pub use judge::{Row, Verdict, Violation, containment_bound, row};
+pub use plan::{DISTANCES, Group, PHASES, Sequence};

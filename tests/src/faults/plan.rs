@@ -1,0 +1,284 @@
+//! Which sequences of faults a campaign tries: each has a number.
+
+use super::bench::Bench;
+use super::fault::{Fault, Kind, Way};
+use super::judge::{Row, Verdict, Violation, containment_bound, row};
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use tandem_board::{Duration, SystemId};
+use tandem_redundancy::Config;
+
+/// What kind of sequences.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Group {
+    /// One fault at one of [`PHASES`] moments of the control cycle.
+    Single,
+    /// Two faults within one system, at one of [`DISTANCES`].
+    Pair,
+    /// Several faults in both systems, drawn from the number.
+    Random,
+}
+
+/// Moments of the control cycle at which a single fault begins.
+pub const PHASES: u64 = 20;
+/// Time between two faults, µs.
+pub const DISTANCES: [u64; 6] = [0, 1_700, 7_300, 13_100, 41_900, 260_300];
+
+/// One sequence of faults.
+#[derive(Clone, Debug)]
+pub struct Sequence {
+    /// Of which kind.
+    pub group: Group,
+    /// Which one.
+    pub number: u64,
+    /// The faults.
+    pub faults: Vec<Fault>,
+    /// Whether they begin at power-on; else in dual operation, A driving.
+    pub from_power_on: bool,
+    /// How long after their begin all is mended.
+    pub span: Duration,
+}
+
+/// What fails in a system or on a wire, and which way.
+fn single_faults() -> Vec<(Kind, Way)> {
+    let mut faults = Vec::new();
+    for kind in Kind::OF_ONE_SYSTEM {
+        faults.extend(SystemId::ALL.map(|system| (kind, Way::From(system))));
+        if kind.is_of_wire() {
+            faults.push((kind, Way::Both));
+        }
+    }
+    faults.extend(Kind::OF_BOTH.map(|kind| (kind, Way::From(SystemId::A))));
+    faults
+}
+
+/// What can fail within this system: its own parts, and both ends of what joins it to the other.
+fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
+    let within = |(kind, way): &(Kind, Way)| match kind {
+        Kind::Poison | Kind::VehicleSilent => false,
+        _ => kind.is_of_wire() || *way == Way::From(system),
+    };
+    single_faults().into_iter().filter(within).collect()
+}
+
+impl Group {
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Single, Self::Pair, Self::Random];
+
+    /// How many sequences there are; as many as one likes of the random ones.
+    #[must_use]
+    pub fn count(self) -> Option<u64> {
+        match self {
+            Self::Single => Some(single_faults().len() as u64 * PHASES),
+            Self::Pair => {
+                let within = SystemId::ALL.map(|system| faults_within(system).len() as u64);
+                let pairs = within.map(|count| count * count).iter().sum::<u64>();
+                Some(pairs * DISTANCES.len() as u64)
+            }
+            Self::Random => None,
+        }
+    }
+
+    /// A sequence by its number.
+    ///
+    /// # Panics
+    /// If there is none of this number.
+    #[must_use]
+    pub fn sequence(self, number: u64) -> Sequence {
+        match self {
+            Self::Single => single(number),
+            Self::Pair => pair(number),
+            Self::Random => random(number),
+        }
+    }
+}
+
+fn single(number: u64) -> Sequence {
+    let faults = single_faults();
+    let (kind, way) = faults[(number / PHASES) as usize];
+    // Not at a whole poll: where it lies between two polls counts too.
+    let at = Duration::from_us(number % PHASES * (10_000 / PHASES) + 137);
+    let fault = Fault {
+        kind,
+        way,
+        at,
+        lasts: None,
+    };
+    Sequence {
+        group: Group::Single,
+        number,
+        faults: vec![fault],
+        from_power_on: false,
+        span: Duration::from_ms(1_500),
+    }
+}
+
+fn pair(number: u64) -> Sequence {
+    let distances = DISTANCES.len() as u64;
+    let distance = DISTANCES[(number % distances) as usize];
+    let mut index = number / distances;
+    let mut of = SystemId::A;
+    let of_a = (faults_within(of).len() as u64).pow(2);
+    if index >= of_a {
+        (of, index) = (SystemId::B, index - of_a);
+    }
+    let within = faults_within(of);
+    let count = within.len() as u64;
+    let fault = |index: u64, at_us| {
+        let (kind, way) = within[index as usize];
+        Fault {
+            kind,
+            way,
+            at: Duration::from_us(at_us),
+            lasts: None,
+        }
+    };
+    // Every pair at another moment of the control cycle.
+    let at_us = (number * 7_919) % 10_000;
+    Sequence {
+        group: Group::Pair,
+        number,
+        faults: vec![
+            fault(index / count, at_us),
+            fault(index % count, at_us + distance),
+        ],
+        from_power_on: false,
+        span: Duration::from_ms(1_000),
+    }
+}
+
+/// Draws numbers: SplitMix64 (Steele, Lea, Flood: Fast Splittable Pseudorandom Number Generators,
+/// 2014).
+struct Draw(u64);
+
+impl Draw {
+    fn below(&mut self, limit: u64) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut mixed = self.0;
+        mixed = (mixed ^ (mixed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        (mixed ^ (mixed >> 31)) % limit
+    }
+}
+
+fn random(number: u64) -> Sequence {
+    let mut draw = Draw(number);
+    let kinds = single_faults();
+    // Dense: many at a time. Sparse: every limit passes between two.
+    let distance_us = [15_000, 60_000, 400_000][draw.below(3) as usize];
+    let (mut at_us, count) = (0, 1 + draw.below(8));
+    let mut faults = Vec::new();
+    for _ in 0..count {
+        at_us += draw.below(distance_us);
+        let (kind, way) = kinds[draw.below(kinds.len() as u64) as usize];
+        let lasts = match draw.below(3) {
+            0 => None,
+            1 => Some(Duration::from_us(200 + draw.below(30_000))),
+            _ => Some(Duration::from_us(200 + draw.below(600_000))),
+        };
+        faults.push(Fault {
+            kind,
+            way,
+            at: Duration::from_us(at_us),
+            lasts,
+        });
+    }
+    Sequence {
+        group: Group::Random,
+        number,
+        faults,
+        from_power_on: draw.below(5) == 0,
+        span: Duration::from_us(at_us + 50_000 + draw.below(500_000)),
+    }
+}
+
+impl Sequence {
+    /// The longest gap that its faults may cost, and the row that says so; `None` if they are not
+    /// within one system.
+    #[must_use]
+    pub fn bound(&self, config: &Config) -> Option<(Row, Duration)> {
+        match self.group {
+            Group::Single if self.faults[0].kind == Kind::VehicleSilent => None,
+            Group::Single => {
+                let row = row(&self.faults[0]);
+                Some((row, row.bound(config)))
+            }
+            Group::Pair => Some((Row::Mute, containment_bound(config))),
+            Group::Random => None,
+        }
+    }
+
+    /// Runs it. `told`: whether the cores' events are kept.
+    #[must_use]
+    pub fn run(&self, limits: Config, told: bool) -> (Verdict, Bench) {
+        let config = Bench::config(limits);
+        let mut bench = if self.from_power_on {
+            let mut bench = Bench::new(config, self.number, told);
+            SystemId::ALL
+                .into_iter()
+                .for_each(|system| bench.pair.power_on(system));
+            bench
+        } else {
+            Bench::dual(config, self.number, told)
+        };
+        let begin = bench.pair.now();
+        bench.suffer(&self.faults, self.span);
+        let mended = bench.pair.now();
+        let settles = bench.settles_within();
+        bench.pair.run_for(settles);
+        let bound = self.bound(&config.redundancy).map(|(_, bound)| bound);
+        let verdict = bench.judge(&self.faults, [begin, mended], bound);
+        (verdict, bench)
+    }
+
+    /// The same with as few faults as still lead to this violation.
+    #[must_use]
+    pub fn shrunk(&self, limits: Config, violation: Violation) -> Self {
+        let mut least = self.clone();
+        while let Some(shorter) = (0..least.faults.len()).find_map(|index| {
+            let mut shorter = least.clone();
+            shorter.faults.remove(index);
+            let violates = shorter.try_run(limits).violations.contains(&violation);
+            (violates && !shorter.faults.is_empty()).then_some(shorter)
+        }) {
+            least = shorter;
+        }
+        least
+    }
+
+    /// What fails, without when.
+    #[must_use]
+    pub fn kinds(&self) -> String {
+        let kind = |fault: &Fault| format!("{:?} {:?}", fault.way, fault.kind);
+        let kinds: Vec<String> = self.faults.iter().map(kind).collect();
+        kinds.join(" + ")
+    }
+
+    /// Runs it; a panic is a violation.
+    #[must_use]
+    pub fn try_run(&self, limits: Config) -> Verdict {
+        let run = AssertUnwindSafe(|| self.run(limits, false).0);
+        catch_unwind(run).unwrap_or_else(|_| Verdict {
+            violations: vec![Violation::Panic],
+            ..Verdict::default()
+        })
+    }
+}
+
+impl fmt::Display for Sequence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let faults: Vec<String> = self.faults.iter().map(Fault::to_string).collect();
+        let from = if self.from_power_on {
+            " from power-on"
+        } else {
+            ""
+        };
+        let (group, number) = (self.group, self.number);
+        let span = self.span.as_ms_f64();
+        let faults = faults.join("; ");
+        write!(
+            f,
+            "{group:?} {number}{from}: {faults}; mended at {span:.1} ms"
+        )
+    }
+}
