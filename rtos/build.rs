@@ -7,14 +7,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// Sources of the kernel that every target needs.
-const KERNEL: [&str; 5] = ["tasks.c", "queue.c", "list.c", "timers.c", "event_groups.c"];
+const KERNEL: [&str; 4] = ["tasks.c", "queue.c", "list.c", "timers.c"];
 /// Sizes of the kernel's objects in words; `kernel/shim.c` checks them against the C types.
-const SIZES: [(&str, usize); 4] = [
-    ("TASK_WORDS", 32),
-    ("QUEUE_WORDS", 24),
-    ("TIMER_WORDS", 12),
-    ("EVENTS_WORDS", 8),
-];
+const SIZES: [(&str, usize); 3] = [("TASK_WORDS", 32), ("QUEUE_WORDS", 24), ("TIMER_WORDS", 12)];
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=build.rs");

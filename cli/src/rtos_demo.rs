@@ -8,10 +8,9 @@ use anyhow::{Context as _, Result, ensure};
 use plotters::prelude::*;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
-use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test};
+use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test, toggle};
 use tandem_rtos::host::{deferred, elapsed_ns};
-use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
+use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
 
 use crate::args::{DemoBoard, RtosDemoArgs};
 use crate::emulated;
@@ -86,13 +85,8 @@ fn here(test: &'static Test) -> Result<Picture> {
                 notes.lock().unwrap_or_else(PoisonError::into_inner)[number].push(at_ms);
             });
         };
-        kernel.spawn(&options, move |ctx| toggle(ctx, output, note))?;
+        kernel.spawn(&options, move |ctx| toggle(ctx, output, ctx.now(), note))?;
     }
-    let end = TaskOptions::new("end", Priority::HIGHEST);
-    kernel.spawn(&end, |ctx| {
-        ctx.delay(Ticks(SPAN_MS));
-        ctx.stop();
-    })?;
     kernel.start(Clock::Wall)?;
     let changes = std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
     Ok(Picture {
@@ -100,19 +94,6 @@ fn here(test: &'static Test) -> Result<Picture> {
         clock: HERE,
         changes,
     })
-}
-
-/// A task, for ever.
-fn toggle(ctx: &TaskContext, output: &Output, change: impl Fn()) {
-    let mut wake = ctx.now();
-    loop {
-        change();
-        if let Some(burn_ms) = output.burn_ms {
-            ctx.burn(Duration::from_millis(burn_ms.into()));
-            change();
-        }
-        ctx.delay_until(&mut wake, Ticks(output.period_ms));
-    }
 }
 
 impl Picture {

@@ -24,7 +24,7 @@
 #define configUSE_QUEUE_SETS                       1
 #define configUSE_TASK_NOTIFICATIONS               1
 #define configTASK_NOTIFICATION_ARRAY_ENTRIES      1
-#define configUSE_EVENT_GROUPS                     1
+#define configUSE_EVENT_GROUPS                     0
 #define configUSE_STREAM_BUFFERS                   0
 #define configUSE_CO_ROUTINES                      0
 #define configENABLE_BACKWARD_COMPATIBILITY        0
@@ -35,7 +35,7 @@
 #define configTIMER_QUEUE_LENGTH                   32
 #define configTIMER_TASK_STACK_DEPTH               configMINIMAL_STACK_SIZE
 
-/* All memory is given by the Rust side, from statics or from its allocator. */
+/* All memory is given by the Rust side. */
 #define configSUPPORT_STATIC_ALLOCATION            1
 #define configSUPPORT_DYNAMIC_ALLOCATION           0
 
@@ -66,10 +66,10 @@
 #define INCLUDE_xTaskGetIdleTaskHandle             1
 #define INCLUDE_xTaskGetSchedulerState             1
 #define INCLUDE_xSemaphoreGetMutexHolder           1
-#define INCLUDE_xTimerPendFunctionCall             1
+#define INCLUDE_xTimerPendFunctionCall             0
 #define INCLUDE_eTaskGetState                      1
 
-/* Trace: one test of a pointer without a sink. The numbers are those of `trace::Kind`. */
+/* Trace: one test of a pointer without a sink. The numbers are those in `sys/trace.rs`. */
 #define tandemTRACE( kind, task )                                          \
     do {                                                                   \
         if( tandem_trace_sink != 0 ) {                                     \

@@ -3,19 +3,16 @@
 #include "task.h"
 #include "queue.h"
 #include "timers.h"
-#include "event_groups.h"
 
 #define WORDS( bytes )    ( ( ( bytes ) + sizeof( void * ) - 1 ) / sizeof( void * ) )
 _Static_assert( WORDS( sizeof( StaticTask_t ) ) <= TANDEM_TASK_WORDS, "TASK_WORDS in build.rs" );
 _Static_assert( WORDS( sizeof( StaticQueue_t ) ) <= TANDEM_QUEUE_WORDS, "QUEUE_WORDS in build.rs" );
 _Static_assert( WORDS( sizeof( StaticTimer_t ) ) <= TANDEM_TIMER_WORDS, "TIMER_WORDS in build.rs" );
-_Static_assert( WORDS( sizeof( StaticEventGroup_t ) ) <= TANDEM_EVENTS_WORDS, "EVENTS_WORDS in build.rs" );
 /* The Rust side declares these types by their width. */
 _Static_assert( sizeof( BaseType_t ) == sizeof( void * ), "BaseType_t is isize" );
 _Static_assert( sizeof( UBaseType_t ) == sizeof( void * ), "UBaseType_t is usize" );
 _Static_assert( sizeof( TickType_t ) == 4, "TickType_t is u32" );
 _Static_assert( sizeof( StackType_t ) == sizeof( void * ), "StackType_t is usize" );
-_Static_assert( sizeof( EventBits_t ) == 4, "EventBits_t is u32" );
 _Static_assert( sizeof( configSTACK_DEPTH_TYPE ) == sizeof( void * ), "stack depth is usize" );
 
 #if defined( __riscv )

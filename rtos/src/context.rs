@@ -125,11 +125,31 @@ impl TaskContext {
         sys::task::now(false)
     }
 
-    /// When tick 0 was, in nanoseconds of the clock that times [`Event`](crate::Event)s. The same
+    /// When tick 0 was, in nanoseconds of the clock that times [`KernelEvent`](crate::KernelEvent)s. The same
     /// value in every task and at every call, until the count of ticks wraps around (49 days).
     #[must_use]
     pub fn tick_origin_ns(&self) -> u64 {
         port::tick_origin_ns()
+    }
+
+    /// Waits until this task's notification is not zero, and takes all of it.
+    ///
+    /// Returns the count, or zero if the time was over first.
+    ///
+    /// # Panics
+    /// In a critical section or with pre-emption deferred.
+    pub fn take_notifications(&self, timeout: impl Into<Ticks>) -> u32 {
+        sys::task::take_notification(true, timeout.into())
+    }
+
+    /// Waits until this task's notification is not zero, and counts it down by one.
+    ///
+    /// Returns whether there was one before the time was over.
+    ///
+    /// # Panics
+    /// In a critical section or with pre-emption deferred.
+    pub fn take_notification(&self, timeout: impl Into<Ticks>) -> bool {
+        sys::task::take_notification(false, timeout.into()) != 0
     }
 
     /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).

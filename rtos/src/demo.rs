@@ -5,7 +5,10 @@
 //! edge T-RTOS-3 0 60000300        test, number of the output, ns since the test began
 //! ```
 
+use crate::context::TaskContext;
+use crate::time::Ticks;
 use core::fmt;
+use core::time::Duration;
 
 /// How long each test runs, ms: whole periods of every output.
 pub const SPAN_MS: u32 = 360;
@@ -21,7 +24,7 @@ pub struct Output {
     pub priority: u8,
     /// Of the task, ms.
     pub period_ms: u32,
-    /// In each period keeps its output up for so long, in ms, by working; else it toggles once.
+    /// How long it works in each period, with its output up, ms; without, it toggles once.
     pub burn_ms: Option<u32>,
 }
 
@@ -30,6 +33,18 @@ impl Output {
     #[must_use]
     pub const fn rounds(&self) -> u32 {
         SPAN_MS / self.period_ms
+    }
+}
+
+/// A task of a test, from the tick `wake` to the test's end: calls `change` when its output changes.
+pub fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl Fn()) {
+    for _ in 0..output.rounds() {
+        change();
+        if let Some(burn_ms) = output.burn_ms {
+            ctx.burn(Duration::from_millis(burn_ms.into()));
+            change();
+        }
+        ctx.delay_until(&mut wake, Ticks(output.period_ms));
     }
 }
 
@@ -123,7 +138,7 @@ mod tests {
     use std::string::ToString as _;
 
     #[test]
-    fn an_edge_survives_the_way() {
+    fn an_edge_is_read_as_it_was_written() {
         let edge = Edge {
             test: 1,
             output: 2,

@@ -5,9 +5,10 @@ use crate::context::{self, InterruptContext};
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
 use crate::port;
 use crate::sys;
-use crate::sys::task::{TaskHandle, TaskMemory};
+use crate::sys::task::TaskHandle;
+use crate::sys::trace::TraceSink;
 use crate::task::{SpawnError, TaskOptions};
-use crate::trace::TraceSink;
+use alloc::boxed::Box;
 use core::fmt;
 use core::marker::PhantomData;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -89,30 +90,16 @@ impl Kernel {
         })
     }
 
-    /// Makes a task with memory from the heap. It runs when the scheduler has started.
+    /// Makes a task, with memory from the heap. It runs when the scheduler has started.
     ///
     /// # Errors
     /// [`SpawnError`]
-    #[cfg(feature = "alloc")]
     pub fn spawn(
         &self,
         options: &TaskOptions<'_>,
         body: impl FnOnce(&TaskContext) + Send + 'static,
     ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn(options, alloc::boxed::Box::new(body))
-    }
-
-    /// Makes a task in static memory; `stack_bytes` of the options does not count.
-    ///
-    /// # Errors
-    /// [`SpawnError`]
-    pub fn spawn_static<const WORDS: usize>(
-        &self,
-        memory: &'static TaskMemory<WORDS>,
-        options: &TaskOptions<'_>,
-        body: fn(&TaskContext),
-    ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn_static(memory, options, body)
+        sys::task::spawn(options, Box::new(body))
     }
 
     /// Gives an interrupt its handler, for as long as the scheduler runs. It is called with less
@@ -120,33 +107,19 @@ impl Kernel {
     ///
     /// # Errors
     /// [`AttachError`]
-    #[cfg(feature = "alloc")]
     pub fn attach(
         &self,
         interrupt: Interrupt,
         priority: InterruptPriority,
         handler: impl FnMut(&InterruptContext) + Send + 'static,
     ) -> Result<(), AttachError> {
-        let handler = alloc::boxed::Box::leak(alloc::boxed::Box::new(handler));
-        port::attach(interrupt, priority, handler)
-    }
-
-    /// As [`Kernel::attach`], with a handler in a static.
-    ///
-    /// # Errors
-    /// [`AttachError`]
-    pub fn attach_static(
-        &self,
-        interrupt: Interrupt,
-        priority: InterruptPriority,
-        handler: &'static mut (dyn FnMut(&InterruptContext) + Send),
-    ) -> Result<(), AttachError> {
+        let handler = Box::leak(Box::new(handler));
         port::attach(interrupt, priority, handler)
     }
 
     /// Has every event told to a sink, until the scheduler stops.
     pub fn trace(&self, sink: &'static dyn TraceSink) {
-        sys::sink::listen(Some(sink));
+        sys::trace::listen(Some(sink));
     }
 
     /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
@@ -172,36 +145,22 @@ impl Drop for Kernel {
 
 /// The kernel can be taken again.
 pub(crate) fn release() {
-    sys::sink::listen(None);
+    sys::trace::listen(None);
     // Release pairs with the Acquire in `take`.
     TAKEN.store(false, Ordering::Release);
 }
 
 impl context::TaskContext {
-    /// Makes a task with memory from the heap. It may run before this call returns. Other tasks
+    /// Makes a task, with memory from the heap. It may run before this call returns. Other tasks
     /// wait while its stack is filled with the pattern by which its use is measured.
     ///
     /// # Errors
     /// [`SpawnError`]
-    #[cfg(feature = "alloc")]
     pub fn spawn(
         &self,
         options: &TaskOptions<'_>,
         body: impl FnOnce(&TaskContext) + Send + 'static,
     ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn(options, alloc::boxed::Box::new(body))
-    }
-
-    /// Makes a task in static memory; `stack_bytes` of the options does not count.
-    ///
-    /// # Errors
-    /// [`SpawnError`]
-    pub fn spawn_static<const WORDS: usize>(
-        &self,
-        memory: &'static TaskMemory<WORDS>,
-        options: &TaskOptions<'_>,
-        body: fn(&TaskContext),
-    ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn_static(memory, options, body)
+        sys::task::spawn(options, Box::new(body))
     }
 }

@@ -15,44 +15,36 @@
 #![no_std]
 #![deny(unsafe_code)]
 
-#[cfg(feature = "alloc")]
 extern crate alloc;
 #[cfg(target_os = "linux")]
 extern crate std;
 
 mod context;
 pub mod demo;
-mod event;
 mod interrupt;
 mod kernel;
-mod notification;
 mod port;
-mod queue;
 mod semaphore;
-mod set;
 mod sys;
 mod task;
 mod time;
-mod timer;
-mod trace;
 
 pub use context::{Context, InterruptContext, TaskContext, TaskLevel, TimerContext};
-pub use event::{EventGroup, EventGroupMemory, Events, EventsFull};
 pub use interrupt::{AttachError, Interrupt, InterruptPriority};
 pub use kernel::{Clock, Kernel, KernelError, StartError};
 #[cfg(target_os = "linux")]
 pub use port::host;
 #[cfg(target_arch = "riscv32")]
 pub use port::riscv32;
-pub use queue::{Full, Queue, QueueMemory};
-pub use semaphore::{Semaphore, SemaphoreFull, SemaphoreMemory};
-pub use set::{AddError, Member, QueueSet, QueueSetMemory};
-pub use sys::mutex::{Mutex, MutexGuard, MutexMemory};
-pub use sys::task::{TaskError, TaskHandle, TaskMemory, TaskStatistics};
+pub use semaphore::{Semaphore, SemaphoreFull};
+pub use sys::mutex::{Mutex, MutexGuard};
+pub use sys::queue::{Full, Queue};
+pub use sys::set::{AddError, Member, QueueSet};
+pub use sys::task::{TaskError, TaskHandle, TaskStatistics};
+pub use sys::timer::{CommandsFull, Timer};
+pub use sys::trace::{KernelEvent, KernelEventKind, TraceSink};
 pub use task::{Priority, SpawnError, TaskOptions};
 pub use time::Ticks;
-pub use timer::{CommandsFull, Timer, TimerMemory};
-pub use trace::{Event, EventKind, TraceReader, TraceRing, TraceSink};
 
 use core::fmt;
 
@@ -67,15 +59,3 @@ impl fmt::Display for TimedOut {
 }
 
 impl core::error::Error for TimedOut {}
-
-/// The static memory has an object already.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct InUse;
-
-impl fmt::Display for InUse {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str("the static memory is in use")
-    }
-}
-
-impl core::error::Error for InUse {}

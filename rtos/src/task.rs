@@ -40,7 +40,7 @@ pub struct TaskOptions<'a> {
     pub name: &'a str,
     /// How urgent it is.
     pub priority: Priority,
-    /// Bytes of the stack, if it is taken from the heap; rounded up to whole pages on the host.
+    /// Bytes of the stack: at least the port's smallest, and whole pages on the host.
     pub stack_bytes: usize,
 }
 
@@ -75,21 +75,15 @@ impl<'a> TaskOptions<'a> {
 pub enum SpawnError {
     /// The name is empty, longer than 23 bytes, or contains a zero.
     BadName,
-    /// The stack would not even hold an interrupt.
-    StackTooSmall,
     /// There is no memory for the stack.
     NoMemory,
-    /// The static memory has a task already, or had one when the scheduler was stopped.
-    InUse,
 }
 
 impl fmt::Display for SpawnError {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(match self {
             Self::BadName => "a task's name has 1 to 23 bytes, none of them zero",
-            Self::StackTooSmall => "the stack is too small for an interrupt",
             Self::NoMemory => "no memory for the stack",
-            Self::InUse => "the static memory belongs to another task",
         })
     }
 }

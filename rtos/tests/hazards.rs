@@ -2,6 +2,10 @@
 //! stacks, panics. What ends a process runs in a child. T-RTOS-1
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a test may")]
 
+#[path = "fixture/setup.rs"]
+mod setup;
+
+use setup::{Fill as _, Ringer};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::hint::black_box;
 use std::os::unix::process::ExitStatusExt;
@@ -10,10 +14,7 @@ use std::process::{Command, Output, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{TaskAllocator, deferred, raise};
-use tandem_rtos::{
-    Clock, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, Priority, Queue,
-    TaskContext, TaskOptions, Ticks,
-};
+use tandem_rtos::{Clock, Interrupt, InterruptContext, Kernel, Mutex, Queue, TaskContext, Ticks};
 
 /// An allocator that two of a thread's tasks must not be in at once, and that notices if they are.
 struct Witness {
@@ -69,10 +70,6 @@ static ALLOCATOR: TaskAllocator<Witness> = TaskAllocator::new(Witness::new());
 /// The same without the guard.
 static UNGUARDED: Witness = Witness::new();
 
-fn options(name: &str, priority: u8) -> TaskOptions<'_> {
-    TaskOptions::new(name, Priority::new(priority))
-}
-
 /// The test of this name runs itself again as a child, which finds this variable.
 const CHILD: &str = "TANDEM_RTOS_CHILD";
 
@@ -117,13 +114,7 @@ fn assert_aborted(output: &Output, says: &str) {
 
 /// Tasks that allocate through `allocator` for a while, while another thread interrupts them.
 fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
-    static OVER: AtomicBool = AtomicBool::new(false);
-    let interrupter = std::thread::spawn(|| {
-        while !OVER.load(Ordering::Relaxed) {
-            tandem_rtos::host::raise(Interrupt::DOORBELL);
-            std::thread::sleep(Duration::from_micros(50));
-        }
-    });
+    let _ringer = Ringer::every(Duration::from_micros(50));
     run(Clock::Wall, |kernel| {
         let allocates = move || {
             let layout = Layout::from_size_align(64, 8).expect("valid");
@@ -138,9 +129,9 @@ fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
             let body = move |_: &TaskContext| loop {
                 allocates();
             };
-            kernel.spawn(&options(name, 1), body).expect("it fits");
+            kernel.task(name, 1, body);
         }
-        let urgent = kernel.spawn(&options("urgent", 2), move |ctx| {
+        let urgent = kernel.task("urgent", 2, move |ctx| {
             WATCHED.set(true);
             let until = Instant::now() + Duration::from_millis(1500);
             while Instant::now() < until {
@@ -150,14 +141,9 @@ fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
             WATCHED.set(false);
             ctx.stop();
         });
-        let urgent = urgent.expect("it fits");
         let handler = move |ctx: &_| urgent.notify(ctx).expect("it lives");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
-            .expect("free");
+        kernel.on(Interrupt::DOORBELL, handler);
     });
-    OVER.store(true, Ordering::Relaxed);
-    interrupter.join().expect("it ends");
 }
 
 /// No task comes into the allocator while another is in it. The same allocator without the guard
@@ -209,9 +195,7 @@ fn print_from_tasks(print: fn(&str)) {
                     ctx.stop();
                 }
             };
-            kernel
-                .spawn(&options(name, priority), body)
-                .expect("it fits");
+            kernel.task(name, priority, body);
         }
     });
 }
@@ -265,29 +249,10 @@ fn an_overflowed_stack_is_named() {
     if is_child("deep") {
         run(Clock::Wall, |kernel| {
             let deep = |_: &TaskContext| assert!(black_box(recurse(0)) > 0);
-            kernel.spawn(&options("deep", 2), deep).expect("it fits");
+            kernel.task("deep", 2, deep);
         });
     } else {
         assert_aborted(&child(NAME, "deep"), "task 'deep' has overflowed its stack");
-    }
-}
-
-/// A task in static memory has a guard below its stack, too.
-#[test]
-fn an_overflowed_static_stack_is_named() {
-    use tandem_rtos::TaskMemory;
-    const NAME: &str = "an_overflowed_static_stack_is_named";
-    static MEMORY: TaskMemory<8192> = TaskMemory::new();
-    if is_child("static") {
-        run(Clock::Wall, |kernel| {
-            let deep = |_: &TaskContext| assert!(black_box(recurse(0)) > 0);
-            kernel
-                .spawn_static(&MEMORY, &options("deep", 2), deep)
-                .expect("free");
-        });
-    } else {
-        let output = child(NAME, "static");
-        assert_aborted(&output, "task 'deep' has overflowed its stack");
     }
 }
 
@@ -325,14 +290,14 @@ fn what_an_abandoned_task_has_lent_stays() {
                     });
                 });
             };
-            kernel.spawn(&options("lends", 1), lends).expect("it fits");
+            kernel.task("lends", 1, lends);
             let stops = |ctx: &TaskContext| {
                 while READS.load(Ordering::Relaxed) == 0 {
                     ctx.delay(Ticks(1));
                 }
                 ctx.stop();
             };
-            kernel.spawn(&options("stops", 2), stops).expect("it fits");
+            kernel.task("stops", 2, stops);
         });
     };
     // Its thread-locals are dropped when it ends, before `join` returns.
@@ -344,64 +309,6 @@ fn what_an_abandoned_task_has_lent_stays() {
     while READS.load(Ordering::Relaxed) == before {
         std::thread::yield_now();
     }
-}
-
-/// A handle to an ended task does not reach the next one in the same static memory, not even in a
-/// handler that interrupts the making of it.
-#[test]
-fn an_old_handle_does_not_reach_a_new_task() {
-    use tandem_rtos::{TaskError, TaskMemory};
-    const NAME: &str = "an_old_handle_does_not_reach_a_new_task";
-    static MEMORY: TaskMemory<8192> = TaskMemory::new();
-    static OVER: AtomicBool = AtomicBool::new(false);
-    static REACHED: AtomicU32 = AtomicU32::new(0);
-    if !is_child("reuses") {
-        let output = child(NAME, "reuses");
-        return assert!(output.status.success(), "{output:?}");
-    }
-    let interrupter = std::thread::spawn(|| {
-        while !OVER.load(Ordering::Relaxed) {
-            raise(Interrupt::DOORBELL);
-        }
-    });
-    run(Clock::Wall, |kernel| {
-        let first = kernel
-            .spawn_static(&MEMORY, &options("first", 3), |_| ())
-            .expect("free");
-        let old = first.clone();
-        let handler = move |ctx: &InterruptContext| {
-            if old.number(ctx).is_ok() {
-                REACHED.fetch_add(1, Ordering::Relaxed);
-            }
-        };
-        let makes = move |ctx: &TaskContext| {
-            while first.is_alive() {
-                ctx.delay(Ticks(1));
-            }
-            // What the handler counted so far was the first task itself.
-            ctx.delay(Ticks(2));
-            REACHED.store(0, Ordering::Relaxed);
-            for _ in 0..300 {
-                // The idle task frees the memory of the last one.
-                while ctx
-                    .spawn_static(&MEMORY, &options("next", 3), |ctx| ctx.yield_now())
-                    .is_err()
-                {
-                    ctx.delay(Ticks(1));
-                }
-                assert!(!first.is_alive());
-                assert_eq!(first.notify(ctx), Err(TaskError::Ended));
-            }
-            ctx.stop();
-        };
-        kernel.spawn(&options("makes", 2), makes).expect("it fits");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, handler)
-            .expect("free");
-    });
-    OVER.store(true, Ordering::Relaxed);
-    interrupter.join().expect("it ends");
-    assert_eq!(REACHED.load(Ordering::Relaxed), 0, "an old handle reached");
 }
 
 /// The lowest address of the stack of the running task: its mapping begins above the guard.
@@ -433,7 +340,7 @@ fn an_overwritten_stack_end_is_named() {
                 ctx.delay(Ticks(1));
                 ctx.stop();
             };
-            kernel.spawn(&options("full", 2), full).expect("it fits");
+            kernel.task("full", 2, full);
         });
     } else {
         assert_aborted(&child(NAME, "full"), "task 'full' has overflowed its stack");
@@ -448,7 +355,7 @@ fn another_fault_is_what_it_was() {
         run(Clock::Wall, |kernel| {
             // SAFETY: none: that is what is tested.
             let wild = |_: &TaskContext| unsafe { black_box(64 as *mut u8).write_volatile(1) };
-            kernel.spawn(&options("wild", 2), wild).expect("it fits");
+            kernel.task("wild", 2, wild);
         });
     } else {
         let output = child(NAME, "wild");
@@ -465,9 +372,7 @@ fn a_panic_is_named() {
     if is_child("panics") {
         run(Clock::Wall, |kernel| {
             let panics = |_: &TaskContext| panic!("out of cheese");
-            kernel
-                .spawn(&options("fondue", 2), panics)
-                .expect("it fits");
+            kernel.task("fondue", 2, panics);
         });
     } else {
         let output = child(NAME, "panics");
@@ -507,20 +412,16 @@ fn misuse_is_refused() {
             let mut old = None;
             run(Clock::Wall, |kernel| {
                 old = Some(Queue::<u32>::new(kernel, 1));
-                kernel
-                    .spawn(&options("misuses", 2), misuse)
-                    .expect("it fits");
+                kernel.task("misuses", 2, misuse);
                 let unwind = |_: &InterruptContext| resume_unwind(Box::new(()));
-                kernel
-                    .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, unwind)
-                    .expect("it is free");
+                kernel.on(Interrupt::DOORBELL, unwind);
             });
             // Only the last one stops.
             run(Clock::Wall, |kernel| {
                 let sends = move |ctx: &TaskContext| {
                     let _ = old.take().map(|queue| queue.try_send(ctx, 1));
                 };
-                kernel.spawn(&options("late", 2), sends).expect("it fits");
+                kernel.task("late", 2, sends);
             });
         } else if std::env::var(CHILD).is_err() {
             assert_aborted(&child(NAME, kind), says);
@@ -538,15 +439,13 @@ fn the_kernel_is_taken_once_and_comes_back() {
     }
     let first = Kernel::take().expect("nobody has it");
     assert!(Kernel::take().is_err());
-    first.spawn(&options("never", 1), |_| ()).expect("it fits");
+    first.task("never", 1, |_| ());
     drop(first);
     for _ in 0..3 {
         // Another thread each time: a life of the kernel has one.
         let life = std::thread::spawn(|| {
             run(Clock::Wall, |kernel| {
-                kernel
-                    .spawn(&options("stops", 1), |ctx| ctx.stop())
-                    .expect("it fits");
+                kernel.task("stops", 1, |ctx| ctx.stop());
             });
         });
         life.join().expect("it stops");

@@ -1,19 +1,17 @@
-//! What a switch or an interrupt at the wrong moment must not do: tasks that are made, mutexes that
-//! are abandoned, `errno`, the C library's own allocations. T-RTOS-1
+//! What a switch or an interrupt at the wrong moment must not do: tasks that are made,
+//! `errno`, the C library's own allocations. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
 
-use fixture::{run, run_for, task};
+use fixture::setup::{Fill as _, Ringer, options};
+use fixture::{run, run_for};
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{deferred, raise};
-use tandem_rtos::{
-    Clock, InUse, Interrupt, InterruptContext, InterruptPriority, Kernel, Mutex, MutexMemory,
-    TaskContext, Ticks,
-};
+use tandem_rtos::{Clock, Interrupt, InterruptContext, TaskContext, TaskError, Ticks};
 
 /// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled,
 /// which takes long enough for several ticks.
@@ -33,48 +31,23 @@ fn a_task_is_seen_when_it_is_made() {
                 ctx.delay(Ticks(1));
             }
         };
-        kernel.spawn(&task("look", 5), look).expect("it fits");
+        kernel.task("look", 5, look);
         let make = |ctx: &TaskContext| {
             for _ in 0..5 {
-                let options = task("new", 3).stack_bytes(16 << 20);
+                let options = options("new", 3).stack_bytes(16 << 20);
                 let new = ctx.spawn(&options, |ctx| ctx.delay(Ticks(2)));
                 let new = new.expect("there is memory");
                 while new.is_alive() {
                     ctx.delay(Ticks(1));
                 }
+                assert_eq!(new.notify(ctx), Err(TaskError::Ended));
             }
             ctx.stop();
         };
-        kernel.spawn(&task("make", 2), make).expect("it fits");
+        kernel.task("make", 2, make);
     });
     assert!(seen.load(Ordering::Relaxed) > 0, "nobody looked in time");
     assert_eq!(nameless.load(Ordering::Relaxed), 0, "a half-made task");
-}
-
-/// T-RTOS-1: a mutex in a static that was locked when the scheduler stopped stays locked: something
-/// may still borrow its value. One that was not can be had in the next life.
-#[test]
-fn an_abandoned_mutex_stays_locked() {
-    static HELD: MutexMemory<u32> = MutexMemory::new(0);
-    static FREE: MutexMemory<u32> = MutexMemory::new(0);
-    run(Clock::Virtual, |kernel| {
-        let held = Mutex::new_static(kernel, &HELD).expect("it is unused");
-        let free = Mutex::new_static(kernel, &FREE).expect("it is unused");
-        let hold = move |ctx: &TaskContext| {
-            *free.lock(ctx, Ticks::NONE).expect("nobody has it") += 1;
-            let _value = held.lock(ctx, Ticks::NONE).expect("nobody has it");
-            ctx.stop();
-        };
-        kernel.spawn(&task("hold", 2), hold).expect("it fits");
-    });
-    run(Clock::Virtual, |kernel: &Kernel| {
-        assert_eq!(Mutex::new_static(kernel, &HELD).err(), Some(InUse));
-        let free = Mutex::new_static(kernel, &FREE).expect("it was unlocked");
-        let lock = move |ctx: &TaskContext| {
-            assert_eq!(*free.lock(ctx, Ticks::NONE).expect("nobody has it"), 1);
-        };
-        kernel.spawn(&task("lock", 2), lock).expect("it fits");
-    });
 }
 
 /// The tasks run with the real-time priority of who starts the kernel, also if it was claimed such
@@ -102,7 +75,7 @@ fn tasks_have_the_priority_of_who_starts() {
                 let found = policy as u32 | (param.sched_priority as u32) << 16;
                 FOUND.store(found, Ordering::Relaxed);
             };
-            kernel.spawn(&task("look", 2), look).expect("it fits");
+            kernel.task("look", 2, look);
         });
         assert_eq!(FOUND.load(Ordering::Relaxed), policy as u32 | 3 << 16);
     });
@@ -122,12 +95,10 @@ fn a_task_keeps_its_errno() {
                 unsafe { libc::close(-1) };
             }
         };
-        let spoiler = kernel.spawn(&task("spoil", 3), spoil).expect("it fits");
+        let spoiler = kernel.task("spoil", 3, spoil);
         let other = spoiler.clone();
         let wake = move |ctx: &InterruptContext| spoiler.notify(ctx).expect("it lives");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
-            .expect("it is free");
+        kernel.on(Interrupt::DOORBELL, wake);
         let check = move |ctx: &TaskContext| {
             // SAFETY: a path with its zero; there is none of that name.
             unsafe { libc::open(c"/nonexistent/x".as_ptr(), 0) };
@@ -142,7 +113,7 @@ fn a_task_keeps_its_errno() {
                 Ordering::Relaxed,
             );
         };
-        kernel.spawn(&task("check", 2), check).expect("it fits");
+        kernel.task("check", 2, check);
     });
     assert_eq!(WRONG.load(Ordering::Relaxed), 0);
 }
@@ -152,23 +123,14 @@ fn a_task_keeps_its_errno() {
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {
-    static OVER: AtomicBool = AtomicBool::new(false);
-    let interrupter = std::thread::spawn(|| {
-        while !OVER.load(Ordering::Relaxed) {
-            raise(Interrupt::DOORBELL);
-            let now = Instant::now();
-            while now.elapsed() < Duration::from_micros(5) {
-                std::hint::spin_loop();
-            }
-        }
-    });
+    let _ringer = Ringer::every(Duration::from_micros(5));
     run_for(Duration::from_secs(30), Clock::Wall, |kernel| {
         let read = |_: &TaskContext| {
             loop {
                 std::hint::black_box(std::fs::read_dir("/proc/self/task").is_ok());
             }
         };
-        kernel.spawn(&task("read", 2), read).expect("it fits");
+        kernel.task("read", 2, read);
         let allocate = |ctx: &TaskContext| {
             let begin = Instant::now();
             let mut kept = Vec::new();
@@ -183,15 +145,10 @@ fn tasks_share_the_c_librarys_allocator() {
             }
             ctx.stop();
         };
-        let allocator = kernel.spawn(&task("allocate", 3), allocate);
-        let allocator = allocator.expect("it fits");
+        let allocator = kernel.task("allocate", 3, allocate);
         let wake = move |ctx: &InterruptContext| allocator.notify(ctx).expect("it lives");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
-            .expect("it is free");
+        kernel.on(Interrupt::DOORBELL, wake);
     });
-    OVER.store(true, Ordering::Relaxed);
-    interrupter.join().expect("it ends");
 }
 
 /// T-RTOS-1: what unwinds through a critical section ends it.
@@ -205,7 +162,7 @@ fn an_unwound_critical_section_has_ended() {
             ctx.delay(Ticks(1));
             CAUGHT.store(caught, Ordering::Relaxed);
         };
-        kernel.spawn(&task("unwind", 2), unwind).expect("it fits");
+        kernel.task("unwind", 2, unwind);
     });
     assert!(CAUGHT.load(Ordering::Relaxed));
 }
@@ -214,28 +171,21 @@ fn an_unwound_critical_section_has_ended() {
 /// up on the stack of the task that they interrupt.
 #[test]
 fn frames_of_interrupts_do_not_pile_up() {
-    static OVER: AtomicBool = AtomicBool::new(false);
     static USED: AtomicU32 = AtomicU32::new(0);
-    let raisers = [(); 2].map(|()| {
-        std::thread::spawn(|| {
-            while !OVER.load(Ordering::Relaxed) {
-                raise(Interrupt::DOORBELL);
-            }
-        })
-    });
+    let ringers = [Duration::ZERO; 2].map(Ringer::every);
     run(Clock::Wall, |kernel| {
         let wait = |ctx: &TaskContext| {
             loop {
                 ctx.take_notifications(Ticks::FOREVER);
             }
         };
-        let woken = kernel.spawn(&task("wait", 3), wait).expect("it fits");
+        let woken = kernel.task("wait", 3, wait);
         let busy = |_: &TaskContext| {
             loop {
                 std::hint::spin_loop();
             }
         };
-        kernel.spawn(&task("busy", 2), busy).expect("it fits");
+        kernel.task("busy", 2, busy);
         let watch = |ctx: &TaskContext| {
             ctx.delay(Ticks(2000));
             ctx.each_task(|it| {
@@ -246,16 +196,11 @@ fn frames_of_interrupts_do_not_pile_up() {
             });
             ctx.stop();
         };
-        kernel.spawn(&task("watch", 4), watch).expect("it fits");
+        kernel.task("watch", 4, watch);
         let wake = move |ctx: &InterruptContext| woken.notify(ctx).expect("it lives");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, wake)
-            .expect("it is free");
+        kernel.on(Interrupt::DOORBELL, wake);
     });
-    OVER.store(true, Ordering::Relaxed);
-    for raiser in raisers {
-        raiser.join().expect("it ends");
-    }
+    drop(ringers);
     // SAFETY: asks for a number.
     let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) };
     let frame = u32::try_from(frame).expect("it is small").max(2048);

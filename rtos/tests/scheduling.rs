@@ -3,13 +3,15 @@
 
 mod fixture;
 
-use fixture::{Log, run, run_for, task};
+use fixture::setup::{Fill as _, Ringer};
+use fixture::{Log, run, run_for};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::mpsc::channel;
 use std::time::Duration;
+use tandem_rtos::demo::{TESTS, Test, toggle};
 use tandem_rtos::host::{elapsed_ns, raise, statistics};
-use tandem_rtos::{Clock, Interrupt, InterruptPriority, Kernel, TaskContext, Ticks};
+use tandem_rtos::{Clock, Interrupt, InterruptPriority, TaskContext, Ticks};
 
 /// T-RTOS-2: a yield in a task is an immediate switch; equals take turns.
 #[test]
@@ -18,18 +20,14 @@ fn equals_that_yield_take_turns() {
     run(Clock::Wall, |kernel| {
         for name in ["a", "b"] {
             let log = log.clone();
-            kernel
-                .spawn(&task(name, 2), move |ctx| {
-                    for _ in 0..3 {
-                        log.note(name);
-                        ctx.yield_now();
-                    }
-                })
-                .expect("it fits");
+            kernel.task(name, 2, move |ctx| {
+                for _ in 0..3 {
+                    log.note(name);
+                    ctx.yield_now();
+                }
+            });
         }
-        kernel
-            .spawn(&task("last", 1), |ctx| ctx.stop())
-            .expect("it fits");
+        kernel.task("last", 1, |ctx| ctx.stop());
     });
     assert_eq!(log.take().concat(), "ababab");
 }
@@ -41,24 +39,20 @@ fn a_task_that_never_yields_is_pre_empted() {
     let log = Log::new();
     let wakes = log.clone();
     run(Clock::Wall, |kernel| {
-        kernel
-            .spawn(&task("greedy", 1), |_| {
-                let mut sum = 0.5f64;
-                loop {
-                    sum = std::hint::black_box(sum * 1.000_001 + 1.0);
-                }
-            })
-            .expect("it fits");
-        kernel
-            .spawn(&task("urgent", 2), move |ctx| {
-                let mut wake = ctx.now();
-                for _ in 0..20 {
-                    ctx.delay_until(&mut wake, Duration::from_millis(2));
-                    wakes.note(wake);
-                }
-                ctx.stop();
-            })
-            .expect("it fits");
+        kernel.task("greedy", 1, |_| {
+            let mut sum = 0.5f64;
+            loop {
+                sum = std::hint::black_box(sum * 1.000_001 + 1.0);
+            }
+        });
+        kernel.task("urgent", 2, move |ctx| {
+            let mut wake = ctx.now();
+            for _ in 0..20 {
+                ctx.delay_until(&mut wake, Duration::from_millis(2));
+                wakes.note(wake);
+            }
+            ctx.stop();
+        });
     });
     let wakes = log.take();
     assert_eq!(wakes.len(), 20);
@@ -75,25 +69,21 @@ fn equals_that_never_yield_share_time() {
     let counts: &'static [AtomicU32; 2] = Box::leak(Box::default());
     run(Clock::Wall, |kernel| {
         for (name, count) in ["a", "b"].into_iter().zip(counts) {
-            kernel
-                .spawn(&task(name, 1), move |ctx| {
-                    let mut last = ctx.now();
-                    loop {
-                        let now = ctx.now();
-                        if now != last {
-                            count.fetch_add(1, Ordering::Relaxed);
-                            last = now;
-                        }
+            kernel.task(name, 1, move |ctx| {
+                let mut last = ctx.now();
+                loop {
+                    let now = ctx.now();
+                    if now != last {
+                        count.fetch_add(1, Ordering::Relaxed);
+                        last = now;
                     }
-                })
-                .expect("it fits");
+                }
+            });
         }
-        kernel
-            .spawn(&task("end", 2), |ctx| {
-                ctx.delay(Duration::from_millis(100));
-                ctx.stop();
-            })
-            .expect("it fits");
+        kernel.task("end", 2, |ctx| {
+            ctx.delay(Duration::from_millis(100));
+            ctx.stop();
+        });
     });
     let slices = counts.each_ref().map(|count| count.load(Ordering::Relaxed));
     assert!(slices.iter().all(|slices| *slices >= 2), "{slices:?}");
@@ -111,167 +101,77 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
     });
     let counts = log.clone();
     run(Clock::Wall, |kernel| {
-        let sleeper = kernel
-            .spawn(&task("sleeper", 3), move |ctx| {
-                for _ in 0..1000 {
-                    tell.send(()).expect("the ringer listens");
-                    counts.note(ctx.take_notifications(Ticks::FOREVER));
-                }
-                drop(tell);
-                ctx.stop();
-            })
-            .expect("it fits");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, move |ctx| {
-                sleeper.notify(ctx).expect("it lives");
-            })
-            .expect("it is free");
+        let sleeper = kernel.task("sleeper", 3, move |ctx| {
+            for _ in 0..1000 {
+                tell.send(()).expect("the ringer listens");
+                counts.note(ctx.take_notifications(Ticks::FOREVER));
+            }
+            drop(tell);
+            ctx.stop();
+        });
+        kernel.on(Interrupt::DOORBELL, move |ctx| {
+            sleeper.notify(ctx).expect("it lives");
+        });
     });
     ringer.join().expect("it ended");
     assert_eq!(log.take(), vec![1; 1000]);
 }
 
-/// A digital output: its changes, with their times in ticks.
-type Output = Log<(&'static str, bool, u32)>;
-
-/// T-RTOS-3: three tasks toggle an output every 60, 40 and 20 ms.
-fn toggle_at_three_periods(clock: Clock) -> Vec<(&'static str, bool, u32)> {
-    let output = Output::new();
+/// Runs a test of the demonstration: which output changed, and at which tick.
+fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32)> {
+    let log = Log::new();
     run(clock, |kernel| {
-        for (name, priority, period) in [("60 ms", 1, 60), ("40 ms", 2, 40), ("20 ms", 3, 20)] {
-            let output = output.clone();
-            let toggles = move |ctx: &TaskContext| {
-                let mut wake = ctx.now();
-                for level in [true, false].into_iter().cycle() {
-                    output.note((name, level, ctx.now().0));
-                    ctx.delay_until(&mut wake, Ticks(period));
-                }
-            };
-            kernel
-                .spawn(&task(name, priority), toggles)
-                .expect("it fits");
+        for (number, output) in test.outputs.iter().enumerate() {
+            let log = log.clone();
+            kernel.task(output.name, output.priority, move |ctx| {
+                toggle(ctx, output, ctx.now(), || log.note((number, ctx.now().0)));
+            });
         }
-        stop_after(kernel, 485);
     });
-    output.take()
+    log.take()
 }
 
-fn stop_after(kernel: &Kernel, ticks: u32) {
-    let end = move |ctx: &TaskContext| {
-        ctx.delay(Ticks(ticks));
-        ctx.stop();
-    };
-    kernel.spawn(&task("end", 30), end).expect("it fits");
-}
-
-/// T-RTOS-3: the measured periods are 60, 40 and 20 ms; here to the tick, in virtual time.
+/// T-RTOS-3: the measured periods are 60, 40 and 20 ms: in virtual time to the tick. By the
+/// machine's clock a single change may be late, and no period is longer: changes stay on the grid.
 #[test]
 fn three_tasks_run_with_their_periods() {
-    let changes = toggle_at_three_periods(Clock::Virtual);
-    for (name, period) in [("60 ms", 60), ("40 ms", 40), ("20 ms", 20)] {
-        let own: Vec<_> = changes.iter().filter(|change| change.0 == name).collect();
-        assert_eq!(own.len(), 485 / period as usize + 1, "{name}");
-        assert!(
-            own.windows(2).all(|pair| pair[1].2 - pair[0].2 == period),
-            "{name}: {own:?}"
-        );
-        assert!(
-            own.windows(2).all(|pair| pair[1].1 != pair[0].1),
-            "{name}: {own:?}"
-        );
-    }
-}
-
-/// T-RTOS-3: the same by the machine's clock. A machine that was late makes a single change late,
-/// and no period longer: the changes stay on the grid.
-#[test]
-fn three_tasks_keep_their_periods_by_the_machines_clock() {
-    let changes = toggle_at_three_periods(Clock::Wall);
-    for (name, period) in [("60 ms", 60), ("40 ms", 40), ("20 ms", 20)] {
-        let own: Vec<_> = changes.iter().filter(|change| change.0 == name).collect();
-        let grid = own[0].2;
-        for (number, change) in (0..).zip(&own) {
-            assert!(
-                change.2 >= grid + number * period,
-                "{name} was early: {own:?}"
-            );
-        }
-        assert_eq!(
-            own.len(),
-            (485 - grid).div_ceil(period) as usize,
-            "{name}: {own:?}"
-        );
-    }
-}
-
-/// T-RTOS-4: priorities 3 > 2 > 1 with periods of 30, 20 and 10 ms; the highest burns 20 ms.
-fn burn_above_two_others(clock: Clock) -> Vec<(&'static str, bool, u32)> {
-    let output = Output::new();
-    run(clock, |kernel| {
-        for (name, priority, period) in [("low", 1, 10), ("middle", 2, 20)] {
-            let output = output.clone();
-            let toggles = move |ctx: &TaskContext| {
-                let mut wake = ctx.now();
-                for level in [true, false].into_iter().cycle() {
-                    output.note((name, level, ctx.now().0));
-                    ctx.delay_until(&mut wake, Ticks(period));
-                }
-            };
-            kernel
-                .spawn(&task(name, priority), toggles)
-                .expect("it fits");
-        }
-        let output = output.clone();
-        let burns = move |ctx: &TaskContext| {
-            let mut wake = ctx.now();
-            loop {
-                output.note(("high", true, ctx.now().0));
-                ctx.burn(Duration::from_millis(20));
-                output.note(("high", false, ctx.now().0));
-                ctx.delay_until(&mut wake, Ticks(30));
-            }
-        };
-        kernel.spawn(&task("high", 3), burns).expect("it fits");
-        stop_after(kernel, 295);
-    });
-    output.take()
-}
-
-/// While the most urgent task burns, neither lower one toggles; otherwise both do.
-fn assert_lower_ones_keep_still(changes: &[(&str, bool, u32)]) {
-    let mut burns = false;
-    for change in changes {
-        match change.0 {
-            "high" => burns = change.1,
-            name => assert!(
-                !burns,
-                "{name} toggled while a more urgent task burned: {changes:?}"
-            ),
+    for clock in [Clock::Virtual, Clock::Wall] {
+        let changes = changes(&TESTS[0], clock);
+        for (number, output) in TESTS[0].outputs.iter().enumerate() {
+            let own = changes.iter().filter(|change| change.0 == number);
+            let own: Vec<u32> = own.map(|change| change.1).collect();
+            let grid: Vec<u32> = (0..output.rounds())
+                .map(|round| own[0] + round * output.period_ms)
+                .collect();
+            let early = own.iter().zip(&grid).any(|(at, point)| at < point);
+            assert!(!early && own.len() == grid.len(), "{own:?}");
+            assert!(clock == Clock::Wall || own == grid, "{own:?}");
         }
     }
-    for name in ["low", "middle"] {
-        assert!(
-            changes.iter().filter(|change| change.0 == name).count() > 5,
-            "{changes:?}"
-        );
-    }
 }
 
-/// T-RTOS-4, in virtual time: the high output is a signal of 30 ms with 20 ms up.
+/// T-RTOS-4: priorities 3 > 2 > 1 with periods of 30, 20 and 10 ms; the highest works for 20 ms.
+/// While it works, neither lower one toggles; otherwise both do. In virtual time its output is a
+/// signal of 30 ms with 20 ms up.
 #[test]
 fn a_burning_task_keeps_lower_ones_from_running() {
-    let changes = burn_above_two_others(Clock::Virtual);
-    assert_lower_ones_keep_still(&changes);
-    let high: Vec<_> = changes.iter().filter(|change| change.0 == "high").collect();
-    for (number, change) in (0u32..).zip(&high) {
-        assert_eq!(change.2, number / 2 * 30 + number % 2 * 20, "{high:?}");
+    for clock in [Clock::Virtual, Clock::Wall] {
+        let changes = changes(&TESTS[1], clock);
+        let mut high = vec![];
+        for (output, at) in &changes {
+            if *output == 0 {
+                high.push(*at);
+            }
+            let burns = high.len() % 2 == 1;
+            assert!(*output == 0 || !burns, "{output} at {at}: {changes:?}");
+        }
+        let expected: Vec<u32> = (0..24).map(|n| high[0] + n / 2 * 30 + n % 2 * 20).collect();
+        assert!(clock == Clock::Wall || high == expected, "{high:?}");
+        for (number, output) in TESTS[1].outputs.iter().enumerate().skip(1) {
+            let own = changes.iter().filter(|change| change.0 == number).count();
+            assert_eq!(own, output.rounds() as usize, "{changes:?}");
+        }
     }
-}
-
-/// T-RTOS-4, by the machine's clock.
-#[test]
-fn a_burning_task_keeps_lower_ones_from_running_by_the_machines_clock() {
-    assert_lower_ones_keep_still(&burn_above_two_others(Clock::Wall));
 }
 
 /// T-RTOS-2: a more urgent interrupt interrupts a handler, a less urgent one waits for its end, and
@@ -284,15 +184,13 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
     let log = Log::new();
     run(Clock::Wall, |kernel| {
         let noted = log.clone();
-        let woken = kernel
-            .spawn(&task("woken", 3), move |ctx| {
-                for _ in 0..3 {
-                    ctx.take_notification(Ticks::FOREVER);
-                    noted.note("task");
-                }
-                ctx.stop();
-            })
-            .expect("it fits");
+        let woken = kernel.task("woken", 3, move |ctx| {
+            for _ in 0..3 {
+                ctx.take_notification(Ticks::FOREVER);
+                noted.note("task");
+            }
+            ctx.stop();
+        });
         let handlers = [(LESS, 5, "less"), (FIRST, 10, "first"), (MORE, 20, "more")];
         for (source, priority, name) in handlers {
             let (noted, woken) = (log.clone(), woken.clone());
@@ -309,12 +207,10 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
                 .expect("it is free");
         }
         let noted = log.clone();
-        kernel
-            .spawn(&task("interrupted", 2), move |_| {
-                raise(FIRST);
-                noted.note("interrupted");
-            })
-            .expect("it fits");
+        kernel.task("interrupted", 2, move |_| {
+            raise(FIRST);
+            noted.note("interrupted");
+        });
     });
     let expected = [
         "first",
@@ -334,33 +230,27 @@ fn a_critical_section_holds_interrupts_back() {
     let log = Log::new();
     run(Clock::Wall, |kernel| {
         let noted = log.clone();
-        let woken = kernel
-            .spawn(&task("woken", 3), move |ctx| {
-                ctx.take_notification(Ticks::FOREVER);
-                noted.note("task");
-                ctx.stop();
-            })
-            .expect("it fits");
+        let woken = kernel.task("woken", 3, move |ctx| {
+            ctx.take_notification(Ticks::FOREVER);
+            noted.note("task");
+            ctx.stop();
+        });
         let noted = log.clone();
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, move |ctx| {
-                noted.note("interrupt");
-                woken.notify(ctx).expect("it lives");
-            })
-            .expect("it is free");
+        kernel.on(Interrupt::DOORBELL, move |ctx| {
+            noted.note("interrupt");
+            woken.notify(ctx).expect("it lives");
+        });
         let noted = log.clone();
-        kernel
-            .spawn(&task("masking", 2), move |ctx| {
-                ctx.critical(|| {
-                    raise(Interrupt::DOORBELL);
-                    // From another thread it comes as a signal.
-                    std::thread::scope(|scope| {
-                        scope.spawn(|| raise(Interrupt::DOORBELL));
-                    });
-                    noted.note("still masked");
+        kernel.task("masking", 2, move |ctx| {
+            ctx.critical(|| {
+                raise(Interrupt::DOORBELL);
+                // From another thread it comes as a signal.
+                std::thread::scope(|scope| {
+                    scope.spawn(|| raise(Interrupt::DOORBELL));
                 });
-            })
-            .expect("it fits");
+                noted.note("still masked");
+            });
+        });
     });
     assert_eq!(log.take(), ["still masked", "interrupt", "task"]);
 }
@@ -383,21 +273,19 @@ fn late_ticks_are_made_up() {
     let seen: Arc<[AtomicU32; 3]> = Arc::default();
     let noted = Arc::clone(&seen);
     run(Clock::Wall, |kernel| {
-        kernel
-            .spawn(&task("masking", 2), move |ctx| {
-                let before = ctx.now();
-                ctx.critical(|| {
-                    let until = elapsed_ns() + 20_000_000;
-                    while elapsed_ns() < until {
-                        std::hint::spin_loop();
-                    }
-                });
-                noted[0].store(ctx.now().since(before).0, Ordering::Relaxed);
-                noted[1].store(off_by(ctx), Ordering::Relaxed);
-                noted[2].store(statistics().caught_up as u32, Ordering::Relaxed);
-                ctx.stop();
-            })
-            .expect("it fits");
+        kernel.task("masking", 2, move |ctx| {
+            let before = ctx.now();
+            ctx.critical(|| {
+                let until = elapsed_ns() + 20_000_000;
+                while elapsed_ns() < until {
+                    std::hint::spin_loop();
+                }
+            });
+            noted[0].store(ctx.now().since(before).0, Ordering::Relaxed);
+            noted[1].store(off_by(ctx), Ordering::Relaxed);
+            noted[2].store(statistics().caught_up as u32, Ordering::Relaxed);
+            ctx.stop();
+        });
     });
     let [masked, off, caught_up] = seen.each_ref().map(|word| word.load(Ordering::Relaxed));
     assert!(masked >= 20, "{masked} ticks in 20 ms");
@@ -416,16 +304,14 @@ fn the_tick_does_not_drift() {
         Duration::from_secs(u64::from(seconds) + 60),
         Clock::Wall,
         |kernel| {
-            kernel
-                .spawn(&task("compares", 2), move |ctx| {
-                    let mut wake = Ticks(0);
-                    ctx.delay_until(&mut wake, Ticks(seconds * 1000));
-                    off.store(off_by(ctx), Ordering::Relaxed);
-                    let (tick, ns) = (ctx.now().0, elapsed_ns());
-                    tandem_rtos::println!("after {seconds} s: tick {tick} at {ns} ns");
-                    ctx.stop();
-                })
-                .expect("it fits");
+            kernel.task("compares", 2, move |ctx| {
+                let mut wake = Ticks(0);
+                ctx.delay_until(&mut wake, Ticks(seconds * 1000));
+                off.store(off_by(ctx), Ordering::Relaxed);
+                let (tick, ns) = (ctx.now().0, elapsed_ns());
+                tandem_rtos::println!("after {seconds} s: tick {tick} at {ns} ns");
+                ctx.stop();
+            });
         },
     );
     assert!(
@@ -447,7 +333,7 @@ fn the_scheduler_ends_with_the_last_task() {
                     ctx.delay(Ticks(ticks));
                     drop(owned);
                 };
-                kernel.spawn(&task(name, 2), body).expect("it fits");
+                kernel.task(name, 2, body);
             }
         });
         assert_eq!(Arc::strong_count(&owned), 1);
@@ -476,44 +362,33 @@ fn registers_survive_pre_emption() {
     let wrong: &'static AtomicU32 = Box::leak(Box::default());
     let rounds: &'static AtomicU32 = Box::leak(Box::default());
     let over: &'static AtomicU32 = Box::leak(Box::default());
-    let interrupter = std::thread::spawn(|| {
-        while over.load(Ordering::Relaxed) == 0 {
-            raise(Interrupt::DOORBELL);
-            std::thread::sleep(Duration::from_micros(20));
-        }
-    });
+    let ringer = Ringer::every(Duration::from_micros(20));
     run(Clock::Wall, |kernel| {
         for seed in [3, 5] {
-            kernel
-                .spawn(&task("computes", 1), move |_| {
-                    let expected = compute(seed);
-                    while over.load(Ordering::Relaxed) == 0 {
-                        let differs = compute(std::hint::black_box(seed)) != expected;
-                        wrong.fetch_add(u32::from(differs), Ordering::Relaxed);
-                        rounds.fetch_add(1, Ordering::Relaxed);
-                    }
-                })
-                .expect("it fits");
-        }
-        let urgent = kernel
-            .spawn(&task("urgent", 2), |ctx| {
-                let expected = compute(7);
-                while ctx.now() < Ticks(500) {
-                    ctx.take_notification(Ticks(10));
-                    let differs = compute(std::hint::black_box(7)) != expected;
+            kernel.task("computes", 1, move |_| {
+                let expected = compute(seed);
+                while over.load(Ordering::Relaxed) == 0 {
+                    let differs = compute(std::hint::black_box(seed)) != expected;
                     wrong.fetch_add(u32::from(differs), Ordering::Relaxed);
+                    rounds.fetch_add(1, Ordering::Relaxed);
                 }
-                over.store(1, Ordering::Relaxed);
-            })
-            .expect("it fits");
-        kernel
-            .attach(Interrupt::DOORBELL, InterruptPriority::LOWEST, move |ctx| {
-                // It has ended when the last ones come.
-                let _ = urgent.notify(ctx);
-            })
-            .expect("it is free");
+            });
+        }
+        let urgent = kernel.task("urgent", 2, |ctx| {
+            let expected = compute(7);
+            while ctx.now() < Ticks(500) {
+                ctx.take_notification(Ticks(10));
+                let differs = compute(std::hint::black_box(7)) != expected;
+                wrong.fetch_add(u32::from(differs), Ordering::Relaxed);
+            }
+            over.store(1, Ordering::Relaxed);
+        });
+        kernel.on(Interrupt::DOORBELL, move |ctx| {
+            // It has ended when the last ones come.
+            let _ = urgent.notify(ctx);
+        });
     });
-    interrupter.join().expect("it ends");
+    drop(ringer);
     assert_eq!(
         wrong.load(Ordering::Relaxed),
         0,
@@ -541,7 +416,7 @@ fn ticks_have_one_origin() {
                 let now = tandem_rtos::host::now_ns();
                 log.note((least, most, now));
             };
-            kernel.spawn(&task(name, 1), body).expect("it fits");
+            kernel.task(name, 1, body);
         }
     });
     let found = log.take();
@@ -620,7 +495,7 @@ fn control_words_survive_switches() {
                 control::write(control::DEFAULT);
                 log.note((name, at_first, wrong));
             };
-            kernel.spawn(&task(name, priority), body).expect("it fits");
+            kernel.task(name, priority, body);
         }
     });
     for (name, at_first, wrong) in log.take() {

@@ -11,7 +11,8 @@
 
 mod fixture;
 
-use fixture::{Log, run, task};
+use fixture::setup::Fill as _;
+use fixture::{Log, run};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -19,7 +20,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 use tandem_rtos::host::{elapsed_ns, raise};
-use tandem_rtos::{Clock, Interrupt, InterruptPriority, Kernel, TaskContext, TaskHandle, Ticks};
+use tandem_rtos::{Clock, Interrupt, Kernel, TaskContext, TaskHandle, Ticks};
 
 const TICK_NS: u64 = 1_000_000;
 /// Ticks that a set runs.
@@ -390,9 +391,7 @@ fn spawn_raiser(kernel: &Kernel, set: &[Spec]) {
             raise(source(*task));
         }
     };
-    kernel
-        .spawn(&task("raiser", RAISER), raiser)
-        .expect("it fits");
+    kernel.task("raiser", RAISER, raiser);
 }
 
 const fn source(task: usize) -> Interrupt {
@@ -411,15 +410,11 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
                 body(ctx, number, &spec, &log, &over);
                 ended.fetch_add(1, Ordering::Relaxed);
             };
-            let options = task("checked", set[number].priority);
-            let handle = kernel.spawn(&options, checked).expect("it fits");
+            let handle = kernel.task("checked", set[number].priority, checked);
             if let Release::Sporadic { .. } = set[number].release {
                 let asked = handle.clone();
                 let handler = move |ctx: &_| asked.notify(ctx).expect("it lives");
-                let priority = InterruptPriority::LOWEST;
-                kernel
-                    .attach(source(number), priority, handler)
-                    .expect("it is free");
+                kernel.on(source(number), handler);
             }
             handles.push(handle);
         }
@@ -436,9 +431,7 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
             }
             // The scheduler ends when all have returned: nothing is left of this life.
         };
-        kernel
-            .spawn(&task("supervisor", 30), supervisor)
-            .expect("it fits");
+        kernel.task("supervisor", 30, supervisor);
     });
     let mut done = log.take();
     done.retain(|done| done.at_ns < u64::from(SPAN) * TICK_NS);

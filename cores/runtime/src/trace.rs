@@ -6,21 +6,21 @@ use tandem_board::Board;
 use tandem_cores::core0::TaskId;
 use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
-use tandem_rtos::{EventKind, Interrupt, TraceSink};
+use tandem_rtos::{KernelEventKind, Interrupt, TraceSink};
 
 /// Between two jobs a task only waits for the next, which is not traced; nor are the kernel's own
 /// tasks.
 impl<B: Board + Sync> TraceSink for Runtime<B> {
-    fn record(&self, event: tandem_rtos::Event) {
+    fn record(&self, event: tandem_rtos::KernelEvent) {
         let irq = if event.subject == u32::from(Interrupt::DOORBELL.number()) {
             IrqCode::DOORBELL
         } else {
             IrqCode::TICK
         };
         match event.kind {
-            EventKind::InterruptEntered => return self.trace(Event::IrqIn { irq }),
-            EventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
-            EventKind::SwitchedIn | EventKind::SwitchedOut | EventKind::Ready => {}
+            KernelEventKind::InterruptEntered => return self.trace(Event::IrqIn { irq }),
+            KernelEventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
+            KernelEventKind::SwitchedIn | KernelEventKind::SwitchedOut | KernelEventKind::Ready => {}
         }
         let is_it = |task: &TaskId| self.state(*task).number.load(Relaxed) == event.subject;
         let Some(id) = TaskId::ALL.into_iter().find(is_it) else {
@@ -29,11 +29,11 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
         let (state, task) = (self.state(id), id.info().code);
         let in_job = state.in_job.load(Relaxed);
         match event.kind {
-            EventKind::SwitchedIn if in_job => {
+            KernelEventKind::SwitchedIn if in_job => {
                 let begin = Begin::Goes;
                 self.trace(Event::TaskIn { task, begin });
             }
-            EventKind::SwitchedOut if in_job => {
+            KernelEventKind::SwitchedOut if in_job => {
                 let leaves = if state.waits_for_lock.load(Relaxed) {
                     Leaves::Blocked
                 } else {
@@ -42,7 +42,7 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
                 self.trace(Event::TaskOut { task, leaves });
             }
             // The release of the trajectory input is core 2's signal.
-            EventKind::Ready if !in_job && id != TaskId::TrajectoryInput => {
+            KernelEventKind::Ready if !in_job && id != TaskId::TrajectoryInput => {
                 self.trace(Event::Ready { task });
             }
             _ => {}

@@ -5,18 +5,16 @@
 pub mod host;
 #[cfg(target_os = "linux")]
 pub(crate) use host::{
-    A_LIFE_ENDS_ALL, MIN_STACK_WORDS, Stack, assert_may_block, attach, deferred as without_others,
-    epoch, fatal, idle, in_task, prepare, run_time, run_time_span, start, tear_down,
-    tick_origin_ns, timestamp_ns, virtual_work,
+    Stack, assert_may_block, attach, deferred as without_others, epoch, fatal, idle, in_task,
+    prepare, run_time, run_time_span, start, tear_down, tick_origin_ns, timestamp_ns, virtual_work,
 };
 
 #[cfg(target_arch = "riscv32")]
 pub mod riscv32;
 #[cfg(target_arch = "riscv32")]
 pub(crate) use riscv32::{
-    A_LIFE_ENDS_ALL, MIN_STACK_WORDS, Stack, assert_may_block, attach, epoch, fatal, idle, in_task,
-    prepare, run_time, run_time_span, start, tear_down, tick_origin_ns, timestamp_ns, virtual_work,
-    without_others,
+    Stack, assert_may_block, attach, epoch, fatal, idle, in_task, prepare, run_time, run_time_span,
+    start, tear_down, tick_origin_ns, timestamp_ns, virtual_work, without_others,
 };
 
 use crate::sys;

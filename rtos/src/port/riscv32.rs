@@ -7,7 +7,7 @@
 use crate::context::InterruptContext;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
 use crate::kernel::{Clock, StartError};
-use crate::sys::{self, ffi, sink};
+use crate::sys::{self, ffi, trace};
 use crate::time::TICK_RATE_HZ;
 use core::cell::UnsafeCell;
 use core::fmt;
@@ -16,7 +16,7 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, AtomicUsize, Ordering
 use core::time::Duration;
 
 /// The smallest stack in words: a context and some calls.
-pub(crate) const MIN_STACK_WORDS: usize = 128;
+const MIN_STACK_WORDS: usize = 128;
 /// Words of the stacks of the idle task and of the timers' task.
 const SERVICE_WORDS: usize = 1024;
 /// The CLINT's software interrupt registers, one word for each hart. As in QEMU's `virt`.
@@ -52,36 +52,16 @@ pub(crate) struct Stack {
     pub(crate) low: *mut usize,
     /// How many words it has.
     pub(crate) words: usize,
-    #[cfg(feature = "alloc")]
     on_heap: bool,
 }
 
 impl Stack {
-    /// A stack in a static.
-    ///
-    /// # Safety
-    /// The memory is used by nothing else as long as this stack is.
-    #[allow(
-        clippy::unnecessary_wraps,
-        reason = "on the host there may be no memory"
-    )]
-    pub(crate) unsafe fn in_static(low: *mut usize, words: usize) -> Option<Self> {
-        Some(Self {
-            low,
-            words,
-            #[cfg(feature = "alloc")]
-            on_heap: false,
-        })
-    }
-
-    #[cfg(feature = "alloc")]
     fn layout(words: usize) -> Option<core::alloc::Layout> {
         let bytes = words.checked_mul(size_of::<usize>())?;
         core::alloc::Layout::from_size_align(bytes, 16).ok()
     }
 
     /// From the heap.
-    #[cfg(feature = "alloc")]
     pub(crate) fn allocate(bytes: usize) -> Option<Self> {
         let words = (bytes / size_of::<usize>()).max(MIN_STACK_WORDS);
         // SAFETY: the size is not zero.
@@ -109,14 +89,12 @@ impl Stack {
             Self {
                 low,
                 words: SERVICE_WORDS,
-                #[cfg(feature = "alloc")]
                 on_heap: false,
             }
         }
     }
 }
 
-#[cfg(feature = "alloc")]
 impl Drop for Stack {
     fn drop(&mut self) {
         if let (true, Some(layout)) = (self.on_heap, Self::layout(self.words)) {
@@ -151,9 +129,6 @@ pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
 /// The kernel was taken and not started: nothing to give back.
 pub(crate) fn tear_down() {}
 
-/// Whether nothing of an earlier life of the kernel is used any more: see [`after_reset`].
-pub(crate) const A_LIFE_ENDS_ALL: bool = true;
-
 /// Counts the lives of the kernel.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -163,8 +138,7 @@ pub(crate) fn epoch() -> u32 {
 
 /// Makes the kernel as it was at power-on, after a reset of its hart that has kept its memory:
 /// [`Kernel::take`](crate::Kernel::take) gives it again. Tasks, handlers and objects of the earlier
-/// life are forgotten and not dropped; statics that held tasks can hold new ones. Interrupts stay
-/// masked until the kernel starts.
+/// life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
 ///
 /// # Safety
 /// The calling hart was the kernel's and has been reset: no code of the earlier life runs again,
@@ -349,11 +323,11 @@ extern "C" fn tandem_riscv_interrupt(cause: u32) {
         fatal(format_args!("an external interrupt without a handler"));
     };
     let context = InterruptContext::new();
-    sink::interrupt_entered(u32::from(number.number()));
+    trace::interrupt_entered(u32::from(number.number()));
     IN_INTERRUPT.store(true, Ordering::Relaxed);
     handler(&context);
     IN_INTERRUPT.store(false, Ordering::Relaxed);
-    sink::interrupt_left(u32::from(number.number()));
+    trace::interrupt_left(u32::from(number.number()));
     if context.has_woken() {
         // SAFETY: in the trap, whose end restores the task that the kernel has chosen.
         unsafe { ffi::tandem_yield_from_interrupt(1) };

@@ -13,8 +13,7 @@ pub(crate) type UBase = usize;
 pub(crate) type Tick = u32;
 
 pub(crate) const PASS: Base = 1;
-/// Values of `eNotifyAction`.
-pub(crate) const NOTIFY_SET_BITS: core::ffi::c_uint = 1;
+/// A value of `eNotifyAction`.
 pub(crate) const NOTIFY_INCREMENT: core::ffi::c_uint = 2;
 
 /// The first field of a task control block is the stack pointer of a task that does not run.
@@ -84,13 +83,6 @@ unsafe extern "C" {
         woken: *mut Base,
     ) -> Base;
     pub(crate) fn ulTaskGenericNotifyTake(index: UBase, clear: Base, timeout: Tick) -> u32;
-    pub(crate) fn xTaskGenericNotifyWait(
-        index: UBase,
-        clear_on_entry: u32,
-        clear_on_exit: u32,
-        value: *mut u32,
-        timeout: Tick,
-    ) -> Base;
 
     pub(crate) fn xQueueGenericCreateStatic(
         length: UBase,
@@ -129,31 +121,10 @@ unsafe extern "C" {
         item: *mut c_void,
         woken: *mut Base,
     ) -> Base;
-    pub(crate) fn xQueuePeek(queue: *mut c_void, item: *mut c_void, timeout: Tick) -> Base;
     pub(crate) fn xQueueSemaphoreTake(queue: *mut c_void, timeout: Tick) -> Base;
-    pub(crate) fn uxQueueMessagesWaiting(queue: *mut c_void) -> UBase;
-    pub(crate) fn uxQueueMessagesWaitingFromISR(queue: *mut c_void) -> UBase;
     pub(crate) fn xQueueGetMutexHolder(queue: *mut c_void) -> *mut Tcb;
     pub(crate) fn xQueueAddToSet(member: *mut c_void, set: *mut c_void) -> Base;
     pub(crate) fn xQueueSelectFromSet(set: *mut c_void, timeout: Tick) -> *mut c_void;
-
-    pub(crate) fn xEventGroupCreateStatic(group: *mut c_void) -> *mut c_void;
-    pub(crate) fn xEventGroupWaitBits(
-        group: *mut c_void,
-        bits: u32,
-        clear: Base,
-        all: Base,
-        timeout: Tick,
-    ) -> u32;
-    pub(crate) fn xEventGroupSetBits(group: *mut c_void, bits: u32) -> u32;
-    pub(crate) fn xEventGroupSetBitsFromISR(
-        group: *mut c_void,
-        bits: u32,
-        woken: *mut Base,
-    ) -> Base;
-    pub(crate) fn xEventGroupClearBits(group: *mut c_void, bits: u32) -> u32;
-    pub(crate) fn xEventGroupGetBitsFromISR(group: *mut c_void) -> u32;
-    pub(crate) fn xEventGroupSync(group: *mut c_void, set: u32, wait: u32, timeout: Tick) -> u32;
 
     pub(crate) fn xTimerCreateStatic(
         name: *const c_char,
@@ -164,7 +135,6 @@ unsafe extern "C" {
         timer: *mut c_void,
     ) -> *mut c_void;
     pub(crate) fn pvTimerGetTimerID(timer: *const c_void) -> *mut c_void;
-    pub(crate) fn xTimerIsTimerActive(timer: *mut c_void) -> Base;
     pub(crate) fn xTimerGenericCommandFromTask(
         timer: *mut c_void,
         command: Base,
@@ -180,9 +150,6 @@ unsafe extern "C" {
         timeout: Tick,
     ) -> Base;
 
-    pub(crate) fn vTaskPrioritySet(task: *mut Tcb, priority: UBase);
-    pub(crate) fn vTaskSuspend(task: *mut Tcb);
-    pub(crate) fn vTaskResume(task: *mut Tcb);
     pub(crate) fn vTaskSuspendAll();
     pub(crate) fn xTaskResumeAll() -> Base;
     pub(crate) fn ulTaskGetRunTimeCounter(task: *const Tcb) -> u64;

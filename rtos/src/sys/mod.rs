@@ -1,18 +1,15 @@
 //! The kernel's C interface, and the few wrappers around it that need `unsafe`.
 #![allow(unsafe_code)]
 
-pub(crate) mod event;
 pub(crate) mod ffi;
 pub(crate) mod mutex;
 pub(crate) mod queue;
-pub(crate) mod shared;
-pub(crate) mod sink;
+pub(crate) mod set;
 pub(crate) mod task;
 pub(crate) mod timer;
+pub(crate) mod trace;
 
-use crate::InUse;
 use crate::port;
-use core::sync::atomic::{AtomicU32, Ordering};
 
 /// Runs `body` with interrupts masked. Nests. Ends also if `body` unwinds.
 pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
@@ -29,31 +26,20 @@ pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
     body()
 }
 
-/// Whether an object is made, and for which life of the kernel.
+/// The life of the kernel that an object was made for.
 ///
 /// What the kernel of an earlier life knew (waiting tasks, active timers) is gone: an object of it
 /// is never passed to the kernel again.
-pub(crate) struct Life(AtomicU32);
+pub(crate) struct Life(u32);
 
 impl Life {
-    /// Of no life: not made.
-    pub(crate) const fn none() -> Self {
-        Self(AtomicU32::new(0))
-    }
-
-    /// Takes the memory for an object of this life.
-    pub(crate) fn claim(&self) -> Result<(), InUse> {
-        let now = port::epoch();
-        if self.0.swap(now, Ordering::Relaxed) == now {
-            Err(InUse)
-        } else {
-            Ok(())
-        }
+    pub(crate) fn current() -> Self {
+        Self(port::epoch())
     }
 
     /// Whether the object is of this life.
     pub(crate) fn is_current(&self) -> bool {
-        self.0.load(Ordering::Relaxed) == port::epoch()
+        self.0 == port::epoch()
     }
 
     /// # Panics

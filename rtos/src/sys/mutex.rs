@@ -1,23 +1,17 @@
 //! A value that one task at a time may touch; its holder inherits the priority of a waiter.
 
 use super::queue::Raw;
-use super::shared::Shared;
 use super::task;
+use crate::TimedOut;
 use crate::context::{TaskContext, TaskLevel};
 use crate::time::Ticks;
-use crate::{InUse, TimedOut};
-#[cfg(feature = "alloc")]
 use alloc::sync::Arc;
 use core::cell::UnsafeCell;
 use core::fmt;
 use core::ops::{Deref, DerefMut};
-use core::sync::atomic::{AtomicBool, Ordering};
 
 struct Inner<T> {
     raw: Raw,
-    /// A guard lives, in whichever life of the kernel. The scheduler may stop while its task
-    /// borrows the value, or has lent it to another thread; then this stays.
-    locked: AtomicBool,
     value: UnsafeCell<T>,
 }
 
@@ -27,31 +21,20 @@ unsafe impl<T: Send> Send for Inner<T> {}
 // SAFETY: as above.
 unsafe impl<T: Send> Sync for Inner<T> {}
 
-/// Memory for a mutex in a static, with its value.
-pub struct MutexMemory<T>(Inner<T>);
-
-impl<T: Send> MutexMemory<T> {
-    /// Memory for one mutex.
-    pub const fn new(value: T) -> Self {
-        Self(Inner {
-            raw: Raw::new(),
-            locked: AtomicBool::new(false),
-            value: UnsafeCell::new(value),
-        })
-    }
-}
-
-/// A value behind a mutex with priority inheritance: as long as a task holds it and a more urgent
-/// one waits, the former has the latter's priority. Not re-entrant, and not for interrupts.
+/// A value behind a mutex with priority inheritance: while a task holds it and a more urgent one
+/// waits, the former has the latter's priority. Not re-entrant, and not for interrupts.
+///
+/// A handle that outlives its scheduler panics when it is used in the next one: an abandoned task
+/// may still borrow the value.
 pub struct Mutex<T: 'static> {
-    inner: Shared<Inner<T>>,
+    inner: Arc<Inner<T>>,
 }
 
 impl<T> Clone for Mutex<T> {
     /// Another handle of the same mutex.
     fn clone(&self) -> Self {
         Self {
-            inner: self.inner.clone(),
+            inner: Arc::clone(&self.inner),
         }
     }
 }
@@ -63,41 +46,15 @@ impl<T: fmt::Debug> fmt::Debug for Mutex<T> {
 }
 
 impl<T: Send> Mutex<T> {
-    /// A mutex on the heap.
-    #[cfg(feature = "alloc")]
+    /// A mutex that is not locked.
     #[must_use]
     pub fn new(_at: &impl TaskLevel, value: T) -> Self {
         let inner = Arc::new(Inner {
             raw: Raw::new(),
-            locked: AtomicBool::new(false),
             value: UnsafeCell::new(value),
         });
-        let made = inner.raw.make_mutex();
-        debug_assert!(made.is_ok(), "new memory is unused");
-        Self {
-            inner: Shared::Heap(inner),
-        }
-    }
-
-    /// A mutex in a static.
-    ///
-    /// # Errors
-    /// [`InUse`], also if it was locked when an earlier life of the kernel was stopped: something
-    /// may still borrow the value.
-    pub fn new_static(
-        _at: &impl TaskLevel,
-        memory: &'static MutexMemory<T>,
-    ) -> Result<Self, InUse> {
-        // Between this look and the next line nobody locks: either the mutex is of this life, and
-        // is refused there, or of an earlier one, and cannot be locked any more.
-        // Acquire pairs with the Release in the guard's `drop`.
-        if memory.0.locked.load(Ordering::Acquire) {
-            return Err(InUse);
-        }
-        memory.0.raw.make_mutex()?;
-        Ok(Self {
-            inner: Shared::Static(&memory.0),
-        })
+        inner.raw.make_mutex();
+        Self { inner }
     }
 
     /// Waits for the value.
@@ -116,7 +73,6 @@ impl<T: Send> Mutex<T> {
         assert!(!self.inner.raw.is_mine(), "a task locks what it holds");
         self.inner.raw.take(timeout.into())?;
         task::mutex_taken();
-        self.inner.locked.store(true, Ordering::Relaxed);
         Ok(MutexGuard {
             inner: &self.inner,
             ctx,
@@ -148,8 +104,6 @@ impl<T> DerefMut for MutexGuard<'_, T> {
 
 impl<T> Drop for MutexGuard<'_, T> {
     fn drop(&mut self) {
-        // Release pairs with the Acquire in `new_static`: the value is not borrowed any more.
-        self.inner.locked.store(false, Ordering::Release);
         task::mutex_given();
         self.inner.raw.give(self.ctx);
     }

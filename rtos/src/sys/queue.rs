@@ -1,35 +1,30 @@
-//! Queues of the kernel, which are also its semaphores, mutexes and sets.
+//! Queues of the kernel, which are also its semaphores, mutexes and sets; queues of values.
 
-use super::shared::Shared;
-use super::task;
-use super::{Life, ffi};
-use crate::context::Context;
+use super::set::Inner as Set;
+use super::{Life, ffi, task};
+use crate::TimedOut;
+use crate::context::{Context, TaskContext, TaskLevel};
 use crate::port;
 use crate::time::Ticks;
-use crate::{InUse, TimedOut};
-#[cfg(feature = "alloc")]
 use alloc::{boxed::Box, sync::Arc};
 use core::cell::UnsafeCell;
 use core::ffi::c_void;
+use core::fmt;
 use core::mem::{ManuallyDrop, MaybeUninit};
 use core::ptr;
-use core::sync::atomic::{AtomicUsize, Ordering};
 
 const TYPE_QUEUE: u8 = 0;
 const TYPE_MUTEX: u8 = 1;
-const TYPE_BINARY: u8 = 3;
 /// At the back of the queue, as `queueSEND_TO_BACK`.
 const BACK: ffi::Base = 0;
-/// At the front of the queue, as `queueSEND_TO_FRONT`.
-const FRONT: ffi::Base = 1;
 
-/// The kernel's control block of a queue, a semaphore, a mutex or a set. Stays where it is while
-/// the kernel knows it.
+/// The kernel's control block of a queue, a semaphore, a mutex or a set. It is made once, when it
+/// lies where it stays.
 pub(crate) struct Raw {
     block: UnsafeCell<[usize; ffi::QUEUE_WORDS]>,
-    pub(crate) life: Life,
+    life: Life,
     /// Holds the set that this is a member of, which the kernel points to.
-    set: UnsafeCell<Option<Shared<Set>>>,
+    set: UnsafeCell<Option<Arc<Set>>>,
 }
 
 // SAFETY: the block is the kernel's, which is called from the core's thread only: every call wants
@@ -39,10 +34,10 @@ unsafe impl Send for Raw {}
 unsafe impl Sync for Raw {}
 
 impl Raw {
-    pub(crate) const fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
             block: UnsafeCell::new([0; ffi::QUEUE_WORDS]),
-            life: Life::none(),
+            life: Life::current(),
             set: UnsafeCell::new(None),
         }
     }
@@ -51,37 +46,19 @@ impl Raw {
     ///
     /// # Panics
     /// If this was made for an earlier life of the kernel.
-    fn handle(&self) -> *mut c_void {
+    pub(super) fn handle(&self) -> *mut c_void {
         self.life.assert_current();
         self.block.get().cast()
     }
 
-    fn claim(&self) -> Result<*mut c_void, InUse> {
-        self.life.claim()?;
-        // SAFETY: the object is new, so nothing points to its set.
-        unsafe { *self.set.get() = None };
-        Ok(self.block.get().cast())
-    }
-
-    pub(crate) fn make_binary(&self) -> Result<(), InUse> {
-        let block = self.claim()?;
-        // SAFETY: the block is ours and stays; items of no bytes have no storage.
-        unsafe { ffi::xQueueGenericCreateStatic(1, 0, ptr::null_mut(), block, TYPE_BINARY) };
-        Ok(())
-    }
-
-    pub(crate) fn make_counting(&self, max: usize, initial: usize) -> Result<(), InUse> {
-        let block = self.claim()?;
+    pub(crate) fn make_semaphore(&self, max: usize, initial: usize) {
         // SAFETY: the block is ours and stays.
-        unsafe { ffi::xQueueCreateCountingSemaphoreStatic(max, initial, block) };
-        Ok(())
+        unsafe { ffi::xQueueCreateCountingSemaphoreStatic(max, initial, self.handle()) };
     }
 
-    pub(crate) fn make_mutex(&self) -> Result<(), InUse> {
-        let block = self.claim()?;
+    pub(crate) fn make_mutex(&self) {
         // SAFETY: the block is ours and stays.
-        unsafe { ffi::xQueueCreateMutexStatic(TYPE_MUTEX, block) };
-        Ok(())
+        unsafe { ffi::xQueueCreateMutexStatic(TYPE_MUTEX, self.handle()) };
     }
 
     /// Counts a semaphore up, or unlocks a mutex. Whether it could be counted.
@@ -102,11 +79,9 @@ impl Raw {
 
     /// Waits for a semaphore or a mutex.
     pub(crate) fn take(&self, timeout: Ticks) -> Result<(), TimedOut> {
-        if timeout != Ticks::NONE {
-            port::assert_may_block();
-        }
+        let timeout = may_wait(timeout);
         // SAFETY: a semaphore of this life, and the caller is a task that may block.
-        let taken = unsafe { ffi::xQueueSemaphoreTake(self.handle(), timeout.0) };
+        let taken = unsafe { ffi::xQueueSemaphoreTake(self.handle(), timeout) };
         if taken == ffi::PASS {
             Ok(())
         } else {
@@ -127,19 +102,6 @@ impl Raw {
         taken == ffi::PASS
     }
 
-    /// Items that wait, or the count of a semaphore.
-    pub(crate) fn count<C: Context>(&self, _ctx: &C) -> usize {
-        let handle = self.handle();
-        // SAFETY: a queue of this life; the call for interrupts in interrupts.
-        unsafe {
-            if C::IN_INTERRUPT {
-                ffi::uxQueueMessagesWaitingFromISR(handle)
-            } else {
-                ffi::uxQueueMessagesWaiting(handle)
-            }
-        }
-    }
-
     /// Whether the running task holds this mutex.
     pub(crate) fn is_mine(&self) -> bool {
         // SAFETY: a mutex of this life; compares two pointers.
@@ -147,96 +109,161 @@ impl Raw {
     }
 
     /// Makes this a member of a set. Whether it was empty and in none.
-    fn join(&self, set: &Shared<Set>) -> bool {
+    pub(super) fn join(&self, set: &Arc<Set>) -> bool {
         // SAFETY: both are of this life. The kernel will point from here to the set, which is held
         // below for as long.
         let joined = unsafe { ffi::xQueueAddToSet(self.handle(), set.raw.handle()) == ffi::PASS };
         if joined {
             // SAFETY: on the core's thread; there was no set, so nothing refers to this place.
-            unsafe { *self.set.get() = Some(set.clone()) };
+            unsafe { *self.set.get() = Some(Arc::clone(set)) };
         }
         joined
     }
 
     /// What a set says about a member.
-    pub(crate) fn address(&self) -> usize {
+    pub(super) fn address(&self) -> usize {
         self.block.get() as usize
     }
 }
 
-/// Where a typed queue keeps its items.
-pub(crate) enum Storage<T: 'static> {
-    None,
-    Static(*mut MaybeUninit<T>),
-    #[cfg(feature = "alloc")]
-    Heap(Box<[UnsafeCell<MaybeUninit<T>>]>),
+/// A time for the kernel.
+///
+/// # Panics
+/// Where the caller may not block, unless the time is [`Ticks::NONE`].
+pub(super) fn may_wait(timeout: Ticks) -> ffi::Tick {
+    if timeout != Ticks::NONE {
+        port::assert_may_block();
+    }
+    timeout.0
 }
 
-/// A queue of values of one type. The kernel copies their bytes; a value that was sent is forgotten
-/// by the sender, so that there is one owner at any time.
-pub(crate) struct Typed<T: 'static> {
-    pub(crate) raw: Raw,
-    storage: UnsafeCell<Storage<T>>,
-    capacity: AtomicUsize,
+/// Places for values, which only the kernel touches.
+pub(super) struct Items<T>(Box<[UnsafeCell<MaybeUninit<T>>]>);
+
+impl<T> Items<T> {
+    /// # Panics
+    /// If there are none.
+    pub(super) fn new(count: usize) -> Self {
+        assert!(count > 0, "a queue of no items");
+        let items = (0..count).map(|_| UnsafeCell::new(MaybeUninit::uninit()));
+        Self(items.collect())
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    /// As the kernel wants it: null for items of no bytes.
+    pub(super) fn place(&self) -> *mut u8 {
+        if size_of::<T>() == 0 {
+            ptr::null_mut()
+        } else {
+            UnsafeCell::raw_get(self.0.as_ptr()).cast()
+        }
+    }
+}
+
+/// There was no room; the value is given back.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Full<T>(pub T);
+
+impl<T> fmt::Display for Full<T> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("the queue is full")
+    }
+}
+
+impl<T: fmt::Debug> core::error::Error for Full<T> {}
+
+/// The kernel copies the bytes of values; a value that was sent is forgotten by the sender, so that
+/// there is one owner at any time.
+struct Values<T: 'static> {
+    raw: Raw,
+    items: Items<T>,
 }
 
 // SAFETY: as for `Raw`; values go from task to task, so they must be `Send`.
-unsafe impl<T: Send> Send for Typed<T> {}
+unsafe impl<T: Send> Send for Values<T> {}
 // SAFETY: as above.
-unsafe impl<T: Send> Sync for Typed<T> {}
+unsafe impl<T: Send> Sync for Values<T> {}
 
-impl<T: Send> Typed<T> {
-    pub(crate) const fn new() -> Self {
+/// A queue: values of one type, first in, first out, from tasks and handlers to tasks and handlers.
+///
+/// Cloned handles are the same queue. Values that are left in it when the last one is dropped are
+/// dropped in a task, and leaked elsewhere. A handle that outlives its scheduler panics when it is
+/// used in the next one.
+pub struct Queue<T: 'static> {
+    values: Arc<Values<T>>,
+}
+
+impl<T> Clone for Queue<T> {
+    fn clone(&self) -> Self {
         Self {
-            raw: Raw::new(),
-            storage: UnsafeCell::new(Storage::None),
-            capacity: AtomicUsize::new(0),
+            values: Arc::clone(&self.values),
         }
     }
+}
 
-    #[cfg(feature = "alloc")]
-    pub(crate) fn on_heap(capacity: usize) -> Shared<Self> {
-        let items = (0..capacity)
-            .map(|_| UnsafeCell::new(MaybeUninit::uninit()))
-            .collect();
-        let queue = Arc::new(Self::new());
-        let made = queue.make(Storage::Heap(items), capacity);
-        debug_assert!(made.is_ok(), "new memory is unused");
-        Shared::Heap(queue)
+impl<T> fmt::Debug for Queue<T> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("Queue")
     }
+}
 
-    /// Makes the queue in its place, which does not move any more.
-    pub(crate) fn make(&self, storage: Storage<T>, capacity: usize) -> Result<(), InUse> {
-        assert!(capacity > 0, "a queue of no items");
-        let block = self.raw.claim()?;
-        self.capacity.store(capacity, Ordering::Relaxed);
-        // SAFETY: the object is new: nothing else uses its storage, which lives as long as it.
+impl<T: Send> Queue<T> {
+    /// A queue of `capacity` values.
+    ///
+    /// # Panics
+    /// If the capacity is zero.
+    #[must_use]
+    pub fn new(_at: &impl TaskLevel, capacity: usize) -> Self {
+        let values = Arc::new(Values {
+            raw: Raw::new(),
+            items: Items::new(capacity),
+        });
+        let (items, block) = (values.items.place(), values.raw.handle());
+        // SAFETY: block and items are ours, and stay as long as the queue is.
         unsafe {
-            *self.storage.get() = storage;
-            let items = match &*self.storage.get() {
-                _ if size_of::<T>() == 0 => ptr::null_mut(),
-                Storage::None => ptr::null_mut(),
-                Storage::Static(items) => items.cast(),
-                #[cfg(feature = "alloc")]
-                Storage::Heap(items) => UnsafeCell::raw_get(items.as_ptr()).cast(),
-            };
             ffi::xQueueGenericCreateStatic(capacity, size_of::<T>(), items, block, TYPE_QUEUE);
         }
-        Ok(())
+        Self { values }
     }
 
-    pub(crate) fn capacity(&self) -> usize {
-        self.capacity.load(Ordering::Relaxed)
+    pub(super) fn raw(&self) -> &Raw {
+        &self.values.raw
     }
 
-    fn send_to<C: Context>(
+    /// Sends a value; waits for room.
+    ///
+    /// # Errors
+    /// [`Full`] if there was none in time.
+    ///
+    /// # Panics
+    /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].
+    pub fn send(
+        &self,
+        ctx: &TaskContext,
+        value: T,
+        timeout: impl Into<Ticks>,
+    ) -> Result<(), Full<T>> {
+        self.send_within(ctx, value, may_wait(timeout.into()))
+    }
+
+    /// Sends a value if there is room.
+    ///
+    /// # Errors
+    /// [`Full`]
+    pub fn try_send(&self, ctx: &impl Context, value: T) -> Result<(), Full<T>> {
+        self.send_within(ctx, value, 0)
+    }
+
+    fn send_within<C: Context>(
         &self,
         ctx: &C,
         value: T,
-        timeout: Ticks,
-        place: ffi::Base,
-    ) -> Result<(), T> {
-        let handle = self.raw.handle();
+        timeout: ffi::Tick,
+    ) -> Result<(), Full<T>> {
+        let handle = self.values.raw.handle();
         let value = ManuallyDrop::new(value);
         let item = ptr::from_ref(&value).cast();
         let mut woken = 0;
@@ -244,37 +271,34 @@ impl<T: Send> Typed<T> {
         // the value is not used here any more.
         let sent = unsafe {
             if C::IN_INTERRUPT {
-                ffi::xQueueGenericSendFromISR(handle, item, &mut woken, place)
+                ffi::xQueueGenericSendFromISR(handle, item, &mut woken, BACK)
             } else {
-                ffi::xQueueGenericSend(handle, item, timeout.0, place)
+                ffi::xQueueGenericSend(handle, item, timeout, BACK)
             }
         };
         ctx.woken(woken != 0);
         if sent == ffi::PASS {
             Ok(())
         } else {
-            Err(ManuallyDrop::into_inner(value))
+            Err(Full(ManuallyDrop::into_inner(value)))
         }
     }
 
-    /// The caller has checked that it may wait for this time.
-    pub(crate) fn send<C: Context>(&self, ctx: &C, value: T, timeout: Ticks) -> Result<(), T> {
-        self.send_to(ctx, value, timeout, BACK)
+    /// Waits for a value. `None` if none arrived in time.
+    ///
+    /// # Panics
+    /// As [`Queue::send`].
+    pub fn receive(&self, ctx: &TaskContext, timeout: impl Into<Ticks>) -> Option<T> {
+        self.receive_within(ctx, may_wait(timeout.into()))
     }
 
-    /// As `send`, before all that wait.
-    pub(crate) fn send_first<C: Context>(
-        &self,
-        ctx: &C,
-        value: T,
-        timeout: Ticks,
-    ) -> Result<(), T> {
-        self.send_to(ctx, value, timeout, FRONT)
+    /// The first value, if there is one.
+    pub fn try_receive(&self, ctx: &impl Context) -> Option<T> {
+        self.receive_within(ctx, 0)
     }
 
-    /// The caller has checked that it may wait for this time.
-    pub(crate) fn receive<C: Context>(&self, ctx: &C, timeout: Ticks) -> Option<T> {
-        let handle = self.raw.handle();
+    fn receive_within<C: Context>(&self, ctx: &C, timeout: ffi::Tick) -> Option<T> {
+        let handle = self.values.raw.handle();
         let mut item = MaybeUninit::<T>::uninit();
         let place = item.as_mut_ptr().cast();
         let mut woken = 0;
@@ -283,28 +307,21 @@ impl<T: Send> Typed<T> {
             let received = if C::IN_INTERRUPT {
                 ffi::xQueueReceiveFromISR(handle, place, &mut woken)
             } else {
-                ffi::xQueueReceive(handle, place, timeout.0)
+                ffi::xQueueReceive(handle, place, timeout)
             };
             ctx.woken(woken != 0);
             (received == ffi::PASS).then(|| item.assume_init())
         }
     }
 
-    /// A copy of the first item, which stays.
-    pub(crate) fn peek(&self, timeout: Ticks) -> Option<T>
-    where
-        T: Copy,
-    {
-        let mut item = MaybeUninit::<T>::uninit();
-        // SAFETY: as `receive`; a value that is `Copy` may be in two places.
-        unsafe {
-            let seen = ffi::xQueuePeek(self.raw.handle(), item.as_mut_ptr().cast(), timeout.0);
-            (seen == ffi::PASS).then(|| item.assume_init())
-        }
+    /// How many values the queue holds at most.
+    #[must_use]
+    pub fn capacity(&self) -> usize {
+        self.values.items.count()
     }
 }
 
-impl<T: 'static> Drop for Typed<T> {
+impl<T: 'static> Drop for Values<T> {
     fn drop(&mut self) {
         // What is left is dropped if the kernel may be asked for it here, and leaked otherwise.
         if !self.raw.life.is_current() || !port::in_task() {
@@ -313,7 +330,7 @@ impl<T: 'static> Drop for Typed<T> {
         loop {
             let mut item = MaybeUninit::<T>::uninit();
             let block = self.raw.block.get().cast();
-            // SAFETY: as `receive`; without waiting.
+            // SAFETY: as in `receive_within`; without waiting.
             unsafe {
                 if ffi::xQueueReceive(block, item.as_mut_ptr().cast(), 0) != ffi::PASS {
                     return;
@@ -322,90 +339,4 @@ impl<T: 'static> Drop for Typed<T> {
             }
         }
     }
-}
-
-/// A set of queues and semaphores: a queue of the members that have something.
-pub(crate) struct Set {
-    raw: Raw,
-    storage: UnsafeCell<Storage<usize>>,
-    capacity: AtomicUsize,
-    /// How many of them the members could fill.
-    promised: AtomicUsize,
-}
-
-// SAFETY: as for `Raw`; what is stored are addresses that are only compared.
-unsafe impl Send for Set {}
-// SAFETY: as above.
-unsafe impl Sync for Set {}
-
-impl Set {
-    pub(crate) const fn new() -> Self {
-        Self {
-            raw: Raw::new(),
-            storage: UnsafeCell::new(Storage::None),
-            capacity: AtomicUsize::new(0),
-            promised: AtomicUsize::new(0),
-        }
-    }
-
-    #[cfg(feature = "alloc")]
-    pub(crate) fn on_heap(capacity: usize) -> Shared<Self> {
-        let items = (0..capacity)
-            .map(|_| UnsafeCell::new(MaybeUninit::uninit()))
-            .collect();
-        let set = Arc::new(Self::new());
-        let made = set.make(Storage::Heap(items), capacity);
-        debug_assert!(made.is_ok(), "new memory is unused");
-        Shared::Heap(set)
-    }
-
-    pub(crate) fn make(&self, storage: Storage<usize>, capacity: usize) -> Result<(), InUse> {
-        assert!(capacity > 0, "a set of no items");
-        let block = self.raw.claim()?;
-        self.capacity.store(capacity, Ordering::Relaxed);
-        self.promised.store(0, Ordering::Relaxed);
-        // SAFETY: as in `Typed::make`.
-        unsafe {
-            *self.storage.get() = storage;
-            let items = match &*self.storage.get() {
-                Storage::None => ptr::null_mut(),
-                Storage::Static(items) => items.cast(),
-                #[cfg(feature = "alloc")]
-                Storage::Heap(items) => UnsafeCell::raw_get(items.as_ptr()).cast(),
-            };
-            ffi::xQueueCreateSetStatic(capacity, items, block);
-        }
-        Ok(())
-    }
-
-    /// Whether there is room for what a member of this capacity could announce; then it is kept.
-    pub(crate) fn promise(&self, items: usize) -> bool {
-        let promised = self.promised.load(Ordering::Relaxed) + items;
-        let fits = promised <= self.capacity.load(Ordering::Relaxed);
-        if fits {
-            self.promised.store(promised, Ordering::Relaxed);
-        }
-        fits
-    }
-
-    /// Gives back a promise.
-    pub(crate) fn release(&self, items: usize) {
-        let promised = self.promised.load(Ordering::Relaxed);
-        self.promised.store(promised - items, Ordering::Relaxed);
-    }
-
-    /// The address of the member that has something, if one has in time.
-    pub(crate) fn select(&self, timeout: Ticks) -> Option<usize> {
-        if timeout != Ticks::NONE {
-            port::assert_may_block();
-        }
-        // SAFETY: a set of this life, and the caller is a task that may block.
-        let member = unsafe { ffi::xQueueSelectFromSet(self.raw.handle(), timeout.0) };
-        (!member.is_null()).then_some(member as usize)
-    }
-}
-
-/// Makes a queue or a semaphore a member of a set.
-pub(crate) fn join(set: &Shared<Set>, member: &Raw) -> bool {
-    member.join(set)
 }

@@ -1,103 +1,133 @@
-//! Software timers of the kernel.
+//! Software timers: callbacks in the kernel's service task, once or repeatedly.
 
 use super::{Life, ffi};
-use crate::InUse;
-use crate::context::{Context, TimerContext};
+use crate::context::{Context, TaskLevel, TimerContext};
 use crate::time::Ticks;
+use alloc::boxed::Box;
 use core::cell::UnsafeCell;
 use core::ffi::c_void;
+use core::fmt;
 
-/// What a timer calls.
-pub(crate) type Callback = dyn FnMut(&TimerContext) + Send;
+/// The service task has no room for another command.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CommandsFull;
 
-/// The kernel's control block and the callback. Lives for ever: commands about a timer are on their
-/// way to the service task when the call that gave them has returned.
-pub(crate) struct Block {
+impl fmt::Display for CommandsFull {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("the service task has no room for another command")
+    }
+}
+
+impl core::error::Error for CommandsFull {}
+
+type Callback = Box<dyn FnMut(&TimerContext) + Send>;
+
+/// The kernel's control block and the callback. Never freed: the service task may still have a
+/// command for it.
+struct Block {
     block: UnsafeCell<[usize; ffi::TIMER_WORDS]>,
-    callback: UnsafeCell<Option<&'static mut Callback>>,
+    callback: UnsafeCell<Callback>,
     life: Life,
 }
 
 // SAFETY: the block is the kernel's, which is called from the core's thread only; the callback is
-// written when the timer is new, called by the service task alone, and `Send`.
+// called by the service task alone, and `Send`.
 unsafe impl Sync for Block {}
 
 /// Commands of the service task, as `tmrCOMMAND_…`; in interrupts others that mean the same.
+const START: ffi::Base = 1;
+const STOP: ffi::Base = 3;
+/// From a command of a task to that of an interrupt.
+const FROM_INTERRUPT: ffi::Base = 5;
+
+/// A timer. Copied handles are the same one. Lives as long as the program.
+///
+/// Its callback runs in the service task, which is more urgent than all others: keep it short.
 #[derive(Clone, Copy)]
-pub(crate) enum Command {
-    Start,
-    Stop,
-    ChangePeriod(Ticks),
+pub struct Timer(&'static Block);
+
+impl fmt::Debug for Timer {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("Timer")
+    }
 }
 
-impl Block {
-    pub(crate) const fn new() -> Self {
-        Self {
-            block: UnsafeCell::new([0; ffi::TIMER_WORDS]),
-            callback: UnsafeCell::new(None),
-            life: Life::none(),
-        }
-    }
-
-    pub(crate) fn make(
-        &'static self,
-        period: Ticks,
+impl Timer {
+    /// A timer that has not started. Its memory is never given back. `reload` starts it again each
+    /// time, without drift.
+    ///
+    /// # Panics
+    /// If the period is zero.
+    pub fn new(
+        _at: &impl TaskLevel,
+        period: impl Into<Ticks>,
         reload: bool,
-        callback: &'static mut Callback,
-    ) -> Result<(), InUse> {
+        callback: impl FnMut(&TimerContext) + Send + 'static,
+    ) -> Self {
+        let period = period.into();
         assert!(period.0 > 0, "a period of zero ticks");
-        self.life.claim()?;
-        let id = core::ptr::from_ref(self).cast_mut().cast();
-        let block = self.block.get().cast();
-        // SAFETY: the block is ours and lives for ever, and no service task knows it yet.
+        let timer: &'static Block = Box::leak(Box::new(Block {
+            block: UnsafeCell::new([0; ffi::TIMER_WORDS]),
+            callback: UnsafeCell::new(Box::new(callback)),
+            life: Life::current(),
+        }));
+        let id = core::ptr::from_ref(timer).cast_mut().cast();
+        let (name, block) = (c"timer".as_ptr(), timer.block.get().cast());
+        // SAFETY: the block is ours and is never freed.
         unsafe {
-            *self.callback.get() = Some(callback);
-            let name = c"timer".as_ptr();
             ffi::xTimerCreateStatic(name, period.0, usize::from(reload), id, expired, block);
         }
-        Ok(())
+        Self(timer)
     }
 
-    fn handle(&self) -> *mut c_void {
-        self.life.assert_current();
-        self.block.get().cast()
+    /// Starts it, or starts it anew: it expires one period from now.
+    ///
+    /// # Errors
+    /// [`CommandsFull`]
+    pub fn start<C: Context>(&self, ctx: &C) -> Result<(), CommandsFull> {
+        self.command(ctx, START, super::task::now(C::IN_INTERRUPT).0)
     }
 
-    /// Gives a command to the service task. Whether there was room for it.
-    pub(crate) fn command<C: Context>(&self, ctx: &C, command: Command) -> bool {
-        let timer = self.handle();
-        let now = super::task::now(C::IN_INTERRUPT).0;
-        let (number, value) = match command {
-            Command::Start => (1, now),
-            Command::Stop => (3, 0),
-            Command::ChangePeriod(period) => (4, period.0),
-        };
+    /// Stops it.
+    ///
+    /// # Errors
+    /// [`CommandsFull`]
+    pub fn stop(&self, ctx: &impl Context) -> Result<(), CommandsFull> {
+        self.command(ctx, STOP, 0)
+    }
+
+    fn command<C: Context>(
+        &self,
+        ctx: &C,
+        command: ffi::Base,
+        value: ffi::Tick,
+    ) -> Result<(), CommandsFull> {
+        self.0.life.assert_current();
+        let timer = self.0.block.get().cast();
         let mut woken = 0;
-        // SAFETY: a timer of this life that lives for ever; commands of interrupts are 5 above
-        // those of tasks; without waiting.
+        // SAFETY: a timer of this life that is never freed; without waiting.
         let sent = unsafe {
             if C::IN_INTERRUPT {
-                ffi::xTimerGenericCommandFromISR(timer, number + 5, value, &mut woken, 0)
+                let command = command + FROM_INTERRUPT;
+                ffi::xTimerGenericCommandFromISR(timer, command, value, &mut woken, 0)
             } else {
-                ffi::xTimerGenericCommandFromTask(timer, number, value, core::ptr::null_mut(), 0)
+                ffi::xTimerGenericCommandFromTask(timer, command, value, core::ptr::null_mut(), 0)
             }
         };
         ctx.woken(woken != 0);
-        sent == ffi::PASS
-    }
-
-    pub(crate) fn is_active(&self) -> bool {
-        // SAFETY: a timer of this life.
-        unsafe { ffi::xTimerIsTimerActive(self.handle()) != 0 }
+        if sent == ffi::PASS {
+            Ok(())
+        } else {
+            Err(CommandsFull)
+        }
     }
 }
 
 /// The service task found that a timer has expired.
 extern "C" fn expired(timer: *mut c_void) {
-    // SAFETY: `make` gave the block as the timer's id.
+    // SAFETY: `new` gave the block as the timer's id.
     let block = unsafe { &*ffi::pvTimerGetTimerID(timer).cast::<Block>() };
     // SAFETY: only the service task calls it, one timer after the other.
-    if let Some(callback) = unsafe { (*block.callback.get()).as_mut() } {
-        callback(&TimerContext::new());
-    }
+    let callback = unsafe { &mut *block.callback.get() };
+    callback(&TimerContext::new());
 }

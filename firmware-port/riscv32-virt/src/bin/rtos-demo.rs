@@ -8,9 +8,8 @@
 #![deny(unsafe_code)]
 
 use core::sync::atomic::{AtomicU32, Ordering};
-use core::time::Duration;
 use tandem_board_riscv32_virt::{clint, entry, exit, hart, log};
-use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS};
+use tandem_rtos::demo::{COMPLETE, Edge, SPAN_MS, TESTS, toggle};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 
 entry!(main);
@@ -113,16 +112,4 @@ fn run(ctx: &TaskContext) {
     }
     log!("{COMPLETE}");
     exit::exit(0)
-}
-
-/// A task of a test.
-fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl Fn()) {
-    for _ in 0..output.rounds() {
-        change();
-        if let Some(burn_ms) = output.burn_ms {
-            ctx.burn(Duration::from_millis(burn_ms.into()));
-            change();
-        }
-        ctx.delay_until(&mut wake, Ticks(output.period_ms));
-    }
 }

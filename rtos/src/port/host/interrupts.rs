@@ -11,7 +11,7 @@ use super::state::{self, PENDING};
 use super::tick;
 use crate::context::InterruptContext;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::sys::{self, sink};
+use crate::sys::{self, trace};
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
@@ -149,7 +149,7 @@ pub(super) fn most_urgent(level: u32) -> Option<(u32, u32)> {
 
 /// Runs the handler of a source. Entered with interrupts masked once and the source's level taken.
 pub(super) fn run(number: u32) {
-    sink::interrupt_entered(number);
+    trace::interrupt_entered(number);
     match SOURCES.get(number as usize) {
         // The tick works on the kernel's lists, so nothing may interrupt it.
         None => tick::interrupt(),
@@ -164,7 +164,7 @@ pub(super) fn run(number: u32) {
             }
         }
     }
-    sink::interrupt_left(number);
+    trace::interrupt_left(number);
 }
 
 /// The handler of both signals. It may interrupt a task anywhere, also in a call of the operating

@@ -16,7 +16,7 @@ pub use tick::{TickStatistics, elapsed_ns, now_ns, observe as observe_ticks, sta
 pub(crate) use tick::{run_time, run_time_span, tick_origin_ns, timestamp_ns, virtual_work};
 
 pub(crate) use interrupts::attach;
-pub(crate) use stack::{MIN_STACK_WORDS, Stack, idle};
+pub(crate) use stack::{Stack, idle};
 pub(crate) use state::{assert_may_block, epoch, in_task};
 
 use crate::kernel::{Clock, StartError};
@@ -24,10 +24,6 @@ use crate::sys::{self, ffi};
 use core::fmt::{self, Write};
 use std::sync::mpsc;
 use std::thread;
-
-/// Whether nothing of an earlier life of the kernel is used any more. Here other threads may still
-/// borrow from abandoned tasks.
-pub(crate) const A_LIFE_ENDS_ALL: bool = false;
 
 /// Before the first task is made.
 pub(crate) fn prepare() {}

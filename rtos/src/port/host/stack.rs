@@ -4,9 +4,9 @@ use super::{state, tick};
 use crate::sys::task;
 use core::ptr;
 
-/// The smallest stack in words: frames of signals with all vector registers (3.7 KiB with AVX-512),
+/// The smallest stack in bytes: frames of signals with all vector registers (3.7 KiB with AVX-512),
 /// of which several lie on each other while interrupts follow each other quickly.
-pub(crate) const MIN_STACK_WORDS: usize = (64 << 10) / size_of::<usize>();
+const MIN_BYTES: usize = 64 << 10;
 /// Bytes of the stacks of the idle task and of the timers' task.
 const SERVICE_BYTES: usize = 64 << 10;
 
@@ -26,21 +26,11 @@ pub(super) fn page() -> usize {
 
 /// Bytes of a stack that has room for `bytes`, and of its mapping with the guard.
 fn sizes(bytes: usize, page: usize) -> Option<(usize, usize)> {
-    let stack = bytes
-        .max(MIN_STACK_WORDS * size_of::<usize>())
-        .checked_next_multiple_of(page)?;
+    let stack = bytes.max(MIN_BYTES).checked_next_multiple_of(page)?;
     Some((stack, stack.checked_add(page)?))
 }
 
 impl Stack {
-    /// A stack for a task in a static: fresh pages with a guard, since the static has none.
-    ///
-    /// # Safety
-    /// None here; on a target the memory must be unused as long as this stack is.
-    pub(crate) unsafe fn in_static(_low: *mut usize, words: usize) -> Option<Self> {
-        Self::allocate(words.checked_mul(size_of::<usize>())?)
-    }
-
     /// Fresh pages with a guard below them.
     pub(crate) fn allocate(bytes: usize) -> Option<Self> {
         let page = page();

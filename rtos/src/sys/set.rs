@@ -1,16 +1,14 @@
 //! Queue sets: a task waits for the first of several queues and semaphores.
 
-use crate::InUse;
+use super::ffi;
+use super::queue::{Items, Raw, may_wait};
 use crate::context::{TaskContext, TaskLevel};
-use crate::queue::Queue;
 use crate::semaphore::Semaphore;
-use crate::sys;
-use crate::sys::queue::{Raw, Set, Storage, join};
-use crate::sys::shared::Shared;
+use crate::sys::queue::Queue;
 use crate::time::Ticks;
-use core::cell::UnsafeCell;
+use alloc::sync::Arc;
 use core::fmt;
-use core::mem::MaybeUninit;
+use core::sync::atomic::{AtomicUsize, Ordering};
 
 /// A member of a set, as [`QueueSet::select`] names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -36,45 +34,26 @@ impl fmt::Display for AddError {
 
 impl core::error::Error for AddError {}
 
-/// Memory for a set in a static, for members with together `N` items.
-pub struct QueueSetMemory<const N: usize> {
-    set: Set,
-    items: items::Items<N>,
+/// A queue of the members that have something.
+pub(crate) struct Inner {
+    pub(super) raw: Raw,
+    items: Items<usize>,
+    /// How many of them the members could fill.
+    promised: AtomicUsize,
 }
 
-#[allow(unsafe_code)]
-mod items {
-    use super::{MaybeUninit, UnsafeCell};
-
-    /// Places for handles, which only the kernel touches.
-    pub(super) struct Items<const N: usize>(pub(super) UnsafeCell<[MaybeUninit<usize>; N]>);
-
-    // SAFETY: the kernel is called from one thread only.
-    unsafe impl<const N: usize> Sync for Items<N> {}
-}
-
-impl<const N: usize> QueueSetMemory<N> {
-    /// Memory for one set.
-    #[must_use]
-    #[allow(
-        clippy::new_without_default,
-        reason = "for statics, where a default is of no use"
-    )]
-    pub const fn new() -> Self {
-        Self {
-            set: Set::new(),
-            items: items::Items(UnsafeCell::new([MaybeUninit::uninit(); N])),
-        }
-    }
-}
+// SAFETY: as for `Raw`; what is stored are addresses that are only compared.
+unsafe impl Send for Inner {}
+// SAFETY: as above.
+unsafe impl Sync for Inner {}
 
 /// A set. Members stay in it for as long as they are.
 ///
-/// Each time [`QueueSet::select`] names a member, the task takes one item from it without waiting;
-/// nobody takes from a member otherwise.
+/// Each time [`QueueSet::select`] names a member, the task takes one item from it without waiting.
+/// Items are taken from a member in no other way.
 #[derive(Clone)]
 pub struct QueueSet {
-    set: Shared<Set>,
+    set: Arc<Inner>,
 }
 
 impl fmt::Debug for QueueSet {
@@ -84,46 +63,32 @@ impl fmt::Debug for QueueSet {
 }
 
 impl QueueSet {
-    /// A set on the heap, for members with together `capacity` items.
+    /// A set for members with together `capacity` items.
     ///
     /// # Panics
     /// If the capacity is zero.
-    #[cfg(feature = "alloc")]
     #[must_use]
     pub fn new(_at: &impl TaskLevel, capacity: usize) -> Self {
-        Self {
-            set: Set::on_heap(capacity),
-        }
-    }
-
-    /// A set in a static.
-    ///
-    /// # Errors
-    /// [`InUse`]
-    ///
-    /// # Panics
-    /// If `N` is zero.
-    pub fn new_static<const N: usize>(
-        _at: &impl TaskLevel,
-        memory: &'static QueueSetMemory<N>,
-    ) -> Result<Self, InUse> {
-        memory
-            .set
-            .make(Storage::Static(memory.items.0.get().cast()), N)?;
-        Ok(Self {
-            set: Shared::Static(&memory.set),
-        })
+        let set = Arc::new(Inner {
+            raw: Raw::new(),
+            items: Items::new(capacity),
+            promised: AtomicUsize::new(0),
+        });
+        // SAFETY: block and items are ours, and stay as long as the set is.
+        unsafe { ffi::xQueueCreateSetStatic(capacity, set.items.place(), set.raw.handle()) };
+        Self { set }
     }
 
     fn add(&self, member: &Raw, capacity: usize) -> Result<Member, AddError> {
-        if !self.set.promise(capacity) {
+        let promised = self.set.promised.load(Ordering::Relaxed) + capacity;
+        if promised > self.set.items.count() {
             return Err(AddError::SetFull);
         }
-        // Undivided: the member must not fill between the look and the joining.
-        if !sys::critical(|| join(&self.set, member)) {
-            self.set.release(capacity);
+        // Undivided: the member must not fill between the check and the joining.
+        if !super::critical(|| member.join(&self.set)) {
             return Err(AddError::NotFree);
         }
+        self.set.promised.store(promised, Ordering::Relaxed);
         Ok(Member(member.address()))
     }
 
@@ -136,7 +101,7 @@ impl QueueSet {
         _at: &impl TaskLevel,
         queue: &Queue<T>,
     ) -> Result<Member, AddError> {
-        self.add(&queue.typed().raw, queue.capacity())
+        self.add(queue.raw(), queue.capacity())
     }
 
     /// Makes a semaphore a member.
@@ -156,6 +121,9 @@ impl QueueSet {
     /// # Panics
     /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].
     pub fn select(&self, _ctx: &TaskContext, timeout: impl Into<Ticks>) -> Option<Member> {
-        self.set.select(timeout.into()).map(Member)
+        let timeout = may_wait(timeout.into());
+        // SAFETY: a set of this life, and the caller is a task that may block.
+        let member = unsafe { ffi::xQueueSelectFromSet(self.set.raw.handle(), timeout) };
+        (!member.is_null()).then_some(Member(member as usize))
     }
 }

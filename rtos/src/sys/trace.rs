@@ -1,0 +1,101 @@
+//! What the kernel did when: switches, wake-ups and interrupts, and where these are told.
+
+use crate::port;
+use core::cell::UnsafeCell;
+use core::ffi::c_void;
+use core::ptr;
+use core::sync::atomic::{AtomicPtr, Ordering};
+
+/// What happened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum KernelEventKind {
+    /// The kernel chose a task, which begins or continues. It may be the one that ran before.
+    SwitchedIn,
+    /// The running task gives way, perhaps to itself.
+    SwitchedOut,
+    /// A task became ready: it was woken or made, or its wait has ended.
+    Ready,
+    /// A handler begins. The subject is the interrupt's number; 63 is the host's tick. The target's
+    /// tick is not told.
+    InterruptEntered,
+    /// A handler has ended.
+    InterruptLeft,
+}
+
+/// One event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct KernelEvent {
+    /// When, in nanoseconds: of CLOCK_MONOTONIC or of virtual time on the host, of `mtime` on the
+    /// target.
+    pub at_ns: u64,
+    /// What.
+    pub kind: KernelEventKind,
+    /// The task's number (see [`TaskStatistics`](crate::TaskStatistics)), or the interrupt's.
+    pub subject: u32,
+}
+
+/// Receives the events. Called in tasks and in handlers, also nested in itself: it must not block,
+/// allocate or lock.
+pub trait TraceSink: Sync {
+    /// An event.
+    fn record(&self, event: KernelEvent);
+}
+
+struct Sink(UnsafeCell<Option<&'static dyn TraceSink>>);
+
+// SAFETY: written while no scheduler runs, read on the core's thread only.
+unsafe impl Sync for Sink {}
+
+static SINK: Sink = Sink(UnsafeCell::new(None));
+
+/// The kernel's C code calls only if this is not null.
+#[unsafe(no_mangle)]
+static tandem_trace_sink: AtomicPtr<c_void> = AtomicPtr::new(ptr::null_mut());
+
+/// Sets or takes away the sink. The caller holds the kernel, and no scheduler runs.
+pub(crate) fn listen(sink: Option<&'static dyn TraceSink>) {
+    let flag = if sink.is_some() {
+        SINK.0.get().cast()
+    } else {
+        ptr::null_mut()
+    };
+    // SAFETY: no scheduler runs, so nothing reads it.
+    unsafe { *SINK.0.get() = sink };
+    tandem_trace_sink.store(flag, Ordering::Relaxed);
+}
+
+fn record(kind: KernelEventKind, subject: u32) {
+    // SAFETY: written only while no scheduler runs.
+    if let Some(sink) = unsafe { *SINK.0.get() } {
+        sink.record(KernelEvent {
+            at_ns: port::timestamp_ns(),
+            kind,
+            subject,
+        });
+    }
+}
+
+/// An event of a task, by the numbers in `FreeRTOSConfig.h`.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_trace(kind: u32, task: u32) {
+    let kind = match kind {
+        1 => KernelEventKind::SwitchedIn,
+        2 => KernelEventKind::SwitchedOut,
+        _ => KernelEventKind::Ready,
+    };
+    record(kind, task);
+}
+
+pub(crate) fn interrupt_entered(number: u32) {
+    record(KernelEventKind::InterruptEntered, number);
+}
+
+pub(crate) fn interrupt_left(number: u32) {
+    record(KernelEventKind::InterruptLeft, number);
+}
+
+/// The kernel's counter for the time that tasks run.
+#[unsafe(no_mangle)]
+extern "C" fn tandem_run_time() -> u64 {
+    port::run_time()
+}
