@@ -111,41 +111,45 @@ fn write_enums(dbc: &Dbc, out: &mut String) -> Result<()> {
         }
     }
     for (name, table) in tables {
-        writeln!(out, "/// Values of the signal `{name}`.")?;
-        writeln!(out, "#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]")?;
-        writeln!(out, "pub enum {name} {{")?;
-        for (i, value) in table.iter().enumerate() {
-            let default = if i == 0 { "#[default] " } else { "" };
-            writeln!(out, "    /// Coded as {}.", value.id)?;
-            writeln!(out, "    {default}{} = {},", value.description, value.id)?;
-        }
-        writeln!(out, "}}\n")?;
-        writeln!(out, "impl {name} {{")?;
-        writeln!(out, "    /// Every value, in the order of the DBC.")?;
-        writeln!(out, "    pub const ALL: [Self; {}] = [", table.len())?;
-        for value in table {
-            writeln!(out, "        Self::{},", value.description)?;
-        }
-        writeln!(out, "    ];\n")?;
-        writeln!(out, "    /// The value's name in the DBC.")?;
-        writeln!(
+        let lines = |line: &dyn Fn(&ValDescription) -> String| -> String {
+            table.iter().map(|value| line(value) + "\n").collect()
+        };
+        let first = table.first().map(|value| value.id);
+        let variants = lines(&|ValDescription { id, description }| {
+            let default = if Some(*id) == first { "#[default] " } else { "" };
+            format!("    /// Coded as {id}.\n    {default}{description} = {id},")
+        });
+        let all = lines(&|value| format!("        Self::{},", value.description));
+        let names = lines(&|ValDescription { description, .. }| {
+            format!("            Self::{description} => \"{description}\",")
+        });
+        let count = table.len();
+        write!(
             out,
-            "    #[must_use]\n    pub const fn name(self) -> &'static str {{"
+            r"/// Values of the signal `{name}`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum {name} {{
+{variants}}}
+
+impl {name} {{
+    /// Every value, in the order of the DBC.
+    pub const ALL: [Self; {count}] = [
+{all}    ];
+
+    /// The value's name in the DBC.
+    #[must_use]
+    pub const fn name(self) -> &'static str {{
+        match self {{
+{names}        }}
+    }}
+
+    fn from_raw(raw: i64) -> Option<Self> {{
+        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    }}
+}}
+
+"
         )?;
-        writeln!(out, "        match self {{")?;
-        for ValDescription {
-            description: value, ..
-        } in table
-        {
-            writeln!(out, "            Self::{value} => \"{value}\",")?;
-        }
-        writeln!(out, "        }}\n    }}\n")?;
-        writeln!(out, "    fn from_raw(raw: i64) -> Option<Self> {{")?;
-        writeln!(
-            out,
-            "        Self::ALL.into_iter().find(|value| *value as i64 == raw)"
-        )?;
-        writeln!(out, "    }}\n}}\n")?;
     }
     Ok(())
 }
@@ -159,156 +163,108 @@ fn write_layout(dbc: &Dbc, name: &str, messages: &[&Message], out: &mut String) 
         .map(|signal| Field::of(dbc, message, signal))
         .collect::<Result<_>>()?;
 
+    let lines = |line: &dyn Fn(&Field<'_>) -> String| -> String {
+        fields.iter().map(|field| line(field) + "\n").collect()
+    };
+    let comment = dbc.message_comment(message.id).map(|comment| {
+        let comment = comment.replace(" of system A", "");
+        format!("/// {}.\n///\n", comment.trim_end_matches('.'))
+    });
     let names: Vec<String> = messages.iter().map(|m| format!("`{}`", m.name)).collect();
-    if let Some(comment) = dbc.message_comment(message.id) {
-        writeln!(
-            out,
-            "/// {}.\n///",
-            comment.replace(" of system A", "").trim_end_matches('.')
-        )?;
-    }
-    writeln!(out, "/// Layout of {}.", names.join(", "))?;
-    writeln!(out, "#[derive(Clone, Copy, Debug, Default, PartialEq)]")?;
-    writeln!(out, "pub struct {name} {{")?;
-    for field in &fields {
-        writeln!(out, "    /// {}", field.doc)?;
-        writeln!(out, "    pub {}: {},", field.name, field.kind.rust())?;
-    }
-    writeln!(out, "}}\n")?;
-
-    writeln!(out, "impl {name} {{")?;
     let ids: Vec<String> = messages
         .iter()
         .map(|m| standard_id(m))
         .collect::<Result<_>>()?;
-    writeln!(
-        out,
-        "    /// Ids of the frames with this layout, in the order of the DBC."
-    )?;
-    writeln!(
-        out,
-        "    pub const IDS: [u16; {}] = [{}];",
-        ids.len(),
-        ids.join(", ")
-    )?;
-    if let [id] = ids.as_slice() {
-        writeln!(
-            out,
-            "    /// Id of the frame.\n    pub const ID: u16 = {id};"
-        )?;
-    }
-    writeln!(out, "    /// Length of the frame, bytes.")?;
-    writeln!(out, "    pub const LEN: usize = {};", message.size)?;
-    writeln!(out, "    /// Period of the frame, ms.")?;
-    writeln!(
-        out,
-        "    pub const CYCLE_MS: u32 = {};\n",
-        cycle_ms(dbc, message.id)?
-    )?;
-    for signal in message
+    let only_id = match ids.as_slice() {
+        [id] => format!("    /// Id of the frame.\n    pub const ID: u16 = {id};\n"),
+        _ => String::new(),
+    };
+    let coded = |signal: &&Signal| !["Crc", "Counter", "Spare"].contains(&&*signal.name);
+    let signals: Vec<String> = message
         .signals
         .iter()
-        .filter(|s| !["Crc", "Counter", "Spare"].contains(&&*s.name))
-    {
-        writeln!(
-            out,
-            "    pub(crate) const {}",
-            signal_const(message, signal)?
-        )?;
-    }
-    write_codec(&fields, out)?;
-    writeln!(out, "}}\n")?;
-    Ok(())
-}
+        .filter(coded)
+        .map(|signal| signal_const(message, signal))
+        .collect::<Result<_>>()?;
+    write!(
+        out,
+        r"{comment}/// Layout of {names}.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct {name} {{
+{members}}}
 
-fn write_codec(fields: &[Field<'_>], out: &mut String) -> Result<()> {
-    writeln!(
-        out,
-        "\n    /// Writes all signals but those of the end-to-end protection, which become zero."
-    )?;
-    writeln!(
-        out,
-        "    /// Values out of range saturate, fractions round to nearest, NaN becomes 0."
-    )?;
-    writeln!(
-        out,
-        "    pub fn encode(&self, data: &mut [u8; Self::LEN]) {{"
-    )?;
-    writeln!(out, "        *data = [0; Self::LEN];")?;
-    for Field {
-        name, kind, signal, ..
-    } in fields
-    {
-        let constant = shouted(&signal.name);
-        let put = match kind {
-            Kind::Physical => format!("put_physical(data, self.{name})"),
-            Kind::Table(_) => format!("put(data, self.{name} as i64)"),
-            Kind::Flag | Kind::Integer(_) => format!("put(data, i64::from(self.{name}))"),
-        };
-        writeln!(out, "        Self::{constant}.{put};")?;
-    }
-    writeln!(out, "    }}\n")?;
+impl {name} {{
+    /// Ids of the frames with this layout, in the order of the DBC.
+    pub const IDS: [u16; {count}] = [{ids}];
+{only_id}    /// Length of the frame, bytes.
+    pub const LEN: usize = {len};
+    /// Period of the frame, ms.
+    pub const CYCLE_MS: u32 = {cycle};
 
-    writeln!(
-        out,
-        "    /// Reads the signals. The end-to-end protection is not looked at."
+{signals}
+    /// Writes all signals but those of the end-to-end protection, which become zero.
+    /// Values out of range saturate, fractions round to nearest, NaN becomes 0.
+    pub fn encode(&self, data: &mut [u8; Self::LEN]) {{
+        *data = [0; Self::LEN];
+{puts}    }}
+
+    /// Reads the signals. The end-to-end protection is not checked.
+    ///
+    /// # Errors
+    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value
+    /// that is out of the signal's range or not in its value table.
+    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {{
+        if data.len() != Self::LEN {{
+            return Err(DecodeError::WrongLength);
+        }}
+        Ok(Self {{
+{gets}        }})
+    }}
+
+    /// The values by their names in the DBC: physical ones, flags and tables as numbers.
+    #[must_use]
+    pub fn values(&self) -> [(&'static str, f64); {fields}] {{
+        [
+{values}        ]
+    }}
+}}
+
+",
+        comment = comment.unwrap_or_default(),
+        names = names.join(", "),
+        members = lines(&|field| {
+            let (doc, name) = (&field.doc, &field.name);
+            format!("    /// {doc}\n    pub {name}: {},", field.kind.rust())
+        }),
+        count = ids.len(),
+        ids = ids.join(", "),
+        len = message.size,
+        cycle = cycle_ms(dbc, message.id)?,
+        signals = signals
+            .iter()
+            .map(|signal| format!("    pub(crate) const {signal}\n"))
+            .collect::<String>(),
+        puts = lines(&|field| format!("        Self::{};", field.put())),
+        gets = lines(&|field| format!("            {}: {},", field.name, field.get())),
+        fields = fields.len(),
+        values = lines(&|field| format!("            {},", field.value())),
     )?;
-    writeln!(out, "    ///\n    /// # Errors")?;
-    writeln!(
-        out,
-        "    /// [`DecodeError::WrongLength`], or [`DecodeError::InvalidSignal`] for a value"
-    )?;
-    writeln!(
-        out,
-        "    /// that is out of the signal's range or not in its value table."
-    )?;
-    writeln!(
-        out,
-        "    pub fn decode(data: &[u8]) -> Result<Self, DecodeError> {{"
-    )?;
-    writeln!(out, "        if data.len() != Self::LEN {{")?;
-    writeln!(
-        out,
-        "            return Err(DecodeError::WrongLength);\n        }}"
-    )?;
-    writeln!(out, "        Ok(Self {{")?;
-    for Field {
-        name, kind, signal, ..
-    } in fields
-    {
-        let constant = shouted(&signal.name);
-        let value = match kind {
-            Kind::Physical => format!("Self::{constant}.get_physical(data)?"),
-            Kind::Flag => format!("Self::{constant}.get(data)? != 0"),
-            Kind::Integer(rust) => format!("Self::{constant}.get(data)? as {rust}"),
-            Kind::Table(rust) => format!(
-                "{rust}::from_raw(Self::{constant}.get(data)?).ok_or(Self::{constant}.invalid())?"
-            ),
-        };
-        writeln!(out, "            {name}: {value},")?;
-    }
-    writeln!(out, "        }})\n    }}")?;
     Ok(())
 }
 
 fn write_frames(dbc: &Dbc, out: &mut String) -> Result<()> {
+    let count = dbc.messages.len();
     writeln!(
         out,
-        "/// Every frame of the vehicle bus, in the order of the DBC, which is by id."
-    )?;
-    writeln!(
-        out,
-        "pub const FRAMES: [FrameInfo; {}] = [",
-        dbc.messages.len()
+        "/// Every frame of the vehicle bus, in the order of the DBC, which is by id.\n\
+         pub const FRAMES: [FrameInfo; {count}] = ["
     )?;
     for message in &dbc.messages {
+        let Message { name, size, .. } = message;
+        let (id, cycle) = (standard_id(message)?, cycle_ms(dbc, message.id)?);
         writeln!(
             out,
-            "    FrameInfo {{ id: {}, name: \"{}\", len: {}, cycle_ms: {} }},",
-            standard_id(message)?,
-            message.name,
-            message.size,
-            cycle_ms(dbc, message.id)?,
+            "    FrameInfo {{ id: {id}, name: \"{name}\", len: {size}, cycle_ms: {cycle} }},"
         )?;
     }
     writeln!(out, "];")?;
@@ -386,6 +342,42 @@ impl<'a> Field<'a> {
             kind,
             signal,
         })
+    }
+
+    /// Writes the field into `data`.
+    fn put(&self) -> String {
+        let (constant, name) = (shouted(&self.signal.name), &self.name);
+        match self.kind {
+            Kind::Physical => format!("{constant}.put_physical(data, self.{name})"),
+            Kind::Table(_) => format!("{constant}.put(data, self.{name} as i64)"),
+            Kind::Flag | Kind::Integer(_) => {
+                format!("{constant}.put(data, i64::from(self.{name}))")
+            }
+        }
+    }
+
+    /// Reads the field from `data`.
+    fn get(&self) -> String {
+        let signal = format!("Self::{}", shouted(&self.signal.name));
+        match self.kind {
+            Kind::Physical => format!("{signal}.get_physical(data)?"),
+            Kind::Flag => format!("{signal}.get(data)? != 0"),
+            Kind::Integer(rust) => format!("{signal}.get(data)? as {rust}"),
+            Kind::Table(rust) => {
+                format!("{rust}::from_raw({signal}.get(data)?).ok_or({signal}.invalid())?")
+            }
+        }
+    }
+
+    /// The field by its name in the DBC, as a number.
+    fn value(&self) -> String {
+        let name = &self.name;
+        let number = match self.kind {
+            Kind::Physical | Kind::Integer(_) => format!("f64::from(self.{name})"),
+            Kind::Flag => format!("f64::from(u8::from(self.{name}))"),
+            Kind::Table(_) => format!("f64::from(self.{name} as u8)"),
+        };
+        format!("(\"{}\", {number})", self.signal.name)
     }
 }
 

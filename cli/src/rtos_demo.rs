@@ -5,9 +5,10 @@
 //! drawn from these notes.
 
 use anyhow::{Context as _, Result, ensure};
-use plotters::prelude::*;
 use std::fmt::Write as _;
 use std::sync::{Arc, Mutex, PoisonError};
+use tandem_page::chart::{WIDTH, plain, round_ticks};
+use tandem_page::svg::{Anchor, Color, Stroke, Svg};
 use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test, toggle};
 use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
@@ -17,8 +18,13 @@ use crate::emulated;
 
 /// Columns of a trace in the terminal.
 const COLUMNS: usize = 90;
-/// Of the palette, for each output: all dark enough for white paper.
-const COLOURS: [usize; 3] = [0, 1, 3];
+/// Colours of the outputs.
+const COLORS: [Color; 3] = [Color::A, Color::B, Color::GOOD];
+/// Sizes in the picture: one output, one test, its title, the space at both sides.
+const ROW: f64 = 72.0;
+const HEIGHT: f64 = 330.0;
+const TITLE: f64 = 44.0;
+const SIDE: f64 = 24.0;
 /// The image of this demonstration.
 const IMAGE: &str = "rtos-demo";
 const HERE: &str = "this machine's time";
@@ -45,8 +51,7 @@ pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
         }
     };
     if let Some(path) = &args.svg {
-        let text = draw(&pictures).context("drawing")?;
-        std::fs::write(path, text).with_context(|| path.display().to_string())?;
+        std::fs::write(path, draw(&pictures)).with_context(|| path.display().to_string())?;
     }
     Ok(pictures.iter().map(show).collect())
 }
@@ -175,57 +180,50 @@ fn show(picture: &Picture) -> String {
 }
 
 /// Both pictures as one SVG.
-fn draw(pictures: &[Picture]) -> Result<String> {
-    let mut text = String::new();
-    {
-        let root = SVGBackend::with_string(&mut text, (1000, 640)).into_drawing_area();
-        root.fill(&WHITE)?;
-        for (area, picture) in root.split_evenly((pictures.len(), 1)).iter().zip(pictures) {
-            draw_one(area, picture)?;
-        }
-        root.present()?;
+fn draw(pictures: &[Picture]) -> String {
+    let mut svg = Svg::new(WIDTH, HEIGHT * pictures.len() as f64);
+    for (number, picture) in pictures.iter().enumerate() {
+        draw_one(&mut svg, HEIGHT * number as f64, picture);
     }
-    Ok(text)
+    svg.into_file()
 }
 
-fn draw_one<D>(area: &DrawingArea<D, plotters::coord::Shift>, picture: &Picture) -> Result<()>
-where
-    D: DrawingBackend,
-    D::ErrorType: 'static,
-{
-    let count = picture.test.outputs.len();
+fn draw_one(svg: &mut Svg, top: f64, picture: &Picture) {
     let span = f64::from(SPAN_MS);
-    let mut chart = ChartBuilder::on(area)
-        .caption(picture.title(), ("sans-serif", 18))
-        .margin(12)
-        .x_label_area_size(36)
-        .build_cartesian_2d(0.0..span, 0.0..count as f64)?;
-    let mesh = chart
-        .configure_mesh()
-        .disable_y_mesh()
-        .disable_y_axis()
-        .x_desc(format!("ms of {}", picture.clock))
-        .draw();
-    mesh?;
-    for (channel, colour) in (0..count).zip(COLOURS) {
-        let base = (count - 1 - channel) as f64 + 0.1;
-        let mut level = 0.0;
-        let mut points = vec![(0.0, base)];
-        for change in &picture.changes[channel] {
-            points.push((*change, base + level));
-            level = 0.5 - level;
-            points.push((*change, base + level));
-        }
-        points.push((span, base + level));
-        chart.draw_series(LineSeries::new(points, &Palette99::pick(colour)))?;
-        let label = Text::new(
-            picture.label(channel),
-            (2.0, base + 0.8),
-            ("sans-serif", 14),
-        );
-        chart.draw_series([label])?;
+    let x = |at_ms: f64| SIDE + at_ms / span * (WIDTH - 2.0 * SIDE);
+    let bottom = top + TITLE + ROW * picture.test.outputs.len() as f64;
+    svg.text(
+        (SIDE, top + 26.0),
+        Anchor::Start,
+        Color::INK,
+        &picture.title(),
+    );
+    for tick_ms in round_ticks((0.0, span), 12) {
+        let line = ((x(tick_ms), top + TITLE), (x(tick_ms), bottom));
+        svg.line(line.0, line.1, Stroke::new(Color::GRID, 1.0));
+        let place = (x(tick_ms), bottom + 18.0);
+        svg.text(place, Anchor::Middle, Color::MUTED, &plain(tick_ms));
     }
-    Ok(())
+    let clock = format!("ms of {}", picture.clock);
+    svg.text((SIDE, bottom + 38.0), Anchor::Start, Color::MUTED, &clock);
+    for (channel, color) in COLORS.into_iter().enumerate() {
+        let low = top + TITLE + ROW * (channel + 1) as f64 - 8.0;
+        let mut y = low;
+        let mut points = vec![(x(0.0), y)];
+        for change in &picture.changes[channel] {
+            points.push((x(*change), y));
+            y = 2.0 * low - 32.0 - y;
+            points.push((x(*change), y));
+        }
+        points.push((x(span), y));
+        svg.polyline(points.into_iter(), Stroke::new(color, 1.5), "");
+        svg.text(
+            (SIDE + 4.0, low - 40.0),
+            Anchor::Start,
+            color,
+            &picture.label(channel),
+        );
+    }
 }
 
 #[cfg(test)]
@@ -258,7 +256,7 @@ mod tests {
     fn pictures_have_a_trace_for_each_output() {
         let text = show(&known());
         assert_eq!(text.lines().filter(|line| line.contains('▁')).count(), 3);
-        let svg = draw(&[known()]).unwrap();
+        let svg = draw(&[known()]);
         assert!(roxmltree::Document::parse(&svg).is_ok(), "{svg}");
         for output in &TESTS[1].outputs {
             assert!(svg.contains(output.name), "{svg}");
@@ -266,7 +264,7 @@ mod tests {
         for shown in [&svg, &text] {
             assert!(shown.contains("time (QEMU, riscv32)"), "{shown}");
         }
-        assert!(svg.matches("<polyline").count() >= 3, "{svg}");
+        assert_eq!(svg.matches("stroke-linejoin").count(), 3, "{svg}");
     }
 
     #[test]

@@ -4,10 +4,8 @@ use tandem_board::{CoreId, SystemId};
 use tandem_bus::{Mode, Role};
 use tandem_cores::trace::Event;
 use tandem_record::RunLog;
-use tandem_record::log::{
-    ControlFrame, CoreEvent, DriveFigures, Header, Lane, Other, RoadPiece, Sample, StatusFrame,
-    VehicleRecord,
-};
+use tandem_record::log::{DriveFigures, Header, Lane, Other, RoadPiece, Sample, VehicleRecord};
+use tandem_record::run_log::{ControlFrame, CoreEvent, StatusFrame};
 use tandem_redundancy::Evidence;
 use tandem_vehicle::Verdict;
 

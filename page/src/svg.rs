@@ -194,6 +194,15 @@ impl Svg {
         ));
     }
 
+    /// The picture as a file of its own.
+    #[must_use]
+    pub fn into_file(self) -> String {
+        let ((width, height), body, style) = (self.size, self.body, crate::STYLE);
+        format!(
+            r#"<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height:.0}"><style>{style}</style><rect width="{width}" height="{height:.0}" style="fill:var(--card)"/>{body}</svg>"#
+        )
+    }
+
     /// The picture as an element; `label` says what it shows.
     #[must_use]
     pub fn finish(self, class: &str, label: &str) -> Markup {

@@ -6,14 +6,15 @@
 //! [`RunLog`].
 #![forbid(unsafe_code)]
 
+pub mod description;
 pub mod file;
 pub mod log;
 pub mod roles;
+pub mod run_log;
 pub mod takeover;
-pub mod words;
 
 pub use file::Entry;
-pub use log::RunLog;
+pub use run_log::RunLog;
 pub use takeover::{Takeover, takeovers};
 
 /// The span between two points on one clock, ms; negative if `to` is the earlier one.

@@ -158,7 +158,7 @@ fn observations(log: &RunLog, system: SystemId) -> Vec<(u64, State)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::{PowerChange, StatusFrame};
+    use crate::run_log::{PowerChange, StatusFrame};
 
     const SECOND_NS: u64 = 1_000_000_000;
 

@@ -7,8 +7,8 @@ use tandem_cores::trace::Event;
 use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::Verdict;
 
-use crate::log::{ControlFrame, CoreEvent};
-use crate::{RunLog, ms_between, words};
+use crate::run_log::{ControlFrame, CoreEvent};
+use crate::{RunLog, ms_between};
 
 /// A system whose control frames follow each other within this time was not silent, ms: one and a
 /// half control periods.
@@ -43,14 +43,6 @@ pub struct Takeover {
     pub is_false: bool,
     /// The old master found later that it had been held up.
     pub held_up: bool,
-}
-
-impl Takeover {
-    /// [`Takeover::cause`] in words.
-    #[must_use]
-    pub fn cause_in_words(&self) -> &'static str {
-        self.cause.map_or("not reported", words::evidence)
-    }
 }
 
 /// All changes of the accepted system, in order.
@@ -179,7 +171,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::StatusFrame;
+    use crate::run_log::StatusFrame;
     use tandem_bus::Mode;
 
     const A: SystemId = SystemId::A;

@@ -47,6 +47,7 @@ const WITHOUT_CIRCLES: &[&str] = &[
     "board/qemu",
     "board/sim",
     "bus",
+    "record",
     "shm",
 ];
 

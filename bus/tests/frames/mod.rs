@@ -175,83 +175,16 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
 /// The values of a message by the names of the DBC, physical, enums and flags as numbers.
 pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
     match message {
-        Message::Control { system, control } => vec![
-            ("Role", f64::from(control.role as u8)),
-            ("Mode", f64::from(control.mode as u8)),
-            ("System", f64::from(*system)),
-            ("Term", f64::from(control.term)),
-            ("SteeringAngle", f64::from(control.steering_angle)),
-            ("Acceleration", f64::from(control.acceleration)),
-            ("CommandAge", f64::from(control.command_age)),
-            ("Spare", 0.0),
-        ],
-        Message::Status { status, .. } => vec![
-            ("Role", f64::from(status.role as u8)),
-            ("Mode", f64::from(status.mode as u8)),
-            ("SysFailure", f64::from(u8::from(status.sys_failure))),
-            ("CpsysFailure", f64::from(u8::from(status.cpsys_failure))),
-            ("Line1Silent", f64::from(u8::from(status.line1_silent))),
-            ("Line2Silent", f64::from(u8::from(status.line2_silent))),
-            ("FailureMode", f64::from(status.failure_mode)),
-            ("Term", f64::from(status.term)),
-            ("AbnResets", f64::from(status.abn_resets)),
-            ("TotalResets", f64::from(status.total_resets)),
-            ("Tracks", f64::from(status.tracks)),
-            ("DeadlineMisses", f64::from(status.deadline_misses)),
-        ],
-        Message::GateEcho(echo) => vec![
-            ("Term", f64::from(echo.term)),
-            ("TermAge", f64::from(echo.term_age)),
-        ],
-        Message::EgoMotion(motion) => vec![
-            ("WorldRunning", f64::from(u8::from(motion.world_running))),
-            ("Speed", f64::from(motion.speed)),
-            ("YawRate", f64::from(motion.yaw_rate)),
-            ("LongAcceleration", f64::from(motion.long_acceleration)),
-            ("LatAcceleration", f64::from(motion.lat_acceleration)),
-            ("SteeringAngle", f64::from(motion.steering_angle)),
-            ("SlipAngle", f64::from(motion.slip_angle)),
-        ],
-        Message::DriverRequest(request) => vec![
-            ("Engage", f64::from(u8::from(request.engage))),
-            ("SetSpeed", f64::from(request.set_speed)),
-        ],
-        Message::SensorHeader(_, header) => vec![
-            ("ObjectCount", f64::from(header.object_count)),
-            ("MeasuredAt", f64::from(header.measured_at)),
-        ],
-        Message::SensorObject(_, object) => vec![
-            ("Index", f64::from(object.index)),
-            ("Class", f64::from(object.class as u8)),
-            ("X", f64::from(object.x)),
-            ("Y", f64::from(object.y)),
-            ("VX", f64::from(object.vx)),
-            ("VY", f64::from(object.vy)),
-            ("Length", f64::from(object.length)),
-            ("Width", f64::from(object.width)),
-            ("XDeviation", f64::from(object.x_deviation)),
-            ("YDeviation", f64::from(object.y_deviation)),
-        ],
-        Message::CameraLanes(lanes) => camera_values(lanes),
+        Message::Control { system, control } => {
+            let framing = [("System", f64::from(*system)), ("Spare", 0.0)];
+            control.values().into_iter().chain(framing).collect()
+        }
+        Message::Status { status, .. } => status.values().into(),
+        Message::GateEcho(echo) => echo.values().into(),
+        Message::EgoMotion(motion) => motion.values().into(),
+        Message::DriverRequest(request) => request.values().into(),
+        Message::SensorHeader(_, header) => header.values().into(),
+        Message::SensorObject(_, object) => object.values().into(),
+        Message::CameraLanes(lanes) => lanes.values().into(),
     }
-}
-
-fn camera_values(lanes: &CameraLanes) -> Vec<(&'static str, f64)> {
-    vec![
-        ("Valid", f64::from(u8::from(lanes.valid))),
-        ("LeftExists", f64::from(u8::from(lanes.left_exists))),
-        ("RightExists", f64::from(u8::from(lanes.right_exists))),
-        ("C0", f64::from(lanes.c0)),
-        ("C1", f64::from(lanes.c1)),
-        ("C2", f64::from(lanes.c2)),
-        ("C3", f64::from(lanes.c3)),
-        ("ViewRange", f64::from(lanes.view_range)),
-        ("Width", f64::from(lanes.width)),
-        ("LeftWidth", f64::from(lanes.left_width)),
-        ("RightWidth", f64::from(lanes.right_width)),
-        ("OwnEnd", f64::from(lanes.own_end)),
-        ("LeftEnd", f64::from(lanes.left_end)),
-        ("RightEnd", f64::from(lanes.right_end)),
-        ("SpeedLimit", f64::from(lanes.speed_limit)),
-    ]
 }

@@ -8,7 +8,7 @@ use maud::{Markup, html};
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
 use tandem_record::roles::State;
-use tandem_record::{RunLog, Takeover, takeovers, words};
+use tandem_record::{RunLog, Takeover, takeovers, description};
 
 use crate::metrics::Metrics;
 use crate::timeline::Timeline;
@@ -317,7 +317,7 @@ fn events(log: &RunLog) -> Markup {
         .iter()
         .filter_map(|event| {
             let who = format!("{}{}", event.system, event.core);
-            let what = words::core_event(event.event)?;
+            let what = description::core_event(event.event)?;
             Some((log.seconds(event.at_ns), who, what))
         })
         .collect();

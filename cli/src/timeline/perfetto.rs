@@ -16,7 +16,7 @@ use super::schema::{
 };
 use super::{CoreLine, Step, Timeline, irq_name, task_name};
 use tandem_record::roles::State;
-use tandem_record::{RunLog, takeovers, words};
+use tandem_record::{RunLog, description, takeovers};
 use tandem_vehicle::Verdict;
 
 const SEQUENCE: u32 = 1;
@@ -243,7 +243,7 @@ impl Trace {
         let mine = timeline.supplies.iter().filter(|(_, of, _)| *of == system);
         for (at_ns, _, event) in mine {
             let is_marker = !matches!(event, SupplyEvent::CoreStarted { .. });
-            let name = words::supply_event(*event);
+            let name = description::supply_event(*event);
             self.moment(track, *at_ns, Kind::Instant, &name);
             if is_marker {
                 let name = format!("{system}: {name}");
@@ -455,6 +455,6 @@ fn mark_name(line: &CoreLine, event: Event) -> Option<(&'static str, String)> {
         Event::Woken { core, .. } => ("wake", format!("woken by core {}", core.index())),
         Event::Ring { core } => ("interrupt", format!("rings core {}", core.index())),
         Event::Ready { task } => ("ready", format!("{} is ready", task_name(line.core, task))),
-        other => ("event", words::core_event(other)?),
+        other => ("event", description::core_event(other)?),
     })
 }

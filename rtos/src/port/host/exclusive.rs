@@ -1,4 +1,4 @@
-//! What the tasks' one thread holds for all of them: the allocator, standard output.
+//! What the tasks' one thread holds for all of them: the allocator, locks of libraries.
 //!
 //! A lock of the standard library belongs to a thread, and all tasks are one thread: a task that
 //! was pre-empted while it held one would give the next task a lock that cannot be had (a
@@ -8,9 +8,7 @@
 
 use super::state;
 use core::alloc::{GlobalAlloc, Layout};
-use core::fmt;
 use core::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::io::Write;
 
 /// An allocator that tasks can share. A program with tasks declares it:
 ///
@@ -102,43 +100,4 @@ pub(super) fn is_installed() -> bool {
 /// A call in `body` that may block the task panics.
 pub fn deferred<R>(body: impl FnOnce() -> R) -> R {
     state::deferred(body)
-}
-
-/// Where [`print`] writes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Output {
-    /// Standard output.
-    Out,
-    /// Standard error.
-    Error,
-}
-
-/// What `println!` and `eprintln!` of this crate do. Not interrupted by other tasks; in a handler
-/// of an interrupt it goes past the buffers, cut at 511 bytes. Output that cannot be written is
-/// lost.
-pub fn print(to: Output, text: fmt::Arguments<'_>) {
-    if state::on_core() && state::in_interrupt() {
-        let descriptor = if to == Output::Out { 1 } else { 2 };
-        return super::print_raw(descriptor, text);
-    }
-    let _ = deferred(|| match to {
-        Output::Out => writeln!(std::io::stdout().lock(), "{text}"),
-        Output::Error => writeln!(std::io::stderr().lock(), "{text}"),
-    });
-}
-
-/// As the standard library's, for tasks and handlers; see [`host::print`](crate::host::print).
-#[macro_export]
-macro_rules! println {
-    ($($text:tt)*) => {
-        $crate::host::print($crate::host::Output::Out, ::core::format_args!($($text)*))
-    };
-}
-
-/// As the standard library's, for tasks and handlers; see [`host::print`](crate::host::print).
-#[macro_export]
-macro_rules! eprintln {
-    ($($text:tt)*) => {
-        $crate::host::print($crate::host::Output::Error, ::core::format_args!($($text)*))
-    };
 }

@@ -10,9 +10,9 @@ mod state;
 mod switch;
 mod tick;
 
-pub use exclusive::{Output, TaskAllocator, deferred, print};
+pub use exclusive::{TaskAllocator, deferred};
 pub use interrupts::raise;
-pub use tick::{TickStatistics, elapsed_ns, now_ns, observe as observe_ticks, statistics};
+pub use tick::{caught_up, elapsed_ns, now_ns, observe as observe_ticks};
 pub(crate) use tick::{run_time, run_time_span, tick_origin_ns, timestamp_ns, virtual_work};
 
 pub(crate) use interrupts::attach;
@@ -163,8 +163,8 @@ impl Write for LastWords {
     }
 }
 
-/// Prints a line without allocating or locking.
-fn print_raw(descriptor: i32, message: fmt::Arguments<'_>) {
+/// Prints a line to standard error without allocating or locking.
+fn print_raw(message: fmt::Arguments<'_>) {
     let mut words = LastWords {
         text: [0; LAST_WORDS],
         length: 0,
@@ -172,13 +172,13 @@ fn print_raw(descriptor: i32, message: fmt::Arguments<'_>) {
     let _ = words.write_fmt(message);
     words.text[words.length] = b'\n';
     // SAFETY: writes from a valid buffer; async-signal-safe.
-    unsafe { libc::write(descriptor, words.text.as_ptr().cast(), words.length + 1) };
+    unsafe { libc::write(2, words.text.as_ptr().cast(), words.length + 1) };
 }
 
 /// Ends the process with a message. Callable from everywhere, handlers of signals included.
 pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
     state::mask_for_good();
-    print_raw(2, format_args!("tandem-rtos: {message}"));
+    print_raw(format_args!("tandem-rtos: {message}"));
     // SAFETY: ends the process.
     unsafe { libc::abort() }
 }

@@ -33,30 +33,14 @@ static VIRTUAL_NS: AtomicU64 = AtomicU64::new(0);
 /// Ticks that the kernel was given.
 static DONE: AtomicU64 = AtomicU64::new(0);
 static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
-static LATEST_NS: AtomicU64 = AtomicU64::new(0);
 /// Given the lateness of each tick interrupt in nanoseconds.
 static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 
-/// What the tick did since the scheduler started.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TickStatistics {
-    /// Ticks so far.
-    pub ticks: u64,
-    /// Ticks among them that were served together with a later one, because the machine was late by
-    /// more than a tick.
-    pub caught_up: u64,
-    /// The longest time from a tick's point to its interrupt, in nanoseconds.
-    pub latest_ns: u64,
-}
-
-/// Statistics of this run, or of the last one.
+/// Ticks of this run, or of the last one, that were served together with a later one, because the
+/// machine was late by more than a tick.
 #[must_use]
-pub fn statistics() -> TickStatistics {
-    TickStatistics {
-        ticks: DONE.load(Relaxed),
-        caught_up: CAUGHT_UP.load(Relaxed),
-        latest_ns: LATEST_NS.load(Relaxed),
-    }
+pub fn caught_up() -> u64 {
+    CAUGHT_UP.load(Relaxed)
 }
 
 /// Has `observer` called in each tick interrupt with its lateness in nanoseconds, measured when the
@@ -98,7 +82,7 @@ pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
     VIRTUAL.store(clock == Clock::Virtual, Relaxed);
     origin();
     VIRTUAL_NS.store(0, Relaxed);
-    for count in [&DONE, &CAUGHT_UP, &LATEST_NS, &START_NS] {
+    for count in [&DONE, &CAUGHT_UP, &START_NS] {
         count.store(0, Relaxed);
     }
     if clock == Clock::Virtual {
@@ -169,9 +153,6 @@ pub(super) fn interrupt() {
         return;
     }
     let late = elapsed - (done + 1) * TICK_NS;
-    if late > LATEST_NS.load(Relaxed) {
-        LATEST_NS.store(late, Relaxed);
-    }
     let observer = OBSERVER.load(Relaxed);
     if !observer.is_null() {
         // SAFETY: `observe` stored a function of this type.

@@ -1,4 +1,4 @@
-//! Events in words, for people.
+//! What events say to people.
 
 use tandem_board::{ResetCause, SupplyEvent};
 use tandem_bus::Mode;
@@ -6,7 +6,7 @@ use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
 
 use crate::roles::State;
-use crate::takeover::{detected_ms, is_late};
+use crate::takeover::{Takeover, detected_ms, is_late};
 
 /// What a core reports; `None` for what every cycle writes and for the events of a scheduler.
 #[must_use]
@@ -71,6 +71,14 @@ const fn flood_source(source: FloodSource) -> &'static str {
         FloodSource::StartLine => "edges on the start line",
         FloodSource::HeartbeatLines => "edges on a heartbeat line",
         FloodSource::Doorbell => "doorbells",
+    }
+}
+
+impl Takeover {
+    /// [`Takeover::cause`] in words.
+    #[must_use]
+    pub fn cause_in_words(&self) -> &'static str {
+        self.cause.map_or("not reported", evidence)
     }
 }
 
