@@ -93,7 +93,10 @@ fn here(test: &'static Test) -> Result<Picture> {
         kernel.spawn(&options, move |ctx| toggle(ctx, output, ctx.now(), note))?;
     }
     kernel.start(Clock::Wall)?;
-    let changes = std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
+    let mut changes = std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
+    for output in &mut changes {
+        output.retain(|at_ms| *at_ms <= f64::from(SPAN_MS));
+    }
     Ok(Picture {
         test,
         clock: HERE,
