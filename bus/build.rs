@@ -116,7 +116,11 @@ fn write_enums(dbc: &Dbc, out: &mut String) -> Result<()> {
         };
         let first = table.first().map(|value| value.id);
         let variants = lines(&|ValDescription { id, description }| {
-            let default = if Some(*id) == first { "#[default] " } else { "" };
+            let default = if Some(*id) == first {
+                "#[default] "
+            } else {
+                ""
+            };
             format!("    /// Coded as {id}.\n    {default}{description} = {id},")
         });
         let all = lines(&|value| format!("        Self::{},", value.description));

@@ -8,7 +8,7 @@ use maud::{Markup, html};
 use tandem_page::chart::Chart;
 use tandem_page::{legend, section, tile};
 use tandem_record::roles::State;
-use tandem_record::{RunLog, Takeover, takeovers, description};
+use tandem_record::{RunLog, Takeover, description, takeovers};
 
 use crate::metrics::Metrics;
 use crate::timeline::Timeline;

@@ -6,7 +6,7 @@ use tandem_board::Board;
 use tandem_cores::core0::TaskId;
 use tandem_cores::task_table::IrqCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
-use tandem_rtos::{KernelEventKind, Interrupt, TraceSink};
+use tandem_rtos::{Interrupt, KernelEventKind, TraceSink};
 
 /// Between two jobs a task only waits for the next, which is not traced; nor are the kernel's own
 /// tasks.
@@ -20,7 +20,8 @@ impl<B: Board + Sync> TraceSink for Runtime<B> {
         match event.kind {
             KernelEventKind::InterruptEntered => return self.trace(Event::IrqIn { irq }),
             KernelEventKind::InterruptLeft => return self.trace(Event::IrqOut { irq }),
-            KernelEventKind::SwitchedIn | KernelEventKind::SwitchedOut | KernelEventKind::Ready => {}
+            KernelEventKind::SwitchedIn | KernelEventKind::SwitchedOut | KernelEventKind::Ready => {
+            }
         }
         let is_it = |task: &TaskId| self.state(*task).number.load(Relaxed) == event.subject;
         let Some(id) = TaskId::ALL.into_iter().find(is_it) else {
