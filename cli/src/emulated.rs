@@ -1,8 +1,6 @@
 //! `tandem run --board qemu`: the controller as firmware in emulated machines, in virtual time.
 
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
@@ -16,7 +14,6 @@ use crate::live::Progress;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
 use crate::vehicle::{self, Ended};
-use crate::vehicle_port::OnQemu;
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -79,12 +76,10 @@ pub(crate) fn drive(
     let recorder = Recorder::create(files)?;
     let begin = Instant::now();
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
-    let stop = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
-        signal_hook::flag::register(signal, Arc::clone(&stop)).context("watching for Ctrl-C")?;
+        signal_hook::flag::register(signal, world.stop_flag()).context("watching for Ctrl-C")?;
     }
-    let port = OnQemu { world, stop };
-    let ended = vehicle::drive(config, &scenario, port, recorder);
+    let ended = vehicle::drive(config, &scenario, world, recorder);
     if let Some(progress) = progress {
         progress.end();
     }

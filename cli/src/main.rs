@@ -26,7 +26,6 @@ mod three_frames;
 mod timeline;
 mod update;
 mod vehicle;
-mod vehicle_port;
 mod world_record;
 
 use std::alloc::System;

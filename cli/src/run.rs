@@ -439,7 +439,7 @@ fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
     let mut log = RunLog::default();
     file::read(recording, |entry| {
         if let file::Entry::Frame(frame) = &entry
-            && let Some(line) = frame.candump_line(log.header.epoch_us)
+            && let Some(line) = file::candump_line(frame, log.header.epoch_us)
         {
             writeln!(lines, "{line}").with_context(writing)?;
         }

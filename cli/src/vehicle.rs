@@ -3,19 +3,17 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{CanFrame, CanId, Instant, Received, RoleLamp, SystemId};
-use tandem_board_host::VehicleArgs;
+use tandem_board::{RoleLamp, SystemId, VehiclePort};
+use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
-use tandem_record::file::BusFrame;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
-use tandem_vehicle::{Config, Scenario, Snapshot, World};
+use tandem_vehicle::{Config, LoggedFrame, Scenario, Snapshot, World};
 
 use crate::files::RunFiles;
 use crate::live::Live;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
 use crate::update::Update;
-use crate::vehicle_port::{OnHost, VehiclePort};
 use crate::world_record;
 
 /// The recording gets the state of the world every 20 ticks, the other vehicles and the road less
@@ -38,7 +36,7 @@ pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
     let _ = args.claim();
-    let port = OnHost::attach(args).context("the vehicle cannot connect to the run")?;
+    let port = HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
     drive(&run, &scenario, port, recorder).map(drop)
 }
 
@@ -46,12 +44,15 @@ pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the board fails, or the recording cannot be written.
-pub(crate) fn drive<P: VehiclePort>(
+pub(crate) fn drive<P>(
     run: &RunConfig,
     scenario: &Scenario,
     port: P,
     recorder: Recorder,
-) -> anyhow::Result<Ended> {
+) -> anyhow::Result<Ended>
+where
+    P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
+{
     let mut drive = Drive::new(run, scenario, port, recorder)?;
     let ended = drive.work()?;
     drive.finish(ended)?;
@@ -81,7 +82,10 @@ struct Drive<P> {
     lost_trace: u64,
 }
 
-impl<P: VehiclePort> Drive<P> {
+impl<P> Drive<P>
+where
+    P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
+{
     fn new(
         run: &RunConfig,
         scenario: &Scenario,
@@ -120,9 +124,19 @@ impl<P: VehiclePort> Drive<P> {
             if self.port.stop_requested() {
                 return Ok(Ended::Stopped);
             }
-            self.receive();
-            // The tick's own time, not the time of waking: the world does not feel jitter.
-            self.send(due);
+            let Self {
+                world,
+                port,
+                recorder,
+                update,
+                ..
+            } = self;
+            world.run_period(due, port, &mut |logged| {
+                if let Some(update) = update {
+                    update.on_frame(logged.at, &logged.frame);
+                }
+                recorder.record(Entry::Frame(logged));
+            });
             self.update();
             self.look(due.as_ns());
             self.ticks += 1;
@@ -131,56 +145,6 @@ impl<P: VehiclePort> Drive<P> {
                 return Ok(Ended::ByItself);
             }
         }
-    }
-
-    /// Frames of the controller: on the bus, into the recording, to the world.
-    fn receive(&mut self) {
-        let Self {
-            world,
-            update,
-            port,
-            recorder,
-            ..
-        } = self;
-        let now = port.now();
-        port.transmitted(&mut |_, _, Received { frame, at: sent }| {
-            if let Some(update) = update {
-                update.on_frame(now, &frame);
-            }
-            let judged = match frame.id() {
-                CanId::Standard(id) => world.on_frame(now.as_ns(), u32::from(id), frame.data()),
-                CanId::Extended(_) => None,
-            };
-            recorder.record(Entry::Frame(BusFrame {
-                at: now,
-                sent,
-                frame,
-                verdict: judged.map(|acceptance| acceptance.verdict),
-            }));
-        });
-    }
-
-    /// Lets the world run, and sends what its sensors send.
-    fn send(&mut self, now: Instant) {
-        let Self {
-            world,
-            port,
-            recorder,
-            ..
-        } = self;
-        world.step(now.as_ns(), &mut |id, data| {
-            // The world sends what the DBC has, which is always a frame.
-            if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
-                port.broadcast(&frame);
-                recorder.record(Entry::Frame(BusFrame {
-                    at: now,
-                    sent: now,
-                    frame,
-                    verdict: None,
-                }));
-            }
-        });
-        port.ring_receivers();
     }
 
     /// Lets the programming host send.
@@ -193,7 +157,7 @@ impl<P: VehiclePort> Drive<P> {
         let Self { port, recorder, .. } = self;
         update.poll(now, roles, &mut |frame| {
             port.broadcast(frame);
-            recorder.record(Entry::Frame(BusFrame {
+            recorder.record(Entry::Frame(LoggedFrame {
                 at: now,
                 sent: now,
                 frame: *frame,

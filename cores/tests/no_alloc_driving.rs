@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System as SystemAllocator};
 use std::cell::Cell;
 
 use drive::Drive;
-use tandem_board::{Duration, Instant};
+use tandem_board::{CanFrame, CanId, Duration, Instant};
 use tandem_bus::Message;
 use tandem_cores::driving::control::MotionControl;
 use tandem_cores::driving::degraded::DegradedControl;
@@ -58,7 +58,7 @@ fn the_counter_counts() {
 fn no_cycle_allocates() {
     let scenario = Scenario::load("cut-in").unwrap();
     let mut drive = Drive::new(&scenario, 3, 1);
-    let mut frames: Vec<(Instant, u16, Vec<u8>)> = Vec::new();
+    let mut frames: Vec<(Instant, CanFrame)> = Vec::new();
     drive.record(60.0, &mut frames);
     assert!(frames.len() > 20_000);
 
@@ -69,8 +69,11 @@ fn no_cycle_allocates() {
     let mut next = frames[0].0 + Duration::from_ms(25);
     let (mut cycles, mut tracks) = (0, 0);
     let count = allocations(|| {
-        for (at, id, data) in &frames {
-            let Ok(message) = receiver.receive(u32::from(*id), data) else {
+        for (at, frame) in &frames {
+            let CanId::Standard(id) = frame.id() else {
+                continue;
+            };
+            let Ok(message) = receiver.receive(u32::from(id), frame.data()) else {
                 continue;
             };
             perception.on_message(*at, &message);

@@ -10,8 +10,8 @@ use std::path::Path;
 
 use anyhow::Context as _;
 use tandem_board::{CanFrame, CanId, CoreId, Instant, SupplyEvent, SystemId, Traced};
-use tandem_bus::{Message, candump};
-use tandem_vehicle::Verdict;
+use tandem_bus::candump;
+use tandem_vehicle::{LoggedFrame, Verdict};
 
 use crate::log::VehicleRecord;
 
@@ -26,47 +26,19 @@ const VERDICTS: [Verdict; 4] = [
     Verdict::Invalid,
 ];
 
-/// A frame on the bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct BusFrame {
-    /// When it was on the bus.
-    pub at: Instant,
-    /// When its sender sent it.
-    pub sent: Instant,
-    /// The frame.
-    pub frame: CanFrame,
-    /// What the vehicle did with it, if it is a control frame.
-    pub verdict: Option<Verdict>,
-}
-
-impl BusFrame {
-    /// Its standard id; `None` if it has an extended one, as no frame of the DBC has.
-    #[must_use]
-    pub fn id(&self) -> Option<u16> {
-        match self.frame.id() {
-            CanId::Standard(id) => Some(id),
-            CanId::Extended(_) => None,
-        }
-    }
-
-    /// What it says; `None` if the DBC has no such frame.
-    #[must_use]
-    pub fn message(&self) -> Option<Message> {
-        Message::decode(self.id()?.into(), self.frame.data()).ok()
-    }
-
-    /// Its line in a CAN log, without a line feed; `epoch_us` is the time of day at the clock's 0.
-    #[must_use]
-    pub fn candump_line(&self, epoch_us: u64) -> Option<String> {
-        let id = match self.frame.id() {
-            CanId::Standard(id) => candump::Id::Standard(id),
-            CanId::Extended(id) => candump::Id::Extended(id),
-        };
-        let flags = self.frame.is_fd().then_some(candump::BIT_RATE_SWITCH);
-        let record = candump::Record::new(INTERFACE, id, flags, self.frame.data()).ok()?;
-        let at_us = epoch_us + self.at.as_ns() / 1_000;
-        Some(record.at_us(at_us).to_string())
-    }
+/// The line of a frame in a CAN log, without a line feed; `epoch_us` is the time of day at the
+/// clock's 0.
+#[must_use]
+pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> Option<String> {
+    let frame = &logged.frame;
+    let id = match frame.id() {
+        CanId::Standard(id) => candump::Id::Standard(id),
+        CanId::Extended(id) => candump::Id::Extended(id),
+    };
+    let flags = frame.is_fd().then_some(candump::BIT_RATE_SWITCH);
+    let record = candump::Record::new(INTERFACE, id, flags, frame.data()).ok()?;
+    let at_us = epoch_us + logged.at.as_ns() / 1_000;
+    Some(record.at_us(at_us).to_string())
 }
 
 /// One entry of a recording.
@@ -77,7 +49,7 @@ pub enum Entry {
     /// Something that a supply did or saw.
     Supply(Instant, SystemId, SupplyEvent),
     /// A frame on the bus.
-    Frame(BusFrame),
+    Frame(LoggedFrame),
     /// What the vehicle adds.
     Vehicle(Box<VehicleRecord>),
 }
@@ -155,7 +127,7 @@ fn trace_bytes(traced: &Traced) -> Vec<u8> {
 const EXTENDED: u8 = 1;
 const FD: u8 = 2;
 
-fn frame_bytes(of: &BusFrame) -> Vec<u8> {
+fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
     let (id, extended) = match of.frame.id() {
         CanId::Standard(id) => (u32::from(id), 0),
         CanId::Extended(id) => (id, EXTENDED),
@@ -194,7 +166,7 @@ impl Bytes<'_> {
         Some(record)
     }
 
-    fn frame(mut self) -> Option<BusFrame> {
+    fn frame(mut self) -> Option<LoggedFrame> {
         let [flags, verdict] = self.take()?;
         let (at, sent) = (self.instant()?, self.instant()?);
         let id = u32::from_le_bytes(self.take()?);
@@ -207,7 +179,7 @@ impl Bytes<'_> {
             0 => None,
             place => Some(*VERDICTS.get(usize::from(place) - 1)?),
         };
-        Some(BusFrame {
+        Some(LoggedFrame {
             at,
             sent,
             frame: CanFrame::new(id, flags & FD != 0, self.0).ok()?,
@@ -265,7 +237,7 @@ impl<R: io::Read> ReadArray for R {
 mod tests {
     use super::*;
     use crate::RunLog;
-    use tandem_bus::{Control, Mode, Role, Transmitter};
+    use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 
     fn entries() -> Vec<Entry> {
         let mut transmitter = Transmitter::new();
@@ -280,7 +252,7 @@ mod tests {
         let at = Instant::from_ns(0x1_2345_6789_ABCD);
         let mut entries = vec![
             Entry::from(VehicleRecord::Start { at_ns: 7 }),
-            Entry::Frame(BusFrame {
+            Entry::Frame(LoggedFrame {
                 at,
                 sent: Instant::from_ns(5),
                 frame,

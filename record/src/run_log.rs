@@ -1,12 +1,12 @@
 //! A recording in memory: what is known of one run, sorted by kind.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId, Traced};
-use tandem_bus::{Control, Message, Mode, Role};
+use tandem_bus::{Message, Mode, Role};
 use tandem_cores::trace::Event;
-use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
+use tandem_vehicle::{LoggedFrame, Verdict};
 
-use crate::file::{BusFrame, Entry};
+use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 
 /// A control frame, as the vehicle judged it.
@@ -127,7 +127,7 @@ impl RunLog {
         }
     }
 
-    fn push_frame(&mut self, frame: &BusFrame) {
+    fn push_frame(&mut self, frame: &LoggedFrame) {
         let at_ns = frame.at.as_ns();
         let message = frame.message();
         if let Some(verdict) = frame.verdict {
@@ -137,17 +137,15 @@ impl RunLog {
                 }
                 _ => (Mode::None, 0),
             };
-            let index = Control::IDS.iter().position(|id| Some(*id) == frame.id());
-            self.control.extend(index.and_then(|index| {
-                Some(ControlFrame {
+            self.control
+                .extend(frame.controller().map(|system| ControlFrame {
                     at_ns,
                     sent_ns: frame.sent.as_ns(),
-                    system: SystemId::from_index(index)?,
+                    system,
                     term,
                     mode,
                     verdict,
-                })
-            }));
+                }));
         } else if let Some(Message::Status { system, status }) = message {
             self.status.extend(
                 SystemId::from_index(system.into()).map(|system| StatusFrame {

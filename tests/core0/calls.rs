@@ -9,7 +9,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
 use std::time::Duration as Span;
 use std::{fs, thread};
-use tandem_board::{Board, CoreId, Duration, RoleLamp, SystemId};
+use tandem_board::{Board, CoreId, Duration, RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{CoreArgs, HostBoard};
 use tandem_rtos::host;

@@ -5,7 +5,7 @@ use core::time::Duration as Span;
 use std::thread;
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Generation, Line, Lines, Link, RoleLamp,
-    Supply, SystemId, watchdog_answer,
+    Supply, SystemId, VehiclePort, watchdog_answer,
 };
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{CoreArgs, HostBoard};

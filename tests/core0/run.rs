@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::time::{Duration as Span, Instant as Clock};
 use std::{fs, thread};
-use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId, Traced, Wake};
-use tandem_board_host::clock::Ticker;
+use tandem_board::{
+    Board, CoreId, Duration, Instant, SystemId, Traced, VehicleBus, VehiclePort, Wake,
+};
 use tandem_board_host::realtime::Grant;
 use tandem_board_host::{
     CoreArgs, HostBoard, HostVehiclePort, Launcher, Plan, ProcessArgs, Schedule, isolation, supply,
@@ -41,7 +42,6 @@ pub(crate) fn all_cases() -> impl Iterator<Item = Case> {
 pub(crate) struct Script {
     port: HostVehiclePort,
     world: World,
-    ticker: Ticker,
     folder: PathBuf,
     /// What the cores have traced, in the order of each core.
     pub(crate) traced: Vec<(Traced, Event)>,
@@ -151,7 +151,6 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
             let mut script = Script {
                 port: HostVehiclePort::attach(&args).expect("a run"),
                 world: World::new(&scenario, tandem_vehicle::Config { seed: 1 }),
-                ticker: Ticker::new(Duration::from_ms(1)),
                 folder: args.common.extra[1].clone().into(),
                 traced: vec![],
                 accepted: vec![],
@@ -204,27 +203,18 @@ impl Script {
 
     /// One millisecond.
     fn tick(&mut self) {
-        let due = self.ticker.wait().due;
         let Self {
             port,
             world,
             accepted,
             ..
         } = self;
-        let now = port.now();
-        port.transmitted(&mut |system, _, received| {
-            if let CanId::Standard(id) = received.frame.id() {
-                let judged = world.on_frame(now.as_ns(), id.into(), received.frame.data());
-                if judged.is_some_and(|it| it.verdict == Verdict::Accepted) {
-                    accepted.push((now, system));
-                }
+        let due = port.tick().expect("the clock");
+        world.run_period(due, port, &mut |frame| {
+            if frame.verdict == Some(Verdict::Accepted) {
+                accepted.extend(frame.controller().map(|system| (frame.at, system)));
             }
         });
-        world.step(due.as_ns(), &mut |id, data| {
-            let frame = CanFrame::new(CanId::Standard(id), true, data);
-            port.broadcast(&frame.expect("a frame of the DBC"));
-        });
-        port.ring_receivers();
         let traced = &mut self.traced;
         port.drain_trace(&mut |entry| {
             traced.extend(Event::decode(entry.record).map(|event| (entry, event)));

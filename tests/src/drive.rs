@@ -2,14 +2,13 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId};
+use tandem_board::{Board, CanFrame, CoreId, Duration, Instant, Received, SystemId, VehicleBus};
 use tandem_board_sim::{Config, Poller, SimBoard, SimPair, WorldTick};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
-use tandem_record::file::BusFrame;
 use tandem_record::{Entry, RunLog, Takeover, takeovers};
 use tandem_vehicle::{Scenario, World};
 
@@ -19,7 +18,7 @@ pub struct Seen {
     pub world: World,
     /// The recording until now.
     pub log: RunLog,
-    /// Frames that somebody else sends with the next tick.
+    /// Frames that another node sends in the next period.
     pub forged: Vec<CanFrame>,
 }
 
@@ -55,29 +54,13 @@ pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
 }
 
 fn tick(seen: &mut Seen, tick: &mut WorldTick) {
-    let now = tick.at.as_ns();
-    for on_bus in &tick.heard {
-        let frame = &on_bus.frame;
-        let judged = match frame.id() {
-            CanId::Standard(id) => {
-                let at_ns = on_bus.at.as_ns();
-                seen.world.on_frame(at_ns, id.into(), frame.data())
-            }
-            CanId::Extended(_) => None,
-        };
-        seen.log.push(Entry::Frame(BusFrame {
-            at: on_bus.at,
-            sent: on_bus.at,
-            frame: on_bus.frame,
-            verdict: judged.map(|acceptance| acceptance.verdict),
-        }));
+    let Seen { world, log, forged } = seen;
+    world.run_period(tick.at, tick, &mut |frame| log.push(Entry::Frame(frame)));
+    for frame in forged.drain(..) {
+        let at = tick.at;
+        tick.broadcast(&frame);
+        log.push(Entry::Frame(world.hear(at, Received { frame, at })));
     }
-    let mut frames = Vec::new();
-    seen.world.step(now, &mut |id, data| {
-        frames.push(CanFrame::new(CanId::Standard(id), true, data).expect("a frame of the DBC"));
-    });
-    frames.append(&mut seen.forged);
-    frames.into_iter().for_each(|frame| tick.send(frame));
 }
 
 impl Drive {

@@ -1,13 +1,18 @@
 //! The world outside the bus: plant, sensors, traffic, scenarios.
 //!
 //! ```
-//! use tandem_vehicle::{Config, Scenario, World};
+//! use tandem_board::Instant;
+//! use tandem_vehicle::{Config, LocalBus, Scenario, World};
 //!
 //! let scenario = Scenario::load("cut-in")?;
 //! let mut world = World::new(&scenario, Config { seed: 1 });
-//! for now_ms in 0..1_000 {
-//!     // world.on_frame(now_ns, id, data) for each frame that a controller has sent, and then:
-//!     world.step(now_ms * 1_000_000, &mut |id, data| println!("{id:03X} {data:02X?}"));
+//! let mut bus = LocalBus::new(Instant::ORIGIN);
+//! for ms in 0..1_000 {
+//!     bus.now = Instant::from_ns(ms * 1_000_000);
+//!     // The controller's frames: bus.to_vehicle.push(frame).
+//!     world.run_period(bus.now, &mut bus, &mut |logged| println!("{:?}", logged.message()));
+//!     // What its sensors see:
+//!     bus.from_vehicle.clear();
 //! }
 //! assert!(!world.snapshot().running, "it waits for the first control frame");
 //! # Ok::<(), tandem_vehicle::ScenarioError>(())
@@ -29,9 +34,11 @@ pub mod scenario;
 pub mod sensors;
 pub mod traffic;
 pub mod world;
+pub mod world_loop;
 
 pub use gate::{Acceptance, FrameCounts, Verdict};
 pub use metrics::Metrics;
 pub use road::LaneId;
 pub use scenario::{Scenario, ScenarioError};
 pub use world::{Config, Snapshot, VehicleSnapshot, World};
+pub use world_loop::{LocalBus, LoggedFrame};

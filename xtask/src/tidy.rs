@@ -36,7 +36,7 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
         "tandem-capi",
         &["tandem-shm", "tandem-board", "tandem-redundancy"],
     ),
-    ("tandem-vehicle", &["tandem-bus"]),
+    ("tandem-vehicle", &["tandem-board", "tandem-bus"]),
     ("tandem-page", &[]),
     (
         "tandem-record",

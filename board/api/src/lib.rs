@@ -27,6 +27,7 @@ mod lines;
 mod supply;
 mod time;
 mod trace;
+mod vehicle;
 
 pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
 pub use flash::{DataFlash, FlashError, FlashStatus};
@@ -35,6 +36,7 @@ pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
+pub use vehicle::{VehicleBus, VehiclePort};
 
 use core::sync::atomic::AtomicU32;
 

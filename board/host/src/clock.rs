@@ -35,15 +35,6 @@ pub struct Ticker {
     next: Instant,
 }
 
-/// One wake-up of a [`Ticker`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Tick {
-    /// When the tick was due. Consecutive ticks are exactly one period apart.
-    pub due: Instant,
-    /// How much later than that the owner woke.
-    pub late: Duration,
-}
-
 impl Ticker {
     /// A ticker whose first tick is due one period from now.
     #[must_use]
@@ -54,26 +45,14 @@ impl Ticker {
         }
     }
 
-    /// Sleeps until the next tick is due. Ticks that were overslept follow at once, each by itself,
-    /// so that the owner may catch up.
-    pub fn wait(&mut self) -> Tick {
+    /// Sleeps until the next tick is due, and returns when it was due: consecutive ticks are
+    /// exactly one period apart. Ticks that were overslept follow at once, each by itself, so that
+    /// the owner may catch up.
+    pub fn wait(&mut self) -> Instant {
         let due = self.next;
         self.next += self.period;
         sleep_until(due);
-        Tick {
-            due,
-            late: now().since(due),
-        }
-    }
-
-    /// Forgets ticks that are overdue; the next one is due one period from now. Returns how many
-    /// were forgotten.
-    pub fn skip_overdue(&mut self) -> u64 {
-        let behind = now().since(self.next).as_ns() / self.period.as_ns().max(1);
-        if behind > 0 {
-            self.next = now() + self.period;
-        }
-        behind
+        due
     }
 }
 
@@ -87,8 +66,8 @@ mod tests {
         let first = ticker.wait();
         for n in 1..20 {
             let tick = ticker.wait();
-            assert_eq!(tick.due, first.due + Duration::from_us(500 * n));
-            assert!(now() >= tick.due);
+            assert_eq!(tick, first + Duration::from_us(500 * n));
+            assert!(now() >= tick);
         }
     }
 

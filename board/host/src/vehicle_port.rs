@@ -1,8 +1,10 @@
 //! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
 
+use core::convert::Infallible;
+
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
-    Traced,
+    Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::bus::TransmitLimit;
 use tandem_peripherals::codec::{BusFrame, Sender};
@@ -13,9 +15,12 @@ use crate::args::VehicleArgs;
 use crate::backplane::{Backplane, BackplaneError, RINGS, supply_trace_ring};
 use crate::bell::Ringers;
 use crate::can::{TRANSMIT_WORDS, decode_transmit};
-use crate::clock;
+use crate::clock::{self, Ticker};
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
+
+/// One period of the vehicle.
+const PERIOD: Duration = Duration::from_ms(1);
 
 /// Why the vehicle cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -40,8 +45,8 @@ impl From<FitError> for VehiclePortError {
 /// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders
 /// the frames of all nodes.
 ///
-/// Once a millisecond the vehicle calls [`HostVehiclePort::transmitted`], which moves what the
-/// cores sent, and [`HostVehiclePort::broadcast`] for what its own nodes send.
+/// Once a millisecond the vehicle calls [`VehicleBus::transmitted`], which moves what the cores
+/// sent, and [`VehicleBus::broadcast`] for what its own nodes send.
 #[derive(Debug)]
 pub struct HostVehiclePort {
     backplane: Backplane,
@@ -55,6 +60,8 @@ pub struct HostVehiclePort {
     emptied: Instant,
     /// Frames were put on the bus that some core has not been told of.
     news: bool,
+    /// Begins with the first period.
+    ticker: Option<Ticker>,
 }
 
 #[derive(Debug)]
@@ -98,31 +105,34 @@ impl HostVehiclePort {
             sent: vec![],
             emptied: clock::now(),
             news: false,
+            ticker: None,
         })
     }
 
-    /// The clock that all processes share.
+    /// Cuts or mends a connection.
+    pub fn set_cut(&self, wire: Wire, from: SystemId, is_cut: bool) {
+        self.backplane.set_cut(wire, from, is_cut);
+    }
+
+    /// The backplane, for everything else that an observer may see.
     #[must_use]
-    pub fn now(&self) -> Instant {
+    pub const fn backplane(&self) -> Backplane {
+        self.backplane
+    }
+
+    fn reaches(&self) -> [bool; 2] {
+        SystemId::ALL.map(|system| !self.backplane.cuts().is_cut(Wire::Can, system))
+    }
+}
+
+impl VehicleBus for HostVehiclePort {
+    fn now(&self) -> Instant {
         clock::now()
     }
 
-    /// Turns the ignition on (both supplies power their systems) or off (the run ends).
-    pub fn set_ignition(&self, on: bool) {
-        self.backplane.set_ignition(on);
-    }
-
-    /// Whether the run is to end early (a person pressed Ctrl-C).
-    #[must_use]
-    pub fn stop_requested(&self) -> bool {
-        self.backplane.stop_requested()
-    }
-
-    /// Takes what the cores have sent since the last call, shows each frame to `seen`, with the
-    /// time of its sending, and puts it on the bus. A core sends at most 8 frames in a millisecond;
-    /// the rest waits. A system without power, or cut off the bus, sends nothing: what its cores
-    /// had left to send is dropped.
-    pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+    /// A core sends at most 8 frames in a millisecond; the rest waits. A system without power, or
+    /// cut off the bus, sends nothing: what its cores had left to send is dropped.
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         let now = clock::now();
         let reaches = self.reaches();
         // What is found now was not there the last time. A core that was frozen between looking at
@@ -170,9 +180,9 @@ impl HostVehiclePort {
         self.ring_receivers();
     }
 
-    /// Sends a frame of one of the vehicle's own nodes. The cores hear of it with the next
-    /// [`HostVehiclePort::transmitted`] or [`HostVehiclePort::ring_receivers`].
-    pub fn broadcast(&mut self, frame: &CanFrame) {
+    /// The cores hear of it with the next [`VehicleBus::transmitted`] or
+    /// [`VehicleBus::ring_receivers`].
+    fn broadcast(&mut self, frame: &CanFrame) {
         let received = Received {
             frame: *frame,
             at: clock::now(),
@@ -186,8 +196,7 @@ impl HostVehiclePort {
         self.news = true;
     }
 
-    /// Rings the cores that want to be woken by frames, if there are any new ones.
-    pub fn ring_receivers(&mut self) {
+    fn ring_receivers(&mut self) {
         if !core::mem::take(&mut self.news) {
             return;
         }
@@ -197,10 +206,26 @@ impl HostVehiclePort {
             }
         }
     }
+}
 
-    /// Takes the trace records that the cores have emitted since the last call, in the order of
-    /// each core, and returns how many were lost.
-    pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
+impl VehiclePort for HostVehiclePort {
+    type Error = Infallible;
+
+    /// Periods that were overslept follow at once, each by itself.
+    fn tick(&mut self) -> Result<Instant, Infallible> {
+        let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
+        Ok(ticker.wait())
+    }
+
+    fn set_ignition(&mut self, on: bool) {
+        self.backplane.set_ignition(on);
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.backplane.stop_requested()
+    }
+
+    fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         let mut lost = 0;
         for node in &mut self.from_cores {
             while let Some((at, record)) = node.trace.next() {
@@ -217,9 +242,7 @@ impl HostVehiclePort {
         lost
     }
 
-    /// Takes what no core will complete any more: the records that stand behind one which its
-    /// writer was killed in. Only when the run is over.
-    pub fn salvage_trace(&mut self, into: &mut dyn FnMut(Traced)) {
+    fn salvage_trace(&mut self, into: &mut dyn FnMut(Traced)) {
         for node in &mut self.from_cores {
             while let Some((at, record)) = node.trace.salvage() {
                 into(Traced {
@@ -232,8 +255,7 @@ impl HostVehiclePort {
         }
     }
 
-    /// Takes what the supplies have done since the last call, in the order of each supply.
-    pub fn drain_supplies(&mut self, into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {
+    fn drain_supplies(&mut self, into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {
         for (system, trace) in SystemId::ALL.into_iter().zip(&mut self.from_supplies) {
             while let Some((at, record)) = trace.next() {
                 if let Some(event) = SupplyEvent::decode(record) {
@@ -243,31 +265,12 @@ impl HostVehiclePort {
         }
     }
 
-    /// What the system shows of its role.
-    #[must_use]
-    pub fn role(&self, system: SystemId) -> RoleLamp {
+    fn role(&self, system: SystemId) -> RoleLamp {
         self.backplane.role(system)
     }
 
-    /// Whether the system has power and is out of reset.
-    #[must_use]
-    pub fn is_powered(&self, system: SystemId) -> bool {
+    fn is_powered(&self, system: SystemId) -> bool {
         self.backplane.level(system)
-    }
-
-    /// Cuts or mends a connection.
-    pub fn set_cut(&self, wire: Wire, from: SystemId, is_cut: bool) {
-        self.backplane.set_cut(wire, from, is_cut);
-    }
-
-    /// The backplane, for everything else that an observer may see.
-    #[must_use]
-    pub const fn backplane(&self) -> Backplane {
-        self.backplane
-    }
-
-    fn reaches(&self) -> [bool; 2] {
-        SystemId::ALL.map(|system| !self.backplane.cuts().is_cut(Wire::Can, system))
     }
 }
 

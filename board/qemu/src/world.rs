@@ -1,8 +1,12 @@
 //! All machines of a run as the vehicle sees them: one bus, the wires, and virtual time.
 
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
-use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced};
+use tandem_board::{
+    CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced, VehicleBus, VehiclePort,
+};
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
 
@@ -30,6 +34,7 @@ pub struct EmulatedWorld {
     lamps: [RoleLamp; 2],
     powered: [bool; 2],
     lost: u32,
+    stop: Arc<AtomicBool>,
 }
 
 #[derive(Debug)]
@@ -83,6 +88,7 @@ impl EmulatedWorld {
             lamps: [RoleLamp::Starting; 2],
             powered: [false; 2],
             lost: 0,
+            stop: Arc::default(),
         })
     }
 
@@ -93,6 +99,12 @@ impl EmulatedWorld {
             .iter()
             .filter_map(|node| node.machine.as_ref());
         running.map(|machine| (machine.pid(), machine.systems()))
+    }
+
+    /// The flag that a person sets who wants the run to end early.
+    #[must_use]
+    pub fn stop_flag(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.stop)
     }
 
     /// What the firmware of all machines that run has logged.
@@ -113,12 +125,6 @@ impl EmulatedWorld {
         let machines = self.machines.into_iter().filter_map(|node| node.machine);
         let logs: Result<Vec<_>, _> = machines.map(Machine::end).collect();
         Ok(logs?.join("\n"))
-    }
-
-    /// Virtual time: that of the last step.
-    #[must_use]
-    pub const fn now(&self) -> Instant {
-        Instant::from_ns(self.step * PERIOD_NS)
     }
 
     /// Lets all machines run to the next step, with what was broadcast and switched since the last
@@ -239,13 +245,6 @@ impl EmulatedWorld {
         }
     }
 
-    /// Connects both batteries, or disconnects them, with the next step.
-    pub fn set_ignition(&mut self, on: bool) {
-        SystemId::ALL
-            .into_iter()
-            .for_each(|of| self.set_feed(of, on));
-    }
-
     /// Connects the battery of a system, or disconnects it, with the next step.
     pub fn set_feed(&mut self, of: SystemId, on: bool) {
         for node in &mut self.machines {
@@ -254,16 +253,22 @@ impl EmulatedWorld {
             }
         }
     }
+}
 
-    /// Takes the frames that the cores have sent, each with the time at which it was on the bus.
-    pub fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+impl VehicleBus for EmulatedWorld {
+    /// Virtual time: that of the last step.
+    fn now(&self) -> Instant {
+        Instant::from_ns(self.step * PERIOD_NS)
+    }
+
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
         for (system, core, sent) in self.sent.drain(..) {
             seen(system, core, sent);
         }
     }
 
-    /// Sends a frame of one of the vehicle's own nodes; the cores get it with the next step.
-    pub fn broadcast(&mut self, frame: &CanFrame) {
+    /// The cores get it with the next step.
+    fn broadcast(&mut self, frame: &CanFrame) {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
@@ -277,22 +282,35 @@ impl EmulatedWorld {
             node.outgoing.push(item);
         }
     }
+}
 
-    /// Takes the trace records that the cores have emitted, and returns how many were lost.
-    pub fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
+impl VehiclePort for EmulatedWorld {
+    type Error = MachineError;
+
+    fn tick(&mut self) -> Result<Instant, MachineError> {
+        self.step()
+    }
+
+    fn set_ignition(&mut self, on: bool) {
+        SystemId::ALL
+            .into_iter()
+            .for_each(|of| self.set_feed(of, on));
+    }
+
+    fn stop_requested(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32 {
         self.traced.drain(..).for_each(into);
         std::mem::take(&mut self.lost)
     }
 
-    /// What the system shows of its role.
-    #[must_use]
-    pub const fn role(&self, system: SystemId) -> RoleLamp {
+    fn role(&self, system: SystemId) -> RoleLamp {
         self.lamps[system.index()]
     }
 
-    /// Whether the system has power and is out of reset.
-    #[must_use]
-    pub const fn is_powered(&self, system: SystemId) -> bool {
+    fn is_powered(&self, system: SystemId) -> bool {
         self.powered[system.index()]
     }
 }

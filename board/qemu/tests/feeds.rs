@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 
-use tandem_board::{RoleLamp, SystemId};
+use tandem_board::{RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, Layout};
 
 /// Virtual time within which everything here happens, ms. Without sensors a system waits for two

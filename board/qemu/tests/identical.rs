@@ -13,7 +13,7 @@ use tandem_board::{CanFrame, CanId, Received};
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 use tandem_golden::{Functions, instant, play};
 use tandem_peripherals::codec::{BusFrame, Sender};
-use tandem_vehicle::{Config, Scenario, World};
+use tandem_vehicle::{Config, LocalBus, Scenario, World};
 
 /// How long the functions drive, ms.
 const DRIVE_MS: u64 = 3_000;
@@ -28,20 +28,23 @@ fn record(scenario: &str) -> Vec<u32> {
     let mut functions = Functions::new();
     let mut transmitter = Transmitter::new();
     let mut recording = vec![];
+    let mut bus = LocalBus::new(instant(0));
     for ms in 0..DRIVE_MS {
-        world.step(ms * 1_000_000, &mut |id, data| {
-            let frame = CanFrame::new(CanId::Standard(id), true, data).unwrap();
+        let at = instant(ms);
+        bus.now = at;
+        world.run_period(at, &mut bus, &mut |_| {});
+        for frame in bus.from_vehicle.drain(..) {
+            let CanId::Standard(id) = frame.id() else {
+                panic!("a frame of the DBC has a standard id");
+            };
+            functions.on_frame(at, id, frame.data());
             let on_bus = BusFrame {
-                received: Received {
-                    frame,
-                    at: instant(ms),
-                },
+                received: Received { frame, at },
                 sender: Sender::Vehicle,
                 reaches: [true; 2],
             };
             recording.extend(on_bus.encode());
-            functions.on_frame(instant(ms), id, data);
-        });
+        }
         if let Some(command) = functions.tick(ms) {
             let control = Control {
                 role: Role::Master,
@@ -52,7 +55,8 @@ fn record(scenario: &str) -> Vec<u32> {
                 ..Control::default()
             };
             let frame = transmitter.encode(&Message::Control { system: 0, control });
-            world.on_frame(ms * 1_000_000, u32::from(frame.id), frame.data());
+            let frame = CanFrame::new(CanId::Standard(frame.id), true, frame.data());
+            bus.to_vehicle.push(frame.unwrap());
         }
     }
     assert_eq!(

@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 
-use tandem_board::{CoreId, Instant, RoleLamp, SystemId};
+use tandem_board::{CoreId, Instant, RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, Layout};
 use tandem_cores::core0::TaskId;
 use tandem_cores::task_table::{CORE_0, TaskCode};

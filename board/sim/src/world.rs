@@ -1,7 +1,8 @@
 //! What lies outside the two systems, as a function that is called once a millisecond.
 
 use crate::machine::OnBus;
-use tandem_board::{CanFrame, Instant, RoleLamp};
+use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, VehicleBus};
+use tandem_peripherals::codec::Sender;
 
 /// One step of the world: what it hears, sees and sends.
 #[derive(Debug)]
@@ -15,9 +16,21 @@ pub struct WorldTick {
     pub(crate) sent: Vec<CanFrame>,
 }
 
-impl WorldTick {
-    /// Puts a frame on the bus, after those sent before.
-    pub fn send(&mut self, frame: CanFrame) {
-        self.sent.push(frame);
+impl VehicleBus for WorldTick {
+    fn now(&self) -> Instant {
+        self.at
+    }
+
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+        for OnBus { at, sender, frame } in &self.heard {
+            if let Sender::Core(from) = sender {
+                let (frame, at) = (*frame, *at);
+                seen(from.system, from.core, Received { frame, at });
+            }
+        }
+    }
+
+    fn broadcast(&mut self, frame: &CanFrame) {
+        self.sent.push(*frame);
     }
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex};
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Duration, Edge, Generation,
-    Instant, Line, Lines, Link, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
+    Instant, Line, Lines, Link, ResetCause, ResetRequest, RoleLamp, Supply, SystemId, VehicleBus,
     watchdog_answer,
 };
 use tandem_board_sim::{
@@ -416,7 +416,7 @@ fn the_world_hears_sees_and_sends_every_millisecond() {
     let mut count = 0;
     pair.set_world(move |tick| {
         count += 1;
-        tick.send(frame(count));
+        tick.broadcast(&frame(count));
         told.lock()
             .unwrap()
             .push((tick.at, tick.heard.clone(), tick.lamps));

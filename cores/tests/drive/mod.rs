@@ -2,14 +2,14 @@
 //! without cores.
 #![allow(dead_code, clippy::unwrap_used)]
 
-use tandem_board::{Duration, Instant};
+use tandem_board::{CanFrame, CanId, Duration, Instant};
 use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
 use tandem_cores::driving::control::MotionControl;
 use tandem_cores::driving::degraded::DegradedControl;
 use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
-use tandem_vehicle::{Config, Metrics, Scenario, Snapshot, World};
+use tandem_vehicle::{Config, LocalBus, Metrics, Scenario, Snapshot, World};
 
 /// Perception begins its cycle so late in each 50 ms, when all sensors have reported.
 const PERCEPTION_PHASE_MS: u64 = 25;
@@ -120,6 +120,7 @@ impl System {
 /// The world with one or two systems that drive in it.
 pub(crate) struct Drive {
     pub(crate) world: World,
+    bus: LocalBus,
     pub(crate) now_ms: u64,
     pub(crate) systems: Vec<System>,
     pub(crate) master: usize,
@@ -129,7 +130,7 @@ pub(crate) struct Drive {
     /// Sensors whose frames are lost, by their ids.
     pub(crate) lost: Vec<u16>,
     transmitter: Transmitter,
-    recording: Option<Vec<(Instant, u16, Vec<u8>)>>,
+    recording: Option<Vec<(Instant, CanFrame)>>,
     /// The largest changes of consecutive commands: steering rad, acceleration m/s².
     pub(crate) largest_step: Command,
     last: Option<Command>,
@@ -139,6 +140,7 @@ impl Drive {
     pub(crate) fn new(scenario: &Scenario, seed: u64, systems: usize) -> Self {
         Self {
             world: World::new(scenario, Config { seed }),
+            bus: LocalBus::new(Instant::ORIGIN),
             now_ms: 0,
             systems: (0..systems).map(|_| System::new()).collect(),
             master: 0,
@@ -170,7 +172,7 @@ impl Drive {
     }
 
     /// Drives on for `seconds` and keeps the frames that the vehicle sent.
-    pub(crate) fn record(&mut self, seconds: f64, frames: &mut Vec<(Instant, u16, Vec<u8>)>) {
+    pub(crate) fn record(&mut self, seconds: f64, frames: &mut Vec<(Instant, CanFrame)>) {
         self.recording = Some(Vec::new());
         self.run(seconds, &mut |_, _, _| {});
         frames.extend(self.recording.take().into_iter().flatten());
@@ -178,18 +180,21 @@ impl Drive {
 
     fn tick(&mut self, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
         let now = self.now();
-        let (systems, lost) = (&mut self.systems, &self.lost);
-        let recording = &mut self.recording;
-        self.world.step(self.now_ms * 1_000_000, &mut |id, data| {
-            if let Some(recording) = recording {
-                recording.push((now, id, data.to_vec()));
+        self.bus.now = now;
+        self.world.run_period(now, &mut self.bus, &mut |_| {});
+        for frame in self.bus.from_vehicle.drain(..) {
+            if let Some(recording) = &mut self.recording {
+                recording.push((now, frame));
             }
-            if !lost.contains(&id) {
-                for system in systems.iter_mut() {
-                    system.on_frame(now, id, data);
+            let CanId::Standard(id) = frame.id() else {
+                panic!("a frame of the DBC has a standard id");
+            };
+            if !self.lost.contains(&id) {
+                for system in &mut self.systems {
+                    system.on_frame(now, id, frame.data());
                 }
             }
-        });
+        }
         for system in &mut self.systems {
             system.tick(self.now_ms, now);
         }
@@ -231,8 +236,8 @@ impl Drive {
             control,
         };
         let frame = self.transmitter.encode(&message);
-        self.world
-            .on_frame(self.now_ms * 1_000_000, u32::from(frame.id), frame.data());
+        let frame = CanFrame::new(CanId::Standard(frame.id), true, frame.data());
+        self.bus.to_vehicle.push(frame.unwrap());
         for system in &mut self.systems {
             system.resume(&command);
         }

@@ -7,7 +7,7 @@ use std::time::{Duration as Span, Instant as Clock};
 
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, DataFlash, Edge, FlashStatus, Instant, Line, Lines, Link,
-    RoleLamp, Supply, SystemId, Wake,
+    RoleLamp, Supply, SystemId, VehicleBus, VehiclePort, Wake,
 };
 use tandem_board_conformance::{self as suite, Handler};
 use tandem_board_host::{HostBoard, Wire};

@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Duration;
 
-use tandem_board::{Board, CoreId, Supply, SystemId, watchdog_answer};
+use tandem_board::{Board, CoreId, Supply, SystemId, VehiclePort, watchdog_answer};
 use tandem_board_conformance as suite;
 use tandem_board_conformance::Setting;
 use tandem_board_host::{CoreArgs, HostBoard};

@@ -6,7 +6,7 @@ use std::time::{Duration as Span, Instant as Clock};
 use rustix::process::Signal;
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Lines, ResetCause, ResetRequest, RoleLamp, Supply,
-    SystemId, watchdog_answer,
+    SystemId, VehicleBus, VehiclePort, watchdog_answer,
 };
 use tandem_board_host::{HostBoard, clock, processes};
 

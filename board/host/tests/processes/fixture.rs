@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
-use tandem_board::{Board, CoreId, Generation, SystemId, Traced};
+use tandem_board::{Board, CoreId, Generation, SystemId, Traced, VehicleBus, VehiclePort};
 use tandem_board_host::{
     HostBoard, HostVehiclePort, LaunchError, Launcher, Plan, ProcessArgs, RunName, Schedule, clock,
     isolation, processes, supply,

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use libtest_mimic::Trial;
 use rustix::process::Signal;
-use tandem_board::SystemId;
+use tandem_board::{SystemId, VehiclePort};
 use tandem_board_host::{RunName, processes};
 
 use crate::fixture::{self, Case, PATIENCE, Script, live, signal, start_launcher};

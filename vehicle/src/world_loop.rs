@@ -1,0 +1,128 @@
+//! The world loop: each millisecond the world hears what the controllers have sent, moves, and
+//! sends what its sensors see.
+
+use tandem_board::{CanFrame, CanId, CoreId, Instant, Received, SystemId, VehicleBus};
+use tandem_bus::{Control, Message};
+
+use crate::gate::Verdict;
+use crate::world::World;
+
+/// A frame on the bus, as a recording has it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LoggedFrame {
+    /// When it was on the bus.
+    pub at: Instant,
+    /// When its sender sent it.
+    pub sent: Instant,
+    /// The frame.
+    pub frame: CanFrame,
+    /// What the vehicle did with it, if it is a control frame.
+    pub verdict: Option<Verdict>,
+}
+
+impl LoggedFrame {
+    /// Its standard id; `None` if it has an extended one, as no frame of the DBC has.
+    #[must_use]
+    pub fn id(&self) -> Option<u16> {
+        match self.frame.id() {
+            CanId::Standard(id) => Some(id),
+            CanId::Extended(_) => None,
+        }
+    }
+
+    /// What it says; `None` if the DBC has no such frame.
+    #[must_use]
+    pub fn message(&self) -> Option<Message> {
+        Message::decode(self.id()?.into(), self.frame.data()).ok()
+    }
+
+    /// Whose control frame it is, by its id; `None` if it is none.
+    #[must_use]
+    pub fn controller(&self) -> Option<SystemId> {
+        let id = self.id()?;
+        let index = Control::IDS.iter().position(|known| *known == id)?;
+        SystemId::from_index(index)
+    }
+}
+
+impl World {
+    /// One period: the frames of the controllers, then the world up to `due` with the frames of its
+    /// sensors. `due` is when the period was due, so that the world does not feel how late it is
+    /// called. `seen` gets each frame in bus order, with what became of it.
+    pub fn run_period(
+        &mut self,
+        due: Instant,
+        bus: &mut impl VehicleBus,
+        seen: &mut dyn FnMut(LoggedFrame),
+    ) {
+        let now = bus.now();
+        bus.transmitted(&mut |_, _, received| seen(self.hear(now, received)));
+        self.step(due.as_ns(), &mut |id, data| {
+            // The world sends what the DBC has, which is always a frame.
+            if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
+                bus.broadcast(&frame);
+                seen(LoggedFrame {
+                    at: due,
+                    sent: due,
+                    frame,
+                    verdict: None,
+                });
+            }
+        });
+        bus.ring_receivers();
+    }
+
+    /// Hears a frame of a controller that is on the bus at `now`.
+    pub fn hear(&mut self, now: Instant, Received { frame, at: sent }: Received) -> LoggedFrame {
+        let judged = match frame.id() {
+            CanId::Standard(id) => self.on_frame(now.as_ns(), id.into(), frame.data()),
+            CanId::Extended(_) => None,
+        };
+        LoggedFrame {
+            at: now,
+            sent,
+            frame,
+            verdict: judged.map(|acceptance| acceptance.verdict),
+        }
+    }
+}
+
+/// A bus between the world and functions that drive it in the same program, without a board.
+#[derive(Clone, Debug)]
+pub struct LocalBus {
+    /// The time of both.
+    pub now: Instant,
+    /// What the vehicle sent in the last period. The controller takes it.
+    pub from_vehicle: Vec<CanFrame>,
+    /// What the vehicle will hear in the next period.
+    pub to_vehicle: Vec<CanFrame>,
+}
+
+impl LocalBus {
+    /// A bus without frames.
+    #[must_use]
+    pub const fn new(now: Instant) -> Self {
+        Self {
+            now,
+            from_vehicle: Vec::new(),
+            to_vehicle: Vec::new(),
+        }
+    }
+}
+
+impl VehicleBus for LocalBus {
+    fn now(&self) -> Instant {
+        self.now
+    }
+
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+        let at = self.now;
+        for frame in self.to_vehicle.drain(..) {
+            seen(SystemId::A, CoreId::CONTROL, Received { frame, at });
+        }
+    }
+
+    fn broadcast(&mut self, frame: &CanFrame) {
+        self.from_vehicle.push(*frame);
+    }
+}
