@@ -4,7 +4,7 @@ use super::fault::{Act, Fault};
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId,
+    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId, VehicleBus,
 };
 use tandem_board_sim::{
     BusFault, Clock, Config as BoardConfig, EventKind, Poller, SimBoard, SimPair, Wire, WorldTick,
@@ -61,11 +61,11 @@ impl Vehicle {
                 Message::EgoMotion(motion),
             ] {
                 let frame = transmitter.encode(&message);
-                tick.send(frame_of(CanId::Standard(frame.id), frame.data()));
+                tick.broadcast(&frame_of(CanId::Standard(frame.id), frame.data()));
             }
         }
         if self.ticks.is_multiple_of(100) && self.poison {
-            tick.send(frame_of(POISON, &[0; 8]));
+            tick.broadcast(&frame_of(POISON, &[0; 8]));
         }
         self.ticks += 1;
     }
