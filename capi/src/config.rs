@@ -51,6 +51,11 @@ pub struct TandemConfig {
     pub can_open_limit_us: u32,
     /// How long a report of the other system holds.
     pub report_limit_us: u32,
+    /// Without a status frame of the standby on CAN for this long, a master has no backup.
+    pub status_limit_us: u32,
+    /// After a change of the driver, a new standby takes over only on the vehicle's word for this
+    /// long.
+    pub hold_down_us: u32,
 }
 
 impl From<Config> for TandemConfig {
@@ -76,6 +81,8 @@ impl From<Config> for TandemConfig {
             healthy_after_us: us(config.healthy_after),
             can_open_limit_us: us(config.can_open_limit),
             report_limit_us: us(config.report_limit),
+            status_limit_us: us(config.status_limit),
+            hold_down_us: us(config.hold_down),
         }
     }
 }
@@ -104,6 +111,8 @@ impl TandemConfig {
             healthy_after: span(self.healthy_after_us),
             can_open_limit: span(self.can_open_limit_us),
             report_limit: span(self.report_limit_us),
+            status_limit: span(self.status_limit_us),
+            hold_down: span(self.hold_down_us),
         };
         if config.check() {
             Ok(config)

@@ -97,7 +97,7 @@ pub struct TandemSnapshot {
     pub beats: [u32; 2],
     /// Not 0: the other system's power level is high.
     pub peer_powered: u32,
-    /// Valid frames received on CAN, from whomever.
+    /// Valid frames received on CAN from third parties: from neither of the two systems.
     pub can_frames: u32,
 }
 

@@ -120,11 +120,11 @@ pub enum Event {
     },
     /// The other system is taken for failed, or no longer.
     PeerFailed(bool),
-    /// A heartbeat line went silent, or came back.
+    /// A heartbeat line went silent, or came back; another line was found broken.
     Line {
-        /// 1 or 2.
+        /// 1 or 2: a heartbeat line; 3: the power level; 4: the start line.
         line: u8,
-        /// Went silent.
+        /// Went silent, or is broken.
         silent: bool,
     },
     /// Both heartbeat lines are silent, but the other system is seen to live.
@@ -279,6 +279,11 @@ impl From<tandem_redundancy::Event> for Event {
             E::TermRaised(term) => Self::TermRaised { term: term.bits() },
             E::CanSilent(silent) => Self::CanSilent(silent),
             E::StateLost => Self::StateLost,
+            E::LevelBroken(silent) => Self::Line { line: 3, silent },
+            E::StartLineSilent => Self::Line {
+                line: 4,
+                silent: true,
+            },
         }
     }
 }

@@ -39,10 +39,13 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
         Event::PeerFailed(true) => "considers the other system failed".to_owned(),
         Event::PeerFailed(false) => "no longer considers the other system failed".to_owned(),
-        Event::Line { line, silent } => {
-            let state = if silent { "silent" } else { "back" };
-            format!("heartbeat line {line} is {state}")
-        }
+        Event::Line { line, silent } => match (line, silent) {
+            (1 | 2, true) => format!("heartbeat line {line} is silent"),
+            (1 | 2, false) => format!("heartbeat line {line} is back"),
+            (3, true) => "the power level line is broken: low, and the other lives".to_owned(),
+            (3, false) => "the power level line is whole again".to_owned(),
+            _ => "no edge came on the start line since the start".to_owned(),
+        },
         Event::LinesSplit => "both heartbeat lines are cut, the other system lives".to_owned(),
         Event::CanSilent(true) => "hears nothing on CAN".to_owned(),
         Event::CanSilent(false) => "hears CAN again".to_owned(),
@@ -113,18 +116,20 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::PeerRuns => "the other system is running",
         Evidence::HandshakeDone => "handshake done",
         Evidence::NobodyThere => "no system answered",
-        Evidence::PeerOff => "power level fell",
+        Evidence::PeerOff => "power level fell and heartbeats ended",
         Evidence::PeerSilent => "heartbeats and control frames silent",
         Evidence::BeatsSilent => "heartbeats silent",
-        Evidence::MasterMute => "control frames missing",
+        Evidence::MasterMute => "no control frame reaches the vehicle",
         Evidence::HigherTerm => "the other system drives in a higher term",
         Evidence::BeatsBack => "heartbeats are back",
         Evidence::PeerStable => "the other system is back for good",
         Evidence::Stalled => "was held up",
         Evidence::ListenOver => "the other system has not taken over",
         Evidence::FaultReset => "own fault, a reset may cure it",
-        Evidence::FaultStop => "own fault while alone",
+        Evidence::FaultStop => "own fault, stops the vehicle until the other drives",
         Evidence::FaultSuspend => "own fault that stays",
+        Evidence::StandbyMute => "the standby is not heard on CAN",
+        Evidence::MasterResigns => "the master has a fault and resigns",
     }
 }
 
@@ -155,7 +160,7 @@ mod tests {
         for (event, words) in [
             (
                 took_over,
-                Some("takes over: power level fell, detected in 0.83 ms"),
+                Some("takes over: power level fell and heartbeats ended, detected in 0.83 ms"),
             ),
             (role, Some("is master, L3, term 2")),
             (cycle(60_000), None),

@@ -56,17 +56,20 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
             let (last, first) = (pair[0], pair[1]);
             let report = report_of(log, first.system, first.at_ns);
             let held_up = was_held_up(log, last.system, last.at_ns);
+            let cause = report.and_then(|report| match report {
+                Event::TookOver { cause, .. } => Some(cause),
+                _ => None,
+            });
+            // A master with a fault of its own drives until it is relieved.
+            let resigned = cause == Some(Evidence::MasterResigns);
             Takeover {
                 from: last.system,
                 to: first.system,
                 at_ns: first.at_ns,
-                cause: report.and_then(|report| match report {
-                    Event::TookOver { cause, .. } => Some(cause),
-                    _ => None,
-                }),
+                cause,
                 detected_ms: report.and_then(detected_ms),
                 gap_ms: ms_between(last.at_ns, first.at_ns),
-                is_false: !held_up && old_master_lived_on(log, last, first.at_ns),
+                is_false: !held_up && !resigned && old_master_lived_on(log, last, first.at_ns),
                 held_up,
             }
         })

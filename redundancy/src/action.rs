@@ -88,6 +88,11 @@ pub enum Event {
     CanSilent(bool),
     /// The state in flash was lost; this system began with the factory state.
     StateLost,
+    /// The power level line was low while the other system lived (`true`): it is not believed. Or
+    /// it has been high for long enough to be believed again.
+    LevelBroken(bool),
+    /// No edge ever came on the start line, though the other system runs: the line is cut.
+    StartLineSilent,
 }
 
 impl Event {
@@ -107,6 +112,8 @@ impl Event {
             Self::TermRaised(term) => [9, term.bits(), 0],
             Self::CanSilent(silent) => [10, silent.into(), 0],
             Self::StateLost => [11, 0, 0],
+            Self::LevelBroken(broken) => [12, broken.into(), 0],
+            Self::StartLineSilent => [13, 0, 0],
         }
     }
 }

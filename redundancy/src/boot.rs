@@ -4,17 +4,15 @@ use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
-/// What the checks lead to.
+/// How to begin the start protocol, as the checks say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Boot {
-    /// This system has failed.
-    Suspend,
-    /// Begin the start protocol.
-    Start {
-        kind: StartKind,
-        /// Whether this system claims to be the one that leads.
-        claims_master: bool,
-    },
+pub(crate) struct Boot {
+    pub(crate) kind: StartKind,
+    /// Whether this system claims to be the one that leads.
+    pub(crate) claims_master: bool,
+    /// The fault for which it suspends if the other system drives. If no system does, it starts
+    /// into the safe stop: silence would help nobody.
+    pub(crate) fault: Option<FailureMode>,
 }
 
 /// Counts the start in the state and decides how to begin. T-RED-5, T-RED-7
@@ -30,19 +28,28 @@ pub(crate) fn check(
     };
     state.total_resets = state.total_resets.saturating_add(1);
 
+    // A power cycle gives one more attempt: the next abnormal reset suspends again.
+    if cause == ResetCause::PowerOn
+        && state.sys_failure
+        && state.failure_mode.power_cycle_may_cure()
+    {
+        state.sys_failure = false;
+        state.abn_in_a_row = config.abnormal_limit;
+    }
     // 1. Abnormal reset?
     if cause.is_abnormal() {
         state.abn_resets = state.abn_resets.saturating_add(1);
         state.abn_in_a_row = state.abn_in_a_row.saturating_add(1);
         if state.abn_in_a_row > config.abnormal_limit && !state.sys_failure {
             state.sys_failure = true;
-            state.failure_mode = FailureMode::AbnormalResets;
+            // An open circuit is what these resets were to cure.
+            if state.failure_mode != FailureMode::CanOpenCircuit {
+                state.failure_mode = FailureMode::AbnormalResets;
+            }
         }
     }
     // 2. Own failure flag?
-    if state.sys_failure {
-        return (state, Boot::Suspend);
-    }
+    let fault = state.sys_failure.then_some(state.failure_mode);
     // 3. The other's failure flag? Then there is nobody to wait for. Neither is there after a
     //    reset: the
     // other has taken over and runs. In both cases a running master must be looked for first.
@@ -53,13 +60,13 @@ pub(crate) fn check(
         StartKind::Listen
     };
     // 4. Sync; after a reset as the standby of the other.
-    (
-        state,
-        Boot::Start {
-            kind,
-            claims_master: state.is_master && power_on,
-        },
-    )
+    let claims_master = state.is_master && power_on && fault.is_none();
+    let boot = Boot {
+        kind,
+        claims_master,
+        fault,
+    };
+    (state, boot)
 }
 
 #[cfg(test)]
@@ -77,9 +84,14 @@ mod tests {
     #[test]
     fn order_of_checks() {
         let clean = SystemState::factory(SystemId::A);
-        let start = |kind, claims_master| Boot::Start {
+        let start = |kind, claims_master| Boot {
             kind,
             claims_master,
+            fault: None,
+        };
+        let fails = |kind| Boot {
+            fault: Some(FailureMode::IoModule),
+            ..start(kind, false)
         };
         let peer_failed = SystemState {
             cpsys_failure: true,
@@ -87,16 +99,17 @@ mod tests {
         };
         let failed = SystemState {
             sys_failure: true,
-            ..peer_failed
+            failure_mode: FailureMode::IoModule,
+            ..clean
         };
         for (cause, state, expected) in [
             (PowerOn, clean, start(StartKind::Handshake, true)),
             (PowerOn, peer_failed, start(StartKind::Listen, true)),
-            (PowerOn, failed, Boot::Suspend),
+            (PowerOn, failed, fails(StartKind::Handshake)),
             (Watchdog, clean, start(StartKind::Listen, false)),
             (Trap, peer_failed, start(StartKind::Listen, false)),
             (Software, clean, start(StartKind::Listen, false)),
-            (Watchdog, failed, Boot::Suspend),
+            (Watchdog, failed, fails(StartKind::Listen)),
         ] {
             assert_eq!(boot(cause, state).1, expected, "{cause:?} {state:?}");
         }
@@ -114,20 +127,23 @@ mod tests {
         for n in 1..=u32::from(CONFIG.abnormal_limit) {
             let (after, verdict) = boot(Watchdog, state);
             assert_eq!((after.abn_resets, after.total_resets), (n, n));
-            assert_ne!(verdict, Boot::Suspend);
+            assert_eq!(verdict.fault, None);
             state = after;
         }
         let (after, verdict) = boot(PowerOn, state);
         assert_eq!((after.abn_resets, after.total_resets), (3, 4));
-        assert_ne!(
-            verdict,
-            Boot::Suspend,
+        assert_eq!(
+            verdict.fault, None,
             "a power cycle alone neither counts nor clears the row"
         );
+        let fails = Some(FailureMode::AbnormalResets);
         let (after, verdict) = boot(Trap, after);
-        assert_eq!(verdict, Boot::Suspend);
+        assert_eq!(verdict.fault, fails);
         assert!(after.sys_failure);
-        assert_eq!(after.failure_mode, FailureMode::AbnormalResets);
+        let (after, verdict) = boot(PowerOn, after);
+        assert_eq!(verdict.fault, None, "a power cycle gives one more attempt");
+        assert_eq!(boot(PowerOn, after).1.fault, None);
+        assert_eq!(boot(Trap, after).1.fault, fails, "and only one");
     }
 
     /// T-RED-1: a system whose flash is blank or lost begins with the factory state.

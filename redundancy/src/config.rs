@@ -25,8 +25,9 @@ pub struct Config {
     pub control_period: Duration,
     /// How much later than due a control frame may come: lateness of its sender, time on the bus.
     pub control_margin: Duration,
-    /// How many control periods without a control frame make a master mute while its heartbeats go
-    /// on and other frames are heard.
+    /// For how many control periods the vehicle may be unheard before its word is out of date, and
+    /// before this system counts as deaf. Without a vehicle that tells, a master whose control
+    /// frames are missing for as long is mute.
     pub mute_periods: u32,
     /// Time between two handshake edges.
     pub handshake_period: Duration,
@@ -55,6 +56,11 @@ pub struct Config {
     pub can_open_limit: Duration,
     /// How long a report of the other system holds.
     pub report_limit: Duration,
+    /// Without a status frame of the standby on CAN for this long, a master has no backup.
+    pub status_limit: Duration,
+    /// After a change of the driver, a system that has become standby takes over only on the
+    /// vehicle's word for this long. Doubles with every further change.
+    pub hold_down: Duration,
 }
 
 impl Config {
@@ -88,9 +94,14 @@ impl Config {
             reintegrate: false,
             abnormal_limit: 3,
             healthy_after: Duration::from_ms(10_000),
-            // Two status frames and a half: longer than any regular silence on the bus.
+            // The frames of the vehicle come every 10 ms; a pause of 25 of them is no regular one.
+            // Every failed attempt doubles it: a loose connector gets seconds to come back.
             can_open_limit: Duration::from_ms(250),
             report_limit: Duration::from_ms(100),
+            // Status frames come every 100 ms, so two may be lost in a row.
+            status_limit: Duration::from_ms(350),
+            // Ten control periods: what led to the change has ended, or the vehicle says so.
+            hold_down: Duration::from_ms(100),
         }
     }
 
@@ -123,13 +134,22 @@ impl Config {
         self.heartbeat_period.times(self.heartbeat_misses) + self.heartbeat_jitter
     }
 
+    /// A power level that is low for this long, without a heartbeat, says that the other system is
+    /// off. One heartbeat and one poll: a heartbeat of a system that lives would have come. The
+    /// level alone is one wire, and must not overrule two witnesses that say otherwise.
+    #[must_use]
+    pub fn level_limit(&self) -> Duration {
+        self.heartbeat_period + self.poll_interval
+    }
+
     /// No control frame for longer than this is the third witness's word that nobody drives.
     #[must_use]
     pub fn witness_limit(&self) -> Duration {
         self.control_period + self.control_margin
     }
 
-    /// No control frame for longer than this, while heartbeats go on, makes the master mute.
+    /// The vehicle's word holds for this long, and so does the silence of all third parties before
+    /// this system counts as deaf.
     #[must_use]
     pub fn mute_limit(&self) -> Duration {
         self.control_period.times(self.mute_periods) + self.control_margin
@@ -201,13 +221,15 @@ impl Config {
     /// The same if the power level falls.
     #[must_use]
     pub fn gap_bound_power(&self) -> Duration {
-        self.control_period + self.poll_interval
+        self.control_period + self.level_limit() + self.poll_interval
     }
 
-    /// The same if the master is alive but cannot transmit.
+    /// The same if the master is alive but cannot transmit. The vehicle's word decides: the first
+    /// echo that tells of no frame for the third witness's limit. Echoes come at least every
+    /// control period.
     #[must_use]
     pub fn gap_bound_mute(&self) -> Duration {
-        self.mute_limit() + self.poll_interval
+        self.witness_limit() + self.control_period + self.poll_interval
     }
 
     /// Whether the values fit together: what each limit presumes of the others.
@@ -223,6 +245,8 @@ impl Config {
             && self.sync_stagger >= self.poll_interval.times(4)
             && self.promote_limit > self.sync_stagger + self.poll_interval.times(2)
             && self.can_open_limit > self.mute_limit()
+            && self.status_limit > self.mute_limit()
+            && self.hold_down > self.mute_limit()
             && self.abnormal_limit > 0
     }
 

@@ -15,19 +15,18 @@ pub(crate) struct Driving {
     refused: bool,
     /// The vehicle's last word was that it refuses this term, and that no system drives.
     refused_by_vehicle: bool,
-    /// A fault of its own: the system brings the vehicle to a stop.
-    stopping: bool,
+    /// Since when this system drives.
+    since: Instant,
 }
 
 impl Driving {
-    /// `stopping`: the system has a fault that stays.
-    pub(crate) const fn new(term: Term, now: Instant, stopping: bool) -> Self {
+    pub(crate) const fn new(term: Term, now: Instant) -> Self {
         Self {
             term,
             last_permit: now,
             refused: false,
             refused_by_vehicle: false,
-            stopping,
+            since: now,
         }
     }
 
@@ -45,14 +44,6 @@ impl Driving {
     /// the control period between.
     pub(crate) fn note_refusal(&mut self, refused: bool) -> bool {
         core::mem::replace(&mut self.refused_by_vehicle, refused) && refused
-    }
-
-    pub(crate) const fn is_stopping(&self) -> bool {
-        self.stopping
-    }
-
-    pub(crate) fn stop_vehicle(&mut self) {
-        self.stopping = true;
     }
 
     /// Whether a frame may be sent `since_poll` after the last poll.
@@ -75,6 +66,11 @@ impl Driving {
         self.last_permit = now;
     }
 
+    /// Whether the last transmission was refused.
+    pub(crate) const fn is_refused(&self) -> bool {
+        self.refused
+    }
+
     /// Whether a transmission was refused since the last call.
     pub(crate) fn take_refused(&mut self) -> bool {
         core::mem::take(&mut self.refused)
@@ -90,44 +86,56 @@ impl Driving {
         witnesses: &Witnesses,
         heartbeats: u32,
     ) -> bool {
-        let others = witnesses.peer_is_there() || heartbeats > 0 || witnesses.reports.was_standby();
+        let off = witnesses.peer_is_off(config, now);
+        let others = heartbeats > 0
+            || witnesses.peer_is_there(config, now)
+            || witnesses.reports.was_standby();
         let earliest = self.last_permit + config.witness_limit();
-        others && !witnesses.level.is_off() && now >= earliest
+        others && !off && now >= earliest
     }
 
     /// In dual operation: is the standby lost?
     pub(crate) fn judge_dual(
+        &self,
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
     ) -> Option<Evidence> {
-        if witnesses.level.is_off() {
+        if witnesses.peer_is_off(config, now) {
             return Some(Evidence::PeerOff);
         }
-        witnesses
-            .standby_is_gone(config, now)
-            .then_some(Evidence::BeatsSilent)
+        if witnesses.standby_is_gone(config, now) {
+            return Some(Evidence::BeatsSilent);
+        }
+        // Heartbeats show that the standby lives, not that it can transmit.
+        let limit = config.status_limit;
+        let heard = witnesses.reports.standby_within(now, limit) || now.since(self.since) <= limit;
+        (!heard).then_some(Evidence::StandbyMute)
     }
 
-    /// Alone: is the other back, and may it be the standby again?
+    /// Alone: is the other back, and may it be the standby again? `peer_sound_for`: how long ago
+    /// the last evidence of its failure was.
     pub(crate) fn judge_alone(
         &self,
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
         state: &SystemState,
+        peer_sound_for: Duration,
     ) -> Option<Evidence> {
-        if let gone @ Some(_) = Self::judge_dual(config, now, witnesses) {
+        if let gone @ Some(_) = self.judge_dual(config, now, witnesses) {
             return gone;
         }
-        let alive_for = witnesses.beats.alive_for(now);
-        if state.cpsys_failure {
-            return (alive_for >= config.recover_after).then_some(Evidence::BeatsBack);
-        }
         // A backup that is not heard on CAN is none.
-        let heard = witnesses.reports.standby_within(now, config.can_open_limit);
-        let stable = alive_for >= config.recover_after.times(2) && heard;
-        (config.reintegrate && stable && !self.stopping).then_some(Evidence::PeerStable)
+        if !witnesses.reports.standby_within(now, config.status_limit) {
+            return None;
+        }
+        let sound_for = witnesses.beats.alive_for(now).min(peer_sound_for);
+        if state.cpsys_failure {
+            return (sound_for >= config.recover_after).then_some(Evidence::BeatsBack);
+        }
+        let stable = sound_for >= config.recover_after.times(2) && !state.sys_failure;
+        (config.reintegrate && stable).then_some(Evidence::PeerStable)
     }
 }
 
@@ -148,7 +156,7 @@ impl Thawed {
         now: Instant,
         witnesses: &Witnesses,
     ) -> Option<Evidence> {
-        if witnesses.level.is_off() {
+        if witnesses.peer_is_off(config, now) {
             return Some(Evidence::PeerOff);
         }
         (now.since(self.since) > config.mute_limit()).then_some(Evidence::ListenOver)

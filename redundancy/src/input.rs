@@ -15,13 +15,13 @@ pub struct Snapshot {
     pub beats: [u32; 2],
     /// The other system's power level.
     pub peer_powered: bool,
-    /// Valid frames received on CAN, from any sender.
+    /// Valid frames received on CAN from third parties: from neither of the two systems.
     pub can_frames: u32,
 }
 
 impl Snapshot {
     /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
-    /// valid frames received on CAN.
+    /// valid frames received on CAN from third parties.
     ///
     /// Fetch everything from the CAN receiver and hand it to the machine *before* this. Otherwise
     /// the machine is told of silence while evidence waits in a buffer.

@@ -25,6 +25,9 @@ const TERM_STEP_AT_START: u32 = 8;
 /// other is likely to have had while this system was off. If the term were too low, the vehicle
 /// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
+/// From this many changes of the driver on the hold-down does not grow any more: it is 32 times the
+/// first one.
+const MAX_CHANGES: u8 = 6;
 
 /// This system is there.
 const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
@@ -83,6 +86,15 @@ pub struct Redundancy {
     system: SystemId,
     phase: PhaseState,
     state: SystemState,
+    /// The fault of this system, from the record or since the start.
+    fault: Option<FailureMode>,
+    /// When the other was last found to have failed.
+    peer_failed_at: Instant,
+    /// Changes of the driver that followed each other, and when the last one was.
+    changes: u8,
+    changed_at: Instant,
+    /// An edge came on the start line, or its absence is told.
+    start_line_tested: bool,
     /// What was last handed out to be written.
     persisted: Option<SystemState>,
     /// The record was lost, and this is not yet told.
@@ -110,19 +122,23 @@ impl Redundancy {
         loaded: Loaded,
         now: Instant,
     ) -> Self {
-        let (state, verdict) = boot::check(&config, system, cause, loaded);
-        let phase = match verdict {
-            Boot::Suspend => PhaseState::Suspended,
-            Boot::Start {
-                kind,
-                claims_master,
-            } => PhaseState::Starting(Starting::new(kind, claims_master, system, now)),
-        };
+        let (state, boot) = boot::check(&config, system, cause, loaded);
+        let Boot {
+            kind,
+            claims_master,
+            fault,
+        } = boot;
+        let starting = Starting::new(kind, claims_master, fault.is_some(), system, now);
         Self {
             config,
             system,
-            phase,
+            phase: PhaseState::Starting(starting),
             state,
+            fault,
+            peer_failed_at: now,
+            changes: 0,
+            changed_at: Instant::ORIGIN,
+            start_line_tested: false,
             persisted: None,
             untold_loss: loaded == Loaded::Lost,
             term_known: cause != ResetCause::PowerOn && matches!(loaded, Loaded::State(_)),
@@ -199,7 +215,7 @@ impl Redundancy {
             | PhaseState::Resetting
             | PhaseState::Suspended => Mode::None,
             PhaseState::Master(_) => Mode::L3,
-            PhaseState::DegradedMaster(driving) if driving.is_stopping() => Mode::SafeStop,
+            PhaseState::DegradedMaster(_) if self.fault.is_some() => Mode::SafeStop,
             PhaseState::DegradedMaster(_) => Mode::DegradedL2,
             PhaseState::Standby(standby) => standby.mode(),
         }
@@ -237,11 +253,17 @@ impl Redundancy {
         (self.beats.sent(), self.witnesses.beats.received())
     }
 
-    /// What to tell the other system over the link every control cycle.
+    /// What to tell the other system over the link every control cycle. Ask after
+    /// [`Redundancy::may_transmit`]: a master whose frame was refused does not say that it drives.
     #[must_use]
     pub fn link_report(&self) -> PeerReport {
+        let drives = |driving: Driving| !driving.is_refused();
+        let role = match self.role() {
+            Role::Master if !self.phase.mastership().is_some_and(drives) => Role::Starting,
+            role => role,
+        };
         PeerReport {
-            role: self.role(),
+            role,
             mode: self.mode(),
             term: self.state.term,
             can_alive: self.witnesses.can.is_alive(),
@@ -268,8 +290,11 @@ impl Redundancy {
             }
         }
         self.witnesses.update(&self.config, now, &seen, actions);
+        self.note_start_line(now, &seen, actions);
         if self.can_is_open(now) {
             self.own_fault(now, FailureMode::CanOpenCircuit, actions);
+        } else if self.fault == Some(FailureMode::CanOpenCircuit) && !self.state.sys_failure {
+            self.fault = None;
         }
         if let PhaseState::Starting(starting) = &mut self.phase
             && starting.handshake_due(&self.config, now)
@@ -279,6 +304,7 @@ impl Redundancy {
         if let Some(evidence) = self.judge(now, &seen) {
             self.apply(now, evidence, actions);
         }
+        self.obey_fault(now, actions);
         if let Some(driving) = self.phase.driving() {
             if driving.take_refused() {
                 actions.push(Action::Transmit);
@@ -306,24 +332,28 @@ impl Redundancy {
             return Some(Evidence::Stalled);
         }
         match &mut self.phase {
-            PhaseState::Starting(starting) => {
-                starting.judge(config, now, seen, witnesses.level.is_off())
+            PhaseState::Starting(starting) => starting.judge(config, now, seen),
+            PhaseState::Standby(standby) => {
+                let sound = self.fault.is_none();
+                standby.judge(config, now, witnesses, seen.handshakes, sound)
             }
-            PhaseState::Standby(standby) => standby.judge(config, now, witnesses, seen.handshakes),
-            PhaseState::Master(_) => Driving::judge_dual(config, now, witnesses),
+            PhaseState::Master(driving) => driving.judge_dual(config, now, witnesses),
             PhaseState::DegradedMaster(driving) => {
-                driving.judge_alone(config, now, witnesses, &self.state)
+                let sound_for = now.since(self.peer_failed_at);
+                driving.judge_alone(config, now, witnesses, &self.state, sound_for)
             }
             PhaseState::Thawed(thawed) => thawed.judge(config, now, witnesses),
             PhaseState::Resetting | PhaseState::Suspended => None,
         }
     }
 
-    /// Whether the own CAN connection is open: this system hears nothing, but the other hears the
-    /// bus. Nothing heard may also mean that the whole bus is dead; if that counted, both systems
-    /// would suspend. T-RED-6
+    /// Whether the own CAN connection is open: this system hears no third party, but the other does.
+    /// Nothing heard may also mean that the whole bus is dead; if that counted, both systems would
+    /// suspend. Each reset that did not cure it doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
-        self.witnesses.can_is_silent(&self.config, now)
+        let attempts = u32::from(self.state.abn_in_a_row.min(3));
+        let limit = self.config.can_open_limit.times(1 << attempts);
+        self.witnesses.can.is_silent(now, limit)
             && self
                 .witnesses
                 .reports
@@ -336,15 +366,43 @@ impl Redundancy {
         if mode == FailureMode::None || self.phase() == Phase::Suspended {
             return;
         }
-        if self.state.failure_mode != mode && !self.state.sys_failure {
+        let stays = !mode.reset_may_cure();
+        // The first fault counts, and then the first one that stays.
+        if self.fault.is_none() || stays && !self.state.sys_failure {
             self.state.failure_mode = mode;
+            self.fault = Some(mode);
         }
-        self.state.sys_failure |= !mode.reset_may_cure();
-        let alone = self.phase() == Phase::DegradedMaster && !self.witnesses.peer_is_there();
-        let evidence = match mode {
-            _ if alone && mode.leaves_control() => Evidence::FaultStop,
-            _ if mode.reset_may_cure() => Evidence::FaultReset,
-            _ => Evidence::FaultSuspend,
+        self.state.sys_failure |= stays;
+        self.obey_fault(now, actions);
+    }
+
+    /// What a system with a fault of its own does. It leaves only when the other drives: until then
+    /// it stops the vehicle, or keeps ready for that.
+    fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
+        let Some(fault) = self.fault else {
+            return;
+        };
+        let stays = self.state.sys_failure;
+        let leave = if stays {
+            Evidence::FaultSuspend
+        } else {
+            Evidence::FaultReset
+        };
+        let (config, witnesses) = (&self.config, &self.witnesses);
+        let evidence = match &self.phase {
+            _ if fault == FailureMode::TermsExhausted => Evidence::FaultSuspend,
+            PhaseState::Master(_) => Evidence::FaultStop,
+            PhaseState::Starting(_) if !stays => leave,
+            PhaseState::Standby(standby) if standby.master_drives(config, now, witnesses) => {
+                // Two with a fault that stays: the one that drives stops the vehicle, and this one
+                // is its backup.
+                if stays && witnesses.reports.resigns(now, config.report_limit) {
+                    return;
+                }
+                leave
+            }
+            PhaseState::Resetting => leave,
+            _ => return,
         };
         self.apply(now, evidence, actions);
     }
@@ -353,14 +411,14 @@ impl Redundancy {
     fn apply(&mut self, now: Instant, on: Evidence, actions: &mut Actions) {
         let rule = rule(self.phase(), on);
         if let Some(effect) = rule.effect {
-            self.do_effect(effect, actions);
+            self.do_effect(now, effect, actions);
         }
         if let Some(to) = rule.enter {
             self.enter(now, to, on, actions);
         }
     }
 
-    fn do_effect(&mut self, effect: Effect, actions: &mut Actions) {
+    fn do_effect(&mut self, now: Instant, effect: Effect, actions: &mut Actions) {
         match effect {
             Effect::LeadStart => {
                 actions.push(HANDSHAKE);
@@ -368,18 +426,16 @@ impl Redundancy {
                 actions.push(Action::AlignControl);
             }
             Effect::FollowStart => actions.push(Action::AlignControl),
-            Effect::MarkPeerFailed => self.set_peer_failed(true, actions),
-            Effect::MarkPeerRecovered => self.set_peer_failed(false, actions),
+            Effect::MarkPeerFailed => self.set_peer_failed(now, true, actions),
+            Effect::MarkPeerRecovered => self.set_peer_failed(now, false, actions),
             Effect::TellLinesSplit => actions.record(Event::LinesSplit),
-            Effect::StopVehicle => {
-                if let Some(driving) = self.phase.driving() {
-                    driving.stop_vehicle();
-                }
-            }
         }
     }
 
-    fn set_peer_failed(&mut self, failed: bool, actions: &mut Actions) {
+    fn set_peer_failed(&mut self, now: Instant, failed: bool, actions: &mut Actions) {
+        if failed {
+            self.peer_failed_at = now;
+        }
         if self.state.cpsys_failure != failed {
             self.state.cpsys_failure = failed;
             actions.record(Event::PeerFailed(failed));
@@ -389,6 +445,7 @@ impl Redundancy {
     /// Enters a phase: the only place that changes it.
     fn enter(&mut self, now: Instant, to: Phase, on: Evidence, actions: &mut Actions) {
         let from = self.phase();
+        self.note_change(now, from, to);
         let Ok(entered) = self.prepare(now, to, on) else {
             self.own_fault(now, FailureMode::TermsExhausted, actions);
             return;
@@ -421,15 +478,18 @@ impl Redundancy {
         match to {
             Phase::Standby => {
                 self.state.is_master = false;
-                self.set_peer_failed(false, actions);
+                self.set_peer_failed(now, false, actions);
             }
             Phase::Master => {
                 self.state.is_master = true;
-                self.set_peer_failed(false, actions);
+                self.set_peer_failed(now, false, actions);
             }
             Phase::DegradedMaster => {
                 self.state.is_master = true;
-                self.set_peer_failed(true, actions);
+                // A system that stops the vehicle for a fault of its own says nothing of the other.
+                if on != Evidence::FaultStop {
+                    self.set_peer_failed(now, true, actions);
+                }
             }
             Phase::Suspended => self.state.sys_failure = true,
             Phase::Starting | Phase::Thawed | Phase::Resetting => {}
@@ -444,7 +504,9 @@ impl Redundancy {
                     Evidence::SyncHeard => Mode::L3,
                     _ => Mode::DegradedL2,
                 };
-                PhaseState::Standby(Standby::new(self.system, now, mode))
+                let doublings = u32::from(self.changes.saturating_sub(1));
+                let hold_until = now + self.config.hold_down.times(1 << doublings);
+                PhaseState::Standby(Standby::new(self.system, now, mode, hold_until))
             }
             Phase::Master => PhaseState::Master(self.drive(now)?),
             Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),
@@ -473,7 +535,7 @@ impl Redundancy {
             _ => 1,
         };
         let term = self.next_term(step)?;
-        Ok(Driving::new(term, now, self.state.sys_failure))
+        Ok(Driving::new(term, now))
     }
 
     /// A term `step` masterships above the highest known one; it is the highest from now on.
@@ -483,12 +545,38 @@ impl Redundancy {
         Ok(term)
     }
 
+    /// Counts changes of the driver that follow each other. The hold-down grows with them.
+    fn note_change(&mut self, now: Instant, from: Phase, to: Phase) {
+        let takes_over = from == Phase::Standby && to.is_driving();
+        let deposed = from.is_driving() && to == Phase::Standby;
+        if takes_over || deposed {
+            let calm = now.since(self.changed_at) >= self.config.healthy_after;
+            self.changes = if calm {
+                1
+            } else {
+                MAX_CHANGES.min(self.changes + 1)
+            };
+            self.changed_at = now;
+        }
+    }
+
+    /// The self-test of the start line: an edge of the other must have come since the start. Told
+    /// once, when both have run for long enough.
+    fn note_start_line(&mut self, now: Instant, seen: &Seen, actions: &mut Actions) {
+        self.start_line_tested |= seen.handshakes > 0 || seen.syncs > 0;
+        let alive_for = self.witnesses.beats.alive_for(now);
+        if !self.start_line_tested && alive_for >= self.config.recover_after {
+            self.start_line_tested = true;
+            actions.record(Event::StartLineSilent);
+        }
+    }
+
     /// A long time without a reset ends a row of abnormal ones. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since
             .is_some_and(|since| now.since(since) >= self.config.healthy_after);
-        if healthy && self.phase().sends_heartbeats() {
+        if healthy && self.fault.is_none() && self.phase().sends_heartbeats() {
             self.state.abn_in_a_row = 0;
         }
     }

@@ -145,14 +145,14 @@ pub enum Evidence {
     HandshakeDone = 2,
     /// Nobody answered within the time limit.
     NobodyThere = 3,
-    /// The other system's power level is low: it cannot transmit.
+    /// The other system's power level is low and its heartbeats have ended: it cannot transmit.
     PeerOff = 4,
     /// Both heartbeat lines are silent, or were since the master's last control frame, and no
     /// control frame has come for the third witness's limit.
     PeerSilent = 5,
     /// Both heartbeat lines are silent, and nothing is known from control frames.
     BeatsSilent = 6,
-    /// Heartbeats come and the CAN bus is alive, but control frames do not come.
+    /// The vehicle says that no control frame reaches it.
     MasterMute = 7,
     /// A control frame of the other in a higher term came: it drives.
     HigherTerm = 8,
@@ -164,17 +164,22 @@ pub enum Evidence {
     Stalled = 11,
     /// Listening after a stall is over: the other did not take over.
     ListenOver = 12,
-    /// An own fault that a reset may cure, while the other system is there.
+    /// An own fault that a reset may cure, while this system does not drive and the other does.
     FaultReset = 13,
-    /// An own fault while this system drives alone: go on, and stop the vehicle.
+    /// An own fault while this system drives: it drives on, to stop the vehicle, until the other
+    /// drives.
     FaultStop = 14,
-    /// An own fault that stays.
+    /// An own fault that stays, while the other system drives.
     FaultSuspend = 15,
+    /// The standby is not heard on CAN: it could not take over.
+    StandbyMute = 16,
+    /// The master says that it has a fault and stops the vehicle.
+    MasterResigns = 17,
 }
 
 impl Evidence {
     /// All kinds of evidence.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::SyncHeard,
         Self::PeerRuns,
         Self::HandshakeDone,
@@ -191,5 +196,7 @@ impl Evidence {
         Self::FaultReset,
         Self::FaultStop,
         Self::FaultSuspend,
+        Self::StandbyMute,
+        Self::MasterResigns,
     ];
 }

@@ -1,6 +1,6 @@
 //! The phase `Standby`: is the master there? Its control frames are the witness that decides.
 
-use crate::witness::Witnesses;
+use crate::witness::{GateVerdict, Witnesses};
 use crate::{Config, Evidence, Mode, Role};
 use tandem_board::{Duration, Instant, SystemId};
 
@@ -18,10 +18,17 @@ pub(crate) struct Standby {
     silent: bool,
     /// What this system computes: the master's function as far as a standby can follow it.
     mode: Mode,
+    /// The driver has just changed: until then this system takes over only on the vehicle's word.
+    hold_until: Instant,
 }
 
 impl Standby {
-    pub(crate) const fn new(system: SystemId, now: Instant, mode: Mode) -> Self {
+    pub(crate) const fn new(
+        system: SystemId,
+        now: Instant,
+        mode: Mode,
+        hold_until: Instant,
+    ) -> Self {
         Self {
             system,
             last_control: now,
@@ -29,6 +36,7 @@ impl Standby {
             suspected: false,
             silent: false,
             mode,
+            hold_until,
         }
     }
 
@@ -67,13 +75,27 @@ impl Standby {
         self.last_control = self.last_control.max(now);
     }
 
-    /// What the witnesses say about the master. `handshakes`: new ones.
+    /// Whether the master was heard to drive within the third witness's limit: on CAN by this
+    /// system or by the vehicle, or by its own word over the link.
+    pub(crate) fn master_drives(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+    ) -> bool {
+        now.since(self.last_control) <= config.witness_limit()
+            || witnesses.reports.drives(now, config.witness_limit())
+    }
+
+    /// What the witnesses say about the master. `handshakes`: new ones. `sound`: this system has no
+    /// fault of its own.
     pub(crate) fn judge(
         &mut self,
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
         handshakes: u32,
+        sound: bool,
     ) -> Option<Evidence> {
         let silent = witnesses.beats.both_silent();
         let was_silent = core::mem::replace(&mut self.silent, silent);
@@ -81,30 +103,61 @@ impl Standby {
         // heartbeats, as a standby, before its control frames are missed. A handshake is a sign of
         // a system that has just started, so it does not drive.
         self.suspected |= silent || handshakes > 0;
-        if witnesses.level.is_off() {
+        if witnesses.peer_is_off(config, now) && self.may_act(config, now, witnesses) {
             return Some(Evidence::PeerOff);
         }
-        if self.suspected && now.since(self.last_control) > config.witness_limit() {
-            return Some(Evidence::PeerSilent);
+        let unheard = now.since(self.last_control) > config.witness_limit();
+        if unheard && !witnesses.is_deaf(config, now) {
+            let says_master = witnesses.reports.drives(now, config.witness_limit());
+            if self.suspected && !says_master && self.may_act(config, now, witnesses) {
+                return Some(Evidence::PeerSilent);
+            }
+            if self.master_is_mute(config, now, witnesses) {
+                return Some(Evidence::MasterMute);
+            }
         }
-        if !silent && self.master_is_mute(config, now, witnesses) {
-            return Some(Evidence::MasterMute);
+        // Acts on a report that has just arrived. It was sent in a control cycle, so the master is
+        // deposed before its next one.
+        let resigns = witnesses.reports.resigns(now, config.stall_limit());
+        if resigns && sound && now >= self.hold_until && !witnesses.is_deaf(config, now) {
+            return Some(Evidence::MasterResigns);
         }
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
-    /// Heartbeats come, but control frames do not.
+    /// Whether the word of the lines is enough: the driver has not changed for long enough, or the
+    /// vehicle does not contradict.
+    fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
+        now >= self.hold_until
+            || matches!(
+                witnesses.gate.verdict(config, now),
+                GateVerdict::Uncontrolled | GateVerdict::Unknown
+            )
+    }
+
+    /// The master lives, but no control frame of it reaches the vehicle. The vehicle decides: that
+    /// this system hears none may be its own fault.
     fn master_is_mute(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let age = now.since(self.last_control);
-        // After an outage of the whole bus the master needs a control period to be heard again.
-        let bus_alive = witnesses.can.alive_for(now) > config.witness_limit();
-        if self.control_known {
-            return age > config.mute_limit() && bus_alive;
-        }
-        let says_master = witnesses
-            .reports
-            .fresh(now, config.report_limit)
-            .is_some_and(|report| report.role == Role::Master);
-        age > config.no_master_limit(self.system) && (bus_alive || !says_master)
+        let verdict = witnesses.gate.verdict(config, now);
+        let limit = match verdict {
+            _ if !self.control_known => config.no_master_limit(self.system),
+            GateVerdict::Uncontrolled => config.witness_limit(),
+            _ => config.mute_limit(),
+        };
+        let nobody_drives = match verdict {
+            GateVerdict::Uncontrolled => true,
+            // A vehicle that does not tell. After an outage of the whole bus the master needs a
+            // control period to be heard again.
+            GateVerdict::Unknown => {
+                witnesses.can.alive_for(now) > config.witness_limit()
+                    || witnesses
+                        .reports
+                        .fresh(now, config.report_limit)
+                        .is_some_and(|report| report.role != Role::Master)
+            }
+            GateVerdict::Unheard | GateVerdict::Obeys(_) => false,
+        };
+        age > limit && nobody_drives
     }
 }

@@ -26,6 +26,7 @@ pub(crate) enum StartKind {
 pub(crate) struct Starting {
     kind: StartKind,
     claims_master: bool,
+    failed: bool,
     system: SystemId,
     since: Instant,
     next_handshake: Instant,
@@ -35,15 +36,18 @@ pub(crate) struct Starting {
 }
 
 impl Starting {
+    /// `failed`: this system has a fault that stays. It lets every healthy one go before it.
     pub(crate) const fn new(
         kind: StartKind,
         claims_master: bool,
+        failed: bool,
         system: SystemId,
         now: Instant,
     ) -> Self {
         Self {
             kind,
             claims_master,
+            failed,
             system,
             since: now,
             next_handshake: now,
@@ -68,13 +72,7 @@ impl Starting {
     }
 
     /// How the start ends, if it does.
-    pub(crate) fn judge(
-        &mut self,
-        config: &Config,
-        now: Instant,
-        seen: &Seen,
-        peer_off: bool,
-    ) -> Option<Evidence> {
+    pub(crate) fn judge(&mut self, config: &Config, now: Instant, seen: &Seen) -> Option<Evidence> {
         if seen.handshakes > 0 && self.heard_at.is_none() {
             self.heard_at = Some(now);
         }
@@ -89,9 +87,6 @@ impl Starting {
             let lead = now.since(heard_at) >= self.lead_after(config);
             return lead.then_some(Evidence::HandshakeDone);
         }
-        if self.kind == StartKind::Listen && peer_off {
-            return Some(Evidence::PeerOff);
-        }
         (now.since(self.since) >= self.alone_after(config)).then_some(Evidence::NobodyThere)
     }
 
@@ -99,6 +94,7 @@ impl Starting {
     /// that two that claim (or do not claim) to be master agree: the first sync edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
+            _ if self.failed => config.promote_limit.times(4) + config.stagger_of(self.system),
             (true, SystemId::A) => Duration::ZERO,
             (true, SystemId::B) => config.sync_stagger,
             (false, SystemId::A) => config.promote_limit,
@@ -112,7 +108,11 @@ impl Starting {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),
             StartKind::Handshake => {
-                let follows = if self.claims_master { 0 } else { 2 };
+                let follows = match (self.failed, self.claims_master) {
+                    (true, _) => 4,
+                    (false, false) => 2,
+                    (false, true) => 0,
+                };
                 config.start_limit + config.stagger.times(follows) + config.stagger_of(self.system)
             }
         }

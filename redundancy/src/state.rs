@@ -68,15 +68,15 @@ impl FailureMode {
     pub const fn reset_may_cure(self) -> bool {
         matches!(
             self,
-            Self::PerceptionCore | Self::PlanningCore | Self::Deadline
+            Self::PerceptionCore | Self::PlanningCore | Self::Deadline | Self::CanOpenCircuit
         )
     }
 
-    /// Whether a system with this fault can still bring the vehicle to a stop. Without CAN or a
-    /// term it has nothing to drive with.
+    /// Whether a system that has suspended itself for this fault gets one more attempt after a
+    /// power cycle. Faults that a diagnosis has found in the hardware stay until it is mended.
     #[must_use]
-    pub const fn leaves_control(self) -> bool {
-        !matches!(self, Self::CanOpenCircuit | Self::TermsExhausted)
+    pub const fn power_cycle_may_cure(self) -> bool {
+        self.reset_may_cure() || matches!(self, Self::AbnormalResets)
     }
 }
 

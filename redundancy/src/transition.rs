@@ -24,8 +24,6 @@ pub(crate) enum Effect {
     MarkPeerRecovered,
     /// Tells that the heartbeat lines are cut.
     TellLinesSplit,
-    /// Drives on, to bring the vehicle to a stop.
-    StopVehicle,
 }
 
 const NOTHING: Rule = Rule {
@@ -64,21 +62,27 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
         (P::Suspended, _) => NOTHING,
         (_, E::FaultSuspend) => enter(P::Suspended),
         (P::Resetting, _) => NOTHING,
-        (_, E::FaultReset) => enter(P::Resetting),
+        // A system that drives never resets itself: it stops the vehicle until the other drives.
+        (P::Starting | P::Standby, E::FaultReset) => enter(P::Resetting),
 
         (P::Starting, E::SyncHeard) => both(Effect::FollowStart, P::Standby),
         (P::Starting, E::PeerRuns) => enter(P::Standby),
         (P::Starting, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
-        (P::Starting, E::NobodyThere | E::PeerOff) => enter(P::DegradedMaster),
+        (P::Starting, E::NobodyThere) => enter(P::DegradedMaster),
 
-        (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute) => enter(P::DegradedMaster),
+        (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute | E::MasterResigns) => {
+            enter(P::DegradedMaster)
+        }
         (P::Standby, E::BeatsSilent) => only(Effect::TellLinesSplit),
 
-        (P::Master, E::PeerOff | E::BeatsSilent) => enter(P::DegradedMaster),
-        (P::DegradedMaster, E::PeerOff | E::BeatsSilent) => only(Effect::MarkPeerFailed),
+        (P::Master, E::PeerOff | E::BeatsSilent | E::StandbyMute | E::FaultStop) => {
+            enter(P::DegradedMaster)
+        }
+        (P::DegradedMaster, E::PeerOff | E::BeatsSilent | E::StandbyMute) => {
+            only(Effect::MarkPeerFailed)
+        }
         (P::DegradedMaster, E::BeatsBack) => only(Effect::MarkPeerRecovered),
         (P::DegradedMaster, E::PeerStable) => enter(P::Master),
-        (P::DegradedMaster, E::FaultStop) => only(Effect::StopVehicle),
         (P::Master | P::DegradedMaster | P::Thawed, E::HigherTerm) => enter(P::Standby),
         (P::Master | P::DegradedMaster, E::Stalled) => enter(P::Thawed),
         (P::Thawed, E::ListenOver | E::PeerOff) => enter(P::DegradedMaster),

@@ -23,6 +23,10 @@ const TICK_S: f64 = 1e-3;
 const TRAFFIC_TICKS: u64 = 5;
 /// Cycle of the ego's motion and of the driver's request, in ticks.
 const MOTION_TICKS: u64 = 10;
+/// Without an accepted control frame the vehicle tells what it obeys this often, in ticks. It
+/// also tells in the tick after each accepted frame: the echo of a frame that one system missed
+/// reaches it before the frame is overdue.
+const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
 /// If the caller comes later than this, the world has stood still meanwhile, ns: a frozen world
 /// process must not look like a vehicle without control.
@@ -122,6 +126,8 @@ pub struct World {
     next_ns: Option<u64>,
     /// Ticks since the first call, and of the running world.
     ticks: u64,
+    /// The tick of the last echo, and the arrival of the frame that it told of, ns.
+    echoed: Option<(u64, Option<u64>)>,
     world_ticks: u64,
     stalled_ns: u64,
 }
@@ -162,6 +168,7 @@ impl World {
             actuators: Actuators::settled(Request::default()),
             next_ns: None,
             ticks: 0,
+            echoed: None,
             world_ticks: 0,
             stalled_ns: 0,
             road,
@@ -330,14 +337,20 @@ impl World {
             ego,
             ticks,
             gate,
+            echoed,
             ..
         } = self;
         let mut send = |message: &Message| {
             let frame = transmitter.encode(message);
             emit(frame.id, frame.data());
         };
-        if ticks.is_multiple_of(MOTION_TICKS) {
+        let accepted_ns = gate.accepted().map(|last| last.at_ns);
+        let is_due = |(tick, frame_ns)| frame_ns != accepted_ns || *ticks >= tick + ECHO_TICKS;
+        if echoed.is_none_or(is_due) {
+            *echoed = Some((*ticks, accepted_ns));
             send(&Message::GateEcho(gate.echo(now_ns)));
+        }
+        if ticks.is_multiple_of(MOTION_TICKS) {
             send(&Message::EgoMotion(
                 sensors.motion(ego, self.snapshot.running),
             ));

@@ -58,7 +58,7 @@ pub struct Shared<'b, B: Board> {
     started: Instant,
     receiver: tandem_bus::Receiver,
     pub(super) transmitter: Transmitter,
-    /// Valid frames received on CAN, of whatever kind; wraps around.
+    /// Valid frames received on CAN from third parties; wraps around.
     can_frames: u32,
     floods: Floods,
     store: StateStore,
@@ -144,7 +144,9 @@ impl<'b, B: Board> Shared<'b, B> {
         while let Some((at, heard)) = read_can(self.board, &mut self.receiver, &mut left) {
             released |= match heard {
                 Heard::Valid(message) => {
-                    self.can_frames = self.can_frames.wrapping_add(1);
+                    let of_systems =
+                        matches!(message, Message::Control { .. } | Message::Status { .. });
+                    self.can_frames = self.can_frames.wrapping_add(u32::from(!of_systems));
                     self.hear(at, message)
                 }
                 Heard::WrongCounter(message) => self.hear_stale(message),

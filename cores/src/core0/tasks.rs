@@ -225,11 +225,12 @@ impl<B: Board> Shared<'_, B> {
         let Some(redundancy) = &mut self.redundancy else {
             return;
         };
+        let may_transmit = redundancy.may_transmit(self.board.now());
         let report = redundancy.link_report();
         // A full link means that the other does not fetch: it will miss this report and get the
         // next.
         let _full = self.board.link().try_send(&report.to_words());
-        let transmitted = redundancy.may_transmit(self.board.now()) && {
+        let transmitted = may_transmit && {
             let control = frames::control(redundancy, output);
             let message = Message::Control {
                 system: self.system.index() as u8,

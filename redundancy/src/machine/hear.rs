@@ -1,6 +1,7 @@
 //! What the machine does with frames and reports of the other system, and with the vehicle's word.
 
 use super::{PhaseState, Redundancy};
+use crate::witness::GateVerdict;
 use crate::{
     Actions, ControlFrame, Event, Evidence, FailureMode, ObeyedTerm, PeerReport, Role, Term,
 };
@@ -23,7 +24,7 @@ impl Redundancy {
             actions.record(Event::Implausible);
             return;
         }
-        self.witnesses.on_incarnation(&self.config, now);
+        self.witnesses.on_life(&self.config, now, actions);
         self.term_known = true;
         if let PhaseState::Starting(starting) = &mut self.phase {
             starting.on_control_frame();
@@ -60,7 +61,9 @@ impl Redundancy {
     ) {
         let own = self.term();
         let claimed_for = self.witnesses.reports.on_link(now, report, own);
-        let reaches_bus = claimed_for.is_some_and(|span| span >= self.config.mute_limit());
+        let obeyed = self.witnesses.gate.verdict(&self.config, now) == GateVerdict::Obeys(own);
+        let reaches_bus =
+            !obeyed && claimed_for.is_some_and(|span| span >= self.config.mute_limit());
         self.report(now, report, reaches_bus, actions);
     }
 
@@ -74,7 +77,7 @@ impl Redundancy {
         reaches_bus: bool,
         actions: &mut Actions,
     ) {
-        self.witnesses.on_incarnation(&self.config, now);
+        self.witnesses.on_life(&self.config, now, actions);
         // A system that has just started may have forgotten the newest terms as well.
         self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);
@@ -93,7 +96,7 @@ impl Redundancy {
 
     /// The other drives in a term that is higher than this system's.
     fn peer_drives(&mut self, now: Instant, actions: &mut Actions) {
-        self.witnesses.level.on_drive();
+        self.witnesses.on_drive(actions);
         self.apply(now, Evidence::HigherTerm, actions);
     }
 
@@ -117,8 +120,13 @@ impl Redundancy {
         let ObeyedTerm { term, age } = obeyed;
         self.term_known = true;
         self.state.term = self.state.term.max(term);
+        self.witnesses.gate.on_echo(now, obeyed);
         let of_peer = term.system() == self.system.peer();
         let drives = of_peer && term != Term::NONE && age <= self.config.witness_limit();
+        if drives {
+            let sent = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
+            self.witnesses.on_life(&self.config, sent, actions);
+        }
         let higher = term > self.term();
         if let PhaseState::Standby(standby) = &mut self.phase {
             if drives && term == self.state.term {

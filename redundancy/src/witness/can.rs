@@ -1,12 +1,17 @@
-//! The witness of the CAN bus: whether anything is heard, and since when without a pause.
+//! The witness of the CAN bus: whether frames of third parties are heard, and since when without a
+//! pause.
+//!
+//! Frames of the other system do not count. Two systems that hear only each other know nothing of
+//! the bus: the rest of it may be off, or the fault may lie between them.
 
 use tandem_board::{Duration, Instant};
 
-/// Watches the number of received CAN frames.
+/// Watches the number of frames of third parties.
 #[derive(Clone, Debug)]
 pub(crate) struct CanWatch {
     last: Instant,
     since: Option<Instant>,
+    heard: bool,
     told_silent: bool,
 }
 
@@ -15,6 +20,7 @@ impl CanWatch {
         Self {
             last: now,
             since: None,
+            heard: false,
             told_silent: false,
         }
     }
@@ -24,6 +30,7 @@ impl CanWatch {
         let paused = now.since(self.last) > pause;
         if new > 0 {
             self.last = now;
+            self.heard = true;
             if paused || self.since.is_none() {
                 self.since = Some(now);
             }
@@ -50,6 +57,11 @@ impl CanWatch {
     /// Whether the last frame, or the start, is longer ago than `limit`.
     pub(crate) fn is_silent(&self, now: Instant, limit: Duration) -> bool {
         now.since(self.last) > limit
+    }
+
+    /// Whether frames came before and have not for `limit`: this system is deaf, or the bus is dead.
+    pub(crate) fn is_deaf(&self, now: Instant, limit: Duration) -> bool {
+        self.heard && self.is_silent(now, limit)
     }
 
     /// Whether this differs from what was told last; takes note of it.

@@ -1,6 +1,7 @@
 //! What this system knows of the other one. Each witness is one type; rules combine them.
 
 mod can;
+mod gate;
 mod heartbeat;
 mod level;
 mod reports;
@@ -8,6 +9,8 @@ mod reports;
 use crate::input::Seen;
 use crate::{Actions, Config, Event};
 use can::CanWatch;
+use gate::Gate;
+pub(crate) use gate::GateVerdict;
 pub(crate) use heartbeat::BeatSender;
 use heartbeat::{BeatReceiver, LineChange};
 use level::Level;
@@ -22,6 +25,7 @@ pub(crate) struct Witnesses {
     pub(crate) level: Level,
     pub(crate) can: CanWatch,
     pub(crate) reports: Reports,
+    pub(crate) gate: Gate,
     /// A stall was forgiven since the last sign of life.
     forgiven: bool,
 }
@@ -30,9 +34,10 @@ impl Witnesses {
     pub(crate) fn new(config: &Config, now: Instant) -> Self {
         Self {
             beats: BeatReceiver::new(config.silent_limit(), now),
-            level: Level::High,
+            level: Level::new(now),
             can: CanWatch::new(now),
             reports: Reports::default(),
+            gate: Gate::default(),
             forgiven: false,
         }
     }
@@ -64,10 +69,15 @@ impl Witnesses {
                 None => {}
             }
         }
-        self.level.update(now, seen.peer_powered);
-        if seen.heartbeats() > 0 {
-            self.on_incarnation(config, now);
+        let beats = seen.heartbeats() > 0;
+        let beats_alive = beats || !self.beats.both_silent();
+        let broken = self
+            .level
+            .update(config, now, seen.peer_powered, beats, beats_alive);
+        if let Some(broken) = broken {
+            actions.record(Event::LevelBroken(broken));
         }
+        self.forgiven &= !beats;
         self.can
             .update(now, seen.can_frames, config.witness_limit());
         let silent = self.can_is_silent(config, now);
@@ -76,10 +86,30 @@ impl Witnesses {
         }
     }
 
-    /// A sign of life of the other system.
-    pub(crate) fn on_incarnation(&mut self, config: &Config, now: Instant) {
-        self.level.on_incarnation(now, config.witness_limit());
+    /// The other system was seen to live at `at`, on CAN or over the link.
+    pub(crate) fn on_life(&mut self, config: &Config, at: Instant, actions: &mut Actions) {
+        if self.level.on_life(config, at) {
+            actions.record(Event::LevelBroken(true));
+        }
         self.forgiven = false;
+    }
+
+    /// The other system drives in a new term.
+    pub(crate) fn on_drive(&mut self, actions: &mut Actions) {
+        if self.level.on_drive() {
+            actions.record(Event::LevelBroken(true));
+        }
+    }
+
+    /// Whether the other system is without power.
+    pub(crate) fn peer_is_off(&self, config: &Config, now: Instant) -> bool {
+        self.level.is_off(config, now)
+    }
+
+    /// Whether this system heard third parties before, and does not any more. It has nothing to
+    /// drive by then, and its own absence from the bus is no evidence against the other.
+    pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {
+        self.can.is_deaf(now, config.mute_limit())
     }
 
     /// Nothing was heard on CAN for too long.
@@ -88,8 +118,8 @@ impl Witnesses {
     }
 
     /// The other system is powered and its heartbeats come.
-    pub(crate) fn peer_is_there(&self) -> bool {
-        !self.level.is_off() && !self.beats.both_silent()
+    pub(crate) fn peer_is_there(&self, config: &Config, now: Instant) -> bool {
+        !self.peer_is_off(config, now) && !self.beats.both_silent()
     }
 
     /// Both heartbeat lines are silent for so long that a master gives up its standby.

@@ -1,6 +1,6 @@
 //! The witness of the reports: what the other system says about itself, over the link and on CAN.
 
-use crate::{PeerReport, Role, Term};
+use crate::{Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Instant};
 
 /// What the other system said last.
@@ -8,6 +8,8 @@ use tandem_board::{Duration, Instant};
 pub(crate) struct Reports {
     /// Its last report over the link, and when it came.
     link: Option<(PeerReport, Instant)>,
+    /// Its last report on any way.
+    newest: Option<(PeerReport, Instant)>,
     /// Since when it says over the link, without a pause, that it drives in a higher term than this
     /// system and hears the bus.
     claims_since: Option<Instant>,
@@ -25,12 +27,14 @@ impl Reports {
         own: Term,
     ) -> Option<Duration> {
         self.link = Some((report, now));
+        self.newest = self.link;
         let claims = report.role == Role::Master && report.can_alive && report.term > own;
         self.claims_since = claims.then(|| self.claims_since.unwrap_or(now));
         self.claims_since.map(|since| now.since(since))
     }
 
     pub(crate) fn on_status(&mut self, now: Instant, report: PeerReport) {
+        self.newest = Some((report, now));
         if report.role == Role::Standby {
             self.standby_at = Some(now);
         }
@@ -41,6 +45,20 @@ impl Reports {
         self.link
             .filter(|(_, at)| now.since(*at) <= limit)
             .map(|(report, _)| report)
+    }
+
+    /// Whether the other said over the link within `limit` that it drives.
+    pub(crate) fn drives(&self, now: Instant, limit: Duration) -> bool {
+        self.fresh(now, limit)
+            .is_some_and(|report| report.role == Role::Master)
+    }
+
+    /// Whether the other drives with a fault of its own, by its last word, and that is no older
+    /// than `limit`.
+    pub(crate) fn resigns(&self, now: Instant, limit: Duration) -> bool {
+        self.newest.is_some_and(|(report, at)| {
+            now.since(at) <= limit && report.role == Role::Master && report.mode == Mode::SafeStop
+        })
     }
 
     /// Whether the other was heard on CAN as standby within `limit`.

@@ -23,12 +23,17 @@ fn bounds() -> String {
         Config::detection_bound,
     );
     row(
+        "low level believed",
+        "heartbeat period + poll interval",
+        Config::level_limit,
+    );
+    row(
         "third witness",
         "control period + margin",
         Config::witness_limit,
     );
     row(
-        "mute master",
+        "vehicle unheard, own CAN deaf",
         "2 control periods + margin",
         Config::mute_limit,
     );
@@ -39,7 +44,7 @@ fn bounds() -> String {
     );
     row(
         "gap, power level falls",
-        "control period + poll",
+        "control period + low level believed + poll",
         Config::gap_bound_power,
     );
     row(
@@ -49,10 +54,18 @@ fn bounds() -> String {
     );
     row(
         "gap, mute master",
-        "mute master + poll",
+        "third witness + control period + poll",
         Config::gap_bound_mute,
     );
     row("lease", "line silent - heartbeat period", Config::lease);
+    row(
+        "standby unheard on CAN",
+        "3 status periods + half of one",
+        |config| config.status_limit,
+    );
+    row("first hold-down", "10 control periods", |config| {
+        config.hold_down
+    });
     text
 }
 

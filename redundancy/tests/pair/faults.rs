@@ -22,7 +22,7 @@ fn sequence_of_the_thesis() {
             let takeover_bound = if level_cut {
                 us(config.takeover_bound())
             } else {
-                us(config.poll_interval)
+                us(config.level_limit() + config.poll_interval)
             };
 
             let from = pair.now_us;
@@ -170,7 +170,8 @@ fn failure_and_return_of_the_standby() {
         let mut pair = Pair::dual(config, 4);
         pair.power_off(B);
         let took = pair.run_until(10, |pair| pair.phase(A) == Some(Phase::DegradedMaster));
-        assert!(took <= 1_000, "{took}");
+        let bound = us(config.level_limit() + config.poll_interval);
+        assert!(took <= bound + 500, "{took}");
         assert!(pair.state(A).cpsys_failure);
         pair.run_ms(100);
         assert!(
@@ -183,7 +184,7 @@ fn failure_and_return_of_the_standby() {
             pair.state(A).cpsys_failure,
             "not before it was back for long enough"
         );
-        pair.run_ms(ms(us(config.recover_after)));
+        pair.run_ms(ms(us(config.recover_after)) + 100);
         assert!(!pair.state(A).cpsys_failure);
         pair.run_ms(ms(us(config.recover_after)) + 500);
         let expected = if reintegrate {
@@ -223,7 +224,7 @@ fn a_backup_without_can_is_not_reintegrated() {
 }
 
 /// T-RED-5: a system that resets abnormally again and again comes back as standby up to the limit,
-/// then suspends, and stays suspended over a power cycle. Time without a reset ends the row.
+/// then suspends. A power cycle gives it one more attempt. Time without a reset ends the row.
 #[test]
 fn too_many_abnormal_resets_suspend() {
     let config = Config::rt();
@@ -249,7 +250,10 @@ fn too_many_abnormal_resets_suspend() {
     pair.run_ms(10);
     pair.power_on(B);
     pair.run_ms(100);
-    assert!(pair.systems[B.index()].held, "it stays suspended");
+    assert_eq!(pair.phase(B), Some(Phase::Standby), "one more attempt");
+    pair.reset(B, ResetCause::Trap);
+    pair.run_ms(100);
+    assert!(pair.systems[B.index()].held, "and only one");
     assert_eq!(pair.phase(A), Some(Phase::DegradedMaster));
     assert_eq!(pair.changes_of_driver(), 0);
 }
@@ -306,8 +310,9 @@ fn a_dead_compute_core() {
     assert!(pair.longest_gap_us(from) <= 12_000);
 }
 
-/// T-RED-6: the CAN connection of one system opens: the other drives (on), the one that is cut off
-/// suspends, because the other reports a live bus. With the whole bus dead nobody suspends.
+/// T-RED-6: the CAN connection of one system opens: the other drives (on). The one that is cut off
+/// resets itself, because the other reports a live bus, and suspends when no reset has cured it.
+/// With the whole bus dead no system suspends.
 #[test]
 fn can_open_circuit() {
     for config in [Config::rt(), Config::desktop()] {
@@ -315,8 +320,9 @@ fn can_open_circuit() {
             let mut pair = Pair::dual(config, 5);
             let from = pair.now_us;
             pair.cuts.can[cut.index()] = true;
-            pair.run_ms(1_000);
-            assert!(pair.systems[cut.index()].held, "{cut}");
+            let took = pair.run_until(10_000, |pair| pair.systems[cut.index()].held);
+            let limit = us(config.can_open_limit);
+            assert!(took >= (1 + 2 + 4 + 8) * limit, "{took}");
             let state = pair.systems[cut.index()].flash.unwrap();
             assert!(state.sys_failure && state.failure_mode == FailureMode::CanOpenCircuit);
             assert_eq!(pair.phase(cut.peer()), Some(Phase::DegradedMaster));
@@ -327,11 +333,13 @@ fn can_open_circuit() {
         let mut pair = Pair::dual(config, 5);
         pair.cuts.can = [true; 2];
         pair.run_ms(2_000);
-        assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
+        // A master that does not hear its standby on CAN has none.
+        let alone = [Some(Phase::DegradedMaster), Some(Phase::Standby)];
+        assert_eq!(pair.phases(), alone);
         pair.cuts.can = [false; 2];
         let from = pair.now_us;
         pair.run_ms(200);
-        assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
+        assert_eq!(pair.phases(), alone);
         assert!(pair.longest_gap_us(from) <= 2_000_000 + 22_000);
         assert_eq!(pair.changes_of_driver(), 0);
     }

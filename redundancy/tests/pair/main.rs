@@ -4,6 +4,7 @@
 
 mod docs;
 mod faults;
+mod hostile;
 mod model;
 mod page;
 mod schedules;

@@ -12,7 +12,7 @@ pub(crate) const STEP_US: u64 = 100;
 /// How long a program of the data flash takes.
 const FLASH_US: u64 = 400;
 /// How long a reset and the start of the software take.
-pub(crate) const RESET_US: u64 = 3_000;
+pub(crate) const RESET_US: u64 = 5_000;
 
 /// Which connections are cut. A line is cut per direction, named by the system that sends.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -21,6 +21,11 @@ pub(crate) struct Cuts {
     pub(crate) start: [bool; 2],
     pub(crate) level: [bool; 2],
     pub(crate) can: [bool; 2],
+    /// The CAN transmitter, or receiver, of this system is dead; the other direction is whole.
+    pub(crate) can_send: [bool; 2],
+    pub(crate) can_hear: [bool; 2],
+    /// The systems do not hear each other on CAN; the vehicle hears both, and both hear it.
+    pub(crate) deaf_to_each_other: bool,
     pub(crate) link: bool,
 }
 
@@ -65,6 +70,12 @@ pub(crate) struct System {
     peer_level: bool,
     interrupt: bool,
     pub(crate) faults: Vec<FailureMode>,
+    /// A fault that the next reset cures.
+    pub(crate) until_reset: Option<FailureMode>,
+    /// Of a thousand frames it misses this many.
+    pub(crate) misses_permille: u64,
+    /// Programs of its data flash so far.
+    pub(crate) programs: u32,
 }
 
 pub(crate) struct Pair {
@@ -76,6 +87,11 @@ pub(crate) struct Pair {
     pub(crate) systems: [System; 2],
     bus: VecDeque<(u64, Option<SystemId>, Frame)>,
     next_vehicle: u64,
+    /// The vehicle echoes within a millisecond of each frame that it accepts, and every 10 ms
+    /// without one.
+    next_echo: u64,
+    /// The vehicle sends nothing; it still obeys.
+    pub(crate) vehicle_pauses: bool,
     random: u64,
     pub(crate) accepted: Vec<Seen>,
     pub(crate) fenced: Vec<Seen>,
@@ -112,6 +128,9 @@ impl Pair {
             peer_level: false,
             interrupt: false,
             faults: Vec::new(),
+            until_reset: None,
+            misses_permille: 0,
+            programs: 0,
         };
         Self {
             config,
@@ -121,6 +140,8 @@ impl Pair {
             systems: SystemId::ALL.map(system),
             bus: VecDeque::new(),
             next_vehicle: 0,
+            next_echo: 0,
+            vehicle_pauses: false,
             random: seed.wrapping_mul(2).wrapping_add(1),
             accepted: Vec::new(),
             fenced: Vec::new(),
@@ -165,6 +186,7 @@ impl Pair {
         system.frozen_until = 0;
         system.edges = [[u32::MAX - 40; 2]; 3];
         system.writing = None;
+        system.until_reset = None;
     }
 
     /// The supply resets the system.
@@ -174,6 +196,7 @@ impl Pair {
             system.machine = None;
             system.frozen_until = 0;
             system.writing = None;
+            system.until_reset = None;
             system.boot = Some((self.now_us + RESET_US, cause));
         }
     }
@@ -188,7 +211,11 @@ impl Pair {
     }
 
     pub(crate) fn run_ms(&mut self, ms: u64) {
-        for _ in 0..ms * 1_000 / STEP_US {
+        self.run_us(ms * 1_000);
+    }
+
+    pub(crate) fn run_us(&mut self, us: u64) {
+        for _ in 0..us / STEP_US {
             self.step();
         }
     }
@@ -260,9 +287,16 @@ impl Pair {
         self.deliver();
         if self.now_us >= self.next_vehicle {
             self.next_vehicle += 10_000;
-            self.send(None, Frame::Vehicle);
-            let obeyed = self.obeyed_term();
-            self.send(None, Frame::VehicleTerm(obeyed));
+            if !self.vehicle_pauses {
+                self.send(None, Frame::Vehicle);
+            }
+        }
+        if self.now_us >= self.next_echo {
+            self.next_echo = self.now_us + 10_000;
+            if !self.vehicle_pauses {
+                let obeyed = self.obeyed_term();
+                self.send(None, Frame::VehicleTerm(obeyed));
+            }
         }
         for id in SystemId::ALL {
             self.power_step(id);
@@ -351,7 +385,8 @@ impl Pair {
         let at = Instant::from_ns((now + system.origin_us) * 1_000);
         let mut inputs: Vec<Input> = Vec::new();
         for frame in system.inbox.drain(..) {
-            system.can_frames = system.can_frames.wrapping_add(1);
+            let third_party = matches!(frame, Frame::Vehicle | Frame::VehicleTerm(_));
+            system.can_frames = system.can_frames.wrapping_add(third_party.into());
             match frame {
                 Frame::Control(control) => inputs.push(Input::ControlFrame(control)),
                 Frame::Status(report) => inputs.push(Input::StatusFrame(report)),
@@ -360,7 +395,8 @@ impl Pair {
             }
         }
         inputs.extend(system.link_inbox.drain(..).map(Input::LinkReport));
-        inputs.extend(system.faults.iter().copied().map(Input::OwnFault));
+        let faults = system.faults.iter().chain(&system.until_reset);
+        inputs.extend(faults.copied().map(Input::OwnFault));
         let edges = system.edges;
         let both = |line: Line| edges[line.index()][0].wrapping_add(edges[line.index()][1]);
         inputs.push(Input::Poll(Snapshot {
@@ -398,7 +434,9 @@ impl Pair {
                 Action::DiscardUnsent => {}
                 Action::AlignControl => self.synchronised.push((now, id)),
                 Action::Persist(state) => {
-                    self.systems[id.index()].writing = Some((now + FLASH_US, state));
+                    let system = &mut self.systems[id.index()];
+                    system.writing = Some((now + FLASH_US, state));
+                    system.programs += 1;
                 }
                 Action::Reset(request) => self.ask_reset(id, request),
                 Action::Record(event) => self.events.push((now, id, event)),
@@ -480,14 +518,20 @@ impl Pair {
                 return;
             }
             self.bus.pop_front();
-            if from.is_some_and(|from| self.cuts.can[from.index()]) {
+            let silent =
+                |from: SystemId| self.cuts.can[from.index()] || self.cuts.can_send[from.index()];
+            if from.is_some_and(silent) {
                 continue;
             }
             if let Frame::Control(control) = frame {
                 self.vehicle_hears(control);
             }
             for to in SystemId::ALL {
-                let connected = !self.cuts.can[to.index()] && Some(to) != from;
+                let misses = self.systems[to.index()].misses_permille;
+                let lost = misses > 0 && self.random(1_000) < misses
+                    || self.cuts.deaf_to_each_other && from.is_some()
+                    || self.cuts.can_hear[to.index()];
+                let connected = !self.cuts.can[to.index()] && Some(to) != from && !lost;
                 let system = &mut self.systems[to.index()];
                 if connected && system.powered && system.boot.is_none() {
                     system.inbox.push_back(frame);
@@ -512,6 +556,7 @@ impl Pair {
             self.fenced.push(seen);
         } else {
             self.accepted.push(seen);
+            self.next_echo = self.now_us / 1_000 * 1_000 + 1_000;
         }
     }
 }

@@ -100,7 +100,7 @@ fn alone_after_the_time_limit_and_joined_by_a_late_one() {
             pair.power_on(first.peer());
             let took = pair.run_until(100, |pair| pair.phase(first.peer()) == Some(Phase::Standby));
             println!("late one is standby {took} us after power-on");
-            pair.run_ms(us(config.recover_after) / 1_000 + 100);
+            pair.run_ms(us(config.recover_after) / 1_000 + 300);
             assert!(!pair.state(first).cpsys_failure);
             assert_eq!(drivers(&pair), [first]);
             assert!(pair.takeovers(0).is_empty() && pair.fenced.is_empty());

@@ -1,0 +1,43 @@
+//! The witness of the vehicle: its word which system it obeys.
+
+use crate::{Config, ObeyedTerm, Term};
+use tandem_board::Instant;
+
+/// What the vehicle's last word comes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum GateVerdict {
+    /// The vehicle was never heard: it does not tell, or this system does not hear it.
+    Unknown,
+    /// It was heard before, and is not any more: it is off, or this system is deaf.
+    Unheard,
+    /// No system has reached it for the third witness's limit.
+    Uncontrolled,
+    /// It obeys this term.
+    Obeys(Term),
+}
+
+/// The vehicle's last word.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Gate {
+    last: Option<(ObeyedTerm, Instant)>,
+}
+
+impl Gate {
+    pub(crate) fn on_echo(&mut self, now: Instant, obeyed: ObeyedTerm) {
+        self.last = Some((obeyed, now));
+    }
+
+    pub(crate) fn verdict(&self, config: &Config, now: Instant) -> GateVerdict {
+        match self.last {
+            None => GateVerdict::Unknown,
+            // Two words may be lost.
+            Some((_, at)) if now.since(at) > config.mute_limit() => GateVerdict::Unheard,
+            Some((ObeyedTerm { term, age }, _))
+                if term == Term::NONE || age > config.witness_limit() =>
+            {
+                GateVerdict::Uncontrolled
+            }
+            Some((ObeyedTerm { term, .. }, _)) => GateVerdict::Obeys(term),
+        }
+    }
+}
