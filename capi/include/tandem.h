@@ -342,6 +342,11 @@ typedef struct tandem_config_t {
   uint32_t can_open_limit_us;
   // How long a report of the other system holds.
   uint32_t report_limit_us;
+  // Without a status frame of the standby on CAN for this long, a master has no backup.
+  uint32_t status_limit_us;
+  // After a change of the driver, a new standby takes over only on the vehicle's word for this
+  // long.
+  uint32_t hold_down_us;
 } tandem_config_t;
 
 // The sending end of a FIFO. There is one at a time. Static, zero at first.
@@ -467,7 +472,7 @@ typedef struct tandem_snapshot_t {
   uint32_t beats[2];
   // Not 0: the other system's power level is high.
   uint32_t peer_powered;
-  // Valid frames received on CAN, from whomever.
+  // Valid frames received on CAN from third parties: from neither of the two systems.
   uint32_t can_frames;
 } tandem_snapshot_t;
 

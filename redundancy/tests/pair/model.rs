@@ -454,7 +454,9 @@ impl Pair {
                 system.machine = None;
             }
             ResetRequest::CoreDead => self.reset(id, ResetCause::Trap),
-            ResetRequest::Software => self.reset(id, ResetCause::Software),
+            ResetRequest::Software | ResetRequest::Download => {
+                self.reset(id, ResetCause::Software);
+            }
         }
     }
 
