@@ -6,8 +6,10 @@ use tandem_board::Instant;
 /// The other system's power level line.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
-    /// Since when the line is low; `None` while it is high.
-    low_since: Option<Instant>,
+    /// When the line fell. Kept beyond the line's return, until a heartbeat comes: a short reset
+    /// ends before the missing heartbeat is noticed.
+    fell: Option<Instant>,
+    is_low: bool,
     /// Heartbeats came until the line fell, so they must end with it.
     beats_at_fall: bool,
     /// The last heartbeat, and the last sign of life of any kind, since the line fell.
@@ -23,7 +25,8 @@ pub(crate) struct Level {
 impl Level {
     pub(crate) const fn new(now: Instant) -> Self {
         Self {
-            low_since: None,
+            fell: None,
+            is_low: false,
             beats_at_fall: false,
             last_beat: now,
             last_sign: now,
@@ -44,21 +47,25 @@ impl Level {
         beats_alive: bool,
     ) -> Option<bool> {
         let was_broken = self.broken;
+        if beats {
+            self.last_beat = now;
+        }
+        let was_low = core::mem::replace(&mut self.is_low, !powered);
         if powered {
-            if self.low_since.take().is_some() {
+            if was_low {
                 self.high_since = now;
             }
-            self.broken &= now.since(self.high_since) < config.recover_after;
-        } else if let Some(since) = self.low_since {
-            if beats {
-                self.last_beat = now;
-                // One that was sent just before the fall may be counted a poll later.
-                self.broken |= now.since(since) > config.poll_interval;
+            if beats || !self.beats_at_fall {
+                self.fell = None;
             }
-        } else {
-            self.low_since = Some(now);
+            self.broken &= now.since(self.high_since) < config.recover_after;
+        } else if !was_low {
+            self.fell = Some(now);
             self.beats_at_fall = beats_alive;
             (self.last_beat, self.last_sign) = (now, now);
+        } else if let (true, Some(fell)) = (beats, self.fell) {
+            // One that was sent just before the fall may be counted a poll later.
+            self.broken |= now.since(fell) > config.poll_interval;
         }
         (self.broken != was_broken).then_some(self.broken)
     }
@@ -66,27 +73,35 @@ impl Level {
     /// The other system was seen to live at `at`, on CAN or over the link. Returns whether that
     /// shows the line to be broken.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant) -> bool {
-        let Some(since) = self.low_since else {
+        let Some(fell) = self.fell else {
             return false;
         };
         self.last_sign = self.last_sign.max(at);
-        let contradicts = at > since + config.level_limit();
-        contradicts && !core::mem::replace(&mut self.broken, true)
+        if at <= fell + config.level_limit() {
+            return false;
+        }
+        if !self.is_low {
+            self.fell = None;
+            return false;
+        }
+        !core::mem::replace(&mut self.broken, true)
     }
 
     /// The other system drives in a new term: it cannot do so without power. Returns whether that
     /// shows the line to be broken.
     pub(crate) fn on_drive(&mut self) -> bool {
-        self.low_since.is_some() && !core::mem::replace(&mut self.broken, true)
+        self.is_low && !core::mem::replace(&mut self.broken, true)
     }
 
-    /// Whether the other system is without power: the line is low, and its heartbeats, if they came
-    /// before, have ended with it. Without heartbeats to compare with, all other signs of life must
-    /// have ended for the third witness's limit.
+    /// Whether the other system is without power, or was and has not yet begun anew: the line fell,
+    /// and the heartbeats, which came before, have ended with it. Without heartbeats to compare
+    /// with, the line must be low, and all other signs of life must have ended for the third
+    /// witness's limit.
     pub(crate) fn is_off(&self, config: &Config, now: Instant) -> bool {
-        self.low_since.is_some()
+        let last_sign = self.last_sign.max(self.last_beat);
+        self.fell.is_some()
             && !self.broken
             && (self.beats_at_fall && now.since(self.last_beat) >= config.level_limit()
-                || now.since(self.last_sign.max(self.last_beat)) > config.witness_limit())
+                || self.is_low && now.since(last_sign) > config.witness_limit())
     }
 }
