@@ -347,8 +347,8 @@ impl Redundancy {
         }
     }
 
-    /// Whether the own CAN connection is open: this system hears no third party, but the other does.
-    /// Nothing heard may also mean that the whole bus is dead; if that counted, both systems would
+    /// Whether the own CAN connection is open: this system hears no third party, but the other
+    /// does. Nothing heard may also mean that the whole bus is dead; if that counted, both systems would
     /// suspend. Each reset that did not cure it doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
         let attempts = u32::from(self.state.abn_in_a_row.min(3));

@@ -59,7 +59,8 @@ impl CanWatch {
         now.since(self.last) > limit
     }
 
-    /// Whether frames came before and have not for `limit`: this system is deaf, or the bus is dead.
+    /// Whether frames came before and have not for `limit`: this system is deaf, or the bus is
+    /// dead.
     pub(crate) fn is_deaf(&self, now: Instant, limit: Duration) -> bool {
         self.heard && self.is_silent(now, limit)
     }
