@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 use tandem_cores::trace::Event;
 use tandem_record::log::Sample;
+use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::{RunLog, ms_between, takeovers};
 use tandem_vehicle::Verdict;
 
@@ -62,6 +63,24 @@ pub(crate) struct Metrics {
     pub(crate) control_period_p99_9_ms: Option<f64>,
     /// The longest, ms.
     pub(crate) control_period_max_ms: Option<f64>,
+    /// Median of the time from a measurement to the first control frame that reflects it, ms.
+    #[serde(default)]
+    pub(crate) reaction_p50_ms: Option<f64>,
+    /// 99 of 100 are not longer, ms.
+    #[serde(default)]
+    pub(crate) reaction_p99_ms: Option<f64>,
+    /// The longest, ms.
+    #[serde(default)]
+    pub(crate) reaction_max_ms: Option<f64>,
+    /// Median of the age of the oldest measurement behind a control frame that acts, ms.
+    #[serde(default)]
+    pub(crate) sensor_age_p50_ms: Option<f64>,
+    /// 99 of 100 are not older, ms.
+    #[serde(default)]
+    pub(crate) sensor_age_p99_ms: Option<f64>,
+    /// The oldest, ms.
+    #[serde(default)]
+    pub(crate) sensor_age_max_ms: Option<f64>,
     /// Median of the time from a measurement over cores 1 and 2 to core 0's command, ms.
     pub(crate) chain_p50_ms: Option<f64>,
     /// 99 of 100 are not longer, ms.
@@ -217,6 +236,11 @@ fn deadline_misses(log: &RunLog) -> u64 {
 pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) -> Metrics {
     let period = Spans::from_ms(control_periods_ms(log));
     let chain = Spans::from_ms(chain_ms(log));
+    let Reaction {
+        reaction_ms,
+        age_ms,
+    } = reaction(log);
+    let (reaction, age) = (Spans::from_ms(reaction_ms), Spans::from_ms(age_ms));
     let takeovers = takeovers(log);
     let count = |verdict| {
         log.control
@@ -241,6 +265,12 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         control_period_p99_ms: period.percentile_ms(99.0),
         control_period_p99_9_ms: period.percentile_ms(99.9),
         control_period_max_ms: period.max_ms(),
+        reaction_p50_ms: reaction.percentile_ms(50.0),
+        reaction_p99_ms: reaction.percentile_ms(99.0),
+        reaction_max_ms: reaction.max_ms(),
+        sensor_age_p50_ms: age.percentile_ms(50.0),
+        sensor_age_p99_ms: age.percentile_ms(99.0),
+        sensor_age_max_ms: age.max_ms(),
         chain_p50_ms: chain.percentile_ms(50.0),
         chain_p99_ms: chain.percentile_ms(99.0),
         chain_p99_9_ms: chain.percentile_ms(99.9),

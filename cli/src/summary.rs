@@ -34,6 +34,25 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
             ms(metrics.control_period_max_ms)
         ),
     );
+    for (name, p50, p99, max) in [
+        (
+            "sensor to control",
+            metrics.reaction_p50_ms,
+            metrics.reaction_p99_ms,
+            metrics.reaction_max_ms,
+        ),
+        (
+            "age of sensor data",
+            metrics.sensor_age_p50_ms,
+            metrics.sensor_age_p99_ms,
+            metrics.sensor_age_max_ms,
+        ),
+    ] {
+        row(
+            name,
+            format!("p50 {}  p99 {}  max {} ms", ms(p50), ms(p99), ms(max)),
+        );
+    }
     row(
         "chain core 1-2-0",
         format!(

@@ -237,6 +237,7 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             } else {
                 Mode::DegradedL2
             },
+            age_ns: None,
             verdict: Verdict::Accepted,
         });
     }

@@ -1,20 +1,32 @@
 //! Core 1: every 50 ms acquires the sensors' lists from CAN, fuses them, and signals core 2.
 //! T-CHIP-3
+//!
+//! The sensors release it: a cycle begins when all lists are there that the last one had. The core
+//! sleeps until they are expected, and only then asks to be woken by frames. If one is missing, the
+//! cycle begins [`PATIENCE`] after it was expected, and the next ones no longer wait for it.
 
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
 use crate::layout::{ControllerMap, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
-use crate::schedule::{Grid, Release};
+use crate::schedule::Release;
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, Heard, RETRY, read_can};
-use tandem_board::{Board, CoreId, Duration, Instant};
+use tandem_board::{Board, Can, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
 use tandem_shm::typed::Writer;
 
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;
+
+/// From the last frame of a round to the time at which the core looks for it, a period later: one
+/// look finds it then, if the sensors are punctual.
+const MARGIN: Duration = Duration::from_us(200);
+/// How long a cycle waits for a list that is late. The sensors' clocks, and the bus, are less late.
+const PATIENCE: Duration = Duration::from_ms(5);
+/// Shortest time between two cycles, whatever the sensors send.
+const SHORTEST: Duration = Duration::from_us(12_500);
 
 /// Frames that one cycle takes from the CAN receiver: as many as a bus of 1 Mbit/s carries in a
 /// period. The rest waits for the next cycle.
@@ -33,7 +45,8 @@ pub struct Core1<'b, B: Board> {
     attached: Option<Attached<'b>>,
     frames: Receiver,
     perception: Perception,
-    grid: Grid,
+    /// When the next round of the sensors is expected to be complete.
+    expected: Instant,
 }
 
 impl<'b, B: Board> Core1<'b, B> {
@@ -54,7 +67,7 @@ impl<'b, B: Board> Core1<'b, B> {
             attached: None,
             frames: Receiver::new(),
             perception: Perception::new(),
-            grid: Grid::new(start + PERIOD, PERIOD),
+            expected: start + PERIOD,
         }
     }
 
@@ -90,13 +103,39 @@ impl<'b, B: Board> Core1<'b, B> {
         self.board.trace(Event::TaskOut { task, leaves }.encode());
     }
 
-    fn cycle(&mut self) {
+    /// Takes in what the bus has brought. Returns when the frame came that completed the round, if
+    /// it is complete.
+    fn receive(&mut self) -> Option<Instant> {
+        let mut completed = None;
         let mut left = CAN_FRAMES;
         while let Some((at, heard)) = read_can(self.board, &mut self.frames, &mut left) {
             if let Heard::Valid(message) = heard {
                 self.perception.on_message(at, &message);
+                completed = match self.perception.is_round_complete() {
+                    true => completed.or(Some(at)),
+                    false => None,
+                };
             }
         }
+        completed
+    }
+
+    /// The release that is due: the round is complete, or the time to wait for it is over.
+    fn release(&mut self) -> Option<Release> {
+        let completed = self.receive();
+        let limit = self.expected + PATIENCE;
+        let due = completed.or((self.board.now() >= limit).then_some(limit))?;
+        let since_limit = self.board.now().since(limit);
+        let missed = u32::try_from(since_limit.as_ns() / PERIOD.as_ns()).unwrap_or(u32::MAX);
+        let at = if completed.is_some() {
+            due
+        } else {
+            due + PERIOD.times(missed)
+        };
+        Some(Release { at, missed })
+    }
+
+    fn cycle(&mut self) {
         let Some(attached) = &mut self.attached else {
             return;
         };
@@ -118,13 +157,28 @@ impl<B: Board> Core for Core1<'_, B> {
         if self.attached.is_none() {
             self.attach();
         }
-        while let Some(release) = self.grid.release(self.board.now()) {
-            self.run(release);
+        let can = self.board.can();
+        let mut woken = false;
+        loop {
+            if let Some(release) = self.release() {
+                self.run(release);
+                let earliest = self.board.now() + SHORTEST;
+                let next = self.perception.next_round(earliest, PERIOD);
+                self.expected = next.unwrap_or(release.at + (PERIOD - PATIENCE));
+            }
+            // From the time at which a complete round is expected, each frame may complete it.
+            let waits = self.board.now() >= self.expected + MARGIN;
+            can.wake_on_receive(waits);
+            if waits == woken {
+                break;
+            }
+            // A frame may have come before the call.
+            woken = waits;
         }
-        if self.attached.is_some() {
-            self.grid.next()
-        } else {
-            self.board.now() + RETRY
+        let look = self.expected + if woken { PATIENCE } else { MARGIN };
+        match self.attached {
+            Some(_) => look,
+            None => look.min(self.board.now() + RETRY),
         }
     }
 }

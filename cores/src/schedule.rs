@@ -84,6 +84,11 @@ impl Grid {
         Some(Release { at, missed })
     }
 
+    /// Moves the next release, and all after it, earlier.
+    pub fn advance(&mut self, by: Duration) {
+        self.next = Instant::from_ns(self.next.as_ns().saturating_sub(by.as_ns()));
+    }
+
     /// Begins the grid anew: the next release is at `at`.
     pub fn restart(&mut self, at: Instant) {
         self.next = at;

@@ -170,7 +170,8 @@ pub const CORE_0: [TaskInfo; 6] = [
 pub const CORE_1: [TaskInfo; 1] = [TaskInfo {
     code: TaskCode::PERCEPTION,
     name: "perception",
-    released_by: &[Period],
+    // The sensors' round: looked for when it is expected, and then at each frame.
+    released_by: &[OwnDeadline, Doorbell],
     period: Duration::from_ms(50),
     deadline: Some(Duration::from_ms(50)),
     priority: 0,

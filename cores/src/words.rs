@@ -190,10 +190,11 @@ impl Payload for Object {
 
 impl Payload for Scene {
     const WORDS: usize =
-        2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + MAX_OBJECTS * Object::WORDS;
+        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + MAX_OBJECTS * Object::WORDS;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put_instant(put, self.at);
+        put_instant(put, self.measured);
         put(self.cycle);
         self.ego.store(put);
         put(u32::from(self.lanes.is_some()));
@@ -208,7 +209,7 @@ impl Payload for Scene {
     }
 
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let at = instant(take);
+        let (at, measured) = (instant(take), instant(take));
         let cycle = take();
         let ego = Ego::load(take)?;
         let seen = flag(take)?;
@@ -224,6 +225,7 @@ impl Payload for Scene {
         }
         Ok(Self {
             at,
+            measured,
             cycle,
             ego,
             lanes: seen.then_some(lanes),
@@ -261,17 +263,18 @@ impl Payload for TrajectoryPoint {
 }
 
 impl Payload for Trajectory {
-    const WORDS: usize = 2 + 1 + 1 + TRAJECTORY_SAMPLES * TrajectoryPoint::WORDS;
+    const WORDS: usize = 2 + 2 + 1 + 1 + TRAJECTORY_SAMPLES * TrajectoryPoint::WORDS;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put_instant(put, self.at);
+        put_instant(put, self.measured);
         put(self.cycle);
         put(self.maneuver as u32);
         self.points.iter().for_each(|point| point.store(put));
     }
 
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
-        let at = instant(take);
+        let (at, measured) = (instant(take), instant(take));
         let cycle = take();
         let maneuver = match take() {
             0 => Maneuver::Follow,
@@ -286,6 +289,7 @@ impl Payload for Trajectory {
         }
         Ok(Self {
             at,
+            measured,
             cycle,
             maneuver,
             points,
@@ -324,6 +328,7 @@ mod tests {
         };
         Scene {
             at: Instant::from_ns(0x1_2345_6789),
+            measured: Instant::from_ns(0x1_2300_0000),
             cycle: 99,
             ego: Ego {
                 speed: 25.0,
@@ -359,6 +364,7 @@ mod tests {
         assert_eq!(from_words::<Scene>(&to_words(&blind)), Ok(blind));
         let trajectory = Trajectory {
             at: Instant::from_ns(5),
+            measured: Instant::from_ns(3),
             cycle: 1,
             maneuver: Maneuver::ChangeRight,
             points: core::array::from_fn(|i| TrajectoryPoint {

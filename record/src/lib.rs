@@ -9,6 +9,7 @@
 pub mod description;
 pub mod file;
 pub mod log;
+pub mod reaction;
 pub mod roles;
 pub mod run_log;
 pub mod takeover;

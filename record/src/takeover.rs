@@ -188,6 +188,7 @@ mod tests {
             system,
             term,
             mode: Mode::L3,
+            age_ns: None,
             verdict: Verdict::Accepted,
         }
     }

@@ -12,7 +12,7 @@ pub(crate) struct Output {
     pub(crate) command: Command,
     /// The function that produced it: below the mode asked for if its inputs were missing.
     pub(crate) mode: Mode,
-    /// Age of the sensor data it rests on; `None` if it rests on none.
+    /// Age of the oldest measurement it rests on; `None` if it rests on none.
     pub(crate) age: Option<Duration>,
 }
 
@@ -88,7 +88,7 @@ impl Drive {
             return Output {
                 command,
                 mode: Mode::L3,
-                age: Some(now.since(trajectory.at)),
+                age: Some(now.since(trajectory.measured)),
             };
         }
         if let Some(scene) = &self.scene {
@@ -96,7 +96,7 @@ impl Drive {
             return Output {
                 command,
                 mode: Mode::DegradedL2,
-                age: Some(now.since(scene.at)),
+                age: Some(now.since(scene.measured)),
             };
         }
         Output {

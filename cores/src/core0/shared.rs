@@ -21,6 +21,12 @@ use tandem_redundancy::{
 const BOOT_POLL: Duration = Duration::from_ms(1);
 /// A vehicle that is slower stands still, m/s: the noise of the measured speed stays below.
 const STANDSTILL: f32 = 0.1;
+/// A trajectory waits no longer than this for the control task, once the grid has followed it.
+const TRAJECTORY_WAITS: Duration = Duration::from_us(1_500);
+/// So many in a row that waited longer move the grid.
+const LATE_TRAJECTORIES: u8 = 2;
+/// By this much: a tick of the kernel, at which all releases lie.
+const GRID_STEP: Duration = Duration::from_ms(1);
 /// Motions of the chassis that come between two control cycles: three, and as many again.
 const MOTIONS: usize = 6;
 
@@ -70,6 +76,8 @@ pub struct Shared<'b, B: Board> {
     ticks: TickGrid,
     /// Releases of the control task.
     pub(super) control: Grid,
+    /// Trajectories in a row that waited too long for the control task.
+    trajectories_waited: u8,
     /// A control cycle that the degraded task is to do.
     pub(super) handed_over: Option<Release>,
     pub(super) inbox: Inbox,
@@ -115,6 +123,7 @@ impl<'b, B: Board> Shared<'b, B> {
             shown: None,
             ticks: TickGrid::EXACT,
             control: Grid::new(started, CONTROL_PERIOD),
+            trajectories_waited: 0,
             handed_over: None,
             inbox: Inbox::default(),
             all_seen: false,
@@ -130,6 +139,27 @@ impl<'b, B: Board> Shared<'b, B> {
     pub fn set_ticks(&mut self, ticks: TickGrid) {
         self.ticks = ticks;
         self.control.restart(ticks.floor(self.board.now()));
+    }
+
+    /// A trajectory has come in. It shall not wait long for the control task: while it does, the
+    /// grid moves earlier, a tick at a time. One trajectory that is late moves nothing.
+    pub(super) fn on_trajectory(&mut self) {
+        let waits = self.control.next().since(self.board.now());
+        if waits <= TRAJECTORY_WAITS {
+            self.trajectories_waited = 0;
+        } else {
+            self.trajectories_waited = self.trajectories_waited.saturating_add(1);
+        }
+    }
+
+    /// The release of the control task that is due at `now`.
+    pub(super) fn release_control(&mut self, now: Instant) -> Option<Release> {
+        let release = self.control.release(now)?;
+        if self.trajectories_waited >= LATE_TRAJECTORIES {
+            self.trajectories_waited = 0;
+            self.control.advance(GRID_STEP);
+        }
+        Some(release)
     }
 
     /// The phase of this system, once the start protocol has begun.

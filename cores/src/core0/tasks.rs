@@ -158,7 +158,7 @@ impl<'b, B: Board> Task<'b, B> for Control<'b, B> {
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         let now = self.0.now();
         let (release, degraded, next) = executor.shared(|shared| {
-            let release = shared.control.release(now);
+            let release = shared.release_control(now);
             let mode = shared.redundancy.as_ref().map(|it| it.mode());
             let degraded = mode == Some(Mode::DegradedL2);
             if degraded {
@@ -316,6 +316,7 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
                     });
                 }
                 executor.drive(|drive| drive.on_trajectory(trajectory));
+                executor.shared(Shared::on_trajectory);
             }
             Ok(None) => {}
             Err(_) => self.trace(Event::Refused { id: 0 }),

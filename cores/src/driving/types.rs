@@ -100,8 +100,11 @@ pub struct Object {
 /// What core 1 knows of the world at one time: the object list of T-CHIP-3.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
-    /// When the sensor data of this cycle were acquired, on this system's clock.
+    /// The time that it is predicted to, on this system's clock.
     pub at: Instant,
+    /// When the oldest measurement that came in with this cycle was on the bus; of the last cycle
+    /// with one if none came in.
+    pub measured: Instant,
     /// Counts the cycles of core 1, wraps around.
     pub cycle: u32,
     /// Motion of the own vehicle at `at`.
@@ -150,6 +153,8 @@ pub struct Trajectory {
     /// Time of the first sample, and of the vehicle frame that all samples stand in: the scene's
     /// `at`.
     pub at: Instant,
+    /// The scene's `measured`.
+    pub measured: Instant,
     /// The scene's cycle.
     pub cycle: u32,
     /// What it does.

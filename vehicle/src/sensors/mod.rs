@@ -21,9 +21,9 @@ use crate::traffic::Vehicle;
 pub const SENSOR_PERIOD_MS: u64 = 50;
 /// When each sensor measures within the period, ms, in the order of [`SensorId::ALL`]: sensors are
 /// not synchronised, and the bus could not carry all lists at once.
-pub const SENSOR_PHASE_MS: [u64; 6] = [0, 4, 8, 12, 16, 20];
+pub const SENSOR_PHASE_MS: [u64; 6] = [0, 3, 6, 9, 12, 15];
 /// The camera's lanes follow its objects, ms.
-pub const LANES_PHASE_MS: u64 = 21;
+pub const LANES_PHASE_MS: u64 = 16;
 
 /// Motion of the ego as it is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

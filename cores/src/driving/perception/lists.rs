@@ -13,6 +13,8 @@ const COMPLETION_TIME: Duration = Duration::from_ms(20);
 #[derive(Clone, Debug, Default)]
 struct List {
     at: Instant,
+    /// When the last of what is there came in.
+    done: Instant,
     expected: usize,
     objects: Vec<SensorObject, MAX_DETECTIONS>,
     fresh: bool,
@@ -28,7 +30,7 @@ impl Lists {
     /// Begins the next list of this sensor; the one before it ends, complete or not.
     pub(crate) fn begin(&mut self, now: Instant, sensor: SensorId, header: &SensorHeader) {
         let list = &mut self.lists[sensor.index()];
-        list.at = now;
+        (list.at, list.done) = (now, now);
         list.expected = usize::from(header.object_count).min(MAX_DETECTIONS);
         list.objects.clear();
         list.fresh = true;
@@ -36,19 +38,32 @@ impl Lists {
 
     /// Adds an object to the list that the sensor has begun. More than the header announced are
     /// ignored, and so is what comes after the list was taken.
-    pub(crate) fn add(&mut self, sensor: SensorId, object: &SensorObject) {
+    pub(crate) fn add(&mut self, now: Instant, sensor: SensorId, object: &SensorObject) {
         let list = &mut self.lists[sensor.index()];
         if list.fresh && list.objects.len() < list.expected {
             // Cannot be full: `expected` is within the capacity.
             let _ = list.objects.push(*object);
+            list.done = now;
         }
     }
 
-    /// The oldest list that is ready and was not taken before: its sensor, time and objects.
+    /// Whether the list of the sensor with this index is complete and was not taken before.
+    pub(crate) fn is_complete(&self, sensor: usize) -> bool {
+        let list = &self.lists[sensor];
+        list.fresh && list.objects.len() == list.expected
+    }
+
+    /// The oldest list that is ready and was not taken before: its sensor, its time, when its last object came
+    /// in, and its objects.
     pub(crate) fn take(
         &mut self,
         now: Instant,
-    ) -> Option<(SensorId, Instant, Vec<SensorObject, MAX_DETECTIONS>)> {
+    ) -> Option<(
+        SensorId,
+        Instant,
+        Instant,
+        Vec<SensorObject, MAX_DETECTIONS>,
+    )> {
         let is_ready = |list: &List| {
             let complete = list.objects.len() == list.expected;
             list.fresh && (complete || now.since(list.at) > COMPLETION_TIME)
@@ -59,7 +74,7 @@ impl Lists {
             .min_by_key(|sensor| self.lists[sensor.index()].at)?;
         let list = &mut self.lists[sensor.index()];
         list.fresh = false;
-        Some((sensor, list.at, list.objects.clone()))
+        Some((sensor, list.at, list.done, list.objects.clone()))
     }
 }
 
@@ -83,12 +98,13 @@ mod tests {
         let mut lists = Lists::default();
         let radar = SensorId::RadarFront;
         lists.begin(ms(5), radar, &header(2));
-        lists.add(radar, &SensorObject::default());
+        lists.add(ms(6), radar, &SensorObject::default());
         assert!(lists.take(ms(10)).is_none());
-        lists.add(radar, &SensorObject::default());
-        lists.add(radar, &SensorObject::default());
-        let (sensor, at, objects) = lists.take(ms(10)).unwrap();
+        lists.add(ms(6), radar, &SensorObject::default());
+        lists.add(ms(6), radar, &SensorObject::default());
+        let (sensor, at, done, objects) = lists.take(ms(10)).unwrap();
         assert_eq!((sensor, at, objects.len()), (radar, ms(5), 2));
+        assert_eq!(done, ms(6));
         assert!(lists.take(ms(10)).is_none());
     }
 
@@ -96,9 +112,9 @@ mod tests {
     fn a_list_that_lost_frames_is_used_after_a_while() {
         let mut lists = Lists::default();
         lists.begin(ms(0), SensorId::CameraFront, &header(3));
-        lists.add(SensorId::CameraFront, &SensorObject::default());
+        lists.add(ms(6), SensorId::CameraFront, &SensorObject::default());
         assert!(lists.take(ms(20)).is_none());
-        assert_eq!(lists.take(ms(21)).unwrap().2.len(), 1);
+        assert_eq!(lists.take(ms(21)).unwrap().3.len(), 1);
     }
 
     #[test]
@@ -115,8 +131,8 @@ mod tests {
         let mut lists = Lists::default();
         lists.begin(ms(0), SensorId::RadarFront, &header(255));
         for _ in 0..300 {
-            lists.add(SensorId::RadarFront, &SensorObject::default());
+            lists.add(ms(6), SensorId::RadarFront, &SensorObject::default());
         }
-        assert_eq!(lists.take(ms(1)).unwrap().2.len(), MAX_DETECTIONS);
+        assert_eq!(lists.take(ms(1)).unwrap().3.len(), MAX_DETECTIONS);
     }
 }

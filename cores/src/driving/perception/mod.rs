@@ -10,11 +10,12 @@ mod assignment;
 mod kalman;
 mod lane;
 mod lists;
+mod round;
 mod scene;
 mod track;
 
 use heapless::Vec;
-use tandem_board::Instant;
+use tandem_board::{Duration, Instant};
 use tandem_bus::{CameraLanes, EgoMotion, Message, SensorId, SensorObject};
 
 use super::control::driven_curvature;
@@ -23,6 +24,7 @@ use super::types::{Ego, Object, Scene};
 use assignment::{IMPOSSIBLE, assign};
 use lane::LaneFilter;
 use lists::Lists;
+use round::{LANES, Round};
 use scene::RoadView;
 use track::{Detection, Track};
 
@@ -41,6 +43,8 @@ pub struct Perception {
     tracks: Vec<Track, MAX_TRACKS>,
     /// The time up to which tracks and lanes are predicted.
     time: Option<Instant>,
+    /// What the last cycle took in.
+    round: Round,
     next_id: u32,
     set_speed: Option<f32>,
     scene: Scene,
@@ -63,10 +67,12 @@ impl Perception {
             lanes: LaneFilter::new(),
             tracks: Vec::new(),
             time: None,
+            round: Round::default(),
             next_id: 1,
             set_speed: None,
             scene: Scene {
                 at: Instant::ORIGIN,
+                measured: Instant::ORIGIN,
                 cycle: 0,
                 ego: Ego::default(),
                 lanes: None,
@@ -86,23 +92,51 @@ impl Perception {
                 self.set_speed = request.engage.then_some(request.set_speed);
             }
             Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
-            Message::SensorObject(sensor, object) => self.lists.add(*sensor, object),
+            Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
             Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
             Message::Control { .. } | Message::Status { .. } | Message::GateEcho(_) => {}
         }
     }
 
+    /// Whether all has come in again that the last cycle took in: there is nothing to wait for. A
+    /// sensor that missed the last cycle is not waited for, so one that is lost delays one cycle.
+    #[must_use]
+    pub fn is_round_complete(&self) -> bool {
+        self.round.is_complete(|member| match member {
+            LANES => self.camera_lanes.is_some(),
+            sensor => self.lists.is_complete(sensor),
+        })
+    }
+
+    /// When all of that is expected the next time, after `now`, if it comes every `period`; `None`
+    /// if the last cycle took in nothing.
+    #[must_use]
+    pub fn next_round(&self, now: Instant, period: Duration) -> Option<Instant> {
+        self.round.next_end(now, period)
+    }
+
     /// The scene at `now`, from all that came in. To be called every 50 ms; time is bounded.
     pub fn cycle(&mut self, now: Instant) -> &Scene {
+        self.round = Round::default();
+        let mut oldest: Option<Instant> = None;
         // At most one list of each sensor is pending.
         for _ in SensorId::ALL {
-            let Some((sensor, at, objects)) = self.lists.take(now) else {
+            let Some((sensor, at, done, objects)) = self.lists.take(now) else {
                 break;
             };
+            self.round.add(sensor.index(), done);
+            // The oldest comes first.
+            oldest = oldest.or(Some(at));
             self.advance(at);
             self.fuse(sensor, &objects);
         }
-        self.advance_lanes();
+        if let Some((at, lanes)) = self.camera_lanes.take() {
+            self.round.add(LANES, at);
+            oldest = Some(oldest.map_or(at, |oldest| oldest.min(at)));
+            self.advance(at);
+            self.lanes.update(at, &lanes);
+        }
+        self.scene.measured = oldest.unwrap_or(self.scene.measured);
         self.advance(now);
         self.tidy();
         self.lanes.expire(now);
@@ -129,13 +163,6 @@ impl Perception {
         }
         self.lanes.predict(dt, &step);
         self.time = Some(to);
-    }
-
-    fn advance_lanes(&mut self) {
-        if let Some((at, lanes)) = self.camera_lanes.take() {
-            self.advance(at);
-            self.lanes.update(at, &lanes);
-        }
     }
 
     /// Takes in the list of one sensor, measured at the time up to which the tracks are predicted.

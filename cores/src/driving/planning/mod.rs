@@ -173,6 +173,7 @@ impl Planner {
 
         let trajectory = Trajectory {
             at: scene.at,
+            measured: scene.measured,
             cycle: scene.cycle,
             maneuver: self.maneuver(&profile),
             points: points(&view.frame, &station, &path, &profile),

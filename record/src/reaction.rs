@@ -1,0 +1,128 @@
+//! From the sensors to the actuators: how soon a measurement acts, and how old what acts is.
+
+use crate::log::RunLog;
+
+/// By how much the age in a control frame may be rounded, ns.
+const AGE_ROUNDING_NS: u64 = 100_000;
+
+/// The two distributions, ms.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reaction {
+    /// From each measurement to the first control frame that acts and reflects it.
+    pub reaction_ms: Vec<f64>,
+    /// Age of the oldest measurement behind each control frame, when it acts.
+    pub age_ms: Vec<f64>,
+}
+
+/// Follows each measurement to the control frames, by the age that they carry.
+///
+/// A control frame tells the time of its oldest measurement. So a measurement is in the command
+/// whose oldest one is the last that is not newer. Until another command acts there is no reaction.
+#[must_use]
+pub fn reaction(log: &RunLog) -> Reaction {
+    let mut found = Reaction::default();
+    // The commands in the order in which they acted: when the oldest measurement was on the bus,
+    // and when the first frame with this command acted.
+    let mut commands: Vec<(u64, u64)> = Vec::new();
+    for frame in log.accepted() {
+        let Some(age_ns) = frame.age_ns else { continue };
+        let oldest_ns = frame.sent_ns.saturating_sub(age_ns);
+        let newer = log
+            .measurements
+            .partition_point(|it| it.at_ns <= oldest_ns + AGE_ROUNDING_NS);
+        let Some(oldest) = newer.checked_sub(1).map(|index| log.measurements[index]) else {
+            continue;
+        };
+        found
+            .age_ms
+            .push(frame.at_ns.saturating_sub(oldest.measured_ns) as f64 * 1e-6);
+        if commands.last().is_none_or(|last| last.0 < oldest.at_ns) {
+            commands.push((oldest.at_ns, frame.at_ns));
+        }
+    }
+    for measurement in &log.measurements {
+        let after = commands.partition_point(|command| command.0 <= measurement.at_ns);
+        // The last command is followed by none that would show where it ends.
+        if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
+            && after < commands.len()
+        {
+            let reaction_ns = acted_ns.saturating_sub(measurement.measured_ns);
+            found.reaction_ms.push(reaction_ns as f64 * 1e-6);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::log::{ControlFrame, Measurement};
+    use tandem_board::SystemId;
+    use tandem_bus::Mode;
+    use tandem_vehicle::Verdict;
+
+    const MS: u64 = 1_000_000;
+
+    /// Lists at 0 and 15 ms of each 50 ms, on the bus 0.5 ms later. Control frames every 10 ms; the
+    /// command of a round acts from `acts_ms` of its period on.
+    fn log(acts_ms: u64) -> RunLog {
+        let mut log = RunLog::default();
+        for round in 0..20 {
+            for phase in [0, 15] {
+                let measured_ns = (round * 50 + phase) * MS;
+                let at_ns = measured_ns + MS / 2;
+                log.measurements.push(Measurement { at_ns, measured_ns });
+            }
+        }
+        for at_ms in (100 + acts_ms..900).step_by(10) {
+            let oldest_ns = (at_ms - acts_ms) / 50 * 50 * MS + MS / 2;
+            let sent_ns = at_ms * MS - 200_000;
+            log.control.push(ControlFrame {
+                at_ns: at_ms * MS,
+                sent_ns,
+                system: SystemId::A,
+                term: 2,
+                mode: Mode::L3,
+                // As the frame rounds it.
+                age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
+                verdict: Verdict::Accepted,
+            });
+        }
+        log
+    }
+
+    #[test]
+    fn each_measurement_acts_with_the_first_command_of_its_round() {
+        let found = reaction(&log(20));
+        let mut kinds = found.reaction_ms.clone();
+        kinds.sort_by(f64::total_cmp);
+        kinds.dedup();
+        assert_eq!(kinds, [5.0, 20.0]);
+        // 16 commands have a next one; each answers two lists.
+        assert_eq!(found.reaction_ms.len(), 2 * 15);
+        let mut ages = found.age_ms;
+        ages.sort_by(f64::total_cmp);
+        ages.dedup();
+        assert_eq!(ages, [20.0, 30.0, 40.0, 50.0, 60.0]);
+    }
+
+    #[test]
+    fn a_core_that_holds_the_lists_back_is_late_and_old() {
+        let (soon, late) = (reaction(&log(20)), reaction(&log(45)));
+        let sum = |spans: &[f64]| spans.iter().sum::<f64>() / spans.len() as f64;
+        assert!(sum(&late.reaction_ms) > sum(&soon.reaction_ms) + 24.0);
+        assert!(sum(&late.age_ms) > sum(&soon.age_ms) + 24.0);
+    }
+
+    #[test]
+    fn frames_that_do_not_act_or_rest_on_nothing_tell_nothing() {
+        let mut silent = log(20);
+        for (index, frame) in silent.control.iter_mut().enumerate() {
+            match index % 2 {
+                0 => frame.verdict = Verdict::Fenced,
+                _ => frame.age_ns = None,
+            }
+        }
+        assert_eq!(reaction(&silent), Reaction::default());
+    }
+}
