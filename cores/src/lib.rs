@@ -83,8 +83,8 @@ enum Heard {
     Download(SystemId),
 }
 
-/// The next received frame of the DBC whose CRC is right, or request of a host, with the time at which it was on the bus.
-/// Skips other frames.
+/// The next received frame of the DBC whose CRC is right, or request of a host, with the time at
+/// which it was on the bus. Skips other frames.
 ///
 /// Takes at most `left` frames from the receiver, of whatever kind, and counts `left` down; 0 means
 /// that more may wait.

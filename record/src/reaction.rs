@@ -1,6 +1,6 @@
 //! From the sensors to the actuators: how soon a measurement acts, and how old what acts is.
 
-use crate::log::RunLog;
+use crate::RunLog;
 
 /// By how much the age in a control frame may be rounded, ns.
 const AGE_ROUNDING_NS: u64 = 100_000;
@@ -56,7 +56,7 @@ pub fn reaction(log: &RunLog) -> Reaction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::log::{ControlFrame, Measurement};
+    use crate::run_log::{ControlFrame, Measurement};
     use tandem_board::SystemId;
     use tandem_bus::Mode;
     use tandem_vehicle::Verdict;

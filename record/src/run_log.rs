@@ -22,8 +22,19 @@ pub struct ControlFrame {
     pub term: u32,
     /// The function that made it.
     pub mode: Mode,
+    /// Age of the oldest measurement behind it when it was sent, ns; `None` if there is none.
+    pub age_ns: Option<u64>,
     /// What the vehicle did with it.
     pub verdict: Verdict,
+}
+
+/// The first frame of a sensor's list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Measurement {
+    /// When it was on the bus, ns.
+    pub at_ns: u64,
+    /// When the sensor measured, ns.
+    pub measured_ns: u64,
 }
 
 /// A status frame.
@@ -63,6 +74,9 @@ pub struct PowerChange {
     pub on: bool,
 }
 
+/// From this on a command's age means that it rests on no measurement, ms.
+const NO_AGE_MS: f64 = 6_553.0;
+
 /// All of one run, each kind in the order of time.
 #[derive(Clone, Debug, Default)]
 pub struct RunLog {
@@ -82,6 +96,8 @@ pub struct RunLog {
     pub road: Vec<RoadPiece>,
     /// All control frames in the order of the bus.
     pub control: Vec<ControlFrame>,
+    /// What the sensors measured, in the order of the bus.
+    pub measurements: Vec<Measurement>,
     /// All status frames in the order of the bus.
     pub status: Vec<StatusFrame>,
     /// What the cores reported, without the events of their schedulers.
@@ -131,11 +147,13 @@ impl RunLog {
         let at_ns = frame.at.as_ns();
         let message = frame.message();
         if let Some(verdict) = frame.verdict {
-            let (mode, term) = match message {
+            let (mode, term, age_ns) = match message {
                 Some(Message::Control { control, .. }) if verdict != Verdict::Invalid => {
-                    (control.mode, control.term)
+                    let age_ms = Some(f64::from(control.command_age)).filter(|ms| *ms < NO_AGE_MS);
+                    let age_ns = age_ms.map(|ms| (ms * 1e6) as u64);
+                    (control.mode, control.term, age_ns)
                 }
-                _ => (Mode::None, 0),
+                _ => (Mode::None, 0, None),
             };
             self.control
                 .extend(frame.controller().map(|system| ControlFrame {
@@ -144,8 +162,16 @@ impl RunLog {
                     system,
                     term,
                     mode,
+                    age_ns,
                     verdict,
                 }));
+        } else if let Some(Message::SensorHeader(_, header)) = message {
+            // The sensor's clock is the bus's, in µs, and wraps around.
+            let on_the_way = ((at_ns / 1_000) as u32).wrapping_sub(header.measured_at);
+            self.measurements.push(Measurement {
+                at_ns,
+                measured_ns: at_ns.saturating_sub(u64::from(on_the_way) * 1_000),
+            });
         } else if let Some(Message::Status { system, status }) = message {
             self.status.extend(
                 SystemId::from_index(system.into()).map(|system| StatusFrame {

@@ -125,8 +125,9 @@ impl TaskContext {
         sys::task::now(false)
     }
 
-    /// When tick 0 was, in nanoseconds of the clock that times [`KernelEvent`](crate::KernelEvent)s. The same
-    /// value in every task and at every call, until the count of ticks wraps around (49 days).
+    /// When tick 0 was, in nanoseconds of the clock that times
+    /// [`KernelEvent`](crate::KernelEvent)s. The same value in every task and at every call, until
+    /// the count of ticks wraps around (49 days).
     #[must_use]
     pub fn tick_origin_ns(&self) -> u64 {
         port::tick_origin_ns()

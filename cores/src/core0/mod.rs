@@ -169,8 +169,8 @@ pub struct Parts<'b, B: Board> {
 }
 
 impl<'b, B: Board> Parts<'b, B> {
-    /// Starts the core's incarnation on this board: releases cores 1 and 2, and reads the state from the data flash (bounded
-    /// time).
+    /// Starts the core's incarnation on this board: releases cores 1 and 2, and reads the state
+    /// from the data flash (bounded time).
     #[must_use]
     pub fn new(board: &'b B, config: Config) -> Self {
         // T-BOOT-2. They start while this core reads its state.

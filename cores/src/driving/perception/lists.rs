@@ -53,8 +53,8 @@ impl Lists {
         list.fresh && list.objects.len() == list.expected
     }
 
-    /// The oldest list that is ready and was not taken before: its sensor, its time, when its last object came
-    /// in, and its objects.
+    /// The oldest list that is ready and was not taken before: its sensor, its time, when its last
+    /// object came in, and its objects.
     pub(crate) fn take(
         &mut self,
         now: Instant,

@@ -122,8 +122,9 @@ impl Board for VirtBoard {
 /// Runs a program on all harts: `core` for each incarnation of each core, `outside` once on the
 /// carrier. Every hart's main calls it.
 ///
-/// Core 0 begins when the carrier switches its system on, another core when core 0 releases it; when `core` returns it stays asleep until
-/// a reset. `slice` is the length of its turns in ticks (see [`hart::yield_turn`]).
+/// Core 0 begins when the carrier switches its system on, another core when core 0 releases it;
+/// when `core` returns it stays asleep until a reset. `slice` is the length of its turns in ticks
+/// (see [`hart::yield_turn`]).
 pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Peripherals) -> !) -> ! {
     if hart == CARRIER {
         outside(&mut Peripherals::new());
