@@ -39,5 +39,5 @@ pub use map::{
 pub use protocol::{Answer, Refusal, Request, TO_HOST, TO_LOADER};
 pub use session::{MAX_WINDOW, RESEND_AFTER};
 pub use srec::{Assembler, MAX_DATA, Record, RecordError, RecordType};
-pub use start::{Leave, start};
+pub use start::{BetweenSteps, Keeper, Leave, first_service, next_service, start};
 pub use trust::{Trust, TrustMode};

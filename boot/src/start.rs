@@ -3,6 +3,7 @@
 use crate::loader::{Launch, Loader, Next, Setup};
 use crate::map::Bank;
 use crate::trust::Trust;
+use core::cell::Cell;
 use embedded_storage::nor_flash::NorFlash;
 use tandem_board::{Board, Can, Duration, Instant, ResetRequest, Supply, watchdog_answer};
 
@@ -16,29 +17,87 @@ pub enum Leave {
     StartPrimary,
 }
 
+/// Who serves the watchdog while the bootloader runs longer than half the limit of the first service.
+pub trait Keeper {
+    /// Serves the watchdog if it is due. Returns when it is due next; [`Instant::NEVER`] if that
+    /// does not concern the caller.
+    fn keep(&self) -> Instant;
+
+    /// Serves no more; whether an application may take over from here. If not, the bootloader
+    /// leaves by a reset.
+    fn hand_over(&self) -> bool;
+}
+
+/// Serves between two steps of the bootloader: for a board on which no step takes as long as the
+/// window is open. An application takes over only a watchdog that was not served yet.
+#[derive(Debug)]
+pub struct BetweenSteps<'b, B> {
+    board: &'b B,
+    due: Cell<Instant>,
+    served: Cell<bool>,
+}
+
+/// Time from a start to the first service of a bootloader.
+#[must_use]
+pub const fn first_service<S: Supply>() -> Duration {
+    Duration::from_us((S::FIRST_SERVICE_US / 2) as u64)
+}
+
+/// Time from one service of a bootloader to the next.
+#[must_use]
+pub const fn next_service<S: Supply>() -> Duration {
+    Duration::from_us((S::WINDOW_OPENS_US / 2 + S::WINDOW_CLOSES_US / 2) as u64)
+}
+
+impl<'b, B: Board> BetweenSteps<'b, B> {
+    /// The system has just started.
+    #[must_use]
+    pub fn new(board: &'b B) -> Self {
+        Self {
+            board,
+            due: Cell::new(board.now() + first_service::<B::Supply>()),
+            served: Cell::new(false),
+        }
+    }
+}
+
+impl<B: Board> Keeper for BetweenSteps<'_, B> {
+    fn keep(&self) -> Instant {
+        if self.board.now() >= self.due.get() {
+            let supply = self.board.supply();
+            supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
+            // Read the clock again: the window counts from the service.
+            let next = self.board.now() + next_service::<B::Supply>();
+            self.due.set(next);
+            self.served.set(true);
+        }
+        self.due.get()
+    }
+
+    fn hand_over(&self) -> bool {
+        !self.served.get()
+    }
+}
+
 /// Runs the bootloader until core 0 leaves it. Resets the system where the bootloader asks for it,
 /// and when the flash fails. Core 0, task context; blocks.
-///
-/// The watchdog is served only while the bootloader waits for a host longer than half the limit of
-/// the first service. It then leaves by a reset, so the application always begins with a watchdog
-/// that has not been served.
-pub fn start<B: Board>(board: &B, flash: impl NorFlash, trust: Trust<'_>, bank: Bank) -> Leave {
+pub fn start<B: Board>(
+    board: &B,
+    flash: impl NorFlash,
+    trust: Trust<'_>,
+    bank: Bank,
+    keeper: &impl Keeper,
+) -> Leave {
     let setup = Setup {
         trust,
         system: board.identity().system,
         bank,
         cause: board.supply().reset_cause(),
     };
-    let begin = board.now();
-    let Ok(mut loader) = Loader::start(flash, setup, begin) else {
+    let Ok(mut loader) = Loader::start(flash, setup, board.now()) else {
         reset(board)
     };
     board.can().wake_on_receive(true);
-    let first = Duration::from_us(u64::from(B::Supply::FIRST_SERVICE_US / 2));
-    let mut dog = Dog {
-        due: begin + first,
-        served: false,
-    };
     loop {
         let wait = match loader.next(board.now()) {
             Ok(Next::Wait(until)) => until,
@@ -48,15 +107,19 @@ pub fn start<B: Board>(board: &B, flash: impl NorFlash, trust: Trust<'_>, bank: 
                 }
                 continue;
             }
-            Ok(Next::Jump(launch)) if !dog.served => break leave(board, Leave::Jump(launch)),
-            Ok(Next::StartPrimary) if !dog.served => break leave(board, Leave::StartPrimary),
+            Ok(Next::Jump(launch)) if keeper.hand_over() => {
+                break leave(board, Leave::Jump(launch));
+            }
+            Ok(Next::StartPrimary) if keeper.hand_over() => {
+                break leave(board, Leave::StartPrimary);
+            }
             Ok(Next::Jump(_) | Next::StartPrimary | Next::Reset) | Err(_) => reset(board),
         };
-        dog.serve(board);
+        let due = keeper.keep();
         match board.can().try_receive() {
             Some(received) => loader.on_frame(board.now(), &received.frame),
             None => {
-                board.wait(wait.min(dog.due));
+                board.wait(wait.min(due));
             }
         }
     }
@@ -71,25 +134,5 @@ fn reset<B: Board>(board: &B) -> ! {
     board.supply().request_reset(ResetRequest::Software);
     loop {
         board.wait(Instant::NEVER);
-    }
-}
-
-/// When the watchdog is to be served.
-struct Dog {
-    due: Instant,
-    served: bool,
-}
-
-impl Dog {
-    fn serve<B: Board>(&mut self, board: &B) {
-        if board.now() < self.due {
-            return;
-        }
-        let supply = board.supply();
-        supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
-        let middle = B::Supply::WINDOW_OPENS_US / 2 + B::Supply::WINDOW_CLOSES_US / 2;
-        // Read the clock again: the window counts from the service.
-        self.due = board.now() + Duration::from_us(u64::from(middle));
-        self.served = true;
     }
 }

@@ -66,6 +66,9 @@ pub(crate) enum Command {
     Bench(BenchArgs),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
     RtosDemo(RtosDemoArgs),
+    /// Download the smallest application over CAN to an empty controller, start it, and show the
+    /// frames of its three cores
+    BootDemo(BootDemoArgs),
     /// Sign an application and download it to a bootloader over CAN
     Flash(FlashArgs),
     /// Run the bootloader of one system on a flash file, and say what it would start
@@ -86,6 +89,19 @@ pub(crate) struct RtosDemoArgs {
     /// Write the pictures to this file, too
     #[arg(long, value_name = "FILE")]
     pub(crate) svg: Option<PathBuf>,
+}
+
+/// Arguments of `tandem boot-demo`.
+#[derive(Debug, Args)]
+pub(crate) struct BootDemoArgs {
+    /// What the controller is
+    #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
+    pub(crate) board: DemoBoard,
+
+    /// The folder of the images for the emulated board
+    /// [default: where `cargo xtask firmware build` makes them]
+    #[arg(long, value_name = "FOLDER")]
+    pub(crate) images: Option<PathBuf>,
 }
 
 /// Arguments of `tandem run`.
@@ -175,7 +191,7 @@ pub(crate) enum BoardKind {
     QemuOne,
 }
 
-/// Values of `--board` of `tandem rtos-demo`.
+/// Values of `--board` of the demonstrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum DemoBoard {
     /// This process, in real time

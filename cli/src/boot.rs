@@ -14,8 +14,8 @@ use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, RoleLamp, SystemId};
 use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
 use tandem_boot::{
-    BODY_OFFSET, Bank, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot, Target,
-    Trust, TrustMode, approve, rom_choice, start,
+    BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot,
+    Target, Trust, TrustMode, approve, rom_choice, start,
 };
 use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
 
@@ -50,6 +50,18 @@ impl ProgramFlash {
                     .load(image.place(), &image.bytes)
                     .with_context(|| file.display().to_string())?;
             }
+        }
+        let public = key.public();
+        Ok(Self { files, public })
+    }
+
+    /// Flashes that hold nothing, in these files.
+    ///
+    /// # Errors
+    /// If one cannot be made.
+    pub(crate) fn empty(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+        for file in &files {
+            FlashFile::open(file).with_context(|| file.display().to_string())?;
         }
         let public = key.public();
         Ok(Self { files, public })
@@ -170,10 +182,11 @@ fn boot(args: &CoreArgs, file: &mut FlashFile, flash: &ProgramFlash) -> anyhow::
         keys: &[flash.public],
         mode: TrustMode::Strict,
     };
+    let keeper = BetweenSteps::new(&board);
     // A file without a bootloader has this program in its place.
     let mut bank = rom_choice(file).unwrap_or(Bank::Primary);
     loop {
-        match start(&board, &mut *file, trust, bank) {
+        match start(&board, &mut *file, trust, bank, &keeper) {
             Leave::Jump(launch) => return Ok(launch.application),
             Leave::StartPrimary => bank = Bank::Primary,
         }

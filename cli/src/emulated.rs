@@ -5,7 +5,9 @@ use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_board::SystemId;
+use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout};
+use tandem_boot_host::FlashFile;
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, RunArgs};
@@ -14,6 +16,7 @@ use crate::live::Progress;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
 use crate::vehicle::{self, Ended};
+use crate::{boot, boot_demo};
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -43,12 +46,70 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
     std::fs::canonicalize(&image).with_context(|| image.display().to_string())
 }
 
-/// The controller's image.
-///
-/// # Errors
-/// If there is none.
-pub(crate) fn controller(args: &RunArgs) -> anyhow::Result<PathBuf> {
-    image("controller", args.firmware.as_deref())
+/// The images of the controller.
+pub(crate) enum Images {
+    /// One that starts alone.
+    Alone(PathBuf),
+    /// One in the slot of each system, which the bootloader starts.
+    Booting {
+        bootloader: PathBuf,
+        application: PathBuf,
+    },
+}
+
+impl Images {
+    /// Those that a run starts: with a bootloader, unless both systems are in one machine or a
+    /// person chose an image.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub(crate) fn of(args: &RunArgs) -> anyhow::Result<Self> {
+        if args.firmware.is_some() || args.board == BoardKind::QemuOne {
+            return Ok(Self::Alone(image("controller", args.firmware.as_deref())?));
+        }
+        Ok(Self::Booting {
+            bootloader: image("bootloader", None)?,
+            application: image("slot-controller", None)?,
+        })
+    }
+
+    /// Starts the machines; the program flashes are made in `folder`.
+    fn start(
+        &self,
+        layout: Layout,
+        reintegrate: bool,
+        folder: &Path,
+    ) -> anyhow::Result<EmulatedWorld> {
+        match self {
+            Self::Alone(image) => Ok(EmulatedWorld::start(image, layout, reintegrate)?),
+            Self::Booting {
+                bootloader,
+                application,
+            } => {
+                let key = boot::new_key()?;
+                let elf = std::fs::read(application)
+                    .with_context(|| application.display().to_string())?;
+                let image = boot_demo::of_elf(&elf, 1, &key)?;
+                let from = SystemId::ALL.map(|system| {
+                    let from = BootFrom {
+                        flash: folder.join(format!("{system}.pflash")),
+                        public: key.public(),
+                    };
+                    (system, from)
+                });
+                for (_, from) in &from {
+                    let flash = FlashFile::open(&from.flash)
+                        .and_then(|flash| flash.load(image.place(), &image.bytes));
+                    flash.with_context(|| from.flash.display().to_string())?;
+                }
+                Ok(EmulatedWorld::start_booting(
+                    bootloader,
+                    reintegrate,
+                    &from,
+                )?)
+            }
+        }
+    }
 }
 
 /// Drives to the end; a line on how the time went, or `None` if a person ended it.
@@ -65,8 +126,9 @@ pub(crate) fn drive(
         BoardKind::Host | BoardKind::Qemu => Layout::Two,
     };
     let scenario = Scenario::load(&config.scenario)?;
-    let image = controller(args)?;
-    let world = EmulatedWorld::start(&image, layout, config.reintegrate)?;
+    let images = Images::of(args)?;
+    let folder = tempfile::tempdir().context("a folder for the program flashes")?;
+    let world = images.start(layout, config.reintegrate, folder.path())?;
     if !args.quiet {
         for (pid, systems) in world.processes() {
             let names: Vec<_> = systems.iter().map(ToString::to_string).collect();
@@ -91,7 +153,11 @@ pub(crate) fn drive(
          took {:.0} s of this machine's",
         match layout {
             Layout::One => "one emulated machine, core 0 without a kernel",
-            Layout::Two => "two emulated machines, core 0 under FreeRTOS",
+            Layout::Two => match images {
+                Images::Alone(_) => "two emulated machines, core 0 under FreeRTOS",
+                Images::Booting { .. } =>
+                    "two emulated machines, started by their bootloaders, core 0 under FreeRTOS",
+            },
         },
         begin.elapsed().as_secs_f64()
     )))

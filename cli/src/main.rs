@@ -3,6 +3,7 @@
 
 mod args;
 mod boot;
+mod boot_demo;
 mod control_core;
 mod core_process;
 mod emulated;
@@ -72,6 +73,10 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Bench(args) => bench(&args),
+        Command::BootDemo(args) => {
+            let shown = boot_demo::run(&args).map_err(Failure::Run)?;
+            print(&shown).map_err(Failure::Run)
+        }
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::RtosDemo(args) => {

@@ -49,6 +49,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         reintegrate: args.reintegrate,
         program_flash: None,
         update: None,
+        demo: None,
     };
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
@@ -91,8 +92,9 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
         reintegrate: args.reintegrate,
         program_flash: None,
         update: None,
+        demo: None,
     };
-    emulated::controller(args).map_err(Failure::Usage)?;
+    emulated::Images::of(args).map_err(Failure::Usage)?;
     let folder = tempfile::tempdir()
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
@@ -364,7 +366,7 @@ fn drive(
 }
 
 /// The command that starts this program again, even if its file was replaced.
-fn this_program(args: &ProcessArgs) -> Command {
+pub(crate) fn this_program(args: &ProcessArgs) -> Command {
     let mut command = Command::new("/proc/self/exe");
     command.arg0("tandem").args(args.to_argv());
     // Nothing of a run may keep the caller's pipes open after `tandem run` itself has ended.

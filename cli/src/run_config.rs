@@ -45,6 +45,8 @@ pub(crate) struct RunConfig {
     pub(crate) program_flash: Option<ProgramFlash>,
     /// Records that are sent to each system while the other drives.
     pub(crate) update: Option<UpdateFiles>,
+    /// This is `tandem boot-demo`: the records that its vehicle sends, and where it tells what came.
+    pub(crate) demo: Option<[PathBuf; 2]>,
 }
 
 /// The update of a run.
@@ -100,6 +102,7 @@ mod tests {
                 lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],
                 ended: "/tmp/updated".into(),
             }),
+            demo: None,
         };
         assert_eq!(
             RunConfig::from_extra(&config.to_extra().unwrap()).unwrap(),

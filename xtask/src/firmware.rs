@@ -76,6 +76,8 @@ pub(crate) enum Image {
     Bench,
     /// From a FreeRTOS task on core 0 to bare core 1 and back, in instructions
     BenchRtos,
+    /// Boot ROM, bootloader and carrier; `tandem boot-demo --board qemu` starts it
+    Bootloader,
     /// The conformance suite, each case on two freshly powered systems
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
@@ -84,6 +86,10 @@ pub(crate) enum Image {
     Litmus,
     /// The driving functions over recorded frames; `test` gives it some
     Replay,
+    /// The whole controller for a slot
+    SlotController,
+    /// Three cores that each send a frame, for a slot
+    SlotFrames,
     /// Tasks of FreeRTOS that toggle outputs; `tandem rtos-demo --board qemu` draws them
     RtosDemo,
     /// The primitives of the LMU under hundreds of schedules
@@ -91,21 +97,27 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    const ALL: [Self; 8] = [
+    const ALL: [Self; 11] = [
         Self::Bench,
         Self::BenchRtos,
+        Self::Bootloader,
         Self::Conformance,
         Self::Controller,
         Self::Litmus,
         Self::Replay,
         Self::RtosDemo,
         Self::Schedules,
+        Self::SlotController,
+        Self::SlotFrames,
     ];
 
     const fn name(self) -> &'static str {
         match self {
             Self::Bench => "bench",
             Self::BenchRtos => "bench-rtos",
+            Self::Bootloader => "bootloader",
+            Self::SlotController => "slot-controller",
+            Self::SlotFrames => "slot-frames",
             Self::Conformance => "conformance",
             Self::Controller => "controller",
             Self::Litmus => "litmus",

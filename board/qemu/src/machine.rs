@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::os::unix::process::CommandExt as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
@@ -16,6 +16,10 @@ use tempfile::TempDir;
 pub(crate) const QEMU: &str = "qemu-system-riscv32";
 /// Where the firmware looks for its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
+/// Where the bootloader finds the public key that it believes.
+const KEY_AT: u32 = STRAPS_AT + 64;
+/// Where the program flash of the system begins.
+pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
 /// A machine that says nothing for so long hangs; one step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a machine that says nothing is looked after.
@@ -49,6 +53,15 @@ pub enum MachineError {
     Malformed,
 }
 
+/// What the image `bootloader` starts from: for one system in a machine of its own.
+#[derive(Clone, Debug)]
+pub struct BootFrom {
+    /// The content of the program flash, 2 MiB. The machine works on a copy.
+    pub flash: PathBuf,
+    /// The public key that it believes.
+    pub public: [u8; 32],
+}
+
 /// An emulator process. It ends when this is dropped.
 #[derive(Debug)]
 pub struct Machine {
@@ -64,7 +77,8 @@ pub struct Machine {
 
 impl Machine {
     /// Starts the image with these systems in it. Alone in a machine, a system's core 0 runs its
-    /// tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is none.
+    /// tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is none. An
+    /// image that boots is told from where.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -73,6 +87,7 @@ impl Machine {
         systems: &[SystemId],
         reintegrate: bool,
         overload: u32,
+        boot: Option<&BootFrom>,
     ) -> Result<Self, MachineError> {
         let folder = tempfile::Builder::new()
             .prefix("tandem-qemu-")
@@ -95,6 +110,18 @@ impl Machine {
             command
                 .arg("-device")
                 .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
+        }
+        if let Some(BootFrom { flash, public }) = boot {
+            let file = flash.display();
+            command.arg("-device").arg(format!(
+                "loader,file={file},addr={PROGRAM_FLASH_AT:#x},force-raw=on"
+            ));
+            for (at, word) in (KEY_AT..).step_by(4).zip(public.as_chunks::<4>().0) {
+                let value = u32::from_le_bytes(*word);
+                command
+                    .arg("-device")
+                    .arg(format!("loader,addr={at:#x},data={value},data-len=4"));
+            }
         }
         let log = |name| {
             let mut options = File::options();

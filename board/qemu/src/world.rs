@@ -10,7 +10,7 @@ use tandem_board::{
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
 
-use crate::machine::{Machine, MachineError};
+use crate::machine::{BootFrom, Machine, MachineError};
 
 /// In how many emulators the systems are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -71,11 +71,39 @@ impl EmulatedWorld {
             Layout::One => &[&SystemId::ALL],
             Layout::Two => &[&[SystemId::A], &[SystemId::B]],
         };
+        let machines = groups.iter().map(|systems| {
+            let machine = Machine::start(image, systems, reintegrate, overload, None)?;
+            Ok((machine, systems.to_vec()))
+        });
+        Self::of(machines)
+    }
+
+    /// Starts an emulator for each of these systems with the image `bootloader`, which boots from
+    /// the flash of the system. Both systems are without power; one that is not named stays so.
+    ///
+    /// # Errors
+    /// [`MachineError`]
+    pub fn start_booting(
+        bootloader: &Path,
+        reintegrate: bool,
+        from: &[(SystemId, BootFrom)],
+    ) -> Result<Self, MachineError> {
+        let machines = from.iter().map(|(system, from)| {
+            let machine = Machine::start(bootloader, &[*system], reintegrate, 0, Some(from))?;
+            Ok((machine, vec![*system]))
+        });
+        Self::of(machines)
+    }
+
+    fn of(
+        started: impl Iterator<Item = Result<(Machine, Vec<SystemId>), MachineError>>,
+    ) -> Result<Self, MachineError> {
         let mut machines = Vec::new();
-        for systems in groups {
+        for started in started {
+            let (machine, systems) = started?;
             machines.push(Node {
-                machine: Some(Machine::start(image, systems, reintegrate, overload)?),
-                systems: systems.to_vec(),
+                machine: Some(machine),
+                systems,
                 outgoing: vec![],
                 lost: 0,
             });

@@ -3,8 +3,8 @@
 use sha2::{Digest, Sha256};
 use std::fmt::Write as _;
 use tandem_boot::{
-    BODY_OFFSET, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, Part, Record, RecordType, Region,
-    SIGNED_BYTES, Target, offset_of,
+    BODY_OFFSET, FLASH_BYTES, HARDWARE, MANIFEST_BYTES, MAX_PARTS, Manifest, Part, Record,
+    RecordType, Region, SIGNED_BYTES, Target, offset_of,
 };
 
 /// Data bytes of one record, as objcopy and srec_cat write them.
@@ -57,6 +57,9 @@ pub enum PackageError {
     /// There are no data.
     #[error("the file holds no data")]
     Empty,
+    /// It is no ELF file of a 32-bit little-endian machine.
+    #[error("no ELF file of a 32-bit little-endian machine")]
+    Elf,
     /// The data lie outside one place for images, or on its first 256 bytes.
     #[error(
         "data at offset {offset:#08X}: an image lies in one slot, behind its first 256 bytes, \
@@ -241,6 +244,32 @@ impl Image {
         ))
     }
 
+    /// Signs what an ELF file loads into a program flash that begins at address `flash`. All cores
+    /// begin at its entry.
+    ///
+    /// # Errors
+    /// [`PackageError`] if it is no such file, or its data are not those of one image.
+    pub fn of_elf(
+        elf: &[u8],
+        flash: u32,
+        mut release: Release,
+        key: &SigningKey,
+    ) -> Result<Self, PackageError> {
+        let (entry, runs) = loaded(elf).ok_or(PackageError::Elf)?;
+        let mut content = Content::default();
+        for (address, data) in runs {
+            let offset = address.wrapping_sub(flash);
+            if offset < FLASH_BYTES {
+                content.runs.push((offset, data.to_vec()));
+            }
+        }
+        content.runs.sort_by_key(|(offset, _)| *offset);
+        let entry = entry.wrapping_sub(flash);
+        let target = Target::at(entry).ok_or(PackageError::Place { offset: entry })?;
+        release.entries = [entry - Region::Target(target).range().start; 3];
+        Self::of(&content, release, key)
+    }
+
     /// Where it lies in the flash.
     #[must_use]
     pub fn place(&self) -> u32 {
@@ -256,6 +285,26 @@ impl Image {
         });
         std::iter::once(manifest).chain(parts)
     }
+}
+
+/// The entry of an ELF file, and what its segments load at which physical address (TIS ELF 1.2,
+/// figures 1-3 and 2-1).
+fn loaded(elf: &[u8]) -> Option<(u32, Vec<(u32, &[u8])>)> {
+    const LOAD: u32 = 1;
+    let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    let half = |at: usize| Some(u16::from_le_bytes(*elf.get(at..)?.first_chunk()?));
+    let is_elf = elf.starts_with(b"\x7fELF\x01\x01");
+    let (table, each) = (word(28)? as usize, usize::from(half(42)?));
+    let mut runs = Vec::new();
+    for at in (0..usize::from(half(44)?)).map(|index| table + index * each) {
+        let (kind, begin, address, len) =
+            (word(at)?, word(at + 4)?, word(at + 12)?, word(at + 16)?);
+        if kind == LOAD && len > 0 {
+            let data = elf.get(begin as usize..)?.get(..len as usize)?;
+            runs.push((address, data));
+        }
+    }
+    is_elf.then_some((word(24)?, runs))
 }
 
 /// The lines of a file that downloads these images at once: a header, S3 records of

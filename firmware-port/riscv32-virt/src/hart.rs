@@ -84,6 +84,17 @@ pub fn without_interrupts<R>(work: impl FnOnce() -> R) -> R {
     result
 }
 
+unsafe extern "C" {
+    fn tandem_jump(hart: usize, entry: u32) -> !;
+}
+
+/// Clears the stack of this hart and jumps.
+pub(crate) fn leave(hart: usize, entry: u32) -> ! {
+    // SAFETY: the bootloader has checked what lies there. This image's stack is used no more, and
+    // what it shares with other harts are atomics.
+    unsafe { tandem_jump(hart, entry) }
+}
+
 /// Lets these interrupts reach this hart.
 #[inline]
 pub(crate) fn enable(which: usize) {

@@ -6,14 +6,18 @@
 //! its number.
 #![no_std]
 
+extern crate alloc;
+
 pub mod board;
 pub mod clint;
+pub mod controller;
 pub mod doorbell;
 pub mod exit;
 pub mod hart;
 pub mod heap;
 pub mod memory;
 pub mod peripherals;
+pub mod program_flash;
 mod semihosting;
 pub mod trap;
 pub mod uart;

@@ -70,6 +70,22 @@ pub fn strap(strap: Strap) -> u32 {
     unsafe { addr_of!(__straps).add(strap as usize).read_volatile() }
 }
 
+/// Words of straps before those of the public key.
+const KEY_AT: usize = 16;
+
+/// The public key that the bootloader of this machine believes, as fuses of a chip hold it.
+#[must_use]
+pub fn public_key() -> [u8; 32] {
+    let mut key = [0; 32];
+    let (words, _) = key.as_chunks_mut::<4>();
+    for (index, word) in words.iter_mut().enumerate() {
+        // SAFETY: as in `strap`.
+        let read = unsafe { addr_of!(__straps).add(KEY_AT + index).read_volatile() };
+        *word = read.to_le_bytes();
+    }
+    key
+}
+
 /// The straps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strap {

@@ -9,7 +9,7 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 pub type Handler = fn();
 
 /// What the handlers of one hart know. On a cache line of its own.
-#[repr(align(64))]
+#[repr(C, align(64))]
 pub(crate) struct HartState {
     /// A doorbell came while this hart was awake.
     pub(crate) rung: AtomicBool,
@@ -22,6 +22,7 @@ pub(crate) struct HartState {
     /// Between two incarnations: one of the four below.
     incarnation: AtomicU32,
     on_doorbell: AtomicPtr<()>,
+    on_turn: AtomicPtr<()>,
 }
 
 // Before its first incarnation begins to stand still: 0.
@@ -40,7 +41,8 @@ impl HartState {
     }
 }
 
-/// Of each hart.
+/// Of each hart. The carrier's, because it outlives the image that a hart runs.
+#[unsafe(link_section = ".bss.carrier.harts")]
 pub(crate) static STATES: [HartState; HARTS] = [const {
     HartState {
         rung: AtomicBool::new(false),
@@ -49,6 +51,7 @@ pub(crate) static STATES: [HartState; HARTS] = [const {
         held: AtomicBool::new(false),
         incarnation: AtomicU32::new(0),
         on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
+        on_turn: AtomicPtr::new(core::ptr::null_mut()),
     }
 }; HARTS];
 
@@ -62,6 +65,14 @@ pub fn on_doorbell(handler: Handler) {
         .on_doorbell
         .store(handler as *mut (), Ordering::Relaxed);
     hart::enable(MSI);
+}
+
+/// What a hart does at the end of each of its turns.
+pub(crate) fn on_turn(hart: usize, handler: Option<Handler>) {
+    let handler = handler.map_or(core::ptr::null_mut(), |handler| handler as *mut ());
+    STATES[hart % HARTS]
+        .on_turn
+        .store(handler, Ordering::Relaxed);
 }
 
 /// Ends the incarnation of another hart at its next doorbell, which is rung here. Wait until it
@@ -100,9 +111,9 @@ pub(crate) fn begin_held(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.rung.store(false, Ordering::Relaxed);
     state.slice.store(0, Ordering::Relaxed);
-    state
-        .on_doorbell
-        .store(core::ptr::null_mut(), Ordering::Relaxed);
+    for handler in [&state.on_doorbell, &state.on_turn] {
+        handler.store(core::ptr::null_mut(), Ordering::Relaxed);
+    }
     hart::disable(MTI);
     hart::enable(MSI);
     // Release pairs with the Acquire in `stands`: the carrier does nothing to a hart that lives.
@@ -120,6 +131,15 @@ pub(crate) fn sleep_while_held(hart: usize) {
             return;
         }
         hart::sleep();
+    }
+}
+
+/// This hart leaves its image: no handler of it runs any more. Interrupts are off.
+pub(crate) fn forget_handler(hart: usize) {
+    let state = &STATES[hart % HARTS];
+    state.slice.store(0, Ordering::Relaxed);
+    for handler in [&state.on_doorbell, &state.on_turn] {
+        handler.store(core::ptr::null_mut(), Ordering::Relaxed);
     }
 }
 
@@ -146,9 +166,14 @@ extern "C" fn tandem_on_doorbell() {
     clint::clear(number);
     end_if(number, state);
     state.rung.store(true, Ordering::Relaxed);
-    let handler = state.on_doorbell.load(Ordering::Relaxed);
+    call(&state.on_doorbell);
+}
+
+#[inline]
+fn call(handler: &AtomicPtr<()>) {
+    let handler = handler.load(Ordering::Relaxed);
     if !handler.is_null() {
-        // SAFETY: only `on_doorbell` stores here, and it stores a `Handler`.
+        // SAFETY: only `on_doorbell` and `on_turn` store here, and they store a `Handler`.
         let handler: Handler = unsafe { core::mem::transmute(handler) };
         handler();
     }
@@ -166,6 +191,7 @@ extern "C" fn tandem_on_timer() {
             // FNV-1a, by words.
             places.store(hash.wrapping_mul(0x0100_0193), Ordering::Relaxed);
             hart::yield_turn();
+            call(&STATES[number].on_turn);
             clint::set_timer(number, hart::time() + u64::from(ticks));
         }
     }

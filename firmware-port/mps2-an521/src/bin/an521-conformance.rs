@@ -33,7 +33,9 @@ fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
     match case.setting {
         Setting::Plain => None,
         Setting::Watchdog => Some("the machine has no window watchdog"),
-        Setting::Restarts | Setting::Releases => Some("the machine resets only as a whole, and forgets why"),
+        Setting::Restarts | Setting::Releases => {
+            Some("the machine resets only as a whole, and forgets why")
+        }
         Setting::Suspends => Some("both systems share the power of the one machine"),
     }
 }

@@ -1,139 +1,22 @@
-//! The whole controller: the three cores of each system, and the carrier, which exchanges with a
-//! vehicle on the host.
-//!
-//! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both. Alone in a machine, a
-//! system's core 0 runs its tasks under FreeRTOS, in every incarnation. The kernel's statics exist
-//! once in an image, so with both systems core 0 runs them to completion. Cores 1 and 2 have no
-//! kernel.
-//!
-//! Strap `Second`, bit 0: a system that returns becomes the standby of the running one.
-//! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
+//! The whole controller without a bootloader: the three cores of each system, and the carrier, which
+//! exchanges with a vehicle on the host. The straps are those of [`controller`].
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
 
-extern crate alloc;
-
-use alloc::boxed::Box;
-use core::sync::atomic::AtomicU32;
-use core::time::Duration;
-use tandem_board::{Board, CoreId};
-use tandem_board_riscv32_virt::board::{VirtBoard, run};
+use tandem_board_riscv32_virt::board::run;
+use tandem_board_riscv32_virt::controller::{self, SLICE_TICKS};
+use tandem_board_riscv32_virt::entry;
 use tandem_board_riscv32_virt::memory::{Strap, strap};
 use tandem_board_riscv32_virt::peripherals::Peripherals;
-use tandem_board_riscv32_virt::{doorbell, entry, heap, log, trap};
-use tandem_cores::core0::{Core0, TaskId};
-use tandem_cores::core1::Core1;
-use tandem_cores::core2::Core2;
-use tandem_cores::{Config, Core};
-use tandem_rtos::Kernel;
-use tandem_runtime::{Options, Overload};
 
 entry!(main);
 
-/// Value of strap `First`.
-const BOTH_SYSTEMS: u32 = 3;
-/// Bit of strap `Second`.
-const REINTEGRATE: u32 = 1;
-/// Bytes of the stack of each task of core 0.
-const STACK_BYTES: usize = 16 << 10;
-/// Turns of 50 us: the emulator runs one hart at a time, and none must wait long for another.
-const SLICE_TICKS: u32 = 500;
-/// How many doorbells were held back.
-static HELD_BACK: AtomicU32 = AtomicU32::new(0);
-
 fn main(hart: usize) -> ! {
-    run(hart, SLICE_TICKS, core, outside)
-}
-
-/// One incarnation of one core.
-fn core(board: &VirtBoard) {
-    match board.identity().core {
-        CoreId::CONTROL if strap(Strap::First) == BOTH_SYSTEMS => {
-            go(board, Core0::new(board, config()))
-        }
-        CoreId::CONTROL => under_kernel(board),
-        CoreId::PERCEPTION => go(board, Core1::new(board)),
-        _ => go(board, Core2::new(board)),
-    }
-}
-
-fn config() -> Config {
-    let mut config = Config::rt();
-    config.redundancy.reintegrate = strap(Strap::Second) & REINTEGRATE != 0;
-    config
-}
-
-/// The overload that strap `Third` asks for: in its bits 0 to 7 the task's place in the table plus
-/// 1, in 8 to 15 how much longer a job takes, ms, in 16 to 31 how many jobs lie between two such.
-fn overload() -> Option<Overload> {
-    let [task, ms, low, high] = strap(Strap::Third).to_le_bytes();
-    Some(Overload {
-        task: *TaskId::ALL.get(usize::from(task).checked_sub(1)?)?,
-        every: u16::from_le_bytes([low, high]).into(),
-        span: Duration::from_millis(ms.into()),
-    })
-}
-
-/// The kernel, new in every incarnation of the core.
-fn kernel() -> Kernel {
-    if let Ok(first) = Kernel::take() {
-        return first;
-    }
-    // SAFETY: the kernel and the heap are this hart's alone, and its start-up code has thrown the
-    // stack of its last incarnation away. What that incarnation shares with other harts is not of
-    // the heap.
-    #[allow(unsafe_code, reason = "a reset is beyond the language")]
-    unsafe {
-        tandem_rtos::riscv32::after_reset();
-        heap::restart();
-    }
-    match Kernel::take() {
-        Ok(next) => next,
-        Err(error) => panic!("{error}"),
-    }
-}
-
-/// Core 0 with its tasks under FreeRTOS.
-fn under_kernel(board: &VirtBoard) -> ! {
-    log!(
-        "core 0 of {} runs its tasks under FreeRTOS, incarnation {}",
-        board.identity().system,
-        board.identity().generation.0
-    );
-    tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
-    // The kernel has the timer.
-    doorbell::set_slice(0);
-    let kernel = kernel();
-    let board: &'static VirtBoard = Box::leak(Box::new(board.clone()));
-    let options = Options {
-        stack_bytes: STACK_BYTES,
-        held_back: &HELD_BACK,
-        overload: overload(),
-    };
-    match tandem_runtime::start(kernel, board, config(), options, trap::end_if_held) {
-        Ok(never) => match never {},
-        Err(error) => panic!("{error}"),
-    }
-}
-
-fn go(board: &VirtBoard, mut core: impl Core) -> ! {
-    loop {
-        let deadline = core.poll();
-        board.wait(deadline);
-    }
+    run(hart, SLICE_TICKS, controller::core, outside)
 }
 
 fn outside(peripherals: &mut Peripherals) -> ! {
     let systems = strap(Strap::First);
-    peripherals.connect([systems & 1 != 0, systems & 2 != 0]);
-    peripherals.set_watchdogs(true);
-    for system in peripherals.systems() {
-        peripherals.power_off(system);
-        peripherals.new_flash(system);
-    }
-    loop {
-        // The world connects the battery, and ends the machine.
-        peripherals.step(u64::MAX);
-    }
+    peripherals.play_for_world([systems & 1 != 0, systems & 2 != 0])
 }

@@ -1,7 +1,9 @@
 //! The board as one core sees it, for one incarnation of the core.
 
+mod keeper;
 mod parts;
 
+pub use keeper::ByTimer;
 pub use parts::{VirtCan, VirtFlash, VirtLines, VirtLink, VirtSupply};
 
 use crate::hart::CARRIER;
@@ -136,10 +138,56 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Perip
     };
     trap::begin_held(hart);
     trap::sleep_while_held(hart);
+    begin(address, slice, core)
+}
+
+/// Runs `core` on the core of this hart, which a bootloader has brought to this image. The main of
+/// an image in a slot calls it; see [`run`] for `slice`.
+pub fn run_in_slot(hart: usize, slice: u32, core: fn(&VirtBoard)) -> ! {
+    match CoreAddress::from_index(hart) {
+        Some(address) => begin(address, slice, core),
+        None => loop {
+            hart::sleep();
+        },
+    }
+}
+
+fn begin(address: CoreAddress, slice: u32, core: fn(&VirtBoard)) -> ! {
+    hart::enable(hart::MSI);
     doorbell::set_slice(slice);
     hart::interrupts_on();
     core(&VirtBoard::new(address));
     loop {
         doorbell::wait(None);
+    }
+}
+
+/// Leaving this image for one in a slot. T-BOOT-7
+impl VirtBoard {
+    /// Says where each core of this system begins, as addresses; `None` for one that does not.
+    pub fn set_entries(&self, entries: [Option<u32>; CoreId::COUNT]) {
+        let registers = system(self.identity.system);
+        for (register, entry) in registers.entries.iter().zip(entries) {
+            register.store(entry.unwrap_or(0), Relaxed);
+        }
+    }
+
+    /// Jumps to where this core begins, after the clean-up; returns if it does not.
+    pub fn jump(&self) {
+        let place = self.identity.address();
+        let entry = system(place.system).entries[place.core.index()].load(Relaxed);
+        if entry == 0 {
+            return;
+        }
+        hart::interrupts_off();
+        // The CAN module: what was sent is gone, and what came is not the application's.
+        let registers = peripherals::core(place);
+        registers.wake_on_receive.store(false, Relaxed);
+        registers.transmit.discard();
+        while registers.receive.take().is_some() {}
+        trap::forget_handler(place.index());
+        clint::set_timer(place.index(), u64::MAX);
+        doorbell::take();
+        hart::leave(place.index(), entry);
     }
 }

@@ -26,6 +26,7 @@ use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRAC
 use tandem_peripherals::wires::LINK_DATAGRAMS;
 
 /// What the carrier has for one core.
+#[repr(C)]
 pub(crate) struct CoreRegisters {
     /// Frames on their way to the bus.
     pub(crate) transmit: Ring<32, FRAME_WORDS>,
@@ -39,6 +40,7 @@ pub(crate) struct CoreRegisters {
 }
 
 /// What the carrier has for one system.
+#[repr(C)]
 pub(crate) struct SystemRegisters {
     pub(crate) cores: [CoreRegisters; CoreId::COUNT],
     /// Edges that came, by line and kind.
@@ -59,6 +61,8 @@ pub(crate) struct SystemRegisters {
     pub(crate) lamp: AtomicU32,
     /// The cores that core 0 has released and that have not gone yet, by bits.
     pub(crate) released: AtomicU32,
+    /// Where each core begins in the slot that booted; 0 for a core that is not started.
+    pub(crate) entries: [AtomicU32; CoreId::COUNT],
 }
 
 impl CoreRegisters {
@@ -97,12 +101,13 @@ impl SystemRegisters {
             request: AtomicU32::new(0),
             lamp: AtomicU32::new(0),
             released: AtomicU32::new(0),
+            entries: [const { AtomicU32::new(0) }; CoreId::COUNT],
         }
     }
 }
 
-// The linker script keeps it apart from the RAM of the cores.
-#[unsafe(link_section = ".bss.carrier")]
+// The linker scripts keep it apart from the RAM of the cores, at the same place in all images.
+#[unsafe(link_section = ".bss.carrier.systems")]
 static SYSTEMS: [SystemRegisters; 2] = [const { SystemRegisters::new() }; 2];
 
 /// The registers of a system.

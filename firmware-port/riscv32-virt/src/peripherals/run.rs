@@ -85,6 +85,20 @@ impl Peripherals {
         system(which).flash.erase_all();
     }
 
+    /// Plays the hardware around these systems, which are without power at first, for the world
+    /// outside: that connects the battery, and ends the machine.
+    pub fn play_for_world(&mut self, here: [bool; 2]) -> ! {
+        self.connect(here);
+        self.set_watchdogs(true);
+        for system in self.systems() {
+            self.power_off(system);
+            self.new_flash(system);
+        }
+        loop {
+            self.step(u64::MAX);
+        }
+    }
+
     /// Does what there is to do, and sleeps until there is more, at most until `deadline` (in
     /// ticks). Returns early with what a supply has changed, if one has.
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {

@@ -1,0 +1,64 @@
+//! The first program of a machine with one system: boot ROM, bootloader on core 0, and the carrier.
+//!
+//! Strap `First`: which system, 1 A, 2 B. The emulator is given the program flash and the public
+//! key (see `memory`). Core 0 jumps to what its slot holds; cores 1 and 2 follow when they are
+//! released.
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use tandem_board::{Board, CoreId, Supply};
+use tandem_board_riscv32_virt::board::{ByTimer, VirtBoard, run};
+use tandem_board_riscv32_virt::memory::{Strap, public_key, strap};
+use tandem_board_riscv32_virt::peripherals::Peripherals;
+use tandem_board_riscv32_virt::program_flash::{BEGIN, ProgramFlash};
+use tandem_board_riscv32_virt::{entry, log};
+use tandem_boot::{Bank, Leave, Trust, TrustMode, rom_choice, start};
+
+entry!(main);
+
+/// Turns of 50 us.
+const SLICE_TICKS: u32 = 500;
+
+fn main(hart: usize) -> ! {
+    run(hart, SLICE_TICKS, core, outside)
+}
+
+/// The first program of a core in each of its incarnations.
+fn core(board: &VirtBoard) {
+    if board.identity().core == CoreId::CONTROL {
+        let begin = board.now();
+        let launch = boot(board);
+        log!(
+            "{:?}: slot {:?}, version {}, after {} us",
+            board.supply().reset_cause(),
+            launch.application,
+            launch.version,
+            board.now().since(begin).as_ns() / 1_000
+        );
+        board.set_entries(launch.entries.map(|entry| Some(BEGIN + entry?)));
+    }
+    board.jump();
+}
+
+fn boot(board: &VirtBoard) -> tandem_boot::Launch {
+    let keys = [public_key()];
+    let trust = Trust {
+        keys: &keys,
+        mode: TrustMode::Strict,
+    };
+    let keeper = ByTimer::new(board);
+    // A flash without a bootloader has this program in its place.
+    let mut bank = rom_choice(&mut ProgramFlash).unwrap_or(Bank::Primary);
+    loop {
+        match start(board, ProgramFlash, trust, bank, &keeper) {
+            Leave::Jump(launch) => return launch,
+            Leave::StartPrimary => bank = Bank::Primary,
+        }
+    }
+}
+
+fn outside(peripherals: &mut Peripherals) -> ! {
+    let systems = strap(Strap::First);
+    peripherals.play_for_world([systems & 1 != 0, systems & 2 != 0])
+}

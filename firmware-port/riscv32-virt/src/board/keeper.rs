@@ -1,0 +1,77 @@
+//! The watchdog while a bootloader computes: served from the timer that ends the turns of its hart.
+//! A signature takes longer than the window is open.
+
+use super::{VirtBoard, VirtSupply};
+use crate::peripherals::now;
+use crate::{hart, trap};
+use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
+use tandem_board::{Board, CoreAddress, Duration, Instant, Supply, watchdog_answer};
+use tandem_boot::{Keeper, first_service, next_service};
+
+/// When the next service is due, in microseconds; the low word. Of the one bootloader in a machine.
+static DUE_US: AtomicU32 = AtomicU32::new(0);
+/// How often it was served.
+static SERVED: AtomicU32 = AtomicU32::new(0);
+
+fn now_us() -> u32 {
+    (now().as_ns() / 1_000) as u32
+}
+
+/// Serves from an interrupt. The hart must have turns: see [`run`](super::run).
+#[derive(Debug)]
+pub struct ByTimer(());
+
+impl ByTimer {
+    /// The system of this core 0 has just started.
+    #[must_use]
+    pub fn new(board: &VirtBoard) -> Self {
+        let first = first_service::<<VirtBoard as Board>::Supply>();
+        DUE_US.store(
+            now_us().wrapping_add((first.as_ns() / 1_000) as u32),
+            Relaxed,
+        );
+        SERVED.store(0, Relaxed);
+        trap::on_turn(board.identity().address().index(), Some(serve));
+        Self(())
+    }
+}
+
+/// In the interrupt of core 0, or with interrupts off.
+fn serve() {
+    if now_us().wrapping_sub(DUE_US.load(Relaxed)).cast_signed() < 0 {
+        return;
+    }
+    let Some(place) = CoreAddress::from_index(hart::number()) else {
+        return;
+    };
+    let supply = VirtSupply(place);
+    supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
+    SERVED.fetch_add(1, Relaxed);
+    let next = next_service::<VirtSupply>();
+    DUE_US.store(
+        now_us().wrapping_add((next.as_ns() / 1_000) as u32),
+        Relaxed,
+    );
+}
+
+impl Keeper for ByTimer {
+    /// A hart that sleeps has no turns.
+    fn keep(&self) -> Instant {
+        hart::without_interrupts(serve);
+        let left = DUE_US.load(Relaxed).wrapping_sub(now_us());
+        now() + Duration::from_us(left.into())
+    }
+
+    /// The application serves at once when it begins: not before the window has opened.
+    fn hand_over(&self) -> bool {
+        hart::without_interrupts(|| trap::on_turn(hart::number(), None));
+        let served = SERVED.load(Relaxed) > 0;
+        let next = next_service::<VirtSupply>().as_ns() / 1_000;
+        let last = DUE_US.load(Relaxed).wrapping_sub(next as u32);
+        // The clock of the supply may run slower.
+        while served && now_us().wrapping_sub(last) < VirtSupply::WINDOW_OPENS_US + 1_000 {
+            hart::yield_turn();
+        }
+        true
+    }
+}
