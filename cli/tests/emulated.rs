@@ -144,6 +144,20 @@ fn emulators_end_when_the_run_is_killed() {
 }
 
 /// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
+/// T-BOOT-8, on an emulated machine: the application is a file of its own, and the jump a real one.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn three_cores_of_the_firmware_send_what_was_downloaded() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let output = command.args(["boot-demo", "--board", "qemu"]).output();
+    let output = output.unwrap();
+    let shown = String::from_utf8(output.stdout).unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    for frame in ["700#00", "701#01", "702#02"] {
+        assert!(shown.contains(frame), "{frame} did not come: {shown}{said}");
+    }
+}
+
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_of_the_firmware_are_drawn() {

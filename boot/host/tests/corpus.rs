@@ -41,23 +41,6 @@ fn every_input_of_the_corpora_holds() {
     }
 }
 
-/// The bodies can fail: each refuses what it is told to be right and is not.
-#[test]
-fn a_body_that_should_fail_does() {
-    let seeds = seeds();
-    for (target, input) in &seeds {
-        let body = TARGETS.iter().find(|(name, _)| name == target).unwrap().1;
-        body(input);
-    }
-    assert!(
-        seeds
-            .iter()
-            .filter(|(target, _)| *target == "environment")
-            .count()
-            >= 3
-    );
-}
-
 /// Good inputs of each target: a fuzzer finds the bad ones by changing them.
 fn seeds() -> Vec<(&'static str, Vec<u8>)> {
     let mut seeds = Vec::new();

@@ -1,0 +1,127 @@
+//! Systems that start through their bootloaders, as processes on this machine.
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    reason = "all of it is a test"
+)]
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use tandem_boot::{EnvironmentStore, Slot};
+use tandem_boot_host::FlashFile;
+
+/// Longer than any run here takes on a busy machine.
+const WATCHDOG: Duration = Duration::from_secs(180);
+
+fn tandem() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_tandem"))
+}
+
+/// A run that does not outlive its test.
+struct Run(Child);
+
+impl Drop for Run {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Run {
+    /// Looks until there is what is looked for.
+    fn until<T>(&mut self, what: &str, mut look: impl FnMut() -> Option<T>) -> T {
+        let begin = Instant::now();
+        loop {
+            if let Some(found) = look() {
+                return found;
+            }
+            assert!(begin.elapsed() < WATCHDOG, "{what}");
+            assert!(
+                self.0.try_wait().unwrap().is_none(),
+                "the run ended: {what}"
+            );
+            sleep(Duration::from_millis(20));
+        }
+    }
+}
+
+/// The process of core 0 of a system of the run that this process started.
+fn core_0(system: &str, launcher: u32) -> Option<String> {
+    let listed = tandem().arg("ps").output().unwrap();
+    let listed = String::from_utf8(listed.stdout).unwrap();
+    let process = |line: &str| {
+        let [pid, kind, of, core, _, _, run] = line.split_whitespace().collect::<Vec<_>>()[..]
+        else {
+            return None;
+        };
+        let is_it = (kind, of, core) == ("core", system, "0");
+        let ours = run.starts_with(&format!("tandem-{launcher}-"));
+        (is_it && ours).then(|| pid.to_owned())
+    };
+    listed.lines().find_map(process)
+}
+
+/// T-BOOT-8: what was downloaded to an empty controller is started, and its three cores send.
+#[test]
+fn three_cores_send_what_was_downloaded() {
+    let output = tandem().arg("boot-demo").output().unwrap();
+    let shown = String::from_utf8(output.stdout).unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    for frame in ["700#00", "701#01", "702#02"] {
+        assert!(shown.contains(frame), "{frame} did not come: {shown}{said}");
+    }
+}
+
+/// The active slot of a controller, its version, and whether something is on trial; `None` before
+/// its first start.
+fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
+    let mut flash = FlashFile::open(flash).unwrap();
+    let environment = *EnvironmentStore::load(&mut flash).unwrap()?.get();
+    let slot = environment.active.application;
+    Some((slot, environment.versions[0], environment.trial.is_some()))
+}
+
+/// U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its new
+/// image. Between the two updates the driving system fails, so that it becomes the standby.
+#[test]
+fn both_systems_are_updated_while_they_drive() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = tandem();
+    command
+        .args(["run", "--scenario", "free-lane", "--reintegrate", "--quiet"])
+        .args(["--update", "2", "--program-flash"])
+        .arg(folder.path())
+        .arg("--out")
+        .arg(folder.path().join("report"))
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    let mut run = Run(command.spawn().unwrap());
+    let launcher = run.0.id();
+    let is_updated = |system: &str| {
+        let flash = folder.path().join(format!("{system}.pflash"));
+        boots(&flash) == Some((Some(Slot::B), 2, false))
+    };
+    // From then on the files of the flashes are whole.
+    run.until("core 0 of A starts", || core_0("A", launcher));
+    // The standby comes first; on a busy machine either may be it.
+    let first = run.until("the standby approves its image", || {
+        ["A", "B"].into_iter().find(|system| is_updated(system))
+    });
+    let second = if first == "A" { "B" } else { "A" };
+    if !is_updated(second) {
+        let master = core_0(second, launcher).unwrap();
+        let kill = Command::new("kill").args(["-9", &master]).status();
+        assert!(kill.unwrap().success());
+    }
+    run.until("the other approves its image", || {
+        is_updated(second).then_some(())
+    });
+    let end = Command::new("kill")
+        .args(["-INT", &launcher.to_string()])
+        .status();
+    assert!(end.unwrap().success());
+    run.0.wait().unwrap();
+}
