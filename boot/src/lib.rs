@@ -1,7 +1,7 @@
 //! Bootloader: S-records over CAN, slots, trust: sans-IO (no_std).
 //!
-//! [`start`] runs it on a board. [`Loader`], which does the work, is told the time and what came
-//! from the bus, and answers with [`Next`]; it reaches flash through
+//! [`start`] runs it on a board. [`Loader`] does the work: it is told the time and what came from
+//! the bus, and answers with [`Next`]. It reaches flash through
 //! `embedded_storage::nor_flash::NorFlash` and nothing else of the machine. The application calls
 //! [`approve`] once it has proved itself. Protocol, storage map, states and what each loss of power
 //! leaves stand in `docs/boot.md`.

@@ -17,7 +17,8 @@ pub enum Leave {
     StartPrimary,
 }
 
-/// Who serves the watchdog while the bootloader runs longer than half the limit of the first service.
+/// Who serves the watchdog while the bootloader runs longer than half the limit of the first
+/// service.
 pub trait Keeper {
     /// Serves the watchdog if it is due. Returns when it is due next; [`Instant::NEVER`] if that
     /// does not concern the caller.

@@ -1,5 +1,5 @@
-//! `tandem boot-demo`: a download over CAN to an empty controller, the start of what was downloaded,
-//! and the frames of its three cores. T-BOOT-8
+//! `tandem boot-demo`: a download over CAN to an empty controller, its start, and the frames of its
+//! three cores. T-BOOT-8
 
 use std::fmt::Write as _;
 use std::fs;

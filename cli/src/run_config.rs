@@ -45,7 +45,7 @@ pub(crate) struct RunConfig {
     pub(crate) program_flash: Option<ProgramFlash>,
     /// Records that are sent to each system while the other drives.
     pub(crate) update: Option<UpdateFiles>,
-    /// This is `tandem boot-demo`: the records that its vehicle sends, and where it tells what came.
+    /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
     pub(crate) demo: Option<[PathBuf; 2]>,
 }
 

@@ -287,9 +287,11 @@ impl Image {
     }
 }
 
-/// The entry of an ELF file, and what its segments load at which physical address (TIS ELF 1.2,
-/// figures 1-3 and 2-1).
-fn loaded(elf: &[u8]) -> Option<(u32, Vec<(u32, &[u8])>)> {
+/// What a segment of an ELF file loads: its physical address, and its bytes.
+type Segment<'e> = (u32, &'e [u8]);
+
+/// The entry of an ELF file, and its segments (TIS ELF 1.2, figures 1-3 and 2-1).
+fn loaded(elf: &[u8]) -> Option<(u32, Vec<Segment<'_>>)> {
     const LOAD: u32 = 1;
     let word = |at: usize| Some(u32::from_le_bytes(*elf.get(at..)?.first_chunk()?));
     let half = |at: usize| Some(u16::from_le_bytes(*elf.get(at..)?.first_chunk()?));

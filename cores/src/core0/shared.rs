@@ -230,8 +230,8 @@ impl<'b, B: Board> Shared<'b, B> {
         }
     }
 
-    /// A host asks for the bootloader of a system. Only a system whose absence changes nothing
-    /// goes: the standby of a master, or whoever stands still. T-BOOT-1
+    /// A host asks for the bootloader of a system. A system goes only if the vehicle does not need
+    /// it: as standby, or at standstill. T-BOOT-1
     fn on_host(&mut self, of: SystemId) {
         let phase = self.phase();
         let stands = self.stands && phase.is_some();

@@ -1,5 +1,5 @@
-//! The program flash of the system in this machine: RAM that behaves as NOR flash does. The emulator
-//! is given its content at the start.
+//! The program flash of the system in this machine: RAM that behaves as NOR flash does. The
+//! emulator is given its content at the start.
 
 use core::ptr::addr_of;
 use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
