@@ -6,9 +6,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use tandem_board::{
-    CanFrame, CanId, CoreId, Duration, Instant, SystemId, VehicleBus, VehiclePort,
-};
+use tandem_board::{CanFrame, CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule};
 use tandem_board_qemu::{BootFrom, EmulatedWorld, PROGRAM_FLASH_AT};
 use tandem_boot::Slot;

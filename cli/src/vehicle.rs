@@ -34,7 +34,8 @@ const GIVE_UP_TICKS: u64 = 15_000;
 pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
     let run = RunConfig::from_extra(&args.common.extra)?;
     if let Some([lines, told]) = &run.demo {
-        let mut port = HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
+        let mut port =
+            HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
         return boot_demo::play(&mut port, lines, told);
     }
     let scenario = Scenario::load(&run.scenario)?;
