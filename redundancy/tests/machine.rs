@@ -125,6 +125,164 @@ fn own_absence_is_no_evidence() {
     assert!(bench.now.since(listened_from) > CONFIG.witness_limit());
 }
 
+/// T-RED-9: a system that was held up restarts the limits of the heartbeat lines: a look after the
+/// stall that finds no edge says nothing yet. If none comes within the limit, the line is silent.
+#[test]
+fn the_limits_of_the_lines_begin_anew_after_a_stall() {
+    for mut bench in [Bench::master(), Bench::standby()] {
+        bench.now += Duration::from_ms(15);
+        let resumed = bench.now;
+        let told = loop {
+            let actions = bench.poll();
+            let silent = actions
+                .events()
+                .find(|it| matches!(it, Event::LineSilent(_)));
+            if silent.is_some() {
+                break bench.now.since(resumed);
+            }
+        };
+        assert!(told > CONFIG.silent_limit(), "told after {told:?}");
+        assert!(
+            told <= CONFIG.detection_bound() + CONFIG.poll_interval,
+            "{told:?}"
+        );
+    }
+}
+
+/// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
+/// shows the other to live is broken: it is told once, and not believed until it was high for long
+/// enough. Each sign alone is enough.
+#[test]
+fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
+    for sign in 0..4 {
+        let mut bench = Bench::standby();
+        // The other signs are tried without heartbeats.
+        let beats = sign == 0;
+        let silence = if beats { 0 } else { 10 };
+        for _ in 0..silence {
+            let _ = bench.control(16);
+            let _ = bench.poll();
+        }
+        bench.snapshot.peer_powered = false;
+        let mut events = Vec::new();
+        let mut told = |actions: Actions| {
+            let broken = |it: &Event| matches!(it, Event::LevelBroken(_));
+            events.extend(actions.events().filter(broken));
+        };
+        for _ in 0..15 {
+            if beats {
+                bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
+            }
+            let term = Term::from_bits(16);
+            let report = PeerReport {
+                role: Role::Master,
+                mode: Mode::L3,
+                term,
+                can_alive: true,
+            };
+            match sign {
+                1 => told(bench.control(16)),
+                2 => told(bench.on(Input::LinkReport(report))),
+                3 => told(bench.obeyed(term, 0)),
+                _ => {}
+            }
+            told(bench.poll());
+            assert_eq!(bench.machine.phase(), Phase::Standby, "sign {sign}");
+        }
+        bench.snapshot.peer_powered = true;
+        for _ in 0..CONFIG.recover_after.as_us() / 1_000 + 1 {
+            bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
+            told(bench.poll());
+        }
+        let expected = [Event::LevelBroken(true), Event::LevelBroken(false)];
+        assert_eq!(events, expected, "sign {sign}");
+    }
+}
+
+/// T-RED-9: without a sign of life a low level is believed after its limit, and not before.
+#[test]
+fn a_low_level_without_a_heartbeat_is_believed_within_its_limit() {
+    let mut bench = Bench::standby();
+    for _ in 0..100 {
+        let _ = bench.control(16);
+        bench.run_with_beats(1);
+    }
+    bench.snapshot.peer_powered = false;
+    let _ = bench.poll();
+    let fell = bench.now;
+    while bench.machine.phase() == Phase::Standby {
+        let _ = bench.poll();
+    }
+    let took = bench.now.since(fell);
+    assert!(took >= CONFIG.level_limit() && took <= CONFIG.level_limit() + CONFIG.poll_interval);
+}
+
+/// T-RED-9: just after a change of the driver the lines alone depose no master: only the vehicle's
+/// word does. The time doubles with each change.
+#[test]
+fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
+    let mut held = Vec::new();
+    let mut bench = Bench::master();
+    for _ in 0..4 {
+        // The other has taken over.
+        let term = bench.machine.highest_term().above(1, SystemId::B).unwrap();
+        let _ = bench.control(term.bits());
+        assert_eq!(bench.machine.phase(), Phase::Standby);
+        let deposed = bench.now;
+        bench.run_with_beats(5);
+        // Its level falls and its heartbeats end, but the vehicle obeys it.
+        bench.snapshot.peer_powered = false;
+        while bench.machine.phase() == Phase::Standby {
+            let _ = bench.obeyed(Term::from_bits(1), 0);
+            let _ = bench.poll();
+        }
+        held.push(bench.now.since(deposed).as_us() / 1_000);
+        bench.snapshot.peer_powered = true;
+        bench.run_with_beats(5);
+    }
+    let first = CONFIG.hold_down.as_us() / 1_000;
+    for (change, held) in (0..).zip(held) {
+        // This system's own takeover counts as a change as well.
+        let expected = first << (2 * change).min(5);
+        assert!(held.abs_diff(expected) <= 2, "change {change}: {held} ms");
+    }
+
+    // The vehicle says that no system drives: at once.
+    let mut bench = Bench::master();
+    let term = bench.machine.highest_term().above(1, SystemId::B).unwrap();
+    let _ = bench.control(term.bits());
+    let deposed = bench.now;
+    while bench.machine.phase() == Phase::Standby {
+        let age = bench.now.since(deposed).as_us() / 1_000;
+        let _ = bench.obeyed(term, age);
+        let _ = bench.poll();
+    }
+    assert!(bench.now.since(deposed) <= CONFIG.gap_bound_mute());
+}
+
+/// T-RED-2: a start line on which no edge ever came is told, once; a heartbeat line that is cut from
+/// the start is told as well.
+#[test]
+fn lines_that_are_cut_from_the_start_are_told() {
+    for edge in [false, true] {
+        let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
+        let _ = bench.poll();
+        bench.snapshot.handshakes += u32::from(edge);
+        let mut told = Vec::new();
+        for _ in 0..3_000 {
+            bench.snapshot.beats[1] += 1;
+            let lines = |it: &Event| matches!(it, Event::StartLineSilent | Event::LineSilent(_));
+            told.extend(bench.poll().events().filter(lines));
+        }
+        let start_line = (!edge).then_some(Event::StartLineSilent);
+        let expected: Vec<_> = [Event::LineSilent(1)]
+            .into_iter()
+            .chain(start_line)
+            .collect();
+        assert_eq!(told, expected);
+    }
+}
+
 /// T-RED-9: a master that was held up beyond the witness's limit is silent until it knows more,
 /// even if no control frame of the other has reached it yet.
 #[test]
