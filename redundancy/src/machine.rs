@@ -128,7 +128,7 @@ impl Redundancy {
             claims_master,
             fault,
         } = boot;
-        let starting = Starting::new(kind, claims_master, fault.is_some(), system, now);
+        let starting = Starting::new(kind, claims_master, system, now);
         Self {
             config,
             system,
@@ -348,8 +348,8 @@ impl Redundancy {
     }
 
     /// Whether the own CAN connection is open: this system hears no third party, but the other
-    /// does. Nothing heard may also mean that the whole bus is dead; if that counted, both systems would
-    /// suspend. Each reset that did not cure it doubles the limit. T-RED-6
+    /// does. Nothing heard may also mean that the whole bus is dead; if that counted, both systems
+    /// would suspend. Each reset that did not cure it doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
         let attempts = u32::from(self.state.abn_in_a_row.min(3));
         let limit = self.config.can_open_limit.times(1 << attempts);

@@ -106,8 +106,7 @@ impl Standby {
         if witnesses.peer_is_off(config, now) && self.may_act(config, now, witnesses) {
             return Some(Evidence::PeerOff);
         }
-        let unheard = now.since(self.last_control) > config.witness_limit();
-        if unheard && !witnesses.is_deaf(config, now) {
+        if now.since(self.last_control) > config.witness_limit() {
             let says_master = witnesses.reports.drives(now, config.witness_limit());
             if self.suspected && !says_master && self.may_act(config, now, witnesses) {
                 return Some(Evidence::PeerSilent);

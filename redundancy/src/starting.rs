@@ -26,7 +26,6 @@ pub(crate) enum StartKind {
 pub(crate) struct Starting {
     kind: StartKind,
     claims_master: bool,
-    failed: bool,
     system: SystemId,
     since: Instant,
     next_handshake: Instant,
@@ -36,18 +35,15 @@ pub(crate) struct Starting {
 }
 
 impl Starting {
-    /// `failed`: this system has a fault that stays. It lets every healthy one go before it.
     pub(crate) const fn new(
         kind: StartKind,
         claims_master: bool,
-        failed: bool,
         system: SystemId,
         now: Instant,
     ) -> Self {
         Self {
             kind,
             claims_master,
-            failed,
             system,
             since: now,
             next_handshake: now,
@@ -94,7 +90,6 @@ impl Starting {
     /// that two that claim (or do not claim) to be master agree: the first sync edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
-            _ if self.failed => config.promote_limit.times(4) + config.stagger_of(self.system),
             (true, SystemId::A) => Duration::ZERO,
             (true, SystemId::B) => config.sync_stagger,
             (false, SystemId::A) => config.promote_limit,
@@ -108,11 +103,7 @@ impl Starting {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),
             StartKind::Handshake => {
-                let follows = match (self.failed, self.claims_master) {
-                    (true, _) => 4,
-                    (false, false) => 2,
-                    (false, true) => 0,
-                };
+                let follows = if self.claims_master { 0 } else { 2 };
                 config.start_limit + config.stagger.times(follows) + config.stagger_of(self.system)
             }
         }

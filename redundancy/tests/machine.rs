@@ -202,19 +202,42 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
 /// T-RED-9: without a sign of life a low level is believed after its limit, and not before.
 #[test]
 fn a_low_level_without_a_heartbeat_is_believed_within_its_limit() {
-    let mut bench = Bench::standby();
-    for _ in 0..100 {
-        let _ = bench.control(16);
-        bench.run_with_beats(1);
-    }
-    bench.snapshot.peer_powered = false;
-    let _ = bench.poll();
-    let fell = bench.now;
-    while bench.machine.phase() == Phase::Standby {
+    // A short reset ends before the heartbeat is missed: the level is high again by then.
+    for stays_low in [true, false] {
+        let mut bench = Bench::standby();
+        for _ in 0..100 {
+            let _ = bench.control(16);
+            bench.run_with_beats(1);
+        }
+        bench.snapshot.peer_powered = false;
         let _ = bench.poll();
+        let fell = bench.now;
+        bench.snapshot.peer_powered = !stays_low;
+        while bench.machine.phase() == Phase::Standby {
+            let _ = bench.poll();
+        }
+        let took = bench.now.since(fell);
+        let limit = CONFIG.level_limit();
+        assert!(
+            took >= limit && took <= limit + CONFIG.poll_interval,
+            "{took:?}"
+        );
     }
-    let took = bench.now.since(fell);
-    assert!(took >= CONFIG.level_limit() && took <= CONFIG.level_limit() + CONFIG.poll_interval);
+}
+
+/// T-RED-5: a standby resets itself for a fault only while its master is heard to drive: until then
+/// it is the only one left.
+#[test]
+fn a_standby_resets_itself_only_beside_a_master_that_drives() {
+    let mut bench = Bench::standby();
+    // Heartbeats go on, and no control frame comes; the vehicle does not say that none reaches it.
+    bench.run_with_beats(10);
+    let fault = Input::OwnFault(FailureMode::PlanningCore);
+    let asks = |actions: Actions| actions.contains(Action::Reset(ResetRequest::CoreDead));
+    assert!(!asks(bench.on(fault)) && !asks(bench.poll()));
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+    let _ = bench.control(16);
+    assert!(asks(bench.poll()), "the fault need not be told again");
 }
 
 /// T-RED-9: just after a change of the driver the lines alone depose no master: only the vehicle's
@@ -260,8 +283,8 @@ fn after_a_change_of_the_driver_only_the_vehicle_deposes() {
     assert!(bench.now.since(deposed) <= CONFIG.gap_bound_mute());
 }
 
-/// T-RED-2: a start line on which no edge ever came is told, once; a heartbeat line that is cut from
-/// the start is told as well.
+/// T-RED-2: a start line on which no edge ever came is told, once; a heartbeat line that is cut
+/// from the start is told as well.
 #[test]
 fn lines_that_are_cut_from_the_start_are_told() {
     for edge in [false, true] {

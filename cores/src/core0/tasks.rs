@@ -59,6 +59,8 @@ pub struct Monitoring<'b, B> {
     grid: Grid,
     map: Option<ControllerMap<'b>>,
     alive: Alive,
+    /// The core that was last told to be silent: a system that drives on tells it once.
+    told_silent: Option<CoreId>,
     last_service: Option<Instant>,
 }
 
@@ -71,6 +73,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
             grid: Grid::new(started, TaskId::Monitoring.info().period),
             map: None,
             alive: Alive::new(started, config.boot_limit, |_| 0),
+            told_silent: None,
             last_service: None,
         }
     }
@@ -107,12 +110,15 @@ impl<'b, B: Board> Monitoring<'b, B> {
         let (now, limit) = (self.board.now(), self.config.alive_limit);
         let silent = self.alive.silent(now, limit, |core| map.cycles(core));
         let all_seen = self.alive.all_seen();
+        let is_told = core::mem::replace(&mut self.told_silent, silent) == silent;
         let tasks = executor.shared(|shared| {
             shared.all_seen = all_seen;
             let core = silent?;
-            shared.trace(Event::CoreSilent {
-                core: core.index() as u8,
-            });
+            if !is_told {
+                shared.trace(Event::CoreSilent {
+                    core: core.index() as u8,
+                });
+            }
             Some(shared.on_dead_core(if core == CoreId::PERCEPTION {
                 FailureMode::PerceptionCore
             } else {

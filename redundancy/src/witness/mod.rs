@@ -106,8 +106,8 @@ impl Witnesses {
         self.level.is_off(config, now)
     }
 
-    /// Whether this system heard third parties before, and does not any more. It has nothing to
-    /// drive by then, and its own absence from the bus is no evidence against the other.
+    /// Whether this system heard third parties before, and does not any more: it has nothing to
+    /// drive by, and relieves no master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {
         self.can.is_deaf(now, config.mute_limit())
     }

@@ -136,6 +136,12 @@ fn a_failed_system_without_a_healthy_peer_starts_into_the_safe_stop() {
                 let driver = drivers[0];
                 if failed == [true; 2] {
                     assert_eq!(mode(&pair, driver), Some(Mode::SafeStop), "{what}");
+                    // The other one is its backup.
+                    let from = pair.now_us;
+                    pair.power_off(driver);
+                    pair.run_ms(200);
+                    check_driven(&pair, from, us(config.gap_bound()) + BUS_US, &what);
+                    assert_eq!(mode(&pair, driver.peer()), Some(Mode::SafeStop), "{what}");
                 } else {
                     assert!(!failed[driver.index()], "{what}");
                 }
@@ -387,6 +393,14 @@ fn a_deaf_system_deposes_no_sound_master() {
             assert_eq!(pair.changes_of_driver(), 0, "{what}");
             check_driven(&pair, from, undisturbed(&config), &what);
         }
+        // It relieves no master that can still stop the vehicle.
+        let mut pair = Pair::dual(config, 5);
+        pair.cuts.can_hear[B.index()] = true;
+        pair.run_ms(100);
+        pair.systems[A.index()].until_reset = Some(FailureMode::PlanningCore);
+        pair.run_ms(100);
+        assert_eq!(pair.changes_of_driver(), 0);
+        assert_eq!(mode(&pair, A), Some(Mode::SafeStop));
         // A deaf master makes way: it has nothing to drive by.
         let mut pair = Pair::dual(config, 5);
         let from = pair.now_us;
