@@ -21,9 +21,9 @@ impl Round {
     }
 
     /// Whether the round has members, and `is_there` holds for each.
-    pub(super) fn is_complete(&self, mut is_there: impl FnMut(usize) -> bool) -> bool {
+    pub(super) fn is_complete(&self, is_there: impl FnMut(usize) -> bool) -> bool {
         let mut members = (0..MEMBERS).filter(|member| self.0[*member].is_some());
-        self.0.iter().any(Option::is_some) && members.all(|member| is_there(member))
+        self.0.iter().any(Option::is_some) && members.all(is_there)
     }
 
     /// When the next round ends, the first time after `now`; `None` if this one has no members.
