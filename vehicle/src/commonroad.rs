@@ -6,8 +6,8 @@
 
 use roxmltree::{Document, Node};
 
+use crate::error::ScenarioError;
 use crate::geometry::{Vec2, wrap_angle};
-use crate::scenario::ScenarioError;
 
 /// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;

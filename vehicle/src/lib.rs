@@ -24,6 +24,7 @@
 
 pub mod actuators;
 pub mod commonroad;
+mod error;
 pub mod gate;
 pub mod geometry;
 pub mod mastership;
@@ -36,9 +37,10 @@ pub mod traffic;
 pub mod world;
 pub mod world_loop;
 
+pub use error::ScenarioError;
 pub use gate::{Acceptance, FrameCounts, Verdict};
 pub use metrics::Metrics;
 pub use road::LaneId;
-pub use scenario::{Scenario, ScenarioError};
+pub use scenario::Scenario;
 pub use world::{Config, Snapshot, VehicleSnapshot, World};
 pub use world_loop::{LocalBus, LoggedFrame};

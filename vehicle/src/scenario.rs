@@ -3,9 +3,8 @@
 use std::path::Path;
 use std::sync::Arc;
 
-use thiserror::Error;
-
 use crate::commonroad::{self, Map, Obstacle};
+use crate::error::ScenarioError;
 use crate::geometry::Pose;
 use crate::road::Road;
 
@@ -42,56 +41,6 @@ const EMBEDDED: [(&str, &str, &str); 6] = [
         include_str!("../scenarios/stop-and-go.xml"),
     ),
 ];
-
-/// Why there is no such scenario.
-#[derive(Debug, Error)]
-#[non_exhaustive]
-pub enum ScenarioError {
-    /// It is neither an embedded scenario nor a file.
-    #[error(
-        "there is no scenario or file {name:?}{}; the scenarios are {}",
-        .nearest.map_or(String::new(), |n| format!(", did you mean {n:?}?")),
-        Scenario::names().collect::<Vec<_>>().join(", ")
-    )]
-    Unknown {
-        /// What was asked for.
-        name: String,
-        /// An embedded scenario with a similar name.
-        nearest: Option<&'static str>,
-    },
-    /// The file cannot be read.
-    #[error("cannot read the scenario file {file}: {source}")]
-    Read {
-        /// Path of the file.
-        file: String,
-        /// What the operating system says.
-        source: std::io::Error,
-    },
-    /// The file is no well-formed XML.
-    #[error("{file}:{line}: no well-formed XML: {problem}")]
-    Xml {
-        /// Path of the file.
-        file: String,
-        /// Counted from 1.
-        line: u32,
-        /// What the XML parser says.
-        problem: String,
-    },
-    /// The file does not hold what CommonRoad files have to.
-    #[error("{file}:{line}: {element} {problem}; {advice}")]
-    Element {
-        /// Path of the file.
-        file: String,
-        /// Counted from 1.
-        line: u32,
-        /// Which element, with its id.
-        element: String,
-        /// What is wrong with it.
-        problem: String,
-        /// What to do.
-        advice: String,
-    },
-}
 
 /// A scenario, ready to run. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -135,6 +84,7 @@ impl Scenario {
             return Err(ScenarioError::Unknown {
                 nearest: nearest_name(&name),
                 name,
+                names: Self::names().collect(),
             });
         }
         Self::read(path)

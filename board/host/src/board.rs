@@ -14,15 +14,11 @@ use crate::can::HostCan;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
 use crate::lines::{HostLines, HostLink};
-use crate::memory::MemoryError;
-use crate::name::RunName;
-use crate::segment::{Segment, SegmentError};
+use crate::memory::{self, MemoryError};
+use crate::segment::SegmentError;
 use crate::spawn;
 use crate::supply_client::HostSupply;
 use crate::trace_ring::TraceRing;
-
-/// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
-pub const LMU_WORDS: usize = 8192;
 
 /// Why a core cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -86,7 +82,7 @@ impl HostBoard {
         let of = args.identity;
         let backplane = Backplane::open(&args.common.run)?;
         bind_to_supply(backplane, of.system)?;
-        let lmu = open_lmu(&args.common.run, of.system)?;
+        let lmu = memory::open_lmu(&args.common.run, of.system)?;
         let ringers = Arc::new(Ringers::new(&args.common.run));
         let trace_ring = backplane.trace_ring(of.address().index());
         trace_ring.begin_incarnation();
@@ -189,22 +185,4 @@ fn bind_to_supply(backplane: Backplane, system: SystemId) -> Result<(), AttachEr
             Ok(false) | Err(_) => Err(AttachError::NoPower(system)),
         },
     }
-}
-
-fn lmu_name(system: SystemId) -> String {
-    format!("lmu-{system}")
-}
-
-/// Creates the LMU of a system, zero.
-pub(crate) fn create_lmu(run: &RunName, system: SystemId) -> Result<(), SegmentError> {
-    Segment::<LMU_WORDS>::create(run, &lmu_name(system)).map(drop)
-}
-
-/// Maps the LMU of a system as long as this process lives.
-pub(crate) fn open_lmu(
-    run: &RunName,
-    system: SystemId,
-) -> Result<&'static [AtomicU32], SegmentError> {
-    let segment = Segment::<LMU_WORDS>::open(run, &lmu_name(system))?;
-    Ok(Box::leak(Box::new(segment)).words())
 }

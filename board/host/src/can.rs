@@ -7,24 +7,8 @@ use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, broadcast, fifo};
 
-use crate::backplane::{Backplane, RINGS};
+use crate::backplane::{Backplane, RINGS, encode_transmit};
 use crate::clock;
-
-/// A frame on its way to the bus: frame, number of discards before it.
-pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
-
-/// A frame for the transmit ring. `discards`: how often the sender has discarded what waits.
-pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
-    let mut words = [discards; TRANSMIT_WORDS];
-    words[..FRAME_WORDS].copy_from_slice(&frame.encode());
-    words
-}
-
-/// The frame in the transmit ring, and the sender's discards before it.
-pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
-    let frame = words.first_chunk()?;
-    Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
-}
 
 /// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
 /// once a millisecond; without it nothing is received and the transmit buffer fills up.

@@ -43,13 +43,13 @@ pub use args::{
 };
 pub use backplane::{Backplane, BackplaneError};
 pub use bell::BellError;
-pub use board::{AttachError, HostBoard, LMU_WORDS};
+pub use board::{AttachError, HostBoard};
 pub use can::HostCan;
 pub use flash::{FlashFileError, HostFlash};
 pub use isolation::{Isolation, IsolationError};
 pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};
 pub use lines::{HostLines, HostLink};
-pub use memory::MemoryError;
+pub use memory::{LMU_WORDS, MemoryError};
 pub use name::{InvalidRunName, RunName};
 pub use segment::SegmentError;
 pub use supply_client::HostSupply;

@@ -1,13 +1,17 @@
 //! The shared memory of a run: all of it is created, and its pages reserved, before the first
 //! process starts. A place that is too small refuses the run; it never stops one that drives.
 
+use core::sync::atomic::AtomicU32;
+
 use tandem_board::SystemId;
 
 use crate::backplane::{Backplane, BackplaneError};
 use crate::bell::{self, BellError};
-use crate::board;
 use crate::name::RunName;
-use crate::segment::SegmentError;
+use crate::segment::{Segment, SegmentError};
+
+/// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
+pub const LMU_WORDS: usize = 8192;
 
 /// Why the shared memory of a run cannot be had.
 #[derive(Debug, thiserror::Error)]
@@ -27,8 +31,21 @@ pub enum MemoryError {
 pub(crate) fn create(run: &RunName) -> Result<Backplane, MemoryError> {
     let backplane = Backplane::create(run)?;
     for system in SystemId::ALL {
-        board::create_lmu(run, system)?;
+        Segment::<LMU_WORDS>::create(run, &lmu_name(system))?;
     }
     bell::install(run)?;
     Ok(backplane)
+}
+
+fn lmu_name(system: SystemId) -> String {
+    format!("lmu-{system}")
+}
+
+/// Maps the LMU of a system as long as this process lives.
+pub(crate) fn open_lmu(
+    run: &RunName,
+    system: SystemId,
+) -> Result<&'static [AtomicU32], SegmentError> {
+    let segment = Segment::<LMU_WORDS>::open(run, &lmu_name(system))?;
+    Ok(Box::leak(Box::new(segment)).words())
 }

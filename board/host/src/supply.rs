@@ -25,9 +25,9 @@ use tandem_shm::{FitError, fifo};
 use crate::args::{CoreArgs, SupplyArgs};
 use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
 use crate::bell::Ringers;
-use crate::board::open_lmu;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
+use crate::memory;
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
 
@@ -72,7 +72,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
-    let lmu = open_lmu(&args.common.run, args.system)?;
+    let lmu = memory::open_lmu(&args.common.run, args.system)?;
     backplane
         .trace_ring(supply_trace_ring(args.system))
         .begin_incarnation();

@@ -12,9 +12,10 @@ use tandem_peripherals::wires::Wire;
 use tandem_shm::{FitError, broadcast, fifo};
 
 use crate::args::VehicleArgs;
-use crate::backplane::{Backplane, BackplaneError, RINGS, supply_trace_ring};
+use crate::backplane::{
+    Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
+};
 use crate::bell::Ringers;
-use crate::can::{TRANSMIT_WORDS, decode_transmit};
 use crate::clock::{self, Ticker};
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
@@ -290,7 +291,8 @@ fn wait_until_assembled(backplane: Backplane) -> Result<(), VehiclePortError> {
 mod tests {
     use super::*;
     use crate::args::{Common, Schedule};
-    use crate::can::{HostCan, encode_transmit};
+    use crate::backplane::encode_transmit;
+    use crate::can::HostCan;
     use crate::name::RunName;
     use tandem_board::{Can, CanId, Generation, Identity};
 

@@ -1,12 +1,27 @@
 //! Where everything lies in the backplane, in words.
 
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
-use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
+use tandem_peripherals::codec::{BusFrame, DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
 use tandem_peripherals::wires::LINK_DATAGRAMS;
 use tandem_shm::{Shape, broadcast, fifo};
 
-use crate::can::TRANSMIT_WORDS;
 use crate::trace_ring;
+
+/// A frame on its way to the bus: frame, number of discards before it.
+pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
+
+/// A frame for the transmit ring. `discards`: how often the sender has discarded what waits.
+pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
+    let mut words = [discards; TRANSMIT_WORDS];
+    words[..FRAME_WORDS].copy_from_slice(&frame.encode());
+    words
+}
+
+/// The frame in the transmit ring, and the sender's discards before it.
+pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame, u32)> {
+    let frame = words.first_chunk()?;
+    Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
+}
 
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;

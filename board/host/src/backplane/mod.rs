@@ -17,7 +17,9 @@ use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
 use layout::{Core, Run, System, WORDS};
-pub(crate) use layout::{RINGS, Ring, supply_trace_ring};
+pub(crate) use layout::{
+    RINGS, Ring, TRANSMIT_WORDS, decode_transmit, encode_transmit, supply_trace_ring,
+};
 
 /// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
 const MAGIC: u32 = 0x5444_4D03;
