@@ -11,6 +11,8 @@ pub mod board;
 pub mod clock;
 pub mod cpu;
 pub mod exit;
+#[path = "../../log.rs"]
+mod log;
 pub mod memory;
 pub mod mhu;
 mod start;

@@ -2,7 +2,8 @@
 
 use core::fmt::{self, Write};
 use core::ptr::{read_volatile, write_volatile};
-use core::sync::atomic::{AtomicBool, Ordering};
+
+use crate::log::write_line;
 
 const UART: usize = 0x5020_0000;
 const DATA: *mut u32 = UART as *mut u32;
@@ -12,15 +13,12 @@ const BAUD_DIVIDER: *mut u32 = (UART + 0x10) as *mut u32;
 const TRANSMIT_FULL: u32 = 1;
 const TRANSMIT_ENABLE: u32 = 1;
 
-/// One line at a time, of whichever processor.
-static BUSY: AtomicBool = AtomicBool::new(false);
-
 struct Uart;
 
 impl Write for Uart {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         for byte in text.bytes() {
-            // SAFETY: the UART's registers; `BUSY` keeps the other processor out.
+            // SAFETY: the UART's registers; `write_line` keeps the other processor out.
             unsafe {
                 while read_volatile(STATE) & TRANSMIT_FULL != 0 {}
                 write_volatile(DATA, byte.into());
@@ -42,24 +40,10 @@ pub(crate) fn start() {
 
 /// Writes a line. Blocks; task context.
 pub fn print(line: fmt::Arguments<'_>) {
-    // Acquire pairs with the Release below: lines come whole.
-    while BUSY.swap(true, Ordering::Acquire) {
-        core::hint::spin_loop();
-    }
-    // Writing to the UART cannot fail.
-    let _ = writeln!(Uart, "{line}");
-    BUSY.store(false, Ordering::Release);
+    write_line(&mut Uart, core::hint::spin_loop, line);
 }
 
 /// Writes a line although the other processor may be about to: for one that ends everything.
 pub(crate) fn print_now(line: fmt::Arguments<'_>) {
     let _ = writeln!(Uart, "{line}");
-}
-
-/// Writes a line to the log.
-#[macro_export]
-macro_rules! log {
-    ($($argument:tt)*) => {
-        $crate::uart::print(::core::format_args!($($argument)*))
-    };
 }

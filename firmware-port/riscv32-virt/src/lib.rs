@@ -15,6 +15,8 @@ pub mod doorbell;
 pub mod exit;
 pub mod hart;
 pub mod heap;
+#[path = "../../log.rs"]
+mod log;
 pub mod memory;
 pub mod peripherals;
 pub mod program_flash;

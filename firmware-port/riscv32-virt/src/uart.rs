@@ -2,21 +2,19 @@
 
 use core::fmt::{self, Write};
 use core::ptr::{read_volatile, write_volatile};
-use core::sync::atomic::{AtomicBool, Ordering};
+
+use crate::log::write_line;
 
 const UART: usize = 0x1000_0000;
 const LINE_STATUS: usize = 5;
 const TRANSMITTER_EMPTY: u8 = 1 << 5;
-
-/// One line at a time, of whichever hart.
-static BUSY: AtomicBool = AtomicBool::new(false);
 
 struct Uart;
 
 impl Write for Uart {
     fn write_str(&mut self, text: &str) -> fmt::Result {
         for byte in text.bytes() {
-            // SAFETY: the registers of the 16550; `BUSY` keeps other harts out.
+            // SAFETY: the registers of the 16550; `write_line` keeps other harts out.
             unsafe {
                 while read_volatile((UART + LINE_STATUS) as *const u8) & TRANSMITTER_EMPTY == 0 {}
                 write_volatile(UART as *mut u8, byte);
@@ -29,28 +27,10 @@ impl Write for Uart {
 /// Writes a line. Blocks; task context.
 pub fn print(line: fmt::Arguments<'_>) {
     // Off: a reset must not come while this hart has the UART.
-    crate::hart::without_interrupts(|| print_whole(line));
-}
-
-fn print_whole(line: fmt::Arguments<'_>) {
-    // Acquire pairs with the Release below: lines come whole.
-    while BUSY.swap(true, Ordering::Acquire) {
-        crate::hart::yield_turn();
-    }
-    // Writing to the UART cannot fail.
-    let _ = writeln!(Uart, "{line}");
-    BUSY.store(false, Ordering::Release);
+    crate::hart::without_interrupts(|| write_line(&mut Uart, crate::hart::yield_turn, line));
 }
 
 /// Writes a line although another hart may be about to: for a hart that ends everything.
 pub(crate) fn print_now(line: fmt::Arguments<'_>) {
     let _ = writeln!(Uart, "{line}");
-}
-
-/// Writes a line to the log.
-#[macro_export]
-macro_rules! log {
-    ($($argument:tt)*) => {
-        $crate::uart::print(::core::format_args!($($argument)*))
-    };
 }

@@ -1,0 +1,25 @@
+//! The lines of a log: one at a time, although several processors write. A module of each board.
+
+use core::fmt::{self, Write};
+use core::sync::atomic::{AtomicBool, Ordering};
+
+static BUSY: AtomicBool = AtomicBool::new(false);
+
+/// Writes a line. While another processor writes one, calls `pause` again and again.
+pub(crate) fn write_line(uart: &mut impl Write, pause: impl Fn(), line: fmt::Arguments<'_>) {
+    // Acquire pairs with the Release below: lines come whole.
+    while BUSY.swap(true, Ordering::Acquire) {
+        pause();
+    }
+    // Writing to the UART cannot fail.
+    let _ = writeln!(uart, "{line}");
+    BUSY.store(false, Ordering::Release);
+}
+
+/// Writes a line to the log.
+#[macro_export]
+macro_rules! log {
+    ($($argument:tt)*) => {
+        $crate::uart::print(::core::format_args!($($argument)*))
+    };
+}
