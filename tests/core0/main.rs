@@ -16,6 +16,8 @@ mod calls;
 #[path = "../../cli/src/control_core.rs"]
 mod control_core;
 mod flood;
+#[path = "../../board/host/tests/processes/launcher.rs"]
+mod launcher;
 mod run;
 mod tracer;
 
@@ -32,8 +34,8 @@ fn main() -> ExitCode {
     if let Some(args) = ProcessArgs::parse(argv.iter().cloned()) {
         return run::play(args.expect("arguments made by this program"));
     }
-    if argv.first().is_some_and(|first| first == run::LAUNCH) {
-        return run::launch(&argv[1..]);
+    if argv.first().is_some_and(|first| first == launcher::LAUNCH) {
+        return launcher::launch(&argv[1..], |_| false);
     }
     let trials = run::all_cases()
         .map(|case| Trial::test(case.name, move || run::run_case(&case).map_err(Into::into)));

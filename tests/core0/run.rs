@@ -1,26 +1,21 @@
-//! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
+//! What a case is, and what each process of its run does.
 
+use crate::launcher::{again, finish, start_launcher, watch};
 use crate::{calls, control_core, flood};
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitCode, Stdio};
+use std::process::ExitCode;
 use std::time::{Duration as Span, Instant as Clock};
-use std::{fs, thread};
 use tandem_board::{
     Board, CoreId, Duration, Instant, SystemId, Traced, VehicleBus, VehiclePort, Wake,
 };
 use tandem_board_host::realtime::Grant;
-use tandem_board_host::{
-    CoreArgs, HostBoard, HostVehiclePort, Launcher, Plan, ProcessArgs, Schedule, isolation, supply,
-};
+use tandem_board_host::{CoreArgs, HostBoard, HostVehiclePort, ProcessArgs, supply};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 use tandem_vehicle::{Scenario, Verdict, World};
 
-/// First argument of this program as a launcher; then the case and the folder.
-pub(crate) const LAUNCH: &str = "launch";
 /// A case that takes longer hangs.
 const PATIENCE: Span = Span::from_secs(60);
 
@@ -52,67 +47,9 @@ pub(crate) struct Script {
 /// Runs a case in processes of its own and says what they said if it failed.
 pub(crate) fn run_case(case: &Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
-    // A file: a pipe that nobody reads would stop the launcher.
-    let said = folder.path().join("stderr");
-    let file = fs::File::create(&said).map_err(|error| error.to_string())?;
-    let mut launcher = Command::new(std::env::current_exe().expect("own path"))
-        .args([LAUNCH, case.name])
-        .arg(folder.path())
-        .stdin(Stdio::null())
-        .stdout(Stdio::null())
-        .stderr(file)
-        .spawn()
-        .map_err(|error| error.to_string())?;
-    let deadline = Clock::now() + PATIENCE + Span::from_secs(10);
-    let status = loop {
-        if let Some(status) = launcher.try_wait().map_err(|error| error.to_string())? {
-            break status.to_string();
-        }
-        if Clock::now() > deadline {
-            let _ = launcher.kill();
-            let _ = launcher.wait();
-            break "hangs".to_owned();
-        }
-        thread::sleep(Span::from_millis(5));
-    };
-    let said = fs::read_to_string(said).unwrap_or_default();
-    if status == "exit status: 0" {
-        print!("{said}");
-        return Ok(());
-    }
-    Err(format!("{status}\n{said}"))
-}
-
-/// Is the launcher of a case.
-pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
-    let (name, folder) = (&argv[0], Path::new(&argv[1]));
-    let place = isolation::enter().expect("a place for the run");
-    let mut launcher = Launcher::prepare_in(place).expect("launcher");
-    let plan = Plan {
-        schedule: Schedule::default(),
-        flash: [folder.join("dflash-A"), folder.join("dflash-B")],
-        extra: vec![name.clone(), folder.into()],
-    };
-    launcher.start(&plan, &again).expect("start");
-    let ended = launcher.wait();
-    let leftovers = launcher.finish();
-    if leftovers.count() > 0 {
-        eprintln!("left behind: {leftovers:?}");
-        return ExitCode::from(3);
-    }
-    match ended.vehicle {
-        Some(status) if status.success() => ExitCode::SUCCESS,
-        status => {
-            eprintln!("the vehicle ended with {status:?}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn again(args: &ProcessArgs) -> Command {
-    let mut command = Command::new(std::env::current_exe().expect("own path"));
-    command.args(args.to_argv());
-    command
+    let launcher = start_launcher(case.name, folder.path(), "own");
+    print!("{}", finish(launcher, PATIENCE + Span::from_secs(10))?);
+    Ok(())
 }
 
 /// Is a process of a run.
@@ -141,11 +78,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
             }
         }
         ProcessArgs::Vehicle(args) => {
-            thread::spawn(|| {
-                thread::sleep(PATIENCE);
-                eprintln!("the vehicle hangs");
-                std::process::exit(9);
-            });
+            watch(PATIENCE);
             let _ = args.claim();
             let scenario = Scenario::load("free-lane").expect("an embedded scenario");
             let mut script = Script {

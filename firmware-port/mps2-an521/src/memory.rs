@@ -1,30 +1,14 @@
 //! The memory that the linker script lays out: the two LMUs, and the straps.
 
-use core::ptr::addr_of;
-use core::sync::atomic::AtomicU32;
-use tandem_board::SystemId;
+#[path = "../../lmu.rs"]
+mod lmu;
 
-/// Words of an LMU: 32 KiB.
-pub const LMU_WORDS: usize = 8192;
+use core::ptr::addr_of;
+
+pub use lmu::{LMU_WORDS, lmu};
 
 unsafe extern "C" {
-    static __lmu_a: AtomicU32;
-    static __lmu_b: AtomicU32;
     static __straps: u32;
-}
-
-/// The LMU of a system.
-#[must_use]
-pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
-    // SAFETY: link.x reserves 32 KiB there, a bank of its own; atomics may be shared; the memory is
-    // there as long as the machine.
-    unsafe {
-        let begin = match system {
-            SystemId::A => addr_of!(__lmu_a),
-            SystemId::B => addr_of!(__lmu_b),
-        };
-        core::slice::from_raw_parts(begin, LMU_WORDS)
-    }
 }
 
 /// Word `index` of what the emulator was told to write before the start, as pins that are tied high

@@ -24,6 +24,7 @@ use tandem_board::{CoreId, Generation, SystemId};
 use tandem_board_host::processes::{self, Kind};
 
 use crate::fixture::{self, Case, GRANTED, Script, live, signal};
+use crate::launcher;
 use crate::residue::{LASTING, Outcome, end_in_order, started, until};
 
 /// The case whose cores must be granted real time.
@@ -172,7 +173,7 @@ impl Ground {
     }
 
     fn launcher(&self, case: &str, place: &str) -> Command {
-        fixture::launcher(&self.program(), case, &self.data(), place)
+        launcher::launcher(&self.program(), case, &self.data(), place)
     }
 }
 
@@ -246,7 +247,7 @@ fn small() -> Outcome {
             let ground = Ground::new()?;
             let ended = ground.launcher(LASTING.name, "shared").output()?;
             let said = String::from_utf8_lossy(&ended.stderr).into_owned();
-            if ended.status.code() != Some(fixture::REFUSED.into()) || !said.contains("/dev/shm") {
+            if ended.status.code() != Some(launcher::REFUSED.into()) || !said.contains("/dev/shm") {
                 return Err(format!("{size}: {}: {said}", ended.status).into());
             }
             assert_eq!(files("/dev/shm")?, Vec::<PathBuf>::new(), "{size}");

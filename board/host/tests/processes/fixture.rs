@@ -1,25 +1,20 @@
-//! How a case is run: harness, launcher, supplies, cores and vehicle, all in this program.
+//! What a case is, and what each process of its run does.
 
-use std::ffi::{OsStr, OsString};
-use std::path::Path;
-use std::process::{Child, Command, ExitCode, Stdio};
+use std::ffi::OsString;
+use std::process::{Child, ExitCode};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 use tandem_board::{Board, CoreId, Generation, SystemId, Traced, VehicleBus, VehiclePort};
 use tandem_board_host::{
-    HostBoard, HostVehiclePort, LaunchError, Launcher, Plan, ProcessArgs, RunName, Schedule, clock,
-    isolation, processes, supply,
+    HostBoard, HostVehiclePort, ProcessArgs, RunName, clock, processes, supply,
 };
 
-/// First argument of this program as a launcher; then the case, the folder, the place.
-pub(crate) const LAUNCH: &str = "launch";
+use crate::launcher::{self, again, start_launcher};
+
 /// How long anything may take before it counts as hung.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
-
-/// Exit status of a launcher that could not prepare its run.
-pub(crate) const REFUSED: u8 = 4;
 
 /// First trace record of every core in the case of that name: whether it was granted real-time
 /// priority.
@@ -66,111 +61,17 @@ pub(crate) fn run_case(case: Case) -> Result<(), String> {
 }
 
 /// Waits until a case has ended, and says what went wrong.
-pub(crate) fn finish(mut launcher: Child) -> Result<(), String> {
-    let deadline = Instant::now() + PATIENCE + Duration::from_secs(10);
-    while launcher
-        .try_wait()
-        .map_err(|error| error.to_string())?
-        .is_none()
-    {
-        if Instant::now() > deadline {
-            let _ = launcher.kill();
-            let output = launcher
-                .wait_with_output()
-                .map_err(|error| error.to_string())?;
-            return Err(format!(
-                "hangs\n{}",
-                String::from_utf8_lossy(&output.stderr)
-            ));
-        }
-        thread::sleep(Duration::from_millis(2));
-    }
-    let output = launcher
-        .wait_with_output()
-        .map_err(|error| error.to_string())?;
-    if output.status.success() {
-        return Ok(());
-    }
-    Err(format!(
-        "{}\n{}",
-        output.status,
-        String::from_utf8_lossy(&output.stderr)
-    ))
-}
-
-/// Starts this program as the launcher of a run.
-pub(crate) fn start_launcher(case: &str, folder: &Path, place: &str) -> Child {
-    let program = std::env::current_exe().expect("own path");
-    launcher(&program, case, folder, place)
-        .spawn()
-        .expect("launcher")
-}
-
-/// The command that is the launcher of a run; `program` is this program or a copy of it.
-pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -> Command {
-    let mut command = Command::new(program);
-    command.args([LAUNCH, case]).arg(folder).arg(place);
-    command.stdin(Stdio::null());
-    command.stdout(Stdio::null()).stderr(Stdio::piped());
-    command
+pub(crate) fn finish(launcher: Child) -> Result<(), String> {
+    launcher::finish(launcher, PATIENCE + Duration::from_secs(10)).map(drop)
 }
 
 /// Whether the processes of a case claim real time.
-fn claims_realtime(case: impl AsRef<OsStr>) -> bool {
+pub(crate) fn claims_realtime(case: &str) -> bool {
     [
         crate::deaths::REALTIME,
         crate::environment::GRANTED_REALTIME,
     ]
-    .iter()
-    .any(|name| case.as_ref() == *name)
-}
-
-/// Is the launcher of a case.
-pub(crate) fn launch(argv: &[OsString]) -> ExitCode {
-    let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
-    let place = if place == "own" {
-        isolation::enter()
-    } else {
-        isolation::enter_shared()
-    };
-    let prepared = place
-        .map_err(LaunchError::from)
-        .and_then(Launcher::prepare_in);
-    let mut launcher = match prepared {
-        Ok(launcher) => launcher,
-        Err(error) => {
-            eprintln!("{error}");
-            return ExitCode::from(REFUSED);
-        }
-    };
-    let plan = Plan {
-        schedule: Schedule {
-            realtime: claims_realtime(name),
-            ..Schedule::default()
-        },
-        flash: [folder.join("dflash-A"), folder.join("dflash-B")],
-        extra: vec![name.clone(), folder.into()],
-    };
-    launcher.start(&plan, &again).expect("start");
-    let ended = launcher.wait();
-    let leftovers = launcher.finish();
-    if leftovers.count() > 0 {
-        eprintln!("left behind: {leftovers:?}");
-        return ExitCode::from(3);
-    }
-    match ended.vehicle {
-        Some(status) if status.success() => ExitCode::SUCCESS,
-        status => {
-            eprintln!("the vehicle ended with {status:?}");
-            ExitCode::FAILURE
-        }
-    }
-}
-
-fn again(args: &ProcessArgs) -> Command {
-    let mut command = Command::new(std::env::current_exe().expect("own path"));
-    command.args(args.to_argv());
-    command
+    .contains(&case)
 }
 
 /// Is a process of a run.
@@ -204,12 +105,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
             }
         },
         ProcessArgs::Vehicle(args) => {
-            // Whatever hangs, hangs for so long and no longer.
-            thread::spawn(|| {
-                thread::sleep(PATIENCE);
-                eprintln!("the vehicle hangs");
-                std::process::exit(9);
-            });
+            launcher::watch(PATIENCE);
             let _ = args.claim();
             match HostVehiclePort::attach(&args) {
                 Ok(port) => {

@@ -11,6 +11,7 @@ mod conformance;
 mod deaths;
 mod environment;
 mod fixture;
+mod launcher;
 mod residue;
 
 use std::process::ExitCode;
@@ -23,8 +24,8 @@ fn main() -> ExitCode {
     if let Some(args) = ProcessArgs::parse(argv.iter().cloned()) {
         return fixture::play(args.expect("arguments made by this program"));
     }
-    if argv.first().is_some_and(|first| first == fixture::LAUNCH) {
-        return fixture::launch(&argv[1..]);
+    if argv.first().is_some_and(|first| first == launcher::LAUNCH) {
+        return launcher::launch(&argv[1..], fixture::claims_realtime);
     }
     let mut trials: Vec<Trial> = fixture::all_cases()
         .map(|case| {

@@ -10,7 +10,8 @@ use rustix::process::Signal;
 use tandem_board::{SystemId, VehiclePort};
 use tandem_board_host::{RunName, processes};
 
-use crate::fixture::{self, Case, PATIENCE, Script, live, signal, start_launcher};
+use crate::fixture::{self, Case, PATIENCE, Script, live, signal};
+use crate::launcher::start_launcher;
 
 pub(crate) const CASES: &[Case] = &[Case {
     name: "a_short_run_ends_by_itself",

@@ -1,0 +1,27 @@
+//! The LMU of each system, where the linker script puts it. A module of each board.
+
+use core::ptr::addr_of;
+use core::sync::atomic::AtomicU32;
+use tandem_board::SystemId;
+
+/// Words of an LMU: 32 KiB.
+pub const LMU_WORDS: usize = 8192;
+
+unsafe extern "C" {
+    static __lmu_a: AtomicU32;
+    static __lmu_b: AtomicU32;
+}
+
+/// The LMU of a system.
+#[must_use]
+pub fn lmu(system: SystemId) -> &'static [AtomicU32] {
+    // SAFETY: link.x reserves 32 KiB there, from a boundary of 64 bytes on and used by nothing
+    // else; atomics may be shared; the memory is there as long as the machine.
+    unsafe {
+        let begin = match system {
+            SystemId::A => addr_of!(__lmu_a),
+            SystemId::B => addr_of!(__lmu_b),
+        };
+        core::slice::from_raw_parts(begin, LMU_WORDS)
+    }
+}
