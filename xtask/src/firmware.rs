@@ -82,10 +82,10 @@ pub(crate) enum Image {
     Conformance,
     /// The whole controller; `tandem run --board qemu` starts it
     Controller,
+    /// The driving functions over recorded frames; `test` gives it some
+    GoldenReplay,
     /// Which reorderings two harts see
     Litmus,
-    /// The driving functions over recorded frames; `test` gives it some
-    Replay,
     /// The whole controller for a slot
     SlotController,
     /// Three cores that each send a frame, for a slot
@@ -103,8 +103,8 @@ impl Image {
         Self::Bootloader,
         Self::Conformance,
         Self::Controller,
+        Self::GoldenReplay,
         Self::Litmus,
-        Self::Replay,
         Self::RtosDemo,
         Self::Schedules,
         Self::SlotController,
@@ -120,8 +120,8 @@ impl Image {
             Self::SlotFrames => "slot-frames",
             Self::Conformance => "conformance",
             Self::Controller => "controller",
+            Self::GoldenReplay => "golden-replay",
             Self::Litmus => "litmus",
-            Self::Replay => "replay",
             Self::RtosDemo => "rtos-demo",
             Self::Schedules => "schedules",
         }

@@ -62,7 +62,7 @@ fn record(scenario: &str) -> Vec<u32> {
     assert_eq!(
         functions.digest(),
         play(&recording, DRIVE_MS),
-        "a replay is what was recorded"
+        "the golden replay computes what was computed while it was recorded"
     );
     recording
 }
@@ -98,7 +98,7 @@ fn as_firmware(recording: &[u32]) -> String {
             &format!("loader,addr={LENGTH_AT:#x},data={DRIVE_MS},data-len=4"),
         ])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])
-        .arg(PathBuf::from(images).join("replay"))
+        .arg(PathBuf::from(images).join("golden-replay"))
         .stdin(Stdio::null())
         .output()
         .unwrap();
