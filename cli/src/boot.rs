@@ -13,6 +13,7 @@ use embedded_storage::nor_flash::ReadNorFlash as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, RoleLamp, SystemId};
 use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
+use tandem_board_qemu::PROGRAM_FLASH_AT;
 use tandem_boot::{
     BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot,
     Target, Trust, TrustMode, approve, rom_choice, start,
@@ -208,6 +209,19 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     let mut program = vec![0; (part.offset + part.length - entry) as usize];
     file.read(place + entry, &mut program).map_err(unreadable)?;
     Ok(program)
+}
+
+/// An application for the emulated board.
+///
+/// # Errors
+/// If the file is no image for a slot.
+pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
+    let release = Release {
+        version,
+        entries: [0; CoreId::COUNT],
+        lowest_key: 0,
+    };
+    Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
 }
 
 /// Approves the running image when it has proved itself, on a thread of its own.

@@ -7,10 +7,10 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
 use tandem_board::{CanFrame, CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
-use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule};
-use tandem_board_qemu::{BootFrom, EmulatedWorld, PROGRAM_FLASH_AT};
+use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
+use tandem_board_qemu::{BootFrom, EmulatedWorld};
 use tandem_boot::Slot;
-use tandem_boot_host::{FlashFile, Image, Release, Sender, SigningKey, ToDo, records};
+use tandem_boot_host::{FlashFile, Sender, SigningKey, ToDo, records};
 
 use crate::args::{BootDemoArgs, DemoBoard};
 use crate::boot::{self, ProgramFlash};
@@ -74,11 +74,13 @@ fn on_host(key: &SigningKey) -> anyhow::Result<String> {
 /// The vehicle's part on the host.
 ///
 /// # Errors
-/// As [`download`].
-pub(crate) fn play(port: &mut HostVehiclePort, lines: &Path, told: &Path) -> anyhow::Result<()> {
+/// As [`download`], or if the run is over.
+pub(crate) fn play(args: &VehicleArgs, [lines, told]: &[PathBuf; 2]) -> anyhow::Result<()> {
+    let mut port =
+        HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
     let text = fs::read_to_string(lines).with_context(|| lines.display().to_string())?;
     let lines = text.split_inclusive('\n').map(str::to_owned).collect();
-    let shown = download(port, lines);
+    let shown = download(&mut port, lines);
     port.set_ignition(false);
     fs::write(told, shown?).with_context(|| told.display().to_string())
 }
@@ -90,7 +92,7 @@ fn on_qemu(args: &BootDemoArgs, key: &SigningKey) -> anyhow::Result<String> {
     };
     let (bootloader, application) = (image("bootloader")?, image("slot-frames")?);
     let elf = fs::read(&application).with_context(|| application.display().to_string())?;
-    let lines = records(NAME, &[&of_elf(&elf, 1, key)?]);
+    let lines = records(NAME, &[&boot::of_elf(&elf, 1, key)?]);
     let folder = tempfile::tempdir().context("a folder for the program flash")?;
     let flash = folder.path().join("A.pflash");
     FlashFile::open(&flash).with_context(|| flash.display().to_string())?;
@@ -112,19 +114,6 @@ fn emulated_system(
         false,
         &[(SYSTEM, from)],
     )?)
-}
-
-/// An application for the emulated board.
-///
-/// # Errors
-/// If the file is no image for a slot.
-pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
-    let release = Release {
-        version,
-        entries: [0; CoreId::COUNT],
-        lowest_key: 0,
-    };
-    Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
 }
 
 /// Downloads to an empty controller, and waits for a frame of each core; what came.

@@ -11,12 +11,12 @@ use tandem_boot_host::FlashFile;
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, RunArgs};
+use crate::boot;
 use crate::files::RunFiles;
 use crate::live::Progress;
 use crate::recorder::Recorder;
 use crate::run_config::RunConfig;
 use crate::vehicle::{self, Ended};
-use crate::{boot, boot_demo};
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -89,7 +89,7 @@ impl Images {
                 let key = boot::new_key()?;
                 let elf = std::fs::read(application)
                     .with_context(|| application.display().to_string())?;
-                let image = boot_demo::of_elf(&elf, 1, &key)?;
+                let image = boot::of_elf(&elf, 1, &key)?;
                 let from = SystemId::ALL.map(|system| {
                     let from = BootFrom {
                         flash: folder.join(format!("{system}.pflash")),

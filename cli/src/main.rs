@@ -35,6 +35,7 @@ use std::process::ExitCode;
 
 use anyhow::Context as _;
 use clap::Parser as _;
+use run_config::RunConfig;
 use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 
 use args::{Cli, Command};
@@ -97,7 +98,14 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             let of = args.identity;
             core_process::run(&args).with_context(|| format!("core {}{}", of.system, of.core))
         }
-        ProcessArgs::Vehicle(args) => vehicle::run(&args).context("vehicle"),
+        ProcessArgs::Vehicle(args) => {
+            let run = RunConfig::from_extra(&args.common.extra)?;
+            match &run.demo {
+                Some(files) => boot_demo::play(&args, files),
+                None => vehicle::run(&args, &run),
+            }
+            .context("vehicle")
+        }
     }
 }
 

@@ -9,7 +9,6 @@ use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
 use tandem_vehicle::{Config, LoggedFrame, Scenario, Snapshot, World};
 
-use crate::boot_demo;
 use crate::files::RunFiles;
 use crate::live::Live;
 use crate::recorder::Recorder;
@@ -31,19 +30,13 @@ const GIVE_UP_TICKS: u64 = 15_000;
 ///
 /// # Errors
 /// If the scenario cannot be loaded, the run is over, or its recording cannot be written.
-pub(crate) fn run(args: &VehicleArgs) -> anyhow::Result<()> {
-    let run = RunConfig::from_extra(&args.common.extra)?;
-    if let Some([lines, told]) = &run.demo {
-        let mut port =
-            HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
-        return boot_demo::play(&mut port, lines, told);
-    }
+pub(crate) fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
     let _ = args.claim();
     let port = HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
-    drive(&run, &scenario, port, recorder).map(drop)
+    drive(run, &scenario, port, recorder).map(drop)
 }
 
 /// Drives the scenario to its end, with a controller on any board.
