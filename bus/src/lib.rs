@@ -2,7 +2,7 @@
 //!
 //! `dbc/tandem.dbc` is the single source of every frame; the build script makes the structs of
 //! [`dbc`] from it. [`Message`] is one frame with its values, [`Transmitter`] and [`Receiver`] add
-//! and check the end-to-end protection of [`e2e`], [`candump`] writes and reads logs.
+//! and check the end-to-end protection of [`e2e`], [`candump`] writes logs.
 //!
 //! ```
 //! use tandem_bus::{Control, Message, Receiver, Transmitter};

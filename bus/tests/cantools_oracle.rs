@@ -11,7 +11,7 @@ use std::thread;
 
 use proptest::strategy::{Strategy as _, ValueTree as _};
 use proptest::test_runner::TestRunner;
-use tandem_bus::candump::{BIT_RATE_SWITCH, Id, Record};
+use tandem_bus::candump::{Id, Record};
 use tandem_bus::{Encoded, FRAMES, Message, Transmitter};
 
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
@@ -162,14 +162,14 @@ fn cantools_reads_our_logs() {
     let frames = random_frames(500);
     let mut log = String::new();
     for (i, (_, frame)) in frames.iter().enumerate() {
-        let id = Id::Standard(frame.id);
-        let record = Record::new("vcan0", id, Some(BIT_RATE_SWITCH), frame.data()).unwrap();
-        writeln!(
-            log,
-            "{}",
-            record.at_us(1_436_509_052_249_713 + 10_007 * i as u64)
-        )
-        .unwrap();
+        let record = Record {
+            at_us: 1_436_509_052_249_713 + 10_007 * i as u64,
+            interface: "vcan0",
+            id: Id::Standard(frame.id),
+            is_fd: true,
+            data: frame.data(),
+        };
+        writeln!(log, "{record}").unwrap();
     }
     let decode = [
         "-m",

@@ -440,9 +440,8 @@ fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
     let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);
     let mut log = RunLog::default();
     file::read(recording, |entry| {
-        if let file::Entry::Frame(frame) = &entry
-            && let Some(line) = file::candump_line(frame, log.header.epoch_us)
-        {
+        if let file::Entry::Frame(frame) = &entry {
+            let line = file::candump_line(frame, log.header.epoch_us);
             writeln!(lines, "{line}").with_context(writing)?;
         }
         log.push(entry);

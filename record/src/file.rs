@@ -29,16 +29,19 @@ const VERDICTS: [Verdict; 4] = [
 /// The line of a frame in a CAN log, without a line feed; `epoch_us` is the time of day at the
 /// clock's 0.
 #[must_use]
-pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> Option<String> {
+pub fn candump_line(logged: &LoggedFrame, epoch_us: u64) -> String {
     let frame = &logged.frame;
-    let id = match frame.id() {
-        CanId::Standard(id) => candump::Id::Standard(id),
-        CanId::Extended(id) => candump::Id::Extended(id),
+    let record = candump::Record {
+        at_us: epoch_us + logged.at.as_ns() / 1_000,
+        interface: INTERFACE,
+        id: match frame.id() {
+            CanId::Standard(id) => candump::Id::Standard(id),
+            CanId::Extended(id) => candump::Id::Extended(id),
+        },
+        is_fd: frame.is_fd(),
+        data: frame.data(),
     };
-    let flags = frame.is_fd().then_some(candump::BIT_RATE_SWITCH);
-    let record = candump::Record::new(INTERFACE, id, flags, frame.data()).ok()?;
-    let at_us = epoch_us + logged.at.as_ns() / 1_000;
-    Some(record.at_us(at_us).to_string())
+    record.to_string()
 }
 
 /// One entry of a recording.

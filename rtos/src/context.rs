@@ -101,12 +101,7 @@ impl InterruptContext {
         sys::task::now(true)
     }
 
-    /// Asks for a reschedule when the last interrupt has ended (T-RTOS-2), as waking a task does by
-    /// itself.
-    pub fn yield_after(&self) {
-        self.woken.set(true);
-    }
-
+    /// T-RTOS-2: what a handler wakes runs when the last interrupt has ended.
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
     }

@@ -97,34 +97,10 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    const ALL: [Self; 11] = [
-        Self::Bench,
-        Self::BenchRtos,
-        Self::Bootloader,
-        Self::Conformance,
-        Self::Controller,
-        Self::GoldenReplay,
-        Self::Litmus,
-        Self::RtosDemo,
-        Self::Schedules,
-        Self::SlotController,
-        Self::SlotFrames,
-    ];
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Bench => "bench",
-            Self::BenchRtos => "bench-rtos",
-            Self::Bootloader => "bootloader",
-            Self::SlotController => "slot-controller",
-            Self::SlotFrames => "slot-frames",
-            Self::Conformance => "conformance",
-            Self::Controller => "controller",
-            Self::GoldenReplay => "golden-replay",
-            Self::Litmus => "litmus",
-            Self::RtosDemo => "rtos-demo",
-            Self::Schedules => "schedules",
-        }
+    /// Its name, as the command line writes it.
+    fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or_else(String::new, |value| value.get_name().to_owned())
     }
 }
 
@@ -162,8 +138,9 @@ fn build_dir(root: &Path) -> PathBuf {
 /// Builds all images.
 fn build(root: &Path) -> Result<()> {
     let mut arguments = vec!["--release"];
-    for image in Image::ALL {
-        arguments.extend(["--bin", image.name()]);
+    let names: Vec<String> = Image::value_variants().iter().map(|i| i.name()).collect();
+    for name in &names {
+        arguments.extend(["--bin", name]);
     }
     cargo_build(root, &arguments)
 }

@@ -1,4 +1,4 @@
-//! Which way the arrows run: between the rooms of the tree, and between the modules of a crate.
+//! Which way the arrows run between the modules of a crate.
 
 use crate::cargo;
 use anyhow::{Context, Result};
@@ -7,46 +7,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-/// The rooms, from the ground up. A package depends at run time on packages of lower floors only.
-const FLOORS: &[&[&str]] = &[
-    &["board/api", "bus", "page", "rtos", "shm"],
-    &[
-        "board/conformance",
-        "board/peripherals",
-        "boot",
-        "redundancy",
-        "vehicle",
-    ],
-    &[
-        "board/cosim",
-        "board/host",
-        "board/sim",
-        "boot/host",
-        "capi",
-        "cores",
-    ],
-    &[
-        "benches",
-        "board/qemu",
-        "cores/runtime",
-        "record",
-        "tests/golden",
-    ],
-    &["cli", "firmware-port", "tests", "xtask"],
-];
-
 /// The one workspace beside that of the tree: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
 
 /// Rooms whose modules still use each other in a circle.
 const WITH_CIRCLES: &[&str] = &["capi", "cores", "rtos", "shm"];
 
-/// Arrows that run the wrong way.
+/// Circles.
 pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     for workspace in [root, &root.join(FIRMWARE)] {
         let metadata = metadata(workspace)?;
-        findings.extend(arrows(root, &metadata));
         for package in metadata["packages"].as_array().into_iter().flatten() {
             let manifest = package["manifest_path"].as_str().unwrap_or_default();
             let folder = Path::new(manifest).with_file_name("");
@@ -64,46 +35,6 @@ pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
 fn metadata(folder: &Path) -> Result<Value> {
     let output = cargo(folder, &["metadata", "--format-version=1", "--no-deps"]).output()?;
     serde_json::from_slice(&output.stdout).context("cargo metadata")
-}
-
-/// The room of a folder, and its floor.
-fn room_of<'a>(root: &Path, folder: &'a str) -> Option<(&'a str, usize)> {
-    let place = Path::new(folder).strip_prefix(root).ok()?.to_str()?;
-    let room = if place.starts_with(FIRMWARE) {
-        FIRMWARE
-    } else {
-        place
-    };
-    let floor = FLOORS.iter().position(|rooms| rooms.contains(&room))?;
-    Some((room, floor))
-}
-
-fn arrows(root: &Path, metadata: &Value) -> Vec<String> {
-    let mut findings = Vec::new();
-    for package in metadata["packages"].as_array().into_iter().flatten() {
-        let manifest = package["manifest_path"].as_str().unwrap_or_default();
-        let folder = manifest.trim_end_matches("/Cargo.toml");
-        let Some((room, floor)) = room_of(root, folder) else {
-            findings.push(format!("{folder}: a room that has no floor in tidy"));
-            continue;
-        };
-        for dependency in package["dependencies"].as_array().into_iter().flatten() {
-            let Some(folder) = dependency["path"].as_str() else {
-                continue;
-            };
-            let Some((on, its_floor)) = room_of(root, folder) else {
-                continue;
-            };
-            let at_run_time = dependency["kind"].is_null();
-            let up = room != on && at_run_time && its_floor >= floor;
-            if up || room != FIRMWARE && on == FIRMWARE {
-                findings.push(format!(
-                    "{room}: must not depend on {on}, which is above it"
-                ));
-            }
-        }
-    }
-    findings
 }
 
 /// Which top modules of a crate name which others.
@@ -270,28 +201,5 @@ mod tests {
         assert_eq!(circle(&tree), set(&[]));
         let round = uses(&[("a", &["b"]), ("b", &["c", "d"]), ("c", &["b"]), ("d", &[])]);
         assert_eq!(circle(&round), set(&["b", "c"]));
-    }
-
-    #[test]
-    fn an_arrow_that_runs_up_is_found() {
-        let root = Path::new("/r");
-        let package = |folder: &str, on: &str, kind: Value| {
-            serde_json::json!({"packages": [{
-                "manifest_path": format!("/r/{folder}/Cargo.toml"),
-                "dependencies": [{"path": format!("/r/{on}"), "kind": kind}],
-            }]})
-        };
-        let count = |folder, on, kind| arrows(root, &package(folder, on, kind)).len();
-        assert_eq!(count("board/host", "board/peripherals", Value::Null), 0);
-        assert_eq!(count("board/peripherals", "board/host", Value::Null), 1);
-        assert_eq!(
-            count("board/host", "board/sim", Value::Null),
-            1,
-            "beside it"
-        );
-        assert_eq!(count("board/sim", "cores", "dev".into()), 0, "tests may");
-        assert_eq!(count("cli", "firmware-port/x", "dev".into()), 1);
-        assert_eq!(count("firmware-port/x", "firmware-port/y", Value::Null), 0);
-        assert_eq!(count("unheard-of", "shm", Value::Null), 1);
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::baton::Baton;
 use crate::config::Defect;
-use crate::machine::{Attention, EventKind, Shared};
+use crate::machine::{Attention, Shared, SystemEventKind};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
@@ -402,7 +402,7 @@ impl Supply for SimSupply {
         self.0.alive(|machine| {
             if machine.system(system).lamp != lamp {
                 machine.system(system).lamp = lamp;
-                machine.log(system, EventKind::Lamp(lamp));
+                machine.log(system, SystemEventKind::Lamp(lamp));
             }
         });
     }

@@ -26,7 +26,7 @@ pub use baton::CoreKilled;
 pub use blocking::blocking;
 pub use board::{Poller, SimBoard, SimCan, SimFlash, SimLines, SimLink, SimSupply};
 pub use config::{BusFault, Clock, Config, Defect, Order};
-pub use machine::{Event, EventKind, OnBus};
+pub use machine::{OnBus, SystemEvent, SystemEventKind};
 pub use pair::SimPair;
 pub use tandem_peripherals::codec::Sender;
 pub use tandem_peripherals::supply::Power;

@@ -32,18 +32,18 @@ pub struct OnBus {
 
 /// Something that happened to a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Event {
+pub struct SystemEvent {
     /// When, in virtual time.
     pub at: Instant,
     /// To which system.
     pub system: SystemId,
     /// What.
-    pub kind: EventKind,
+    pub kind: SystemEventKind,
 }
 
 /// What happened to a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum EventKind {
+pub enum SystemEventKind {
     /// Power came, or the supply released the reset: the cores start.
     Started(ResetCause),
     /// Power was lost.
@@ -183,7 +183,7 @@ pub(crate) struct Machine {
     pub(crate) unheard: Vec<OnBus>,
     pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
-    pub(crate) events: Vec<Event>,
+    pub(crate) events: Vec<SystemEvent>,
     pub(crate) noise: ChaCha8Rng,
 }
 
@@ -303,9 +303,9 @@ impl Machine {
         Instant::from_ns(now.as_ns().saturating_sub(behind_ns))
     }
 
-    pub(crate) fn log(&mut self, system: SystemId, kind: EventKind) {
+    pub(crate) fn log(&mut self, system: SystemId, kind: SystemEventKind) {
         let at = self.at();
-        self.events.push(Event { at, system, kind });
+        self.events.push(SystemEvent { at, system, kind });
     }
 
     pub(crate) fn raise(&mut self, place: CoreAddress) {

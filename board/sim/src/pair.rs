@@ -2,7 +2,7 @@
 
 use crate::board::{Poller, Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, Event, OnBus, Shared};
+use crate::machine::{Attention, OnBus, Shared, SystemEvent};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
@@ -306,7 +306,7 @@ impl SimPair {
 
     /// What happened to the systems, oldest first.
     #[must_use]
-    pub fn events(&self) -> Vec<Event> {
+    pub fn events(&self) -> Vec<SystemEvent> {
         self.shared.lock().events.clone()
     }
 

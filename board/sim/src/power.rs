@@ -2,7 +2,7 @@
 
 use crate::config::Defect;
 use crate::flash::Flash;
-use crate::machine::{Core, EventKind, Machine};
+use crate::machine::{Core, Machine, SystemEventKind};
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
@@ -34,9 +34,9 @@ impl Machine {
         match change {
             None => return,
             Some(Change::Start(cause)) => self.start(system, cause),
-            Some(Change::Reset(cause)) => self.stop(system, EventKind::Reset(cause)),
-            Some(Change::Suspend) => self.stop(system, EventKind::Suspended),
-            Some(Change::PowerOff) => self.stop(system, EventKind::PowerLost),
+            Some(Change::Reset(cause)) => self.stop(system, SystemEventKind::Reset(cause)),
+            Some(Change::Suspend) => self.stop(system, SystemEventKind::Suspended),
+            Some(Change::PowerOff) => self.stop(system, SystemEventKind::PowerLost),
         }
         if self.level(system) != before && !self.has(Defect::SilentLevel) {
             self.raise_peer(system);
@@ -74,7 +74,7 @@ impl Machine {
                 self.release(CoreAddress { system, core });
             }
         }
-        self.log(system, EventKind::Started(cause));
+        self.log(system, SystemEventKind::Started(cause));
     }
 
     /// What core 0 asks for, with the defects of the release.
@@ -104,9 +104,9 @@ impl Machine {
     }
 
     /// The cores of a system and what the chip was doing end.
-    fn stop(&mut self, system: SystemId, why: EventKind) {
+    fn stop(&mut self, system: SystemId, why: SystemEventKind) {
         let now = self.at();
-        let resets = matches!(why, EventKind::Reset(_));
+        let resets = matches!(why, SystemEventKind::Reset(_));
         let partial = resets && self.has(Defect::PartialReset);
         let forgets = resets && self.has(Defect::FlashForgets);
         let state = &mut self.systems[system.index()];
@@ -141,7 +141,7 @@ impl Machine {
     pub(crate) fn kill_core(&mut self, place: CoreAddress) {
         if self.core(place).alive {
             self.core(place).alive = false;
-            self.log(place.system, EventKind::CoreDied(place.core));
+            self.log(place.system, SystemEventKind::CoreDied(place.core));
         }
     }
 
@@ -150,7 +150,7 @@ impl Machine {
             let now_ns = self.now_ns;
             let core = self.core(place);
             core.start(core.generation + 1, now_ns);
-            self.log(place.system, EventKind::CoreRestarted(place.core));
+            self.log(place.system, SystemEventKind::CoreRestarted(place.core));
         }
     }
 
@@ -158,7 +158,10 @@ impl Machine {
         if !self.has(Defect::RequestIgnored) {
             self.system(place.system).supply.request(request);
         }
-        self.log(place.system, EventKind::Requested(place.core, request));
+        self.log(
+            place.system,
+            SystemEventKind::Requested(place.core, request),
+        );
     }
 
     /// Why the incarnation of the system began, as its cores read it.

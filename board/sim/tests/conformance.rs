@@ -8,7 +8,7 @@ use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
     Case, Failure, Outcome, Part, Rig, Setting, Summary, cases, run_all, run_role,
 };
-use tandem_board_sim::{Config, Defect, EventKind, Order, SimBoard, SimPair, blocking};
+use tandem_board_sim::{Config, Defect, Order, SimBoard, SimPair, SystemEventKind, blocking};
 
 /// Virtual time after which a case counts as hanging: longer than a role's patience.
 const HANGS_AFTER: Duration = Duration::from_ms(60_000);
@@ -77,7 +77,7 @@ impl Rig for SimRig {
         let reset = |pair: &SimPair| {
             let plays = |system| parts.iter().any(|part| part.place.system == system);
             let events = pair.events().into_iter();
-            let mut resets = events.filter(|event| matches!(event.kind, EventKind::Reset(_)));
+            let mut resets = events.filter(|event| matches!(event.kind, SystemEventKind::Reset(_)));
             let reset = resets.find(|event| plays(event.system));
             reset
                 .filter(|_| !case.setting.restarts())

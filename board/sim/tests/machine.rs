@@ -9,7 +9,7 @@ use tandem_board::{
     watchdog_answer,
 };
 use tandem_board_sim::{
-    Clock, Config, EventKind, Order, Poller, Power, Sender, SimBoard, SimPair, Wire, blocking,
+    Clock, Config, Order, Poller, Power, Sender, SimBoard, SimPair, SystemEventKind, Wire, blocking,
 };
 
 const A: SystemId = SystemId::A;
@@ -72,7 +72,7 @@ fn servant(_: &SimBoard) -> Poller {
     })
 }
 
-fn kinds(pair: &SimPair, system: SystemId) -> Vec<EventKind> {
+fn kinds(pair: &SimPair, system: SystemId) -> Vec<SystemEventKind> {
     let of_system = pair
         .events()
         .into_iter()
@@ -217,12 +217,12 @@ fn a_core_that_dies_is_found_by_the_watchdog() {
     assert_eq!(
         kinds(&pair, A),
         [
-            EventKind::Started(ResetCause::PowerOn),
-            EventKind::Lamp(RoleLamp::Master),
-            EventKind::CoreDied(CONTROL),
-            EventKind::Reset(ResetCause::Watchdog),
-            EventKind::Started(ResetCause::Watchdog),
-            EventKind::Lamp(RoleLamp::Master),
+            SystemEventKind::Started(ResetCause::PowerOn),
+            SystemEventKind::Lamp(RoleLamp::Master),
+            SystemEventKind::CoreDied(CONTROL),
+            SystemEventKind::Reset(ResetCause::Watchdog),
+            SystemEventKind::Started(ResetCause::Watchdog),
+            SystemEventKind::Lamp(RoleLamp::Master),
         ]
     );
     assert_eq!(pair.board(A, CONTROL).identity().generation, Generation(2));
@@ -244,7 +244,7 @@ fn a_freeze_is_found_by_the_watchdog_and_a_short_one_is_not() {
         pair.run_for(ms(51));
         pair.freeze(A, ms(span));
         pair.run_for(ms(60));
-        let reset = |kind: &EventKind| *kind == EventKind::Reset(ResetCause::Watchdog);
+        let reset = |kind: &SystemEventKind| *kind == SystemEventKind::Reset(ResetCause::Watchdog);
         assert_eq!(
             kinds(&pair, A).iter().filter(|kind| reset(kind)).count(),
             resets,

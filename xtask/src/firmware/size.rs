@@ -2,6 +2,7 @@
 
 use super::{Image, TARGET, build_dir, cargo_build};
 use anyhow::{Context, Result};
+use clap::ValueEnum as _;
 use std::fs;
 use std::path::Path;
 
@@ -55,7 +56,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
         );
     }
     println!("{:<44} {RPMSG_LITE_TEXT:>7}", "RPMsg-Lite, as published");
-    for image in Image::ALL {
+    for image in Image::value_variants() {
         let size = of(&build_dir(root)
             .join(TARGET)
             .join("release")
