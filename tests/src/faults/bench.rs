@@ -7,7 +7,8 @@ use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId, VehicleBus,
 };
 use tandem_board_sim::{
-    BusFault, Clock, Config as BoardConfig, EventKind, Poller, SimBoard, SimPair, Wire, WorldTick,
+    BusFault, Clock, Config as BoardConfig, Poller, SimBoard, SimPair, SystemEventKind, Wire,
+    WorldTick,
 };
 use tandem_bus::{EgoMotion, Message, Transmitter};
 use tandem_cores::core0::Core0;
@@ -261,7 +262,7 @@ impl Bench {
             lines.extend(tells.map(|event| (traced.at, format!("{system}{core} {event:?}"))));
         }
         for event in self.pair.events() {
-            if !matches!(event.kind, EventKind::Lamp(_)) {
+            if !matches!(event.kind, SystemEventKind::Lamp(_)) {
                 lines.push((event.at, format!("{} {:?}", event.system, event.kind)));
             }
         }
