@@ -1,6 +1,6 @@
 //! The figures of one run, as `metrics.json` has them.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use tandem_cores::trace::Event;
 use tandem_record::log::Sample;
 use tandem_record::reaction::{Reaction, reaction};
@@ -31,7 +31,7 @@ pub(crate) struct Surroundings {
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct Metrics {
     /// [`SCHEMA`]
     pub(crate) schema: String,
@@ -114,13 +114,10 @@ pub(crate) struct Metrics {
     /// Control cycles that a core reported as late.
     pub(crate) deadline_misses: u64,
     /// How often and how long each task of each core ran, and whether in time.
-    #[serde(default)]
     pub(crate) tasks: Vec<TaskMetrics>,
     /// How often and how long each handler of an interrupt ran.
-    #[serde(default)]
     pub(crate) interrupts: Vec<InterruptMetrics>,
     /// How long signals from core to core took.
-    #[serde(default)]
     pub(crate) wakes: Vec<WakeMetrics>,
     /// The timing profile: `rt` or `desktop`.
     pub(crate) timing: String,
@@ -135,7 +132,7 @@ pub(crate) struct Metrics {
 }
 
 /// One entry of [`Metrics::takeovers`].
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize)]
 pub(crate) struct TakeoverMetrics {
     /// Who drove before: `A` or `B`.
     pub(crate) from: String,
@@ -156,7 +153,7 @@ pub(crate) struct TakeoverMetrics {
 }
 
 /// Extremes of what passengers feel.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub(crate) struct Comfort {
     /// Strongest acceleration, m/s².
     pub(crate) accel_max: f64,

@@ -11,6 +11,7 @@ use tandem_page::{format, legend, section};
 use tandem_record::{RunLog, Takeover};
 use tandem_vehicle::Verdict;
 
+use super::sections::system_color;
 use crate::metrics::Metrics;
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
@@ -356,13 +357,6 @@ impl Drawing {
         let x = self.x(self.zero_ns);
         let (top, bottom) = ((x, TOP - 12.0), (x, self.vehicle_row()));
         self.svg.line(top, bottom, Stroke::new(Color::GOOD, 1.0));
-    }
-}
-
-const fn system_color(system: SystemId) -> Color {
-    match system {
-        SystemId::A => Color::A,
-        SystemId::B => Color::B,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use tandem_board::{CoreId, Duration, SystemId};
 use tandem_cores::task_table::{self, IrqCode, TaskCode};
 use tandem_cores::trace::Begin;
@@ -11,7 +11,7 @@ use super::{CoreLine, Flow, Work, task_name};
 use crate::percentiles::Spans;
 
 /// Figures of one task over the run, as `metrics.json` has them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct TaskMetrics {
     /// `A` or `B`.
     pub(crate) system: String,
@@ -32,7 +32,6 @@ pub(crate) struct TaskMetrics {
     /// Jobs that never ended: the core died, or the run was over.
     pub(crate) cut: u64,
     /// How often a more urgent task took the CPU from it within a job.
-    #[serde(default)]
     pub(crate) preemptions: u64,
     /// Jobs whose release is known: those that the times of response are about.
     pub(crate) responses: u64,
@@ -50,16 +49,16 @@ pub(crate) struct TaskMetrics {
     /// The longest, ms.
     pub(crate) execution_max_ms: Option<f64>,
     /// Bytes of its stack that were never used; `None` where it is not measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) stack_free_bytes: Option<u32>,
     /// Longest time in which it held a lock that others may wait for, with what interrupted it, ms;
     /// `None` where it is not measured.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) lock_held_max_ms: Option<f64>,
 }
 
 /// Figures of the signals between two cores, as `metrics.json` has them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct WakeMetrics {
     /// `A` or `B`.
     pub(crate) system: String,
@@ -78,7 +77,7 @@ pub(crate) struct WakeMetrics {
 }
 
 /// Figures of the handler of one interrupt, as `metrics.json` has them.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub(crate) struct InterruptMetrics {
     /// `A` or `B`.
     pub(crate) system: String,

@@ -53,29 +53,6 @@ const fn core_name(core: CoreId) -> &'static str {
     }
 }
 
-/// What happens at a time.
-#[derive(Clone, Copy, Debug)]
-enum Kind {
-    Begin,
-    End,
-    Instant,
-    Counter(f64),
-}
-
-#[derive(Clone, Debug)]
-struct Moment {
-    at_ns: u64,
-    track: u64,
-    kind: Kind,
-    /// 0 is none.
-    name: u64,
-    category: u64,
-    figures: Vec<(u64, f64)>,
-    /// An arrow that begins here, or ends: 0 is none.
-    flow_out: u64,
-    flow_in: u64,
-}
-
 /// Numbers for names, from 1.
 #[derive(Debug, Default)]
 struct Names {
@@ -109,8 +86,8 @@ impl Names {
 #[derive(Debug, Default)]
 struct Trace {
     tracks: Vec<TrackDescriptor>,
-    /// Of each track in order of time.
-    moments: Vec<Moment>,
+    /// When, ns, and what; of each track in order of time.
+    events: Vec<(u64, TrackEvent)>,
     names: Names,
     categories: Names,
     figures: Names,
@@ -167,33 +144,27 @@ impl Trace {
         })
     }
 
-    fn moment(&mut self, track: u64, at_ns: u64, kind: Kind, name: &str) -> &mut Moment {
-        let name = if name.is_empty() {
-            0
-        } else {
-            self.names.number(name)
+    /// An event of this kind, see [`event_type`]; one without a name has an empty one.
+    fn event(&mut self, track: u64, at_ns: u64, kind: i32, name: &str) -> &mut TrackEvent {
+        let place = self.events.len();
+        let event = TrackEvent {
+            r#type: Some(kind),
+            track_uuid: Some(track),
+            name_iid: (!name.is_empty()).then(|| self.names.number(name)),
+            ..TrackEvent::default()
         };
-        self.push(Moment {
-            at_ns,
-            track,
-            kind,
-            name,
-            category: 0,
-            figures: Vec::new(),
-            flow_out: 0,
-            flow_in: 0,
-        })
+        self.events.push((at_ns, event));
+        &mut self.events[place].1
     }
 
-    fn push(&mut self, moment: Moment) -> &mut Moment {
-        let place = self.moments.len();
-        self.moments.push(moment);
-        &mut self.moments[place]
+    fn instant(&mut self, track: u64, at_ns: u64, name: &str) {
+        self.event(track, at_ns, event_type::INSTANT, name);
     }
 
     fn value(&mut self, track: u64, at_ns: u64, value: f64) {
         if value.is_finite() {
-            self.moment(track, at_ns, Kind::Counter(value), "");
+            let event = self.event(track, at_ns, event_type::COUNTER, "");
+            event.double_counter_value = Some(value);
         }
     }
 
@@ -209,16 +180,20 @@ impl Trace {
                 Step::Begin(slice) => {
                     let slice = &line.slices[slice];
                     let name = slice.work.name(line.core);
-                    let moment = self.moment(track, at_ns, Kind::Begin, &name);
-                    moment.category = category;
+                    let event = self.event(track, at_ns, event_type::SLICE_BEGIN, &name);
+                    event.category_iids.push(category);
                     let late_us = slice.late_ns.map(|late_ns| f64::from(late_ns) * 1e-3);
-                    moment.figures.extend(late_us.map(|us| (late, us)));
-                    if slice.missed > 0 {
-                        moment.figures.push((missed, slice.missed.into()));
-                    }
+                    let missed_releases = (slice.missed > 0).then(|| slice.missed.into());
+                    let figures = [(late, late_us), (missed, missed_releases)];
+                    let known = figures.iter().filter(|(_, value)| value.is_some());
+                    let annotation = |(name, value): &(u64, Option<f64>)| DebugAnnotation {
+                        name_iid: Some(*name),
+                        double_value: *value,
+                    };
+                    event.debug_annotations.extend(known.map(annotation));
                 }
                 Step::End(_) => {
-                    self.moment(track, at_ns, Kind::End, "");
+                    self.event(track, at_ns, event_type::SLICE_END, "");
                 }
                 Step::Mark(mark) => {
                     let mark = &line.marks[mark];
@@ -226,11 +201,13 @@ impl Trace {
                         continue;
                     };
                     let category = self.categories.number(category);
-                    let moment = self.moment(track, at_ns, Kind::Instant, &name);
-                    moment.category = category;
+                    let event = self.event(track, at_ns, event_type::INSTANT, &name);
+                    event.category_iids.push(category);
                     match mark.event {
-                        Event::Wake { .. } => moment.flow_out = mark.flow,
-                        Event::Woken { .. } => moment.flow_in = mark.flow,
+                        Event::Wake { .. } if mark.flow != 0 => event.flow_ids.push(mark.flow),
+                        Event::Woken { .. } if mark.flow != 0 => {
+                            event.terminating_flow_ids.push(mark.flow);
+                        }
                         _ => {}
                     }
                 }
@@ -244,10 +221,10 @@ impl Trace {
         for (at_ns, _, event) in mine {
             let is_marker = !matches!(event, SupplyEvent::CoreStarted { .. });
             let name = description::supply_event(*event);
-            self.moment(track, *at_ns, Kind::Instant, &name);
+            self.instant(track, *at_ns, &name);
             if is_marker {
                 let name = format!("{system}: {name}");
-                self.moment(markers, *at_ns, Kind::Instant, &name);
+                self.instant(markers, *at_ns, &name);
             }
         }
     }
@@ -266,10 +243,10 @@ impl Trace {
             let at_ns = at_ns.max(last_ns);
             last_ns = at_ns;
             if std::mem::replace(&mut open, name.is_some()) {
-                trace.moment(track, at_ns, Kind::End, "");
+                trace.event(track, at_ns, event_type::SLICE_END, "");
             }
             if let Some(name) = name {
-                trace.moment(track, at_ns, Kind::Begin, name);
+                trace.event(track, at_ns, event_type::SLICE_BEGIN, name);
             }
         };
         let off = log
@@ -340,7 +317,7 @@ impl Trace {
                 Verdict::Invalid => "invalid",
             };
             let name = format!("{} {verdict}", frame.system);
-            self.moment(bus, frame.at_ns, Kind::Instant, &name);
+            self.instant(bus, frame.at_ns, &name);
         }
         let gap = self.counter(process, "gap between obeyed frames", "ms");
         let obeyed: Vec<u64> = log.accepted().map(|frame| frame.at_ns).collect();
@@ -375,7 +352,7 @@ impl Trace {
         );
         events.sort();
         for (at_ns, name) in &events {
-            self.moment(markers, *at_ns, Kind::Instant, name);
+            self.instant(markers, *at_ns, name);
         }
     }
 
@@ -406,41 +383,15 @@ impl Trace {
             });
         }
         // Stable: what is at one time on one track stays in its order.
-        self.moments.sort_by_key(|moment| moment.at_ns);
-        for moment in &self.moments {
+        self.events.sort_by_key(|(at_ns, _)| *at_ns);
+        for (at_ns, event) in self.events {
             put(&TracePacket {
-                timestamp: Some(moment.at_ns),
-                track_event: Some(moment.event()),
+                timestamp: Some(at_ns),
+                track_event: Some(event),
                 ..packet(NEEDS_STATE)
             });
         }
         bytes
-    }
-}
-
-impl Moment {
-    fn event(&self) -> TrackEvent {
-        let some = |number: u64| (number != 0).then_some(number);
-        let (kind, value) = match self.kind {
-            Kind::Begin => (event_type::SLICE_BEGIN, None),
-            Kind::End => (event_type::SLICE_END, None),
-            Kind::Instant => (event_type::INSTANT, None),
-            Kind::Counter(value) => (event_type::COUNTER, Some(value)),
-        };
-        let figures = self.figures.iter().map(|(name, value)| DebugAnnotation {
-            name_iid: Some(*name),
-            double_value: Some(*value),
-        });
-        TrackEvent {
-            category_iids: some(self.category).into_iter().collect(),
-            debug_annotations: figures.collect(),
-            r#type: Some(kind),
-            name_iid: some(self.name),
-            track_uuid: Some(self.track),
-            double_counter_value: value,
-            flow_ids: some(self.flow_out).into_iter().collect(),
-            terminating_flow_ids: some(self.flow_in).into_iter().collect(),
-        }
     }
 }
 
