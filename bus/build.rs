@@ -183,13 +183,6 @@ fn write_layout(dbc: &Dbc, name: &str, messages: &[&Message], out: &mut String) 
         [id] => format!("    /// Id of the frame.\n    pub const ID: u16 = {id};\n"),
         _ => String::new(),
     };
-    let coded = |signal: &&Signal| !["Crc", "Counter", "Spare"].contains(&&*signal.name);
-    let signals: Vec<String> = message
-        .signals
-        .iter()
-        .filter(coded)
-        .map(|signal| signal_const(message, signal))
-        .collect::<Result<_>>()?;
     write!(
         out,
         r"{comment}/// Layout of {names}.
@@ -244,10 +237,7 @@ impl {name} {{
         ids = ids.join(", "),
         len = message.size,
         cycle = cycle_ms(dbc, message.id)?,
-        signals = signals
-            .iter()
-            .map(|signal| format!("    pub(crate) const {signal}\n"))
-            .collect::<String>(),
+        signals = signal_consts(message)?,
         puts = lines(&|field| format!("        Self::{};", field.put())),
         gets = lines(&|field| format!("            {}: {},", field.name, field.get())),
         fields = fields.len(),
@@ -383,6 +373,16 @@ impl<'a> Field<'a> {
         };
         format!("(\"{}\", {number})", self.signal.name)
     }
+}
+
+/// The constants of all signals that are coded.
+fn signal_consts(message: &Message) -> Result<String> {
+    let coded = |signal: &&Signal| !["Crc", "Counter", "Spare"].contains(&&*signal.name);
+    let line = |signal| {
+        let constant = signal_const(message, signal)?;
+        Ok(format!("    pub(crate) const {constant}\n"))
+    };
+    message.signals.iter().filter(coded).map(line).collect()
 }
 
 /// The constant that describes a signal to `src/signal.rs`.

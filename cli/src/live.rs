@@ -68,7 +68,7 @@ impl Progress {
     pub(crate) fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // It only shows; if it has panicked, the run is none the worse.
+            // It only shows; if it has panicked, the run is not affected.
             let _ = thread.join();
         }
     }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 use tandem_cores::trace::Event;
-use tandem_record::log::Sample;
+use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::{RunLog, ms_between, takeovers};
 use tandem_vehicle::Verdict;
@@ -45,8 +45,9 @@ pub(crate) struct Metrics {
     pub(crate) duration_asked_s: f64,
     /// The run went to its end.
     pub(crate) complete: bool,
-    /// Contacts of the own vehicle.
-    pub(crate) collisions: u32,
+    /// The vehicle's own figures.
+    #[serde(flatten)]
+    pub(crate) drive: DriveFigures,
     /// Control frames that the vehicle obeyed.
     pub(crate) control_frames: usize,
     /// Control frames that came with an outdated term and were ignored.
@@ -99,18 +100,6 @@ pub(crate) struct Metrics {
     pub(crate) detection_bound_ms: Option<f64>,
     /// How long the vehicle can be without control at most when a master falls silent, ms.
     pub(crate) gap_bound_ms: Option<f64>,
-    /// Largest distance from the centre of the lane outside lane changes, m.
-    pub(crate) lateral_error_max_m: f64,
-    /// How often the vehicle went to another lane.
-    pub(crate) lane_changes: u32,
-    /// How far it went, m.
-    pub(crate) distance_m: f64,
-    /// Smallest distance to the vehicle ahead, m.
-    pub(crate) lead_gap_min_m: Option<f64>,
-    /// Smallest distance to the vehicle ahead over the speed of approach, s.
-    pub(crate) ttc_min_s: Option<f64>,
-    /// What passengers feel.
-    pub(crate) comfort: Comfort,
     /// Control cycles that a core reported as late.
     pub(crate) deadline_misses: u64,
     /// How often and how long each task of each core ran, and whether in time.
@@ -134,9 +123,9 @@ pub(crate) struct Metrics {
 /// One entry of [`Metrics::takeovers`].
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct TakeoverMetrics {
-    /// Who drove before: `A` or `B`.
+    /// The system that drove before: `A` or `B`.
     pub(crate) from: String,
-    /// Who drove then.
+    /// The system that drove then.
     pub(crate) to: String,
     /// Scenario time of the new master's first frame, s.
     pub(crate) at_s: f64,
@@ -150,19 +139,6 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) is_false: bool,
     /// The old master found later that its core had been held up: frozen, or not scheduled.
     pub(crate) held_up: bool,
-}
-
-/// Extremes of what passengers feel.
-#[derive(Clone, Debug, Default, Serialize)]
-pub(crate) struct Comfort {
-    /// Strongest acceleration, m/s².
-    pub(crate) accel_max: f64,
-    /// Strongest braking, m/s², positive.
-    pub(crate) brake_max: f64,
-    /// Strongest lateral acceleration to either side, m/s².
-    pub(crate) lat_accel_max: f64,
-    /// 99 of 100 milliseconds had less longitudinal jerk, m/s³.
-    pub(crate) jerk_p99: f64,
 }
 
 /// Times between two control frames that follow each other in one mastership, by the sender's
@@ -245,7 +221,6 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
             .filter(|frame| frame.verdict == verdict)
             .count()
     };
-    let drive = &log.figures;
     Metrics {
         schema: SCHEMA.to_owned(),
         scenario: log.header.scenario.clone(),
@@ -253,7 +228,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         duration_s: log.driven_s(),
         duration_asked_s: log.header.duration_s,
         complete: log.end_ns.is_some(),
-        collisions: drive.collisions,
+        drive: log.figures,
         control_frames: count(Verdict::Accepted),
         fenced_frames: count(Verdict::Fenced),
         invalid_frames: count(Verdict::Invalid),
@@ -292,17 +267,6 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
             .collect(),
         detection_bound_ms: around.detection_bound_ms,
         gap_bound_ms: around.gap_bound_ms,
-        lateral_error_max_m: drive.lateral_error_max_m,
-        lane_changes: drive.lane_changes,
-        distance_m: drive.distance_m,
-        lead_gap_min_m: drive.gap_min_m,
-        ttc_min_s: drive.ttc_min_s,
-        comfort: Comfort {
-            accel_max: drive.accel_max,
-            brake_max: drive.brake_max,
-            lat_accel_max: drive.lat_accel_max,
-            jerk_p99: drive.jerk_p99,
-        },
         deadline_misses: deadline_misses(log),
         tasks: timeline.tasks.clone(),
         interrupts: timeline.interrupts(),

@@ -16,13 +16,13 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         "scenario",
         format!(
             "{}, {:.1} s, {:.0} m",
-            metrics.scenario, metrics.duration_s, metrics.distance_m
+            metrics.scenario, metrics.duration_s, metrics.drive.distance_m
         ),
     );
-    row("collisions", metrics.collisions.to_string());
+    row("collisions", metrics.drive.collisions.to_string());
     row(
         "lateral error",
-        format!("{:.2} m at most", metrics.lateral_error_max_m),
+        format!("{:.2} m at most", metrics.drive.lateral_error_max_m),
     );
     row(
         "control period",

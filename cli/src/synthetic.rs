@@ -63,12 +63,8 @@ pub(crate) fn with_takeover(duration_s: f64) -> RunLog {
         &mut log,
         VehicleRecord::Figures(DriveFigures {
             lateral_error_max_m: 0.13,
-            gap_min_m: Some(22.0),
+            lead_gap_min_m: Some(22.0),
             ttc_min_s: Some(21.7),
-            accel_max: 1.1,
-            brake_max: 0.8,
-            lat_accel_max: 0.5,
-            jerk_p99: 0.6,
             distance_m: 22.0 * duration_s,
             ..DriveFigures::default()
         }),
@@ -150,9 +146,18 @@ fn add_samples(log: &mut RunLog, end_ns: u64) {
     }
 }
 
+/// What drives at a time: the system, its term and its mode.
+const fn master(at_ns: u64, middle_ns: u64) -> (SystemId, u32, Mode) {
+    if at_ns < middle_ns {
+        (SystemId::A, 2, Mode::L3)
+    } else {
+        (SystemId::B, 3, Mode::DegradedL2)
+    }
+}
+
 fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     let mut noise = Noise(99);
-    let mut event = |at_ns, system, event| {
+    let mut add = |at_ns, system, event| {
         log.events.push(CoreEvent {
             at_ns,
             system,
@@ -160,83 +165,46 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
             event,
         });
     };
-    event(
-        START_NS - 300_000_000,
-        SystemId::A,
-        Event::Started {
-            generation: 1,
-            cause: 0,
-        },
-    );
-    event(
-        START_NS - 290_000_000,
-        SystemId::B,
-        Event::Started {
-            generation: 1,
-            cause: 0,
-        },
-    );
+    let (generation, cause) = (1, 0);
+    let started = Event::Started { generation, cause };
     let role = |role: Role, mode: Mode, term| Event::Role {
         role: role as u8,
         mode: mode as u8,
         term,
     };
-    event(
-        START_NS - 20_000_000,
-        SystemId::A,
-        role(Role::Master, Mode::L3, 2),
-    );
-    event(
-        START_NS - 19_000_000,
-        SystemId::B,
-        role(Role::Standby, Mode::L3, 2),
-    );
     let took = Event::TookOver {
         cause: Evidence::PeerOff,
         since_heartbeat_us: 1_100,
         since_control_us: 9_000,
         term: 3,
     };
-    event(middle_ns + 620_000, SystemId::B, took);
-    event(
-        middle_ns + 630_000,
-        SystemId::B,
-        role(Role::Master, Mode::DegradedL2, 3),
-    );
+    add(START_NS - 300_000_000, SystemId::A, started);
+    add(START_NS - 290_000_000, SystemId::B, started);
+    let [first, second] = [Role::Master, Role::Standby].map(|of| role(of, Mode::L3, 2));
+    add(START_NS - 20_000_000, SystemId::A, first);
+    add(START_NS - 19_000_000, SystemId::B, second);
+    add(middle_ns + 620_000, SystemId::B, took);
+    let degraded = role(Role::Master, Mode::DegradedL2, 3);
+    add(middle_ns + 630_000, SystemId::B, degraded);
     for cycle_ns in (START_NS..end_ns).step_by(50_000_000) {
-        let latency_ms = 14.0 + 3.0 * noise.next();
-        let system = if cycle_ns < middle_ns {
-            SystemId::A
-        } else {
-            SystemId::B
+        let latency_ns = ((14.0 + 3.0 * noise.next()) * 1e6) as u32;
+        let chain = Event::Chain {
+            latency_ns,
+            cycle: 0,
         };
-        event(
-            cycle_ns + 15_000_000,
-            system,
-            Event::Chain {
-                latency_ns: (latency_ms * 1e6) as u32,
-                cycle: 0,
-            },
-        );
+        add(cycle_ns + 15_000_000, master(cycle_ns, middle_ns).0, chain);
     }
     for cycle_ns in (START_NS..end_ns).step_by(10_000_000) {
         let late_ns = 60_000 + (50_000.0 * (1.0 + noise.next())) as u64;
-        let (system, term, phase_ns) = if cycle_ns < middle_ns {
-            (SystemId::A, 2, 0)
-        } else {
-            (SystemId::B, 3, 3_300_000)
-        };
+        let (system, term, mode) = master(cycle_ns, middle_ns);
+        let phase_ns = if term == 2 { 0 } else { 3_300_000 };
         let sent_ns = cycle_ns + phase_ns + late_ns;
         log.control.push(ControlFrame {
             at_ns: (sent_ns + 40_000) / 1_000_000 * 1_000_000 + 1_000_000,
             sent_ns,
             system,
             term,
-            mode: if term == 2 {
-                Mode::L3
-            } else {
-                Mode::DegradedL2
-            },
+            mode,
             age_ns: None,
             verdict: Verdict::Accepted,
         });
@@ -245,22 +213,21 @@ fn add_control(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
 
 fn add_status(log: &mut RunLog, middle_ns: u64, end_ns: u64) {
     for at_ns in (START_NS..end_ns).step_by(100_000_000) {
-        let dead = at_ns >= middle_ns;
-        let b = if dead {
-            (Role::Master, Mode::DegradedL2)
-        } else {
-            (Role::Standby, Mode::L3)
-        };
-        let status = |system, (role, mode)| StatusFrame {
-            at_ns,
-            system,
-            role,
-            mode,
-        };
-        if !dead {
-            log.status
-                .push(status(SystemId::A, (Role::Master, Mode::L3)));
+        let (driving, _, mode) = master(at_ns, middle_ns);
+        for system in SystemId::ALL {
+            let (role, mode) = match system == driving {
+                true => (Role::Master, mode),
+                false => (Role::Standby, Mode::L3),
+            };
+            // A is dead from the middle on.
+            if system == driving || driving == SystemId::A {
+                log.status.push(StatusFrame {
+                    at_ns,
+                    system,
+                    role,
+                    mode,
+                });
+            }
         }
-        log.status.push(status(SystemId::B, b));
     }
 }

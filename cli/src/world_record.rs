@@ -1,6 +1,6 @@
 //! The world as a recording has it.
 
-use tandem_record::log::{DriveFigures, Lane, Other};
+use tandem_record::log::{Comfort, DriveFigures, Lane, Other};
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Road};
 use tandem_vehicle::{Metrics, VehicleSnapshot};
@@ -19,13 +19,15 @@ pub(crate) fn figures(metrics: &Metrics) -> DriveFigures {
         collisions: metrics.collisions,
         lateral_error_max_m: metrics.lateral_error_max_m,
         lane_changes: metrics.lane_changes,
-        gap_min_m: finite(metrics.gap_min_m),
+        lead_gap_min_m: finite(metrics.gap_min_m),
         ttc_min_s: finite(metrics.ttc_min_s),
-        accel_max: metrics.acceleration_max,
-        brake_max: metrics.deceleration_max,
-        lat_accel_max: metrics.lateral_acceleration_max,
-        jerk_p99: metrics.jerk_p99,
         distance_m: metrics.distance_m,
+        comfort: Comfort {
+            accel_max: metrics.acceleration_max,
+            brake_max: metrics.deceleration_max,
+            lat_accel_max: metrics.lateral_acceleration_max,
+            jerk_p99: metrics.jerk_p99,
+        },
     }
 }
 

@@ -90,9 +90,18 @@ pub struct DriveFigures {
     /// How often the vehicle went to another lane.
     pub lane_changes: u32,
     /// Smallest distance to the vehicle ahead, m.
-    pub gap_min_m: Option<f64>,
-    /// Smallest time to collision with it, s.
+    pub lead_gap_min_m: Option<f64>,
+    /// Smallest distance to the vehicle ahead over the speed of approach, s.
     pub ttc_min_s: Option<f64>,
+    /// How far the vehicle went, m.
+    pub distance_m: f64,
+    /// What passengers feel.
+    pub comfort: Comfort,
+}
+
+/// Extremes of what passengers feel.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub struct Comfort {
     /// Strongest acceleration, m/s².
     pub accel_max: f64,
     /// Strongest braking, m/s², positive.
@@ -101,8 +110,6 @@ pub struct DriveFigures {
     pub lat_accel_max: f64,
     /// 99 of 100 milliseconds had less longitudinal jerk, m/s³.
     pub jerk_p99: f64,
-    /// How far the vehicle went, m.
-    pub distance_m: f64,
 }
 
 /// What the vehicle adds to the trace and the frames.

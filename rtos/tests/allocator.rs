@@ -4,7 +4,7 @@ use tandem_rtos::{Clock, Kernel, StartError};
 
 #[test]
 fn an_allocator_that_tasks_cannot_share_is_refused() {
-    let kernel = Kernel::take().expect("nobody has it");
+    let kernel = Kernel::take().expect("it is free");
     assert_eq!(kernel.start(Clock::Wall), Err(StartError::Allocator));
     assert!(Kernel::take().is_ok(), "the kernel did not come back");
 }

@@ -437,7 +437,7 @@ fn the_kernel_is_taken_once_and_comes_back() {
         let output = child(NAME, "lives");
         return assert!(output.status.success(), "{output:?}");
     }
-    let first = Kernel::take().expect("nobody has it");
+    let first = Kernel::take().expect("it is free");
     assert!(Kernel::take().is_err());
     first.task("never", 1, |_| ());
     drop(first);

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use tandem_rtos::host::{deferred, raise};
 use tandem_rtos::{Clock, Interrupt, InterruptContext, TaskContext, TaskError, Ticks};
 
-/// T-RTOS-1: whoever looks at all tasks finds each one made. The stack of a new task is filled,
+/// T-RTOS-1: a list of all tasks shows each one made. The stack of a new task is filled,
 /// which takes long enough for several ticks.
 #[test]
 fn a_task_is_seen_when_it_is_made() {
@@ -46,14 +46,14 @@ fn a_task_is_seen_when_it_is_made() {
         };
         kernel.task("make", 2, make);
     });
-    assert!(seen.load(Ordering::Relaxed) > 0, "nobody looked in time");
+    assert!(seen.load(Ordering::Relaxed) > 0, "no list was made in time");
     assert_eq!(nameless.load(Ordering::Relaxed), 0, "a half-made task");
 }
 
 /// The tasks run with the real-time priority of who starts the kernel, also if it was claimed such
 /// that new threads do not have it. Needs the permission for real time.
 #[test]
-fn tasks_have_the_priority_of_who_starts() {
+fn tasks_have_the_priority_of_the_starting_thread() {
     static FOUND: AtomicU32 = AtomicU32::new(0);
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // On a thread of its own, which ends with its priority.
@@ -119,7 +119,7 @@ fn a_task_keeps_its_errno() {
 }
 
 /// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and
-/// holds a lock meanwhile. A task that is pre-empted there does not stop another one's allocation.
+/// holds a lock in that time. A task that is pre-empted there does not stop another one's allocation.
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {

@@ -123,7 +123,7 @@ fn semaphores_count_and_wake() {
 /// T-RTOS-1: who holds a mutex has the priority of who waits for it, so that a task in between
 /// cannot hold up both.
 #[test]
-fn a_mutex_lends_the_priority_of_who_waits() {
+fn a_mutex_lends_the_priority_of_its_waiter() {
     let log = Log::new();
     run(Clock::Virtual, |kernel| {
         let shared = Mutex::new(kernel, 0);

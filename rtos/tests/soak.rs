@@ -257,7 +257,7 @@ mod model {
                 .iter()
                 .any(|(_, task)| self.specs[*task].priority > own);
             let equals = self.rings[usize::from(own)].order.len() > 1;
-            // Whoever raises the interrupts is a task itself, and more urgent than all.
+            // The task that raises the interrupts is more urgent than all.
             if urgent || equals || raised {
                 self.pick()
             } else {
@@ -423,7 +423,7 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
             ctx.delay(Ticks(SPAN));
             over.store(true, Ordering::Relaxed);
             while ended.load(Ordering::Relaxed) < handles.len() {
-                // Who waits for an interrupt that will not come is told, too.
+                // A task whose interrupt will not come again is told, too.
                 for handle in &handles {
                     let _ = handle.notify(ctx);
                 }

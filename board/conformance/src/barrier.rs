@@ -102,20 +102,22 @@ pub(crate) fn wait_for_cores<B: Board>(
     })
 }
 
+/// Edge number `number`, from 0 on, of a line that is low: rising and falling in turn.
+pub(crate) const fn alternating(number: u32) -> Edge {
+    if number % 2 == 0 {
+        Edge::Rising
+    } else {
+        Edge::Falling
+    }
+}
+
 /// Core 0 of both systems wait for each other: each sends an edge on the second heartbeat line,
 /// rising and falling in turn. Steps count from 1.
 #[track_caller]
 pub(crate) fn wait_for_peer<B: Board>(board: &B, step: u32) -> Result<(), Failure> {
     const LINE: Line = Line::Heartbeat2;
     let lines = board.lines();
-    lines.send(
-        LINE,
-        if step % 2 == 1 {
-            Edge::Rising
-        } else {
-            Edge::Falling
-        },
-    );
+    lines.send(LINE, alternating(step - 1));
     sleep_until(board, "the systems meet through a heartbeat line", || {
         let rising = lines.received(LINE, Edge::Rising);
         rising.wrapping_add(lines.received(LINE, Edge::Falling)) >= step

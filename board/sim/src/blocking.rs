@@ -18,7 +18,7 @@ struct AtEnd(Arc<Baton>);
 
 impl Drop for AtEnd {
     fn drop(&mut self) {
-        // The pair may have gone; then nobody asks.
+        // The pair may have been dropped; then no one receives it.
         let _ = self.0.said.send(Said::Ended);
     }
 }

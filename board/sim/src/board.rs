@@ -106,7 +106,7 @@ impl Port {
 /// What one core sees of a [`SimPair`](crate::SimPair), for one incarnation of that core.
 ///
 /// When that incarnation is over (power lost, reset, core killed), what is sent through a board
-/// that somebody kept goes nowhere.
+/// that was kept goes nowhere.
 ///
 /// # Panics
 /// `wait` panics on a core that is polled. Programming the flash and serving the watchdog panic on

@@ -34,7 +34,7 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// A core dies and stays dead; nobody is told.
+    /// A core dies and stays dead; no other core is told.
     pub fn kill_core(&mut self, system: SystemId, core: CoreId) {
         self.shared.lock().kill_core(CoreAddress { system, core });
         self.follow_incarnations();
@@ -55,7 +55,7 @@ impl SimPair {
         machine.core(CoreAddress { system, core }).frozen_until_ns = thaws;
     }
 
-    /// All cores of a system do nothing for a span of virtual time; the supply goes on.
+    /// All cores of a system do nothing for a span of virtual time; the supply keeps running.
     pub fn freeze(&mut self, system: SystemId, span: Duration) {
         CoreId::ALL
             .into_iter()
@@ -103,7 +103,7 @@ impl SimPair {
         self.shared.lock().system(system).flash.hang(hangs);
     }
 
-    /// The clock of a system goes on from the time that it shows, faster than virtual time by
+    /// The clock of a system continues from the time that it shows, faster than virtual time by
     /// `drift_ppb` parts per billion.
     pub fn set_clock_rate(&mut self, system: SystemId, drift_ppb: i32) {
         let mut machine = self.shared.lock();
@@ -157,7 +157,7 @@ impl Machine {
 }
 
 impl Clock {
-    /// This clock, which goes on at another rate from virtual time `at_ns`.
+    /// This clock, at another rate from virtual time `at_ns`.
     fn with_rate(self, at_ns: u64, drift_ppb: i32) -> Self {
         let shows = self.local_ns(at_ns);
         let from_zero = Self {

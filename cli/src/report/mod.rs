@@ -55,8 +55,8 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
     );
     object(!metrics.complete, "the run did not reach its end".into());
     object(
-        metrics.collisions > 0,
-        format!("{} collision(s)", metrics.collisions),
+        metrics.drive.collisions > 0,
+        format!("{} collision(s)", metrics.drive.collisions),
     );
     object(
         metrics.two_masters_ms > 0.0,
@@ -99,7 +99,7 @@ fn tiles(metrics: &Metrics) -> Markup {
     let takeover_remark = last.map_or(String::new(), |t| {
         format!("last: {} → {} at {:.1} s", t.from, t.to, t.at_s)
     });
-    let lateral = format!("{:.2}", metrics.lateral_error_max_m);
+    let lateral = format!("{:.2}", metrics.drive.lateral_error_max_m);
     let period_remark = format!("median {} ms", ms(metrics.control_period_p50_ms));
     let fenced = format!("{} frame(s) fenced off", metrics.fenced_frames);
     let false_ones = format!("{} of them false", metrics.false_takeovers);
@@ -115,7 +115,7 @@ fn tiles(metrics: &Metrics) -> Markup {
     let is_false = metrics.false_takeovers > 0;
     html! {
         div.tiles {
-            (tile("Collisions", state(metrics.collisions == 0), &metrics.collisions.to_string(), "",
+            (tile("Collisions", state(metrics.drive.collisions == 0), &metrics.drive.collisions.to_string(), "",
                 &remark("")))
             (tile("Takeovers", if is_false { "bad" } else { "" }, &takeovers, "",
                 &remark(&takeover_remark)))
@@ -275,7 +275,7 @@ fn conditions(metrics: &Metrics) -> Markup {
     let unit = |value: Option<f64>, unit: &str| {
         value.map_or("–".to_owned(), |value| format!("{value:.2} {unit}"))
     };
-    let comfort = &metrics.comfort;
+    let comfort = &metrics.drive.comfort;
     html! {
         section {
             h2 { "Figures and conditions" }
@@ -293,15 +293,15 @@ fn conditions(metrics: &Metrics) -> Markup {
                     }))
                 }
                 table {
-                    (row("Smallest distance ahead", unit(metrics.lead_gap_min_m, "m")))
-                    (row("Smallest time to collision", unit(metrics.ttc_min_s, "s")))
+                    (row("Smallest distance ahead", unit(metrics.drive.lead_gap_min_m, "m")))
+                    (row("Smallest time to collision", unit(metrics.drive.ttc_min_s, "s")))
                     (row("Strongest acceleration", unit(Some(comfort.accel_max), "m/s²")))
                     (row("Strongest braking", unit(Some(comfort.brake_max), "m/s²")))
                     (row("Strongest lateral acceleration",
                         unit(Some(comfort.lat_accel_max), "m/s²")))
                     (row("Jerk, 99 % of the time below", unit(Some(comfort.jerk_p99), "m/s³")))
-                    (row("Lane changes", metrics.lane_changes.to_string()))
-                    (row("Distance driven", format!("{:.0} m", metrics.distance_m)))
+                    (row("Lane changes", metrics.drive.lane_changes.to_string()))
+                    (row("Distance driven", format!("{:.0} m", metrics.drive.distance_m)))
                 }
             }
         }

@@ -9,7 +9,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
@@ -65,14 +65,6 @@ const fn task(number: u8) -> TaskId {
     match TaskId::new(number) {
         Some(task) => task,
         None => panic!("not a task number"),
-    }
-}
-
-#[track_caller]
-fn must<T, E>(result: Result<T, E>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(_) => panic!("the example is not laid out as it should be"),
     }
 }
 

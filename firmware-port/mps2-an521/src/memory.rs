@@ -19,6 +19,6 @@ unsafe extern "C" {
 #[must_use]
 pub fn strap(index: usize) -> u32 {
     assert!(index < 1024);
-    // SAFETY: link.x reserves 4 KiB there; nobody writes them after the start.
+    // SAFETY: link.x reserves 4 KiB there; nothing writes them after the start.
     unsafe { addr_of!(__straps).add(index).read_volatile() }
 }

@@ -26,7 +26,7 @@ const CLEAR: usize = 0x8;
 /// The line of unit 0 at each processor; that of unit 1 follows.
 const FIRST_INTERRUPT: u32 = 6;
 
-/// An interrupt came to this processor that nobody has consumed yet.
+/// An interrupt of this processor is not consumed yet.
 static PENDING: [AtomicBool; CPUS] = [const { AtomicBool::new(false) }; CPUS];
 
 fn register(unit: Unit, cpu: usize, offset: usize) -> *mut u32 {

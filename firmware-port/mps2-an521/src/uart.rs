@@ -32,7 +32,7 @@ impl Write for Uart {
 pub(crate) fn start() {
     // SAFETY: the UART's registers, before anyone writes to it.
     unsafe {
-        // The least that the UART takes: nobody waits for a real line.
+        // The least that the UART takes: there is no real line to wait for.
         write_volatile(BAUD_DIVIDER, 16);
         write_volatile(CONTROL, TRANSMIT_ENABLE);
     }

@@ -11,8 +11,8 @@ const MTIME: usize = 0x0200_BFF8;
 /// Nanoseconds of one tick.
 pub const TICK_NS: u64 = 100;
 
-/// Raises the software interrupt of a hart. What this hart wrote before is seen by whoever takes
-/// it.
+/// Raises the software interrupt of a hart. The hart that takes it sees what this
+/// hart wrote before.
 #[inline]
 pub fn post(hart: usize) {
     // SAFETY: one word a hart; the machine ignores those of harts that it does not have. The fence
@@ -51,7 +51,7 @@ pub fn set_timer(hart: usize, ticks: u64) {
 #[must_use]
 pub fn timer(hart: usize) -> u64 {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *const u32;
-    // SAFETY: the two words of the register; the hart that changes them does not run meanwhile, or
+    // SAFETY: the two words of the register; the hart that changes them does not run now, or
     // the caller can do with any value.
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }

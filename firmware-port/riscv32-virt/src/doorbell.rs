@@ -81,7 +81,7 @@ fn rearm(number: usize, state: &HartState) {
     }
 }
 
-/// From now on this hart's turn ends after so many ticks wherever it is; 0: no more. See
+/// From now on this hart's turn ends after this many ticks wherever it is; 0: no more. See
 /// [`hart::yield_turn`].
 pub fn set_slice(ticks: u32) {
     let number = hart::number() % HARTS;

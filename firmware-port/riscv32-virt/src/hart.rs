@@ -130,14 +130,14 @@ pub(crate) fn interrupted_at() -> usize {
 /// Sleeps until an enabled interrupt is pending; whether it is then taken depends on the switch.
 #[inline]
 pub fn sleep() {
-    // SAFETY: stops this hart until an interrupt; memory may have changed meanwhile.
+    // SAFETY: stops this hart until an interrupt; memory may have changed in between.
     unsafe { asm!("wfi", options(nostack)) };
 }
 
-/// Gives the emulator's turn to the next hart, and goes on when all others had theirs.
+/// Gives the emulator's turn to the next hart, and continues when all others had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
-/// when it interrupts another, or when a timer comes, so whoever spins must say so, or the one it
+/// when it interrupts another, or when a timer comes, so a hart that spins must say so, or the one it
 /// waits for does not run. This is a sleep that does not last: the supervisor's software interrupt
 /// is always pending (see start.S) and enabled just here. On a chip with real cores it would be
 /// `spin_loop`.

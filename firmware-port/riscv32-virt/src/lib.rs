@@ -24,6 +24,18 @@ mod semihosting;
 pub mod trap;
 pub mod uart;
 
+/// The value of a result that is an error only if the program is laid out wrongly.
+///
+/// # Panics
+/// If it is an error.
+#[track_caller]
+pub fn must<T, E>(result: Result<T, E>) -> T {
+    match result {
+        Ok(value) => value,
+        Err(_) => panic!("the program is not laid out as it should be"),
+    }
+}
+
 /// Names the function that each hart calls after the start, and after each reset of its own.
 #[macro_export]
 macro_rules! entry {

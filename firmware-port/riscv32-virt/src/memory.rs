@@ -22,7 +22,7 @@ const STACK_BYTES: usize = 256 << 10;
 pub fn stack_used(hart: usize) -> usize {
     let words = STACK_BYTES / 4;
     let hart = hart % crate::hart::HARTS;
-    // SAFETY: link.x reserves so many bytes for each hart; whatever their owner does meanwhile, it
+    // SAFETY: link.x reserves these bytes for each hart; whatever their owner does at that time, it
     // is words that are read.
     let is_zero = |index: &usize| unsafe {
         let stack = addr_of!(__stacks).add(hart * words);
@@ -50,7 +50,7 @@ pub fn recording() -> &'static [u32] {
 /// carrier board. Zero if nothing was.
 #[must_use]
 pub fn strap(strap: Strap) -> u32 {
-    // SAFETY: link.x reserves 4 KiB there; nobody writes them after the start.
+    // SAFETY: link.x reserves 4 KiB there; nothing writes them after the start.
     unsafe { addr_of!(__straps).add(strap as usize).read_volatile() }
 }
 

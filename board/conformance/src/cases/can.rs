@@ -21,17 +21,7 @@ fn numbered(sender: u8, number: u32) -> Result<CanFrame, Failure> {
     data[..4].copy_from_slice(&number.to_le_bytes());
     let fd = number.is_multiple_of(2);
     let len = if fd { 16 } else { 8 };
-    match CanFrame::new(id, fd, &data[..len]) {
-        Ok(frame) => Ok(frame),
-        Err(_) => {
-            check(false, "the suite makes valid frames")?;
-            Err(Failure {
-                what: "",
-                numbers: None,
-                at: core::panic::Location::caller(),
-            })
-        }
-    }
+    CanFrame::new(id, fd, &data[..len]).or_else(|_| fail("the suite makes valid frames"))
 }
 
 /// Sender and number of a numbered frame.
@@ -56,14 +46,7 @@ fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
         received = board.can().try_receive();
         received.is_some()
     })?;
-    match received {
-        Some(received) => Ok(received),
-        None => Err(Failure {
-            what: "",
-            numbers: None,
-            at: core::panic::Location::caller(),
-        }),
-    }
+    received.map_or_else(|| fail("a frame that was sent comes"), Ok)
 }
 
 const ORDERED: u32 = 200;

@@ -113,41 +113,41 @@ pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure>
     let whole = page::<B::Flash>();
     let refused = Err(FlashError::OutOfRange);
     let flash = board.flash();
-    let half = page_bytes / 2;
-    let misaligned = flash.start_program(half, &zeros[..whole]);
-    check(
-        misaligned == refused,
-        "an offset that is not aligned is refused",
-    )?;
-    let part = flash.start_program(0, &zeros[..whole / 2]);
-    check(part == refused, "a part of a page is refused")?;
-    let across = flash.start_program(sector_bytes - page_bytes, &zeros[..2 * whole]);
-    check(
-        across == refused,
-        "programming across a sector's end is refused",
-    )?;
-    let outside = flash.start_program(size, &zeros[..whole]);
-    check(
-        outside == refused,
-        "programming outside the flash is refused",
-    )?;
-    let wraps = flash.start_program(u32::MAX - (page_bytes - 1), &zeros[..whole]);
-    check(
-        wraps == refused,
-        "an offset whose end wraps around is refused",
-    )?;
-    check(
-        flash.start_erase(B::Flash::SECTORS) == refused,
-        "an erase outside is refused",
-    )?;
-    check(
-        flash.read(size, &mut [0]) == refused,
-        "a read outside is refused",
-    )?;
-    check(
-        flash.read(size - 1, &mut [0; 2]) == refused,
-        "a read past the end is refused",
-    )?;
+    let page = &zeros[..whole];
+    let last = u32::MAX - (page_bytes - 1);
+    for (answer, what) in [
+        (
+            flash.start_program(page_bytes / 2, page),
+            "an offset that is not aligned is refused",
+        ),
+        (
+            flash.start_program(0, &zeros[..whole / 2]),
+            "a part of a page is refused",
+        ),
+        (
+            flash.start_program(sector_bytes - page_bytes, &zeros[..2 * whole]),
+            "programming across a sector's end is refused",
+        ),
+        (
+            flash.start_program(size, page),
+            "programming outside the flash is refused",
+        ),
+        (
+            flash.start_program(last, page),
+            "an offset whose end wraps around is refused",
+        ),
+        (
+            flash.start_erase(B::Flash::SECTORS),
+            "an erase outside is refused",
+        ),
+        (flash.read(size, &mut [0]), "a read outside is refused"),
+        (
+            flash.read(size - 1, &mut [0; 2]),
+            "a read past the end is refused",
+        ),
+    ] {
+        check(answer == refused, what)?;
+    }
     idle(board)?;
     erased_but(board, 0, &[])
 }

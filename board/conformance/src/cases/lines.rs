@@ -1,6 +1,6 @@
 //! The lines between the systems.
 
-use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer, woken_until};
+use crate::barrier::{SETTLE, alternating, sleep, sleep_until, wait_for_peer, woken_until};
 use crate::case::{Failure, equal};
 use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
@@ -19,14 +19,7 @@ pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
     let lines = board.lines();
     for line in Line::ALL {
         for edge in 0..rising(place.system, line) + falling(place.system, line) {
-            lines.send(
-                line,
-                if edge % 2 == 0 {
-                    Edge::Rising
-                } else {
-                    Edge::Falling
-                },
-            );
+            lines.send(line, alternating(edge));
         }
     }
     let peer = place.system.peer();
@@ -60,14 +53,7 @@ pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
     for round in 0..STARTS {
         wait_for_peer(board, round + 1)?;
         sleep(board, Duration::from_ms(5))?;
-        board.lines().send(
-            Line::Start,
-            if round % 2 == 0 {
-                Edge::Rising
-            } else {
-                Edge::Falling
-            },
-        );
+        board.lines().send(Line::Start, alternating(round));
     }
     Ok(())
 }

@@ -142,31 +142,26 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: asks for a reset.
+/// First incarnation: makes a request. Second incarnation: that was the cause.
+fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), Failure> {
+    if is_first_incarnation(board) {
+        board.supply().request_reset(request);
+        return expect_reset(board, "a reset that was asked for comes");
+    }
+    reset_for(board, cause)
+}
+
 pub(super) fn software_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_incarnation(board) {
-        board.supply().request_reset(ResetRequest::Software);
-        return expect_reset(board, "a reset that was asked for comes");
-    }
-    reset_for(board, ResetCause::Software)
+    asks(board, ResetRequest::Software, ResetCause::Software)
 }
 
-/// First incarnation: asks for a download.
 pub(super) fn download_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_incarnation(board) {
-        board.supply().request_reset(ResetRequest::Download);
-        return expect_reset(board, "a reset that was asked for comes");
-    }
-    reset_for(board, ResetCause::Download)
+    asks(board, ResetRequest::Download, ResetCause::Download)
 }
 
-/// First incarnation: reports a dead core of its system.
+/// The request reports a dead core of its system.
 pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
-    if is_first_incarnation(board) {
-        board.supply().request_reset(ResetRequest::CoreDead);
-        return expect_reset(board, "a report of a dead core resets the system");
-    }
-    reset_for(board, ResetCause::Trap)
+    asks(board, ResetRequest::CoreDead, ResetCause::Trap)
 }
 
 /// A core of a system that another core of it lets reset.
@@ -215,7 +210,7 @@ pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<
 /// The other system is reset: its level line falls, and rises when its next incarnation begins.
 pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if !is_first_incarnation(board) {
-        // Nobody serves this system when its role has ended.
+        // No role serves this system after this one has ended.
         return Ok(());
     }
     wait_for_peer(board, 1)?;

@@ -65,7 +65,7 @@ fn main(own: usize) -> ! {
         );
         exit::exit(1);
     }
-    // AcqRel: whoever is last has seen all that the other did.
+    // AcqRel: the last processor has seen all that the other did.
     let passed = 1 + PASSED.fetch_add(1, Ordering::AcqRel);
     if passed as usize == case.parts.len() {
         log!("passed  {}", case.name);

@@ -23,7 +23,7 @@ use tandem_redundancy::{
 entry!(main);
 
 const CONFIG: Config = Config::rt();
-/// System A stops dead so long after its start, in microseconds and in the middle of a period.
+/// Time from the start of system A to its sudden end, in the middle of a period.
 const DIES_AFTER: Duration = Duration::from_us(1_000_350);
 /// Longer than start and takeover take.
 const LIMIT: Duration = Duration::from_ms(3_000);

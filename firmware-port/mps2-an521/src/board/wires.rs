@@ -141,7 +141,7 @@ pub struct An521Can {
     of: CoreAddress,
     own: usize,
     other: usize,
-    /// Nobody is at the other end: frames go nowhere.
+    /// No core is at the other end: frames are dropped.
     alone: bool,
     transmit: RefCell<Producer<'static>>,
     receive: RefCell<Consumer<'static>>,

@@ -9,7 +9,7 @@
 
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must};
 use tandem_rtos::{
     Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
 };
@@ -32,14 +32,6 @@ fn main(hart: usize) -> ! {
         _ => loop {
             hart::sleep();
         },
-    }
-}
-
-#[track_caller]
-fn must<T, E>(result: Result<T, E>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(_) => panic!("the benchmark is not laid out as it should be"),
     }
 }
 
@@ -83,7 +75,7 @@ fn control() -> ! {
 fn measure(ctx: &TaskContext) {
     let mut to = must(Sender::attach(mailbox_of(0)));
     bench(ctx, "rtos/yield", || {
-        // Nobody else is there: into the kernel and back.
+        // No other task is ready: into the kernel and back.
         ctx.yield_now();
     });
     bench(ctx, "rtos/round-trip", || {

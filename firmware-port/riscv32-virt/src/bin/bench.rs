@@ -9,7 +9,7 @@
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
-use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, trap};
+use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
@@ -69,14 +69,6 @@ fn main(hart: usize) -> ! {
     }
     loop {
         hart::sleep();
-    }
-}
-
-#[track_caller]
-fn must<T, E>(result: Result<T, E>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(_) => panic!("the benchmark is not laid out as it should be"),
     }
 }
 

@@ -8,7 +8,7 @@
 #![deny(unsafe_code)]
 
 use core::sync::atomic::{AtomicU32, Ordering};
-use tandem_board_riscv32_virt::{clint, entry, exit, hart, log};
+use tandem_board_riscv32_virt::{clint, entry, exit, hart, log, must};
 use tandem_rtos::demo::{COMPLETE, Edge, SPAN_MS, TESTS, toggle};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 
@@ -58,14 +58,6 @@ fn main(hart: usize) -> ! {
     }
 }
 
-#[track_caller]
-fn must<T, E>(result: Result<T, E>) -> T {
-    match result {
-        Ok(value) => value,
-        Err(_) => panic!("the demonstration is not laid out as it should be"),
-    }
-}
-
 fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
@@ -75,7 +67,7 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-/// The task that runs both tests, and sleeps meanwhile.
+/// The task that starts both tests and sleeps while they run.
 fn run(ctx: &TaskContext) {
     let mut wake = ctx.now();
     // From here on the work between two sleeps begins with a tick.

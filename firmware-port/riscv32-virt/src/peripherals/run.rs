@@ -12,7 +12,7 @@ use tandem_cosim::Item;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
-/// Cycles from reading to reading of a turn that was given away and that nobody used: four, and
+/// Cycles from reading to reading of a turn that was given away and not used: four, and
 /// fewer than any hart takes that does something.
 const YIELD_CYCLES: u32 = 6;
 
@@ -122,8 +122,8 @@ impl Peripherals {
         None
     }
 
-    /// Rests until it is called or `deadline` has come. When nobody else has anything to do, it
-    /// lets the clock jump to where somebody has.
+    /// Rests until it is called or `deadline` has come. When no hart has anything to do, the
+    /// clock jumps to where one has.
     ///
     /// The emulator could do that: with all harts asleep its main loop moves the virtual clock.
     /// But then two of its threads look after the timers, and on a busy host they do so in varying
@@ -290,7 +290,7 @@ impl Peripherals {
                 if let Some(mut frame) = core(sender).transmit.take() {
                     moved = true;
                     set_time(&mut frame, now());
-                    // Who sent it is known from the ring, whatever the words say.
+                    // The ring says who sent it, not the words.
                     set_sender(&mut frame, Sender::Core(sender));
                     self.broadcast(Some(sender), &frame);
                     if let Some(host) = &mut self.host {
