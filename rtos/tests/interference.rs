@@ -119,7 +119,8 @@ fn a_task_keeps_its_errno() {
 }
 
 /// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and
-/// holds a lock in that time. A task that is pre-empted there does not stop another one's allocation.
+/// holds a lock in that time. A task that is pre-empted there does not stop the allocation of
+/// another one.
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {

@@ -137,8 +137,8 @@ pub fn sleep() {
 /// Gives the emulator's turn to the next hart, and continues when all others had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
-/// when it interrupts another, or when a timer comes, so a hart that spins must say so, or the one it
-/// waits for does not run. This is a sleep that does not last: the supervisor's software interrupt
+/// when it interrupts another, or when a timer comes, so a hart that spins must say so, or the one
+/// it waits for does not run. This is a sleep that does not last: the supervisor's software interrupt
 /// is always pending (see start.S) and enabled just here. On a chip with real cores it would be
 /// `spin_loop`.
 #[inline]

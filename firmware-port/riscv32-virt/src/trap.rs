@@ -28,7 +28,7 @@ pub(crate) struct HartState {
 // Before its first incarnation begins to stand still: 0.
 /// Its last incarnation is over, and nothing of it runs.
 const STANDS: u32 = 1;
-/// The carrier lets it go. The carrier may take that back; the one that changes the word first has it.
+/// The carrier lets it go. The carrier may take that back; the first to change the word has it.
 const GOES: u32 = 2;
 /// It lives.
 const RUNS: u32 = 3;
