@@ -138,9 +138,9 @@ pub fn sleep() {
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
 /// when it interrupts another, or when a timer comes, so a hart that spins must say so, or the one
-/// it waits for does not run. This is a sleep that does not last: the supervisor's software interrupt
-/// is always pending (see start.S) and enabled just here. On a chip with real cores it would be
-/// `spin_loop`.
+/// it waits for does not run. This is a sleep that does not last: the supervisor's software
+/// interrupt is always pending (see start.S) and enabled just here. On a chip with real cores it
+/// would be `spin_loop`.
 #[inline]
 pub fn yield_turn() {
     // SAFETY: the interrupt is delegated to supervisor mode, which nothing runs in: it ends the
