@@ -104,7 +104,7 @@ pub(crate) fn wait_for_cores<B: Board>(
 
 /// Edge number `number`, from 0 on, of a line that is low: rising and falling in turn.
 pub(crate) const fn alternating(number: u32) -> Edge {
-    if number % 2 == 0 {
+    if number.is_multiple_of(2) {
         Edge::Rising
     } else {
         Edge::Falling
