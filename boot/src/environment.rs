@@ -10,12 +10,12 @@
 
 use crate::flash::{FlashFault, erase, program, read};
 use crate::map::{PAGE_BYTES, Region, Slot};
+use crate::page::{CRC_32, word};
 use embedded_storage::nor_flash::NorFlash;
 
 const RECORD_BYTES: usize = 2 * PAGE_BYTES;
 const MAGIC: [u8; 4] = *b"TENV";
 const CONFIRMED: [u8; 4] = *b"FIRM";
-const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 /// A record that differs between this many reads is not a record.
 const READS: usize = 3;
 
@@ -109,13 +109,13 @@ impl Environment {
         for (place, version) in places.iter_mut().zip(self.versions) {
             *place = version.to_le_bytes();
         }
-        let crc = CRC.checksum(&bytes[..60]);
+        let crc = CRC_32.checksum(&bytes[..60]);
         bytes[60..].copy_from_slice(&crc.to_le_bytes());
         bytes
     }
 
     fn decode(bytes: &[u8; RECORD_BYTES]) -> Option<(Self, u32)> {
-        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| bytes[at + byte]));
+        let word = |at: usize| word(bytes, at);
         let slot = |byte: u8| Slot::ALL.into_iter().find(|slot| *slot as u8 == byte);
         let trial = Trial {
             selection: Selection {

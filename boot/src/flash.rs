@@ -2,7 +2,7 @@
 
 use crate::manifest::{BODY_OFFSET, Manifest};
 use crate::map::{Bank, PAGE_BYTES, Region, sector_at};
-use crate::page::Page;
+use crate::page::{CRC_32, Page};
 use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 use sha2::{Digest, Sha256};
@@ -79,8 +79,7 @@ pub(crate) fn body_crc(
     place: u32,
     length: u32,
 ) -> Result<u32, FlashFault> {
-    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
-    let mut digest = crc.digest();
+    let mut digest = CRC_32.digest();
     let end = place + BODY_OFFSET + length;
     for at in (place + BODY_OFFSET..end).step_by(PAGE_BYTES) {
         let page: Page = read(flash, at)?;

@@ -4,11 +4,10 @@
 
 use crate::flash::{FlashFault, erase, program, read};
 use crate::map::{PAGE_BYTES, Region};
-use crate::page::{ERASED, Page};
+use crate::page::{CRC_32, ERASED, Page, word};
 use embedded_storage::nor_flash::NorFlash;
 
 const MAGIC: [u8; 2] = *b"LG";
-const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
 /// What happened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -72,13 +71,13 @@ impl LogEntry {
         page[2] = self.event as u8;
         page[4..8].copy_from_slice(&self.sequence.to_le_bytes());
         page[8..12].copy_from_slice(&self.value.to_le_bytes());
-        let crc = CRC.checksum(&page[..28]);
+        let crc = CRC_32.checksum(&page[..28]);
         page[28..].copy_from_slice(&crc.to_le_bytes());
         page
     }
 
     fn decode(page: &Page) -> Option<Self> {
-        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| page[at + byte]));
+        let word = |at: usize| word(page, at);
         let event = LogEvent::ALL.into_iter();
         let entry = Self {
             sequence: word(4),

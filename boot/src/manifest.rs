@@ -20,6 +20,7 @@
 //! | 192..256 | Ed25519 signature of bytes 0..192 |
 
 use crate::map::{Kind, PAGE_BYTES};
+use crate::page::{CRC_32, word};
 use tandem_board::CoreId;
 
 /// Bytes of a manifest with its signature.
@@ -35,7 +36,6 @@ pub const HARDWARE: u32 = 0x0297_0001;
 
 pub(crate) const MAGIC: [u8; 4] = *b"TNDM";
 const FORMAT: u8 = 1;
-const CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
 
 /// A run of bytes in an image.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -103,7 +103,7 @@ impl Manifest {
             *place = word.to_le_bytes();
         }
         bytes[24] = self.lowest_key;
-        let crc = CRC.checksum(&bytes[..28]);
+        let crc = CRC_32.checksum(&bytes[..28]);
         bytes[28..32].copy_from_slice(&crc.to_le_bytes());
         for (place, entry) in bytes[32..44]
             .as_chunks_mut::<4>()
@@ -127,7 +127,7 @@ impl Manifest {
     /// # Errors
     /// [`ManifestError`] says what is wrong with the bytes.
     pub fn decode(bytes: &[u8; SIGNED_BYTES]) -> Result<Self, ManifestError> {
-        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| bytes[at + byte]));
+        let word = |at: usize| word(bytes, at);
         if bytes[..4] != MAGIC {
             return Err(ManifestError::Magic);
         }
@@ -186,8 +186,8 @@ impl Manifest {
     /// if the page is not the first of a manifest.
     #[must_use]
     pub fn seal(page: &[u8; PAGE_BYTES]) -> Option<(u32, u32)> {
-        let word = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|byte| page[at + byte]));
-        let sound = page[..4] == MAGIC && CRC.checksum(&page[..28]) == word(28);
+        let word = |at: usize| word(page, at);
+        let sound = page[..4] == MAGIC && CRC_32.checksum(&page[..28]) == word(28);
         sound.then(|| (word(16), word(20)))
     }
 }

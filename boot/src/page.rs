@@ -5,6 +5,18 @@ use crate::map::PAGE_BYTES;
 /// One page of flash as it was programmed or is to be.
 pub(crate) type Page = [u8; PAGE_BYTES];
 
+/// The checksum of all that lies in the flash. Without a table: the bootloader is small before it is
+/// fast.
+pub(crate) const CRC_32: crc::Crc<u32, crc::NoTable> =
+    crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISO_HDLC);
+
+/// The word at a place, little endian; 0 beyond the end. One copy of it is smaller than many.
+#[inline(never)]
+pub(crate) fn word(bytes: &[u8], at: usize) -> u32 {
+    let word = bytes.get(at..).and_then(<[u8]>::first_chunk);
+    word.map_or(0, |word| u32::from_le_bytes(*word))
+}
+
 /// What erased flash reads as, and what pages are padded with.
 pub(crate) const ERASED: u8 = 0xFF;
 

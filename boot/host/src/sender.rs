@@ -96,7 +96,8 @@ impl Sender {
         self
     }
 
-    /// Whether a loader has answered.
+    /// Whether a loader answers. With a window, a sender whose loader falls silent connects again,
+    /// and continues where that stands: at the begin if it has lost power.
     #[must_use]
     pub fn is_connected(&self) -> bool {
         self.state != State::Connecting
@@ -116,6 +117,9 @@ impl Sender {
 
     /// What to do now.
     pub fn next(&mut self, now: Instant) -> ToDo {
+        if self.state == State::Sending && self.wanted > 0 && now >= self.due {
+            self.connect_again(now);
+        }
         let is_due = matches!(self.state, State::Offering | State::Sending) && now >= self.due;
         if is_due && !self.repeat(now) {
             return ToDo::Silent;
@@ -138,6 +142,11 @@ impl Sender {
             State::Offering => ToDo::Wait(self.due),
             State::Sending => self.next_piece(),
         }
+    }
+
+    /// The loader is silent: frames were lost, or it has lost power. It says what it still has.
+    fn connect_again(&mut self, now: Instant) {
+        (self.state, self.resume, self.due) = (State::Connecting, true, now);
     }
 
     /// Whether something may be sent once more.
@@ -208,7 +217,7 @@ impl Sender {
                     State::Sending
                 };
                 if self.wanted > 0 {
-                    self.due = now;
+                    (self.due, self.offered) = (now, self.attempts);
                 }
             }
             (

@@ -45,9 +45,12 @@ pub fn send_file(
     mut progress: impl FnMut(u32, u32),
 ) -> Result<(), TransferError> {
     let start = Clock::now();
-    let limit = Instant::ORIGIN + connect_within;
+    let mut limit = Instant::ORIGIN + connect_within;
     loop {
         let now = since(start);
+        if host.is_connected() {
+            limit = now + connect_within;
+        }
         match host.next(now) {
             ToDo::Send(frame) => {
                 wire.send(&frame)?;

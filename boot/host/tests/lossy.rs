@@ -7,7 +7,7 @@ use fixture::{factory, image};
 use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use tandem_board::{CanFrame, Instant, ResetCause, SystemId};
+use tandem_board::{CanFrame, Duration, Instant, ResetCause, SystemId};
 use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;
 use tandem_boot_host::{Sender, ToDo, records};
@@ -98,4 +98,62 @@ fn what_is_lost_is_asked_for_again() {
         assert_eq!((end, whole), (ToDo::Done, true));
         assert!(resends > 0);
     }
+}
+
+/// T-BOOT-3, U-5: the controller loses power in the middle of a download. Ten seconds later it
+/// starts with its connect window of 20 ms, and the host, which was told of nothing, brings the
+/// file from its beginning.
+#[test]
+fn a_download_goes_on_after_a_loss_of_power() {
+    let mut flash = factory();
+    let new = image(Slot::B, 2, 3000);
+    let mut host = Sender::new(records("new", &[&new]), Some(SystemId::A), 16);
+    let keys = [TEST_PUBLIC];
+    let setup = Setup {
+        trust: Trust {
+            keys: &keys,
+            mode: TrustMode::Strict,
+        },
+        system: SystemId::A,
+        bank: Bank::Primary,
+        cause: ResetCause::PowerOn,
+    };
+    let mut now = Instant::ORIGIN;
+    let mut lost = false;
+    let end = loop {
+        let mut loader = Loader::start(&mut flash, setup, now).unwrap();
+        let end = loop {
+            if !lost && host.progress().0 > 100 {
+                break None;
+            }
+            match loader.next(now).unwrap() {
+                Next::Send(frame) => host.on_frame(now, &frame),
+                Next::Wait(until) => match host.next(now) {
+                    ToDo::Send(frame) => {
+                        now = Instant::from_ns(now.as_ns() + 270_000);
+                        loader.on_frame(now, &frame);
+                    }
+                    ToDo::Wait(other) => now = until.min(other),
+                    end => break Some(end),
+                },
+                next => panic!("{next:?}: the host is not heard"),
+            }
+        };
+        if let Some(end) = end {
+            break end;
+        }
+        lost = true;
+        flash.power_on(7, None);
+        let back = now + Duration::from_ms(10_000);
+        while now < back {
+            match host.next(now) {
+                ToDo::Send(_) => now = Instant::from_ns(now.as_ns() + 270_000),
+                ToDo::Wait(until) => now = until.min(back),
+                end => panic!("the host gives up: {end:?}"),
+            }
+        }
+    };
+    assert!(lost && end == ToDo::Done, "{end:?}");
+    let len = new.bytes.len() as u32;
+    assert_eq!(flash.firm(new.place(), len), Some(new.bytes));
 }

@@ -5,6 +5,7 @@
     reason = "a test may panic and print"
 )]
 
+mod download;
 mod faults;
 mod floods;
 mod held_up;
