@@ -5,10 +5,9 @@ use crate::map::PAGE_BYTES;
 /// One page of flash as it was programmed or is to be.
 pub(crate) type Page = [u8; PAGE_BYTES];
 
-/// The checksum of all that lies in the flash. Without a table: the bootloader is small before it is
-/// fast.
-pub(crate) const CRC_32: crc::Crc<u32, crc::NoTable> =
-    crc::Crc::<u32, crc::NoTable>::new(&crc::CRC_32_ISO_HDLC);
+/// The checksum of all that lies in the flash. Without a table: a small bootloader comes first.
+pub(crate) const CRC_32: crc::Crc<u32, crc::NoTable> = crc::Crc::<u32, _>::new(&ISO_HDLC);
+const ISO_HDLC: crc::Algorithm<u32> = crc::CRC_32_ISO_HDLC;
 
 /// The word at a place, little endian; 0 beyond the end. One copy of it is smaller than many.
 #[inline(never)]
