@@ -17,7 +17,7 @@ const EVENT_S: f64 = 24.0;
 const COMFORT_BRAKING: f64 = 3.2;
 const COMFORT_JERK: f64 = 3.5;
 
-/// Scenarios in which somebody else makes hard braking necessary.
+/// Scenarios in which another vehicle makes hard braking necessary.
 fn is_emergency(scenario: &Scenario) -> bool {
     ["cut-in", "hard-braking"].contains(&scenario.name())
 }

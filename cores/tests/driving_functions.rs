@@ -329,7 +329,7 @@ fn brakes_for_a_standing_obstacle() {
     assert!(last.speed < 0.5 && last.x < 45.0 - 4.5, "{last:?}");
 }
 
-/// Without lanes the plan goes on in the driven curve, slower and slower.
+/// Without lanes the plan follows the driven curve, slower and slower.
 #[test]
 fn without_lanes_the_plan_slows_down() {
     let mut scene = scene(0, 20.0, &[]);
@@ -410,7 +410,7 @@ fn control_refuses_old_and_broken_trajectories() {
     assert_eq!(control.last(), before);
 }
 
-/// T-RED-4: whoever takes over begins with the command that acted last.
+/// T-RED-4: the system that takes over begins with the command that acted last.
 #[test]
 fn every_function_goes_on_from_the_last_command() {
     let last = Command {

@@ -58,7 +58,7 @@ const STATED: [Stated; 5] = [
         libc::SYS_rt_sigprocmask,
         "rt_sigprocmask",
         100,
-        "a task goes on that an interrupt has pre-empted",
+        "a task continues that an interrupt has pre-empted",
     ),
     Stated(
         libc::SYS_futex,

@@ -96,7 +96,7 @@ pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// The usual limits, but for a start that waits for nobody.
+/// The usual limits, except that a start does not wait for the other system.
 pub(crate) fn config() -> Config {
     let mut config = Config::desktop();
     config.redundancy.start_limit = Duration::from_ms(500);

@@ -107,7 +107,7 @@ impl Drive {
         }
     }
 
-    /// Drives on for so long, and keeps what the cores traced.
+    /// Drives for `span` more, and keeps what the cores traced.
     ///
     /// # Panics
     /// If the cores trace more than the machine keeps for a second.

@@ -5,8 +5,8 @@
 //! are smoothed, because maps have corners where roads have curves (US-101 has points every few
 //! metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
-//! **Beyond the map.** Where a lane ends because the map ends, it goes on straight without end,
-//! parallel to its neighbours. Where it ends while a neighbour goes on, that is a lane drop: a real
+//! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
+//! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a real
 //! end.
 
 use crate::commonroad::Lanelet;

@@ -28,8 +28,8 @@ const MOTION_TICKS: u64 = 10;
 /// reaches it before the frame is overdue.
 const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
-/// If the caller comes later than this, the world has stood still meanwhile, ns: a frozen world
-/// process must not look like a vehicle without control.
+/// If the caller is later than this, the world stands still for the time between, ns: a frozen
+/// process of the world must not look like a vehicle without control.
 const STALL_NS: u64 = 200_000_000;
 /// So far over the line between two lanes the ego must be to count as being in the other one, m.
 const LANE_HYSTERESIS: f64 = 0.1;

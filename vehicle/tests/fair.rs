@@ -1,5 +1,5 @@
 //! Every scenario can be driven: a reference driver with perfect knowledge drives 60 s through
-//! each. Whatever the ego does, the others do not collide with each other, and nobody runs into its
+//! each. Whatever the ego does, the others do not collide with each other, and none runs into its
 //! back.
 
 #![allow(clippy::unwrap_used, clippy::print_stdout)]
@@ -61,7 +61,7 @@ fn every_scenario_can_be_driven() {
     }
 }
 
-/// What is asked of the ego can be asked: nobody needs to brake harder than in real traffic, except
+/// What is asked of the ego can be asked: no vehicle needs to brake harder than in real traffic, except
 /// in the scenario that is about it.
 #[test]
 fn embedded_scenarios_are_fair() {

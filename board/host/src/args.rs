@@ -121,7 +121,7 @@ pub enum ProcessArgs {
 #[error("hidden argument {0}: missing or not understood (it is made by this program itself)")]
 pub struct InvalidArgs(&'static str);
 
-/// What the first argument of an application begins with; see [`jump`](crate::jump). The path of
+/// Prefix of the first argument of an application; see [`jump`](crate::jump). The path of
 /// its slot follows.
 pub(crate) const APPLICATION: &str = "__application ";
 const SUPPLY: &str = "__supply";

@@ -12,7 +12,7 @@ pub fn now() -> Instant {
     Instant::from_ns(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
 }
 
-/// Sleeps until `deadline`, on absolute time: what came late once does not shift what follows.
+/// Sleeps until `deadline`, on absolute time: one late wake-up does not shift the next ones.
 pub fn sleep_until(deadline: Instant) {
     let at = timespec(deadline.as_ns());
     while clock_nanosleep_absolute(ClockId::Monotonic, &at) == Err(Errno::INTR) {}

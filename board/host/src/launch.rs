@@ -102,7 +102,7 @@ pub struct Launcher {
     children: Vec<Child>,
     /// Locked as long as a process of the run lives.
     flash: Vec<Claimed>,
-    /// A signal that asks to end came and was not yet looked at.
+    /// A signal that asks to end has arrived and was not yet handled.
     signalled: Arc<AtomicBool>,
     is_over: bool,
 }
@@ -245,7 +245,7 @@ impl Launcher {
     }
 
     /// Ends the run: powers the systems down, kills what does not go, waits for all, wipes the
-    /// files, and looks what is left all the same.
+    /// files, and reports what is left all the same.
     pub fn finish(mut self) -> Leftovers {
         self.end()
     }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-/// What the names of all runs begin with.
+/// Prefix of the names of all runs.
 const RUN_PREFIX: &str = "tandem-";
 
 /// The name of one run on this machine: `tandem-` and up to 40 letters, digits and dashes.

@@ -133,7 +133,7 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
 // SAFETY: letters are a valid file name.
 pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
 
-/// What the file names of a run begin with.
+/// Prefix of the file names of a run.
 pub(crate) fn prefix(run: &RunName) -> FileName {
     FileName::new(format!("{run}_").as_bytes()).unwrap_or(FALLBACK)
 }

@@ -31,7 +31,7 @@ use crate::memory;
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
 
-/// How often the supply looks at its registers.
+/// How often the supply reads its registers.
 const PERIOD: Duration = Duration::from_ms(1);
 /// A supply that is later than this was held up itself: it was stopped, or the machine was.
 const HELD_UP: Duration = Duration::from_ms(50);

@@ -3,7 +3,7 @@
 //! A bounded queue of many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
 //! reserves the next slot by compare-and-swap, fills it, and marks it as filled with the number of
 //! its turn. A writer is a task or a handler of one core: one that is interrupted between the two
-//! steps, or killed, stops nobody but the reader, and that only at this slot. A full ring refuses
+//! steps, or killed, stops only the reader, and only at this slot. A full ring refuses
 //! the record: what is there stays, and the caller counts what is not.
 //!
 //! An incarnation that ended never fills the slots that it had reserved. The supply starts the next
@@ -26,7 +26,7 @@ const SLOTS_AT: usize = 2 * LINE;
 /// A record, its turn, and a word that is not used: two slots are a cache line.
 const SLOT_WORDS: usize = 8;
 const TURN_AT: usize = TRACE_WORDS;
-/// First word of a record that is none: [`decode_trace`] never yields it to anyone.
+/// First word of a record that is none: [`decode_trace`] never returns it.
 const VOID_AT: usize = TRACE_WORDS + 1;
 
 /// Slots of a ring. At the load of core 0, some 3200 records a second, more than a second.

@@ -45,9 +45,9 @@ pub const fn question(services: u32) -> u8 {
 /// What was wrong with the service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WatchdogFault {
-    /// None came in time.
+    /// None arrived in time.
     Late,
-    /// It came before the window was open.
+    /// It arrived before the window was open.
     Early,
     /// It did not answer the question.
     WrongAnswer,
@@ -61,7 +61,7 @@ pub struct Watchdog {
     last: Instant,
     services: u32,
     served: bool,
-    /// The last span in which nobody could watch: from, to.
+    /// The last span in which the supply could not watch: from, to.
     blind: [Instant; 2],
 }
 
@@ -126,7 +126,7 @@ impl Watchdog {
         closes + self.blind_since_last()
     }
 
-    /// No service has come until `now`.
+    /// No service has arrived by `now`.
     ///
     /// # Errors
     /// [`WatchdogFault::Late`] if one should have.
@@ -215,7 +215,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: a service that does not come is a fault, as soon as the window is over.
+    /// T-CHIP-6: a missing service is a fault as soon as the window is over.
     #[test]
     fn a_missing_service_is_late_after_the_window() {
         let fresh = Watchdog::new(WINDOW, START);

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use crate::machine::{MachineError, QEMU};
 
-/// No image that is run in this way takes so long, even on a busy machine.
+/// Longer than any image takes that is run in this way, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
 /// An emulator that does not outlive its value.

@@ -14,18 +14,18 @@ use tandem_cosim::{ITEM_WORDS, Item, MAGIC, MAX_WORDS, REPORT_WORDS, Report};
 use tempfile::TempDir;
 
 pub(crate) const QEMU: &str = "qemu-system-riscv32";
-/// Where the firmware looks for its straps.
+/// Address from which the firmware reads its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
 /// Where the bootloader finds the public key that it believes.
 const KEY_AT: u32 = STRAPS_AT + 64;
 /// Where the program flash of the system begins.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
-/// A machine that says nothing for so long hangs; one step takes far less than a second.
+/// A machine that reports nothing in this time hangs. One step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a machine that says nothing is looked after.
 const LOOK_MS: i64 = 50;
 
-/// Why a machine cannot go on.
+/// Why a machine cannot continue.
 #[derive(Debug, thiserror::Error)]
 pub enum MachineError {
     /// The emulator cannot be started.
@@ -48,7 +48,7 @@ pub enum MachineError {
         /// What the firmware has logged.
         log: String,
     },
-    /// What it says is nothing that this version understands.
+    /// This version does not understand its report.
     #[error("the firmware is not of this version")]
     Malformed,
 }
@@ -165,7 +165,7 @@ impl Machine {
     /// come to its next exchange.
     ///
     /// # Errors
-    /// [`MachineError`] if it comes to none.
+    /// [`MachineError`] if it does not.
     pub fn report(&mut self, mut each: impl FnMut(Item)) -> Result<Report, MachineError> {
         let mut words = vec![0; REPORT_WORDS];
         self.read(&mut words)?;

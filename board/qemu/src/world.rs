@@ -26,7 +26,7 @@ pub enum Layout {
 #[derive(Debug)]
 pub struct EmulatedWorld {
     machines: Vec<Node>,
-    /// The step that was come to.
+    /// The number of the last step.
     step: u64,
     /// What was on the bus, with its sender, since the last step.
     sent: Vec<(SystemId, CoreId, Received)>,
@@ -196,7 +196,7 @@ impl EmulatedWorld {
         let mut items = vec![];
         let report = match machine.report(|item| items.push(item)) {
             Ok(report) => report,
-            // By a signal: somebody killed it, and that is a loss of power.
+            // Killed by a signal: that is a loss of power.
             Err(MachineError::Ended { status, .. }) if status.code().is_none() => {
                 self.bury(index);
                 return Ok(());

@@ -17,7 +17,7 @@ use tandem_vehicle::{Config, LocalBus, Scenario, World};
 
 /// How long the functions drive, ms.
 const DRIVE_MS: u64 = 3_000;
-/// Where the image looks for the frames; see link.x.
+/// Address from which the image reads the frames; see link.x.
 const RECORDING_AT: u32 = 0x8100_0000;
 /// The strap that says for how long.
 const LENGTH_AT: u32 = 0x8090_0004;

@@ -95,7 +95,7 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
                         .map(|job| Job { to: *at, ..job }),
                 );
             }
-            // What the last incarnation had begun never ends.
+            // A job of the last incarnation never ends.
             Event::Started { .. } => open.clear(),
             _ => {}
         }

@@ -1,6 +1,6 @@
 //! The driving functions around the world, in virtual time: what the wiring of the cores does,
 //! without cores.
-#![allow(dead_code, clippy::unwrap_used)]
+#![allow(clippy::unwrap_used)]
 
 use tandem_board::{CanFrame, CanId, Duration, Instant};
 use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
@@ -13,7 +13,7 @@ use tandem_vehicle::{Config, LocalBus, Metrics, Scenario, Snapshot, World};
 
 /// Perception begins its cycle so late in each 50 ms, when all sensors have reported.
 const PERCEPTION_PHASE_MS: u64 = 25;
-/// Core 1 and core 2 need so long until the trajectory is with core 0.
+/// Time from the begin of perception until the trajectory is with core 0.
 const CHAIN_MS: u64 = 15;
 
 /// Which function produces the command.
@@ -84,13 +84,13 @@ impl System {
         }
     }
 
-    /// The next commands go on from this one.
+    /// The next commands continue from this one.
     pub(crate) fn resume(&mut self, last: &Command) {
         self.control.resume(last);
         self.degraded.resume(last);
     }
 
-    /// The command of the wished function; a function that cannot go on gives way to the next.
+    /// The command of the wished function; a function that cannot continue gives way to the next.
     pub(crate) fn command(
         &mut self,
         now: Instant,
@@ -130,7 +130,6 @@ pub(crate) struct Drive {
     /// Sensors whose frames are lost, by their ids.
     pub(crate) lost: Vec<u16>,
     transmitter: Transmitter,
-    recording: Option<Vec<(Instant, CanFrame)>>,
     /// The largest changes of consecutive commands: steering rad, acceleration m/s².
     pub(crate) largest_step: Command,
     last: Option<Command>,
@@ -148,7 +147,6 @@ impl Drive {
             produced: None,
             lost: Vec::new(),
             transmitter: Transmitter::new(),
-            recording: None,
             largest_step: Command::default(),
             last: None,
         }
@@ -171,21 +169,11 @@ impl Drive {
         }
     }
 
-    /// Drives on for `seconds` and keeps the frames that the vehicle sent.
-    pub(crate) fn record(&mut self, seconds: f64, frames: &mut Vec<(Instant, CanFrame)>) {
-        self.recording = Some(Vec::new());
-        self.run(seconds, &mut |_, _, _| {});
-        frames.extend(self.recording.take().into_iter().flatten());
-    }
-
     fn tick(&mut self, watch: &mut dyn FnMut(&Snapshot, &System, &Command)) {
         let now = self.now();
         self.bus.now = now;
         self.world.run_period(now, &mut self.bus, &mut |_| {});
         for frame in self.bus.from_vehicle.drain(..) {
-            if let Some(recording) = &mut self.recording {
-                recording.push((now, frame));
-            }
             let CanId::Standard(id) = frame.id() else {
                 panic!("a frame of the DBC has a standard id");
             };

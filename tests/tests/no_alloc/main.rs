@@ -10,11 +10,13 @@ use std::hint::black_box;
 use std::rc::Rc;
 use tandem_board::{Board, CoreId, Duration, Instant, SystemId};
 use tandem_board_sim::{Poller, SimBoard};
+use tandem_bus::Mode;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
+use tandem_record::run_log::ControlFrame;
 use tandem_redundancy::Phase;
 use tandem_tests::drive::Drive;
 
@@ -86,7 +88,7 @@ fn phases(drive: &Drive, of: SystemId) -> Vec<Phase> {
 }
 
 /// T-CHIP-2: no core allocates, reallocates or frees in a poll: not while it starts, drives or
-/// stands by in dense traffic, not in a takeover, and not when the lost system comes back.
+/// stands by in dense traffic, not in a takeover, not when the lost system comes back, and not in degraded mode.
 #[test]
 fn no_poll_of_any_core_allocates() {
     let tally = Log::default();
@@ -97,9 +99,17 @@ fn no_poll_of_any_core_allocates() {
     drive.run_for(S(4));
     drive.pair.power_on(SystemId::A);
     drive.run_for(S(6));
-
-    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
     assert_eq!(phases(&drive, SystemId::A), [Phase::Master, Phase::Standby]);
+    // Alone and without planning, B drives by the L2 functions.
+    drive.pair.power_off(SystemId::A);
+    drive.run_for(S(1));
+    drive.pair.kill_core(SystemId::B, CoreId::PLANNING);
+    drive.run_for(S(3));
+
+    let l2 = |frame: &&ControlFrame| frame.mode == Mode::DegradedL2;
+    let frames = drive.seen.borrow().log.accepted().filter(l2).count();
+    assert!(frames > 100, "{frames} frames of the L2 functions");
+    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
     let of_b = [Phase::Standby, Phase::DegradedMaster];
     assert_eq!(phases(&drive, SystemId::B), of_b);
     let tally = tally.borrow();

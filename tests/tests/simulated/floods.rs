@@ -179,7 +179,7 @@ fn a_core_that_floods_the_bus_leaves_it_to_the_others() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// Somebody who is no core puts this many frames on the bus in each of 1000 ms.
+/// A node that is no core puts this many frames on the bus in each of 1000 ms.
 fn forge_frames(a_ms: u32) -> Drive {
     let mut drive = Drive::new("cut-in", 3);
     drive.run_for(MS(10_000));

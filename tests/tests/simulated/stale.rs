@@ -54,7 +54,7 @@ fn term_in_flash(drive: &Drive, system: SystemId) -> Term {
 }
 
 /// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle
-/// refuses that, and its successor does not go on from it either.
+/// refuses that, and its successor does not continue from it either.
 #[test]
 fn a_stale_control_frame_does_not_jerk_the_new_master() {
     let mut drive = Drive::new("free-lane", 6);

@@ -148,12 +148,12 @@ impl Traffic {
         &self.vehicles
     }
 
-    /// Moves everybody to time `t`, which is `dt` after the last call (s).
+    /// Moves all vehicles to time `t`, which is `dt` after the last call (s).
     pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
         }
-        // Decide on what everybody sees now, then move: the order of the vehicles does not matter.
+        // All decide on what they see now, then all move: the order of the vehicles does not matter.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Mode::Driving {
                 let wanted = self.wanted_acceleration(index, t, ego);
@@ -307,7 +307,7 @@ impl Traffic {
             .fold(wanted, f64::min)
     }
 
-    /// Everybody else who is present, and the ego.
+    /// All others that are present, and the ego.
     fn others(&self, index: usize, ego: &Participant) -> impl Iterator<Item = Participant> {
         let others = self.vehicles.iter().enumerate();
         let others = others.filter(move |(i, v)| *i != index && v.is_present());

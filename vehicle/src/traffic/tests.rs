@@ -5,7 +5,7 @@ use crate::commonroad::{Lanelet, TimedState};
 
 const STEP: f64 = 0.005;
 
-/// Lane 0 ends at `drop`, if that is given; lane 1 goes on.
+/// Lane 0 ends at `drop`, if that is given; lane 1 continues.
 fn road(drop: Option<f64>) -> Arc<Road> {
     let lanelet = |id, y: f64, from: f64, to: f64| Lanelet {
         id,
@@ -199,7 +199,7 @@ fn who_has_to_leave_a_lane_that_ends_is_let_in() {
     };
     assert!(
         hardest(None) > -0.05,
-        "beside a lane that goes on nobody brakes"
+        "beside a lane that continues no vehicle brakes"
     );
     let braking = hardest(Some(180.0));
     assert!((-1.51..-1.0).contains(&braking), "gently: {braking}");

@@ -26,7 +26,7 @@ pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame
 /// Words of a cache line: what different writers write lies on different lines.
 const LINE: usize = 16;
 /// Writers of a trace: the cores and the supplies.
-const TAPES: usize = CoreAddress::COUNT + 2;
+const TRACE_WRITERS: usize = CoreAddress::COUNT + 2;
 
 /// Registers of the run.
 #[derive(Clone, Copy)]
@@ -121,7 +121,7 @@ pub(crate) struct Rings {
     /// Watchdog services of each system.
     pub(crate) service: [Ring; 2],
     /// Trace of each core, then of each supply.
-    pub(crate) trace: [Ring; TAPES],
+    pub(crate) trace: [Ring; TRACE_WRITERS],
 }
 
 /// Frames that wait for the bus, which fetches them every millisecond.
@@ -170,9 +170,9 @@ const RINGS_AND_END: (Rings, usize) = {
         at = end(transmit[n]);
         n += 1;
     }
-    let mut trace = [nothing; TAPES];
+    let mut trace = [nothing; TRACE_WRITERS];
     let mut n = 0;
-    while n < TAPES {
+    while n < TRACE_WRITERS {
         // Its slots are the trace ring's own business.
         trace[n] = Ring {
             at,

@@ -48,7 +48,7 @@ type BellState = State<PendingBits, Futex>;
 type BellStorage = Storage<BellState, true>;
 type BellListener = Waiter<PendingBits, Futex, BellStorage, FutexWaiter>;
 
-/// What is pending is in the memory that the receiver looks at; the bell carries one bit.
+/// What is pending is in memory that the receiver reads; the bell carries one bit.
 const RUNG: EventId = EventId::new(0);
 
 /// The bell of a core could not be hung.

@@ -58,7 +58,7 @@ impl Futex {
 
     /// Takes a ring that is pending.
     fn take(&self) {
-        // Pairs with the swap in `wake`: a ring that comes later finds EMPTY. A swap, not a store:
+        // Pairs with the swap in `wake`: a later ring finds EMPTY. A swap, not a store:
         // it reads the PENDING that it replaces, so the bits of that ring are seen by the drain.
         self.0.swap(EMPTY, SeqCst);
     }
@@ -79,7 +79,7 @@ impl Futex {
             }
         }
         let slept = futex::wait(&self.0, futex::Flags::empty(), SLEEPING, timeout.as_ref());
-        // Pairs with the swap in `wake`: a ring that came in the meantime stays PENDING and is
+        // Pairs with the swap in `wake`: a ring in between stays PENDING and is
         // taken by the caller.
         let _ = self.0.compare_exchange(SLEEPING, EMPTY, SeqCst, SeqCst);
         match slept {

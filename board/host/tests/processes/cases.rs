@@ -474,7 +474,7 @@ fn chatter(board: &HostBoard) {
 }
 
 fn overheard(script: &mut Script) {
-    // Nobody drains while they talk.
+    // The trace is not read while they talk.
     script.until("they have talked", |script| {
         SystemId::ALL
             .iter()

@@ -113,7 +113,7 @@ fn judge(script: &mut Script) {
     if matches!(case.setting, Setting::Plain | Setting::Watchdog) {
         for part in case.parts {
             let incarnations = script.generation(part.place.system, part.place.core).0;
-            assert_eq!(incarnations, 1, "nobody resets {}", part.place);
+            assert_eq!(incarnations, 1, "nothing resets {}", part.place);
         }
     }
 }

@@ -222,7 +222,7 @@ fn kill_core_1(script: &mut Script) {
     script.signal(A, PERCEPTION, Signal::KILL);
     script.until("it is gone", |script| script.pid(A, PERCEPTION) == 0);
     script.rest(60);
-    assert_eq!(script.generation(A, CONTROL).0, 1, "nobody else resets");
+    assert_eq!(script.generation(A, CONTROL).0, 1, "no other part resets");
     assert!(script.port.is_powered(A));
     script
         .port
@@ -231,14 +231,14 @@ fn kill_core_1(script: &mut Script) {
     script.await_incarnation(A, 2);
 }
 
-/// T-CHIP-6: a hang, whoever hangs: nothing but the missing service tells.
+/// T-CHIP-6: any core hangs: only the missing service shows it.
 fn freeze(script: &mut Script) {
     await_start(script, B, 1);
     script.signal(B, CONTROL, Signal::STOP);
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
 }
 
-/// T-CHIP-6: while the supply is held up it watches nobody. It finds what it has missed, as far as
+/// T-CHIP-6: while the supply is held up it watches no core. It finds what it has missed, as far as
 /// that was kept, and nothing of the rest: that is not the core's fault.
 fn freeze_supply(script: &mut Script) {
     script.await_incarnation(A, 1);

@@ -40,7 +40,7 @@ pub(crate) const GRANTED_CASE: Case = Case {
 const LIMIT: &str = "a_limit_on_priorities_gives_real_time";
 /// The highest priority that a process of a run claims.
 const PRIORITIES: u64 = 80;
-/// Somebody who owns nothing.
+/// A user who owns nothing.
 const ORDINARY: u32 = 61_234;
 
 fn check_granted(script: &mut Script) {
@@ -108,7 +108,7 @@ fn lacking_limit() -> Option<String> {
 /// Why the places below cannot be made here.
 fn lacking_right() -> Option<String> {
     if !geteuid().is_root() {
-        return Some("only root can be somebody else".to_owned());
+        return Some("only root can become another user".to_owned());
     }
     let tried = in_own_shm("size=64k", || Ok(())).err();
     tried.map(|error| {

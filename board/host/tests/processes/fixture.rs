@@ -34,7 +34,7 @@ pub(crate) struct Script {
     pub(crate) run: RunName,
     pub(crate) case: String,
     pub(crate) folder: OsString,
-    /// Trace records that nobody has waited for yet.
+    /// Trace records that no test has waited for yet.
     traced: Vec<Traced>,
     /// Records that the cores could not write, as far as [`Script::await_trace`] was told.
     pub(crate) lost: u32,

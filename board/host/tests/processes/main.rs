@@ -2,7 +2,7 @@
 //!
 //! Each case is a run of its own. The harness starts this program again as the launcher of the run;
 //! that starts it again as supplies and vehicle, and the supplies as cores. The vehicle is the
-//! script of the case: it sees and kills everybody, and a panic in it fails the case. The
+//! script of the case: it sees and kills all processes, and a panic in it fails the case. The
 //! conformance suite of the board runs the same way.
 #![allow(clippy::expect_used, reason = "a test")]
 

@@ -1,4 +1,4 @@
-//! What a run leaves behind: nothing, whoever is killed and whenever.
+//! What a run leaves behind: nothing, whichever process is killed and whenever.
 
 use std::path::Path;
 use std::process::Child;
@@ -24,7 +24,7 @@ fn short(script: &mut Script) {
     script.await_incarnation(SystemId::B, 1);
 }
 
-/// Lasts until somebody ends it. Not a case of its own: the trials below need a run to kill.
+/// Lasts until a test ends it. Not a case of its own: the trials below need a run to kill.
 pub(crate) const LASTING: Case = Case {
     name: "lasting",
     core: live,
@@ -32,7 +32,7 @@ pub(crate) const LASTING: Case = Case {
 };
 
 fn last(script: &mut Script) {
-    script.until("somebody stops it", |script| script.port.stop_requested());
+    script.until("a test stops it", |script| script.port.stop_requested());
 }
 
 pub(crate) fn trials() -> Vec<Trial> {
@@ -210,7 +210,7 @@ fn kill_while_starting(place: &str) -> Outcome {
         if round % 2 == 0 {
             signal(launcher.id(), Signal::KILL);
         } else {
-            // Somebody of the run, whoever is there.
+            // Any process of the run that is there.
             let there = ours();
             if let Some(victim) = there.get(round as usize % there.len().max(1)) {
                 let pid = rustix::process::Pid::from_raw(victim.pid as i32).expect("a process");
