@@ -6,8 +6,8 @@
 //! metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
 //! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
-//! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a real
-//! end.
+//! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a
+//! real end.
 
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};

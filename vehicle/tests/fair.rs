@@ -61,8 +61,8 @@ fn every_scenario_can_be_driven() {
     }
 }
 
-/// What is asked of the ego can be asked: no vehicle needs to brake harder than in real traffic, except
-/// in the scenario that is about it.
+/// What is asked of the ego can be asked: no vehicle needs to brake harder than in real traffic,
+/// except in the scenario that is about it.
 #[test]
 fn embedded_scenarios_are_fair() {
     for name in Scenario::names() {

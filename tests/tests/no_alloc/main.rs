@@ -88,7 +88,8 @@ fn phases(drive: &Drive, of: SystemId) -> Vec<Phase> {
 }
 
 /// T-CHIP-2: no core allocates, reallocates or frees in a poll: not while it starts, drives or
-/// stands by in dense traffic, not in a takeover, not when the lost system comes back, and not in degraded mode.
+/// stands by in dense traffic, not in a takeover, not when the lost system comes back, and not in
+/// degraded mode.
 #[test]
 fn no_poll_of_any_core_allocates() {
     let tally = Log::default();

@@ -153,7 +153,8 @@ impl Traffic {
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
         }
-        // All decide on what they see now, then all move: the order of the vehicles does not matter.
+        // All decide on what they see now, then all move: the order of the vehicles does not
+        // matter.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Mode::Driving {
                 let wanted = self.wanted_acceleration(index, t, ego);

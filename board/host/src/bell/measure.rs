@@ -1,4 +1,5 @@
-//! How fast each trigger wakes a sleeper: those of iceoryx2 and ours. Measurements, to be run by hand:
+//! How fast each trigger wakes a sleeper: those of iceoryx2 and ours. Measurements, to be run by
+//! hand:
 //!
 //! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 bell`
 
