@@ -30,6 +30,17 @@ pub fn cpu_ns() -> u64 {
     read_ns(libc::CLOCK_THREAD_CPUTIME_ID)
 }
 
+/// Sleeps until this time of `CLOCK_MONOTONIC`.
+pub fn sleep_until(ns: u64) {
+    let until = libc::timespec {
+        tv_sec: (ns / 1_000_000_000) as libc::time_t,
+        tv_nsec: (ns % 1_000_000_000) as libc::c_long,
+    };
+    let clock = libc::CLOCK_MONOTONIC;
+    // SAFETY: a valid time, and no place for the rest.
+    unsafe { libc::clock_nanosleep(clock, libc::TIMER_ABSTIME, &until, std::ptr::null_mut()) };
+}
+
 fn read_ns(clock: libc::clockid_t) -> u64 {
     let mut now = libc::timespec {
         tv_sec: 0,
@@ -88,7 +99,7 @@ pub fn to_ps(ticks: u32) -> u64 {
     (f64::from(ticks) * ps_per_tick()) as u64
 }
 
-/// So many nanoseconds as ticks; at most what 32 bits hold, about a second.
+/// This many nanoseconds as ticks; at most what 32 bits hold, about a second.
 pub fn from_ns(ns: u64) -> u32 {
     (ns as f64 * 1000.0 / ps_per_tick()) as u32
 }

@@ -13,9 +13,6 @@ pub trait Exclusion {
     fn inside(&mut self, stay: impl FnOnce());
 }
 
-/// Where the word is that only who is inside may change: behind every lock of the cases.
-const GUARDED_LINE: usize = 128;
-
 /// `processes` (2 or 3) want in for as many microseconds as the plan has rounds. The first and the
 /// third share the near CPU. A sample is the time from wanting in to being in. Each stay changes
 /// one word; at the end it must have been changed once for each stay.
@@ -24,17 +21,17 @@ const GUARDED_LINE: usize = 128;
 /// If the processes or the shared memory cannot be had, an end failed, or two were inside.
 pub fn contended<E: Exclusion>(
     plan: &Plan,
+    shared: &Shared,
     processes: usize,
     own_bytes: u64,
-    enter: impl Fn(&Shared, usize) -> E,
+    enter: impl Fn(usize) -> E,
 ) -> io::Result<Batch> {
-    let shared = Shared::new()?;
     let span = from_ns(1_000 * plan.rounds as u64);
     let enter = &enter;
     let part = |core: usize| {
         Part::on(plan.cpus[core % 2], move |role: &mut Role<'_>| {
-            let mut exclusion = enter(role.shared, core);
-            let word = role.shared.line(GUARDED_LINE);
+            let mut exclusion = enter(core);
+            let word = role.shared.guarded();
             role.shared.meet(processes as u32);
             role.begin();
             let (begin, mut stays, mut longest) = (ticks(), 0u32, 0);
@@ -59,14 +56,14 @@ pub fn contended<E: Exclusion>(
             Ok(())
         })
     };
-    perform(&shared, (0..processes).map(part).collect())?;
+    perform(shared, (0..processes).map(part).collect())?;
     let stays: Vec<f64> = (0..processes).map(|n| shared.log(n).noted(0)).collect();
     let all: f64 = stays.iter().sum();
-    if f64::from(shared.line(GUARDED_LINE).load(Ordering::Relaxed)) != all {
+    if f64::from(shared.guarded().load(Ordering::Relaxed)) != all {
         return Err(io::Error::other("two were inside at once"));
     }
     let longest = (0..processes).map(|n| shared.log(n).noted(1));
-    let batch = Batch::collect(&shared, processes, all as usize, own_bytes).carrying(0);
+    let batch = Batch::collect(shared, processes, all as usize, own_bytes).carrying(0);
     Ok(batch
         .with_fact("share of the least served, 1 is fair", least_share(&stays))
         .with_fact("longest wait, ns", longest.fold(0.0, f64::max))

@@ -1,6 +1,6 @@
 //! What the machine does by itself: the pauses of a program that only reads the clock.
 
-use crate::clock::{from_ns, monotonic_ns, step_ticks, ticks, to_ps};
+use crate::clock::{from_ns, monotonic_ns, sleep_until, step_ticks, ticks, to_ps};
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
 use crate::worker::{Part, perform};
@@ -97,15 +97,7 @@ pub fn timer(plan: &Plan) -> io::Result<Batch> {
     let part = Part::on(plan.cpus[0], |role| {
         for _ in 0..plan.rounds {
             let due = monotonic_ns() + PERIOD_NS;
-            let at = libc::timespec {
-                tv_sec: (due / 1_000_000_000) as libc::time_t,
-                tv_nsec: (due % 1_000_000_000) as libc::c_long,
-            };
-            let clock = libc::CLOCK_MONOTONIC;
-            // SAFETY: `at` is initialised; where the rest would go is not asked for.
-            unsafe {
-                libc::clock_nanosleep(clock, libc::TIMER_ABSTIME, &at, std::ptr::null_mut());
-            }
+            sleep_until(due);
             role.log
                 .push(0, from_ns(monotonic_ns().saturating_sub(due)));
         }

@@ -105,8 +105,21 @@ fn samples(bytes: &[u8], plan: &Plan, ended_well: bool) -> io::Result<Vec<u64>> 
         .collect())
 }
 
+/// What the peer's program measures, and the unit of its samples.
+pub type OfPosixPort = (&'static str, fn(Vec<u64>) -> Batch);
+/// How late a task wakes, from one period after it last did: this port counts time by sleeping, so
+/// that its ticks drift and have no absolute time.
+pub const TICK: OfPosixPort = ("tick", of_ns);
+/// From one task to another by a yield.
+pub const SWITCH: OfPosixPort = ("switch", of_ticks);
+/// From the interrupt of the tick to the task that it wakes.
+pub const INTERRUPT: OfPosixPort = ("interrupt", of_ticks);
+
 /// Runs the peer's program.
-fn posix_port(plan: &Plan, what: &str) -> io::Result<Vec<u64>> {
+///
+/// # Errors
+/// If it cannot be started.
+pub fn posix_port(plan: &Plan, (what, of): OfPosixPort) -> io::Result<Batch> {
     // SAFETY: a name closed with a zero; the descriptor is ours.
     let program = unsafe {
         let descriptor = libc::memfd_create(c"freertos-posix".as_ptr(), libc::MFD_CLOEXEC);
@@ -133,7 +146,7 @@ fn posix_port(plan: &Plan, what: &str) -> io::Result<Vec<u64>> {
             })
             .output()?
     };
-    samples(&output.stdout, plan, output.status.success())
+    samples(&output.stdout, plan, output.status.success()).map(of)
 }
 
 fn batch(samples_ps: impl Iterator<Item = u64>) -> Batch {
@@ -156,20 +169,11 @@ fn of_ticks(samples: Vec<u64>) -> Batch {
 /// # Errors
 /// If the process cannot be had.
 pub fn tick_floor(plan: &Plan) -> io::Result<Batch> {
-    let sleep_until = |ns: u64| {
-        let until = libc::timespec {
-            tv_sec: (ns / 1_000_000_000) as libc::time_t,
-            tv_nsec: (ns % 1_000_000_000) as libc::c_long,
-        };
-        let clock = libc::CLOCK_MONOTONIC;
-        // SAFETY: a valid time, and no place for the rest.
-        unsafe { libc::clock_nanosleep(clock, libc::TIMER_ABSTIME, &until, std::ptr::null_mut()) };
-    };
     let floor = |wanted| {
         let mut due = clock::monotonic_ns();
         loop {
             due += TICK_NS;
-            sleep_until(due);
+            clock::sleep_until(due);
             if SAMPLES.take(clock::monotonic_ns() - due, wanted) {
                 return Ok(());
             }
@@ -210,15 +214,6 @@ pub fn tick(plan: &Plan) -> io::Result<Batch> {
     in_process(plan, periodic).map(of_ns)
 }
 
-/// How late a task of the POSIX port wakes, from one period after it last did: this port counts
-/// time by sleeping, so that its ticks drift and have no absolute time.
-///
-/// # Errors
-/// If the program cannot be started.
-pub fn tick_posix_port(plan: &Plan) -> io::Result<Batch> {
-    posix_port(plan, "tick").map(of_ns)
-}
-
 /// From the call of a yield in one task to its end in the other.
 ///
 /// # Errors
@@ -241,14 +236,6 @@ pub fn switch(plan: &Plan) -> io::Result<Batch> {
     in_process(plan, yielders).map(of_ticks)
 }
 
-/// The same with the POSIX port.
-///
-/// # Errors
-/// If the program cannot be started.
-pub fn switch_posix_port(plan: &Plan) -> io::Result<Batch> {
-    posix_port(plan, "switch").map(of_ticks)
-}
-
 /// From the interrupt of the tick to the task that it wakes; the idle task is interrupted.
 ///
 /// # Errors
@@ -268,12 +255,4 @@ pub fn switch_from_interrupt(plan: &Plan) -> io::Result<Batch> {
         }])
     };
     in_process(plan, interrupted).map(of_ticks)
-}
-
-/// The same with the POSIX port.
-///
-/// # Errors
-/// If the program cannot be started.
-pub fn switch_from_interrupt_posix_port(plan: &Plan) -> io::Result<Batch> {
-    posix_port(plan, "interrupt").map(of_ticks)
 }

@@ -18,6 +18,8 @@ const PAGE: usize = 1024;
 const MET_AT: usize = 0;
 /// A word of the harness for whatever the parts agree on.
 const FLAG_AT: usize = LINE;
+/// A word that only the part inside a lock may change.
+const GUARDED_AT: usize = 2 * LINE;
 /// Each part's page: two counts, notes of two words each, then a text.
 const PAGES_AT: usize = PAGE;
 const NOTES_AT: usize = LINE;
@@ -104,6 +106,12 @@ impl Shared {
     #[must_use]
     pub fn flag(&self) -> &'static AtomicU32 {
         &self.words[FLAG_AT]
+    }
+
+    /// A word that only the part inside a lock may change.
+    #[must_use]
+    pub fn guarded(&self) -> &'static AtomicU32 {
+        &self.words[GUARDED_AT]
     }
 
     /// Maps every page that the harness itself writes, so that none is counted as the case's.

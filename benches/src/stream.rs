@@ -30,8 +30,8 @@ pub struct Stream {
     pub chunk: usize,
     /// Bytes of a message.
     pub payload_bytes: u64,
-    /// Words that the case needs of the memory that the harness shares.
-    pub case_words: usize,
+    /// Bytes that the case uses of the memory that the harness shares.
+    pub own_bytes: u64,
 }
 
 impl Stream {
@@ -40,28 +40,14 @@ impl Stream {
     }
 
     fn batch(&self, plan: &Plan, shared: &Shared, parts: usize) -> Batch {
-        let own_bytes = 4 * self.case_words as u64;
-        Batch::collect(shared, parts, plan.rounds, own_bytes)
+        Batch::collect(shared, parts, plan.rounds, self.own_bytes)
             .per_operation(self.chunk)
             .carrying(self.payload_bytes)
     }
 }
 
-/// What an end does when it cannot go on.
-pub type Pause = fn();
-
-/// The end has a CPU of its own.
-pub fn on_own_cpu() {
-    spin_loop();
-}
-
-/// The end shares its CPU with another.
-pub fn on_shared_cpu() {
-    give_way();
-}
-
 /// Sends all messages of the plan.
-pub fn pour(source: &mut impl Source, messages: usize, role: &mut Role<'_>, pause: Pause) {
+pub fn pour(source: &mut impl Source, messages: usize, role: &mut Role<'_>, pause: fn()) {
     role.begin();
     for k in 0..messages as u32 {
         while !source.send(k) {
@@ -99,37 +85,44 @@ pub fn drain<S: Sink>(plan: &Plan, chunk: usize, sinks: &mut [S], role: &mut Rol
     role.end();
 }
 
-/// From one process to another.
+/// From `WAYS` processes to one, each by a way of its own: the senders share the near CPU, the
+/// receiver has the far one to itself and polls all ways. Each sender sends its share of the
+/// messages.
 ///
 /// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
-pub fn between_processes<F: Source, T: Sink>(
+/// If the processes cannot be had, or an end failed.
+pub fn from_processes<F: Source, T: Sink, const WAYS: usize>(
     plan: &Plan,
+    shared: &Shared,
     stream: Stream,
-    source: impl FnOnce(&Shared) -> F,
-    sink: impl FnOnce(&Shared) -> T,
+    source: impl Fn(usize) -> F,
+    sink: impl Fn(usize) -> T,
 ) -> io::Result<Batch> {
-    let shared = Shared::with_case_words(stream.case_words.max(16))?;
-    let source = Part::on(plan.cpus[0], |role| {
-        let mut source = source(role.shared);
-        role.shared.meet(2);
-        pour(&mut source, stream.messages(plan), role, on_own_cpu);
+    let (source, count) = (&source, WAYS as u32 + 1);
+    let pause = if WAYS == 1 { spin_loop } else { give_way };
+    let sender = |way| {
+        Part::on(plan.cpus[0], move |role: &mut Role<'_>| {
+            let mut source = source(way);
+            role.shared.meet(count);
+            pour(&mut source, stream.messages(plan) / WAYS, role, pause);
+            Ok(())
+        })
+    };
+    let mut parts: Vec<Part<'_>> = (0..WAYS).map(sender).collect();
+    parts.push(Part::on(plan.cpus[1], |role| {
+        let mut sinks: [T; WAYS] = std::array::from_fn(sink);
+        role.shared.meet(count);
+        drain(plan, stream.chunk, &mut sinks, role);
         Ok(())
-    });
-    let sink = Part::on(plan.cpus[1], |role| {
-        let mut sink = sink(role.shared);
-        role.shared.meet(2);
-        drain(plan, stream.chunk, std::slice::from_mut(&mut sink), role);
-        Ok(())
-    });
-    perform(&shared, vec![source, sink])?;
-    Ok(stream.batch(plan, &shared, 2))
+    }));
+    perform(shared, parts)?;
+    Ok(stream.batch(plan, shared, WAYS + 1))
 }
 
 /// From one thread to another of the same process.
 ///
 /// # Errors
-/// As [`between_processes`].
+/// As [`from_processes`].
 pub fn between_threads<F: Source + Send, T: Sink + Send>(
     plan: &Plan,
     stream: Stream,
@@ -144,7 +137,7 @@ pub fn between_threads<F: Source + Send, T: Sink + Send>(
                 pin(plan.cpus[0]);
                 source_role.shared.meet(2);
                 let messages = stream.messages(plan);
-                pour(&mut source, messages, &mut source_role, on_own_cpu);
+                pour(&mut source, messages, &mut source_role, spin_loop);
             });
             role.shared.meet(2);
             drain(plan, stream.chunk, std::slice::from_mut(&mut sink), role);
@@ -153,38 +146,4 @@ pub fn between_threads<F: Source + Send, T: Sink + Send>(
     });
     perform(&shared, vec![part])?;
     Ok(stream.batch(plan, &shared, 2))
-}
-
-/// From two processes to a third: the senders share the near CPU, the receiver has the far one to
-/// itself and polls both ways. Each sender sends half of the messages.
-///
-/// # Errors
-/// As [`between_processes`].
-pub fn two_to_one<F: Source, T: Sink>(
-    plan: &Plan,
-    stream: Stream,
-    source: impl Fn(&Shared, usize) -> F,
-    sink: impl Fn(&Shared, usize) -> T,
-) -> io::Result<Batch> {
-    let shared = Shared::with_case_words(stream.case_words)?;
-    let source = &source;
-    let mut parts: Vec<Part<'_>> = [0, 1]
-        .map(|way| {
-            Part::on(plan.cpus[0], move |role| {
-                let mut source = source(role.shared, way);
-                role.shared.meet(3);
-                let messages = stream.messages(plan) / 2;
-                pour(&mut source, messages, role, on_shared_cpu);
-                Ok(())
-            })
-        })
-        .into();
-    parts.push(Part::on(plan.cpus[1], |role| {
-        let mut sinks = [0, 1].map(|way| sink(role.shared, way));
-        role.shared.meet(3);
-        drain(plan, stream.chunk, &mut sinks, role);
-        Ok(())
-    }));
-    perform(&shared, parts)?;
-    Ok(stream.batch(plan, &shared, 3))
 }

@@ -112,6 +112,7 @@ fn stays_that_get_lost_are_noticed() {
         cpus: [0, 0],
         system: None,
     };
-    let error = contended(&plan, 2, 0, |_, _| Absent).unwrap_err();
+    let shared = Shared::new().unwrap();
+    let error = contended(&plan, &shared, 2, 0, |_| Absent).unwrap_err();
     assert_eq!(error.to_string(), "two were inside at once");
 }

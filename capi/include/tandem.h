@@ -1,5 +1,5 @@
 /*
- * Tandem for firmware in C: the LMU (map, lives, lock, mailbox, pool, channels) and the redundancy.
+ * Tandem for firmware in C: the LMU (map, incarnations, lock, mailbox, pool, channels) and the redundancy.
  *
  * Generated from capi/src by `cargo xtask c-header`; do not edit. C99, and C++ by extern "C".
  *
@@ -17,7 +17,7 @@
  *  3. One object is used by one context of one core at a time.
  *  4. The firmware defines `void tandem_on_panic(void)`, which does not return: it resets the core.
  *
- * Sections named "Safety" refer to the numbers of this list.
+ * Every function relies on it.
  */
 
 #ifndef TANDEM_H
@@ -77,12 +77,6 @@ extern void tandem_on_panic(void);
 
 // The most blocks of a pool.
 #define TANDEM_MAX_BLOCKS 511
-
-// System A.
-#define TANDEM_SYSTEM_A 0
-
-// System B.
-#define TANDEM_SYSTEM_B 1
 
 // Power came on.
 #define TANDEM_CAUSE_POWER_ON 0
@@ -146,6 +140,12 @@ extern void tandem_on_panic(void);
 
 // Words of a report on the link.
 #define TANDEM_REPORT_WORDS 3
+
+// System A.
+#define TANDEM_SYSTEM_A 0
+
+// System B.
+#define TANDEM_SYSTEM_B 1
 
 // Bytes of a record in the flash.
 #define TANDEM_RECORD_BYTES 32
@@ -269,11 +269,11 @@ typedef int32_t tandem_status_t;
 #endif // __STDC_VERSION__ >= 202311L
 #endif // __cplusplus
 
-// The sending end of a broadcast ring. There is one at a time. Static, zero at first.
-typedef struct tandem_broadcast_sender_t {
+// The sending end of a FIFO. There is one at a time. Static, zero at first.
+typedef struct tandem_fifo_producer_t {
   // Private.
   size_t opaque[11];
-} tandem_broadcast_sender_t;
+} tandem_fifo_producer_t;
 
 // An LMU that this core is attached to. Static, zero at first; `tandem_map_format` or
 // `tandem_map_attach` makes it one.
@@ -290,6 +290,30 @@ typedef struct tandem_words_t {
   // How many words.
   size_t count;
 } tandem_words_t;
+
+// The receiving end of a FIFO. There is one at a time. Static, zero at first.
+typedef struct tandem_fifo_consumer_t {
+  // Private.
+  size_t opaque[11];
+} tandem_fifo_consumer_t;
+
+// The writing end of a newest-value channel. There is one at a time. Static, zero at first.
+typedef struct tandem_newest_writer_t {
+  // Private.
+  size_t opaque[11];
+} tandem_newest_writer_t;
+
+// A reading end of a newest-value channel; any number of them. Static, zero at first.
+typedef struct tandem_newest_reader_t {
+  // Private.
+  size_t opaque[20];
+} tandem_newest_reader_t;
+
+// The sending end of a broadcast ring. There is one at a time. Static, zero at first.
+typedef struct tandem_broadcast_sender_t {
+  // Private.
+  size_t opaque[11];
+} tandem_broadcast_sender_t;
 
 // A receiving end of a broadcast ring, with its own cursor; any number of them. Static, zero at
 // first.
@@ -349,18 +373,6 @@ typedef struct tandem_config_t {
   uint32_t hold_down_us;
 } tandem_config_t;
 
-// The sending end of a FIFO. There is one at a time. Static, zero at first.
-typedef struct tandem_fifo_producer_t {
-  // Private.
-  size_t opaque[11];
-} tandem_fifo_producer_t;
-
-// The receiving end of a FIFO. There is one at a time. Static, zero at first.
-typedef struct tandem_fifo_consumer_t {
-  // Private.
-  size_t opaque[11];
-} tandem_fifo_consumer_t;
-
 // One end of a lock: one for each task that takes it. Static, zero at first.
 typedef struct tandem_lock_t {
   // Private.
@@ -396,23 +408,11 @@ typedef struct tandem_layout_t {
 // One region of a layout. Names and sizes, in order, are the same in every image of a system,
 // whether in C or in Rust.
 typedef struct tandem_region_t {
-  // The name: UTF-8, at most `TANDEM_MAX_NAME` bytes, in memory that stays.
+  // The name: UTF-8, at most `TANDEM_MAX_NAME` bytes.
   const char *name;
   // How many words of 4 bytes are asked for: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
   size_t words;
 } tandem_region_t;
-
-// The writing end of a newest-value channel. There is one at a time. Static, zero at first.
-typedef struct tandem_newest_writer_t {
-  // Private.
-  size_t opaque[11];
-} tandem_newest_writer_t;
-
-// A reading end of a newest-value channel; any number of them. Static, zero at first.
-typedef struct tandem_newest_reader_t {
-  // Private.
-  size_t opaque[18];
-} tandem_newest_reader_t;
 
 // A pool as one incarnation of one core sees it. Static, zero at first.
 typedef struct tandem_pool_t {
@@ -555,92 +555,6 @@ typedef struct tandem_flash_op_t {
 extern "C" {
 #endif // __cplusplus
 
-// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
-// `TANDEM_BROADCAST_WORDS` is the same as a constant.
-size_t tandem_broadcast_words(size_t slots, size_t slot_words);
-
-// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
-// be given the same shape. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_sender_attach(struct tandem_broadcast_sender_t *sender,
-                                               const struct tandem_map_t *map,
-                                               size_t region,
-                                               size_t slots,
-                                               size_t slot_words);
-
-// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-// sent before `tandem_broadcast_send`. Waits for nobody.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_loan(struct tandem_broadcast_sender_t *sender,
-                                      struct tandem_words_t *words);
-
-// Sends the value in the slot that was lent. Waits for nobody.
-//
-// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_send(struct tandem_broadcast_sender_t *sender);
-
-// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
-// not 0 the oldest value that is still there first. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_receiver_attach(struct tandem_broadcast_receiver_t *receiver,
-                                                 const struct tandem_map_t *map,
-                                                 size_t region,
-                                                 size_t slots,
-                                                 size_t slot_words,
-                                                 uint32_t oldest);
-
-// The next value, to be read in place; what is read counts, and the cursor goes on, only with
-// `tandem_broadcast_finish`. Does not block.
-//
-// `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
-// received: how many goes to `lost` (null: nobody wants to know), and the next call goes on behind
-// them.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_receive(struct tandem_broadcast_receiver_t *receiver,
-                                         struct tandem_words_t *words,
-                                         uint32_t *lost);
-
-// Ends the reading: whether all that was read was one value. Its number goes to `number` (null:
-// nobody wants to know). Does not block.
-//
-// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: forget what was read.
-// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_broadcast_finish(struct tandem_broadcast_receiver_t *receiver,
-                                        uint32_t *number,
-                                        uint32_t *lost);
-
-// The profile for firmware: systems whose timers are late by far less than a millisecond.
-//
-// # Safety
-// 1 of the caller's contract.
-tandem_status_t tandem_config_rt(struct tandem_config_t *config);
-
-// The profile for ordinary processes on a desktop.
-//
-// # Safety
-// 1 of the caller's contract.
-tandem_status_t tandem_config_desktop(struct tandem_config_t *config);
-
-// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
-//
-// # Safety
-// 1 of the caller's contract.
-tandem_status_t tandem_config_check(const struct tandem_config_t *config);
-
 // Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
 // (1 ..= 65536), 2^24 words in all at most; 0 if there can be no such FIFO. `TANDEM_FIFO_WORDS` is
 // the same as a constant.
@@ -648,9 +562,6 @@ size_t tandem_fifo_words(size_t slots, size_t slot_words);
 
 // Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
 // must be given the same shape. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_producer_attach(struct tandem_fifo_producer_t *producer,
                                             const struct tandem_map_t *map,
                                             size_t region,
@@ -661,9 +572,6 @@ tandem_status_t tandem_fifo_producer_attach(struct tandem_fifo_producer_t *produ
 // `tandem_fifo_send`; until then another loan lends the same slot. Does not block.
 //
 // `TANDEM_STATUS_FULL`
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_loan(struct tandem_fifo_producer_t *producer,
                                  struct tandem_words_t *words);
 
@@ -671,16 +579,10 @@ tandem_status_t tandem_fifo_loan(struct tandem_fifo_producer_t *producer,
 // signal it through a mailbox, if it may be asleep.
 //
 // `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_send(struct tandem_fifo_producer_t *producer);
 
 // Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
 // released. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_consumer_attach(struct tandem_fifo_consumer_t *consumer,
                                             const struct tandem_map_t *map,
                                             size_t region,
@@ -691,26 +593,127 @@ tandem_status_t tandem_fifo_consumer_attach(struct tandem_fifo_consumer_t *consu
 // Does not block.
 //
 // `TANDEM_STATUS_EMPTY`
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_fifo_receive(struct tandem_fifo_consumer_t *consumer,
                                     struct tandem_words_t *words);
 
 // Frees the slot of the value that was received, for the producer. Does not block.
 //
 // `TANDEM_STATUS_NOTHING_TO_END` if none was received.
+tandem_status_t tandem_fifo_release(struct tandem_fifo_consumer_t *consumer);
+
+// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
+// `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
+size_t tandem_newest_words(size_t slots, size_t slot_words);
+
+// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
+// must be given the same shape. Task; does not block.
+tandem_status_t tandem_newest_writer_attach(struct tandem_newest_writer_t *writer,
+                                            const struct tandem_map_t *map,
+                                            size_t region,
+                                            size_t slots,
+                                            size_t slot_words);
+
+// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
+// published before `tandem_newest_publish`. Does not block.
+tandem_status_t tandem_newest_loan(struct tandem_newest_writer_t *writer,
+                                   struct tandem_words_t *words);
+
+// Publishes the value in the slot that was lent. Does not block.
+//
+// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+tandem_status_t tandem_newest_publish(struct tandem_newest_writer_t *writer);
+
+// Attaches to the channel in region `region`. Task; does not block.
+tandem_status_t tandem_newest_reader_attach(struct tandem_newest_reader_t *reader,
+                                            const struct tandem_map_t *map,
+                                            size_t region,
+                                            size_t slots,
+                                            size_t slot_words);
+
+// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
+// so. Does not block.
+//
+// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
+// faster: try again.
+tandem_status_t tandem_newest_view(struct tandem_newest_reader_t *reader,
+                                   struct tandem_words_t *words);
+
+// Whether all that was read through the last view was one value; its number, counted over all
+// incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
+//
+// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
+tandem_status_t tandem_newest_finish(struct tandem_newest_reader_t *reader, uint32_t *number);
+
+// Copies the newest value to `into`, as many words as both have, and its number to `number` (may
+// be NULL). Tries up to four times; does not block.
+//
+// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: the content of `into` is void.
 //
 // # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_fifo_release(struct tandem_fifo_consumer_t *consumer);
+// As all functions, for `count` initialised words at `into`.
+tandem_status_t tandem_newest_read(struct tandem_newest_reader_t *reader,
+                                   uint32_t *into,
+                                   size_t count,
+                                   uint32_t *number);
+
+// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
+// `TANDEM_BROADCAST_WORDS` is the same as a constant.
+size_t tandem_broadcast_words(size_t slots, size_t slot_words);
+
+// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
+// be given the same shape. Task; does not block.
+tandem_status_t tandem_broadcast_sender_attach(struct tandem_broadcast_sender_t *sender,
+                                               const struct tandem_map_t *map,
+                                               size_t region,
+                                               size_t slots,
+                                               size_t slot_words);
+
+// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
+// sent before `tandem_broadcast_send`. Does not block.
+tandem_status_t tandem_broadcast_loan(struct tandem_broadcast_sender_t *sender,
+                                      struct tandem_words_t *words);
+
+// Sends the value in the slot that was lent. Does not block.
+//
+// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+tandem_status_t tandem_broadcast_send(struct tandem_broadcast_sender_t *sender);
+
+// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
+// not 0 the oldest value that is still there first. Task; does not block.
+tandem_status_t tandem_broadcast_receiver_attach(struct tandem_broadcast_receiver_t *receiver,
+                                                 const struct tandem_map_t *map,
+                                                 size_t region,
+                                                 size_t slots,
+                                                 size_t slot_words,
+                                                 uint32_t oldest);
+
+// The next value, to be read in place; what is read counts, and the cursor moves on, only with
+// `tandem_broadcast_finish`. Does not block.
+//
+// `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
+// received: how many goes to `lost` (may be NULL), and the next call continues behind them.
+tandem_status_t tandem_broadcast_receive(struct tandem_broadcast_receiver_t *receiver,
+                                         struct tandem_words_t *words,
+                                         uint32_t *lost);
+
+// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
+// NULL). Does not block.
+//
+// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: forget what was read.
+// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
+tandem_status_t tandem_broadcast_finish(struct tandem_broadcast_receiver_t *receiver,
+                                        uint32_t *number,
+                                        uint32_t *lost);
+
+// The profile for firmware: systems whose timers are late by far less than a millisecond.
+tandem_status_t tandem_config_rt(struct tandem_config_t *config);
+
+// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
+tandem_status_t tandem_config_check(const struct tandem_config_t *config);
 
 // Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
 // announced. A lock that an earlier incarnation held is not released by this, but recovered by the
 // next taker. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_lock_attach(struct tandem_lock_t *lock,
                                    const struct tandem_map_t *map,
                                    size_t region,
@@ -723,9 +726,6 @@ tandem_status_t tandem_lock_attach(struct tandem_lock_t *lock,
 // `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
 // from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
 // `TANDEM_STATUS_BUSY`: this end holds it already.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_lock_acquire(struct tandem_lock_t *lock,
                                     uint32_t looks,
                                     tandem_relax_t relax,
@@ -735,59 +735,38 @@ tandem_status_t tandem_lock_acquire(struct tandem_lock_t *lock,
 // block.
 //
 // As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if it is not to be had.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_lock_try_acquire(struct tandem_lock_t *lock);
 
 // Gives the lock back. Any context; does not block.
 //
 // `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_lock_release(struct tandem_lock_t *lock);
 
 // Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
 // once afterwards: an earlier incarnation may not have come so far. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_sender_attach(struct tandem_mailbox_sender_t *sender,
                                              const struct tandem_map_t *map,
                                              size_t region);
 
 // Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
 // visible to its handler; no signal is lost. Task or handler, one at a time: a task that shares
-// the sender with a handler keeps that away meanwhile. Does not block.
+// the sender with a handler keeps the handler away during the call. Does not block.
 //
 // `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_signal(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
 // Signals a task and hands it a value; of several values it gets the newest. Otherwise as
 // `tandem_mailbox_signal`.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_signal_with(struct tandem_mailbox_sender_t *sender,
                                            uint32_t task,
                                            uint32_t value);
 
 // How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
 // does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 uint32_t tandem_mailbox_open(struct tandem_mailbox_sender_t *sender, uint32_t task);
 
 // Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
 // an earlier incarnation of this core left open come with the first poll. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_receiver_attach(struct tandem_mailbox_receiver_t *receiver,
                                                const struct tandem_map_t *map,
                                                size_t region);
@@ -805,19 +784,14 @@ tandem_status_t tandem_mailbox_add_task(struct tandem_mailbox_receiver_t *receiv
                                         void *context);
 
 // Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
-// signals there were to `signals` (null: nobody wants to know). One look and bounded; what comes
-// meanwhile is left to the next call. Task or handler, always the same; does not block.
+// signals there were to `signals` (may be NULL). Polls once and is bounded; a
+// signal that arrives during the call is left to the next one. Task or handler, always the same; does not block.
 //
 // `TANDEM_STATUS_EMPTY` if there was none.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver, uint32_t *signals);
+tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver,
+                                    uint32_t *signals);
 
 // How many signals named a task without a handler; they count as handled. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 uint32_t tandem_mailbox_unknown(struct tandem_mailbox_receiver_t *receiver);
 
 // Says that this core is going to sleep: from now on signals want the doorbell. Disable
@@ -825,15 +799,9 @@ uint32_t tandem_mailbox_unknown(struct tandem_mailbox_receiver_t *receiver);
 // Does not block.
 //
 // `TANDEM_STATUS_DO_NOT_SLEEP` if signals are there: poll instead.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_prepare_sleep(struct tandem_mailbox_receiver_t *receiver);
 
 // Says that this core is awake: signals need no doorbell. Does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_mailbox_awake(struct tandem_mailbox_receiver_t *receiver);
 
 // Makes a layout of `count` regions (1 ..= `TANDEM_MAX_REGIONS`). `layout` must stay where it is
@@ -841,10 +809,7 @@ tandem_status_t tandem_mailbox_awake(struct tandem_mailbox_receiver_t *receiver)
 //
 // `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or no UTF-8, or a
 // size is 0 or above 2^24 words.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
-tandem_status_t tandem_layout_init(struct tandem_layout_t *layout,
+tandem_status_t tandem_layout_init(struct tandem_layout_t *into,
                                    const struct tandem_region_t *regions,
                                    size_t count);
 
@@ -877,9 +842,6 @@ tandem_status_t tandem_map_attach(struct tandem_map_t *map,
 // library does not know. Any context; does not block.
 //
 // `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_map_region(const struct tandem_map_t *map,
                                   size_t index,
                                   struct tandem_words_t *words);
@@ -890,9 +852,6 @@ tandem_status_t tandem_map_region(const struct tandem_map_t *map,
 //
 // `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
 // stop.
-//
-// # Safety
-// 1 of the caller's contract.
 tandem_status_t tandem_incarnation_announce(const struct tandem_map_t *map,
                                             uint32_t core,
                                             uint32_t generation);
@@ -901,93 +860,13 @@ tandem_status_t tandem_incarnation_announce(const struct tandem_map_t *map,
 // the cores. Any context; does not block.
 //
 // `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
-//
-// # Safety
-// 1 of the caller's contract.
 tandem_status_t tandem_incarnation_mark_dead(const struct tandem_map_t *map,
                                              uint32_t core,
                                              uint32_t generation);
 
 // The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
 // arguments are no good. Any context; does not block.
-//
-// # Safety
-// 1 of the caller's contract.
 uint32_t tandem_incarnation_current(const struct tandem_map_t *map, uint32_t core);
-
-// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
-// `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
-size_t tandem_newest_words(size_t slots, size_t slot_words);
-
-// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
-// must be given the same shape. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_writer_attach(struct tandem_newest_writer_t *writer,
-                                            const struct tandem_map_t *map,
-                                            size_t region,
-                                            size_t slots,
-                                            size_t slot_words);
-
-// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
-// published before `tandem_newest_publish`. Waits for nobody.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_loan(struct tandem_newest_writer_t *writer,
-                                   struct tandem_words_t *words);
-
-// Publishes the value in the slot that was lent. Waits for nobody.
-//
-// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_publish(struct tandem_newest_writer_t *writer);
-
-// Attaches to the channel in region `region`. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_reader_attach(struct tandem_newest_reader_t *reader,
-                                            const struct tandem_map_t *map,
-                                            size_t region,
-                                            size_t slots,
-                                            size_t slot_words);
-
-// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
-// so. Does not block.
-//
-// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
-// faster: try again.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_view(struct tandem_newest_reader_t *reader,
-                                   struct tandem_words_t *words);
-
-// Whether all that was read through the last view was one value; its number, counted over all
-// incarnations of the writer and wrapping around, goes to `number` (null: nobody wants to know).
-// Does not block.
-//
-// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
-tandem_status_t tandem_newest_finish(struct tandem_newest_reader_t *reader, uint32_t *number);
-
-// Copies the newest value to `into`, as many words as both have, and its number to `number` (null:
-// nobody wants to know). Tries up to four times; does not block.
-//
-// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: the content of `into` is void.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract, for `count` initialised words.
-tandem_status_t tandem_newest_read(struct tandem_newest_reader_t *reader,
-                                   uint32_t *into,
-                                   size_t count,
-                                   uint32_t *number);
 
 // Words of a pool of `blocks` blocks (1 ..= `TANDEM_MAX_BLOCKS`); 0 if there can be no such pool.
 // `TANDEM_POOL_WORDS` is the same as a constant.
@@ -996,9 +875,6 @@ size_t tandem_pool_words(size_t blocks);
 // Attaches to the pool of `blocks` blocks in region `region`, as incarnation `generation` of core
 // `core`, which was announced. The first attachment of an incarnation frees what earlier
 // incarnations of its core own. Task; does not block.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_pool_attach(struct tandem_pool_t *pool,
                                    const struct tandem_map_t *map,
                                    size_t region,
@@ -1010,9 +886,6 @@ tandem_status_t tandem_pool_attach(struct tandem_pool_t *pool,
 //
 // `TANDEM_STATUS_FULL` if no free run of blocks is long enough (or `count` is 0),
 // `TANDEM_STATUS_BUSY` if other cores took what this one had found free: try again later.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_pool_get(struct tandem_pool_t *pool,
                                 size_t count,
                                 struct tandem_handle_t *handle);
@@ -1021,9 +894,6 @@ tandem_status_t tandem_pool_get(struct tandem_pool_t *pool,
 // given back or handed over. Any context; does not block.
 //
 // `TANDEM_STATUS_STALE`, `TANDEM_STATUS_NOT_OWNER`, `TANDEM_STATUS_INVALID`
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_pool_open(struct tandem_pool_t *pool,
                                  struct tandem_handle_t handle,
                                  struct tandem_words_t *words);
@@ -1032,33 +902,21 @@ tandem_status_t tandem_pool_open(struct tandem_pool_t *pool,
 //
 // `TANDEM_STATUS_STALE` (also if they were given back before), `TANDEM_STATUS_NOT_OWNER`,
 // `TANDEM_STATUS_INVALID`
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_pool_give_back(struct tandem_pool_t *pool, struct tandem_handle_t handle);
 
 // Makes core `to` the owner. What this core wrote is visible to it when it opens the same handle;
 // sending the handle there is the caller's business. Any context; does not block.
 //
 // As `tandem_pool_give_back`, and `TANDEM_STATUS_RECEIVER_DEAD`: then nothing has changed.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 tandem_status_t tandem_pool_hand_over(struct tandem_pool_t *pool,
                                       struct tandem_handle_t handle,
                                       uint32_t to);
 
 // Frees what incarnations that are not alive own, and returns how many words that were.
 // `tandem_pool_get` does the same where it needs the words. Any context; bounded.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 size_t tandem_pool_reclaim_dead(struct tandem_pool_t *pool);
 
 // How many words are free, in whole blocks, as far as one look tells. Any context; bounded.
-//
-// # Safety
-// 1, 2 and 3 of the caller's contract.
 size_t tandem_pool_free_words(struct tandem_pool_t *pool);
 
 // Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
@@ -1066,9 +924,6 @@ size_t tandem_pool_free_words(struct tandem_pool_t *pool);
 // block.
 //
 // `TANDEM_STATUS_OUT_OF_RANGE` if a number is none, or the configuration does not fit together.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
                                        const struct tandem_config_t *config,
                                        uint32_t system,
@@ -1079,27 +934,18 @@ tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
 // The periodic look at the lines; also at once when an edge or the power level interrupts. Hand
 // over everything from the CAN receiver *before* this. Times must not go back. Any context; does
 // not block. The actions are to be carried out.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_poll(struct tandem_redundancy_t *machine,
                                        uint64_t now_ns,
                                        const struct tandem_snapshot_t *snapshot,
                                        struct tandem_actions_t *actions);
 
 // A control frame was received on CAN. Any context; does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_control_frame(struct tandem_redundancy_t *machine,
                                                 uint64_t now_ns,
                                                 const struct tandem_control_frame_t *frame,
                                                 struct tandem_actions_t *actions);
 
 // A status frame of the other system was received on CAN. Any context; does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_status_frame(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                const struct tandem_report_t *report,
@@ -1121,9 +967,6 @@ tandem_status_t tandem_redundancy_link_report(struct tandem_redundancy_t *machin
 // A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
 // lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
 // does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machine,
                                               uint64_t now_ns,
                                               const struct tandem_control_frame_t *frame,
@@ -1131,9 +974,6 @@ tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machin
 
 // The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
 // ago; 0 if it has accepted none. Any context; does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                uint32_t term,
@@ -1142,9 +982,6 @@ tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machi
 
 // This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
 // context; does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,
                                             uint64_t now_ns,
                                             uint32_t failure,
@@ -1152,27 +989,15 @@ tandem_status_t tandem_redundancy_own_fault(struct tandem_redundancy_t *machine,
 
 // 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
 // send at once. Any context; does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 uint32_t tandem_redundancy_may_transmit(struct tandem_redundancy_t *machine, uint64_t now_ns);
 
 // The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 uint32_t tandem_redundancy_role(struct tandem_redundancy_t *machine);
 
 // The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 uint32_t tandem_redundancy_mode(struct tandem_redundancy_t *machine);
 
 // The term for control frames; meaningful while the system drives. Any context.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 uint32_t tandem_redundancy_term(struct tandem_redundancy_t *machine);
 
 // What to tell the other system: the datagram for the link goes to `words`
@@ -1186,9 +1011,6 @@ tandem_status_t tandem_redundancy_report(struct tandem_redundancy_t *machine,
                                          struct tandem_report_t *report);
 
 // The state that a new system is initialised with: A (0) is master, B (1) is standby.
-//
-// # Safety
-// 1 of the caller's contract.
 tandem_status_t tandem_state_factory(struct tandem_state_t *state, uint32_t system);
 
 // Reads both sectors, from number `first_sector` on, of `sector_bytes` bytes each (a multiple of
@@ -1204,31 +1026,19 @@ tandem_status_t tandem_store_load(struct tandem_store_t *store,
                                   struct tandem_loaded_t *loaded);
 
 // Asks for a state to be written: the one that the actions of the redundancy name. Does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_store_request(struct tandem_store_t *store,
                                      const struct tandem_state_t *state);
 
 // The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
 // `_FAILED`). Start it before the next call, or say `tandem_store_refused`. Does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_store_poll(struct tandem_store_t *store,
                                   uint32_t flash,
                                   struct tandem_flash_op_t *op);
 
 // The operation of the last poll was not started; it comes again. Does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 tandem_status_t tandem_store_refused(struct tandem_store_t *store);
 
 // 1 if all that was requested is durable, or never will be; else 0. Does not block.
-//
-// # Safety
-// 1 and 3 of the caller's contract.
 uint32_t tandem_store_is_settled(struct tandem_store_t *store);
 
 // Defined by the firmware: records what it can and resets the core. Must not return.

@@ -3,8 +3,34 @@
 //! All unsafe code that follows a pointer from C is here. The numbers in the `SAFETY` comments are
 //! those of the caller's contract at the head of the crate.
 
-use crate::TandemStatus;
+use crate::status::{TandemStatus, status};
 use core::mem::MaybeUninit;
+use core::sync::atomic::AtomicU32;
+
+/// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read
+/// and written whole.
+#[repr(C)]
+#[derive(Clone, Copy, Debug)]
+pub struct TandemWords {
+    /// The first word.
+    pub first: *mut TandemWord,
+    /// How many words.
+    pub count: usize,
+}
+
+/// A word of the LMU: `volatile uint32_t` in C.
+#[repr(transparent)]
+#[derive(Debug)]
+pub struct TandemWord(AtomicU32);
+
+impl TandemWords {
+    pub(crate) fn of(words: &[AtomicU32]) -> Self {
+        Self {
+            first: words.as_ptr().cast::<TandemWord>().cast_mut(),
+            count: words.len(),
+        }
+    }
+}
 
 /// A type of C whose memory holds a value of Rust.
 ///
@@ -108,12 +134,41 @@ pub(crate) unsafe fn get<'c, O: Opaque>(object: *mut O) -> Result<&'c mut O::Inn
 /// The value in an attached object that is only read.
 ///
 /// # Safety
-/// 1 of the caller's contract; nobody attaches the object anew meanwhile.
+/// 1 of the caller's contract; the object is not attached anew during the call.
 pub(crate) unsafe fn share<'c, O: Opaque>(object: *const O) -> Result<&'c O::Inner, TandemStatus> {
     // SAFETY: 1 is passed on; nothing is written through the pointer.
     let cell = unsafe { attached(object.cast_mut()) }?;
     // SAFETY: the mark says that `put` has been here, and all others only read.
     Ok(unsafe { (*cell).value.assume_init_ref() })
+}
+
+/// The status of a call on an attached object that runs no code of C.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn with<O: Opaque>(
+    object: *mut O,
+    call: impl FnOnce(&mut O::Inner) -> Result<TandemStatus, TandemStatus>,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    status(|| call(unsafe { get(object) }?))
+}
+
+/// As [`with`], for a call that lends words of the LMU, or the reason why not.
+///
+/// # Safety
+/// 1 and 3 of the caller's contract.
+pub(crate) unsafe fn lend<O: Opaque>(
+    object: *mut O,
+    words: *mut TandemWords,
+    call: impl FnOnce(&mut O::Inner) -> Result<&'static [AtomicU32], TandemStatus>,
+) -> TandemStatus {
+    status(|| {
+        checked(words)?;
+        // SAFETY: the caller's contract is passed on.
+        unsafe { write(words, TandemWords::of(call(get(object)?)?)) }?;
+        Ok(TandemStatus::Ok)
+    })
 }
 
 /// Runs `call` on the value of an attached object, marked as in use: `call` may run code of C, and
@@ -158,6 +213,18 @@ pub(crate) unsafe fn write<T>(to: *mut T, value: T) -> Result<(), TandemStatus> 
     Ok(())
 }
 
+/// Writes a result that C may not want: then `to` is NULL.
+///
+/// # Safety
+/// 1 of the caller's contract.
+pub(crate) unsafe fn write_if_wanted<T>(to: *mut T, value: T) -> Result<(), TandemStatus> {
+    if to.is_null() {
+        return Ok(());
+    }
+    // SAFETY: the caller's contract is passed on.
+    unsafe { write(to, value) }
+}
+
 /// Whether a result could be written there: to be asked before something is done that a bad pointer
 /// must not leave half-done.
 pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
@@ -167,7 +234,7 @@ pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
 /// Plain words of C. `count` of 0 gives an empty slice, whatever the pointer.
 ///
 /// # Safety
-/// 1 of the caller's contract, for `count` words that nobody writes meanwhile.
+/// 1 of the caller's contract, for `count` words that no one writes during the call.
 pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u32], TandemStatus> {
     if count == 0 {
         return Ok(&[]);

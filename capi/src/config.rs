@@ -123,9 +123,6 @@ impl TandemConfig {
 }
 
 /// The profile for firmware: systems whose timers are late by far less than a millisecond.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemStatus {
     status(|| {
@@ -135,23 +132,7 @@ pub unsafe extern "C" fn tandem_config_rt(config: *mut TandemConfig) -> TandemSt
     })
 }
 
-/// The profile for ordinary processes on a desktop.
-///
-/// # Safety
-/// 1 of the caller's contract.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn tandem_config_desktop(config: *mut TandemConfig) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::write(config, Config::desktop().into()) }?;
-        Ok(S::Ok)
-    })
-}
-
 /// Whether the values fit together; else `TANDEM_STATUS_OUT_OF_RANGE`.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_config_check(config: *const TandemConfig) -> TandemStatus {
     status(|| {

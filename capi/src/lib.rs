@@ -14,43 +14,46 @@
 //! - **Handlers that C registers run inside a call**, and may not use the object that called them:
 //!   they get `TANDEM_STATUS_BUSY`.
 //!
-//! # The caller's contract, named in each `SAFETY` comment
+//! # The caller's contract
+//!
+//! It is the safety section of every function; `SAFETY` comments name its numbers.
 //!
 //! 1. A pointer is null or points to memory of its type that stays where it is.
 //! 2. The LMU that a map was attached to stays mapped as long as any object attached through it is
 //!    used.
 //! 3. One object is used by one context of one core at a time.
 #![no_std]
+#![allow(
+    clippy::missing_safety_doc,
+    reason = "the contract is the same for all functions, and stands above and in the header once"
+)]
 
 #[cfg(not(target_os = "none"))]
 extern crate std;
 
-mod broadcast;
 mod cell;
+mod channel;
 mod config;
-mod fifo;
 mod lock;
 mod mailbox;
 mod map;
-mod newest;
 mod pool;
 mod redundancy;
 mod status;
 mod store;
 
-pub use broadcast::*;
+pub use cell::{TandemWord, TandemWords};
+pub use channel::*;
 pub use config::*;
-pub use fifo::*;
 pub use lock::*;
 pub use mailbox::*;
 pub use map::*;
-pub use newest::*;
 pub use pool::*;
 pub use redundancy::*;
 pub use status::*;
 pub use store::*;
 
-/// On bare metal nobody else says what a panic does.
+/// On bare metal the firmware says what a panic does.
 #[cfg(target_os = "none")]
 mod on_panic {
     unsafe extern "C" {

@@ -4,6 +4,7 @@ use crate::cell::{self, opaque};
 use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::c_void;
+use tandem_shm::bare;
 use tandem_shm::lock::{Acquired, Held, Lock, WORDS};
 use tandem_shm::sync::spin;
 
@@ -33,9 +34,6 @@ pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: 
 /// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
 /// announced. A lock that an earlier incarnation held is not released by this, but recovered by the
 /// next taker. Task; does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_attach(
     lock: *mut TandemLock,
@@ -44,18 +42,14 @@ pub unsafe extern "C" fn tandem_lock_attach(
     core: u32,
     generation: u32,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let (words, incarnations) = (map::region(map, region)?, map::incarnations(map)?);
-            let lock_end = Lock::attach(words, map::incarnation(core, generation)?, incarnations)?;
-            let end = End {
-                lock: lock_end,
-                held: None,
-            };
-            cell::put(lock, end)
-        }
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(lock, map, region, |words, incarnations| {
+            let incarnation = map::incarnation(core, generation)?;
+            let lock = bare::lock(words, incarnation, incarnations)?;
+            Ok(End { lock, held: None })
+        })
+    }
 }
 
 /// Takes the lock, after at most `looks` looks at it (at least 1). `relax` passes the time between
@@ -64,9 +58,6 @@ pub unsafe extern "C" fn tandem_lock_attach(
 /// `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
 /// from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
 /// `TANDEM_STATUS_BUSY`: this end holds it already.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_acquire(
     lock: *mut TandemLock,
@@ -102,38 +93,30 @@ fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S 
 /// block.
 ///
 /// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if it is not to be had.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let end = unsafe { cell::get(lock) }?;
-        if end.held.is_some() {
-            return Err(S::Busy);
-        }
-        let acquired = end.lock.try_lock().ok_or(S::Busy)?;
-        Ok(keep(&mut end.held, acquired))
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(lock, |end| {
+            if end.held.is_some() {
+                return Err(S::Busy);
+            }
+            let acquired = end.lock.try_lock().ok_or(S::Busy)?;
+            Ok(keep(&mut end.held, acquired))
+        })
+    }
 }
 
 /// Gives the lock back. Any context; does not block.
 ///
 /// `TANDEM_STATUS_NOTHING_TO_END` if this end does not hold it.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_release(lock: *mut TandemLock) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        match unsafe { cell::get(lock) }?.held.take() {
-            Some(held) => {
-                drop(held);
-                Ok(S::Ok)
-            }
-            None => Err(S::NothingToEnd),
-        }
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(lock, |end| {
+            drop(end.held.take().ok_or(S::NothingToEnd)?);
+            Ok(S::Ok)
+        })
+    }
 }

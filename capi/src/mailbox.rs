@@ -4,6 +4,7 @@ use crate::cell::{self, opaque};
 use crate::map::{self, TandemMap};
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::c_void;
+use tandem_shm::bare;
 use tandem_shm::mailbox::{MAX_TASK, Receiver, Ring, Sender, Signals, TaskId, WORDS};
 
 /// Words of a mailbox.
@@ -59,9 +60,6 @@ fn task_id(task: u32) -> Result<TaskId, S> {
 
 /// Attaches to the mailbox in region `region` as the sending core. Ring the receiver's doorbell
 /// once afterwards: an earlier incarnation may not have come so far. Task; does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     sender: *mut TandemMailboxSender,
@@ -69,45 +67,41 @@ pub unsafe extern "C" fn tandem_mailbox_sender_attach(
     region: usize,
 ) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.
-    status(|| unsafe { cell::put(sender, Sender::attach(map::region(map, region)?)?) })
+    unsafe {
+        map::attach(sender, map, region, |words, _| {
+            Ok(bare::mailbox_sender(words)?)
+        })
+    }
 }
 
 /// Signals task `task` (1 ..= 15) of the receiving core. What was written to the LMU before is
 /// visible to its handler; no signal is lost. Task or handler, one at a time: a task that shares
-/// the sender with a handler keeps that away meanwhile. Does not block.
+/// the sender with a handler keeps the handler away during the call. Does not block.
 ///
 /// `TANDEM_STATUS_RING_NEEDED`: signalled; ring the receiver's doorbell now.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_signal(
     sender: *mut TandemMailboxSender,
     task: u32,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let sender = unsafe { cell::get(sender) }?;
-        Ok(ring(sender.signal(task_id(task)?)))
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::with(sender, |sender| Ok(ring(sender.signal(task_id(task)?)))) }
 }
 
 /// Signals a task and hands it a value; of several values it gets the newest. Otherwise as
 /// `tandem_mailbox_signal`.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_signal_with(
     sender: *mut TandemMailboxSender,
     task: u32,
     value: u32,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let sender = unsafe { cell::get(sender) }?;
-        Ok(ring(sender.signal_with(task_id(task)?, value)))
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(sender, |sender| {
+            Ok(ring(sender.signal_with(task_id(task)?, value)))
+        })
+    }
 }
 
 const fn ring(ring: Ring) -> S {
@@ -119,9 +113,6 @@ const fn ring(ring: Ring) -> S {
 
 /// How many signals to a task are not handled yet; 0 if the arguments are no good. Any context;
 /// does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, task: u32) -> u32 {
     // SAFETY: the caller's contract is passed on.
@@ -134,30 +125,26 @@ pub unsafe extern "C" fn tandem_mailbox_open(sender: *mut TandemMailboxSender, t
 
 /// Attaches to the mailbox in region `region` as the receiving core, without handlers. Signals that
 /// an earlier incarnation of this core left open come with the first poll. Task; does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_receiver_attach(
     receiver: *mut TandemMailboxReceiver,
     map: *const TandemMap,
     region: usize,
 ) -> TandemStatus {
-    status(|| {
-        const NONE: Entry = Entry {
-            run: None,
-            context: core::ptr::null_mut(),
-        };
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let table = Table {
-                receiver: Receiver::attach(map::region(map, region)?)?,
+    const NONE: Entry = Entry {
+        run: None,
+        context: core::ptr::null_mut(),
+    };
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(receiver, map, region, |words, _| {
+            Ok(Table {
+                receiver: bare::mailbox_receiver(words)?,
                 tasks: [NONE; TANDEM_MAX_TASK as usize + 1],
                 unknown: 0,
-            };
-            cell::put(receiver, table)
-        }
-    })
+            })
+        })
+    }
 }
 
 /// Gives task `task` (1 ..= 15) a handler, which is called with `context`. Task; does not block.
@@ -174,29 +161,27 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
     run: TandemTask,
     context: *mut c_void,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        let table = unsafe { cell::get(receiver) }?;
-        let entry = &mut table.tasks[task_id(task)?.index()];
-        match (run, entry.run) {
-            (None, _) => Err(S::BadPointer),
-            (_, Some(_)) => Err(S::Taken),
-            _ => {
-                *entry = Entry { run, context };
-                Ok(S::Ok)
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(receiver, |table| {
+            let entry = &mut table.tasks[task_id(task)?.index()];
+            match (run, entry.run) {
+                (None, _) => Err(S::BadPointer),
+                (_, Some(_)) => Err(S::Taken),
+                _ => {
+                    *entry = Entry { run, context };
+                    Ok(S::Ok)
+                }
             }
-        }
-    })
+        })
+    }
 }
 
 /// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
-/// signals there were to `signals` (null: nobody wants to know). One look and bounded; what comes
-/// meanwhile is left to the next call. Task or handler, always the same; does not block.
+/// signals there were to `signals` (may be NULL). Polls once and is bounded; a
+/// signal that arrives during the call is left to the next one. Task or handler, always the same; does not block.
 ///
 /// `TANDEM_STATUS_EMPTY` if there was none.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_poll(
     receiver: *mut TandemMailboxReceiver,
@@ -223,18 +208,13 @@ pub unsafe extern "C" fn tandem_mailbox_poll(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         let count = unsafe { cell::occupy(receiver, poll) }?;
-        if !signals.is_null() {
-            // SAFETY: 1 of the caller's contract.
-            unsafe { cell::write(signals, count) }?;
-        }
+        // SAFETY: 1 of the caller's contract.
+        unsafe { cell::write_if_wanted(signals, count) }?;
         if count == 0 { Err(S::Empty) } else { Ok(S::Ok) }
     })
 }
 
 /// How many signals named a task without a handler; they count as handled. Task; does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxReceiver) -> u32 {
     // SAFETY: the caller's contract is passed on.
@@ -246,33 +226,29 @@ pub unsafe extern "C" fn tandem_mailbox_unknown(receiver: *mut TandemMailboxRece
 /// Does not block.
 ///
 /// `TANDEM_STATUS_DO_NOT_SLEEP` if signals are there: poll instead.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_prepare_sleep(
     receiver: *mut TandemMailboxReceiver,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        match unsafe { cell::get(receiver) }?.receiver.prepare_sleep() {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(receiver, |table| match table.receiver.prepare_sleep() {
             true => Ok(S::Ok),
             false => Err(S::DoNotSleep),
-        }
-    })
+        })
+    }
 }
 
 /// Says that this core is awake: signals need no doorbell. Does not block.
-///
-/// # Safety
-/// 1, 2 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_mailbox_awake(
     receiver: *mut TandemMailboxReceiver,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe { cell::get(receiver) }?.receiver.awake();
-        Ok(S::Ok)
-    })
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(receiver, |table| {
+            table.receiver.awake();
+            Ok(S::Ok)
+        })
+    }
 }

@@ -1,11 +1,11 @@
 //! The LMU: layout, map, incarnations.
 
-use crate::cell::{self, opaque};
+use crate::cell::{self, Opaque, TandemWords, opaque};
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::{CStr, c_char, c_void};
 use core::sync::atomic::AtomicU32;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
-use tandem_shm::map::{AttachError, Layout, Map, Region};
+use tandem_shm::map::{AttachError, Layout, Map};
 
 /// Cores that share an LMU; they are numbered from 0.
 pub const TANDEM_CORES: usize = 3;
@@ -21,7 +21,7 @@ const _: () = assert!(TANDEM_CORES == tandem_shm::incarnation::CORES);
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemRegion {
-    /// The name: UTF-8, at most `TANDEM_MAX_NAME` bytes, in memory that stays.
+    /// The name: UTF-8, at most `TANDEM_MAX_NAME` bytes.
     pub name: *const c_char,
     /// How many words of 4 bytes are asked for: `TANDEM_LOCK_WORDS`, `TANDEM_FIFO_WORDS(…)`, …
     pub words: usize,
@@ -44,40 +44,17 @@ pub struct TandemMap {
     pub opaque: [usize; 8],
 }
 
-/// The words of a slot or of an allocation in the LMU, to be worked on in place. Each word is read
-/// and written whole.
-#[repr(C)]
-#[derive(Clone, Copy, Debug)]
-pub struct TandemWords {
-    /// The first word.
-    pub first: *mut TandemWord,
-    /// How many words.
-    pub count: usize,
-}
-
-/// A word of the LMU: `volatile uint32_t` in C.
-#[repr(transparent)]
-#[derive(Debug)]
-pub struct TandemWord(AtomicU32);
-
-impl TandemWords {
-    pub(crate) fn of(words: &[AtomicU32]) -> Self {
-        Self {
-            first: words.as_ptr().cast::<TandemWord>().cast_mut(),
-            count: words.len(),
-        }
-    }
-}
-
-/// Regions with room for the largest layout, and how many there are.
+/// A layout, and where each region begins.
 pub(crate) struct Regions {
-    list: [Region; TANDEM_MAX_REGIONS],
+    layout: Layout,
+    /// First word and number of words.
+    places: [(u32, u32); TANDEM_MAX_REGIONS],
     count: usize,
 }
 
 pub(crate) struct Attached {
     map: Map<'static>,
-    regions: usize,
+    regions: &'static Regions,
 }
 
 opaque!(TandemLayout, Regions, 0x01);
@@ -88,12 +65,9 @@ opaque!(TandemMap, Attached, 0x02);
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there are too many regions, a name is too long or no UTF-8, or a
 /// size is 0 or above 2^24 words.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_layout_init(
-    layout: *mut TandemLayout,
+    into: *mut TandemLayout,
     regions: *const TandemRegion,
     count: usize,
 ) -> TandemStatus {
@@ -101,26 +75,33 @@ pub unsafe extern "C" fn tandem_layout_init(
         if count == 0 || count > TANDEM_MAX_REGIONS {
             return Err(S::OutOfRange);
         }
-        let mut list = [Region::new("", 0); TANDEM_MAX_REGIONS];
-        for (index, region) in list[..count].iter_mut().enumerate() {
+        let mut layout = Layout::EMPTY;
+        let mut places = [(0, 0); TANDEM_MAX_REGIONS];
+        for (index, place) in places[..count].iter_mut().enumerate() {
             // SAFETY: 1 of the caller's contract, for `count` regions.
             let given = unsafe { cell::read(regions.wrapping_add(index)) }?;
             if given.words == 0 || given.words > 1 << 24 {
                 return Err(S::OutOfRange);
             }
-            // SAFETY: the name stays, as the documentation of the field demands.
-            *region = Region::new(unsafe { name(given.name) }?, given.words);
+            *place = (layout.total_words() as u32, given.words as u32);
+            // SAFETY: 1 of the caller's contract.
+            layout = layout.with(unsafe { name(given.name) }?, given.words);
         }
+        let regions = Regions {
+            layout,
+            places,
+            count,
+        };
         // SAFETY: 1 and 3 of the caller's contract.
-        unsafe { cell::put(layout, Regions { list, count }) }
+        unsafe { cell::put(into, regions) }
     })
 }
 
 /// A string of C, of at most [`TANDEM_MAX_NAME`] bytes.
 ///
 /// # Safety
-/// Null, or a string that ends with 0, or memory of so many bytes; it stays.
-unsafe fn name(first: *const c_char) -> Result<&'static str, S> {
+/// Null, or a string that ends with 0, or memory of that many bytes, for the call.
+unsafe fn name<'c>(first: *const c_char) -> Result<&'c str, S> {
     if first.is_null() {
         return Err(S::BadPointer);
     }
@@ -151,9 +132,9 @@ pub unsafe extern "C" fn tandem_map_format(
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let (layout, regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let (regions, words) = unsafe { parts(layout, base, bytes) }?;
         let attached = Attached {
-            map: Map::format(words, layout)?,
+            map: Map::format(words, regions.layout)?,
             regions,
         };
         // SAFETY: 1 and 3 of the caller's contract.
@@ -177,8 +158,8 @@ pub unsafe extern "C" fn tandem_map_attach(
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let (layout, regions, words) = unsafe { parts(layout, base, bytes) }?;
-        let found = Map::attach(words, layout).map_err(|error| match error {
+        let (regions, words) = unsafe { parts(layout, base, bytes) }?;
+        let found = Map::attach(words, regions.layout).map_err(|error| match error {
             AttachError::TooSmall => S::TooSmall,
             AttachError::Misaligned => S::Misaligned,
             AttachError::NotReady => S::NotReady,
@@ -201,7 +182,7 @@ unsafe fn parts(
     layout: *const TandemLayout,
     base: *mut c_void,
     bytes: usize,
-) -> Result<(Layout, usize, &'static [AtomicU32]), S> {
+) -> Result<(&'static Regions, &'static [AtomicU32]), S> {
     // SAFETY: 1; a layout is written once and then only read.
     let regions: &'static Regions = unsafe { cell::share(layout) }?;
     let first = base.cast::<AtomicU32>();
@@ -214,14 +195,10 @@ unsafe fn parts(
     if bytes > isize::MAX as usize {
         return Err(S::OutOfRange);
     }
-    // SAFETY: aligned; by 2 so many bytes are there and stay. Words are atomics, so that other
+    // SAFETY: aligned; by 2 that many bytes are there and stay. Words are atomics, so that other
     // cores may write them.
     let words = unsafe { core::slice::from_raw_parts(first, bytes / 4) };
-    Ok((
-        Layout::new(&regions.list[..regions.count]),
-        regions.count,
-        words,
-    ))
+    Ok((regions, words))
 }
 
 /// The words of a region.
@@ -234,10 +211,23 @@ pub(crate) unsafe fn region(
 ) -> Result<&'static [AtomicU32], S> {
     // SAFETY: 1 is passed on; a map is written once and then only read.
     let attached = unsafe { cell::share(map) }?;
-    if index >= attached.regions {
-        return Err(S::OutOfRange);
-    }
-    Ok(attached.map.region(index))
+    let places = &attached.regions.places[..attached.regions.count];
+    let &(begin, count) = places.get(index).ok_or(S::OutOfRange)?;
+    Ok(attached.map.words(begin as usize, count as usize)?)
+}
+
+/// Makes an end in region `index`, and puts it into memory of C.
+///
+/// # Safety
+/// 1, 2 and 3 of the caller's contract.
+pub(crate) unsafe fn attach<O: Opaque>(
+    object: *mut O,
+    map: *const TandemMap,
+    index: usize,
+    end: impl FnOnce(&'static [AtomicU32], Incarnations<'static>) -> Result<O::Inner, S>,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe { cell::put(object, end(region(map, index)?, incarnations(map)?)?) })
 }
 
 /// The incarnation table.
@@ -257,21 +247,15 @@ pub(crate) fn incarnation(core: u32, generation: u32) -> Result<Incarnation, S> 
 /// library does not know. Any context; does not block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if there is no such region.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_map_region(
     map: *const TandemMap,
     index: usize,
     words: *mut TandemWords,
 ) -> TandemStatus {
-    status(|| {
-        // SAFETY: the caller's contract is passed on.
-        unsafe {
-            let found = region(map, index)?;
-            cell::write(words, TandemWords::of(found))?;
-        }
+    // SAFETY: the caller's contract is passed on.
+    status(|| unsafe {
+        cell::write(words, TandemWords::of(region(map, index)?))?;
         Ok(S::Ok)
     })
 }
@@ -282,9 +266,6 @@ pub unsafe extern "C" fn tandem_map_region(
 ///
 /// `TANDEM_STATUS_OUTDATED` if this incarnation is not the latest, or was marked dead: it must
 /// stop.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_announce(
     map: *const TandemMap,
@@ -293,11 +274,8 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let incarnations = unsafe { incarnations(map) }?;
-        match incarnations.announce(incarnation(core, generation)?) {
-            Ok(()) => Ok(S::Ok),
-            Err(_) => Err(S::Outdated),
-        }
+        let announced = unsafe { incarnations(map) }?.announce(incarnation(core, generation)?);
+        announced.map(|()| S::Ok).map_err(|_| S::Outdated)
     })
 }
 
@@ -305,9 +283,6 @@ pub unsafe extern "C" fn tandem_incarnation_announce(
 /// the cores. Any context; does not block.
 ///
 /// `TANDEM_STATUS_OUTDATED` if it is not the announced incarnation: there is nothing to mark.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_mark_dead(
     map: *const TandemMap,
@@ -316,8 +291,7 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
-        let incarnations = unsafe { incarnations(map) }?;
-        match incarnations.mark_dead(incarnation(core, generation)?) {
+        match unsafe { incarnations(map) }?.mark_dead(incarnation(core, generation)?) {
             true => Ok(S::Ok),
             false => Err(S::Outdated),
         }
@@ -326,9 +300,6 @@ pub unsafe extern "C" fn tandem_incarnation_mark_dead(
 
 /// The generation of the living incarnation of a core; 0 if it has not begun, is dead, or the
 /// arguments are no good. Any context; does not block.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_incarnation_current(map: *const TandemMap, core: u32) -> u32 {
     // SAFETY: the caller's contract is passed on.

@@ -3,17 +3,12 @@
 use crate::cell::{self, opaque};
 use crate::config::TandemConfig;
 use crate::status::{TandemStatus, TandemStatus as S, status};
-use crate::store::{TandemLoaded, TandemState, failure_mode};
+use crate::store::{TandemLoaded, TandemState, failure_mode, system_id};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
     Action, Actions, ControlFrame, Event, Input, Mode, ObeyedTerm, PeerReport, Redundancy, Role,
     Snapshot, Term,
 };
-
-/// System A.
-pub const TANDEM_SYSTEM_A: u32 = 0;
-/// System B.
-pub const TANDEM_SYSTEM_B: u32 = 1;
 
 /// Power came on.
 pub const TANDEM_CAUSE_POWER_ON: u32 = 0;
@@ -229,14 +224,6 @@ impl From<Actions> for TandemActions {
     }
 }
 
-pub(crate) fn system_id(number: u32) -> Result<SystemId, S> {
-    match number {
-        TANDEM_SYSTEM_A => Ok(SystemId::A),
-        TANDEM_SYSTEM_B => Ok(SystemId::B),
-        _ => Err(S::OutOfRange),
-    }
-}
-
 fn role(number: u32) -> Result<Role, S> {
     let code = u8::try_from(number).ok();
     code.and_then(Role::from_code).ok_or(S::OutOfRange)
@@ -285,9 +272,6 @@ impl From<PeerReport> for TandemReport {
 /// block.
 ///
 /// `TANDEM_STATUS_OUT_OF_RANGE` if a number is none, or the configuration does not fit together.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_init(
     machine: *mut TandemRedundancy,
@@ -339,9 +323,6 @@ unsafe fn tell(
 /// The periodic look at the lines; also at once when an edge or the power level interrupts. Hand
 /// over everything from the CAN receiver *before* this. Times must not go back. Any context; does
 /// not block. The actions are to be carried out.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_poll(
     machine: *mut TandemRedundancy,
@@ -365,9 +346,6 @@ pub unsafe extern "C" fn tandem_redundancy_poll(
 }
 
 /// A control frame was received on CAN. Any context; does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_control_frame(
     machine: *mut TandemRedundancy,
@@ -385,9 +363,6 @@ pub unsafe extern "C" fn tandem_redundancy_control_frame(
 }
 
 /// A status frame of the other system was received on CAN. Any context; does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_status_frame(
     machine: *mut TandemRedundancy,
@@ -432,9 +407,6 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
 /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames were
 /// lost, or its sender has restarted. Only its term counts; do not use its command. Any context;
 /// does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_stale_frame(
     machine: *mut TandemRedundancy,
@@ -453,9 +425,6 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
 
 /// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
 /// ago; 0 if it has accepted none. Any context; does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
@@ -474,9 +443,6 @@ pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
 
 /// This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
 /// context; does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_own_fault(
     machine: *mut TandemRedundancy,
@@ -493,9 +459,6 @@ pub unsafe extern "C" fn tandem_redundancy_own_fault(
 
 /// 1 if a control frame may be sent now, else 0. Ask right before sending, for every frame, and
 /// send at once. Any context; does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_may_transmit(
     machine: *mut TandemRedundancy,
@@ -507,9 +470,6 @@ pub unsafe extern "C" fn tandem_redundancy_may_transmit(
 }
 
 /// The `TANDEM_ROLE_…` for the frames; `TANDEM_ROLE_STARTING` if there is no machine. Any context.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) -> u32 {
     // SAFETY: the caller's contract is passed on.
@@ -518,9 +478,6 @@ pub unsafe extern "C" fn tandem_redundancy_role(machine: *mut TandemRedundancy) 
 }
 
 /// The `TANDEM_MODE_…` to run; a standby computes what the master drives. Any context.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) -> u32 {
     // SAFETY: the caller's contract is passed on.
@@ -528,9 +485,6 @@ pub unsafe extern "C" fn tandem_redundancy_mode(machine: *mut TandemRedundancy) 
 }
 
 /// The term for control frames; meaningful while the system drives. Any context.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) -> u32 {
     // SAFETY: the caller's contract is passed on.

@@ -1,11 +1,15 @@
 //! The state of the redundancy in data flash.
 
 use crate::cell::{self, opaque};
-use crate::redundancy::system_id;
 use crate::status::{TandemStatus, TandemStatus as S, status};
 use core::ffi::c_void;
 use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
+
+/// System A.
+pub const TANDEM_SYSTEM_A: u32 = 0;
+/// System B.
+pub const TANDEM_SYSTEM_B: u32 = 1;
 
 /// Bytes of a record in the flash.
 pub const TANDEM_RECORD_BYTES: usize = 32;
@@ -148,6 +152,14 @@ impl From<SystemState> for TandemState {
     }
 }
 
+pub(crate) fn system_id(number: u32) -> Result<SystemId, S> {
+    match number {
+        TANDEM_SYSTEM_A => Ok(SystemId::A),
+        TANDEM_SYSTEM_B => Ok(SystemId::B),
+        _ => Err(S::OutOfRange),
+    }
+}
+
 pub(crate) fn failure_mode(number: u32) -> Result<FailureMode, S> {
     let number = u8::try_from(number).map_err(|_| S::OutOfRange)?;
     Ok(FailureMode::from_code(number))
@@ -180,9 +192,6 @@ impl TandemLoaded {
 }
 
 /// The state that a new system is initialised with: A (0) is master, B (1) is standby.
-///
-/// # Safety
-/// 1 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_state_factory(
     state: *mut TandemState,
@@ -249,9 +258,6 @@ pub unsafe extern "C" fn tandem_store_load(
 }
 
 /// Asks for a state to be written: the one that the actions of the redundancy name. Does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_request(
     store: *mut TandemStore,
@@ -267,9 +273,6 @@ pub unsafe extern "C" fn tandem_store_request(
 
 /// The operation to start now, given what the flash does (a `TANDEM_FLASH_IDLE`, `_BUSY` or
 /// `_FAILED`). Start it before the next call, or say `tandem_store_refused`. Does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_poll(
     store: *mut TandemStore,
@@ -310,9 +313,6 @@ pub unsafe extern "C" fn tandem_store_poll(
 }
 
 /// The operation of the last poll was not started; it comes again. Does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
     status(|| {
@@ -323,9 +323,6 @@ pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> Tandem
 }
 
 /// 1 if all that was requested is durable, or never will be; else 0. Does not block.
-///
-/// # Safety
-/// 1 and 3 of the caller's contract.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_is_settled(store: *mut TandemStore) -> u32 {
     // SAFETY: the caller's contract is passed on.

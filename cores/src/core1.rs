@@ -15,7 +15,7 @@ use crate::{Core, Heard, RETRY, read_can};
 use tandem_board::{Board, Can, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
-use tandem_shm::typed::Writer;
+use tandem_shm::newest::Writer;
 
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;

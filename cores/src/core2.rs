@@ -10,7 +10,7 @@ use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
 use tandem_board::{Board, CoreId, Duration, Instant};
 use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskTable};
-use tandem_shm::typed::{Reader, Writer};
+use tandem_shm::newest::{Reader, Writer};
 
 /// Looks for signals this often even if no doorbell rings: a lost doorbell costs a cycle, not the
 /// drive.

@@ -8,7 +8,7 @@ use tandem_shm::LINE_WORDS;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::TaskId;
 use tandem_shm::map::{AttachError, Layout, Map};
-use tandem_shm::typed::{Mailbox, Newest, Region, Words};
+use tandem_shm::region::{Mailbox, Newest, Region, Words};
 
 /// Task of core 2: plan for the newest scene.
 pub const PLAN: TaskId = task(1);

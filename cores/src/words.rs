@@ -9,7 +9,7 @@ use crate::driving::types::{
 };
 use heapless::Vec;
 use tandem_board::Instant;
-pub use tandem_shm::typed::{Corrupt, Payload};
+pub use tandem_shm::{Corrupt, Payload};
 
 /// Largest magnitude that a physical quantity may have: far above all that occurs, and small enough
 /// that no product of three overflows.

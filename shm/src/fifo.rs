@@ -23,9 +23,11 @@
 //! released, or not yet published as released, to its successor: each value is received at least
 //! once.
 
-use crate::region::{FitError, LINE_WORDS, Shape, fit, whole_lines};
+use core::marker::PhantomData;
+
+use crate::payload::{Corrupt, Payload, WordsMut, WordsRef};
+use crate::shape::{FitError, LINE_WORDS, Shape, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
-use crate::view::{WordsMut, WordsRef};
 
 /// Line 0, written by the consumer: how many values were released.
 const RELEASED_AT: usize = 0;
@@ -161,22 +163,20 @@ const fn complete(k: u32) -> u32 {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Full;
 
-/// The sending end. There is one at a time.
+/// The sending end. It exists once.
 #[derive(Debug)]
-pub struct Producer<'a> {
+pub struct Producer<'a, T = ()> {
     queue: Queue<'a>,
     /// The number of the next value.
     tail: u32,
     /// The number of the first value that does not fit, as far as this end knows.
     limit: u32,
+    payload: PhantomData<fn(&T)>,
 }
 
-impl<'a> Producer<'a> {
-    /// Attaches to the queue, behind what earlier incarnations have sent. Looks at each slot once.
-    ///
-    /// # Errors
-    /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
+impl<'a, T> Producer<'a, T> {
+    /// Attaches behind what earlier incarnations have sent. Loads the stamp of each slot once.
+    pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         // Acquire pairs with the Release in `publish`.
         let released = queue.released.load(Ordering::Acquire);
@@ -190,6 +190,7 @@ impl<'a> Producer<'a> {
             queue,
             tail,
             limit: queue.limit(tail, released),
+            payload: PhantomData,
         })
     }
 
@@ -205,7 +206,7 @@ impl<'a> Producer<'a> {
     /// # Errors
     /// [`Full`]
     #[inline]
-    pub fn loan(&mut self) -> Result<Loan<'_, 'a>, Full> {
+    pub fn loan(&mut self) -> Result<Loan<'_, 'a, T>, Full> {
         if self.tail == self.limit {
             // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
             let released = self.queue.released.load(Ordering::Acquire);
@@ -222,17 +223,17 @@ impl<'a> Producer<'a> {
             producer: self,
         })
     }
+}
 
-    /// Sends a copy of `value`; what it lacks of the slot is filled with zeros, what it has too
-    /// much is cut off. Never blocks.
+impl<T: Payload> Producer<'_, T> {
+    /// Sends `value`. Never blocks.
     ///
     /// # Errors
     /// [`Full`]; the value was not sent.
     #[inline]
-    pub fn send(&mut self, value: &[u32]) -> Result<(), Full> {
+    pub fn send(&mut self, value: &T) -> Result<(), Full> {
         let mut loan = self.loan()?;
-        let copied = loan.words.copy_from(value);
-        loan.words.zero_from(copied);
+        loan.words.store(value);
         loan.send();
         Ok(())
     }
@@ -241,13 +242,13 @@ impl<'a> Producer<'a> {
 /// A slot that is lent to the producer.
 #[derive(Debug)]
 #[must_use = "only `send` sends what was filled in"]
-pub struct Loan<'p, 'a> {
+pub struct Loan<'p, 'a, T> {
     words: WordsMut<'a>,
     stamp: &'a AtomicU32,
-    producer: &'p mut Producer<'a>,
+    producer: &'p mut Producer<'a, T>,
 }
 
-impl<'a> Loan<'_, 'a> {
+impl<'a, T> Loan<'_, 'a, T> {
     /// The words to fill.
     #[inline]
     pub const fn words(&mut self) -> &mut WordsMut<'a> {
@@ -264,34 +265,34 @@ impl<'a> Loan<'_, 'a> {
     }
 }
 
-/// The receiving end. There is one at a time.
+/// The receiving end. It exists once.
 #[derive(Debug)]
-pub struct Consumer<'a> {
+pub struct Consumer<'a, T = ()> {
     queue: Queue<'a>,
     /// The number of the next value.
     head: u32,
-    in_vain: u32,
+    /// Polls that found the queue empty.
+    empty_polls: u32,
+    payload: PhantomData<fn() -> T>,
 }
 
-impl<'a> Consumer<'a> {
-    /// Attaches to the queue, at the oldest value that earlier incarnations have not released.
-    ///
-    /// # Errors
-    /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
+impl<'a, T> Consumer<'a, T> {
+    /// Attaches at the oldest value that earlier incarnations have not released.
+    pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         let head = queue.released.load(Ordering::Relaxed);
         Ok(Self {
             queue,
             head,
-            in_vain: 0,
+            empty_polls: 0,
+            payload: PhantomData,
         })
     }
 
     /// The next value, to be worked on in place; `None` if there is none. Never blocks. It stays
     /// the next one until [`Item::release`].
     #[inline]
-    pub fn receive(&mut self) -> Option<Item<'_, 'a>> {
+    pub fn item(&mut self) -> Option<Item<'_, 'a, T>> {
         let (words, stamp) = self.queue.slot(self.head);
         // Acquire pairs with the Release in `Loan::send`.
         if stamp.load(Ordering::Acquire) != complete(self.head) {
@@ -304,25 +305,14 @@ impl<'a> Consumer<'a> {
         })
     }
 
-    /// Copies the next value, as many words as both have, and releases it. Whether there was one.
-    #[inline]
-    pub fn receive_into(&mut self, into: &mut [u32]) -> bool {
-        let Some(item) = self.receive() else {
-            return false;
-        };
-        item.words.copy_to(into);
-        item.release();
-        true
-    }
-
     #[inline]
     fn found_nothing(&mut self) {
         if self.queue.released.load(Ordering::Relaxed) != self.head {
             self.publish();
         }
-        self.in_vain = self.in_vain.wrapping_add(1);
-        if self.in_vain.is_multiple_of(LOOKS_PER_DOUBT) {
-            let slot = self.in_vain / LOOKS_PER_DOUBT;
+        self.empty_polls = self.empty_polls.wrapping_add(1);
+        if self.empty_polls.is_multiple_of(LOOKS_PER_DOUBT) {
+            let slot = self.empty_polls / LOOKS_PER_DOUBT;
             if self.queue.ahead(slot, self.head).is_some() {
                 self.head = self.queue.nearest(self.head);
             }
@@ -337,15 +327,31 @@ impl<'a> Consumer<'a> {
     }
 }
 
+impl<T: Payload> Consumer<'_, T> {
+    /// The next value, if there is one. Never blocks.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if it is no value of the type; it is released all the same.
+    #[inline]
+    pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
+        let Some(item) = self.item() else {
+            return Ok(None);
+        };
+        let value = item.words.load();
+        item.release();
+        value.map(Some)
+    }
+}
+
 /// A value that was received and not yet released.
 #[derive(Debug)]
 #[must_use = "only `release` frees the slot"]
-pub struct Item<'c, 'a> {
+pub struct Item<'c, 'a, T> {
     words: WordsRef<'a>,
-    consumer: &'c mut Consumer<'a>,
+    consumer: &'c mut Consumer<'a, T>,
 }
 
-impl<'a> Item<'_, 'a> {
+impl<'a, T> Item<'_, 'a, T> {
     /// The words; the producer does not touch them until the release.
     #[inline]
     #[must_use]
@@ -372,12 +378,18 @@ mod interleavings;
 #[cfg(not(loom))]
 mod tests {
     use super::*;
-    use crate::step::{kill_at, zeroed};
+    use crate::fault::{kill_at, zeroed};
     use std::vec::Vec;
 
     const SHAPE: Shape = Shape::new(4, 2);
 
-    fn queue() -> (&'static [AtomicU32], Producer<'static>, Consumer<'static>) {
+    type Value = [u32; 2];
+
+    fn queue() -> (
+        &'static [AtomicU32],
+        Producer<'static, Value>,
+        Consumer<'static, Value>,
+    ) {
         let words = zeroed(words(SHAPE));
         (
             words,
@@ -386,15 +398,14 @@ mod tests {
         )
     }
 
-    fn drain(consumer: &mut Consumer<'_>) -> Vec<[u32; 2]> {
-        let mut value = [0; 2];
-        core::iter::from_fn(|| consumer.receive_into(&mut value).then_some(value)).collect()
+    fn drain(consumer: &mut Consumer<'_, Value>) -> Vec<Value> {
+        core::iter::from_fn(|| consumer.receive().unwrap()).collect()
     }
 
     #[test]
     fn values_come_in_order_and_a_full_queue_says_so() {
         let (_, mut producer, mut consumer) = queue();
-        assert!(consumer.receive().is_none());
+        assert!(consumer.item().is_none());
         for round in 0..5 {
             for k in 0..4 {
                 producer.send(&[round, k]).unwrap();
@@ -409,15 +420,15 @@ mod tests {
     fn a_slot_is_lent_until_it_is_sent_and_received_until_it_is_released() {
         let (_, mut producer, mut consumer) = queue();
         let mut loan = producer.loan().unwrap();
-        loan.words().copy_from(&[1, 2]);
+        loan.words().set(0, 1);
         drop(loan);
-        assert!(consumer.receive().is_none());
-        producer.send(&[3]).unwrap();
-        assert_eq!(consumer.receive().unwrap().words().get(0), 3);
-        let item = consumer.receive().unwrap();
+        assert!(consumer.item().is_none());
+        producer.send(&[3, 0]).unwrap();
+        assert_eq!(consumer.item().unwrap().words().get(0), 3);
+        let item = consumer.item().unwrap();
         assert_eq!(item.words().iter().collect::<Vec<_>>(), [3, 0]);
         item.release();
-        assert!(consumer.receive().is_none());
+        assert!(consumer.item().is_none());
     }
 
     #[test]
@@ -427,7 +438,7 @@ mod tests {
         let mut producer = Producer::attach(words, SHAPE).unwrap();
         let mut consumer = Consumer::attach(words, SHAPE).unwrap();
         (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
-        assert_eq!(producer.send(&[4]), Err(Full));
+        assert_eq!(producer.send(&[4, 4]), Err(Full));
         assert_eq!(drain(&mut consumer), [[0, 0], [1, 1], [2, 2], [3, 3]]);
     }
 
@@ -459,7 +470,7 @@ mod tests {
             (0..3).for_each(|k| producer.send(&[k, k]).unwrap());
             let mut seen = Vec::new();
             let done = kill_at(at, || {
-                while let Some(item) = consumer.receive() {
+                while let Some(item) = consumer.item() {
                     seen.push(item.words().get(0));
                     item.release();
                 }
@@ -483,25 +494,23 @@ mod tests {
         let mut consumer = Consumer::attach(words, shape).unwrap();
         (0..64).for_each(|k| producer.send(&[k]).unwrap());
         for k in 0..7 {
-            assert_eq!(consumer.receive().unwrap().words().get(0), k);
-            consumer.receive().unwrap().release();
+            assert_eq!(consumer.item().unwrap().words().get(0), k);
+            consumer.item().unwrap().release();
             assert_eq!(producer.send(&[64]), Err(Full));
         }
-        let mut successor = Consumer::attach(words, shape).unwrap();
-        assert_eq!(successor.receive().unwrap().words().get(0), 0, "again");
-        consumer.receive().unwrap().release();
+        let mut successor = Consumer::<'_, [u32; 1]>::attach(words, shape).unwrap();
+        assert_eq!(successor.item().unwrap().words().get(0), 0, "again");
+        consumer.item().unwrap().release();
         (64..72).for_each(|k| producer.send(&[k]).unwrap());
         assert_eq!(producer.send(&[72]), Err(Full));
-        let mut value = [0];
         for k in 8..72 {
-            assert!(consumer.receive_into(&mut value));
-            assert_eq!(value, [k]);
+            assert_eq!(consumer.receive(), Ok(Some([k])));
         }
         for k in 72..75 {
             producer.send(&[k]).unwrap();
-            assert!(consumer.receive_into(&mut value));
+            assert!(matches!(consumer.receive(), Ok(Some(_))));
         }
-        assert!(consumer.receive().is_none(), "and says that all are free");
+        assert!(consumer.item().is_none(), "and says that all are free");
         (0..64).for_each(|k| producer.send(&[k]).unwrap());
     }
 

@@ -11,7 +11,7 @@
 //! first attachment of an incarnation disowns what its predecessors left. So no later incarnation
 //! is taken for the owner, however many incarnations lie between them.
 
-use crate::region::{FitError, LINE_WORDS, fit};
+use crate::shape::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering};
 
 /// How many cores share an LMU.
@@ -242,7 +242,7 @@ impl<'a> Attached<'a> {
 #[cfg(not(loom))]
 mod tests {
     use super::*;
-    use crate::step::zeroed;
+    use crate::fault::zeroed;
 
     fn incarnation(core: usize, generation: u32) -> Incarnation {
         Incarnation::new(core, generation).unwrap()

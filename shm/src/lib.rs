@@ -8,15 +8,15 @@
 //! | module | what it is | who writes |
 //! |---|---|---|
 //! | [`map`] | header, regions | boot core |
-//! | [`typed`] | what lies in which region, by types | at attachment |
+//! | [`region`] | what lies in which region, by types | at attachment |
 //! | [`incarnation`] | which incarnation of each core is the current one | each core, supervisor |
 //! | [`lock`] | mutual exclusion, recovered from a dead owner | any core |
 //! | [`mailbox`] | signals to tasks of another core, none lost | one sender, one receiver |
 //! | [`pool`] | words to borrow and give back | any core |
 //! | [`newest`] | the newest value, never torn | one writer, any number of readers |
 //! | [`fifo`] | every value, in order, or full | one producer, one consumer |
-//! | [`broadcast`] | every value, in order, or so many lost | one sender, any number of receivers |
-//! | [`wait`] | spin, spin then sleep, sleep | nobody |
+//! | [`broadcast`] | every value, in order, or how many were lost | one writer, any number of receivers |
+//! | [`wait`] | spin, spin then sleep, sleep | no core |
 //!
 //! # What every module holds to
 //!
@@ -33,29 +33,22 @@
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
 //!
-//! # Two ways to attach
-//!
-//! | | [`typed`] regions | `attach` of each module |
-//! |---|---|---|
-//! | for whom | Rust, with a constant layout | C, and a layout that is known at run time |
-//! | kind, shape and payload | checked by the compiler | the caller gives the same to all ends |
-//! | an end that exists once | claimed: a second one is refused | the caller sees to it |
-//!
-//! Both give the same ends over the same words, so a core in Rust and one in C can share a region.
-//! Only typed ends make claims and look at them: an end that was attached in the other way is not
-//! seen by them.
+//! A core attaches to a [`region`], a constant that knows kind, shape and payload; an end that exists
+//! once is claimed there, and a second one is refused. [`bare`] is for C and for words that are no
+//! LMU: the ends are the same, so a core in Rust and one in C can share a region, but nothing is
+//! claimed, and claims do not see such an end.
 //!
 //! # Example
 //!
 //! Two cores hand over a value: one publishes and signals, the other reads when it is called. The
 //! map is a chain of constants; a region knows its shape and its payload, and a sender, a receiver
-//! or a writer exists once. More in [`typed`].
+//! or a writer exists once. More in [`region`].
 //!
 //! ```
 //! use tandem_shm::incarnation::Incarnation;
 //! use tandem_shm::mailbox::{Ring, TaskId};
 //! use tandem_shm::map::Map;
-//! use tandem_shm::typed::{EndError, Mailbox, Newest, Region};
+//! use tandem_shm::region::{EndError, Mailbox, Newest, Region};
 //!
 //! const NEWS: Region<Mailbox> = Region::first("news");
 //! const SPEED: Region<Newest<u32>> = NEWS.then("speed");
@@ -96,27 +89,27 @@
 #[cfg(loom)]
 extern crate std;
 
+pub mod bare;
 pub mod broadcast;
+#[cfg(all(test, not(loom)))]
+mod fault;
+#[cfg(loom)]
+pub mod fault;
 pub mod fifo;
 pub mod incarnation;
 pub mod lock;
 pub mod mailbox;
 pub mod map;
 pub mod newest;
+mod payload;
 pub mod pool;
-mod region;
+pub mod region;
 mod ring;
-pub mod sync;
-pub mod typed;
-mod view;
-pub mod wait;
-
 #[cfg(all(test, not(loom), not(miri)))]
 mod schedules;
-#[cfg(all(test, not(loom)))]
-mod step;
-#[cfg(loom)]
-pub mod step;
+mod shape;
+pub mod sync;
+pub mod wait;
 
-pub use region::{FitError, LINE_WORDS, Shape};
-pub use view::{WordsMut, WordsRef};
+pub use payload::{Corrupt, Payload, WordsMut, WordsRef};
+pub use shape::{FitError, LINE_WORDS, Shape};

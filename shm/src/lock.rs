@@ -31,7 +31,7 @@
 //! would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such a core.
 
 use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
-use crate::region::{FitError, LINE_WORDS, fit_exactly};
+use crate::shape::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
 
 /// Words of a lock.
@@ -126,7 +126,7 @@ impl<'a> Lock<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(
+    pub(crate) fn attach(
         words: &'a [AtomicU32],
         incarnation: Incarnation,
         incarnations: Incarnations<'a>,

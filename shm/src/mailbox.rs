@@ -32,7 +32,7 @@
 //! successor may wait for the next one to that task, or a handler is told a wrong count. A board
 //! must end an incarnation before it starts the next; the host's supply kills it, a chip resets it.
 
-use crate::region::{FitError, LINE_WORDS, fit_exactly};
+use crate::shape::{FitError, LINE_WORDS, fit_exactly};
 use crate::sync::{AtomicU32, Ordering, fence};
 
 /// Words of a mailbox.
@@ -150,7 +150,7 @@ impl<'a> Sender<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
+    pub(crate) fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
         let words: &[AtomicU32; WORDS] = fit_exactly(words)?;
         let mut sent = [0; IDS];
         for (id, copy) in sent.iter_mut().enumerate().skip(1) {
@@ -253,7 +253,7 @@ impl<'a> Receiver<'a> {
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
+    pub(crate) fn attach(words: &'a [AtomicU32]) -> Result<Self, FitError> {
         let words = fit_exactly(words)?;
         words[ASLEEP_AT].store(0, Ordering::Relaxed);
         let mut handled = [0; IDS];
@@ -444,7 +444,7 @@ impl<C> TaskTable<C> {
 #[cfg(not(loom))]
 mod tests {
     use super::*;
-    use crate::step::{kill_at, zeroed};
+    use crate::fault::{kill_at, zeroed};
     use std::vec::Vec;
 
     fn task(number: u8) -> TaskId {

@@ -7,15 +7,15 @@
 //! again. The others attach, which checks that they were built with the same layout.
 
 use crate::incarnation::Incarnations;
-use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
+use crate::shape::{FitError, LINE_WORDS, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
 const MAGIC_AT: usize = 0;
 const VERSION_AT: usize = 1;
 const LAYOUT_AT: usize = 2;
 const READY_AT: usize = 3;
-const LIVES_AT: usize = LINE_WORDS;
-const HEADER_WORDS: usize = LIVES_AT + Incarnations::WORDS;
+const INCARNATIONS_AT: usize = LINE_WORDS;
+const HEADER_WORDS: usize = INCARNATIONS_AT + Incarnations::WORDS;
 
 /// "TLMU"
 const MAGIC: u32 = 0x544C_4D55;
@@ -24,66 +24,25 @@ const VERSION: u32 = 2;
 /// No value that zeroed or erased memory has.
 const READY: u32 = 0x5EAD_1E55;
 
-/// One named region of a layout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Region {
-    name: &'static str,
-    words: usize,
-}
-
-impl Region {
-    /// A region of `words` words; the map rounds up to whole cache lines.
-    #[must_use]
-    pub const fn new(name: &'static str, words: usize) -> Self {
-        Self { name, words }
-    }
-
-    /// The name.
-    #[must_use]
-    pub const fn name(&self) -> &'static str {
-        self.name
-    }
-
-    /// The words that were asked for.
-    #[must_use]
-    pub const fn words(&self) -> usize {
-        self.words
-    }
-}
-
-/// What lies in an LMU, in order. Made in a constant and the same in every image of a system: by a
-/// chain of [typed regions](crate::typed), or here for shapes that are known at run time, as in C.
+/// What lies in an LMU, in order: the same in every image of a system. A chain of
+/// [regions](crate::region) makes it in a constant; C makes it at run time.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
-    regions: &'static [Region],
     words: usize,
     hash: u32,
 }
 
 impl Layout {
     /// The header alone.
-    pub(crate) const EMPTY: Self = Self {
-        regions: &[],
+    pub const EMPTY: Self = Self {
         words: HEADER_WORDS,
         hash: 0x811C_9DC5,
     };
 
-    /// The layout with these regions.
+    /// This layout with one more region of `words` words, which begins where the layout ended. FNV-1a
+    /// over names and sizes: images with different layouts must not meet in one LMU.
     #[must_use]
-    pub const fn new(regions: &'static [Region]) -> Self {
-        let mut layout = Self::EMPTY;
-        let mut i = 0;
-        while i < regions.len() {
-            layout = layout.with(regions[i].name, regions[i].words);
-            i += 1;
-        }
-        layout.regions = regions;
-        layout
-    }
-
-    /// This layout with one more region. FNV-1a over names and sizes: images with different layouts
-    /// must not meet in one LMU.
-    pub(crate) const fn with(self, name: &str, words: usize) -> Self {
+    pub const fn with(self, name: &str, words: usize) -> Self {
         let mut hash = self.hash;
         let name = name.as_bytes();
         let mut j = 0;
@@ -100,23 +59,9 @@ impl Layout {
             j += 1;
         }
         Self {
-            regions: &[],
             words: self.words + whole_lines(words),
             hash,
         }
-    }
-
-    /// Where region `index` begins, in words from the begin of the LMU; for `index` = number of
-    /// regions, where the last one ends.
-    const fn offset(&self, index: usize) -> usize {
-        assert!(index <= self.regions.len());
-        let mut at = HEADER_WORDS;
-        let mut i = 0;
-        while i < index {
-            at += whole_lines(self.regions[i].words);
-            i += 1;
-        }
-        at
     }
 
     /// Words of the LMU that the layout takes, header included.
@@ -212,26 +157,21 @@ impl<'a> Map<'a> {
         Ok(Self { words, layout })
     }
 
-    /// The words of a typed region.
-    pub(crate) fn words(&self, begin: usize, count: usize) -> Result<&'a [AtomicU32], FitError> {
-        let words = &self.words[..self.layout.total_words()];
-        let region = words.get(begin..begin + whole_lines(count));
-        region.ok_or(FitError::TooSmall)
-    }
-
-    /// The words of region `index` of a layout of [`Layout::new`], rounded up to whole cache lines.
+    /// The words of a region of `count` words that begins at word `begin`, rounded up to whole cache
+    /// lines: for a layout that was made at run time. A [`Region`](crate::shape::Region) knows both.
     ///
-    /// # Panics
-    /// If the layout has no such region.
-    #[must_use]
-    pub fn region(&self, index: usize) -> &'a [AtomicU32] {
-        &self.words[self.layout.offset(index)..self.layout.offset(index + 1)]
+    /// # Errors
+    /// [`FitError`] if the layout ends before.
+    pub fn words(&self, begin: usize, count: usize) -> Result<&'a [AtomicU32], FitError> {
+        let words = &self.words[..self.layout.total_words()];
+        let end = begin.saturating_add(whole_lines(count));
+        words.get(begin..end).ok_or(FitError::TooSmall)
     }
 
     /// The incarnation table of the cores.
     #[must_use]
     pub fn incarnations(&self) -> Incarnations<'a> {
-        Incarnations::new(&self.words[LIVES_AT..LIVES_AT + Incarnations::WORDS])
+        Incarnations::new(&self.words[INCARNATIONS_AT..INCARNATIONS_AT + Incarnations::WORDS])
     }
 }
 
@@ -239,29 +179,31 @@ impl<'a> Map<'a> {
 #[cfg(not(loom))]
 mod tests {
     use super::*;
-    use crate::step::{kill_at, zeroed};
+    use crate::fault::{kill_at, zeroed};
 
-    const LAYOUT: Layout = Layout::new(&[Region::new("a", 3), Region::new("b", 17)]);
-    const OTHER: Layout = Layout::new(&[Region::new("a", 3), Region::new("b", 18)]);
+    const A: Layout = Layout::EMPTY.with("a", 3);
+    const LAYOUT: Layout = A.with("b", 17);
+    const OTHER: Layout = A.with("b", 18);
     const WORDS: usize = LAYOUT.total_words();
 
     #[test]
     fn regions_begin_at_lines_and_do_not_overlap() {
-        assert_eq!(LAYOUT.offset(0), 32);
-        assert_eq!(LAYOUT.offset(1), 48);
+        assert_eq!(Layout::EMPTY.total_words(), 32);
+        assert_eq!(A.total_words(), 48);
         assert_eq!(WORDS, 80);
         let map = Map::format(zeroed(WORDS), LAYOUT).unwrap();
-        assert_eq!(map.region(0).len(), 16);
-        assert_eq!(map.region(1).len(), 32);
-        assert_eq!(map.region(1).as_ptr().addr() % 64, 0);
+        assert_eq!(map.words(32, 3).unwrap().len(), 16);
+        assert_eq!(map.words(48, 17).unwrap().len(), 32);
+        assert_eq!(map.words(48, 17).unwrap().as_ptr().addr() % 64, 0);
+        assert_eq!(map.words(48, 33).unwrap_err(), FitError::TooSmall);
+        assert_eq!(map.words(96, 1).unwrap_err(), FitError::TooSmall);
     }
 
     #[test]
     fn names_and_sizes_make_the_hash() {
         assert_ne!(LAYOUT.hash(), OTHER.hash());
-        const SHORT: Layout = Layout::new(&[Region::new("ab", 3)]);
-        assert_ne!(LAYOUT.hash(), SHORT.hash());
-        assert_ne!(Layout::new(&[]).hash(), LAYOUT.hash());
+        assert_ne!(A.hash(), Layout::EMPTY.with("ab", 3).hash());
+        assert_ne!(Layout::EMPTY.hash(), A.hash());
     }
 
     #[test]
@@ -294,7 +236,8 @@ mod tests {
         }
         let map = Map::format(words, LAYOUT).unwrap();
         assert!(
-            map.region(1)
+            map.words(48, 17)
+                .unwrap()
                 .iter()
                 .all(|word| word.load(Ordering::Relaxed) == 0)
         );

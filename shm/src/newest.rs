@@ -7,10 +7,13 @@
 //! n slots that takes n - 1 new values during one read. A writer that dies while it fills a slot
 //! leaves the newest value as it was; its successor goes on with the next number.
 
-use crate::region::{FitError, Shape, whole_lines};
+use core::marker::PhantomData;
+
+use crate::payload::{Corrupt, Payload, WordsRef};
 use crate::ring::{CLAIM_AT, Ring};
+pub use crate::ring::{Loan, Stamp, Writer};
+use crate::shape::{FitError, Shape, whole_lines};
 use crate::sync::AtomicU32;
-use crate::view::{WordsMut, WordsRef};
 
 /// How often [`Reader::read`] begins again when the writer overtakes it.
 const ATTEMPTS: u32 = 4;
@@ -32,85 +35,6 @@ const fn stride(shape: Shape) -> usize {
     }
 }
 
-/// Which value it was: the writer counts them, wrapping around, over all its incarnations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stamp(pub u32);
-
-impl Stamp {
-    /// How many values were published after `earlier` up to this one.
-    #[must_use]
-    pub const fn since(self, earlier: Self) -> u32 {
-        self.0.wrapping_sub(earlier.0)
-    }
-}
-
-/// The writing end. There is one at a time.
-#[derive(Debug)]
-pub struct Writer<'a> {
-    ring: Ring<'a>,
-    next: u32,
-}
-
-impl<'a> Writer<'a> {
-    /// Attaches to the channel, after the values of earlier incarnations.
-    ///
-    /// # Errors
-    /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
-        let ring = Ring::attach(words, shape, stride(shape))?;
-        Ok(Self {
-            ring,
-            next: ring.resume(),
-        })
-    }
-
-    /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
-    /// Without [`Loan::send`] nothing is published. Never blocks.
-    #[inline]
-    pub fn loan(&mut self) -> Loan<'_, 'a> {
-        self.ring.begin(self.next);
-        Loan {
-            words: WordsMut::new(self.ring.payload(self.next)),
-            writer: self,
-        }
-    }
-
-    /// Publishes a copy of `value`; what it lacks of the slot is filled with zeros, what it has too
-    /// much is cut off. Never blocks.
-    #[inline]
-    pub fn publish(&mut self, value: &[u32]) -> Stamp {
-        let mut loan = self.loan();
-        let copied = loan.words.copy_from(value);
-        loan.words.zero_from(copied);
-        loan.send()
-    }
-}
-
-/// A slot that is lent to the writer.
-#[derive(Debug)]
-#[must_use = "only `send` publishes what was filled in"]
-pub struct Loan<'w, 'a> {
-    words: WordsMut<'a>,
-    writer: &'w mut Writer<'a>,
-}
-
-impl<'a> Loan<'_, 'a> {
-    /// The words to fill.
-    #[inline]
-    pub const fn words(&mut self) -> &mut WordsMut<'a> {
-        &mut self.words
-    }
-
-    /// Publishes the value.
-    #[inline]
-    pub fn send(self) -> Stamp {
-        let stamp = Stamp(self.writer.next);
-        self.writer.ring.complete(stamp.0);
-        self.writer.next = stamp.0.wrapping_add(1);
-        stamp
-    }
-}
-
 /// Why there was nothing to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadError {
@@ -120,23 +44,35 @@ pub enum ReadError {
     /// The writer overtook the reader every time, or the channel's words were scribbled on: what
     /// was read is void. The next read may succeed.
     Overrun,
+    /// The words hold no value of the payload's type.
+    Corrupt,
+}
+
+impl From<Corrupt> for ReadError {
+    fn from(_: Corrupt) -> Self {
+        Self::Corrupt
+    }
+}
+
+pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitError> {
+    Ring::attach(words, shape, stride(shape))
 }
 
 /// A reading end. Any number of them, in any core, at no cost to the writer.
-#[derive(Clone, Copy, Debug)]
-pub struct Reader<'a> {
+#[derive(Debug)]
+pub struct Reader<'a, T = ()> {
     ring: Ring<'a>,
+    fetched: Option<Stamp>,
+    payload: PhantomData<fn() -> T>,
 }
 
-impl<'a> Reader<'a> {
-    /// Attaches to the channel.
-    ///
-    /// # Errors
-    /// [`FitError`] if the words are too few or not at a line boundary.
-    pub fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
-        Ok(Self {
-            ring: Ring::attach(words, shape, stride(shape))?,
-        })
+impl<'a, T> Reader<'a, T> {
+    pub(crate) const fn attach(ring: Ring<'a>) -> Self {
+        Self {
+            ring,
+            fetched: None,
+            payload: PhantomData,
+        }
     }
 
     /// The stamp of the newest value; `None` if there is none yet. For a look whether something is
@@ -171,7 +107,10 @@ impl<'a> Reader<'a> {
     ///
     /// # Errors
     /// [`ReadError`]
-    pub fn read<T>(&self, mut f: impl FnMut(WordsRef<'a>) -> T) -> Result<(Stamp, T), ReadError> {
+    pub fn read_by<R>(
+        &self,
+        mut f: impl FnMut(WordsRef<'a>) -> R,
+    ) -> Result<(Stamp, R), ReadError> {
         for _ in 0..ATTEMPTS {
             match self.view() {
                 Ok(view) => {
@@ -181,19 +120,40 @@ impl<'a> Reader<'a> {
                     }
                 }
                 Err(ReadError::Empty) => return Err(ReadError::Empty),
-                Err(ReadError::Overrun) => {}
+                Err(_) => {}
             }
         }
         Err(ReadError::Overrun)
     }
+}
 
-    /// Copies the newest value, as many words as both have, if there is one and it was read whole.
-    /// On `None` the content of `into` is void.
+impl<T: Payload> Reader<'_, T> {
+    /// The newest value, also if it was read before. Never blocks.
+    ///
+    /// # Errors
+    /// [`ReadError`]
     #[inline]
-    pub fn read_into(&self, into: &mut [u32]) -> Option<Stamp> {
-        self.read(|words| words.copy_to(into))
-            .ok()
-            .map(|(stamp, _)| stamp)
+    pub fn read(&self) -> Result<(Stamp, T), ReadError> {
+        let (stamp, value) = self.read_by(|words| words.load())?;
+        Ok((stamp, value?))
+    }
+
+    /// The newest value, if there is one that was not fetched before. Never blocks.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if the channel's words hold no such value.
+    #[inline]
+    pub fn fetch(&mut self) -> Result<Option<T>, Corrupt> {
+        if self.newest() == self.fetched {
+            return Ok(None);
+        }
+        match self.read_by(|words| words.load()) {
+            Ok((stamp, value)) => {
+                self.fetched = Some(stamp);
+                value.map(Some)
+            }
+            Err(_) => Ok(None),
+        }
     }
 }
 
@@ -232,23 +192,29 @@ impl<'a> View<'a> {
 mod tests {
     use super::*;
     use crate::LINE_WORDS;
-    use crate::step::{freeze_at, kill_at, zeroed};
+    use crate::fault::{freeze_at, kill_at, zeroed};
     use crate::sync::Ordering;
 
     const SHAPE: Shape = Shape::new(4, 3);
 
-    fn channel() -> (&'static [AtomicU32], Writer<'static>, Reader<'static>) {
-        let words = zeroed(words(SHAPE));
-        (
-            words,
-            Writer::attach(words, SHAPE).unwrap(),
-            Reader::attach(words, SHAPE).unwrap(),
-        )
+    type Value = [u32; 3];
+
+    fn attach_writer(words: &'static [AtomicU32]) -> Writer<'static, Value> {
+        Writer::attach(ring(words, SHAPE).unwrap())
     }
 
-    fn read(reader: &Reader<'_>) -> Option<(u32, [u32; 3])> {
-        let mut value = [0; 3];
-        reader.read_into(&mut value).map(|stamp| (stamp.0, value))
+    fn channel() -> (
+        &'static [AtomicU32],
+        Writer<'static, Value>,
+        Reader<'static, Value>,
+    ) {
+        let words = zeroed(words(SHAPE));
+        let reader = Reader::attach(ring(words, SHAPE).unwrap());
+        (words, attach_writer(words), reader)
+    }
+
+    fn read(reader: &Reader<'_, Value>) -> Option<(u32, Value)> {
+        reader.read().ok().map(|(stamp, value)| (stamp.0, value))
     }
 
     #[test]
@@ -257,7 +223,7 @@ mod tests {
         assert_eq!(reader.view().unwrap_err(), ReadError::Empty);
         assert_eq!(reader.newest(), None);
         for k in 0..20 {
-            assert_eq!(writer.publish(&[k, k]), Stamp(k));
+            assert_eq!(writer.publish(&[k, k, 0]), Stamp(k));
             assert_eq!(read(&reader), Some((k, [k, k, 0])));
         }
         let mut loan = writer.loan();
@@ -267,7 +233,7 @@ mod tests {
             Some((19, [19, 19, 0])),
             "a loan shows nothing"
         );
-        loan.send();
+        loan.publish();
         assert_eq!(read(&reader).unwrap().1[2], 99);
         assert_eq!(reader.newest().unwrap().since(Stamp(19)), 1);
     }
@@ -280,13 +246,11 @@ mod tests {
         assert_eq!(words(Shape::new(2, 16)), 5 * LINE_WORDS);
         let words = zeroed(LINE_WORDS);
         let shape = Shape::new(4, 2);
-        let mut writer = Writer::attach(words, shape).unwrap();
-        let reader = Reader::attach(words, shape).unwrap();
+        let mut writer = Writer::attach(ring(words, shape).unwrap());
+        let reader = Reader::attach(ring(words, shape).unwrap());
         for k in 0..9 {
             writer.publish(&[k, !k]);
-            let mut value = [0; 2];
-            assert_eq!(reader.read_into(&mut value), Some(Stamp(k)));
-            assert_eq!(value, [k, !k]);
+            assert_eq!(reader.read(), Ok((Stamp(k), [k, !k])));
         }
     }
 
@@ -294,7 +258,7 @@ mod tests {
     fn numbers_wrap_around() {
         let (words, _, reader) = channel();
         words[0].store(u32::MAX - 1, Ordering::Relaxed);
-        let mut writer = Writer::attach(words, SHAPE).unwrap();
+        let mut writer = attach_writer(words);
         for k in 0..4u32 {
             let number = k.wrapping_sub(2);
             assert_eq!(writer.publish(&[k; 3]), Stamp(number));
@@ -327,7 +291,7 @@ mod tests {
             let (words, mut writer, reader) = channel();
             writer.publish(&[1; 3]);
             let lap = move || {
-                let mut writer = Writer::attach(words, SHAPE).unwrap();
+                let mut writer = attach_writer(words);
                 for k in 2..8 {
                     writer.publish(&[k; 3]);
                 }
@@ -356,7 +320,7 @@ mod tests {
             let (number, value) = read(&reader).unwrap();
             assert!(number == 5 || number == 6);
             assert_eq!(value, [number; 3]);
-            let mut successor = Writer::attach(words, SHAPE).unwrap();
+            let mut successor = attach_writer(words);
             let before = reader.newest().unwrap();
             let stamp = successor.publish(&[77; 3]);
             assert_eq!(

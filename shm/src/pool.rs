@@ -33,7 +33,7 @@
 //! the same state again.
 
 use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
-use crate::region::{FitError, LINE_WORDS, fit, whole_lines};
+use crate::shape::{FitError, LINE_WORDS, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
 /// Words of a block, the unit of allocation: a cache line.
@@ -206,7 +206,7 @@ impl<'a> Pool<'a> {
     ///
     /// # Panics
     /// If `blocks` is not 1 ..= [`MAX_BLOCKS`].
-    pub fn attach(
+    pub(crate) fn attach(
         words: &'a [AtomicU32],
         blocks: usize,
         incarnation: Incarnation,

@@ -1,75 +1,502 @@
-//! Regions of the LMU: size, alignment, and the shape of a region that is a ring of slots.
+//! Typed regions: one `const` map says what lies where, and each region gives only its own ends.
+//!
+//! A [`Region`] knows its place and, by its type, its kind, shape and payload, so that a mailbox
+//! cannot be attached to a scene, nor one end be given another shape. The map is a chain of
+//! constants; its end is the [`Layout`] by which images recognise each other.
+//!
+//! An end that exists once (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a
+//! word of the region, which no other use has, names the incarnation that attached it. A second
+//! attachment is refused as long as that incarnation is alive; a successor of a dead incarnation
+//! may attach.
+//!
+//! ```
+//! use core::sync::atomic::AtomicU32;
+//! use tandem_shm::incarnation::Incarnation;
+//! use tandem_shm::mailbox::{Ring, TaskId};
+//! use tandem_shm::map::{Layout, Map};
+//! use tandem_shm::region::{Mailbox, Newest, Region};
+//!
+//! const NEWS: Region<Mailbox> = Region::first("news");
+//! const SPEED: Region<Newest<u32>> = NEWS.then("speed");
+//! const LAYOUT: Layout = SPEED.end();
+//!
+//! # #[repr(align(64))]
+//! # struct Lmu([AtomicU32; LAYOUT.total_words()]);
+//! # let lmu = Lmu([const { AtomicU32::new(0) }; LAYOUT.total_words()]);
+//! # let words = &lmu.0;
+//! let map = Map::format(words, LAYOUT).unwrap();
+//! let [one, two] = [0, 1].map(|core| Incarnation::new(core, 1).unwrap());
+//! for incarnation in [one, two] {
+//!     map.incarnations().announce(incarnation).unwrap();
+//! }
+//! let mut speed = SPEED.writer(&map, one).unwrap();
+//! let mut to = NEWS.sender(&map, one).unwrap();
+//! assert!(NEWS.sender(&map, two).is_err(), "there is one sender");
+//!
+//! speed.publish(&42);
+//! if to.signal(TaskId::new(1).unwrap()) == Ring::Needed {
+//!     // The receiver sleeps: ring its doorbell, board.ring(core).
+//! }
+//!
+//! let mut from = NEWS.receiver(&map, two).unwrap();
+//! let mut read = SPEED.reader(&map).unwrap();
+//! from.poll(|_signals| assert_eq!(read.fetch(), Ok(Some(42))));
+//! ```
 
-use crate::sync::AtomicU32;
+use core::marker::PhantomData;
 
-/// Words of a cache line of 64 bytes, the unit in which regions are laid out.
-pub const LINE_WORDS: usize = 16;
+use crate::incarnation::{Incarnation, Incarnations};
+use crate::lock::{self, Lock};
+use crate::map::{Layout, Map};
+use crate::payload::Payload;
+use crate::pool::{self, Pool};
+use crate::shape::{FitError, Shape};
+use crate::sync::{AtomicU32, Ordering};
+use crate::{broadcast, fifo, mailbox, newest, ring};
 
-/// `words` rounded up to whole cache lines.
-#[inline]
-pub(crate) const fn whole_lines(words: usize) -> usize {
-    words.div_ceil(LINE_WORDS) * LINE_WORDS
+/// What can lie in a region.
+pub trait Kind {
+    /// How many words it takes.
+    const WORDS: usize;
 }
 
-/// Why a primitive cannot live in the words that it was given. The caller's layout is wrong.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FitError {
-    /// Fewer words than the primitive's `words(...)` says.
-    TooSmall,
-    /// The first word does not begin a cache line of 64 bytes.
-    Misaligned,
+/// A sync mailbox: see [`mailbox`].
+#[derive(Debug)]
+pub enum Mailbox {}
+
+/// A lock: see [`lock`].
+#[derive(Debug)]
+pub enum SharedLock {}
+
+/// A pool of so many blocks: see [`pool`].
+#[derive(Debug)]
+pub enum SharedPool<const BLOCKS: usize> {}
+
+/// Plain words, without a protocol.
+#[derive(Debug)]
+pub enum Words<const COUNT: usize> {}
+
+/// A newest-value channel: see [`newest`]. With 4 slots a reader that has begun with the newest
+/// value has three further values' time to finish.
+#[derive(Debug)]
+pub struct Newest<T, const SLOTS: usize = 4>(PhantomData<fn() -> T>);
+
+/// A queue: see [`fifo`].
+#[derive(Debug)]
+pub struct Fifo<T, const SLOTS: usize>(PhantomData<fn() -> T>);
+
+/// A broadcast ring: see [`broadcast`].
+#[derive(Debug)]
+pub struct Broadcast<T, const SLOTS: usize>(PhantomData<fn() -> T>);
+
+impl Kind for Mailbox {
+    const WORDS: usize = mailbox::WORDS;
 }
 
-/// The first `needed` words, if they are there and begin a cache line.
-#[inline]
-pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {
-    // loom's atomics are larger than a word, lines have no meaning for them.
-    if cfg!(not(loom)) && !words.as_ptr().addr().is_multiple_of(4 * LINE_WORDS) {
-        return Err(FitError::Misaligned);
+impl Kind for SharedLock {
+    const WORDS: usize = lock::WORDS;
+}
+
+impl<const BLOCKS: usize> Kind for SharedPool<BLOCKS> {
+    const WORDS: usize = pool::words(BLOCKS);
+}
+
+impl<const COUNT: usize> Kind for Words<COUNT> {
+    const WORDS: usize = COUNT;
+}
+
+impl<T: Payload, const SLOTS: usize> Newest<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Newest<T, SLOTS> {
+    const WORDS: usize = newest::words(Self::SHAPE);
+}
+
+impl<T: Payload, const SLOTS: usize> Fifo<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Fifo<T, SLOTS> {
+    const WORDS: usize = fifo::words(Self::SHAPE);
+}
+
+impl<T: Payload, const SLOTS: usize> Broadcast<T, SLOTS> {
+    const SHAPE: Shape = Shape::new(SLOTS, T::WORDS);
+}
+
+impl<T: Payload, const SLOTS: usize> Kind for Broadcast<T, SLOTS> {
+    const WORDS: usize = broadcast::words(Self::SHAPE);
+}
+
+/// One region of a map: a place in the LMU, and by its type what lies there.
+#[derive(Debug)]
+pub struct Region<K> {
+    /// First word in the LMU.
+    begin: usize,
+    /// The layout up to the end of this region.
+    layout: Layout,
+    kind: PhantomData<fn() -> K>,
+}
+
+impl<K> Clone for Region<K> {
+    fn clone(&self) -> Self {
+        *self
     }
-    words.get(..needed).ok_or(FitError::TooSmall)
 }
 
-/// The first `WORDS` words, as [`fit`]; their number is known when they are indexed.
-pub(crate) fn fit_exactly<const WORDS: usize>(
-    words: &[AtomicU32],
-) -> Result<&[AtomicU32; WORDS], FitError> {
-    fit(words, WORDS)?.first_chunk().ok_or(FitError::TooSmall)
-}
+impl<K> Copy for Region<K> {}
 
-/// How many slots a channel has and how many words each carries. All ends of a channel must be
-/// given the same shape; it is part of the build, not of the shared memory.
+/// Why an end of a region cannot be attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Shape {
-    slots: usize,
-    slot_words: usize,
+pub enum EndError {
+    /// This end exists once, and this incarnation, which is alive, has it.
+    Claimed(Incarnation),
+    /// The region is not of this map's layout.
+    Fit(FitError),
 }
 
-impl Shape {
-    /// `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words (at least 1) each, 2^28
-    /// words in all at most.
+impl From<FitError> for EndError {
+    fn from(error: FitError) -> Self {
+        Self::Fit(error)
+    }
+}
+
+impl<K: Kind> Region<K> {
+    /// The first region of a map. The name takes part in the layout's hash.
+    #[must_use]
+    pub const fn first(name: &'static str) -> Self {
+        Self::after(Layout::EMPTY, name)
+    }
+
+    const fn after(layout: Layout, name: &'static str) -> Self {
+        Self {
+            begin: layout.total_words(),
+            layout: layout.with(name, K::WORDS),
+            kind: PhantomData,
+        }
+    }
+
+    /// The region behind this one.
+    #[must_use]
+    pub const fn then<L: Kind>(self, name: &'static str) -> Region<L> {
+        Region::after(self.layout, name)
+    }
+
+    /// The layout that ends with this region.
+    #[must_use]
+    pub const fn end(self) -> Layout {
+        self.layout
+    }
+
+    fn words<'a>(&self, map: &Map<'a>) -> Result<&'a [AtomicU32], FitError> {
+        map.words(self.begin, K::WORDS)
+    }
+
+    /// The words, when the end whose claim stands in word `at` is claimed.
+    fn claimed<'a>(
+        &self,
+        map: &Map<'a>,
+        at: usize,
+        incarnation: Incarnation,
+    ) -> Result<&'a [AtomicU32], EndError> {
+        let words = self.words(map)?;
+        claim(&words[at], incarnation, map.incarnations())?;
+        Ok(words)
+    }
+}
+
+/// Claims the end whose claim stands in `word` for this incarnation.
+fn claim(
+    word: &AtomicU32,
+    incarnation: Incarnation,
+    incarnations: Incarnations<'_>,
+) -> Result<(), EndError> {
+    // Core + 1 in the low bits: a zeroed region has no claims.
+    let own = incarnation.generation() << 2 | (incarnation.core() as u32 + 1);
+    // A core that claims at the same time makes this one look again: they are three.
+    for _ in 0..4 {
+        // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
+        let seen = word.load(Ordering::Acquire);
+        let holder = Incarnation::new((seen as usize & 3).wrapping_sub(1), seen >> 2);
+        if let Some(holder) = holder.filter(|&holder| incarnations.is_alive(holder)) {
+            return Err(EndError::Claimed(holder));
+        }
+        // Not Acquire: what the last holder did to the region was seen with its end, by `is_alive`.
+        let claimed = word.compare_exchange(seen, own, Ordering::Release, Ordering::Relaxed);
+        if claimed.is_ok() {
+            return Ok(());
+        }
+    }
+    Err(EndError::Claimed(incarnation))
+}
+
+impl<const COUNT: usize> Region<Words<COUNT>> {
+    /// The words.
     ///
-    /// # Panics
-    /// If a number is out of its range; in a constant that is a compile error.
-    #[must_use]
-    #[inline]
-    pub const fn new(slots: usize, slot_words: usize) -> Self {
-        assert!(slots >= 2 && slots <= 1 << 16 && slots.is_power_of_two());
-        assert!(slot_words >= 1 && slot_words <= (1 << 28) / slots);
-        Self { slots, slot_words }
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(&self, map: &Map<'a>) -> Result<&'a [AtomicU32], FitError> {
+        Ok(&self.words(map)?[..COUNT])
+    }
+}
+
+impl Region<SharedLock> {
+    /// An end of the lock. Each task that takes the lock attaches one.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Lock<'a>, FitError> {
+        Lock::attach(self.words(map)?, incarnation, map.incarnations())
+    }
+}
+
+impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
+    /// The pool, for this incarnation.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn attach<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<Pool<'a>, FitError> {
+        Pool::attach(self.words(map)?, BLOCKS, incarnation, map.incarnations())
+    }
+}
+
+impl Region<Mailbox> {
+    /// The sending end. Ring the receiver's doorbell once after it is attached: an earlier incarnation
+    /// of this core may have died between its signal and its ring.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn sender<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<mailbox::Sender<'a>, EndError> {
+        let words = self.claimed(map, mailbox::SENDER_CLAIM_AT, incarnation)?;
+        Ok(mailbox::Sender::attach(words)?)
     }
 
-    /// How many slots.
-    #[must_use]
-    #[inline]
-    pub const fn slots(self) -> usize {
-        self.slots
+    /// The receiving end. It handles first what earlier incarnations left open.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn receiver<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<mailbox::Receiver<'a>, EndError> {
+        let words = self.claimed(map, mailbox::RECEIVER_CLAIM_AT, incarnation)?;
+        Ok(mailbox::Receiver::attach(words)?)
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Newest<T, SLOTS>> {
+    /// The writing end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn writer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<newest::Writer<'a, T>, EndError> {
+        let words = self.claimed(map, ring::CLAIM_AT, incarnation)?;
+        Ok(newest::Writer::attach(newest::ring(
+            words,
+            Newest::<T, SLOTS>::SHAPE,
+        )?))
     }
 
-    /// Words of one slot.
-    #[must_use]
-    #[inline]
-    pub const fn slot_words(self) -> usize {
-        self.slot_words
+    /// A reading end; there may be any number of them.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn reader<'a>(&self, map: &Map<'a>) -> Result<newest::Reader<'a, T>, FitError> {
+        let words = self.words(map)?;
+        Ok(newest::Reader::attach(newest::ring(
+            words,
+            Newest::<T, SLOTS>::SHAPE,
+        )?))
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Fifo<T, SLOTS>> {
+    /// The sending end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn producer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<fifo::Producer<'a, T>, EndError> {
+        let words = self.claimed(map, fifo::PRODUCER_CLAIM_AT, incarnation)?;
+        Ok(fifo::Producer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
+    }
+
+    /// The receiving end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn consumer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<fifo::Consumer<'a, T>, EndError> {
+        let words = self.claimed(map, fifo::CONSUMER_CLAIM_AT, incarnation)?;
+        Ok(fifo::Consumer::attach(words, Fifo::<T, SLOTS>::SHAPE)?)
+    }
+}
+
+impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
+    /// The writing end.
+    ///
+    /// # Errors
+    /// [`EndError`]
+    pub fn writer<'a>(
+        &self,
+        map: &Map<'a>,
+        incarnation: Incarnation,
+    ) -> Result<broadcast::Writer<'a, T>, EndError> {
+        let words = self.claimed(map, ring::CLAIM_AT, incarnation)?;
+        Ok(broadcast::Writer::attach(broadcast::ring(
+            words,
+            Broadcast::<T, SLOTS>::SHAPE,
+        )?))
+    }
+
+    /// A receiving end, for what is published from now on; there may be any number of them.
+    ///
+    /// # Errors
+    /// [`FitError`] if the region is not of this map's layout.
+    pub fn receiver<'a>(&self, map: &Map<'a>) -> Result<broadcast::Receiver<'a, T>, FitError> {
+        let words = self.words(map)?;
+        Ok(broadcast::Receiver::attach(broadcast::ring(
+            words,
+            Broadcast::<T, SLOTS>::SHAPE,
+        )?))
+    }
+}
+
+#[cfg(test)]
+#[cfg(not(loom))]
+mod tests {
+    use super::*;
+    use crate::fault::zeroed;
+    use crate::ring::Stamp;
+
+    const NEWS: Region<Mailbox> = Region::first("news");
+    const PAIR: Region<Newest<[u32; 2]>> = NEWS.then("pair");
+    const ORDERS: Region<Fifo<u32, 8>> = PAIR.then("orders");
+    const SMALL: Region<Newest<[u32; 6], 2>> = ORDERS.then("small");
+    const NOTES: Region<Broadcast<u32, 4>> = SMALL.then("notes");
+    const LOCK: Region<SharedLock> = NOTES.then("lock");
+    const POOL: Region<SharedPool<3>> = LOCK.then("pool");
+    const GUARDED: Region<Words<2>> = POOL.then("guarded");
+    const LAYOUT: Layout = GUARDED.end();
+
+    fn start(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
+        let incarnation = Incarnation::new(core, generation).unwrap();
+        map.incarnations().announce(incarnation).unwrap();
+        incarnation
+    }
+
+    fn map() -> Map<'static> {
+        Map::format(zeroed(LAYOUT.total_words()), LAYOUT).unwrap()
+    }
+
+    #[test]
+    fn values_of_each_kind_of_region_go_from_core_to_core() {
+        let map = map();
+        let [one, two] = [0, 1].map(|core| start(&map, core, 1));
+        let mut writer = PAIR.writer(&map, one).unwrap();
+        let mut reader = PAIR.reader(&map).unwrap();
+        let mut producer = ORDERS.producer(&map, one).unwrap();
+        let mut consumer = ORDERS.consumer(&map, two).unwrap();
+        let mut notes = NOTES.writer(&map, one).unwrap();
+        let mut receiver = NOTES.receiver(&map).unwrap();
+        let mut small = SMALL.writer(&map, one).unwrap();
+        let mut read_small = SMALL.reader(&map).unwrap();
+        assert_eq!(reader.fetch(), Ok(None));
+        for k in 0..20 {
+            writer.publish(&[k, !k]);
+            assert_eq!(reader.fetch(), Ok(Some([k, !k])));
+            assert_eq!(reader.fetch(), Ok(None), "fetched once");
+            producer.send(&k).unwrap();
+            assert_eq!(consumer.receive(), Ok(Some(k)));
+            notes.publish(&k);
+            assert_eq!(receiver.receive(), Ok(Some((Stamp(k), k))));
+            small.publish(&[k; 6]);
+            assert_eq!(read_small.fetch(), Ok(Some([k; 6])));
+        }
+        let mut lock = LOCK.attach(&map, one).unwrap();
+        let guard = lock.try_lock().unwrap();
+        assert!(LOCK.attach(&map, two).unwrap().try_lock().is_none());
+        drop(guard);
+        let handle = POOL.attach(&map, one).unwrap().get(48).unwrap();
+        assert!(POOL.attach(&map, two).unwrap().open(handle).is_err());
+        assert_eq!(GUARDED.attach(&map).unwrap().len(), 2);
+        // The claims, which lie beside the words of each end, still hold.
+        assert!(SMALL.writer(&map, two).is_err() && NEWS.sender(&map, two).is_ok());
+    }
+
+    /// An end that exists once is refused while its holder is alive, also to the holder itself, and
+    /// given to a successor.
+    #[test]
+    fn an_end_exists_once() {
+        let map = map();
+        let [one, two] = [0, 1].map(|core| start(&map, core, 1));
+        type Claim = fn(&Map<'static>, Incarnation) -> Result<(), EndError>;
+        let claims: [Claim; 6] = [
+            |map, incarnation| NEWS.sender(map, incarnation).map(drop),
+            |map, incarnation| NEWS.receiver(map, incarnation).map(drop),
+            |map, incarnation| PAIR.writer(map, incarnation).map(drop),
+            |map, incarnation| ORDERS.producer(map, incarnation).map(drop),
+            |map, incarnation| ORDERS.consumer(map, incarnation).map(drop),
+            |map, incarnation| NOTES.writer(map, incarnation).map(drop),
+        ];
+        for claim in claims {
+            assert_eq!(claim(&map, one), Ok(()));
+            assert_eq!(claim(&map, one), Err(EndError::Claimed(one)));
+            assert_eq!(claim(&map, two), Err(EndError::Claimed(one)));
+        }
+        let successor = start(&map, 0, 2);
+        for claim in claims {
+            assert_eq!(claim(&map, successor), Ok(()));
+        }
+        assert!(map.incarnations().mark_dead(successor));
+        for claim in claims {
+            assert_eq!(claim(&map, two), Ok(()));
+        }
+    }
+
+    /// Claims take no part in what the ends say to each other.
+    #[test]
+    fn claims_are_no_signals() {
+        let map = map();
+        let one = start(&map, 0, (1 << 30) - 1);
+        let mut receiver = NEWS.receiver(&map, one).unwrap();
+        let mut sender = NEWS.sender(&map, one).unwrap();
+        assert_eq!(receiver.poll(|_| panic!("nothing was sent")), 0);
+        let task = mailbox::TaskId::new(1).unwrap();
+        let _ = sender.signal_with(task, 7);
+        assert_eq!(receiver.poll(|open| assert_eq!(open.value, 7)), 1);
+        assert_eq!(sender.open(task), 0);
+    }
+
+    #[test]
+    fn a_region_of_another_map_is_refused() {
+        const ALONE: Region<Words<1>> = Region::first("alone");
+        let map = Map::format(zeroed(ALONE.end().total_words()), ALONE.end()).unwrap();
+        assert_eq!(GUARDED.attach(&map).unwrap_err(), FitError::TooSmall);
+        assert!(NEWS.sender(&map, start(&map, 0, 1)).is_err());
     }
 }

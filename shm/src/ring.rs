@@ -10,7 +10,10 @@
 //! would not notice. At one value a microsecond that is 36 minutes; a core that stands still for
 //! that long has been reset by its watchdog.
 
-use crate::region::{FitError, LINE_WORDS, Shape, fit};
+use core::marker::PhantomData;
+
+use crate::payload::{Payload, WordsMut};
+use crate::shape::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
 
 /// The claim of the writing end: the last word of the head's line, which slots leave alone. A map
@@ -66,13 +69,6 @@ impl<'a> Ring<'a> {
         self.head.load(Ordering::Acquire)
     }
 
-    /// The number of the value that a writer has to write next, after the end of an earlier writer.
-    /// That one may have begun or even completed it; as long as the head does not say so, nobody
-    /// has seen it.
-    pub(crate) fn resume(&self) -> u32 {
-        self.head.load(Ordering::Relaxed)
-    }
-
     #[inline]
     fn at(&self, k: u32) -> usize {
         (k as usize & (self.shape.slots() - 1)) * self.stride
@@ -92,7 +88,7 @@ impl<'a> Ring<'a> {
 
     /// Writer: value k begins to be written.
     #[inline]
-    pub(crate) fn begin(&self, k: u32) {
+    fn begin(&self, k: u32) {
         self.stamp(k).store(k << 1, Ordering::Relaxed);
         // Release pairs with the Acquire fence in `is_intact`: who sees a word that is stored after
         // this sees the stamp, too.
@@ -101,7 +97,7 @@ impl<'a> Ring<'a> {
 
     /// Writer: value k is complete.
     #[inline]
-    pub(crate) fn complete(&self, k: u32) {
+    fn complete(&self, k: u32) {
         self.stamp(k).store(complete(k), Ordering::Relaxed);
         // Release pairs with the Acquire in `head`: who sees the head sees the stamp and the words.
         self.head.store(k.wrapping_add(1), Ordering::Release);
@@ -128,4 +124,82 @@ impl<'a> Ring<'a> {
 #[inline]
 const fn complete(k: u32) -> u32 {
     k << 1 | 1
+}
+
+/// Which value it was: the writer counts them, wrapping around, over all its incarnations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stamp(pub u32);
+
+impl Stamp {
+    /// How many values were published after `earlier` up to this one.
+    #[must_use]
+    pub const fn since(self, earlier: Self) -> u32 {
+        self.0.wrapping_sub(earlier.0)
+    }
+}
+
+/// The writing end. It exists once.
+#[derive(Debug)]
+pub struct Writer<'a, T = ()> {
+    ring: Ring<'a>,
+    next: u32,
+    payload: PhantomData<fn(&T)>,
+}
+
+impl<'a, T> Writer<'a, T> {
+    /// Continues after the values of earlier incarnations. An earlier one may have begun or even
+    /// completed the next value; no reader has seen it as long as the head does not count it.
+    pub(crate) fn attach(ring: Ring<'a>) -> Self {
+        Self {
+            ring,
+            next: ring.head.load(Ordering::Relaxed),
+            payload: PhantomData,
+        }
+    }
+
+    /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
+    /// Without [`Loan::publish`] nothing is published. Never blocks.
+    #[inline]
+    pub fn loan(&mut self) -> Loan<'_, 'a, T> {
+        self.ring.begin(self.next);
+        Loan {
+            words: WordsMut::new(self.ring.payload(self.next)),
+            writer: self,
+        }
+    }
+}
+
+impl<T: Payload> Writer<'_, T> {
+    /// Makes `value` the newest. Never blocks.
+    #[inline]
+    pub fn publish(&mut self, value: &T) -> Stamp {
+        let mut loan = self.loan();
+        loan.words.store(value);
+        loan.publish()
+    }
+}
+
+/// A slot that is lent to the writer.
+#[derive(Debug)]
+#[must_use = "only `publish` shows what was filled in"]
+pub struct Loan<'w, 'a, T> {
+    words: WordsMut<'a>,
+    writer: &'w mut Writer<'a, T>,
+}
+
+impl<'a, T> Loan<'_, 'a, T> {
+    /// The words to fill.
+    #[inline]
+    pub const fn words(&mut self) -> &mut WordsMut<'a> {
+        &mut self.words
+    }
+
+    /// Publishes the value.
+    #[inline]
+    pub fn publish(self) -> Stamp {
+        let stamp = Stamp(self.writer.next);
+        self.writer.ring.complete(stamp.0);
+        self.writer.next = stamp.0.wrapping_add(1);
+        stamp
+    }
 }

@@ -4,11 +4,11 @@
 //! once (sequential consistency): memory orderings are loom's business.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
+use crate::fault::{freeze_at, kill_at, switch_cores, zeroed};
 use crate::incarnation::{Incarnation, Incarnations};
 use crate::lock::{self, Lock};
 use crate::mailbox::{self, Receiver, Sender, TaskId};
 use crate::pool::{self, BLOCK_WORDS, Pool};
-use crate::step::{freeze_at, kill_at, switch_cores, zeroed};
 use crate::sync::{AtomicU32, Ordering};
 use shuttle::rand::{Rng, thread_rng};
 use shuttle::thread;

@@ -9,7 +9,7 @@ pub use core::sync::atomic::{AtomicU32, fence};
 pub use loom::sync::atomic::fence;
 
 #[cfg(any(loom, test))]
-pub use crate::step::AtomicU32;
+pub use crate::fault::AtomicU32;
 #[cfg(all(test, not(loom)))]
 pub use core::sync::atomic::fence;
 

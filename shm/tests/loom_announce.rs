@@ -9,6 +9,7 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
+use tandem_shm::bare;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::pool::{self, Pool};
@@ -26,7 +27,7 @@ fn incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
 fn start_lock(words: &[AtomicU32], core: usize, generation: u32) -> Lock<'_> {
     let incarnation = Incarnation::new(core, generation).unwrap();
     incarnations(words).announce(incarnation).unwrap();
-    Lock::attach(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
+    bare::lock(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
 }
 
 /// T-LOCK-1: a core announces itself and takes the lock by its first acquisition while another core
@@ -111,7 +112,7 @@ const POOL_WORDS: usize = OBJECT_AT + pool::words(BLOCKS);
 fn start_pool(words: &[AtomicU32], core: usize, generation: u32) -> Pool<'_> {
     let incarnation = Incarnation::new(core, generation).unwrap();
     incarnations(words).announce(incarnation).unwrap();
-    Pool::attach(
+    bare::pool(
         &words[OBJECT_AT..],
         BLOCKS,
         incarnation,
@@ -139,7 +140,7 @@ fn the_words_of_a_new_incarnation_are_not_reclaimed() {
         assert_eq!(pool.reclaim_dead(), 0, "nobody died");
         let handle = other.join().unwrap();
         let owner = Incarnation::new(1, 1).unwrap();
-        let pool = Pool::attach(&words[OBJECT_AT..], BLOCKS, owner, incarnations(&words)).unwrap();
+        let pool = bare::pool(&words[OBJECT_AT..], BLOCKS, owner, incarnations(&words)).unwrap();
         assert!(pool.open(handle).is_ok(), "its words were taken");
     });
 }

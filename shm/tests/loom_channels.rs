@@ -8,11 +8,12 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
-use tandem_shm::broadcast::{self, Lost};
+use tandem_shm::bare;
+use tandem_shm::broadcast::{self, Lost, Stamp};
 use tandem_shm::map::{AttachError, Layout, Map};
 use tandem_shm::newest::{self, ReadError};
+use tandem_shm::region::{Region, Words};
 use tandem_shm::sync::{Ordering, spin};
-use tandem_shm::typed::{Region, Words};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
 const SHAPE: Shape = Shape::new(2, 2);
@@ -26,18 +27,18 @@ fn newest_is_never_torn_and_never_goes_back() {
         let writer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut writer = newest::Writer::attach(&words, SHAPE).unwrap();
+                let mut writer = bare::newest_writer(&words, SHAPE).unwrap();
                 writer.publish(&[1, 1]);
                 writer.publish(&[2, 2]);
                 writer.loan().words().set(0, 99);
-                let mut successor = newest::Writer::attach(&words, SHAPE).unwrap();
+                let mut successor = bare::newest_writer(&words, SHAPE).unwrap();
                 successor.publish(&[3, 3]);
             })
         };
-        let reader = newest::Reader::attach(&words, SHAPE).unwrap();
+        let reader = bare::newest_reader(&words, SHAPE).unwrap();
         let mut last = 0;
         for _ in 0..2 {
-            match reader.read(|words| [words.get(0), words.get(1)]) {
+            match reader.read() {
                 Ok((stamp, [a, b])) => {
                     assert_eq!((a, b), (stamp.0 + 1, stamp.0 + 1));
                     assert!(a >= last);
@@ -45,10 +46,11 @@ fn newest_is_never_torn_and_never_goes_back() {
                 }
                 Err(ReadError::Empty) => assert_eq!(last, 0),
                 Err(ReadError::Overrun) => {}
+                Err(ReadError::Corrupt) => panic!("every word is a value"),
             }
         }
         writer.join().unwrap();
-        assert_eq!(reader.read(|words| words.get(1)).unwrap().1, 3);
+        assert_eq!(reader.read().unwrap().1, [3, 3]);
     });
 }
 
@@ -57,23 +59,22 @@ fn newest_is_never_torn_and_never_goes_back() {
 fn broadcast_values_are_received_or_counted() {
     model(4, || {
         let words = zeroed(broadcast::words(SHAPE));
-        let mut receiver = broadcast::Receiver::attach(&words, SHAPE).unwrap();
+        let mut receiver = bare::broadcast_receiver(&words, SHAPE).unwrap();
         let sender = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut sender = broadcast::Sender::attach(&words, SHAPE).unwrap();
+                let mut sender = bare::broadcast_writer(&words, SHAPE).unwrap();
                 for k in 0..3 {
-                    sender.send(&[k, k]);
+                    sender.publish(&[k, k]);
                 }
             })
         };
         let mut next = 0;
-        let mut look = |receiver: &mut broadcast::Receiver<'_>| {
-            let mut value = [0; 2];
-            match receiver.receive_into(&mut value) {
+        let mut look = |receiver: &mut broadcast::Receiver<'_, [u32; 2]>| {
+            match receiver.receive() {
                 Ok(None) => return false,
-                Ok(Some(number)) => {
-                    assert_eq!((number, value), (next, [next; 2]));
+                Ok(Some((stamp, value))) => {
+                    assert_eq!((stamp.0, value), (next, [next; 2]));
                     next += 1;
                 }
                 Err(Lost { count }) => next += count,
@@ -94,11 +95,10 @@ fn broadcast_values_are_received_or_counted() {
 fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
     model(2, || {
         let words = zeroed(broadcast::words(SHAPE));
-        let receive = |receiver: &mut broadcast::Receiver<'_>, next: &mut Option<u32>| {
-            let mut value = [0; 2];
-            match receiver.receive_into(&mut value) {
+        let receive = |receiver: &mut broadcast::Receiver<'_, [u32; 2]>, next: &mut Option<u32>| {
+            match receiver.receive() {
                 Ok(None) => {}
-                Ok(Some(number)) => {
+                Ok(Some((Stamp(number), value))) => {
                     assert_eq!(value, [number; 2]);
                     assert_eq!(number, next.unwrap_or(number));
                     *next = Some(number + 1);
@@ -109,23 +109,25 @@ fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
         let sender = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut sender = broadcast::Sender::attach(&words, SHAPE).unwrap();
+                let mut sender = bare::broadcast_writer(&words, SHAPE).unwrap();
                 for k in 0..3 {
-                    sender.send(&[k, k]);
+                    sender.publish(&[k, k]);
                 }
             })
         };
         let other = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut receiver = broadcast::Receiver::attach_oldest(&words, SHAPE).unwrap();
+                let mut receiver = bare::broadcast_receiver(&words, SHAPE)
+                    .unwrap()
+                    .from_oldest();
                 let mut next = None;
                 for _ in 0..2 {
                     receive(&mut receiver, &mut next);
                 }
             })
         };
-        let mut receiver = broadcast::Receiver::attach(&words, SHAPE).unwrap();
+        let mut receiver = bare::broadcast_receiver(&words, SHAPE).unwrap();
         let mut next = None;
         for _ in 0..2 {
             receive(&mut receiver, &mut next);
@@ -139,6 +141,16 @@ fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
     });
 }
 
+/// Waits for the next value of a queue.
+fn next(consumer: &mut fifo::Consumer<'_, [u32; 2]>) -> [u32; 2] {
+    loop {
+        match consumer.receive().unwrap() {
+            Some(value) => return value,
+            None => spin(1),
+        }
+    }
+}
+
 /// Every value is received once, whole and in order.
 #[test]
 fn fifo_values_arrive_in_order() {
@@ -147,7 +159,7 @@ fn fifo_values_arrive_in_order() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
                 for k in 1..=3 {
                     while producer.send(&[k, k]).is_err() {
                         spin(1);
@@ -155,20 +167,12 @@ fn fifo_values_arrive_in_order() {
                 }
             })
         };
-        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
         for k in 1..=3 {
-            let item = loop {
-                match consumer.receive() {
-                    Some(item) => break item,
-                    None => spin(1),
-                }
-            };
-            let value = [item.words().get(0), item.words().get(1)];
-            item.release();
-            assert_eq!(value, [k; 2]);
+            assert_eq!(next(&mut consumer), [k; 2]);
         }
         producer.join().unwrap();
-        assert!(consumer.receive().is_none());
+        assert_eq!(consumer.receive(), Ok(None));
     });
 }
 
@@ -182,11 +186,11 @@ fn fifo_slots_are_refilled_after_they_were_read() {
         let producer = {
             let (words, slots) = (words.clone(), slots.clone());
             thread::spawn(move || {
-                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
                 for k in 0..4 {
                     if k == 3 {
                         // A successor may refill what its predecessor might have.
-                        producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                        producer = bare::fifo_producer(&words, SHAPE).unwrap();
                     }
                     let loan = loop {
                         match producer.loan() {
@@ -199,10 +203,10 @@ fn fifo_slots_are_refilled_after_they_were_read() {
                 }
             })
         };
-        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
         for k in 0..4 {
             let item = loop {
-                match consumer.receive() {
+                match consumer.item() {
                     Some(item) => break item,
                     None => spin(1),
                 }
@@ -223,7 +227,7 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
                 for k in 1..=2 {
                     producer.send(&[k, k]).unwrap();
                 }
@@ -231,19 +235,17 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
                 let _ = producer.loan();
             })
         };
-        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
         let mut last = 0;
         for _ in 0..2 {
-            let mut value = [0; 2];
-            if consumer.receive_into(&mut value) {
+            if let Some(value) = consumer.receive().unwrap() {
                 assert!(value[0] > last && value[0] == value[1], "{value:?}");
                 last = value[0];
             }
         }
         producer.join().unwrap();
         // The stamp of a value that is received no more was mended, or the value came.
-        let mut value = [0; 2];
-        while last < 2 && consumer.receive_into(&mut value) {
+        while let Some(value) = consumer.receive().unwrap() {
             last = value[0];
         }
         assert_eq!(last, 2);
@@ -258,7 +260,7 @@ fn fifo_survives_a_new_consumer() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
                 for k in 1..=2 {
                     producer.send(&[k, k]).unwrap();
                 }
@@ -266,9 +268,8 @@ fn fifo_survives_a_new_consumer() {
         };
         let mut next = 1;
         for _ in 0..3 {
-            let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
-            let mut value = [0; 2];
-            if consumer.receive_into(&mut value) {
+            let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+            if let Some(value) = consumer.receive().unwrap() {
                 assert_eq!(value, [next; 2]);
                 next += 1;
             }
@@ -287,7 +288,7 @@ fn fifo_survives_new_producers() {
             let words = words.clone();
             thread::spawn(move || {
                 for k in 0..3 {
-                    let mut producer = fifo::Producer::attach(&words, SHAPE).unwrap();
+                    let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
                     assert_eq!(producer.sent(), k);
                     while producer.send(&[k, k]).is_err() {
                         spin(1);
@@ -298,16 +299,12 @@ fn fifo_survives_new_producers() {
                 }
             })
         };
-        let mut consumer = fifo::Consumer::attach(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
         for k in 0..3 {
-            let mut value = [0; 2];
-            while !consumer.receive_into(&mut value) {
-                spin(1);
-            }
-            assert_eq!(value, [k, k]);
+            assert_eq!(next(&mut consumer), [k, k]);
         }
         producers.join().unwrap();
-        assert!(consumer.receive().is_none());
+        assert_eq!(consumer.receive(), Ok(None));
     });
 }
 

@@ -8,11 +8,12 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
+use tandem_shm::bare;
+use tandem_shm::fault::kill_at;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::mailbox::{self, Receiver, Sender, TaskId};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
-use tandem_shm::step::kill_at;
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 
 const OBJECT_AT: usize = Incarnations::WORDS;
@@ -28,13 +29,13 @@ fn announce(words: &[AtomicU32], core: usize, generation: u32) -> Incarnation {
 }
 
 fn lock(words: &[AtomicU32], incarnation: Incarnation) -> Lock<'_> {
-    Lock::attach(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
+    bare::lock(&words[OBJECT_AT..], incarnation, incarnations(words)).unwrap()
 }
 
 const BLOCKS: usize = 3;
 
 fn pool(words: &[AtomicU32], incarnation: Incarnation) -> Pool<'_> {
-    Pool::attach(
+    bare::pool(
         &words[OBJECT_AT..],
         BLOCKS,
         incarnation,
@@ -141,14 +142,14 @@ fn a_mailbox_survives_its_sender_at_every_access() {
             let sending = {
                 let words = words.clone();
                 thread::spawn(move || {
-                    let mut sender = Sender::attach(&words).unwrap();
+                    let mut sender = bare::mailbox_sender(&words).unwrap();
                     let sent = kill_at(at, || sender.signal_with(task, 7)).is_some();
-                    let mut successor = Sender::attach(&words).unwrap();
+                    let mut successor = bare::mailbox_sender(&words).unwrap();
                     let _ = successor.signal_with(task, 8);
                     sent
                 })
             };
-            let mut receiver = Receiver::attach(&words).unwrap();
+            let mut receiver = bare::mailbox_receiver(&words).unwrap();
             let mut handled = 0;
             let mut poll = |receiver: &mut Receiver<'_>| {
                 receiver.poll(|open| {
@@ -178,17 +179,17 @@ fn a_mailbox_survives_its_receiver_at_every_access() {
             let sending = {
                 let words = words.clone();
                 thread::spawn(move || {
-                    let mut sender = Sender::attach(&words).unwrap();
+                    let mut sender = bare::mailbox_sender(&words).unwrap();
                     let _ = sender.signal(task);
                     let _ = sender.signal(task);
                 })
             };
             let mut handled = 0;
-            let mut receiver = Receiver::attach(&words).unwrap();
+            let mut receiver = bare::mailbox_receiver(&words).unwrap();
             kill_at(at, || {
                 receiver.poll(|open| handled += open.count);
             });
-            let mut successor = Receiver::attach(&words).unwrap();
+            let mut successor = bare::mailbox_receiver(&words).unwrap();
             successor.poll(|open| handled += open.count);
             sending.join().unwrap();
             successor.poll(|open| handled += open.count);

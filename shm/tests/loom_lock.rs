@@ -8,6 +8,7 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::Arc;
 use loom::thread;
+use tandem_shm::bare;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Acquired, Lock, MAX_WAITED_TURNS};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
@@ -42,7 +43,7 @@ fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
         let words = lock_words(CORES);
         let guarded = Arc::new(UnsafeCell::new(0u32));
         let run = move |words: Arc<Vec<AtomicU32>>, guarded: Arc<UnsafeCell<u32>>, core: usize| {
-            let mut lock = Lock::attach(&words, incarnation(core), incarnations(&words)).unwrap();
+            let mut lock = bare::lock(&words, incarnation(core), incarnations(&words)).unwrap();
             // The bound holds for cores that poll: more polls than a model has.
             lock.set_patience(u32::MAX);
             for _ in 0..times[core] {
@@ -81,7 +82,7 @@ fn detached_guards_exclude_each_other() {
         let words = lock_words(2);
         let guarded = Arc::new(UnsafeCell::new(()));
         let run = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core| {
-            let mut lock = Lock::attach(words, incarnation(core), incarnations(words)).unwrap();
+            let mut lock = bare::lock(words, incarnation(core), incarnations(words)).unwrap();
             if let Ok(acquired) = lock.lock(2, spin) {
                 let held = acquired.into_guard().detach();
                 guarded.with_mut(|_| ());
@@ -116,7 +117,7 @@ fn one_taker_is_told_of_the_death() {
     model(3, || {
         let words = lock_words(3);
         core::mem::forget(
-            Lock::attach(&words, incarnation(0), incarnations(&words))
+            bare::lock(&words, incarnation(0), incarnations(&words))
                 .unwrap()
                 .try_lock(),
         );
@@ -126,7 +127,7 @@ fn one_taker_is_told_of_the_death() {
                 let (words, recovered) = (words.clone(), recovered.clone());
                 thread::spawn(move || {
                     let mut lock =
-                        Lock::attach(&words, incarnation(core), incarnations(&words)).unwrap();
+                        bare::lock(&words, incarnation(core), incarnations(&words)).unwrap();
                     match lock.lock(6, spin) {
                         Ok(acquired) => {
                             recovered.with_mut(|_| ());
@@ -139,7 +140,7 @@ fn one_taker_is_told_of_the_death() {
             .collect();
         incarnations(&words).mark_dead(incarnation(0));
         let told: u32 = takers.into_iter().map(|taker| taker.join().unwrap()).sum();
-        let mut lock = Lock::attach(&words, incarnation(1), incarnations(&words)).unwrap();
+        let mut lock = bare::lock(&words, incarnation(1), incarnations(&words)).unwrap();
         let told = told + u32::from(lock.try_lock().unwrap().is_recovered());
         assert_eq!(told, 1);
     });
@@ -153,7 +154,7 @@ fn a_core_that_loses_patience_excludes_the_others() {
         let words = lock_words(3);
         let guarded = Arc::new(UnsafeCell::new(()));
         let take = |words: &[AtomicU32], guarded: &UnsafeCell<()>, core, polls| {
-            let mut lock = Lock::attach(words, incarnation(core), incarnations(words)).unwrap();
+            let mut lock = bare::lock(words, incarnation(core), incarnations(words)).unwrap();
             lock.set_patience(1);
             if let Ok(acquired) = lock.lock(polls, spin) {
                 assert!(!acquired.is_recovered(), "nobody died");
@@ -196,7 +197,7 @@ fn pool_incarnations(words: &[AtomicU32]) -> Incarnations<'_> {
 }
 
 fn attach(words: &[AtomicU32], core: usize) -> Pool<'_> {
-    Pool::attach(words, BLOCKS, incarnation(core), pool_incarnations(words)).unwrap()
+    bare::pool(words, BLOCKS, incarnation(core), pool_incarnations(words)).unwrap()
 }
 
 /// T-SHM-1, T-SHM-2: two cores get and give back at the same time; nothing is given twice or lost.

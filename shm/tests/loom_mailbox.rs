@@ -8,6 +8,7 @@ use common::{model, zeroed};
 use loom::cell::UnsafeCell;
 use loom::sync::{Arc, Notify};
 use loom::thread;
+use tandem_shm::bare;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId, WORDS};
 use tandem_shm::sync::Ordering;
 
@@ -22,7 +23,7 @@ fn no_wake_up_is_lost() {
         let sending = {
             let (words, doorbell) = (words.clone(), doorbell.clone());
             thread::spawn(move || {
-                let mut sender = Sender::attach(&words).unwrap();
+                let mut sender = bare::mailbox_sender(&words).unwrap();
                 for payload in 1..=2 {
                     words[WORDS].store(payload, Ordering::Relaxed);
                     let task = TaskId::new(1).unwrap();
@@ -32,7 +33,7 @@ fn no_wake_up_is_lost() {
                 }
             })
         };
-        let mut receiver = Receiver::attach(&words).unwrap();
+        let mut receiver = bare::mailbox_receiver(&words).unwrap();
         let mut handled = 0;
         loop {
             receiver.poll(|open| {
@@ -62,13 +63,13 @@ fn no_task_is_missed() {
         let sending = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut sender = Sender::attach(&words).unwrap();
+                let mut sender = bare::mailbox_sender(&words).unwrap();
                 for number in [3, 1, 3] {
                     let _ = sender.signal(TaskId::new(number).unwrap());
                 }
             })
         };
-        let mut receiver = Receiver::attach(&words).unwrap();
+        let mut receiver = bare::mailbox_receiver(&words).unwrap();
         let mut handled = [0; 4];
         for _ in 0..2 {
             receiver.poll(|open| handled[open.task.index()] += open.count);
@@ -89,7 +90,7 @@ fn what_a_handler_has_read_may_be_reused() {
         let sending = {
             let (words, payload) = (words.clone(), payload.clone());
             thread::spawn(move || {
-                let mut sender = Sender::attach(&words).unwrap();
+                let mut sender = bare::mailbox_sender(&words).unwrap();
                 payload.with_mut(|_| ());
                 let _ = sender.signal(task);
                 for _ in 0..2 {
@@ -99,7 +100,7 @@ fn what_a_handler_has_read_may_be_reused() {
                 }
             })
         };
-        let mut receiver = Receiver::attach(&words).unwrap();
+        let mut receiver = bare::mailbox_receiver(&words).unwrap();
         for _ in 0..2 {
             receiver.poll(|_| payload.with(|_| ()));
         }
@@ -119,7 +120,7 @@ fn replaced_ends_lose_no_signal() {
             let (words, doorbell) = (words.clone(), doorbell.clone());
             thread::spawn(move || {
                 for _ in 0..2 {
-                    let mut sender = Sender::attach(&words).unwrap();
+                    let mut sender = bare::mailbox_sender(&words).unwrap();
                     if sender.signal(task) == Ring::Needed {
                         doorbell.notify();
                     }
@@ -128,7 +129,7 @@ fn replaced_ends_lose_no_signal() {
         };
         let mut handled = 0;
         while handled < 2 {
-            let mut receiver = Receiver::attach(&words).unwrap();
+            let mut receiver = bare::mailbox_receiver(&words).unwrap();
             receiver.poll(|open| handled += open.count);
             if handled < 2 && receiver.prepare_sleep() {
                 doorbell.wait();

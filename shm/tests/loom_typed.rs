@@ -8,8 +8,8 @@ use common::{model, zeroed};
 use loom::thread;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{EndError, Mailbox, Region};
 use tandem_shm::sync::AtomicU32;
-use tandem_shm::typed::{EndError, Mailbox, Region};
 
 const NEWS: Region<Mailbox> = Region::first("news");
 const LAYOUT: Layout = NEWS.end();

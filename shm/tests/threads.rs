@@ -4,12 +4,13 @@
 
 use std::thread;
 
+use tandem_shm::bare;
 use tandem_shm::broadcast::{self, Lost};
 use tandem_shm::incarnation::{Incarnation, Incarnations};
-use tandem_shm::lock::{self, Lock};
+use tandem_shm::lock;
 use tandem_shm::mailbox::{self, Ring, TaskId};
 use tandem_shm::newest::{self, ReadError};
-use tandem_shm::pool::{self, Handle, Pool};
+use tandem_shm::pool::{self, Handle};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
@@ -30,7 +31,7 @@ fn newest_values_are_whole_and_never_older() {
     with_words(newest::words(SHAPE), |words| {
         thread::scope(|scope| {
             scope.spawn(|| {
-                let mut writer = newest::Writer::attach(words, SHAPE).unwrap();
+                let mut writer = bare::newest_writer(words, SHAPE).unwrap();
                 for k in 1..=TIMES {
                     writer.publish(&[k; 3]);
                     if k.is_multiple_of(16) {
@@ -40,15 +41,17 @@ fn newest_values_are_whole_and_never_older() {
             });
             for _ in 0..2 {
                 scope.spawn(|| {
-                    let reader = newest::Reader::attach(words, SHAPE).unwrap();
+                    let reader = bare::newest_reader(words, SHAPE).unwrap();
                     let mut last = 0;
                     while last < TIMES {
-                        match reader.read(|words| [0, 1, 2].map(|i| words.get(i))) {
+                        match reader.read() {
                             Ok((stamp, value)) => {
+                                let value: [u32; 3] = value;
                                 assert_eq!(value, [stamp.0 + 1; 3]);
                                 assert!(value[0] >= last);
                                 last = value[0];
                             }
+                            Err(ReadError::Corrupt) => panic!("every word is a value"),
                             Err(ReadError::Empty | ReadError::Overrun) => thread::yield_now(),
                         }
                     }
@@ -61,12 +64,12 @@ fn newest_values_are_whole_and_never_older() {
 #[test]
 fn broadcast_values_are_received_or_counted() {
     with_words(broadcast::words(SHAPE), |words| {
-        let receivers = [(); 2].map(|()| broadcast::Receiver::attach(words, SHAPE).unwrap());
+        let receivers = [(); 2].map(|()| bare::broadcast_receiver(words, SHAPE).unwrap());
         thread::scope(|scope| {
             scope.spawn(|| {
-                let mut sender = broadcast::Sender::attach(words, SHAPE).unwrap();
+                let mut sender = bare::broadcast_writer(words, SHAPE).unwrap();
                 for k in 0..TIMES {
-                    sender.send(&[k; 3]);
+                    sender.publish(&[k; 3]);
                     if k.is_multiple_of(3) {
                         thread::yield_now();
                     }
@@ -75,12 +78,11 @@ fn broadcast_values_are_received_or_counted() {
             for mut receiver in receivers {
                 scope.spawn(move || {
                     let mut next = 0;
-                    let mut value = [0; 3];
                     while next < TIMES {
-                        match receiver.receive_into(&mut value) {
+                        match receiver.receive() {
                             Ok(None) => thread::yield_now(),
-                            Ok(Some(number)) => {
-                                assert_eq!((number, value), (next, [next; 3]));
+                            Ok(Some((stamp, value))) => {
+                                assert_eq!((stamp.0, value), (next, [next; 3]));
                                 next += 1;
                             }
                             Err(Lost { count }) => next += count,
@@ -93,25 +95,31 @@ fn broadcast_values_are_received_or_counted() {
     });
 }
 
+/// Waits for the next value of a queue.
+fn next<const N: usize>(consumer: &mut fifo::Consumer<'_, [u32; N]>) -> [u32; N] {
+    loop {
+        match consumer.receive().unwrap() {
+            Some(value) => return value,
+            None => thread::yield_now(),
+        }
+    }
+}
+
 #[test]
 fn fifo_values_arrive_once_and_in_order() {
     with_words(fifo::words(SHAPE), |words| {
         thread::scope(|scope| {
             scope.spawn(|| {
-                let mut producer = fifo::Producer::attach(words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer(words, SHAPE).unwrap();
                 for k in 0..TIMES {
                     while producer.send(&[k; 3]).is_err() {
                         thread::yield_now();
                     }
                 }
             });
-            let mut consumer = fifo::Consumer::attach(words, SHAPE).unwrap();
-            let mut value = [0; 3];
+            let mut consumer = bare::fifo_consumer(words, SHAPE).unwrap();
             for k in 0..TIMES {
-                while !consumer.receive_into(&mut value) {
-                    thread::yield_now();
-                }
-                assert_eq!(value, [k; 3]);
+                assert_eq!(next(&mut consumer), [k; 3]);
             }
         });
     });
@@ -123,7 +131,7 @@ fn signals_wake_a_sleeping_receiver() {
     with_words(mailbox::WORDS, |words| {
         thread::scope(|scope| {
             let receiving = scope.spawn(|| {
-                let mut receiver = mailbox::Receiver::attach(words).unwrap();
+                let mut receiver = bare::mailbox_receiver(words).unwrap();
                 let mut handled = 0;
                 while handled < TIMES {
                     handled += receiver.poll(|open| assert_eq!(open.task.index(), 7));
@@ -133,7 +141,7 @@ fn signals_wake_a_sleeping_receiver() {
                     }
                 }
             });
-            let mut sender = mailbox::Sender::attach(words).unwrap();
+            let mut sender = bare::mailbox_sender(words).unwrap();
             for _ in 0..TIMES {
                 if sender.signal(TaskId::new(7).unwrap()) == Ring::Needed {
                     receiving.thread().unpark();
@@ -150,7 +158,7 @@ fn words_go_round_and_the_lock_guards_a_counter() {
     const BLOCKS: usize = 3;
     const POOL_AT: usize = Incarnations::WORDS + lock::WORDS;
     const QUEUES_AT: usize = POOL_AT + pool::words(BLOCKS);
-    const HANDLES: Shape = Shape::new(8, 4);
+    const HANDLES: Shape = Shape::new(8, 2);
     const QUEUE_WORDS: usize = fifo::words(HANDLES);
     const WORDS: usize = QUEUES_AT + 2 * QUEUE_WORDS + LINE_WORDS;
     with_words(WORDS, |words| {
@@ -164,18 +172,15 @@ fn words_go_round_and_the_lock_guards_a_counter() {
         let core = |incarnation: Incarnation| {
             let other = 1 - incarnation.core();
             let mut lock =
-                Lock::attach(&words[Incarnations::WORDS..], incarnation, incarnations).unwrap();
-            let pool = Pool::attach(&words[POOL_AT..], BLOCKS, incarnation, incarnations).unwrap();
-            let mut to = fifo::Producer::attach(queue(incarnation.core()), HANDLES).unwrap();
-            let mut from = fifo::Consumer::attach(queue(other), HANDLES).unwrap();
+                bare::lock(&words[Incarnations::WORDS..], incarnation, incarnations).unwrap();
+            let pool = bare::pool(&words[POOL_AT..], BLOCKS, incarnation, incarnations).unwrap();
+            let mut to = bare::fifo_producer(queue(incarnation.core()), HANDLES).unwrap();
+            let mut from = bare::fifo_consumer(queue(other), HANDLES).unwrap();
             let handle = pool.get(2).unwrap();
             pool.hand_over(handle, other).unwrap();
             to.send(&handle.to_words()).unwrap();
             for k in 0..TIMES {
-                let mut sent = [0; 2];
-                while !from.receive_into(&mut sent) {
-                    thread::yield_now();
-                }
+                let sent = next(&mut from);
                 let handle = Handle::from_words(sent);
                 let words = pool.open(handle).unwrap();
                 let seen = [0, 1].map(|i| words[i].load(Ordering::Relaxed));

@@ -4,7 +4,8 @@
 //! themselves cost; it delays each message until its line is full, so it is no channel to use.
 
 use crate::harness::{Batch, Plan};
-use crate::stream::{Sink, Source, Stream, between_processes};
+use crate::shared::Shared;
+use crate::stream::{Sink, Source, Stream, from_processes};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -89,17 +90,20 @@ impl Sink for Taker {
 /// Messages of 8 bytes by full cache lines.
 ///
 /// # Errors
-/// As [`between_processes`].
+/// As [`from_processes`].
 pub fn full_lines(plan: &Plan) -> io::Result<Batch> {
+    let shared = Shared::with_case_words(WORDS)?;
+    let words = shared.case();
     let stream = Stream {
         chunk: 4096,
         payload_bytes: 8,
-        case_words: WORDS,
+        own_bytes: 4 * WORDS as u64,
     };
-    between_processes(
+    from_processes::<_, _, 1>(
         plan,
+        &shared,
         stream,
-        |shared| Ring::new(shared.case()),
-        |shared| Taker(Ring::new(shared.case()), 0),
+        |_| Ring::new(words),
+        |_| Taker(Ring::new(words), 0),
     )
 }

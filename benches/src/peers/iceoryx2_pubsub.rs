@@ -3,6 +3,7 @@
 
 use crate::harness::{Batch, End, Plan, between_processes, next_run};
 use crate::peers::iceoryx2_event::node;
+use crate::shared::Shared;
 use crate::stream::{self, Sink, Source, Stream};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
@@ -140,18 +141,18 @@ impl Sink for PublishSubscribe {
 /// A stream of messages that loses nothing: the publisher waits when the buffer is full.
 ///
 /// # Errors
-/// As [`stream::between_processes`].
+/// As [`stream::from_processes`].
 pub fn iceoryx2_stream(plan: &Plan) -> io::Result<Batch> {
     let run = next_run();
     let stream = Stream {
         chunk: 1024,
         payload_bytes: 4,
-        case_words: 0,
+        own_bytes: 0,
     };
-    let open =
-        |out, inward| move |_: &_| PublishSubscribe::open(Settings::Lossless, run, out, inward);
-    stream::between_processes(
+    let open = |out, inward| move |_| PublishSubscribe::open(Settings::Lossless, run, out, inward);
+    stream::from_processes::<_, _, 1>(
         plan,
+        &Shared::new()?,
         stream,
         open(Some("stream"), None),
         open(None, Some("stream")),

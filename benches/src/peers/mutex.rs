@@ -24,14 +24,9 @@ pub enum Death {
 struct Mutex(*mut libc::pthread_mutex_t);
 
 impl Mutex {
-    /// In memory where one was made.
-    fn open(shared: &Shared) -> Self {
-        Self(shared.line(0).as_ptr().cast())
-    }
-
     /// Makes it; once for all processes.
     fn create(shared: &Shared, death: Death) -> Self {
-        let mutex = Self::open(shared);
+        let mutex = Self(shared.line(0).as_ptr().cast());
         let robust = match death {
             Death::Fatal => libc::PTHREAD_MUTEX_STALLED,
             Death::Robust => libc::PTHREAD_MUTEX_ROBUST,
@@ -91,17 +86,9 @@ pub fn mutex(plan: &Plan, death: Death) -> io::Result<Batch> {
 /// # Errors
 /// As [`contended`].
 pub fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
-    contended(plan, processes, 64, |shared, core| {
-        let made = shared.line(8);
-        if core == 0 {
-            Mutex::create(shared, death);
-            made.store(1, Ordering::Release);
-        }
-        while made.load(Ordering::Acquire) == 0 {
-            crate::harness::give_way();
-        }
-        Mutex::open(shared)
-    })
+    let shared = Shared::new()?;
+    let mutex = Mutex::create(&shared, death);
+    contended(plan, &shared, processes, 64, |_| mutex)
 }
 
 /// An owner takes the robust mutex and is killed (-9) while another process waits for it. A sample

@@ -160,15 +160,17 @@ impl Sink for OneWay {
 /// A stream of 8 bytes each through a pipe, a system call at each end of each.
 ///
 /// # Errors
-/// As [`stream::between_processes`], and if no pipe can be had.
+/// As [`stream::from_processes`], and if no pipe can be had.
 pub fn pipe_stream(plan: &Plan) -> io::Result<Batch> {
     let [inward, out] = new_pipe()?;
     let stream = Stream {
         chunk: 1024,
         payload_bytes: 8,
-        case_words: 0,
+        own_bytes: 0,
     };
-    let batch = stream::between_processes(plan, stream, |_| OneWay(out), |_| OneWay(inward));
+    let (source, sink) = (|_| OneWay(out), |_| OneWay(inward));
+    let shared = Shared::new()?;
+    let batch = stream::from_processes::<_, _, 1>(plan, &shared, stream, source, sink);
     close([inward, out]);
     batch
 }

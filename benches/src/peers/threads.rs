@@ -91,7 +91,7 @@ pub fn rtrb(plan: &Plan) -> io::Result<Batch> {
 const STREAM: Stream = Stream {
     chunk: 4096,
     payload_bytes: 8,
-    case_words: 0,
+    own_bytes: 0,
 };
 const SLOTS: usize = 512;
 

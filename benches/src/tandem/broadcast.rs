@@ -1,41 +1,42 @@
 //! The broadcast ring from one process to two.
 
+use super::lmu;
 use crate::clock::ticks;
-use crate::harness::{Batch, Plan, give_way};
-use crate::shared::Shared;
+use crate::harness::{Batch, Plan, give_way, time_chunks};
 use crate::worker::{Part, Role, perform};
 use std::io;
-use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_shm::broadcast::{self, Receiver, Sender};
-use tandem_shm::{LINE_WORDS, Shape};
+use std::sync::atomic::Ordering;
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Broadcast, Region};
 
-const SHAPE: Shape = Shape::new(1024, 2);
-const RING_AT: usize = LINE_WORDS;
+const RING: Region<Broadcast<[u32; 2], 1024>> = Region::first("ring");
+const LAYOUT: Layout = RING.end();
 const CHUNK: usize = 4096;
 
-/// Both receivers share the far CPU; the sender never waits. A sample is the sender's time per
+/// Both receivers share the far CPU; the writer never waits. A sample is the writer's time per
 /// message; what the receivers had missed when they were late is a fact.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
 pub fn to_two(plan: &Plan) -> io::Result<Batch> {
-    let shared = Shared::with_case_words(RING_AT + broadcast::words(SHAPE))?;
-    let sender = Part::on(plan.cpus[0], |role| {
-        let mut sender = Sender::attach(&role.shared.case()[RING_AT..], SHAPE).expect("it fits");
+    let (shared, map) = lmu::shared(LAYOUT)?;
+    let writer = Part::on(plan.cpus[0], |role| {
+        let writer = RING.writer(&map, lmu::announce(&map, 0, 1));
+        let mut writer = writer.expect("it is free");
         role.shared.meet(3);
         let mut k = 0;
-        crate::harness::time_chunks(plan, CHUNK, role, || {
-            k = sender.send(&[k, !k]).wrapping_add(1);
+        time_chunks(plan, CHUNK, role, || {
+            k = writer.publish(&[k, !k]).0.wrapping_add(1);
         });
         // Release pairs with the Acquire in `receive`: all values are there.
-        role.shared.case()[0].store(1, Ordering::Release);
+        role.shared.flag().store(1, Ordering::Release);
         Ok(())
     });
-    let receiver = || Part::on(plan.cpus[1], receive);
-    perform(&shared, vec![sender, receiver(), receiver()])?;
+    let receiver = || Part::on(plan.cpus[1], |role| receive(&map, role));
+    perform(&shared, vec![writer, receiver(), receiver()])?;
     let sent = ((plan.warm_up + plan.rounds) * CHUNK) as f64;
     let share = |part| shared.log(part).noted(0) / sent;
-    let batch = Batch::collect(&shared, 3, plan.rounds, 4 * broadcast::words(SHAPE) as u64);
+    let batch = Batch::collect(&shared, 3, plan.rounds, lmu::bytes(LAYOUT));
     Ok(batch
         .per_operation(CHUNK)
         .carrying(8)
@@ -43,20 +44,18 @@ pub fn to_two(plan: &Plan) -> io::Result<Batch> {
         .with_fact("share received by receiver 2", share(2)))
 }
 
-fn receive(role: &mut Role<'_>) -> io::Result<()> {
-    let done: &AtomicU32 = &role.shared.case()[0];
-    let ring = &role.shared.case()[RING_AT..];
-    let mut receiver = Receiver::attach(ring, SHAPE).expect("it fits");
+fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
+    let mut receiver = RING.receiver(map).expect("it fits");
     role.shared.meet(3);
     role.begin();
-    let (mut received, mut value) = (0u32, [0; 2]);
+    let mut received = 0u32;
     let mut turn = ticks();
     loop {
-        // Looked at before the ring: what was sent before is then seen.
-        let last = done.load(Ordering::Acquire) != 0;
-        match receiver.receive_into(&mut value) {
-            Ok(Some(k)) => {
-                assert_eq!(value, [k, !k], "a torn value");
+        // Read before the ring: what was sent before is then seen.
+        let last = role.shared.flag().load(Ordering::Acquire) != 0;
+        match receiver.receive() {
+            Ok(Some((k, value))) => {
+                assert_eq!(value, [k.0, !k.0], "a torn value");
                 received += 1;
             }
             Ok(None) if last => break,

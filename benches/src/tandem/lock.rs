@@ -1,46 +1,45 @@
 //! The lock: free, contended, and after the death of its owner.
 
+use super::lmu;
 use crate::clock::{from_ns, ticks};
 use crate::floor::cas::CHUNK;
-use crate::harness::{Batch, Plan, alone, give_way};
+use crate::harness::{Batch, Plan, give_way, time_chunks};
 use crate::mutual_exclusion::{Exclusion, contended};
 use crate::shared::Shared;
 use crate::worker::{Child, Part, Role, perform};
 use std::hint::black_box;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_shm::incarnation::{Incarnation, Incarnations};
-use tandem_shm::lock::{self, Lock};
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::lock::Lock;
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Region, SharedLock};
 use tandem_shm::sync::spin;
 
-const LOCK_AT: usize = Incarnations::WORDS;
-const WORDS: usize = LOCK_AT + lock::WORDS;
-const OWN_BYTES: u64 = 4 * WORDS as u64;
+const LOCK: Region<SharedLock> = Region::first("lock");
+const LAYOUT: Layout = LOCK.end();
 
-fn attach(shared: &Shared, core: usize, generation: u32) -> Lock<'static> {
-    let words = shared.case();
-    let incarnations = Incarnations::attach(words).expect("it fits");
-    let incarnation = Incarnation::new(core, generation).expect("an incarnation");
-    incarnations
-        .announce(incarnation)
-        .expect("the first incarnation");
-    Lock::attach(&words[LOCK_AT..], incarnation, incarnations).expect("it fits")
+fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
+    let incarnation = lmu::announce(map, core, generation);
+    LOCK.attach(map, incarnation).expect("it fits")
 }
 
 /// Taking and giving back a lock that no other core wants.
 ///
 /// # Errors
-/// As [`alone`].
+/// If the process or the shared memory cannot be had.
 pub fn free(plan: &Plan) -> io::Result<Batch> {
-    alone(
-        plan,
-        CHUNK,
-        OWN_BYTES,
-        |shared| Ok(attach(shared, 0, 1)),
-        |lock| {
+    let (shared, map) = lmu::shared(LAYOUT)?;
+    let part = Part::on(plan.cpus[0], |role| {
+        let mut lock = attach(&map, 0, 1);
+        time_chunks(plan, CHUNK, role, || {
             black_box(lock.try_lock().is_some());
-        },
-    )
+        });
+        Ok(())
+    });
+    perform(&shared, vec![part])?;
+    let batch = Batch::collect(&shared, 1, plan.rounds, lmu::bytes(LAYOUT));
+    Ok(batch.per_operation(CHUNK))
 }
 
 /// The lock of one core. Beside others on its CPU it gives way when it has waited for a while.
@@ -69,9 +68,12 @@ impl Exclusion for Contender {
 /// # Errors
 /// As [`contended`].
 pub fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
-    contended(plan, processes, OWN_BYTES, |shared, core| Contender {
-        lock: attach(shared, core, 1),
-        shares_cpu: processes > 2,
+    let (shared, map) = lmu::shared(LAYOUT)?;
+    contended(plan, &shared, processes, lmu::bytes(LAYOUT), |core| {
+        Contender {
+            lock: attach(&map, core, 1),
+            shares_cpu: processes > 2,
+        }
     })
 }
 
@@ -79,9 +81,9 @@ const OWNER: usize = 0;
 const SUPERVISOR_CPU: usize = 0;
 /// Words of the case behind the lock: the generation that holds the lock, the time at which its
 /// death was announced, and the last generation that was recovered from.
-const HELD_AT: usize = WORDS;
-const ANNOUNCED_AT: usize = WORDS + 16;
-const RECOVERED_AT: usize = WORDS + 32;
+const HELD_AT: usize = lmu::own_words(LAYOUT);
+const ANNOUNCED_AT: usize = HELD_AT + 16;
+const RECOVERED_AT: usize = HELD_AT + 32;
 
 /// An owner takes the lock and is killed (-9); the supervisor, which has seen it end, marks its
 /// incarnation as dead; a core that waits on another CPU takes the lock over. A sample is the time
@@ -90,14 +92,14 @@ const RECOVERED_AT: usize = WORDS + 32;
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
 pub fn recovery(plan: &Plan) -> io::Result<Batch> {
-    let shared = Shared::new()?;
+    let (shared, map) = lmu::shared(LAYOUT)?;
     let deaths = (plan.warm_up + plan.rounds) as u32;
     let supervisor = Part::on(plan.cpus[SUPERVISOR_CPU], |role| {
         role.shared.meet(2);
-        (1..=deaths).try_for_each(|generation| one_death(role.shared, plan, generation))
+        (1..=deaths).try_for_each(|generation| one_death(role.shared, &map, plan, generation))
     });
     let taker = Part::on(plan.cpus[1], |role| {
-        let mut lock = attach(role.shared, 1, 1);
+        let mut lock = attach(&map, 1, 1);
         role.shared.meet(2);
         for generation in 1..=deaths {
             take_over(role, plan, &mut lock, generation)?;
@@ -105,7 +107,7 @@ pub fn recovery(plan: &Plan) -> io::Result<Batch> {
         Ok(())
     });
     perform(&shared, vec![supervisor, taker])?;
-    let mut batch = Batch::collect(&shared, 2, plan.rounds, OWN_BYTES).carrying(0);
+    let mut batch = Batch::collect(&shared, 2, plan.rounds, lmu::bytes(LAYOUT)).carrying(0);
     batch.cpu_ns_per_message = None;
     Ok(batch)
 }
@@ -120,9 +122,9 @@ fn wait_for(word: &AtomicU32, value: u32, wait: fn()) {
     }
 }
 
-fn one_death(shared: &Shared, plan: &Plan, generation: u32) -> io::Result<()> {
+fn one_death(shared: &Shared, map: &Map<'static>, plan: &Plan, generation: u32) -> io::Result<()> {
     let owner = Child::start(plan.cpus[SUPERVISOR_CPU], || {
-        let mut lock = attach(shared, OWNER, generation);
+        let mut lock = attach(map, OWNER, generation);
         let guard = lock.lock(u32::MAX, spin);
         word(shared, HELD_AT).store(generation, Ordering::Release);
         loop {
@@ -138,10 +140,9 @@ fn one_death(shared: &Shared, plan: &Plan, generation: u32) -> io::Result<()> {
         spin(1);
     }
     owner.kill();
-    let incarnations = Incarnations::attach(shared.case()).expect("it fits");
     let dead = Incarnation::new(OWNER, generation).expect("an incarnation");
     word(shared, ANNOUNCED_AT).store(ticks(), Ordering::Relaxed);
-    incarnations.mark_dead(dead);
+    map.incarnations().mark_dead(dead);
     wait_for(word(shared, RECOVERED_AT), generation, give_way);
     Ok(())
 }

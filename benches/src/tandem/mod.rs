@@ -3,6 +3,7 @@
 
 pub mod broadcast;
 pub mod fifo;
+mod lmu;
 pub mod lock;
 pub mod newest;
 pub mod pool;
@@ -18,22 +19,31 @@ use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
 use tandem_board_host::{HostBoard, UnsupervisedSystem};
-use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::newest::{Reader, Writer};
+use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Event, WaitPolicy};
-use tandem_shm::{Shape, newest as channel};
 
-const VALUE: Shape = Shape::new(4, 1);
-/// Words of one direction: the mailbox, then the channel.
-const WAY_WORDS: usize = 1024;
-const CHANNEL_AT: usize = 512;
+/// The mailbox and the channel towards each core.
+type Inward = (Region<Mailbox>, Region<Newest<u32>>);
 
-fn task() -> TaskId {
-    TaskId::new(1).expect("1 is a task id")
-}
+const INWARD: [Inward; CoreId::COUNT] = {
+    const fn after((_, channel): Inward) -> Inward {
+        let mailbox = channel.then("mailbox");
+        (mailbox, mailbox.then("channel"))
+    }
+    let mailbox = Region::first("mailbox");
+    let to_0 = (mailbox, mailbox.then("channel"));
+    let to_1 = after(to_0);
+    [to_0, to_1, after(to_1)]
+};
+const LAYOUT: Layout = INWARD[CoreId::COUNT - 1].1.end();
+const TASK: TaskId = TaskId::FIRST;
 
 /// What the handler works on.
 struct Inbox {
-    value: channel::Reader<'static>,
+    value: Reader<'static, u32>,
     received: Option<u32>,
 }
 
@@ -42,7 +52,7 @@ fn handle(inbox: &mut Inbox, call: Call) {
 }
 
 fn handle_channel(inbox: &mut Inbox, _call: Call) {
-    let value = inbox.value.read(|words| words.get(0));
+    let value = inbox.value.read();
     inbox.received = value.ok().map(|(_, value)| value);
 }
 
@@ -53,6 +63,13 @@ pub enum Way {
     Signal,
     /// Through a newest-value channel, with a signal.
     Channel,
+}
+
+/// How a core waits, and by which way it sends.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct How {
+    pub(crate) policy: WaitPolicy,
+    pub(crate) way: Way,
 }
 
 /// What a core waits for: a signal that its handler has taken.
@@ -90,49 +107,51 @@ impl Event for Waiting {
 pub(crate) struct Core {
     board: &'static HostBoard,
     peer: CoreId,
-    policy: WaitPolicy,
-    way: Way,
-    value: channel::Writer<'static>,
+    how: How,
+    value: Writer<'static, u32>,
     signal: Sender<'static>,
     waiting: Waiting,
 }
 
 impl Core {
+    /// One of `parts` cores. The planning core, which takes part in each case, formats the LMU.
     pub(crate) fn start(
         system: &UnsupervisedSystem,
+        shared: &Shared,
+        parts: u32,
         core: CoreId,
         peer: CoreId,
         incarnation: u32,
-        policy: WaitPolicy,
-        way: Way,
+        how: How,
     ) -> Self {
         let board = system
             .attach(core, Generation(incarnation))
             .expect("the bare system is powered");
         let board: &'static HostBoard = Box::leak(Box::new(board));
-        let words_to = |to: CoreId| -> &'static [AtomicU32] {
-            &board.lmu()[to.index() * WAY_WORDS..][..WAY_WORDS]
-        };
-        let (out, inward) = (words_to(peer), words_to(core));
+        if core == CoreId::PLANNING {
+            Map::format(board.lmu(), LAYOUT).expect("it fits");
+        }
+        shared.meet(parts);
+        let map = Map::attach(board.lmu(), LAYOUT).expect("it was formatted");
+        let own = lmu::announce(&map, core.index(), incarnation);
+        let (out, inward) = (INWARD[peer.index()], INWARD[core.index()]);
         let mut tasks = TaskTable::new();
-        let handler = match way {
+        let handler = match how.way {
             Way::Signal => handle,
             Way::Channel => handle_channel,
         };
-        tasks.add(task(), handler, 0).expect("the table is empty");
-        let value = channel::Reader::attach(&inward[CHANNEL_AT..], VALUE).expect("it fits");
-        let signals = Receiver::attach(&inward[..mailbox::WORDS]).expect("it fits");
+        tasks.add(TASK, handler, 0).expect("the table is empty");
         let inbox = Inbox {
-            value,
+            value: inward.1.reader(&map).expect("it fits"),
             received: None,
         };
+        let signals = inward.0.receiver(&map, own).expect("it is free");
         Self {
             board,
             peer,
-            policy,
-            way,
-            value: channel::Writer::attach(&out[CHANNEL_AT..], VALUE).expect("it fits"),
-            signal: Sender::attach(&out[..mailbox::WORDS]).expect("it fits"),
+            how,
+            value: out.1.writer(&map, own).expect("it is free"),
+            signal: out.0.sender(&map, own).expect("it is free"),
             waiting: Waiting {
                 board,
                 signals,
@@ -145,11 +164,11 @@ impl Core {
 
 impl End for Core {
     fn send(&mut self, stamp: u32) {
-        let ring = match self.way {
-            Way::Signal => self.signal.signal_with(task(), stamp),
+        let ring = match self.how.way {
+            Way::Signal => self.signal.signal_with(TASK, stamp),
             Way::Channel => {
-                self.value.publish(&[stamp]);
-                self.signal.signal(task())
+                self.value.publish(&stamp);
+                self.signal.signal(TASK)
             }
         };
         if ring == Ring::Needed {
@@ -158,7 +177,7 @@ impl End for Core {
     }
 
     fn receive(&mut self) -> u32 {
-        self.policy.wait(&mut self.waiting)
+        self.how.policy.wait(&mut self.waiting)
     }
 }
 
@@ -169,8 +188,10 @@ impl End for Core {
 pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
     let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start =
-        |core, peer| move |_: &Shared| Core::start(system, core, peer, incarnation, policy, way);
+    let how = How { policy, way };
+    let start = |core, peer| {
+        move |shared: &Shared| Core::start(system, shared, 2, core, peer, incarnation, how)
+    };
     between_processes(plan, 0, start(a, b), start(b, a))
 }
 
@@ -181,9 +202,13 @@ pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
 pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
     const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
     let (system, incarnation) = (plan.system(), next_incarnation());
-    through_three(plan, 0, |part, _| {
+    through_three(plan, 0, |part, shared| {
         let (core, next) = (CHAIN[part], CHAIN[(part + 1) % 3]);
-        Core::start(system, core, next, incarnation, policies[part], Way::Signal)
+        let how = How {
+            policy: policies[part],
+            way: Way::Signal,
+        };
+        Core::start(system, shared, 3, core, next, incarnation, how)
     })
 }
 
@@ -194,8 +219,12 @@ pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
 pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
     let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
+    let how = How {
+        policy,
+        way: Way::Signal,
+    };
     let start = |core, peer| {
-        move |_: &Shared| Core::start(system, core, peer, incarnation, policy, Way::Signal)
+        move |shared: &Shared| Core::start(system, shared, 2, core, peer, incarnation, how)
     };
     at_fixed_rate(plan, 0, start(a, b), start(b, a))
 }

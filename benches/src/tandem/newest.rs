@@ -1,17 +1,17 @@
 //! What publishing a newest value costs its writer, with readers and without.
 
+use super::lmu;
 use crate::clock::{from_ns, ticks};
 use crate::harness::{Batch, Plan, give_way, time_chunks};
-use crate::shared::Shared;
 use crate::worker::{Part, Role, perform};
 use std::hint::{black_box, spin_loop};
 use std::io;
-use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_shm::newest::{self, Reader, Writer};
-use tandem_shm::{LINE_WORDS, Shape};
+use std::sync::atomic::Ordering;
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Newest, Region};
 
-const SHAPE: Shape = Shape::new(4, 2);
-const CHANNEL_AT: usize = LINE_WORDS;
+const CHANNEL: Region<Newest<[u32; 2]>> = Region::first("channel");
+const LAYOUT: Layout = CHANNEL.end();
 /// Values of a sample at full speed.
 const CHUNK: usize = 64;
 /// Distance of the values at a fixed pace, and time between two reads of one reader.
@@ -32,11 +32,11 @@ pub enum Pace {
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
 pub fn write(plan: &Plan, readers: usize, pace: Pace) -> io::Result<Batch> {
-    let shared = Shared::with_case_words(CHANNEL_AT + newest::words(SHAPE))?;
+    let (shared, map) = lmu::shared(LAYOUT)?;
     let parts = 1 + readers as u32;
     let writer = Part::on(plan.cpus[0], move |role| {
-        let channel = &role.shared.case()[CHANNEL_AT..];
-        let mut writer = Writer::attach(channel, SHAPE).expect("it fits");
+        let writer = CHANNEL.writer(&map, lmu::announce(&map, 0, 1));
+        let mut writer = writer.expect("it is free");
         writer.publish(&[0, 0]);
         role.shared.meet(parts);
         let mut k = 0u32;
@@ -48,14 +48,13 @@ pub fn write(plan: &Plan, readers: usize, pace: Pace) -> io::Result<Batch> {
             Pace::Full => time_chunks(plan, CHUNK, role, publish),
             Pace::Fixed => paced(plan, role, &mut publish),
         }
-        role.shared.case()[0].store(1, Ordering::Relaxed);
+        role.shared.flag().store(1, Ordering::Relaxed);
         Ok(())
     });
-    let reader = || Part::on(plan.cpus[1], move |role| read(role, parts, pace));
+    let reader = || Part::on(plan.cpus[1], move |role| read(&map, role, parts, pace));
     let others = (0..readers).map(|_| reader());
     perform(&shared, [writer].into_iter().chain(others).collect())?;
-    let own_bytes = 4 * newest::words(SHAPE) as u64;
-    let mut batch = Batch::collect(&shared, 1, plan.rounds, own_bytes).carrying(8);
+    let mut batch = Batch::collect(&shared, 1, plan.rounds, lmu::bytes(LAYOUT)).carrying(8);
     if pace == Pace::Full {
         batch = batch.per_operation(CHUNK);
     }
@@ -87,16 +86,15 @@ fn paced(plan: &Plan, role: &mut Role<'_>, publish: &mut impl FnMut()) {
     role.end();
 }
 
-fn read(role: &mut Role<'_>, parts: u32, pace: Pace) -> io::Result<()> {
-    let done: &AtomicU32 = &role.shared.case()[0];
-    let reader = Reader::attach(&role.shared.case()[CHANNEL_AT..], SHAPE).expect("it fits");
+fn read(map: &Map<'_>, role: &mut Role<'_>, parts: u32, pace: Pace) -> io::Result<()> {
+    let done = role.shared.flag();
+    let reader = CHANNEL.reader(map).expect("it fits");
     role.shared.meet(parts);
     let period = from_ns(PACE_NS);
     let (mut reads, mut turn) = (0u32, ticks());
     while done.load(Ordering::Relaxed) == 0 {
-        let mut value = [0; 2];
-        if reader.read_into(&mut value).is_some() {
-            assert_eq!(value[0], value[1], "a torn value");
+        if let Ok((_, [first, second])) = reader.read() {
+            assert_eq!(first, second, "a torn value");
             reads += 1;
         }
         let now = ticks();

@@ -5,7 +5,7 @@
 //! on the host in a segment of its own. Each direction has two payloads, so that one can be
 //! filled while the other is read.
 
-use super::{Core, Way, next_incarnation};
+use super::{Core, How, Way, next_incarnation};
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
 use std::io;
@@ -14,6 +14,10 @@ use tandem_board::CoreId;
 use tandem_shm::wait::WaitPolicy;
 
 const PAYLOADS: usize = 2;
+const SPINNING: How = How {
+    policy: WaitPolicy::Spin,
+    way: Way::Signal,
+};
 /// Words in a cache line.
 const LINE: usize = 16;
 
@@ -72,15 +76,8 @@ pub fn in_place(plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let (system, incarnation) = (plan.system(), next_incarnation());
     let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
     let start = |core, peer, out, inward| {
-        move |_: &Shared| {
-            let core = Core::start(
-                system,
-                core,
-                peer,
-                incarnation,
-                WaitPolicy::Spin,
-                Way::Signal,
-            );
+        move |shared: &Shared| {
+            let core = Core::start(system, shared, 2, core, peer, incarnation, SPINNING);
             InPlace::start(core, out, inward)
         }
     };

@@ -11,7 +11,7 @@ use tandem_board_host::{HostBoard, UnsupervisedSystem, isolation};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Ring, TaskId};
 use tandem_shm::map::{AttachError, Layout, Map};
-use tandem_shm::typed::{Mailbox, Region};
+use tandem_shm::region::{Mailbox, Region};
 
 const CORES: usize = CoreId::COUNT;
 /// One mailbox from each core to each other.

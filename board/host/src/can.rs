@@ -5,7 +5,7 @@ use std::sync::{Mutex, PoisonError};
 
 use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
-use tandem_shm::{FitError, broadcast, fifo};
+use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::backplane::{Backplane, RINGS, encode_transmit};
 use crate::clock;
@@ -16,8 +16,8 @@ use crate::clock;
 pub struct HostCan {
     backplane: Backplane,
     of: Identity,
-    transmit: Mutex<fifo::Producer<'static>>,
-    receive: Mutex<broadcast::Receiver<'static>>,
+    transmit: Mutex<fifo::Producer<'static, [u32; TRANSMIT_WORDS]>>,
+    receive: Mutex<broadcast::Receiver<'static, [u32; FRAME_WORDS]>>,
     overruns: AtomicU32,
 }
 
@@ -28,11 +28,11 @@ impl HostCan {
         Ok(Self {
             backplane,
             of,
-            transmit: Mutex::new(fifo::Producer::attach(
+            transmit: Mutex::new(bare::fifo_producer(
                 backplane.ring(transmit),
                 transmit.shape,
             )?),
-            receive: Mutex::new(broadcast::Receiver::attach(
+            receive: Mutex::new(bare::broadcast_receiver(
                 backplane.ring(RINGS.receive),
                 RINGS.receive.shape,
             )?),
@@ -69,12 +69,11 @@ impl Can for HostCan {
 
     fn try_receive(&self) -> Option<Received> {
         let mut receive = self.receive.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut words = [0; FRAME_WORDS];
         // The bus may send while this core reads: one call skips no more than the ring holds.
         for _ in 0..RINGS.receive.shape.slots() {
-            match receive.receive_into(&mut words) {
+            match receive.receive() {
                 Ok(None) => return None,
-                Ok(Some(_)) => match BusFrame::decode(&words) {
+                Ok(Some((_, words))) => match BusFrame::decode(&words) {
                     Some(frame) if self.is_for_this_core(&frame) => return Some(frame.received),
                     _ => {}
                 },

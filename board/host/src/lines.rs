@@ -7,7 +7,7 @@ use tandem_peripherals::codec::{
     DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, decode_datagram, encode_datagram,
 };
 use tandem_peripherals::wires::Wire;
-use tandem_shm::{FitError, fifo};
+use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::bell::Ringers;
@@ -65,8 +65,8 @@ pub struct HostLink {
 
 #[derive(Debug)]
 struct Ends {
-    send: Mutex<fifo::Producer<'static>>,
-    receive: Mutex<fifo::Consumer<'static>>,
+    send: Mutex<fifo::Producer<'static, [u32; DATAGRAM_WORDS]>>,
+    receive: Mutex<fifo::Consumer<'static, [u32; DATAGRAM_WORDS]>>,
 }
 
 impl HostLink {
@@ -75,8 +75,8 @@ impl HostLink {
             let (out, back) = (of.system.index(), of.system.peer().index());
             let (out, back) = (RINGS.link[out], RINGS.link[back]);
             Some(Ends {
-                send: Mutex::new(fifo::Producer::attach(backplane.ring(out), out.shape)?),
-                receive: Mutex::new(fifo::Consumer::attach(backplane.ring(back), back.shape)?),
+                send: Mutex::new(bare::fifo_producer(backplane.ring(out), out.shape)?),
+                receive: Mutex::new(bare::fifo_consumer(backplane.ring(back), back.shape)?),
             })
         } else {
             None
@@ -111,9 +111,7 @@ impl Link for HostLink {
             .receive
             .lock()
             .unwrap_or_else(PoisonError::into_inner);
-        let mut datagram = [0; DATAGRAM_WORDS];
-        receive
-            .receive_into(&mut datagram)
-            .then(|| decode_datagram(&datagram, words))
+        let datagram = receive.receive().ok()??;
+        Some(decode_datagram(&datagram, words))
     }
 }

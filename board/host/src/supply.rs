@@ -18,9 +18,9 @@ use rustix::event::{PollFd, PollFlags, poll};
 use tandem_board::{
     CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
 };
-use tandem_peripherals::codec::{SERVICE_WORDS, decode_service};
+use tandem_peripherals::codec::{DATAGRAM_WORDS, SERVICE_WORDS, decode_service};
 use tandem_peripherals::supply::{Change, Config, Supply as Model};
-use tandem_shm::{FitError, fifo};
+use tandem_shm::{FitError, bare, fifo};
 
 use crate::args::{CoreArgs, SupplyArgs};
 use crate::backplane::{Backplane, BackplaneError, RINGS, Ring, supply_trace_ring};
@@ -87,7 +87,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         backplane,
         lmu,
         ringers: Ringers::new(&args.common.run),
-        services: fifo::Consumer::attach(backplane.ring(services), services.shape)?,
+        services: bare::fifo_consumer(backplane.ring(services), services.shape)?,
         link,
         cores: [None, None, None],
         begun: [false; CoreId::COUNT],
@@ -136,7 +136,7 @@ struct Supply<'a> {
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     ringers: Ringers,
-    services: fifo::Consumer<'static>,
+    services: fifo::Consumer<'static, [u32; SERVICE_WORDS]>,
     link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
     /// Which cores have begun in this incarnation of the system.
@@ -234,8 +234,9 @@ impl Supply<'_> {
                 self.start(core);
             }
         }
-        let mut words = [0; SERVICE_WORDS];
-        while self.model.is_on() && self.services.receive_into(&mut words) {
+        while self.model.is_on()
+            && let Ok(Some(words)) = self.services.receive()
+        {
             let (at, answer) = decode_service(words);
             // Read the clock again: had this process been held up since it woke, these services
             // would lie ahead of that time.
@@ -289,15 +290,13 @@ impl Supply<'_> {
         for word in self.lmu {
             word.store(0, Relaxed);
         }
-        let mut words = [0; SERVICE_WORDS];
-        while self.services.receive_into(&mut words) {}
+        while let Ok(Some(_)) = self.services.receive() {}
         // What was under way to them on the link. The ring was checked when the supply started.
-        if let Ok(mut link) =
-            fifo::Consumer::attach(self.backplane.ring(self.link), self.link.shape)
-        {
-            while let Some(datagram) = link.receive() {
-                datagram.release();
-            }
+        if let Ok(mut link) = bare::fifo_consumer::<[u32; DATAGRAM_WORDS]>(
+            self.backplane.ring(self.link),
+            self.link.shape,
+        ) {
+            while let Ok(Some(_)) = link.receive() {}
         }
     }
 
@@ -378,14 +377,14 @@ mod tests {
         let args = args(&run);
         let ring = RINGS.service[args.system.index()];
         let words = backplane.ring(ring);
-        let mut core = fifo::Producer::attach(words, ring.shape).unwrap();
+        let mut core = bare::fifo_producer(words, ring.shape).unwrap();
         let mut supply = Supply {
             args: &args,
             command: &|_| Command::new("false"),
             backplane,
             lmu: &[],
             ringers: Ringers::new(&run),
-            services: fifo::Consumer::attach(words, ring.shape).unwrap(),
+            services: bare::fifo_consumer(words, ring.shape).unwrap(),
             link: RINGS.link[args.system.peer().index()],
             cores: [None, None, None],
             begun: [false; CoreId::COUNT],

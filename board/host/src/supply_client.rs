@@ -6,9 +6,9 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 use tandem_board::{Identity, ResetCause, ResetRequest, RoleLamp, Supply};
-use tandem_peripherals::codec::encode_service;
+use tandem_peripherals::codec::{SERVICE_WORDS, encode_service};
 use tandem_peripherals::watchdog::{Window, question};
-use tandem_shm::{FitError, fifo};
+use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
@@ -18,7 +18,7 @@ use crate::clock;
 pub struct HostSupply {
     backplane: Backplane,
     of: Identity,
-    services: Mutex<fifo::Producer<'static>>,
+    services: Mutex<fifo::Producer<'static, [u32; SERVICE_WORDS]>>,
     /// Services in this incarnation.
     count: AtomicU32,
     /// The name of this process in `ps`, if Linux shows it as a file.
@@ -31,7 +31,7 @@ impl HostSupply {
         Ok(Self {
             backplane,
             of,
-            services: Mutex::new(fifo::Producer::attach(backplane.ring(ring), ring.shape)?),
+            services: Mutex::new(bare::fifo_producer(backplane.ring(ring), ring.shape)?),
             count: AtomicU32::new(0),
             comm: OpenOptions::new().write(true).open("/proc/self/comm").ok(),
         })

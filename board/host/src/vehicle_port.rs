@@ -7,9 +7,9 @@ use tandem_board::{
     Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::bus::TransmitLimit;
-use tandem_peripherals::codec::{BusFrame, Sender};
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_peripherals::wires::Wire;
-use tandem_shm::{FitError, broadcast, fifo};
+use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::args::VehicleArgs;
 use crate::backplane::{
@@ -54,7 +54,7 @@ pub struct HostVehiclePort {
     ringers: Ringers,
     from_cores: Vec<Node>,
     from_supplies: [Reader; 2],
-    bus: broadcast::Sender<'static>,
+    bus: broadcast::Writer<'static, [u32; FRAME_WORDS]>,
     /// Empty between calls; kept for its memory.
     sent: Vec<(SystemId, CoreId, Received)>,
     /// When the transmit buffers were last emptied.
@@ -69,7 +69,7 @@ pub struct HostVehiclePort {
 struct Node {
     system: SystemId,
     core: CoreId,
-    frames: fifo::Consumer<'static>,
+    frames: fifo::Consumer<'static, [u32; TRANSMIT_WORDS]>,
     trace: Reader,
     lost: u32,
     limit: TransmitLimit,
@@ -89,7 +89,7 @@ impl HostVehiclePort {
             from_cores.push(Node {
                 system,
                 core,
-                frames: fifo::Consumer::attach(backplane.ring(frames), frames.shape)?,
+                frames: bare::fifo_consumer(backplane.ring(frames), frames.shape)?,
                 trace: Reader::new(backplane.trace_ring(index)),
                 lost: backplane.lost_trace(system, core),
                 limit: TransmitLimit::default(),
@@ -102,7 +102,7 @@ impl HostVehiclePort {
             from_cores,
             from_supplies: SystemId::ALL
                 .map(|system| Reader::new(backplane.trace_ring(supply_trace_ring(system)))),
-            bus: broadcast::Sender::attach(backplane.ring(bus), bus.shape)?,
+            bus: bare::broadcast_writer(backplane.ring(bus), bus.shape)?,
             sent: vec![],
             emptied: clock::now(),
             news: false,
@@ -139,13 +139,15 @@ impl VehicleBus for HostVehiclePort {
         // What is found now was not there the last time. A core that was frozen between looking at
         // the clock and sending would say otherwise, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
-        let mut words = [0; TRANSMIT_WORDS];
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
             for _ in 0..RINGS.transmit[0].shape.slots() {
-                if !silent && !node.limit.allows(now) || !node.frames.receive_into(&mut words) {
+                if !silent && !node.limit.allows(now) {
                     break;
                 }
+                let Ok(Some(words)) = node.frames.receive() else {
+                    break;
+                };
                 let discards = self.backplane.discards(node.system, node.core);
                 let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
                 if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
@@ -168,7 +170,7 @@ impl VehicleBus for HostVehiclePort {
                 frame: sent.frame,
                 at: now,
             };
-            self.bus.send(
+            self.bus.publish(
                 &BusFrame {
                     received,
                     sender,
@@ -193,7 +195,7 @@ impl VehicleBus for HostVehiclePort {
             sender: Sender::Vehicle,
             reaches: self.reaches(),
         };
-        self.bus.send(&frame.encode());
+        self.bus.publish(&frame.encode());
         self.news = true;
     }
 
@@ -319,7 +321,7 @@ mod tests {
         let (run, mut port) = port();
         let ring = RINGS.transmit[CoreAddress::A0.index()];
         let words = port.backplane.ring(ring);
-        let mut transmit = fifo::Producer::attach(words, ring.shape).unwrap();
+        let mut transmit = bare::fifo_producer(words, ring.shape).unwrap();
         let mut sent = |port: &mut HostVehiclePort, at: Instant| {
             let frame = CanFrame::new(CanId::Standard(1), true, &[]).unwrap();
             let frame = BusFrame {

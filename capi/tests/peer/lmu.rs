@@ -8,42 +8,32 @@ use std::process::{Child, Command, ExitStatus};
 use std::time::{Duration, Instant};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
-use tandem_shm::map::{Layout, Map, Region};
+use tandem_shm::map::{Layout, Map};
 use tandem_shm::pool::Pool;
-use tandem_shm::{Shape, broadcast, fifo, lock, mailbox, newest, pool};
+use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region, SharedLock, SharedPool, Words};
+use tandem_shm::{fifo, mailbox};
 use tempfile::NamedTempFile;
 
 pub(crate) const ORDER_WORDS: usize = 12;
 pub(crate) const ANSWER_WORDS: usize = 48;
 pub(crate) const NEWEST_WORDS: usize = 8;
 pub(crate) const RING_WORDS: usize = 5;
-const ORDER_SHAPE: Shape = Shape::new(4, ORDER_WORDS);
-const ANSWER_SHAPE: Shape = Shape::new(4, ANSWER_WORDS);
-pub(crate) const NEWEST_SHAPE: Shape = Shape::new(4, NEWEST_WORDS);
-pub(crate) const RING_SHAPE: Shape = Shape::new(4, RING_WORDS);
 const BLOCKS: usize = 8;
 
-/// The same as in layout.h.
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("to c", mailbox::WORDS),
-    Region::new("from c", mailbox::WORDS),
-    Region::new("lock", lock::WORDS),
-    Region::new("guarded", 2),
-    Region::new("orders", fifo::words(ORDER_SHAPE)),
-    Region::new("answers", fifo::words(ANSWER_SHAPE)),
-    Region::new("newest", newest::words(NEWEST_SHAPE)),
-    Region::new("ring", broadcast::words(RING_SHAPE)),
-    Region::new("pool", pool::words(BLOCKS)),
-]);
-const TO_C: usize = 0;
-const FROM_C: usize = 1;
-const LOCK: usize = 2;
-const GUARDED: usize = 3;
-const ORDERS: usize = 4;
-const ANSWERS: usize = 5;
-pub(crate) const NEWEST: usize = 6;
-pub(crate) const RING: usize = 7;
-const POOL: usize = 8;
+type OrderWords = [u32; ORDER_WORDS];
+type AnswerWords = [u32; ANSWER_WORDS];
+
+// The same as in layout.h.
+const TO_C: Region<Mailbox> = Region::first("to c");
+const FROM_C: Region<Mailbox> = TO_C.then("from c");
+const LOCK: Region<SharedLock> = FROM_C.then("lock");
+const GUARDED: Region<Words<2>> = LOCK.then("guarded");
+const ORDERS: Region<Fifo<OrderWords, 4>> = GUARDED.then("orders");
+const ANSWERS: Region<Fifo<AnswerWords, 4>> = ORDERS.then("answers");
+pub(crate) const NEWEST: Region<Newest<[u32; NEWEST_WORDS]>> = ANSWERS.then("newest");
+pub(crate) const RING: Region<Broadcast<[u32; RING_WORDS], 4>> = NEWEST.then("ring");
+const POOL: Region<SharedPool<BLOCKS>> = RING.then("pool");
+const LAYOUT: Layout = POOL.end();
 
 const LMU_WORDS: usize = 8192;
 const TASK_ORDERS: u8 = 1;
@@ -111,8 +101,8 @@ pub(crate) struct Bench {
     map: Map<'static>,
     to: mailbox::Sender<'static>,
     from: mailbox::Receiver<'static>,
-    orders: fifo::Producer<'static>,
-    answers: fifo::Consumer<'static>,
+    orders: fifo::Producer<'static, OrderWords>,
+    answers: fifo::Consumer<'static, AnswerWords>,
     /// How many orders were sent: the value that goes with each signal, and comes back.
     sent: u32,
     since: Instant,
@@ -122,16 +112,15 @@ impl Bench {
     pub(crate) fn new() -> Self {
         let file = NamedTempFile::with_prefix("tandem-capi-lmu-").unwrap();
         let map = Map::format(shared(file.as_file()), LAYOUT).unwrap();
-        map.incarnations()
-            .announce(Incarnation::new(0, 1).unwrap())
-            .unwrap();
+        let own = Incarnation::new(0, 1).unwrap();
+        map.incarnations().announce(own).unwrap();
         Self {
             file,
             map,
-            to: mailbox::Sender::attach(map.region(TO_C)).unwrap(),
-            from: mailbox::Receiver::attach(map.region(FROM_C)).unwrap(),
-            orders: fifo::Producer::attach(map.region(ORDERS), ORDER_SHAPE).unwrap(),
-            answers: fifo::Consumer::attach(map.region(ANSWERS), ANSWER_SHAPE).unwrap(),
+            to: TO_C.sender(&map, own).unwrap(),
+            from: FROM_C.receiver(&map, own).unwrap(),
+            orders: ORDERS.producer(&map, own).unwrap(),
+            answers: ANSWERS.consumer(&map, own).unwrap(),
             sent: 0,
             since: Instant::now(),
         }
@@ -152,34 +141,30 @@ impl Bench {
     pub(crate) fn lock(&self, core: usize, generation: u32) -> Lock<'static> {
         let incarnation = Incarnation::new(core, generation).unwrap();
         self.map.incarnations().announce(incarnation).unwrap();
-        Lock::attach(self.map.region(LOCK), incarnation, self.map.incarnations()).unwrap()
+        LOCK.attach(&self.map, incarnation).unwrap()
     }
 
     pub(crate) fn pool(&self, core: usize, generation: u32) -> Pool<'static> {
         let incarnation = Incarnation::new(core, generation).unwrap();
-        Pool::attach(
-            self.map.region(POOL),
-            BLOCKS,
-            incarnation,
-            self.map.incarnations(),
-        )
-        .unwrap()
+        POOL.attach(&self.map, incarnation).unwrap()
     }
 
     pub(crate) fn guarded(&self) -> [u32; 2] {
-        let words = self.map.region(GUARDED);
+        let words = GUARDED.attach(&self.map).unwrap();
         [0, 1].map(|at: usize| words[at].load(Ordering::Relaxed))
     }
 
     pub(crate) fn set_guarded(&self, values: [u32; 2]) {
-        for (word, value) in self.map.region(GUARDED).iter().zip(values) {
+        for (word, value) in GUARDED.attach(&self.map).unwrap().iter().zip(values) {
             word.store(value, Ordering::Relaxed);
         }
     }
 
     pub(crate) fn send(&mut self, order: &[u32]) {
         self.since = Instant::now();
-        self.orders.send(order).unwrap();
+        let mut words = [0; ORDER_WORDS];
+        words[..order.len()].copy_from_slice(order);
+        self.orders.send(&words).unwrap();
         // C polls; on a chip its doorbell would be rung if need be.
         self.sent += 1;
         let task = mailbox::TaskId::new(TASK_ORDERS).unwrap();
@@ -193,10 +178,12 @@ impl Bench {
     }
 
     pub(crate) fn answer(&mut self) -> [u32; ANSWER_WORDS] {
-        let mut answer = [0; ANSWER_WORDS];
-        while !self.answers.receive_into(&mut answer) {
-            self.watch();
-        }
+        let answer = loop {
+            match self.answers.receive().unwrap() {
+                Some(answer) => break answer,
+                None => self.watch(),
+            }
+        };
         // The signal comes after the answer.
         loop {
             let mut came = Vec::new();
@@ -221,8 +208,10 @@ impl Bench {
 
     /// Takes the next order back, in the place of the core that died with it.
     pub(crate) fn drop_order(&self) {
-        let mut consumer = fifo::Consumer::attach(self.map.region(ORDERS), ORDER_SHAPE).unwrap();
-        consumer.receive().unwrap().release();
+        let stand_in = Incarnation::new(2, self.sent).unwrap();
+        self.map.incarnations().announce(stand_in).unwrap();
+        let taken = ORDERS.consumer(&self.map, stand_in).unwrap().receive();
+        assert!(matches!(taken, Ok(Some(_))));
     }
 
     pub(crate) fn stop(mut self, mut child: Peer) {

@@ -6,11 +6,10 @@ mod lmu;
 mod takeover;
 
 use build::peer;
-use lmu::{ANSWER_WORDS, Bench, NEWEST, NEWEST_WORDS, ORDER_WORDS, Order, RING, RING_WORDS};
+use lmu::{ANSWER_WORDS, Bench, NEWEST, ORDER_WORDS, Order, RING};
 use std::process::Command;
 use std::time::Duration;
 use tandem_shm::incarnation::Incarnation;
-use tandem_shm::{broadcast, newest};
 
 /// The header is C99 without a warning, and C++; sizes and refusals are what it says.
 #[test]
@@ -154,12 +153,11 @@ fn the_newest_value_of_c_is_whole() {
     const VALUES: u32 = 50_000;
     let mut bench = Bench::new();
     let child = bench.start(1);
-    let reader = newest::Reader::attach(bench.map().region(NEWEST), lmu::NEWEST_SHAPE).unwrap();
+    let reader = NEWEST.reader(&bench.map()).unwrap();
     bench.send(&[Order::Publish as u32, VALUES]);
     let (mut seen, mut last) = (0_u32, 0);
     while last < VALUES {
-        let mut value = [0; NEWEST_WORDS];
-        if reader.read_into(&mut value).is_some() {
+        if let Ok((_, value)) = reader.read() {
             assert!(
                 value.iter().all(|&word| word == value[0]),
                 "torn: {value:?}"
@@ -180,15 +178,13 @@ fn every_broadcast_value_of_c_comes_or_is_counted_as_lost() {
     const VALUES: u32 = 5_000;
     let mut bench = Bench::new();
     let child = bench.start(1);
-    let words = bench.map().region(RING);
-    let mut receiver = broadcast::Receiver::attach(words, lmu::RING_SHAPE).unwrap();
+    let mut receiver = RING.receiver(&bench.map()).unwrap();
     bench.send(&[Order::Broadcast as u32, VALUES]);
     let mut next = 1;
     while next <= VALUES {
-        let mut value = [0; RING_WORDS];
-        match receiver.receive_into(&mut value) {
+        match receiver.receive() {
             Ok(None) => bench.watch(),
-            Ok(Some(_)) => {
+            Ok(Some((_, value))) => {
                 for (at, word) in value.iter().enumerate() {
                     assert_eq!(*word, next * 7 + at as u32);
                 }

@@ -13,7 +13,7 @@ use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answ
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
-use tandem_shm::typed::Reader;
+use tandem_shm::newest::Reader;
 
 fn released(board: &impl Board, release: Release) -> Begin {
     Begin::Released {

@@ -13,30 +13,20 @@ use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory,
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
 use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
-use tandem_shm::map::{Layout, Map, Region};
-use tandem_shm::{Shape, fifo, lock, mailbox, newest};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, Words};
 
 entry!(main);
 
-const WORK: Shape = Shape::new(4, 16);
-const RESULT: Shape = Shape::new(4, 2);
-/// The same as in c/main.c.
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox 0 to 2", mailbox::WORDS),
-    Region::new("mailbox 2 to 0", mailbox::WORDS),
-    Region::new("mailbox 1 to 2", mailbox::WORDS),
-    Region::new("lock", lock::WORDS),
-    Region::new("guarded", 2),
-    Region::new("work 1 to 2", fifo::words(WORK)),
-    Region::new("result of 2", newest::words(RESULT)),
-]);
-const TO_2: usize = 0;
-const FROM_2: usize = 1;
-const ONE_TO_2: usize = 2;
-const LOCK: usize = 3;
-const GUARDED: usize = 4;
-const WORK_1_TO_2: usize = 5;
-const RESULT_OF_2: usize = 6;
+// The same as in c/main.c.
+const TO_2: Region<Mailbox> = Region::first("mailbox 0 to 2");
+const FROM_2: Region<Mailbox> = TO_2.then("mailbox 2 to 0");
+const ONE_TO_2: Region<Mailbox> = FROM_2.then("mailbox 1 to 2");
+const LOCK: Region<SharedLock> = ONE_TO_2.then("lock");
+const GUARDED: Region<Words<2>> = LOCK.then("guarded");
+const WORK_1_TO_2: Region<Fifo<[u32; 16], 4>> = GUARDED.then("work 1 to 2");
+const RESULT_OF_2: Region<Newest<[u32; 2]>> = WORK_1_TO_2.then("result of 2");
+const LAYOUT: Layout = RESULT_OF_2.end();
 
 /// The core in C, and its hart.
 const IN_C: usize = 2;
@@ -139,8 +129,8 @@ impl Talk {
 
 fn ask(map: Map<'static>) {
     let mut talk = Talk {
-        to: must(Sender::attach(map.region(TO_2))),
-        from: must(Receiver::attach(map.region(FROM_2))),
+        to: must(TO_2.sender(&map, incarnation(0, 1))),
+        from: must(FROM_2.receiver(&map, incarnation(0, 1))),
     };
     let incarnations = map.incarnations();
     wait_for("the core in C announces itself", || {
@@ -163,11 +153,7 @@ fn ask(map: Map<'static>) {
     take_results(map);
     log!("fifo, newest  {ITEMS} items of 16 words from Rust summed up in C, in place");
 
-    let mut own = must(Lock::attach(
-        map.region(LOCK),
-        incarnation(0, 1),
-        incarnations,
-    ));
+    let mut own = must(LOCK.attach(&map, incarnation(0, 1)));
     talk.tell(COUNT, TURNS);
     STEP.store(CONTEND, Ordering::Release);
     count(&mut own, map);
@@ -191,7 +177,7 @@ fn ask(map: Map<'static>) {
     let taken = must(own.lock(50, |_| hart::yield_turn()));
     assert!(taken.is_recovered(), "core 0 is told that the owner died");
     assert_eq!(guarded(map), [3 * TURNS + 1, 3 * TURNS], "half-changed");
-    map.region(GUARDED)[1].store(3 * TURNS + 1, Ordering::Relaxed);
+    must(GUARDED.attach(&map))[1].store(3 * TURNS + 1, Ordering::Relaxed);
     drop(taken);
     log!("recovery      C died with the lock, Rust was told and repaired");
 
@@ -215,7 +201,7 @@ fn ask(map: Map<'static>) {
 
 /// Two words that are equal whenever the lock is free.
 fn guarded(map: Map<'static>) -> [u32; 2] {
-    [0, 1].map(|at: usize| map.region(GUARDED)[at].load(Ordering::Relaxed))
+    [0, 1].map(|at: usize| must(GUARDED.attach(&map))[at].load(Ordering::Relaxed))
 }
 
 fn count(lock: &mut Lock<'static>, map: Map<'static>) {
@@ -224,7 +210,7 @@ fn count(lock: &mut Lock<'static>, map: Map<'static>) {
         assert!(!taken.is_recovered(), "nobody died");
         let [one, two] = guarded(map);
         assert_eq!(one, two, "the lock excludes");
-        let words = map.region(GUARDED);
+        let words = must(GUARDED.attach(&map));
         words[0].store(one + 1, Ordering::Relaxed);
         hart::yield_turn();
         words[1].store(one + 1, Ordering::Relaxed);
@@ -243,13 +229,11 @@ fn word(item: u32, at: u32) -> u32 {
 
 /// The newest result is never torn, and the last one comes.
 fn take_results(map: Map<'static>) {
-    let reader = must(newest::Reader::attach(map.region(RESULT_OF_2), RESULT));
+    let reader = must(RESULT_OF_2.reader(&map));
     STEP.store(SEND, Ordering::Release);
     let mut last = 0;
     wait_for("the last result comes", || {
-        let mut value = [0; 2];
-        if reader.read_into(&mut value).is_some() {
-            let [summed, done] = value;
+        if let Ok((_, [summed, done])) = reader.read() {
             assert!(done >= last, "results do not go back");
             assert_eq!(summed, sum(done - 1), "result {done} is whole and right");
             last = done;
@@ -260,28 +244,21 @@ fn take_results(map: Map<'static>) {
 
 /// Core 1: what core 0 lets it begin.
 fn help(map: Map<'static>) {
-    let mut to = must(Sender::attach(map.region(ONE_TO_2)));
-    let mut producer = must(fifo::Producer::attach(map.region(WORK_1_TO_2), WORK));
+    let mut to = must(ONE_TO_2.sender(&map, incarnation(1, 1)));
+    let mut producer = must(WORK_1_TO_2.producer(&map, incarnation(1, 1)));
     let step = |number: u32| (STEP.load(Ordering::Acquire) == number).then_some(());
     wait_for("core 0 wants work to be sent", || step(SEND));
     for item in 0..ITEMS {
         wait_for("C works off the queue", || {
-            let mut loan = producer.loan().ok()?;
-            for at in 0..16 {
-                loan.words().set(at as usize, word(item, at));
-            }
-            loan.send();
-            Some(())
+            producer
+                .send(&core::array::from_fn(|at| word(item, at as u32)))
+                .ok()
         });
         if to.signal(WORK_THERE) == Ring::Needed {
             clint::post(IN_C);
         }
     }
-    let mut lock = must(Lock::attach(
-        map.region(LOCK),
-        incarnation(1, 1),
-        map.incarnations(),
-    ));
+    let mut lock = must(LOCK.attach(&map, incarnation(1, 1)));
     wait_for("core 0 wants the lock to be contended for", || {
         step(CONTEND)
     });

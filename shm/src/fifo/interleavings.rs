@@ -1,7 +1,7 @@
 //! Random interleavings: either end is killed or frozen at any access, or words are scribbled on.
 
 use super::*;
-use crate::step::{freeze_at, kill_at, zeroed};
+use crate::fault::{freeze_at, kill_at, zeroed};
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::vec::Vec;
@@ -50,9 +50,9 @@ struct Play {
     shape: Shape,
     base: u32,
     /// `None` while it is in the middle of an operation.
-    producer: Cell<Option<Producer<'static>>>,
+    producer: Cell<Option<Producer<'static, [u32; 2]>>>,
     /// `None` while it is in the middle of an operation.
-    consumer: Cell<Option<Consumer<'static>>>,
+    consumer: Cell<Option<Consumer<'static, [u32; 2]>>>,
     /// The first words of the values sent, and of the one that is being sent.
     values: RefCell<Vec<u32>>,
     /// The number of the value that comes next.
@@ -128,7 +128,7 @@ impl Play {
             }
             6 => {
                 if let Ok(mut loan) = producer.loan() {
-                    loan.words().copy_from(&[7, 7]);
+                    loan.words().set(0, 7);
                 }
                 Some(false)
             }
@@ -146,7 +146,7 @@ impl Play {
     }
 
     /// The successor of a killed producer. It may be frozen while it attaches.
-    fn next_producer(self: &Rc<Self>, time: Time) -> Producer<'static> {
+    fn next_producer(self: &Rc<Self>, time: Time) -> Producer<'static, [u32; 2]> {
         let attach = || Producer::attach(self.words, self.shape).unwrap();
         if time == Time::Others {
             return attach();
@@ -161,23 +161,22 @@ impl Play {
         let Some(mut consumer) = self.consumer.take() else {
             return;
         };
-        let mut value = [0; 2];
         let at = self.random.access();
         match self.random.below(10) {
             0 | 1 => {
-                let end = kill_at(at, || consumer.receive_into(&mut value));
-                self.check(end == Some(true), value);
+                let end = kill_at(at, || consumer.receive().unwrap());
+                self.check(end.flatten());
                 self.killed
                     .update(|killed| killed + u32::from(end.is_none()));
                 consumer = self.next_consumer(time);
             }
             2..=5 if time == Time::Own => {
                 let meanwhile = self.others(12, Self::produce);
-                let (came, _) = freeze_at(at, meanwhile, || consumer.receive_into(&mut value));
-                self.check(came, value);
+                let (value, _) = freeze_at(at, meanwhile, || consumer.receive().unwrap());
+                self.check(value);
             }
-            6 => drop(consumer.receive()),
-            _ => self.check(consumer.receive_into(&mut value), value),
+            6 => drop(consumer.item()),
+            _ => self.check(consumer.receive().unwrap()),
         }
         let next = self.number(consumer.head);
         assert_eq!(next, self.next.get(), "the consumer leaves out no value");
@@ -185,7 +184,7 @@ impl Play {
     }
 
     /// The successor of a killed consumer goes back by what was not yet published as released.
-    fn next_consumer(self: &Rc<Self>, time: Time) -> Consumer<'static> {
+    fn next_consumer(self: &Rc<Self>, time: Time) -> Consumer<'static, [u32; 2]> {
         if time == Time::Own {
             self.others(4, Self::produce)();
         }
@@ -199,10 +198,10 @@ impl Play {
     }
 
     /// If a value came, it is the next one, and whole.
-    fn check(&self, came: bool, value: [u32; 2]) {
-        if !came {
+    fn check(&self, value: Option<[u32; 2]>) {
+        let Some(value) = value else {
             return;
-        }
+        };
         let next = self.next.get();
         let first = self.values.borrow().get(next as usize).copied();
         assert_eq!(Some(value), first.map(whole), "value number {next}");
@@ -214,9 +213,8 @@ impl Play {
     fn finish(&self) {
         let mut consumer = self.consumer.take().unwrap();
         let mut producer = self.producer.take().unwrap();
-        let mut value = [0; 2];
-        while consumer.receive_into(&mut value) {
-            self.check(true, value);
+        while let Some(value) = consumer.receive().unwrap() {
+            self.check(Some(value));
         }
         assert_eq!(self.next.get() as usize, self.values.borrow().len());
         for k in 0..self.shape.slots() as u32 {
@@ -261,9 +259,8 @@ fn values_come_in_order_whatever_end_is_killed_or_frozen() {
 }
 
 /// Receives at most so many values.
-fn receive(consumer: &mut Consumer<'_>, most: u32) -> Vec<u32> {
-    let mut value = [0];
-    let next = |_| consumer.receive_into(&mut value).then_some(value[0]);
+fn receive(consumer: &mut Consumer<'_, u32>, most: u32) -> Vec<u32> {
+    let next = |_| consumer.receive().unwrap();
     (0..most).map_while(next).collect()
 }
 

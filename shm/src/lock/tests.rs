@@ -1,7 +1,7 @@
 //! The lock against deaths and freezes at every access, stragglers and scribble.
 
 use super::*;
-use crate::step::{freeze_at, kill_at, zeroed};
+use crate::fault::{freeze_at, kill_at, zeroed};
 use crate::sync::spin;
 
 #[derive(Clone, Copy)]

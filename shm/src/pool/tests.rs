@@ -1,7 +1,7 @@
 //! The pool against its model, against deaths and freezes at every access, and against scribble.
 
 use super::*;
-use crate::step::{freeze_at, kill_at, zeroed};
+use crate::fault::{freeze_at, kill_at, zeroed};
 use proptest::prelude::*;
 use std::vec::Vec;
 

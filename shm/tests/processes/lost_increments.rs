@@ -1,6 +1,7 @@
 //! Three processes increment one counter: without the lock some get lost, with it none. T-LOCK-2
 
 use crate::child::{Child, announce, give_way, meet, shared, take};
+use tandem_shm::bare;
 use tandem_shm::incarnation::Incarnations;
 use tandem_shm::lock::{self, Lock};
 use tandem_shm::sync::{AtomicU32, Ordering};
@@ -45,7 +46,7 @@ fn count(work: impl Fn(&'static [AtomicU32], &mut Lock<'static>, u32) + Copy) ->
             Child::start(move || {
                 let incarnations = Incarnations::attach(words).unwrap();
                 let incarnation = announce(incarnations, core, 1);
-                let mut lock = Lock::attach(&words[LOCK_AT..], incarnation, incarnations).unwrap();
+                let mut lock = bare::lock(&words[LOCK_AT..], incarnation, incarnations).unwrap();
                 meet(&words[START_AT], CORES);
                 for i in 0..INCREMENTS {
                     work(words, &mut lock, i);

@@ -10,38 +10,28 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration};
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::{clock, cpu, entry, exit, log, memory};
+use tandem_shm::fifo::Consumer;
 use tandem_shm::incarnation::Incarnation;
-use tandem_shm::lock::Lock;
-use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId};
-use tandem_shm::map::{Layout, Map, Region};
-use tandem_shm::pool::{Handle, Pool};
-use tandem_shm::{Shape, broadcast, fifo, lock, mailbox, newest, pool, sync};
+use tandem_shm::mailbox::{Ring, TaskId};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::pool::{self, Handle};
+use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region, SharedLock, SharedPool, Words};
+use tandem_shm::sync;
 
 entry!(main);
 
-const QUEUE: Shape = Shape::new(4, 3);
-const VALUE: Shape = Shape::new(4, 40);
-const RING: Shape = Shape::new(8, 6);
 const BLOCKS: usize = 8;
 
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox 0 to 1", mailbox::WORDS),
-    Region::new("mailbox 1 to 0", mailbox::WORDS),
-    Region::new("lock", lock::WORDS),
-    Region::new("guarded", 2),
-    Region::new("queue", fifo::words(QUEUE)),
-    Region::new("value", newest::words(VALUE)),
-    Region::new("ring", broadcast::words(RING)),
-    Region::new("pool", pool::words(BLOCKS)),
-]);
-const TO_1: usize = 0;
-const TO_0: usize = 1;
-const LOCK: usize = 2;
-const GUARDED: usize = 3;
-const QUEUED: usize = 4;
-const NEWEST: usize = 5;
-const BROADCAST: usize = 6;
-const POOL: usize = 7;
+const TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
+const TO_0: Region<Mailbox> = TO_1.then("mailbox 1 to 0");
+const LOCK: Region<SharedLock> = TO_0.then("lock");
+const GUARDED: Region<Words<2>> = LOCK.then("guarded");
+const QUEUE: Region<Fifo<[u32; 3], 4>> = GUARDED.then("queue");
+const HANDLES: Region<Fifo<[u32; 3], 4>> = QUEUE.then("handles");
+const NEWEST: Region<Newest<[u32; 40]>> = HANDLES.then("value");
+const BROADCAST: Region<Broadcast<[u32; 6], 8>> = NEWEST.then("ring");
+const POOL: Region<SharedPool<BLOCKS>> = BROADCAST.then("pool");
+const LAYOUT: Layout = POOL.end();
 
 const ROUNDS: u32 = 500;
 /// More looks than any waiting here takes.
@@ -114,9 +104,9 @@ fn run(own: usize, board: &An521Board, map: Map<'_>) -> Checked {
 /// What the lock guards is never seen in the middle of a change.
 fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
-    let mut lock =
-        Lock::attach(map.region(LOCK), incarnation, map.incarnations()).map_err(|_| fit)?;
-    let [one, two] = [0, 1].map(|at: usize| &map.region(GUARDED)[at]);
+    let mut lock = LOCK.attach(&map, incarnation).map_err(|_| fit)?;
+    let guarded = GUARDED.attach(&map).map_err(|_| fit)?;
+    let [one, two] = [&guarded[0], &guarded[1]];
     let broken = memory::strap(1) != 0;
     for _ in 0..ROUNDS {
         let taken = lock
@@ -140,11 +130,11 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
 }
 
 /// To and fro, with sleeps: no signal is lost, each comes with its value.
-fn signal(own: usize, board: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
+fn signal(own: usize, board: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let [to, from] = if own == 0 { [TO_1, TO_0] } else { [TO_0, TO_1] };
-    let mut sender = Sender::attach(map.region(to)).map_err(|_| fit)?;
-    let mut receiver = Receiver::attach(map.region(from)).map_err(|_| fit)?;
+    let mut sender = to.sender(&map, incarnation).map_err(|_| fit)?;
+    let mut receiver = from.receiver(&map, incarnation).map_err(|_| fit)?;
     let task = TaskId::new(3).ok_or("3 is a task")?;
     let peer = CoreId::ALL[1 - own];
     meet(own, 13);
@@ -171,11 +161,21 @@ fn signal(own: usize, board: &An521Board, map: Map<'_>, _: Incarnation) -> Check
     Ok(())
 }
 
+/// Waits for the next value of a queue.
+fn next(consumer: &mut Consumer<'_, [u32; 3]>) -> [u32; 3] {
+    loop {
+        if let Ok(Some(value)) = consumer.receive() {
+            return value;
+        }
+        sync::spin(1);
+    }
+}
+
 /// Every value, in order.
-fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
-    let words = map.region(QUEUED);
+fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
+    let fit = "the regions fit";
     if own == 0 {
-        let mut producer = fifo::Producer::attach(words, QUEUE).map_err(|_| "the regions fit")?;
+        let mut producer = QUEUE.producer(&map, incarnation).map_err(|_| fit)?;
         for value in 0..ROUNDS {
             while producer.send(&[value, value * 3, !value]).is_err() {
                 sync::spin(1);
@@ -183,12 +183,9 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
         }
         return Ok(());
     }
-    let mut consumer = fifo::Consumer::attach(words, QUEUE).map_err(|_| "the regions fit")?;
+    let mut consumer = QUEUE.consumer(&map, incarnation).map_err(|_| fit)?;
     for value in 0..ROUNDS {
-        let mut got = [0; 3];
-        while !consumer.receive_into(&mut got) {
-            sync::spin(1);
-        }
+        let got = next(&mut consumer);
         check(
             got == [value, value * 3, !value],
             "every value comes, in order",
@@ -198,33 +195,30 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
 }
 
 /// The newest value is never torn; what the ring loses it counts.
-fn look(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
+fn look(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
-    let [value_words, ring_words] = [NEWEST, BROADCAST].map(|region| map.region(region));
     if own == 0 {
-        let mut writer = newest::Writer::attach(value_words, VALUE).map_err(|_| fit)?;
-        let mut sender = broadcast::Sender::attach(ring_words, RING).map_err(|_| fit)?;
+        let mut writer = NEWEST.writer(&map, incarnation).map_err(|_| fit)?;
+        let mut ring = BROADCAST.writer(&map, incarnation).map_err(|_| fit)?;
         meet(own, 33);
         for value in 1..=ROUNDS {
             writer.publish(&[value; 40]);
-            sender.send(&[value; 6]);
+            ring.publish(&[value; 6]);
         }
         return Ok(());
     }
-    let reader = newest::Reader::attach(value_words, VALUE).map_err(|_| fit)?;
-    let mut receiver = broadcast::Receiver::attach(ring_words, RING).map_err(|_| fit)?;
+    let reader = NEWEST.reader(&map).map_err(|_| fit)?;
+    let mut receiver = BROADCAST.receiver(&map).map_err(|_| fit)?;
     meet(own, 33);
     let (mut last, mut next) = (0, 1);
     while last < ROUNDS || next <= ROUNDS {
-        let mut value = [0; 40];
-        if reader.read_into(&mut value).is_some() {
+        if let Ok((_, value)) = reader.read() {
             check(value == [value[0]; 40], "the newest value is whole")?;
             check(value[0] >= last, "the newest value does not go back")?;
             last = value[0];
         }
-        let mut value = [0; 6];
-        match receiver.receive_into(&mut value) {
-            Ok(Some(_)) => {
+        match receiver.receive() {
+            Ok(Some((_, value))) => {
                 check(
                     value == [next; 6],
                     "a broadcast value is whole, and the next",
@@ -241,11 +235,9 @@ fn look(own: usize, _: &An521Board, map: Map<'_>, _: Incarnation) -> Checked {
 /// Words are handed over and given back by whoever got them.
 fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
-    let pool =
-        Pool::attach(map.region(POOL), BLOCKS, incarnation, map.incarnations()).map_err(|_| fit)?;
-    let words = map.region(QUEUED);
+    let pool = POOL.attach(&map, incarnation).map_err(|_| fit)?;
     if own == 0 {
-        let mut producer = fifo::Producer::attach(words, QUEUE).map_err(|_| fit)?;
+        let mut producer = HANDLES.producer(&map, incarnation).map_err(|_| fit)?;
         for round in 0..ROUNDS {
             let handle = loop {
                 if let Ok(handle) = pool.get(20) {
@@ -266,12 +258,9 @@ fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> C
         }
         return Ok(());
     }
-    let mut consumer = fifo::Consumer::attach(words, QUEUE).map_err(|_| fit)?;
+    let mut consumer = HANDLES.consumer(&map, incarnation).map_err(|_| fit)?;
     for round in 0..ROUNDS {
-        let mut got = [0; 3];
-        while !consumer.receive_into(&mut got) {
-            sync::spin(1);
-        }
+        let got = next(&mut consumer);
         let handle = Handle::from_words([got[0], got[1]]);
         let lent = pool
             .open(handle)

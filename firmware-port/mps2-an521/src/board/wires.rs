@@ -16,8 +16,8 @@ use tandem_peripherals::codec::{
     encode_datagram,
 };
 use tandem_peripherals::wires::LINK_DATAGRAMS;
-use tandem_shm::Shape;
 use tandem_shm::fifo::{self, Consumer, Producer};
+use tandem_shm::{Shape, bare};
 
 /// Datagrams under way.
 const DATAGRAMS: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
@@ -106,16 +106,16 @@ impl Lines for An521Lines {
 /// The link of one system. For its core 0.
 #[derive(Debug)]
 pub struct An521Link {
-    to_peer: RefCell<Producer<'static>>,
-    from_peer: RefCell<Consumer<'static>>,
+    to_peer: RefCell<Producer<'static, [u32; DATAGRAM_WORDS]>>,
+    from_peer: RefCell<Consumer<'static, [u32; DATAGRAM_WORDS]>>,
 }
 
 impl An521Link {
     pub(super) fn new(own: SystemId) -> Self {
         let [to_peer, from_peer] = [own.peer(), own].map(|to| &WIRES.link[to.index()].0[..]);
         Self {
-            to_peer: RefCell::new(fits(Producer::attach(to_peer, DATAGRAMS))),
-            from_peer: RefCell::new(fits(Consumer::attach(from_peer, DATAGRAMS))),
+            to_peer: RefCell::new(fits(bare::fifo_producer(to_peer, DATAGRAMS))),
+            from_peer: RefCell::new(fits(bare::fifo_consumer(from_peer, DATAGRAMS))),
         }
     }
 }
@@ -129,9 +129,8 @@ impl Link for An521Link {
     }
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
-        let mut datagram = [0; DATAGRAM_WORDS];
-        let received = self.from_peer.borrow_mut().receive_into(&mut datagram);
-        received.then(|| decode_datagram(&datagram, words))
+        let datagram = self.from_peer.borrow_mut().receive().ok()??;
+        Some(decode_datagram(&datagram, words))
     }
 }
 
@@ -143,8 +142,8 @@ pub struct An521Can {
     other: usize,
     /// No core is at the other end: frames are dropped.
     alone: bool,
-    transmit: RefCell<Producer<'static>>,
-    receive: RefCell<Consumer<'static>>,
+    transmit: RefCell<Producer<'static, [u32; FRAME_WORDS]>>,
+    receive: RefCell<Consumer<'static, [u32; FRAME_WORDS]>>,
 }
 
 impl An521Can {
@@ -156,8 +155,8 @@ impl An521Can {
             own,
             other,
             alone: cast[other].is_none(),
-            transmit: RefCell::new(fits(Producer::attach(transmit, FRAMES))),
-            receive: RefCell::new(fits(Consumer::attach(receive, FRAMES))),
+            transmit: RefCell::new(fits(bare::fifo_producer(transmit, FRAMES))),
+            receive: RefCell::new(fits(bare::fifo_consumer(receive, FRAMES))),
         }
     }
 }
@@ -190,10 +189,8 @@ impl Can for An521Can {
     fn discard_unsent(&self) {}
 
     fn try_receive(&self) -> Option<Received> {
-        let mut words = [0; FRAME_WORDS];
-        let received = self.receive.borrow_mut().receive_into(&mut words);
-        let frame = received.then(|| BusFrame::decode(&words)).flatten();
-        frame.map(|frame| frame.received)
+        let words = self.receive.borrow_mut().receive().ok()??;
+        BusFrame::decode(&words).map(|frame| frame.received)
     }
 
     fn wake_on_receive(&self, on: bool) {

@@ -13,14 +13,17 @@ use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory,
 use tandem_rtos::{
     Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
 };
-use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::mailbox::{Ring, Sender, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Mailbox, Region};
 
 entry!(main);
 
 const ROUNDS: u32 = 1000;
 const WARM_UP: u32 = 5;
 
-/// The mailboxes' memory is zero, and hart 1 may attach.
+/// The LMU is formatted, and hart 1 may attach.
 static READY: AtomicBool = AtomicBool::new(false);
 /// Signals that came back.
 static BACK: AtomicU32 = AtomicU32::new(0);
@@ -35,9 +38,18 @@ fn main(hart: usize) -> ! {
     }
 }
 
-/// The mailbox from a core to the other.
-fn mailbox_of(sender: usize) -> &'static [AtomicU32] {
-    &memory::lmu(SystemId::A)[sender * mailbox::WORDS..][..mailbox::WORDS]
+const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
+const MAILBOX_1_TO_0: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 1 to 0");
+const LAYOUT: Layout = MAILBOX_1_TO_0.end();
+
+/// The LMU, which hart 0 has formatted, and this core's incarnation.
+fn attach(core: usize) -> (Map<'static>, Incarnation) {
+    let map = must(Map::attach(memory::lmu(SystemId::A), LAYOUT));
+    let Some(own) = Incarnation::new(core, 1) else {
+        panic!("a first incarnation")
+    };
+    must(map.incarnations().announce(own));
+    (map, own)
 }
 
 fn task() -> TaskId {
@@ -52,8 +64,11 @@ fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
     let options = TaskOptions::new("measure", Priority::new(5)).stack_bytes(16 << 10);
-    let measuring = must(kernel.spawn(&options, measure));
-    let mut back = must(Receiver::attach(mailbox_of(1)));
+    must(Map::format(memory::lmu(SystemId::A), LAYOUT));
+    let (map, own) = attach(0);
+    let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
+    let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
+    let measuring = must(kernel.spawn(&options, move |ctx| measure(ctx, &mut to)));
     // Core 0 wants its doorbell whenever it is signalled.
     back.poll(|_| ());
     let _nothing_there = back.prepare_sleep();
@@ -72,8 +87,7 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-fn measure(ctx: &TaskContext) {
-    let mut to = must(Sender::attach(mailbox_of(0)));
+fn measure(ctx: &TaskContext, to: &mut Sender<'static>) {
     bench(ctx, "rtos/yield", || {
         // No other task is ready: into the kernel and back.
         ctx.yield_now();
@@ -111,8 +125,9 @@ fn answer() -> ! {
     while !READY.load(Ordering::Acquire) {
         doorbell::wait(None);
     }
-    let mut from = must(Receiver::attach(mailbox_of(0)));
-    let mut to = must(Sender::attach(mailbox_of(1)));
+    let (map, own) = attach(1);
+    let mut from = must(MAILBOX_0_TO_1.receiver(&map, own));
+    let mut to = must(MAILBOX_1_TO_0.sender(&map, own));
     let mut tasks = TaskTable::new();
     must(tasks.add(
         task(),

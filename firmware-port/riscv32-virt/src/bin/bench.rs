@@ -11,26 +11,23 @@ use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
 use tandem_shm::incarnation::Incarnation;
-use tandem_shm::lock::{self, Lock};
-use tandem_shm::mailbox::{self, Call, Receiver, Ring, Sender, TaskId, TaskTable};
-use tandem_shm::map::{Layout, Map, Region};
-use tandem_shm::pool::{self, Pool};
-use tandem_shm::{Shape, fifo, newest};
+use tandem_shm::lock::Lock;
+use tandem_shm::mailbox::{Call, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, SharedPool};
+use tandem_shm::{fifo, newest};
 
 entry!(main);
 
 const ROUNDS: u32 = 1000;
 /// Rounds before the first one that counts.
 const WARM_UP: u32 = 5;
-const POOL_BLOCKS: usize = 64;
-const CHANNEL: Shape = Shape::new(4, 1);
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox 0 to 1", mailbox::WORDS),
-    Region::new("fifo 0 to 1", fifo::words(CHANNEL)),
-    Region::new("newest value 0 to 1", newest::words(CHANNEL)),
-    Region::new("lock", lock::WORDS),
-    Region::new("pool", pool::words(POOL_BLOCKS)),
-]);
+const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
+const FIFO_0_TO_1: Region<Fifo<u32, 4>> = MAILBOX_0_TO_1.then("fifo 0 to 1");
+const NEWEST_0_TO_1: Region<Newest<u32>> = FIFO_0_TO_1.then("newest value 0 to 1");
+const LOCK: Region<SharedLock> = NEWEST_0_TO_1.then("lock");
+const POOL: Region<SharedPool<64>> = LOCK.then("pool");
+const LAYOUT: Layout = POOL.end();
 const PLAIN: TaskId = task(1);
 const NEWEST: TaskId = task(2);
 const FIFO: TaskId = task(3);
@@ -90,14 +87,6 @@ fn attach(core: usize) -> Map<'static> {
     }
 }
 
-fn lock_of(map: &Map<'static>, core: usize) -> Lock<'static> {
-    must(Lock::attach(
-        map.region(3),
-        incarnation(core),
-        map.incarnations(),
-    ))
-}
-
 /// Lets everyone else come to rest.
 fn settle() {
     (0..8).for_each(|_| hart::yield_turn());
@@ -150,16 +139,12 @@ fn signal(to: &mut Sender<'_>, task: TaskId) {
 fn measure() {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let map = attach(0);
-    let mut to = must(Sender::attach(map.region(0)));
-    let mut queue = must(fifo::Producer::attach(map.region(1), CHANNEL));
-    let mut newest = must(newest::Writer::attach(map.region(2), CHANNEL));
-    let mut lock = lock_of(&map, 0);
-    let pool = must(Pool::attach(
-        map.region(4),
-        POOL_BLOCKS,
-        incarnation(0),
-        map.incarnations(),
-    ));
+    let own = incarnation(0);
+    let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
+    let mut queue = must(FIFO_0_TO_1.producer(&map, own));
+    let mut newest = must(NEWEST_0_TO_1.writer(&map, own));
+    let mut lock = must(LOCK.attach(&map, own));
+    let pool = must(POOL.attach(&map, own));
 
     bench("clock/two-readings", |_| {
         let begin = hart::cycles();
@@ -181,14 +166,14 @@ fn measure() {
     });
     bench("channel/4-bytes", |number| {
         reach(|| {
-            newest.publish(&[number]);
+            newest.publish(&number);
             signal(&mut to, NEWEST);
         })
     });
     // Not always the same: each end looks at the other's index only when its copy says so.
     bench("fifo/4-bytes", |number| {
         reach(|| {
-            must(queue.send(&[number]));
+            must(queue.send(&number));
             signal(&mut to, FIFO);
         })
     });
@@ -235,10 +220,10 @@ fn answer() {
         hart::sleep();
     }
     trap::on_doorbell(|| ());
-    let mut from = must(Receiver::attach(map.region(0)));
+    let mut from = must(MAILBOX_0_TO_1.receiver(&map, incarnation(1)));
     let mut values = Values {
-        queue: must(fifo::Consumer::attach(map.region(1), CHANNEL)),
-        newest: must(newest::Reader::attach(map.region(2), CHANNEL)),
+        queue: must(FIFO_0_TO_1.consumer(&map, incarnation(1))),
+        newest: must(NEWEST_0_TO_1.reader(&map)),
     };
     let mut tasks = TaskTable::new();
     must(tasks.add(PLAIN, |_, _| reached(), 0));
@@ -257,8 +242,8 @@ fn answer() {
 
 /// The receiving ends of the channels; their tasks are reached when they have the value.
 struct Values {
-    queue: fifo::Consumer<'static>,
-    newest: newest::Reader<'static>,
+    queue: fifo::Consumer<'static, u32>,
+    newest: newest::Reader<'static, u32>,
 }
 
 impl Values {
@@ -268,13 +253,15 @@ impl Values {
     }
 
     fn newest(&mut self, _: Call) {
-        if self.newest.read_into(&mut [0]).is_some() {
+        if let Ok(value) = self.newest.read() {
+            core::hint::black_box(value);
             reached();
         }
     }
 
     fn first(&mut self, _: Call) {
-        if self.queue.receive_into(&mut [0]) {
+        if let Ok(Some(value)) = self.queue.receive() {
+            core::hint::black_box(value);
             reached();
         }
     }
@@ -283,7 +270,7 @@ impl Values {
 /// Hart 1 and 2: take the lock once in each round.
 fn contend(hart: usize) -> ! {
     let map = attach(hart);
-    let mut lock = lock_of(&map, hart);
+    let mut lock = must(LOCK.attach(&map, incarnation(hart)));
     while PART.load(Ordering::Acquire) != CONTEND {
         doorbell::wait(None);
     }

@@ -19,11 +19,11 @@ use tandem_board_riscv32_virt::hart::{self, CARRIER};
 use tandem_board_riscv32_virt::memory::{Strap, strap};
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, log, memory};
 use tandem_shm::incarnation::Incarnation;
-use tandem_shm::lock::{self, Lock};
-use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId};
-use tandem_shm::map::{Layout, Map, Region};
-use tandem_shm::pool::{self, Pool};
-use tandem_shm::{Shape, fifo, newest};
+use tandem_shm::mailbox::{Ring, TaskId};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::newest::Reader;
+use tandem_shm::pool;
+use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, SharedPool, Words};
 
 entry!(main);
 
@@ -38,24 +38,17 @@ const HANGS_AFTER: u64 = 2_000_000;
 
 const CORES: usize = 3;
 const POOL_BLOCKS: usize = 8;
-const QUEUE: Shape = Shape::new(4, 2);
-const VALUE_WORDS: usize = 6;
-const NEWEST: Shape = Shape::new(4, VALUE_WORDS);
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("lock", lock::WORDS),
-    Region::new("counter, and the order of its owners", 16),
-    Region::new("mailbox 0 to 1", mailbox::WORDS),
-    Region::new("mailbox 2 to 1", mailbox::WORDS),
-    Region::new("pool", pool::words(POOL_BLOCKS)),
-    Region::new("queue 2 to 0", fifo::words(QUEUE)),
-    Region::new("newest value 1 to 0 and 2", newest::words(NEWEST)),
-]);
-const LOCK: usize = 0;
-const COUNTER: usize = 1;
-const MAILBOXES: [usize; 2] = [2, 3];
-const POOL: usize = 4;
-const FIFO: usize = 5;
-const LATEST: usize = 6;
+type Value = [u32; 6];
+
+const LOCK: Region<SharedLock> = Region::first("lock");
+/// The counter, the order of its owners, and the word of the broken lock.
+const COUNTER: Region<Words<3>> = LOCK.then("counter, and the order of its owners");
+const MAILBOX_0_TO_1: Region<Mailbox> = COUNTER.then("mailbox 0 to 1");
+const MAILBOX_2_TO_1: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 2 to 1");
+const POOL: Region<SharedPool<POOL_BLOCKS>> = MAILBOX_2_TO_1.then("pool");
+const FIFO: Region<Fifo<[u32; 2], 4>> = POOL.then("queue 2 to 0");
+const NEWEST: Region<Newest<Value>> = FIFO.then("newest value 1 to 0 and 2");
+const LAYOUT: Layout = NEWEST.end();
 
 /// Rounds of each test: several turns long, so that turns end in all its places.
 const ROUNDS: u32 = 40;
@@ -172,7 +165,7 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
         }
         doorbell::wait(Some(limit));
     }
-    Ok(map.region(COUNTER)[1].load(Relaxed))
+    Ok(counter(&map)[1].load(Relaxed))
 }
 
 /// Different numbers that were seen.
@@ -247,20 +240,25 @@ fn all_tests(hart: usize, generation: u32) -> Checked {
     }
     test_lock(&map, hart, incarnation)?;
     meet(2)?;
-    check(
-        map.region(COUNTER)[0].load(Relaxed) == CORES as u32 * ROUNDS,
-        1,
-    )?;
-    test_mailbox(&map, hart)?;
+    check(counter(&map)[0].load(Relaxed) == CORES as u32 * ROUNDS, 1)?;
+    test_mailbox(&map, hart, incarnation)?;
     meet(3)?;
     test_pool(&map, hart, incarnation)?;
     meet(5)?;
-    test_channels(&map, hart)
+    test_channels(&map, hart, incarnation)
+}
+
+/// The words of the counter.
+fn counter(map: &Map<'static>) -> &'static [AtomicU32] {
+    match COUNTER.attach(map) {
+        Ok(words) => words,
+        Err(_) => panic!("the counter is of the layout"),
+    }
 }
 
 /// A read, and a write of what follows from it: whoever comes between loses an increment.
-fn count(map: &Map<'_>, hart: usize) {
-    let [counter, order] = [0, 1].map(|index| &map.region(COUNTER)[index]);
+fn count(map: &Map<'static>, hart: usize) {
+    let [counter, order] = [0, 1].map(|index: usize| &counter(map)[index]);
     let (count, hash) = (counter.load(Relaxed), order.load(Relaxed));
     (0..4).for_each(|_| core::hint::spin_loop());
     counter.store(count + 1, Relaxed);
@@ -271,8 +269,7 @@ fn count(map: &Map<'_>, hart: usize) {
 
 /// T-LOCK-1: no increment is lost.
 fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
-    let mut lock =
-        Lock::attach(map.region(LOCK), incarnation, map.incarnations()).map_err(|_| 1u32)?;
+    let mut lock = LOCK.attach(map, incarnation).map_err(|_| 1u32)?;
     for _ in 0..ROUNDS {
         let acquired = lock
             .lock(1_000_000, tandem_shm::sync::spin)
@@ -288,7 +285,7 @@ fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
 /// The same with a lock that looks and then takes, in two steps: the mistake that the schedules
 /// must find.
 fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
-    let word = &map.region(LOCK)[0];
+    let word = &counter(map)[2];
     for _ in 0..ROUNDS {
         until(|| word.load(Acquire) == 0)?;
         word.store(1, Relaxed);
@@ -296,15 +293,16 @@ fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
         word.store(0, Release);
     }
     meet(2)?;
-    let counted = map.region(COUNTER)[0].load(Relaxed);
+    let counted = counter(map)[0].load(Relaxed);
     check(counted == CORES as u32 * ROUNDS, 1)
 }
 
 /// T-SYNC-3: hart 0 and 2 signal hart 1, which sleeps whenever it may; every signal comes.
-fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
+fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     let task = |number| TaskId::new(number).ok_or(2u32);
     if hart != 1 {
-        let mut to = Sender::attach(map.region(MAILBOXES[hart / 2])).map_err(|_| 2u32)?;
+        let mailbox = [MAILBOX_0_TO_1, MAILBOX_2_TO_1][hart / 2];
+        let mut to = mailbox.sender(map, own).map_err(|_| 2u32)?;
         clint::post(1);
         for round in 0..ROUNDS {
             if to.signal(task(1 + (round % 3) as u8)?) == Ring::Needed {
@@ -313,7 +311,8 @@ fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
         }
         return Ok(());
     }
-    let mut receivers = [0, 1].map(|index| Receiver::attach(map.region(MAILBOXES[index])).ok());
+    let mut receivers =
+        [MAILBOX_0_TO_1, MAILBOX_2_TO_1].map(|mailbox| mailbox.receiver(map, own).ok());
     let mut signals = [0; 2];
     while signals != [ROUNDS; 2] {
         check(FAILED.load(Relaxed) == 0, 0)?;
@@ -336,13 +335,7 @@ fn test_mailbox(map: &Map<'static>, hart: usize) -> Checked {
 
 /// T-SHM-1: nobody gets words that another one has, and all come back.
 fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
-    let pool = Pool::attach(
-        map.region(POOL),
-        POOL_BLOCKS,
-        incarnation,
-        map.incarnations(),
-    )
-    .map_err(|_| 3u32)?;
+    let pool = POOL.attach(map, incarnation).map_err(|_| 3u32)?;
     for round in 0..ROUNDS {
         let words = 1 + (round as usize * 7 + hart * 5) % 40;
         let Ok(handle) = pool.get(words) else {
@@ -364,62 +357,63 @@ fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
 }
 
 /// T-CHAN-1..3: a queue from 2 to 0 in order; newest values of 1 at 0 and 2, whole and never older.
-fn test_channels(map: &Map<'static>, hart: usize) -> Checked {
+fn test_channels(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
+    let mut reader = NEWEST.reader(map).map_err(|_| 4u32)?;
     match hart {
         0 => {
-            let mut queue = fifo::Consumer::attach(map.region(FIFO), QUEUE).map_err(|_| 4u32)?;
+            let mut queue = FIFO.consumer(map, own).map_err(|_| 4u32)?;
             let mut last = 0;
             for number in 0..ROUNDS {
-                let mut item = [0; 2];
-                until(|| queue.receive_into(&mut item))?;
-                check(item == [number, !number], 4)?;
-                read_newest(map, &mut last)?;
+                let mut item = None;
+                until(|| {
+                    item = queue.receive().ok().flatten();
+                    item.is_some()
+                })?;
+                check(item == Some([number, !number]), 4)?;
+                read_newest(&mut reader, &mut last)?;
             }
-            follow_newest(map, last)
+            follow_newest(&mut reader, last)
         }
         1 => {
-            let mut writer =
-                newest::Writer::attach(map.region(LATEST), NEWEST).map_err(|_| 4u32)?;
+            let mut writer = NEWEST.writer(map, own).map_err(|_| 4u32)?;
             for number in 1..=2 * ROUNDS {
-                writer.publish(&core::array::from_fn::<u32, VALUE_WORDS, _>(|index| {
-                    number << 8 | index as u32
-                }));
+                writer.publish(&value(number));
             }
             WRITTEN.store(true, Release);
             Ok(())
         }
         _ => {
-            let mut queue = fifo::Producer::attach(map.region(FIFO), QUEUE).map_err(|_| 4u32)?;
+            let mut queue = FIFO.producer(map, own).map_err(|_| 4u32)?;
             let mut last = 0;
             for number in 0..ROUNDS {
                 until(|| queue.send(&[number, !number]).is_ok())?;
-                read_newest(map, &mut last)?;
+                read_newest(&mut reader, &mut last)?;
             }
-            follow_newest(map, last)
+            follow_newest(&mut reader, last)
         }
     }
 }
 
 /// Reads the newest value, if there is one that is whole.
-fn read_newest(map: &Map<'static>, last: &mut u32) -> Checked {
-    let reader = newest::Reader::attach(map.region(LATEST), NEWEST).map_err(|_| 4u32)?;
-    let mut value = [0; VALUE_WORDS];
-    if reader.read_into(&mut value).is_some() {
-        let number = value[0] >> 8;
-        let whole =
-            (0..VALUE_WORDS as u32).all(|index| value[index as usize] == number << 8 | index);
-        check(whole && number >= *last, 4)?;
+fn read_newest(reader: &mut Reader<'_, Value>, last: &mut u32) -> Checked {
+    if let Ok((_, read)) = reader.read() {
+        let number = read[0] >> 8;
+        check(read == value(number) && number >= *last, 4)?;
         *last = number;
     }
     Ok(())
 }
 
+fn value(number: u32) -> Value {
+    core::array::from_fn(|index| number << 8 | index as u32)
+}
+
 /// Reads until the last value has been read.
-fn follow_newest(map: &Map<'static>, mut last: u32) -> Checked {
+fn follow_newest(reader: &mut Reader<'_, Value>, mut last: u32) -> Checked {
     let mut result = Ok(());
     until(|| {
         let written = WRITTEN.load(Acquire);
-        result = read_newest(map, &mut last);
+        result = read_newest(reader, &mut last);
         result.is_err() || (written && last == 2 * ROUNDS)
     })?;
     result

@@ -7,8 +7,8 @@
 use core::hint::black_box;
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, entry, hart, memory};
-use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
-use tandem_shm::{Shape, fifo};
+use tandem_shm::mailbox::{self, Ring, TaskId, TaskTable};
+use tandem_shm::{Shape, bare, fifo};
 
 entry!(main);
 
@@ -30,8 +30,8 @@ fn main(hart: usize) -> ! {
 type Words = [core::sync::atomic::AtomicU32];
 
 fn send(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
-    let mut to = Sender::attach(mailbox).ok()?;
-    let mut queue = fifo::Producer::attach(queue, SHAPE).ok()?;
+    let mut to = bare::mailbox_sender(mailbox).ok()?;
+    let mut queue = bare::fifo_producer(queue, SHAPE).ok()?;
     loop {
         let message: [u32; 16] = black_box([1; 16]);
         if queue.send(&message).is_ok() && to.signal(TaskId::new(1)?) == Ring::Needed {
@@ -41,12 +41,11 @@ fn send(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
 }
 
 fn receive(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
-    let mut from = Receiver::attach(mailbox).ok()?;
-    let mut queue = fifo::Consumer::attach(queue, SHAPE).ok()?;
+    let mut from = bare::mailbox_receiver(mailbox).ok()?;
+    let mut queue = bare::fifo_consumer(queue, SHAPE).ok()?;
     let mut tasks = TaskTable::new();
-    let take = |queue: &mut fifo::Consumer<'static>, _| {
-        let mut message = [0; 16];
-        while queue.receive_into(&mut message) {
+    let take = |queue: &mut fifo::Consumer<'static, [u32; 16]>, _| {
+        while let Ok(Some(message)) = queue.receive() {
             black_box(&message);
         }
     };

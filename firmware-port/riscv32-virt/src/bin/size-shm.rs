@@ -7,24 +7,21 @@ use core::hint::black_box;
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, entry, hart, memory};
 use tandem_shm::incarnation::Incarnation;
-use tandem_shm::lock::{self, Lock};
-use tandem_shm::mailbox::{self, Receiver, Ring, Sender, TaskId, TaskTable};
-use tandem_shm::map::{Layout, Map, Region};
-use tandem_shm::pool::{self, Pool};
-use tandem_shm::{Shape, broadcast, fifo, newest};
+use tandem_shm::mailbox::{Ring, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region, SharedLock, SharedPool};
 
 entry!(main);
 
-const SHAPE: Shape = Shape::new(8, 16);
-const BLOCKS: usize = 16;
-const LAYOUT: Layout = Layout::new(&[
-    Region::new("mailbox", mailbox::WORDS),
-    Region::new("fifo", fifo::words(SHAPE)),
-    Region::new("newest", newest::words(SHAPE)),
-    Region::new("broadcast", broadcast::words(SHAPE)),
-    Region::new("lock", lock::WORDS),
-    Region::new("pool", pool::words(BLOCKS)),
-]);
+type Message = [u32; 16];
+
+const MAILBOX: Region<Mailbox> = Region::first("mailbox");
+const FIFO: Region<Fifo<Message, 8>> = MAILBOX.then("fifo");
+const NEWEST: Region<Newest<Message, 8>> = FIFO.then("newest");
+const BROADCAST: Region<Broadcast<Message, 8>> = NEWEST.then("broadcast");
+const LOCK: Region<SharedLock> = BROADCAST.then("lock");
+const POOL: Region<SharedPool<16>> = LOCK.then("pool");
+const LAYOUT: Layout = POOL.end();
 
 fn main(hart: usize) -> ! {
     let incarnation = Incarnation::new(hart % 3, black_box(1));
@@ -46,9 +43,9 @@ fn map() -> Option<Map<'static>> {
 fn share(incarnation: Incarnation) -> Option<()> {
     let map = map()?;
     map.incarnations().announce(incarnation).ok()?;
-    let mut lock = Lock::attach(map.region(4), incarnation, map.incarnations()).ok()?;
+    let mut lock = LOCK.attach(&map, incarnation).ok()?;
     drop(lock.lock(black_box(10), tandem_shm::sync::spin).ok()?);
-    let pool = Pool::attach(map.region(5), BLOCKS, incarnation, map.incarnations()).ok()?;
+    let pool = POOL.attach(&map, incarnation).ok()?;
     pool.reclaim_dead();
     let handle = pool.get(black_box(20)).ok()?;
     black_box(pool.open(handle).ok()?);
@@ -56,29 +53,22 @@ fn share(incarnation: Incarnation) -> Option<()> {
     pool.give_back(handle).ok()
 }
 
-fn send(_: Incarnation) -> Option<()> {
+fn send(own: Incarnation) -> Option<()> {
     let map = map()?;
-    let mut to = Sender::attach(map.region(0)).ok()?;
-    let message: [u32; 16] = black_box([1; 16]);
-    fifo::Producer::attach(map.region(1), SHAPE)
-        .ok()?
-        .send(&message)
-        .ok()?;
-    newest::Writer::attach(map.region(2), SHAPE)
-        .ok()?
-        .publish(&message);
-    broadcast::Sender::attach(map.region(3), SHAPE)
-        .ok()?
-        .send(&message);
+    let mut to = MAILBOX.sender(&map, own).ok()?;
+    let message: Message = black_box([1; 16]);
+    FIFO.producer(&map, own).ok()?.send(&message).ok()?;
+    NEWEST.writer(&map, own).ok()?.publish(&message);
+    BROADCAST.writer(&map, own).ok()?.publish(&message);
     if to.signal_with(TaskId::new(black_box(1))?, 7) == Ring::Needed {
         clint::post(1);
     }
     Some(())
 }
 
-fn receive(_: Incarnation) -> Option<()> {
+fn receive(own: Incarnation) -> Option<()> {
     let map = map()?;
-    let mut from = Receiver::attach(map.region(0)).ok()?;
+    let mut from = MAILBOX.receiver(&map, own).ok()?;
     let mut tasks = TaskTable::new();
     tasks
         .add(TaskId::new(1)?, |_, call| _ = black_box(call), 0)
@@ -88,16 +78,8 @@ fn receive(_: Incarnation) -> Option<()> {
         hart::sleep();
         from.awake();
     }
-    let mut message = [0; 16];
-    fifo::Consumer::attach(map.region(1), SHAPE)
-        .ok()?
-        .receive_into(&mut message);
-    newest::Reader::attach(map.region(2), SHAPE)
-        .ok()?
-        .read_into(&mut message);
-    let heard = broadcast::Receiver::attach(map.region(3), SHAPE)
-        .ok()?
-        .receive_into(&mut message);
-    black_box((message, heard.is_ok()));
+    black_box(FIFO.consumer(&map, own).ok()?.receive()).ok()?;
+    black_box(NEWEST.reader(&map).ok()?.read()).ok()?;
+    black_box(BROADCAST.receiver(&map).ok()?.receive()).ok()?;
     Some(())
 }

@@ -1,0 +1,513 @@
+//! The channels: FIFO (every value, in order, or full), newest value (the last one, never torn),
+//! broadcast (every value, in order, or how many were lost).
+
+use crate::cell::{self, TandemWords, opaque};
+use crate::map::{self, TandemMap};
+use crate::status::{TandemStatus, TandemStatus as S};
+use tandem_shm::broadcast::{self, Lost, Receiver};
+use tandem_shm::fifo::{self, Consumer, Producer};
+use tandem_shm::newest::{self, ReadError, Reader, View, Writer};
+use tandem_shm::{Shape, bare};
+
+/// The sending end of a FIFO. There is one at a time. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemFifoProducer {
+    /// Private.
+    pub opaque: [usize; 11],
+}
+
+/// The receiving end of a FIFO. There is one at a time. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemFifoConsumer {
+    /// Private.
+    pub opaque: [usize; 11],
+}
+
+/// The writing end of a newest-value channel. There is one at a time. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemNewestWriter {
+    /// Private.
+    pub opaque: [usize; 11],
+}
+
+/// A reading end of a newest-value channel; any number of them. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemNewestReader {
+    /// Private.
+    pub opaque: [usize; 20],
+}
+
+/// The sending end of a broadcast ring. There is one at a time. Static, zero at first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemBroadcastSender {
+    /// Private.
+    pub opaque: [usize; 11],
+}
+
+/// A receiving end of a broadcast ring, with its own cursor; any number of them. Static, zero at
+/// first.
+#[repr(C)]
+#[derive(Debug)]
+pub struct TandemBroadcastReceiver {
+    /// Private.
+    pub opaque: [usize; 11],
+}
+
+/// An end, and whether a slot is lent through it.
+pub(crate) struct End<T> {
+    end: T,
+    lent: bool,
+}
+
+impl<T> End<T> {
+    const fn new(end: T) -> Self {
+        Self { end, lent: false }
+    }
+
+    /// Ends the lending; refuses if nothing is lent.
+    fn take_back(&mut self) -> Result<&mut T, S> {
+        match core::mem::replace(&mut self.lent, false) {
+            true => Ok(&mut self.end),
+            false => Err(S::NothingToEnd),
+        }
+    }
+}
+
+/// A reader, and the value that is being read.
+pub(crate) struct Reading {
+    reader: Reader<'static>,
+    view: Option<View<'static>>,
+}
+
+opaque!(TandemFifoProducer, End<Producer<'static>>, 0x07);
+opaque!(TandemFifoConsumer, End<Consumer<'static>>, 0x08);
+opaque!(TandemNewestWriter, End<Writer<'static>>, 0x09);
+opaque!(TandemNewestReader, Reading, 0x0A);
+opaque!(TandemBroadcastSender, End<Writer<'static>>, 0x0B);
+opaque!(TandemBroadcastReceiver, End<Receiver<'static>>, 0x0C);
+
+impl From<fifo::Full> for S {
+    fn from(_: fifo::Full) -> Self {
+        Self::Full
+    }
+}
+
+impl From<ReadError> for S {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Empty => Self::Empty,
+            ReadError::Overrun | ReadError::Corrupt => Self::Overrun,
+        }
+    }
+}
+
+/// The shape, if there is one with these numbers.
+fn shape(slots: usize, slot_words: usize) -> Result<Shape, S> {
+    let slots_ok = slots.is_power_of_two() && (2..=1 << 16).contains(&slots);
+    if slots_ok && (1..=1 << 16).contains(&slot_words) && slots * slot_words <= 1 << 24 {
+        return Ok(Shape::new(slots, slot_words));
+    }
+    Err(S::OutOfRange)
+}
+
+/// Words of a FIFO of `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words each
+/// (1 ..= 65536), 2^24 words in all at most; 0 if there can be no such FIFO. `TANDEM_FIFO_WORDS` is
+/// the same as a constant.
+#[unsafe(no_mangle)]
+pub extern "C" fn tandem_fifo_words(slots: usize, slot_words: usize) -> usize {
+    shape(slots, slot_words).map_or(0, fifo::words)
+}
+
+/// Attaches to the FIFO in region `region`, behind what earlier incarnations have sent. Both ends
+/// must be given the same shape. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_producer_attach(
+    producer: *mut TandemFifoProducer,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(producer, map, region, |words, _| {
+            Ok(End::new(bare::fifo_producer(
+                words,
+                shape(slots, slot_words)?,
+            )?))
+        })
+    }
+}
+
+/// Lends the next slot, to be filled in place; its words hold an old value. Nothing is sent before
+/// `tandem_fifo_send`; until then another loan lends the same slot. Does not block.
+///
+/// `TANDEM_STATUS_FULL`
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_loan(
+    producer: *mut TandemFifoProducer,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(producer, words, |producer| {
+            let slot = producer.end.loan()?.words().as_slice();
+            producer.lent = true;
+            Ok(slot)
+        })
+    }
+}
+
+/// Sends the value in the slot that was lent. Does not block. Ring the receiver's doorbell, or
+/// signal it through a mailbox, if it may be asleep.
+///
+/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_send(producer: *mut TandemFifoProducer) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(producer, |producer| {
+            // The same slot as was lent: only sending moves to the next.
+            producer.take_back()?.loan()?.send();
+            Ok(S::Ok)
+        })
+    }
+}
+
+/// Attaches to the FIFO in region `region`, at the oldest value that earlier incarnations have not
+/// released. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_consumer_attach(
+    consumer: *mut TandemFifoConsumer,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(consumer, map, region, |words, _| {
+            Ok(End::new(bare::fifo_consumer(
+                words,
+                shape(slots, slot_words)?,
+            )?))
+        })
+    }
+}
+
+/// The next value, to be worked on in place; it stays the next one until `tandem_fifo_release`.
+/// Does not block.
+///
+/// `TANDEM_STATUS_EMPTY`
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_receive(
+    consumer: *mut TandemFifoConsumer,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(consumer, words, |consumer| {
+            let slot = consumer.end.item().ok_or(S::Empty)?.words().as_slice();
+            consumer.lent = true;
+            Ok(slot)
+        })
+    }
+}
+
+/// Frees the slot of the value that was received, for the producer. Does not block.
+///
+/// `TANDEM_STATUS_NOTHING_TO_END` if none was received.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_fifo_release(consumer: *mut TandemFifoConsumer) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(consumer, |consumer| {
+            consumer.take_back()?.item().ok_or(S::Empty)?.release();
+            Ok(S::Ok)
+        })
+    }
+}
+
+/// Words of a channel of `slots` slots (4 are a good number) of `slot_words` words each; ranges as
+/// `tandem_fifo_words`. `TANDEM_NEWEST_WORDS` is the same as a constant.
+#[unsafe(no_mangle)]
+pub extern "C" fn tandem_newest_words(slots: usize, slot_words: usize) -> usize {
+    shape(slots, slot_words).map_or(0, newest::words)
+}
+
+/// Attaches to the channel in region `region`, after the values of earlier incarnations. All ends
+/// must be given the same shape. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_writer_attach(
+    writer: *mut TandemNewestWriter,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(writer, map, region, |words, _| {
+            Ok(End::new(bare::newest_writer(
+                words,
+                shape(slots, slot_words)?,
+            )?))
+        })
+    }
+}
+
+/// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
+/// published before `tandem_newest_publish`. Does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_loan(
+    writer: *mut TandemNewestWriter,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(writer, words, |writer| {
+            writer.lent = true;
+            Ok(writer.end.loan().words().as_slice())
+        })
+    }
+}
+
+/// Publishes the value in the slot that was lent. Does not block.
+///
+/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_publish(writer: *mut TandemNewestWriter) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::with(writer, publish) }
+}
+
+fn publish(writer: &mut End<Writer<'static>>) -> Result<S, S> {
+    // The same slot as was lent: only publishing moves to the next.
+    writer.take_back()?.loan().publish();
+    Ok(S::Ok)
+}
+
+/// Attaches to the channel in region `region`. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_reader_attach(
+    reader: *mut TandemNewestReader,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(reader, map, region, |words, _| {
+            let reader = bare::newest_reader(words, shape(slots, slot_words)?)?;
+            Ok(Reading { reader, view: None })
+        })
+    }
+}
+
+/// The newest value, to be read in place; what is read counts only if `tandem_newest_finish` says
+/// so. Does not block.
+///
+/// `TANDEM_STATUS_EMPTY` if nothing was ever published, `TANDEM_STATUS_OVERRUN` if the writer was
+/// faster: try again.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_view(
+    reader: *mut TandemNewestReader,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(reader, words, |reading| {
+            let view = reading.reader.view()?;
+            Ok(reading.view.insert(view).words().as_slice())
+        })
+    }
+}
+
+/// Whether all that was read through the last view was one value; its number, counted over all
+/// incarnations of the writer and wrapping around, goes to `number` (may be NULL). Does not block.
+///
+/// `TANDEM_STATUS_OVERRUN`: forget what was read. `TANDEM_STATUS_NOTHING_TO_END` without a view.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_finish(
+    reader: *mut TandemNewestReader,
+    number: *mut u32,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(reader, |reading| {
+            let stamp = reading.view.take().ok_or(S::NothingToEnd)?.finish()?;
+            cell::write_if_wanted(number, stamp.0)?;
+            Ok(S::Ok)
+        })
+    }
+}
+
+/// Copies the newest value to `into`, as many words as both have, and its number to `number` (may
+/// be NULL). Tries up to four times; does not block.
+///
+/// `TANDEM_STATUS_EMPTY`, `TANDEM_STATUS_OVERRUN`: the content of `into` is void.
+///
+/// # Safety
+/// As all functions, for `count` initialised words at `into`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_newest_read(
+    reader: *mut TandemNewestReader,
+    into: *mut u32,
+    count: usize,
+    number: *mut u32,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(reader, |reading| {
+            let into = cell::words_mut(into, count)?;
+            let (stamp, ()) = reading.reader.read_by(|words| {
+                into.iter_mut()
+                    .zip(words.iter())
+                    .for_each(|(to, word)| *to = word);
+            })?;
+            cell::write_if_wanted(number, stamp.0)?;
+            Ok(S::Ok)
+        })
+    }
+}
+
+/// Words of a ring of `slots` slots of `slot_words` words each; ranges as `tandem_fifo_words`.
+/// `TANDEM_BROADCAST_WORDS` is the same as a constant.
+#[unsafe(no_mangle)]
+pub extern "C" fn tandem_broadcast_words(slots: usize, slot_words: usize) -> usize {
+    shape(slots, slot_words).map_or(0, broadcast::words)
+}
+
+/// Attaches to the ring in region `region`, after the values of earlier incarnations. All ends must
+/// be given the same shape. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_sender_attach(
+    sender: *mut TandemBroadcastSender,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(sender, map, region, |words, _| {
+            Ok(End::new(bare::broadcast_writer(
+                words,
+                shape(slots, slot_words)?,
+            )?))
+        })
+    }
+}
+
+/// Lends the slot of the next value, to be filled in place; its words hold an old value. Nothing is
+/// sent before `tandem_broadcast_send`. Does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_loan(
+    sender: *mut TandemBroadcastSender,
+    words: *mut TandemWords,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(sender, words, |sender| {
+            sender.lent = true;
+            Ok(sender.end.loan().words().as_slice())
+        })
+    }
+}
+
+/// Sends the value in the slot that was lent. Does not block.
+///
+/// `TANDEM_STATUS_NOTHING_TO_END` if none was lent.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_send(sender: *mut TandemBroadcastSender) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe { cell::with(sender, publish) }
+}
+
+/// Attaches to the ring in region `region`, to receive what is sent from now on, or with `oldest`
+/// not 0 the oldest value that is still there first. Task; does not block.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_receiver_attach(
+    receiver: *mut TandemBroadcastReceiver,
+    map: *const TandemMap,
+    region: usize,
+    slots: usize,
+    slot_words: usize,
+    oldest: u32,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        map::attach(receiver, map, region, |words, _| {
+            let end = bare::broadcast_receiver(words, shape(slots, slot_words)?)?;
+            Ok(End::new(if oldest == 0 { end } else { end.from_oldest() }))
+        })
+    }
+}
+
+/// Writes how many values are lost.
+///
+/// # Safety
+/// 1 of the caller's contract.
+unsafe fn overrun(lost: *mut u32, error: Lost) -> S {
+    // SAFETY: 1 of the caller's contract.
+    match unsafe { cell::write_if_wanted(lost, error.count) } {
+        Ok(()) => S::Overrun,
+        Err(error) => error,
+    }
+}
+
+/// The next value, to be read in place; what is read counts, and the cursor moves on, only with
+/// `tandem_broadcast_finish`. Does not block.
+///
+/// `TANDEM_STATUS_EMPTY`; `TANDEM_STATUS_OVERRUN` if values were overwritten before they were
+/// received: how many goes to `lost` (may be NULL), and the next call continues behind them.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_receive(
+    receiver: *mut TandemBroadcastReceiver,
+    words: *mut TandemWords,
+    lost: *mut u32,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::lend(receiver, words, |receiver| {
+            receiver.lent = false;
+            let found = receiver.end.item().map_err(|error| overrun(lost, error))?;
+            let slot = found.ok_or(S::Empty)?.words().as_slice();
+            receiver.lent = true;
+            Ok(slot)
+        })
+    }
+}
+
+/// Ends the reading: whether all that was read was one value. Its number goes to `number` (may be
+/// NULL). Does not block.
+///
+/// `TANDEM_STATUS_OVERRUN` as `tandem_broadcast_receive`: forget what was read.
+/// `TANDEM_STATUS_NOTHING_TO_END` if nothing was received.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_broadcast_finish(
+    receiver: *mut TandemBroadcastReceiver,
+    number: *mut u32,
+    lost: *mut u32,
+) -> TandemStatus {
+    // SAFETY: the caller's contract is passed on.
+    unsafe {
+        cell::with(receiver, |receiver| {
+            // The same value again, or it was overwritten.
+            let finished = match receiver.take_back()?.item() {
+                Ok(Some(item)) => item.finish(),
+                Ok(None) => return Err(S::NothingToEnd),
+                Err(error) => Err(error),
+            };
+            let stamp = finished.map_err(|error| overrun(lost, error))?;
+            cell::write_if_wanted(number, stamp.0)?;
+            Ok(S::Ok)
+        })
+    }
+}

@@ -1,0 +1,86 @@
+//! Ends over bare words, whose place and shape are known at run time only: for C, for words that are
+//! no LMU (a board's own rings), and for models.
+//!
+//! Nothing is checked beyond size and alignment. The caller gives each end of an object the same
+//! words, shape and payload, and attaches an end that exists once only once. Code in Rust over a map
+//! uses [`Region`](crate::region::Region), which checks all of this.
+//!
+//! # Errors
+//! Each function returns [`FitError`] if the words are too few or do not begin a cache line.
+
+#![allow(clippy::missing_errors_doc, reason = "said once above")]
+
+use crate::fifo::{Consumer, Producer};
+use crate::incarnation::{Incarnation, Incarnations};
+use crate::lock::Lock;
+use crate::mailbox::{Receiver, Sender};
+use crate::newest::{Reader, Writer};
+use crate::pool::Pool;
+use crate::shape::{FitError, Shape};
+use crate::sync::AtomicU32;
+use crate::{broadcast, newest};
+
+/// An end of the lock in these words. `incarnation` was announced in `incarnations`.
+pub fn lock<'a>(
+    words: &'a [AtomicU32],
+    incarnation: Incarnation,
+    incarnations: Incarnations<'a>,
+) -> Result<Lock<'a>, FitError> {
+    Lock::attach(words, incarnation, incarnations)
+}
+
+/// The pool of `blocks` blocks in these words. `incarnation` was announced in `incarnations`.
+///
+/// # Panics
+/// If `blocks` is not 1 ..= [`MAX_BLOCKS`](crate::pool::MAX_BLOCKS).
+pub fn pool<'a>(
+    words: &'a [AtomicU32],
+    blocks: usize,
+    incarnation: Incarnation,
+    incarnations: Incarnations<'a>,
+) -> Result<Pool<'a>, FitError> {
+    Pool::attach(words, blocks, incarnation, incarnations)
+}
+
+/// The sending end of a mailbox. Ring the receiver's doorbell once afterwards.
+pub fn mailbox_sender(words: &[AtomicU32]) -> Result<Sender<'_>, FitError> {
+    Sender::attach(words)
+}
+
+/// The receiving end of a mailbox.
+pub fn mailbox_receiver(words: &[AtomicU32]) -> Result<Receiver<'_>, FitError> {
+    Receiver::attach(words)
+}
+
+/// The writing end of a newest-value channel.
+pub fn newest_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'_, T>, FitError> {
+    Ok(Writer::attach(newest::ring(words, shape)?))
+}
+
+/// A reading end of a newest-value channel.
+pub fn newest_reader<T>(words: &[AtomicU32], shape: Shape) -> Result<Reader<'_, T>, FitError> {
+    Ok(Reader::attach(newest::ring(words, shape)?))
+}
+
+/// The writing end of a broadcast ring.
+pub fn broadcast_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'_, T>, FitError> {
+    Ok(Writer::attach(broadcast::ring(words, shape)?))
+}
+
+/// A receiving end of a broadcast ring, for what is published from now on.
+pub fn broadcast_receiver<T>(
+    words: &[AtomicU32],
+    shape: Shape,
+) -> Result<broadcast::Receiver<'_, T>, FitError> {
+    Ok(broadcast::Receiver::attach(broadcast::ring(words, shape)?))
+}
+
+/// The sending end of a queue.
+pub fn fifo_producer<T>(words: &[AtomicU32], shape: Shape) -> Result<Producer<'_, T>, FitError> {
+    Producer::attach(words, shape)
+}
+
+/// The receiving end of a queue.
+pub fn fifo_consumer<T>(words: &[AtomicU32], shape: Shape) -> Result<Consumer<'_, T>, FitError> {
+    Consumer::attach(words, shape)
+}

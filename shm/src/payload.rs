@@ -1,0 +1,138 @@
+//! What crosses the LMU: the words of a slot, to be worked on in place, and the codec of a payload.
+
+use crate::sync::{AtomicU32, Ordering};
+
+/// A word has a value that its writer cannot have written: the whole value is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Corrupt;
+
+/// A type that crosses the LMU as a fixed number of words: the codec of a payload.
+pub trait Payload: Sized {
+    /// How many words it takes; at least 1.
+    const WORDS: usize;
+
+    /// Writes all words, in order, by `put`.
+    fn store(&self, put: &mut impl FnMut(u32));
+
+    /// Reads the words, in order, by `take`. They are an allegation of another core: each value
+    /// that is not of the type is refused.
+    ///
+    /// # Errors
+    /// [`Corrupt`] if a word has an impossible value.
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt>;
+}
+
+impl Payload for u32 {
+    const WORDS: usize = 1;
+
+    #[inline]
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put(*self);
+    }
+
+    #[inline]
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(take())
+    }
+}
+
+impl<const N: usize> Payload for [u32; N] {
+    const WORDS: usize = N;
+
+    #[inline]
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        self.iter().copied().for_each(put);
+    }
+
+    #[inline]
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        Ok(core::array::from_fn(|_| take()))
+    }
+}
+
+/// Words of a slot to read in place. What they hold may be an allegation of another core.
+#[derive(Clone, Copy, Debug)]
+pub struct WordsRef<'a>(&'a [AtomicU32]);
+
+/// Words of a slot to fill in place. No other core sees them as a value yet.
+#[derive(Debug)]
+pub struct WordsMut<'a>(&'a [AtomicU32]);
+
+impl<'a> WordsRef<'a> {
+    pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
+        Self(words)
+    }
+
+    /// The word at `index`.
+    ///
+    /// # Panics
+    /// If the slot has no such word.
+    #[inline]
+    #[must_use]
+    pub fn get(&self, index: usize) -> u32 {
+        self.0[index].load(Ordering::Relaxed)
+    }
+
+    /// All words in order.
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = u32> + use<'a> {
+        self.0.iter().map(|word| word.load(Ordering::Relaxed))
+    }
+
+    /// The words themselves, for a caller that cannot keep a view, such as C. They stay mapped, but
+    /// what is in them is this value only as long as the view says so.
+    #[inline]
+    #[must_use]
+    pub const fn as_slice(&self) -> &'a [AtomicU32] {
+        self.0
+    }
+
+    #[inline]
+    pub(crate) fn load<T: Payload>(&self) -> Result<T, Corrupt> {
+        // One comparison of lengths; the words of an array need no further one.
+        let words = self.0.get(..T::WORDS).ok_or(Corrupt)?;
+        let mut at = 0;
+        T::load(&mut || {
+            at += 1;
+            words
+                .get(at - 1)
+                .map_or(0, |word| word.load(Ordering::Relaxed))
+        })
+    }
+}
+
+impl<'a> WordsMut<'a> {
+    pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
+        Self(words)
+    }
+
+    /// Sets the word at `index`.
+    ///
+    /// # Panics
+    /// If the slot has no such word.
+    #[inline]
+    pub fn set(&mut self, index: usize, value: u32) {
+        self.0[index].store(value, Ordering::Relaxed);
+    }
+
+    /// The words themselves, for a caller that cannot keep a view, such as C. They are the caller's
+    /// to write only until the value is sent.
+    #[inline]
+    #[must_use]
+    pub const fn as_slice(&self) -> &'a [AtomicU32] {
+        self.0
+    }
+
+    #[inline]
+    pub(crate) fn store<T: Payload>(&mut self, value: &T) {
+        let Some(words) = self.0.get(..T::WORDS) else {
+            return;
+        };
+        let mut at = 0;
+        value.store(&mut |value| {
+            if let Some(word) = words.get(at) {
+                word.store(value, Ordering::Relaxed);
+            }
+            at += 1;
+        });
+    }
+}

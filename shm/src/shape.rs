@@ -1,0 +1,75 @@
+//! Regions of the LMU: size, alignment, and the shape of a region that is a ring of slots.
+
+use crate::sync::AtomicU32;
+
+/// Words of a cache line of 64 bytes, the unit in which regions are laid out.
+pub const LINE_WORDS: usize = 16;
+
+/// `words` rounded up to whole cache lines.
+#[inline]
+pub(crate) const fn whole_lines(words: usize) -> usize {
+    words.div_ceil(LINE_WORDS) * LINE_WORDS
+}
+
+/// Why a primitive cannot live in the words that it was given. The caller's layout is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FitError {
+    /// Fewer words than the primitive's `words(...)` says.
+    TooSmall,
+    /// The first word does not begin a cache line of 64 bytes.
+    Misaligned,
+}
+
+/// The first `needed` words, if they are there and begin a cache line.
+#[inline]
+pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {
+    // loom's atomics are larger than a word, lines have no meaning for them.
+    if cfg!(not(loom)) && !words.as_ptr().addr().is_multiple_of(4 * LINE_WORDS) {
+        return Err(FitError::Misaligned);
+    }
+    words.get(..needed).ok_or(FitError::TooSmall)
+}
+
+/// The first `WORDS` words, as [`fit`]; their number is known when they are indexed.
+pub(crate) fn fit_exactly<const WORDS: usize>(
+    words: &[AtomicU32],
+) -> Result<&[AtomicU32; WORDS], FitError> {
+    fit(words, WORDS)?.first_chunk().ok_or(FitError::TooSmall)
+}
+
+/// How many slots a channel has and how many words each carries. All ends of a channel must be
+/// given the same shape; it is part of the build, not of the shared memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shape {
+    slots: usize,
+    slot_words: usize,
+}
+
+impl Shape {
+    /// `slots` slots (a power of two, 2 ..= 65536) of `slot_words` words (at least 1) each, 2^28
+    /// words in all at most.
+    ///
+    /// # Panics
+    /// If a number is out of its range; in a constant that is a compile error.
+    #[must_use]
+    #[inline]
+    pub const fn new(slots: usize, slot_words: usize) -> Self {
+        assert!(slots >= 2 && slots <= 1 << 16 && slots.is_power_of_two());
+        assert!(slot_words >= 1 && slot_words <= (1 << 28) / slots);
+        Self { slots, slot_words }
+    }
+
+    /// How many slots.
+    #[must_use]
+    #[inline]
+    pub const fn slots(self) -> usize {
+        self.slots
+    }
+
+    /// Words of one slot.
+    #[must_use]
+    #[inline]
+    pub const fn slot_words(self) -> usize {
+        self.slot_words
+    }
+}
