@@ -9,7 +9,7 @@
 
 use core::marker::PhantomData;
 
-use crate::payload::{Payload, WordsRef};
+use crate::payload::{Payload, WordsRef, load};
 use crate::ring::Ring;
 pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape};
@@ -83,17 +83,23 @@ impl<'a, T> Receiver<'a, T> {
     /// them.
     #[inline]
     pub fn item(&mut self) -> Result<Option<Item<'_, 'a, T>>, Lost> {
-        if self.cursor == self.head {
-            self.head = self.ring.head();
-            if self.cursor == self.head {
-                return Ok(None);
-            }
+        if !self.is_there() {
+            return Ok(None);
         }
         if self.ring.is_complete(self.cursor) {
             Ok(Some(Item { receiver: self }))
         } else {
             Err(self.skip())
         }
+    }
+
+    /// Whether the value at the cursor was published.
+    #[inline]
+    fn is_there(&mut self) -> bool {
+        if self.cursor == self.head {
+            self.head = self.ring.head();
+        }
+        self.cursor != self.head
     }
 
     /// Puts the cursor where values are to be had again.
@@ -121,14 +127,18 @@ impl<T: Payload> Receiver<'_, T> {
     /// [`Lost`] as [`Receiver::item`]; also for a value whose words are none of the type.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<(Stamp, T)>, Lost> {
-        let Some(item) = self.item()? else {
+        let k = self.cursor;
+        if !self.is_there() {
             return Ok(None);
-        };
-        let value = item.words().load();
-        let stamp = item.finish()?;
-        value
-            .map(|value| Some((stamp, value)))
-            .map_err(|_| Lost { count: 1 })
+        }
+        match self.ring.read(k, T::WORDS, load) {
+            Some(value) => {
+                self.cursor = k.wrapping_add(1);
+                let value = value.map_err(|_| Lost { count: 1 })?;
+                Ok(Some((Stamp(k), value)))
+            }
+            None => Err(self.skip()),
+        }
     }
 }
 

@@ -25,7 +25,7 @@
 
 use core::marker::PhantomData;
 
-use crate::payload::{Corrupt, Payload, WordsMut, WordsRef};
+use crate::payload::{Corrupt, Payload, WordsMut, WordsRef, load, store};
 use crate::shape::{FitError, LINE_WORDS, Shape, fit, whole_lines};
 use crate::sync::{AtomicU32, Ordering};
 
@@ -91,9 +91,15 @@ impl<'a> Queue<'a> {
     /// The words and the stamp of value k.
     #[inline]
     fn slot(&self, k: u32) -> (&'a [AtomicU32], &'a AtomicU32) {
+        self.slot_of(k, self.slot_words)
+    }
+
+    /// The same if a slot has `slot_words` words. A constant saves instructions.
+    #[inline]
+    fn slot_of(&self, k: u32, slot_words: usize) -> (&'a [AtomicU32], &'a AtomicU32) {
         let first = (k & self.mask) as usize * self.stride;
-        let stamp = first + self.slot_words;
-        (&self.slots[first..stamp], &self.slots[stamp])
+        let slot = &self.slots[first..][..slot_words + 1];
+        (&slot[..slot_words], &slot[slot_words])
     }
 
     #[inline]
@@ -132,7 +138,7 @@ impl<'a> Queue<'a> {
     /// How far ahead of `head` the complete value in this slot is, if it is. The slots of an empty
     /// queue hold the last values that were received, one turn behind.
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
-        // Acquire pairs with the Release in `Loan::send`: who sees a value sees those before it.
+        // Acquire pairs with the Release in `complete`: who sees a value sees those before it.
         let k = complete(self.stamp(slot).load(Ordering::Acquire));
         let ahead = k.wrapping_sub(head);
         let is_ahead = k & self.mask == slot & self.mask && ahead < !self.mask;
@@ -207,6 +213,17 @@ impl<'a, T> Producer<'a, T> {
     /// [`Full`]
     #[inline]
     pub fn loan(&mut self) -> Result<Loan<'_, 'a, T>, Full> {
+        self.make_room()?;
+        let (words, stamp) = self.queue.slot(self.tail);
+        Ok(Loan {
+            words: WordsMut::new(words),
+            stamp,
+            producer: self,
+        })
+    }
+
+    #[inline]
+    fn make_room(&mut self) -> Result<(), Full> {
         if self.tail == self.limit {
             // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
             let released = self.queue.released.load(Ordering::Acquire);
@@ -216,12 +233,14 @@ impl<'a, T> Producer<'a, T> {
                 return Err(Full);
             }
         }
-        let (words, stamp) = self.queue.slot(self.tail);
-        Ok(Loan {
-            words: WordsMut::new(words),
-            stamp,
-            producer: self,
-        })
+        Ok(())
+    }
+
+    #[inline]
+    fn complete(&mut self, stamp: &AtomicU32) {
+        // Release pairs with the Acquire in `item` and `receive`: who sees the stamp sees the words.
+        stamp.store(complete(self.tail), Ordering::Release);
+        self.tail = self.tail.wrapping_add(1);
     }
 }
 
@@ -232,9 +251,10 @@ impl<T: Payload> Producer<'_, T> {
     /// [`Full`]; the value was not sent.
     #[inline]
     pub fn send(&mut self, value: &T) -> Result<(), Full> {
-        let mut loan = self.loan()?;
-        loan.words.store(value);
-        loan.send();
+        self.make_room()?;
+        let (words, stamp) = self.queue.slot_of(self.tail, T::WORDS);
+        store(words, value);
+        self.complete(stamp);
         Ok(())
     }
 }
@@ -258,10 +278,7 @@ impl<'a, T> Loan<'_, 'a, T> {
     /// Sends the value.
     #[inline]
     pub fn send(self) {
-        let tail = self.producer.tail;
-        // Release pairs with the Acquire in `receive`: who sees the stamp sees the words.
-        self.stamp.store(complete(tail), Ordering::Release);
-        self.producer.tail = tail.wrapping_add(1);
+        self.producer.complete(self.stamp);
     }
 }
 
@@ -294,7 +311,7 @@ impl<'a, T> Consumer<'a, T> {
     #[inline]
     pub fn item(&mut self) -> Option<Item<'_, 'a, T>> {
         let (words, stamp) = self.queue.slot(self.head);
-        // Acquire pairs with the Release in `Loan::send`.
+        // Acquire pairs with the Release in `complete`.
         if stamp.load(Ordering::Acquire) != complete(self.head) {
             self.found_nothing();
             return None;
@@ -320,8 +337,16 @@ impl<'a, T> Consumer<'a, T> {
     }
 
     #[inline]
+    fn release(&mut self) {
+        self.head = self.head.wrapping_add(1);
+        if self.queue.is_group(self.head) {
+            self.publish();
+        }
+    }
+
+    #[inline]
     fn publish(&self) {
-        // Release pairs with the Acquire in `loan`: the slot is read before it is
+        // Release pairs with the Acquire in `make_room`: the slot is read before it is
         // refilled.
         self.queue.released.store(self.head, Ordering::Release);
     }
@@ -334,11 +359,14 @@ impl<T: Payload> Consumer<'_, T> {
     /// [`Corrupt`] if it is no value of the type; it is released all the same.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
-        let Some(item) = self.item() else {
+        let (words, stamp) = self.queue.slot_of(self.head, T::WORDS);
+        // Acquire pairs with the Release in `complete`.
+        if stamp.load(Ordering::Acquire) != complete(self.head) {
+            self.found_nothing();
             return Ok(None);
-        };
-        let value = item.words.load();
-        item.release();
+        }
+        let value = load(words);
+        self.release();
         value.map(Some)
     }
 }
@@ -362,11 +390,7 @@ impl<'a, T> Item<'_, 'a, T> {
     /// Frees the slot for the producer.
     #[inline]
     pub fn release(self) {
-        let consumer = self.consumer;
-        consumer.head = consumer.head.wrapping_add(1);
-        if consumer.queue.is_group(consumer.head) {
-            consumer.publish();
-        }
+        self.consumer.release();
     }
 }
 

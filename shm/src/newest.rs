@@ -9,7 +9,7 @@
 
 use core::marker::PhantomData;
 
-use crate::payload::{Corrupt, Payload, WordsRef};
+use crate::payload::{Corrupt, Payload, WordsRef, load};
 use crate::ring::{CLAIM_AT, Ring};
 pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape, whole_lines};
@@ -111,16 +111,21 @@ impl<'a, T> Reader<'a, T> {
         &self,
         mut f: impl FnMut(WordsRef<'a>) -> R,
     ) -> Result<(Stamp, R), ReadError> {
+        self.attempt(self.ring.slot_words(), |words| f(WordsRef::new(words)))
+    }
+
+    fn attempt<R>(
+        &self,
+        count: usize,
+        mut f: impl FnMut(&'a [AtomicU32]) -> R,
+    ) -> Result<(Stamp, R), ReadError> {
         for _ in 0..ATTEMPTS {
-            match self.view() {
-                Ok(view) => {
-                    let value = f(view.words());
-                    if let Ok(stamp) = view.finish() {
-                        return Ok((stamp, value));
-                    }
-                }
-                Err(ReadError::Empty) => return Err(ReadError::Empty),
-                Err(_) => {}
+            let head = self.ring.head();
+            let k = head.wrapping_sub(1);
+            match self.ring.read(k, count, &mut f) {
+                Some(value) => return Ok((Stamp(k), value)),
+                None if head == 0 => return Err(ReadError::Empty),
+                None => {}
             }
         }
         Err(ReadError::Overrun)
@@ -134,7 +139,7 @@ impl<T: Payload> Reader<'_, T> {
     /// [`ReadError`]
     #[inline]
     pub fn read(&self) -> Result<(Stamp, T), ReadError> {
-        let (stamp, value) = self.read_by(|words| words.load())?;
+        let (stamp, value) = self.attempt(T::WORDS, load)?;
         Ok((stamp, value?))
     }
 
@@ -147,7 +152,7 @@ impl<T: Payload> Reader<'_, T> {
         if self.newest() == self.fetched {
             return Ok(None);
         }
-        match self.read_by(|words| words.load()) {
+        match self.attempt(T::WORDS, load) {
             Ok((stamp, value)) => {
                 self.fetched = Some(stamp);
                 value.map(Some)

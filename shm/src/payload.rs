@@ -85,19 +85,6 @@ impl<'a> WordsRef<'a> {
     pub const fn as_slice(&self) -> &'a [AtomicU32] {
         self.0
     }
-
-    #[inline]
-    pub(crate) fn load<T: Payload>(&self) -> Result<T, Corrupt> {
-        // One comparison of lengths; the words of an array need no further one.
-        let words = self.0.get(..T::WORDS).ok_or(Corrupt)?;
-        let mut at = 0;
-        T::load(&mut || {
-            at += 1;
-            words
-                .get(at - 1)
-                .map_or(0, |word| word.load(Ordering::Relaxed))
-        })
-    }
 }
 
 impl<'a> WordsMut<'a> {
@@ -121,18 +108,28 @@ impl<'a> WordsMut<'a> {
     pub const fn as_slice(&self) -> &'a [AtomicU32] {
         self.0
     }
+}
 
-    #[inline]
-    pub(crate) fn store<T: Payload>(&mut self, value: &T) {
-        let Some(words) = self.0.get(..T::WORDS) else {
-            return;
-        };
-        let mut at = 0;
-        value.store(&mut |value| {
-            if let Some(word) = words.get(at) {
-                word.store(value, Ordering::Relaxed);
-            }
-            at += 1;
-        });
-    }
+/// Stores a value in its words.
+#[inline]
+pub(crate) fn store<T: Payload>(words: &[AtomicU32], value: &T) {
+    let mut at = 0;
+    value.store(&mut |value| {
+        if let Some(word) = words.get(at) {
+            word.store(value, Ordering::Relaxed);
+        }
+        at += 1;
+    });
+}
+
+/// Loads a value from its words.
+#[inline]
+pub(crate) fn load<T: Payload>(words: &[AtomicU32]) -> Result<T, Corrupt> {
+    let mut at = 0;
+    T::load(&mut || {
+        at += 1;
+        words
+            .get(at - 1)
+            .map_or(0, |word| word.load(Ordering::Relaxed))
+    })
 }

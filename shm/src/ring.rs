@@ -12,7 +12,7 @@
 
 use core::marker::PhantomData;
 
-use crate::payload::{Payload, WordsMut};
+use crate::payload::{Payload, WordsMut, store};
 use crate::shape::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
 
@@ -58,6 +58,10 @@ impl<'a> Ring<'a> {
         })
     }
 
+    pub(crate) const fn slot_words(&self) -> usize {
+        self.shape.slot_words()
+    }
+
     pub(crate) const fn slots(&self) -> u32 {
         self.shape.slots() as u32
     }
@@ -82,8 +86,14 @@ impl<'a> Ring<'a> {
     /// The words of value k.
     #[inline]
     pub(crate) fn payload(&self, k: u32) -> &'a [AtomicU32] {
-        let first = self.at(k) + 1;
-        &self.slots[first..first + self.shape.slot_words()]
+        self.slot(k, self.shape.slot_words()).1
+    }
+
+    /// The stamp and the first `count` words of value k. A constant `count` saves instructions.
+    #[inline]
+    fn slot(&self, k: u32, count: usize) -> (&'a AtomicU32, &'a [AtomicU32]) {
+        let slot = &self.slots[self.at(k)..][..1 + count];
+        (&slot[0], &slot[1..])
     }
 
     /// Writer: value k begins to be written.
@@ -101,6 +111,24 @@ impl<'a> Ring<'a> {
         self.stamp(k).store(complete(k), Ordering::Relaxed);
         // Release pairs with the Acquire in `head`: who sees the head sees the stamp and the words.
         self.head.store(k.wrapping_add(1), Ordering::Release);
+    }
+
+    /// Reader: what `f` reads of the first `count` words of value k, which is below a head that it
+    /// has seen. `None` if it is not, or no longer, in its slot.
+    #[inline]
+    pub(crate) fn read<R>(
+        &self,
+        k: u32,
+        count: usize,
+        f: impl FnOnce(&'a [AtomicU32]) -> R,
+    ) -> Option<R> {
+        let (stamp, words) = self.slot(k, count);
+        // Relaxed: as in `is_complete`.
+        if stamp.load(Ordering::Relaxed) != complete(k) {
+            return None;
+        }
+        let value = f(words);
+        self.is_intact(k).then_some(value)
     }
 
     /// Reader, before it reads: whether value k, which is below a head that it has seen, lies in
@@ -157,6 +185,14 @@ impl<'a, T> Writer<'a, T> {
         }
     }
 
+    #[inline]
+    fn complete(&mut self) -> Stamp {
+        let stamp = Stamp(self.next);
+        self.ring.complete(stamp.0);
+        self.next = stamp.0.wrapping_add(1);
+        stamp
+    }
+
     /// Lends the slot of the next value, to be filled in place. Its words hold an old value.
     /// Without [`Loan::publish`] nothing is published. Never blocks.
     #[inline]
@@ -173,9 +209,9 @@ impl<T: Payload> Writer<'_, T> {
     /// Makes `value` the newest. Never blocks.
     #[inline]
     pub fn publish(&mut self, value: &T) -> Stamp {
-        let mut loan = self.loan();
-        loan.words.store(value);
-        loan.publish()
+        self.ring.begin(self.next);
+        store(self.ring.slot(self.next, T::WORDS).1, value);
+        self.complete()
     }
 }
 
@@ -197,9 +233,6 @@ impl<'a, T> Loan<'_, 'a, T> {
     /// Publishes the value.
     #[inline]
     pub fn publish(self) -> Stamp {
-        let stamp = Stamp(self.writer.next);
-        self.writer.ring.complete(stamp.0);
-        self.writer.next = stamp.0.wrapping_add(1);
-        stamp
+        self.writer.complete()
     }
 }

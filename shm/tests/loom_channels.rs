@@ -17,6 +17,7 @@ use tandem_shm::sync::{Ordering, spin};
 use tandem_shm::{LINE_WORDS, Shape, fifo};
 
 const SHAPE: Shape = Shape::new(2, 2);
+type Value = [u32; 2];
 
 /// The reader gets whole values, never an older one after a newer one, while the writer laps it and
 /// is replaced by a successor in the middle of a value.
@@ -35,7 +36,7 @@ fn newest_is_never_torn_and_never_goes_back() {
                 successor.publish(&[3, 3]);
             })
         };
-        let reader = bare::newest_reader(&words, SHAPE).unwrap();
+        let reader = bare::newest_reader::<Value>(&words, SHAPE).unwrap();
         let mut last = 0;
         for _ in 0..2 {
             match reader.read() {
@@ -70,7 +71,7 @@ fn broadcast_values_are_received_or_counted() {
             })
         };
         let mut next = 0;
-        let mut look = |receiver: &mut broadcast::Receiver<'_, [u32; 2]>| {
+        let mut look = |receiver: &mut broadcast::Receiver<'_, Value>| {
             match receiver.receive() {
                 Ok(None) => return false,
                 Ok(Some((stamp, value))) => {
@@ -95,8 +96,10 @@ fn broadcast_values_are_received_or_counted() {
 fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
     model(2, || {
         let words = zeroed(broadcast::words(SHAPE));
-        let receive = |receiver: &mut broadcast::Receiver<'_, [u32; 2]>, next: &mut Option<u32>| {
-            match receiver.receive() {
+        let receive =
+            |receiver: &mut broadcast::Receiver<'_, Value>, next: &mut Option<u32>| match receiver
+                .receive()
+            {
                 Ok(None) => {}
                 Ok(Some((Stamp(number), value))) => {
                     assert_eq!(value, [number; 2]);
@@ -104,8 +107,7 @@ fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
                     *next = Some(number + 1);
                 }
                 Err(Lost { count }) => *next = next.map(|next| next + count),
-            }
-        };
+            };
         let sender = {
             let words = words.clone();
             thread::spawn(move || {
@@ -142,7 +144,7 @@ fn two_receivers_of_a_broadcast_do_not_disturb_each_other() {
 }
 
 /// Waits for the next value of a queue.
-fn next(consumer: &mut fifo::Consumer<'_, [u32; 2]>) -> [u32; 2] {
+fn next(consumer: &mut fifo::Consumer<'_, Value>) -> Value {
     loop {
         match consumer.receive().unwrap() {
             Some(value) => return value,
@@ -159,7 +161,7 @@ fn fifo_values_arrive_in_order() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                 for k in 1..=3 {
                     while producer.send(&[k, k]).is_err() {
                         spin(1);
@@ -167,7 +169,7 @@ fn fifo_values_arrive_in_order() {
                 }
             })
         };
-        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer::<Value>(&words, SHAPE).unwrap();
         for k in 1..=3 {
             assert_eq!(next(&mut consumer), [k; 2]);
         }
@@ -186,11 +188,11 @@ fn fifo_slots_are_refilled_after_they_were_read() {
         let producer = {
             let (words, slots) = (words.clone(), slots.clone());
             thread::spawn(move || {
-                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                 for k in 0..4 {
                     if k == 3 {
                         // A successor may refill what its predecessor might have.
-                        producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                        producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                     }
                     let loan = loop {
                         match producer.loan() {
@@ -203,7 +205,7 @@ fn fifo_slots_are_refilled_after_they_were_read() {
                 }
             })
         };
-        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer::<Value>(&words, SHAPE).unwrap();
         for k in 0..4 {
             let item = loop {
                 match consumer.item() {
@@ -227,7 +229,7 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                 for k in 1..=2 {
                     producer.send(&[k, k]).unwrap();
                 }
@@ -235,7 +237,7 @@ fn fifo_values_behind_a_mended_stamp_are_whole() {
                 let _ = producer.loan();
             })
         };
-        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer::<Value>(&words, SHAPE).unwrap();
         let mut last = 0;
         for _ in 0..2 {
             if let Some(value) = consumer.receive().unwrap() {
@@ -260,7 +262,7 @@ fn fifo_survives_a_new_consumer() {
         let producer = {
             let words = words.clone();
             thread::spawn(move || {
-                let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                 for k in 1..=2 {
                     producer.send(&[k, k]).unwrap();
                 }
@@ -268,7 +270,7 @@ fn fifo_survives_a_new_consumer() {
         };
         let mut next = 1;
         for _ in 0..3 {
-            let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+            let mut consumer = bare::fifo_consumer::<Value>(&words, SHAPE).unwrap();
             if let Some(value) = consumer.receive().unwrap() {
                 assert_eq!(value, [next; 2]);
                 next += 1;
@@ -288,7 +290,7 @@ fn fifo_survives_new_producers() {
             let words = words.clone();
             thread::spawn(move || {
                 for k in 0..3 {
-                    let mut producer = bare::fifo_producer(&words, SHAPE).unwrap();
+                    let mut producer = bare::fifo_producer::<Value>(&words, SHAPE).unwrap();
                     assert_eq!(producer.sent(), k);
                     while producer.send(&[k, k]).is_err() {
                         spin(1);
@@ -299,7 +301,7 @@ fn fifo_survives_new_producers() {
                 }
             })
         };
-        let mut consumer = bare::fifo_consumer(&words, SHAPE).unwrap();
+        let mut consumer = bare::fifo_consumer::<Value>(&words, SHAPE).unwrap();
         for k in 0..3 {
             assert_eq!(next(&mut consumer), [k, k]);
         }

@@ -12,7 +12,7 @@ use tandem_shm::bare;
 use tandem_shm::fault::kill_at;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
 use tandem_shm::lock::{self, Lock};
-use tandem_shm::mailbox::{self, Receiver, Sender, TaskId};
+use tandem_shm::mailbox::{self, Receiver, TaskId};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 

@@ -10,7 +10,7 @@ use loom::sync::Arc;
 use loom::thread;
 use tandem_shm::bare;
 use tandem_shm::incarnation::{Incarnation, Incarnations};
-use tandem_shm::lock::{self, Acquired, Lock, MAX_WAITED_TURNS};
+use tandem_shm::lock::{self, Acquired, MAX_WAITED_TURNS};
 use tandem_shm::pool::{self, BLOCK_WORDS, Pool};
 use tandem_shm::sync::{AtomicU32, Ordering, spin};
 

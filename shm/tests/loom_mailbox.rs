@@ -9,7 +9,7 @@ use loom::cell::UnsafeCell;
 use loom::sync::{Arc, Notify};
 use loom::thread;
 use tandem_shm::bare;
-use tandem_shm::mailbox::{Receiver, Ring, Sender, TaskId, WORDS};
+use tandem_shm::mailbox::{Ring, TaskId, WORDS};
 use tandem_shm::sync::Ordering;
 
 /// T-SYNC-3: a receiver that goes to sleep is rung for each signal that it has not seen. A lost

@@ -32,7 +32,7 @@ const SOURCES: [(&str, &[&str]); 8] = [
     ("ring", &["loom_channels"]),
     ("fifo", &["loom_channels"]),
     ("map", &["loom_channels"]),
-    ("typed", &["loom_typed"]),
+    ("region", &["loom_region"]),
 ];
 
 const STRONG: [&str; 4] = [

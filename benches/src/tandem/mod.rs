@@ -65,11 +65,26 @@ pub enum Way {
     Channel,
 }
 
-/// How a core waits, and by which way it sends.
+/// How a core waits, by which way it sends, and in which company.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct How {
     pub(crate) policy: WaitPolicy,
     pub(crate) way: Way,
+    /// Cores of the case.
+    pub(crate) parts: u32,
+    pub(crate) incarnation: u32,
+}
+
+impl How {
+    /// By signals, in the next incarnation.
+    fn new(policy: WaitPolicy, parts: u32) -> Self {
+        Self {
+            policy,
+            way: Way::Signal,
+            parts,
+            incarnation: next_incarnation(),
+        }
+    }
 }
 
 /// What a core waits for: a signal that its handler has taken.
@@ -114,26 +129,23 @@ pub(crate) struct Core {
 }
 
 impl Core {
-    /// One of `parts` cores. The planning core, which takes part in each case, formats the LMU.
+    /// The planning core, which takes part in each case, formats the LMU.
     pub(crate) fn start(
         system: &UnsupervisedSystem,
         shared: &Shared,
-        parts: u32,
-        core: CoreId,
-        peer: CoreId,
-        incarnation: u32,
+        [core, peer]: [CoreId; 2],
         how: How,
     ) -> Self {
         let board = system
-            .attach(core, Generation(incarnation))
+            .attach(core, Generation(how.incarnation))
             .expect("the bare system is powered");
         let board: &'static HostBoard = Box::leak(Box::new(board));
         if core == CoreId::PLANNING {
             Map::format(board.lmu(), LAYOUT).expect("it fits");
         }
-        shared.meet(parts);
+        shared.meet(how.parts);
         let map = Map::attach(board.lmu(), LAYOUT).expect("it was formatted");
-        let own = lmu::announce(&map, core.index(), incarnation);
+        let own = lmu::announce(&map, core.index(), how.incarnation);
         let (out, inward) = (INWARD[peer.index()], INWARD[core.index()]);
         let mut tasks = TaskTable::new();
         let handler = match how.way {
@@ -181,18 +193,25 @@ impl End for Core {
     }
 }
 
+/// Core 1 towards core 2, and core 2 towards core 1.
+fn both(plan: &Plan, how: How) -> [impl FnOnce(&Shared) -> Core; 2] {
+    let system = plan.system();
+    let ways = [CoreId::PERCEPTION, CoreId::PLANNING];
+    [ways, [ways[1], ways[0]]]
+        .map(|ways| move |shared: &Shared| Core::start(system, shared, ways, how))
+}
+
 /// One-way time from core 1 to core 2 and back under this waiting policy.
 ///
 /// # Errors
 /// As [`between_processes`].
 pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
-    let (system, incarnation) = (plan.system(), next_incarnation());
-    let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let how = How { policy, way };
-    let start = |core, peer| {
-        move |shared: &Shared| Core::start(system, shared, 2, core, peer, incarnation, how)
+    let how = How {
+        way,
+        ..How::new(policy, 2)
     };
-    between_processes(plan, 0, start(a, b), start(b, a))
+    let [near, far] = both(plan, how);
+    between_processes(plan, 0, near, far)
 }
 
 /// From core 1 over core 2 to core 0; each waits by its policy.
@@ -201,14 +220,11 @@ pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
 /// As [`through_three`].
 pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
     const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
-    let (system, incarnation) = (plan.system(), next_incarnation());
+    let (system, how) = (plan.system(), How::new(WaitPolicy::Sleep, 3));
     through_three(plan, 0, |part, shared| {
-        let (core, next) = (CHAIN[part], CHAIN[(part + 1) % 3]);
-        let how = How {
-            policy: policies[part],
-            way: Way::Signal,
-        };
-        Core::start(system, shared, 3, core, next, incarnation, how)
+        let policy = policies[part];
+        let ways = [CHAIN[part], CHAIN[(part + 1) % 3]];
+        Core::start(system, shared, ways, How { policy, ..how })
     })
 }
 
@@ -217,20 +233,12 @@ pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
 /// # Errors
 /// As [`at_fixed_rate`].
 pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
-    let (system, incarnation) = (plan.system(), next_incarnation());
-    let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let how = How {
-        policy,
-        way: Way::Signal,
-    };
-    let start = |core, peer| {
-        move |shared: &Shared| Core::start(system, shared, 2, core, peer, incarnation, how)
-    };
-    at_fixed_rate(plan, 0, start(a, b), start(b, a))
+    let [near, far] = both(plan, How::new(policy, 2));
+    at_fixed_rate(plan, 0, near, far)
 }
 
 /// Incarnations rise from batch to batch, as those of a core that is reset.
-pub(crate) fn next_incarnation() -> u32 {
+fn next_incarnation() -> u32 {
     static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
     INCARNATIONS.fetch_add(1, Relaxed)
 }

@@ -5,19 +5,14 @@
 //! on the host in a segment of its own. Each direction has two payloads, so that one can be
 //! filled while the other is read.
 
-use super::{Core, How, Way, next_incarnation};
+use super::{Core, How, both};
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_board::CoreId;
 use tandem_shm::wait::WaitPolicy;
 
 const PAYLOADS: usize = 2;
-const SPINNING: How = How {
-    policy: WaitPolicy::Spin,
-    way: Way::Signal,
-};
 /// Words in a cache line.
 const LINE: usize = 16;
 
@@ -73,16 +68,9 @@ pub fn in_place(plan: &Plan, bytes: usize) -> io::Result<Batch> {
     let words = (bytes / 4).next_multiple_of(LINE);
     let payloads = Shared::with_case_words(2 * PAYLOADS * words)?;
     let ways = payloads.case().split_at(PAYLOADS * words);
-    let (system, incarnation) = (plan.system(), next_incarnation());
-    let (a, b) = (CoreId::PERCEPTION, CoreId::PLANNING);
-    let start = |core, peer, out, inward| {
-        move |shared: &Shared| {
-            let core = Core::start(system, shared, 2, core, peer, incarnation, SPINNING);
-            InPlace::start(core, out, inward)
-        }
-    };
-    let near = start(a, b, ways.0, ways.1);
-    let far = start(b, a, ways.1, ways.0);
+    let [near, far] = both(plan, How::new(WaitPolicy::Spin, 2));
+    let near = |shared: &Shared| InPlace::start(near(shared), ways.0, ways.1);
+    let far = |shared: &Shared| InPlace::start(far(shared), ways.1, ways.0);
     Ok(between_processes(plan, 0, near, far)?
         .carrying(bytes as u64)
         .without_facts())

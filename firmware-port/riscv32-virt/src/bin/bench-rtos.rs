@@ -64,11 +64,10 @@ fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
     let options = TaskOptions::new("measure", Priority::new(5)).stack_bytes(16 << 10);
+    let measuring = must(kernel.spawn(&options, measure));
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let (map, own) = attach(0);
     let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
-    let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
-    let measuring = must(kernel.spawn(&options, move |ctx| measure(ctx, &mut to)));
     // Core 0 wants its doorbell whenever it is signalled.
     back.poll(|_| ());
     let _nothing_there = back.prepare_sleep();
@@ -87,7 +86,9 @@ fn control() -> ! {
     panic!("the kernel has stopped")
 }
 
-fn measure(ctx: &TaskContext, to: &mut Sender<'static>) {
+fn measure(ctx: &TaskContext) {
+    let (map, own) = attach(0);
+    let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
         // No other task is ready: into the kernel and back.
         ctx.yield_now();

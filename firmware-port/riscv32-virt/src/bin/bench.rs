@@ -253,15 +253,13 @@ impl Values {
     }
 
     fn newest(&mut self, _: Call) {
-        if let Ok(value) = self.newest.read() {
-            core::hint::black_box(value);
+        if self.newest.read().is_ok() {
             reached();
         }
     }
 
     fn first(&mut self, _: Call) {
-        if let Ok(Some(value)) = self.queue.receive() {
-            core::hint::black_box(value);
+        if let Ok(Some(_)) = self.queue.receive() {
             reached();
         }
     }
