@@ -785,11 +785,11 @@ tandem_status_t tandem_mailbox_add_task(struct tandem_mailbox_receiver_t *receiv
 
 // Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
 // signals there were to `signals` (may be NULL). Polls once and is bounded; a
-// signal that arrives during the call is left to the next one. Task or handler, always the same; does not block.
+// signal that arrives during the call is left to the next one. Task or handler, always the same;
+// does not block.
 //
 // `TANDEM_STATUS_EMPTY` if there was none.
-tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver,
-                                    uint32_t *signals);
+tandem_status_t tandem_mailbox_poll(struct tandem_mailbox_receiver_t *receiver, uint32_t *signals);
 
 // How many signals named a task without a handler; they count as handled. Task; does not block.
 uint32_t tandem_mailbox_unknown(struct tandem_mailbox_receiver_t *receiver);

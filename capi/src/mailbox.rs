@@ -179,7 +179,8 @@ pub unsafe extern "C" fn tandem_mailbox_add_task(
 
 /// Runs the handlers of the tasks that were signalled, the lowest id first, and writes how many
 /// signals there were to `signals` (may be NULL). Polls once and is bounded; a
-/// signal that arrives during the call is left to the next one. Task or handler, always the same; does not block.
+/// signal that arrives during the call is left to the next one. Task or handler, always the same;
+/// does not block.
 ///
 /// `TANDEM_STATUS_EMPTY` if there was none.
 #[unsafe(no_mangle)]

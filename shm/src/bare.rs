@@ -1,9 +1,9 @@
-//! Ends over bare words, whose place and shape are known at run time only: for C, for words that are
-//! no LMU (a board's own rings), and for models.
+//! Ends over bare words, whose place and shape are known at run time only: for C, for words that
+//! are no LMU (a board's own rings), and for models.
 //!
 //! Nothing is checked beyond size and alignment. The caller gives each end of an object the same
-//! words, shape and payload, and attaches an end that exists once only once. Code in Rust over a map
-//! uses [`Region`](crate::region::Region), which checks all of this.
+//! words, shape and payload, and attaches an end that exists once only once. Code in Rust over a
+//! map uses [`Region`](crate::region::Region), which checks all of this.
 //!
 //! # Errors
 //! Each function returns [`FitError`] if the words are too few or do not begin a cache line.

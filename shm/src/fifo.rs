@@ -238,7 +238,8 @@ impl<'a, T> Producer<'a, T> {
 
     #[inline]
     fn complete(&mut self, stamp: &AtomicU32) {
-        // Release pairs with the Acquire in `item` and `receive`: who sees the stamp sees the words.
+        // Release pairs with the Acquire in `item` and `receive`: a core that sees the stamp sees
+        // the words.
         stamp.store(complete(self.tail), Ordering::Release);
         self.tail = self.tail.wrapping_add(1);
     }

@@ -15,7 +15,7 @@
 //! | [`pool`] | words to borrow and give back | any core |
 //! | [`newest`] | the newest value, never torn | one writer, any number of readers |
 //! | [`fifo`] | every value, in order, or full | one producer, one consumer |
-//! | [`broadcast`] | every value, in order, or how many were lost | one writer, any number of receivers |
+//! | [`broadcast`] | every value, in order, or how many were lost | one writer, many receivers |
 //! | [`wait`] | spin, spin then sleep, sleep | no core |
 //!
 //! # What every module holds to
@@ -33,10 +33,10 @@
 //! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
 //!   different lines.
 //!
-//! A core attaches to a [`region`], a constant that knows kind, shape and payload; an end that exists
-//! once is claimed there, and a second one is refused. [`bare`] is for C and for words that are no
-//! LMU: the ends are the same, so a core in Rust and one in C can share a region, but nothing is
-//! claimed, and claims do not see such an end.
+//! A core attaches to a [`region`], a constant that knows kind, shape and payload. An end that
+//! exists once is claimed there, and a second one is refused. [`bare`] is for C and for words that
+//! are no LMU: the ends are the same, so a core in Rust and one in C can share a region, but no end
+//! is claimed, and claims do not see such an end.
 //!
 //! # Example
 //!

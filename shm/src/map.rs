@@ -39,8 +39,8 @@ impl Layout {
         hash: 0x811C_9DC5,
     };
 
-    /// This layout with one more region of `words` words, which begins where the layout ended. FNV-1a
-    /// over names and sizes: images with different layouts must not meet in one LMU.
+    /// This layout with one more region of `words` words, which begins where the layout ended.
+    /// FNV-1a over names and sizes: images with different layouts must not meet in one LMU.
     #[must_use]
     pub const fn with(self, name: &str, words: usize) -> Self {
         let mut hash = self.hash;
@@ -157,8 +157,9 @@ impl<'a> Map<'a> {
         Ok(Self { words, layout })
     }
 
-    /// The words of a region of `count` words that begins at word `begin`, rounded up to whole cache
-    /// lines: for a layout that was made at run time. A [`Region`](crate::shape::Region) knows both.
+    /// The words of a region of `count` words that begins at word `begin`, rounded up to whole
+    /// cache lines: for a layout that was made at run time. A [`Region`](crate::region::Region)
+    /// knows both.
     ///
     /// # Errors
     /// [`FitError`] if the layout ends before.

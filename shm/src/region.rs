@@ -270,8 +270,8 @@ impl<const BLOCKS: usize> Region<SharedPool<BLOCKS>> {
 }
 
 impl Region<Mailbox> {
-    /// The sending end. Ring the receiver's doorbell once after it is attached: an earlier incarnation
-    /// of this core may have died between its signal and its ring.
+    /// The sending end. Ring the receiver's doorbell once after it is attached: an earlier
+    /// incarnation of this core may have died between its signal and its ring.
     ///
     /// # Errors
     /// [`EndError`]
