@@ -7,7 +7,7 @@ use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
-use crate::backplane::{Backplane, RINGS, encode_transmit};
+use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
 use crate::clock;
 
 /// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
