@@ -49,8 +49,6 @@ pub(crate) enum Firmware {
         #[arg(long, default_value_t = 100)]
         lengths: u32,
     },
-    /// Try which reorderings two harts see that run with a host thread each
-    Litmus,
     /// Count the instructions of the paths between cores, and compare them with the baseline
     Bench {
         /// Write the figures here, as a list of {name, min, max}
@@ -84,8 +82,6 @@ pub(crate) enum Image {
     Controller,
     /// The driving functions over recorded frames; `test` gives it some
     GoldenReplay,
-    /// Which reorderings two harts see
-    Litmus,
     /// The whole controller for a slot
     SlotController,
     /// Three cores that each send a frame, for a slot
@@ -122,7 +118,6 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
         Firmware::Test => test(root),
         Firmware::Size => size::run(root),
         Firmware::Explore { lengths } => explore(root, lengths),
-        Firmware::Litmus => litmus(root),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
     }
 }
@@ -216,14 +211,6 @@ fn test(root: &Path) -> Result<()> {
         );
         crate::run(command)?;
     }
-    Ok(())
-}
-
-/// Not under icount, which runs all harts in one thread of the host.
-fn litmus(root: &Path) -> Result<()> {
-    let mut command = machine(root, Image::Litmus);
-    command.args(["-accel", "tcg,thread=multi"]);
-    print!("{}", finish(&mut command)?);
     Ok(())
 }
 
