@@ -1,7 +1,7 @@
 //! A host that asks a driving controller for a bootloader. T-BOOT-1
 
 use tandem_board::{CanFrame, CanId, Duration, ResetCause, RoleLamp, SystemId};
-use tandem_board_sim::EventKind;
+use tandem_board_sim::SystemEventKind;
 use tandem_tests::drive::Drive;
 
 use crate::S;
@@ -16,7 +16,7 @@ fn connect(to: u8) -> CanFrame {
 fn resets(drive: &Drive, of: SystemId) -> Vec<ResetCause> {
     let events = drive.pair.events().into_iter();
     let reset = events.filter_map(|event| match event.kind {
-        EventKind::Reset(cause) if event.system == of => Some(cause),
+        SystemEventKind::Reset(cause) if event.system == of => Some(cause),
         _ => None,
     });
     reset.collect()
