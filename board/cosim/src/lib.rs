@@ -2,7 +2,8 @@
 //!
 //! Once in each period of virtual time the machine writes a [`Report`] and then waits, with its
 //! clock standing still, for the answer. Both are a head of fixed length and then [`Item`]s. The
-//! host's side is `tandem-board-qemu`, the machine's side the carrier of a bare-metal board.
+//! host's side is `tandem-board-qemu`, the machine's side the emulated peripherals of a bare-metal
+//! board.
 //!
 //! ```text
 //! machine → world   MAGIC, words, now (2), lamps, powered, trace records lost, items …

@@ -1,4 +1,4 @@
-//! One emulator process, and the two pipes to its carrier.
+//! One emulator process, and the two pipes to its emulated peripherals.
 
 use std::fs::File;
 use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
