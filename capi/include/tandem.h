@@ -364,6 +364,8 @@ typedef struct tandem_config_t {
   // Nothing heard on CAN for this long, while the other system reports a live bus, is an open
   // circuit.
   uint32_t can_open_limit_us;
+  // Time between two reports over the link.
+  uint32_t report_period_us;
   // How long a report of the other system holds.
   uint32_t report_limit_us;
   // Without a status frame of the standby on CAN for this long, a master has no backup.
@@ -704,6 +706,12 @@ tandem_status_t tandem_broadcast_receive(struct tandem_broadcast_receiver_t *rec
 tandem_status_t tandem_broadcast_finish(struct tandem_broadcast_receiver_t *receiver,
                                         uint32_t *number,
                                         uint32_t *lost);
+
+// The profile for chips: nothing stalls, and the link tells as often as the heartbeat lines.
+//
+// # Safety
+// 1 of the caller's contract.
+tandem_status_t tandem_config_chip(struct tandem_config_t *config);
 
 // The profile for firmware: systems whose timers are late by far less than a millisecond.
 tandem_status_t tandem_config_rt(struct tandem_config_t *config);

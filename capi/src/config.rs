@@ -49,6 +49,8 @@ pub struct TandemConfig {
     /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
     /// circuit.
     pub can_open_limit_us: u32,
+    /// Time between two reports over the link.
+    pub report_period_us: u32,
     /// How long a report of the other system holds.
     pub report_limit_us: u32,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
@@ -80,6 +82,7 @@ impl From<Config> for TandemConfig {
             abnormal_limit: config.abnormal_limit.into(),
             healthy_after_us: us(config.healthy_after),
             can_open_limit_us: us(config.can_open_limit),
+            report_period_us: us(config.report_period),
             report_limit_us: us(config.report_limit),
             status_limit_us: us(config.status_limit),
             hold_down_us: us(config.hold_down),
@@ -110,6 +113,7 @@ impl TandemConfig {
             abnormal_limit: u8::try_from(self.abnormal_limit).map_err(|_| S::OutOfRange)?,
             healthy_after: span(self.healthy_after_us),
             can_open_limit: span(self.can_open_limit_us),
+            report_period: span(self.report_period_us),
             report_limit: span(self.report_limit_us),
             status_limit: span(self.status_limit_us),
             hold_down: span(self.hold_down_us),
@@ -120,6 +124,19 @@ impl TandemConfig {
             Err(S::OutOfRange)
         }
     }
+}
+
+/// The profile for chips: nothing stalls, and the link tells as often as the heartbeat lines.
+///
+/// # Safety
+/// 1 of the caller's contract.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn tandem_config_chip(config: *mut TandemConfig) -> TandemStatus {
+    status(|| {
+        // SAFETY: the caller's contract is passed on.
+        unsafe { cell::write(config, Config::chip().into()) }?;
+        Ok(S::Ok)
+    })
 }
 
 /// The profile for firmware: systems whose timers are late by far less than a millisecond.

@@ -51,6 +51,15 @@ pub struct Config {
 }
 
 impl Config {
+    /// For chips, where nothing stalls.
+    #[must_use]
+    pub const fn chip() -> Self {
+        Self {
+            redundancy: tandem_redundancy::Config::chip(),
+            ..Self::rt()
+        }
+    }
+
     /// For machines whose timers are late by far less than a millisecond.
     #[must_use]
     pub const fn rt() -> Self {

@@ -2,10 +2,14 @@
 
 use tandem_board::{Duration, SystemId};
 
+/// While a control frame is overdue, the vehicle tells this often which term it obeys. It begins at
+/// the shortest third witness's limit of any profile.
+pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
+
 /// Periods and limits of the redundancy. Both systems must use the same.
 ///
-/// [`Config::rt`] and [`Config::desktop`] are the two profiles; [`Config::check`] says whether
-/// changed values still fit together.
+/// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`] says
+/// whether changed values still fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Time between two heartbeats on each line.
@@ -49,11 +53,13 @@ pub struct Config {
     pub reintegrate: bool,
     /// How many abnormal resets in a row are tolerated.
     pub abnormal_limit: u8,
-    /// Operation without a reset for this long ends a row of abnormal resets.
+    /// Operation without a reset for this long takes one from the count of abnormal resets.
     pub healthy_after: Duration,
     /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
     /// circuit.
     pub can_open_limit: Duration,
+    /// Time between two reports over the link.
+    pub report_period: Duration,
     /// How long a report of the other system holds.
     pub report_limit: Duration,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
@@ -93,15 +99,33 @@ impl Config {
             recover_after: Duration::from_ms(1000),
             reintegrate: false,
             abnormal_limit: 3,
-            healthy_after: Duration::from_ms(10_000),
+            // A system that crashes once a minute is worth a repair, not a suspension.
+            healthy_after: Duration::from_ms(60_000),
             // The frames of the vehicle come every 10 ms; a pause of 25 of them is no regular one.
             // Every failed attempt doubles it: a loose connector gets seconds to come back.
             can_open_limit: Duration::from_ms(250),
+            // Once a control cycle.
+            report_period: Duration::from_ms(10),
             report_limit: Duration::from_ms(100),
             // Status frames come every 100 ms, so two may be lost in a row.
             status_limit: Duration::from_ms(350),
             // Ten control periods: what led to the change has ended, or the vehicle says so.
             hold_down: Duration::from_ms(100),
+        }
+    }
+
+    /// For chips: nothing stalls, and the link tells as often as the heartbeat lines.
+    #[must_use]
+    pub const fn chip() -> Self {
+        Self {
+            // 1 ms for the phases of sender and poll. Three wires must end within this time: both
+            // heartbeat lines and the link.
+            heartbeat_misses: 2,
+            heartbeat_jitter: Duration::from_ms(1),
+            // A frame is at most 0.2 ms late and 0.3 ms on the bus.
+            control_margin: Duration::from_ms(1),
+            report_period: Duration::from_ms(1),
+            ..Self::rt()
         }
     }
 
@@ -140,6 +164,14 @@ impl Config {
     #[must_use]
     pub fn level_limit(&self) -> Duration {
         self.heartbeat_period + self.poll_interval
+    }
+
+    /// A link without a report for longer than this is silent. A witness that the master is dead if
+    /// both heartbeat lines ended with it. Counts where it is shorter than the third witness's
+    /// limit.
+    #[must_use]
+    pub fn link_limit(&self) -> Duration {
+        self.report_period.times(self.heartbeat_misses) + self.heartbeat_jitter
     }
 
     /// No control frame for longer than this is the third witness's word that nobody drives.
@@ -196,12 +228,12 @@ impl Config {
         self.silent_limit() + self.poll_interval
     }
 
-    /// From the failure of a master to the takeover, by silence of heartbeats and control frames.
+    /// From the failure of a master to the takeover, by silence of heartbeats, and of control
+    /// frames or the link.
     #[must_use]
     pub fn takeover_bound(&self) -> Duration {
-        let witness = self.witness_limit();
-        let silent = self.silent_limit();
-        (if witness > silent { witness } else { silent }) + self.poll_interval
+        let third = self.witness_limit().min(self.link_limit());
+        self.silent_limit().max(third) + self.poll_interval
     }
 
     /// From the last control frame of a failed master to the first one of its successor, as both
@@ -209,13 +241,10 @@ impl Config {
     /// is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
-        let after_frame = self.control_period + self.silent_limit();
-        let witness = self.witness_limit();
-        (if witness > after_frame {
-            witness
-        } else {
-            after_frame
-        }) + self.poll_interval
+        let third = self
+            .witness_limit()
+            .min(self.control_period + self.link_limit());
+        (self.control_period + self.silent_limit()).max(third) + self.poll_interval
     }
 
     /// The same if the power level falls.
@@ -225,11 +254,11 @@ impl Config {
     }
 
     /// The same if the master is alive but cannot transmit. The vehicle's word decides: the first
-    /// echo that tells of no frame for the third witness's limit. Echoes come at least every
-    /// control period.
+    /// echo that tells of no frame for the third witness's limit. While a frame is overdue, an echo
+    /// comes every millisecond.
     #[must_use]
     pub fn gap_bound_mute(&self) -> Duration {
-        self.witness_limit() + self.control_period + self.poll_interval
+        self.witness_limit() + OVERDUE_ECHO + self.poll_interval
     }
 
     /// Whether the values fit together: what each limit presumes of the others.
@@ -246,6 +275,7 @@ impl Config {
             && self.promote_limit > self.sync_stagger + self.poll_interval.times(2)
             && self.can_open_limit > self.mute_limit()
             && self.status_limit > self.mute_limit()
+            && self.report_limit > self.link_limit()
             && self.hold_down > self.mute_limit()
             && self.abnormal_limit > 0
     }
@@ -259,10 +289,22 @@ impl Config {
 mod tests {
     use super::*;
 
-    /// T-RED-8: both profiles keep the gap at a takeover below two control periods.
+    /// T-RED-8: where nothing stalls, the times of the thesis hold without the level line too.
+    #[test]
+    fn a_chip_keeps_the_times_of_the_thesis() {
+        let (chip, ms) = (Config::chip(), Duration::from_ms);
+        assert_eq!(chip.takeover_bound(), ms(4));
+        assert_eq!(chip.gap_bound(), ms(14));
+        assert_eq!(chip.level_limit() + chip.poll_interval, ms(3));
+        assert_eq!(chip.gap_bound_power(), ms(13));
+        assert_eq!(chip.gap_bound_mute(), ms(13));
+        assert_eq!(Config::rt().gap_bound_mute(), ms(19));
+    }
+
+    /// T-RED-8: all profiles keep the gap at a takeover below two control periods.
     #[test]
     fn profiles_fit_together_and_keep_the_gap_below_20_ms() {
-        for config in [Config::rt(), Config::desktop()] {
+        for config in [Config::chip(), Config::rt(), Config::desktop()] {
             assert!(config.check());
             assert!(
                 config.gap_bound() < Duration::from_ms(20),

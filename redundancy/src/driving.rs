@@ -145,11 +145,20 @@ pub(crate) struct Thawed {
     /// The mastership to resume. After a stall no new term is taken: if the other took over
     /// unheard, a new term would depose it.
     pub(crate) driving: Driving,
+    /// It was in dual operation.
+    pub(crate) dual: bool,
     /// Since when it listens.
     pub(crate) since: Instant,
 }
 
 impl Thawed {
+    /// Whether the other has not taken over, and is not about to: the vehicle accepted the last
+    /// frame of this mastership `age` ago. It is too early for a takeover, or would have happened.
+    pub(crate) fn is_kept(&self, config: &Config, age: Duration) -> bool {
+        let under_way = config.poll_interval.times(2);
+        age + under_way < config.witness_limit() || age > config.gap_bound() + under_way
+    }
+
     pub(crate) fn judge(
         &self,
         config: &Config,

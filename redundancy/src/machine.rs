@@ -512,6 +512,7 @@ impl Redundancy {
             Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),
             Phase::Thawed => PhaseState::Thawed(Thawed {
                 driving: self.drive(now)?,
+                dual: matches!(self.phase, PhaseState::Master(_)),
                 since: now,
             }),
             Phase::Resetting => PhaseState::Resetting,
@@ -571,13 +572,15 @@ impl Redundancy {
         }
     }
 
-    /// A long time without a reset ends a row of abnormal ones. T-RED-5
+    /// A long time without a reset takes one from the count of abnormal ones. A system that crashes
+    /// more often than that suspends in the end, however regularly it does. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since
             .is_some_and(|since| now.since(since) >= self.config.healthy_after);
         if healthy && self.fault.is_none() && self.phase().sends_heartbeats() {
-            self.state.abn_in_a_row = 0;
+            self.running_since = Some(now);
+            self.state.abn_in_a_row = self.state.abn_in_a_row.saturating_sub(1);
         }
     }
 }

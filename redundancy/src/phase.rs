@@ -159,6 +159,7 @@ pub enum Evidence {
     /// Heartbeats of a failed system came back for long enough.
     BeatsBack = 9,
     /// The recovered system is also heard on CAN, and the configuration permits to go on as two.
+    /// Or the vehicle still obeys this master, which was held up in dual operation.
     PeerStable = 10,
     /// This master was held up for so long that the other may have taken over.
     Stalled = 11,

@@ -103,11 +103,17 @@ impl Standby {
         // heartbeats, as a standby, before its control frames are missed. A handshake is a sign of
         // a system that has just started, so it does not drive.
         self.suspected |= silent || handshakes > 0;
+        // A stray edge made this system a standby. The other is still starting.
+        if handshakes > 0 && !self.control_known && self.no_system_drives(config, now, witnesses) {
+            return Some(Evidence::HandshakeDone);
+        }
         if witnesses.peer_is_off(config, now) && self.may_act(config, now, witnesses) {
             return Some(Evidence::PeerOff);
         }
-        if now.since(self.last_control) > config.witness_limit() {
-            let says_master = witnesses.reports.drives(now, config.witness_limit());
+        let ended = silent && witnesses.link_ended(config, now, self.last_control);
+        let unheard = ended || now.since(self.last_control) > config.witness_limit();
+        if unheard {
+            let says_master = !ended && witnesses.reports.drives(now, config.witness_limit());
             if self.suspected && !says_master && self.may_act(config, now, witnesses) {
                 return Some(Evidence::PeerSilent);
             }
@@ -122,6 +128,12 @@ impl Standby {
             return Some(Evidence::MasterResigns);
         }
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
+    }
+
+    /// Neither the other system nor the vehicle says that one drives.
+    fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
+        let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
+        !obeys && !witnesses.reports.drives(now, config.report_limit)
     }
 
     /// Whether the word of the lines is enough: the driver has not changed for long enough, or the
@@ -145,7 +157,10 @@ impl Standby {
             _ => config.mute_limit(),
         };
         let nobody_drives = match verdict {
-            GateVerdict::Uncontrolled => true,
+            // After an outage of the whole bus the master needs a control period to be heard.
+            GateVerdict::Uncontrolled => {
+                witnesses.can.alive_for(now) > config.control_period + config.poll_interval
+            }
             // A vehicle that does not tell. After an outage of the whole bus the master needs a
             // control period to be heard again.
             GateVerdict::Unknown => {

@@ -73,6 +73,7 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
         (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute | E::MasterResigns) => {
             enter(P::DegradedMaster)
         }
+        (P::Standby, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
         (P::Standby, E::BeatsSilent) => only(Effect::TellLinesSplit),
 
         (P::Master, E::PeerOff | E::BeatsSilent | E::StandbyMute | E::FaultStop) => {
@@ -82,7 +83,7 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
             only(Effect::MarkPeerFailed)
         }
         (P::DegradedMaster, E::BeatsBack) => only(Effect::MarkPeerRecovered),
-        (P::DegradedMaster, E::PeerStable) => enter(P::Master),
+        (P::DegradedMaster | P::Thawed, E::PeerStable) => enter(P::Master),
         (P::Master | P::DegradedMaster | P::Thawed, E::HigherTerm) => enter(P::Standby),
         (P::Master | P::DegradedMaster, E::Stalled) => enter(P::Thawed),
         (P::Thawed, E::ListenOver | E::PeerOff) => enter(P::DegradedMaster),

@@ -75,6 +75,7 @@ impl Kind {
 
 #[derive(Clone, Copy, ValueEnum)]
 enum Timing {
+    Chip,
     Rt,
     Desktop,
 }
@@ -82,6 +83,7 @@ enum Timing {
 impl Timing {
     const fn limits(self) -> Config {
         match self {
+            Self::Chip => Config::chip(),
             Self::Rt => Config::rt(),
             Self::Desktop => Config::desktop(),
         }

@@ -20,6 +20,11 @@ use crate::mastership::Mastership;
 /// no fault.
 const COUNTER_FORGOTTEN_NS: u64 = 150_000_000;
 
+/// A control frame is overdue this long after the last one, ns: the shortest limit of any standby.
+const OVERDUE_NS: u64 = 11_000_000;
+/// After this silence no system waits for a hasty word any more, ns.
+const OVERDUE_ENDS_NS: u64 = 100_000_000;
+
 /// What became of a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -168,6 +173,17 @@ impl Gate {
         })
     }
 
+    /// Whether a control frame is overdue: then both systems are told each millisecond, so that the
+    /// standby need not wait for the next echo. Such an echo takes about 0.13 ms of a bus of 500
+    /// kbit/s and 2 Mbit/s: 13 % of it, while the frames of the master are missing.
+    #[must_use]
+    pub fn is_overdue(&self, now_ns: u64) -> bool {
+        let silence = |last: Acceptance| now_ns.saturating_sub(last.at_ns);
+        let overdue = OVERDUE_NS..OVERDUE_ENDS_NS;
+        self.accepted
+            .is_some_and(|last| overdue.contains(&silence(last)))
+    }
+
     /// What became of the control frames so far.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
@@ -255,6 +271,10 @@ mod tests {
         verdicts(&mut gate, &[(0, 0, 2), (10, 0, 2), (25, 1, 3), (30, 0, 2)]);
         let echo = gate.echo(32 * MS);
         assert_eq!((echo.term, echo.term_age), (3, 7.0));
+        assert_eq!(
+            [35, 36, 124, 125].map(|at| gate.is_overdue(at * MS)),
+            [false, true, true, false]
+        );
         let (id, damaged) = Sender(Transmitter::new()).frame(1, 9, Role::Master);
         gate.on_frame(33 * MS, id, &damaged[1..]);
         assert_eq!(gate.echo(33 * MS).term, 3);

@@ -346,7 +346,7 @@ impl World {
         };
         let accepted_ns = gate.accepted().map(|last| last.at_ns);
         let is_due = |(tick, frame_ns)| frame_ns != accepted_ns || *ticks >= tick + ECHO_TICKS;
-        if echoed.is_none_or(is_due) {
+        if echoed.is_none_or(is_due) || gate.is_overdue(now_ns) {
             *echoed = Some((*ticks, accepted_ns));
             send(&Message::GateEcho(gate.echo(now_ns)));
         }

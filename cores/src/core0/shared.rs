@@ -17,6 +17,9 @@ use tandem_redundancy::{
     Snapshot, StateStore,
 };
 
+/// A state that is not in flash after this time will not be: erasing a sector and programming a
+/// record take less.
+const FLASH_HANGS: Duration = Duration::from_ms(100);
 /// While the start protocol waits for cores 1 and 2, core 0 looks this often.
 const BOOT_POLL: Duration = Duration::from_ms(1);
 /// A vehicle that is slower stands still, m/s: the noise of the measured speed stays below.
@@ -72,6 +75,8 @@ pub struct Shared<'b, B: Board> {
     /// `None` until cores 1 and 2 carry the drive.
     pub(super) redundancy: Option<Redundancy>,
     pub(super) redundancy_due: Instant,
+    /// When the redundancy first asked for a reset.
+    reset_asked: Option<Instant>,
     shown: Option<(Phase, Mode, u32)>,
     ticks: TickGrid,
     /// Releases of the control task.
@@ -120,6 +125,7 @@ impl<'b, B: Board> Shared<'b, B> {
             loaded,
             redundancy: None,
             redundancy_due: started,
+            reset_asked: None,
             shown: None,
             ticks: TickGrid::EXACT,
             control: Grid::new(started, CONTROL_PERIOD),
@@ -328,8 +334,21 @@ impl<'b, B: Board> Shared<'b, B> {
         };
         let actions = redundancy.on(self.board.now(), Input::Poll(snapshot));
         let released = self.act(actions);
+        if self.config.redundancy.report_period < CONTROL_PERIOD {
+            self.report();
+        }
         state_flash::drive(&mut self.store, self.board.flash());
         released
+    }
+
+    /// Tells the other system over the link what this one is.
+    pub(super) fn report(&mut self) {
+        if let Some(redundancy) = &self.redundancy {
+            let report = redundancy.link_report();
+            // A full link means that the other does not fetch: it will miss this report and get
+            // the next.
+            let _full = self.board.link().try_send(&report.to_words());
+        }
     }
 
     /// Core 1 or 2 is dead.
@@ -351,6 +370,7 @@ impl<'b, B: Board> Shared<'b, B> {
     #[deny(clippy::wildcard_enum_match_arm, reason = "no action may be forgotten")]
     fn act(&mut self, actions: Actions) -> TaskSet {
         let mut released = TaskSet::NONE;
+        let now = self.board.now();
         let mut reset = None;
         for action in actions.iter() {
             match action {
@@ -369,10 +389,12 @@ impl<'b, B: Board> Shared<'b, B> {
         }
         self.redundancy_due = actions.deadline();
         state_flash::drive(&mut self.store, self.board.flash());
-        if let Some(request) = reset
-            && self.store.is_settled()
-        {
-            self.board.supply().request_reset(request);
+        if let Some(request) = reset {
+            // A flash that hangs must not keep a system that is to be reset.
+            let since = *self.reset_asked.get_or_insert(now);
+            if self.store.is_settled() || now.since(since) > FLASH_HANGS {
+                self.board.supply().request_reset(request);
+            }
         }
         self.show();
         released

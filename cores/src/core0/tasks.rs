@@ -9,7 +9,7 @@ use crate::layout::{ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
-use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answer};
+use tandem_board::{Board, CoreId, Duration, Instant, Supply, watchdog_answer};
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
@@ -232,10 +232,10 @@ impl<B: Board> Shared<'_, B> {
             return;
         };
         let may_transmit = redundancy.may_transmit(self.board.now());
-        let report = redundancy.link_report();
-        // A full link means that the other does not fetch: it will miss this report and get the
-        // next.
-        let _full = self.board.link().try_send(&report.to_words());
+        self.report();
+        let Some(redundancy) = &mut self.redundancy else {
+            return;
+        };
         let transmitted = may_transmit && {
             let control = frames::control(redundancy, output);
             let message = Message::Control {

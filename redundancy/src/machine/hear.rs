@@ -128,7 +128,16 @@ impl Redundancy {
             self.witnesses.on_life(&self.config, sent, actions);
         }
         let higher = term > self.term();
-        if let PhaseState::Standby(standby) = &mut self.phase {
+        if let PhaseState::Thawed(thawed) = &self.phase
+            && term == thawed.driving.term()
+            && thawed.is_kept(&self.config, age)
+        {
+            let goes_on = match thawed.dual {
+                true => Evidence::PeerStable,
+                false => Evidence::ListenOver,
+            };
+            self.apply(now, goes_on, actions);
+        } else if let PhaseState::Standby(standby) = &mut self.phase {
             if drives && term == self.state.term {
                 standby.on_echo(&self.config, now, age);
             }

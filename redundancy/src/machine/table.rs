@@ -245,9 +245,13 @@ fn only_the_absence_of_a_master_opens_an_output() {
                     (P::Starting, E::HandshakeDone | E::NobodyThere)
                         | (
                             P::Standby,
-                            E::PeerOff | E::PeerSilent | E::MasterMute | E::MasterResigns
+                            E::HandshakeDone
+                                | E::PeerOff
+                                | E::PeerSilent
+                                | E::MasterMute
+                                | E::MasterResigns
                         )
-                        | (P::Thawed, E::ListenOver | E::PeerOff)
+                        | (P::Thawed, E::PeerStable | E::ListenOver | E::PeerOff)
                 ));
                 assert!(cell.actions.contains(Action::Transmit));
                 let (term, known) = (cell.after.term(), cell.before.highest_term());
@@ -332,7 +336,7 @@ fn no_cell_drives_without_a_term() {
             assert_eq!(bench.machine.phase(), cell.to);
         }
     }
-    assert_eq!(suspended, 6);
+    assert_eq!(suspended, 7);
 }
 
 fn every_input() -> Vec<Input> {

@@ -106,6 +106,18 @@ impl Witnesses {
         self.level.is_off(config, now)
     }
 
+    /// Whether the link fell silent together with both heartbeat lines, which are silent: three
+    /// wires that end at one time show a master that has ended, unless a control frame was heard
+    /// since. A link that was cut before is no witness, nor is one that tells too seldom.
+    pub(crate) fn link_ended(&self, config: &Config, now: Instant, last_control: Instant) -> bool {
+        let limit = config.link_limit();
+        let lines = self.beats.silent_for(now);
+        let link = self.reports.silent_for(now);
+        limit < config.witness_limit()
+            && link.is_some_and(|link| link > limit && link <= lines + limit)
+            && now.since(last_control) + limit >= lines
+    }
+
     /// Whether this system heard third parties before, and does not any more: it has nothing to
     /// drive by, and relieves no master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {

@@ -47,6 +47,11 @@ impl Reports {
             .map(|(report, _)| report)
     }
 
+    /// Time since the last report over the link; `None` if there was none.
+    pub(crate) fn silent_for(&self, now: Instant) -> Option<Duration> {
+        self.link.map(|(_, at)| now.since(at))
+    }
+
     /// Whether the other said over the link within `limit` that it drives.
     pub(crate) fn drives(&self, now: Instant, limit: Duration) -> bool {
         self.fresh(now, limit)

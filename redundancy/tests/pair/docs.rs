@@ -6,11 +6,15 @@ use tandem_board::Duration;
 use tandem_redundancy::Config;
 
 fn bounds() -> String {
-    let profiles = [Config::rt(), Config::desktop()];
-    let mut text = String::from("| bound | how | rt | desktop |\n|---|---|---|---|\n");
+    let profiles = [Config::chip(), Config::rt(), Config::desktop()];
+    let mut text = String::from("| bound | how | chip | rt | desktop |\n|---|---|---|---|---|\n");
     let mut row = |name: &str, how: &str, value: fn(&Config) -> Duration| {
-        let [rt, desktop] = profiles.each_ref().map(|config| value(config).as_ms_f64());
-        writeln!(text, "| {name} | {how} | {rt} ms | {desktop} ms |").unwrap();
+        let [chip, rt, desktop] = profiles.each_ref().map(|config| value(config).as_ms_f64());
+        writeln!(
+            text,
+            "| {name} | {how} | {chip} ms | {rt} ms | {desktop} ms |"
+        )
+        .unwrap();
     };
     row(
         "line silent",
@@ -33,13 +37,18 @@ fn bounds() -> String {
         Config::witness_limit,
     );
     row(
+        "link silent",
+        "misses × report period + jitter",
+        Config::link_limit,
+    );
+    row(
         "vehicle unheard, own CAN deaf",
         "2 control periods + margin",
         Config::mute_limit,
     );
     row(
         "takeover on silence",
-        "max(line silent, third witness) + poll",
+        "max(line silent, min(third witness, link silent)) + poll",
         Config::takeover_bound,
     );
     row(
@@ -49,12 +58,12 @@ fn bounds() -> String {
     );
     row(
         "gap, silence",
-        "max(control period + line silent, third witness) + poll",
+        "max(control period + line silent, min(third witness, control period + link silent)) + poll",
         Config::gap_bound,
     );
     row(
         "gap, mute master",
-        "third witness + control period + poll",
+        "third witness + echo of an overdue frame + poll",
         Config::gap_bound_mute,
     );
     row("lease", "line silent - heartbeat period", Config::lease);

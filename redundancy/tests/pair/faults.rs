@@ -235,9 +235,12 @@ fn too_many_abnormal_resets_suspend() {
         assert_eq!(pair.phase(B), Some(Phase::Standby));
         assert_eq!(pair.state(B).abn_in_a_row, n);
     }
-    pair.run_ms(ms(us(config.healthy_after)));
+    let healthy = ms(us(config.healthy_after));
+    pair.run_ms(u64::from(config.abnormal_limit) * healthy);
     assert_eq!(pair.state(B).abn_in_a_row, 0, "ran well for long enough");
+    // However regularly it crashes: each crash counts for a while.
     for _ in 0..=config.abnormal_limit {
+        pair.run_ms(11_000);
         pair.reset(B, ResetCause::Trap);
         pair.run_ms(100);
     }
@@ -256,6 +259,25 @@ fn too_many_abnormal_resets_suspend() {
     assert!(pair.systems[B.index()].held, "and only one");
     assert_eq!(pair.phase(A), Some(Phase::DegradedMaster));
     assert_eq!(pair.changes_of_driver(), 0);
+}
+
+/// T-RED-9: both stand still for longer than the lease: the master learns from the vehicle that it
+/// is still obeyed, and goes on.
+#[test]
+fn both_stand_still_and_the_master_goes_on() {
+    for config in [Config::chip(), Config::rt(), Config::desktop()] {
+        for seed in 1..20 {
+            let mut pair = Pair::dual(config, seed);
+            pair.run_ms(seed);
+            let from = pair.now_us;
+            pair.freeze_ms(A, 20);
+            pair.freeze_ms(B, 20);
+            pair.run_ms(500);
+            assert_eq!(pair.changes_of_driver(), 0, "seed {seed}");
+            let gap = pair.longest_gap_us(from);
+            assert!(gap <= 20_000 + 10_000 + 3_000, "seed {seed}: gap {gap} us");
+        }
+    }
 }
 
 /// T-RED-6: an output fault of the master sets mode and flag, suspends it, and the other takes

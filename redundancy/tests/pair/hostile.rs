@@ -222,7 +222,7 @@ fn a_short_cut_of_can_suspends_no_system() {
                 let what = format!("{id} for {cut_ms} ms, phase {phase}");
                 assert!(!pair.systems[id.index()].held, "{what}");
                 assert_eq!(pair.phase(id), Some(Phase::Standby), "{what}");
-                check_driven(&pair, from, us(config.gap_bound_mute()) + BUS_US, &what);
+                check_driven(&pair, from, us(config.gap_bound_mute()) + 2 * BUS_US, &what);
             }
         }
     }

@@ -292,7 +292,13 @@ impl Pair {
             }
         }
         if self.now_us >= self.next_echo {
-            self.next_echo = self.now_us + 10_000;
+            let age = self.accepted.last().map(|last| self.now_us - last.at_us);
+            self.next_echo = self.now_us
+                + match age {
+                    Some(age @ ..11_000) => (11_000 - age).next_multiple_of(1_000),
+                    Some(11_000..100_000) => 1_000,
+                    _ => 10_000,
+                };
             if !self.vehicle_pauses {
                 let obeyed = self.obeyed_term();
                 self.send(None, Frame::VehicleTerm(obeyed));

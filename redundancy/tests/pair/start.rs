@@ -234,8 +234,13 @@ fn both_take_the_other_for_failed() {
 /// on, refuses. The other knows the higher term and says so.
 #[test]
 fn a_master_with_a_forgotten_term_is_told() {
-    let config = Config::rt();
-    let mut pair = Pair::dual(config, 2);
+    // Whether A drives before it hears the vehicle depends on the phases.
+    let provoked = (1..9).filter(|seed| !a_term_is_forgotten(*seed).fenced.is_empty());
+    assert!(provoked.count() > 0, "the test must have provoked it");
+}
+
+fn a_term_is_forgotten(seed: u64) -> Pair {
+    let mut pair = Pair::dual(Config::rt(), seed);
     for _ in 0..5 {
         pair.power_off(A);
         pair.power_off(B);
@@ -254,5 +259,5 @@ fn a_master_with_a_forgotten_term_is_told() {
     assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
     let gap = pair.longest_gap_us(pair.now_us - 150_000);
     assert!(gap < 25_000, "{gap}");
-    assert!(!pair.fenced.is_empty(), "the test must have provoked it");
+    pair
 }

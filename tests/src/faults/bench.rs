@@ -30,6 +30,8 @@ pub struct Vehicle {
     /// Control frames of an old term.
     pub fenced: Vec<Acceptance>,
     ticks: u64,
+    /// When the frame arrived of which the last echo told, ns.
+    echoed: Option<u64>,
     silent: bool,
     poison: bool,
 }
@@ -51,16 +53,21 @@ impl Vehicle {
             }
         }
         let at_ns = tick.at.as_ns();
-        if self.ticks.is_multiple_of(10) && !self.silent {
+        if !self.silent {
             let motion = EgoMotion {
                 speed: 20.0,
                 ..EgoMotion::default()
             };
+            let cycle = self.ticks.is_multiple_of(10);
+            let accepted = self.gate.accepted().map(|last| last.at_ns);
+            let news = core::mem::replace(&mut self.echoed, accepted) != accepted;
+            let echo = cycle || news || self.gate.is_overdue(at_ns);
+            let messages = [
+                echo.then(|| Message::GateEcho(self.gate.echo(at_ns))),
+                cycle.then_some(Message::EgoMotion(motion)),
+            ];
             let transmitter = self.transmitter.get_or_insert_with(Transmitter::new);
-            for message in [
-                Message::GateEcho(self.gate.echo(at_ns)),
-                Message::EgoMotion(motion),
-            ] {
+            for message in messages.into_iter().flatten() {
                 let frame = transmitter.encode(&message);
                 tick.broadcast(&frame_of(CanId::Standard(frame.id), frame.data()));
             }

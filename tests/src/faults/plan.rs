@@ -49,6 +49,7 @@ fn single_faults() -> Vec<(Kind, Way)> {
         }
     }
     faults.extend(Kind::OF_BOTH.map(|kind| (kind, Way::From(SystemId::A))));
+    faults.push((Kind::Hang(9), Way::Both));
     faults
 }
 
@@ -56,6 +57,7 @@ fn single_faults() -> Vec<(Kind, Way)> {
 fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
     let within = |(kind, way): &(Kind, Way)| match kind {
         Kind::Poison | Kind::VehicleSilent => false,
+        _ if !kind.is_of_wire() && *way == Way::Both => false,
         _ => kind.is_of_wire() || *way == Way::From(system),
     };
     single_faults().into_iter().filter(within).collect()

@@ -1,8 +1,10 @@
 //! A slice of `cargo xtask campaign faults`.
 
-use tandem_board::{Duration, SystemId};
+use tandem_board::{CoreId, Duration, Instant, ResetCause, RoleLamp, SystemId, Traced};
+use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
+use tandem_cores::trace::Event;
 use tandem_redundancy::Config;
-use tandem_tests::faults::{Fault, Group, Kind, Sequence, Way};
+use tandem_tests::faults::{Bench, Fault, Group, Kind, Sequence, Verdict, Way};
 
 /// Runs these sequences. Fails on what is not known to be violated.
 fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
@@ -73,4 +75,108 @@ fn frames_of_the_other_system_do_not_make_a_bus_alive() {
     assert!(verdict.violations.is_empty(), "{verdict}");
     assert!(verdict.changes == 0, "{verdict}");
     assert!(verdict.gap <= Duration::from_ms(12), "{verdict}");
+}
+
+/// What becomes of these faults of A in dual operation, each at `at_us`.
+fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Verdict, Bench) {
+    let fault = |(kind, way): &(Kind, Way)| Fault {
+        kind: *kind,
+        way: *way,
+        at: Duration::from_us(at_us),
+        lasts: None,
+    };
+    let sequence = Sequence {
+        group: Group::Random,
+        number: at_us,
+        faults: faults.iter().map(fault).collect(),
+        from_power_on: false,
+        span: Duration::from_ms(1_000),
+    };
+    sequence.run(limits, true)
+}
+
+/// The time from the fault to the takeover of B.
+fn takeover(bench: &mut Bench, begin: Instant) -> Duration {
+    let (trace, _) = bench.pair.take_trace();
+    let took_over = |traced: &&Traced| {
+        matches!(Event::decode(traced.record), Some(Event::TookOver { .. }))
+            && traced.system == SystemId::B
+    };
+    let first = trace.iter().find(took_over).expect("B takes over");
+    first.at.since(begin)
+}
+
+/// T-RED-8: where nothing stalls, the times of the thesis hold, and without the level line nearly.
+#[test]
+fn a_chip_keeps_the_times_of_the_thesis() {
+    const CUT: (Kind, Way) = (Kind::Cut(Wire::Level), Way::Both);
+    let of_a = |kind| (kind, Way::From(SystemId::A));
+    let (hang, mute) = (of_a(Kind::Hang(400)), of_a(Kind::Mute));
+    let reset = of_a(Kind::Reset(ResetCause::Watchdog));
+    let off = of_a(Kind::PowerLoss);
+    // The longest takeover and gap of each, ms.
+    for (faults, takes, gap) in [
+        (&[CUT, hang][..], 4, 14),
+        (&[CUT, reset], 4, 14),
+        (&[CUT, off], 4, 14),
+        (&[reset], 3, 13),
+        (&[off], 3, 13),
+        (&[mute], 13, 13),
+        (&[CUT, mute], 13, 13),
+    ] {
+        for at_us in (137..10_137).step_by(500) {
+            let (verdict, mut bench) = suffer(Config::chip(), faults, at_us);
+            let begin = Instant::from_ns(300_000_000) + Duration::from_us(at_us);
+            let took = takeover(&mut bench, begin);
+            let story = || format!("{faults:?} at {at_us} us: {took:?}, {verdict}");
+            assert!(took <= Duration::from_ms(takes), "{}", story());
+            assert!(verdict.gap <= Duration::from_ms(gap), "{}", story());
+            assert_eq!(verdict.violations, [], "{}", story());
+        }
+    }
+}
+
+/// T-RED-5: a flash that hangs does not keep a system from the reset that it needs.
+#[test]
+fn a_flash_that_hangs_does_not_prevent_a_reset() {
+    let of_a = |kind| (kind, Way::From(SystemId::A));
+    let dies = of_a(Kind::CoreDies(CoreId::PERCEPTION));
+    let (verdict, bench) = suffer(Config::rt(), &[of_a(Kind::FlashHangs), dies], 137);
+    let is_reset = |event: &SystemEvent| {
+        event.system == SystemId::A && matches!(event.kind, SystemEventKind::Reset(_))
+    };
+    let mended = Instant::from_ns(1_300_000_000);
+    let reset = bench.pair.events().into_iter().find(is_reset);
+    assert!(reset.is_some_and(|reset| reset.at < mended), "{verdict}");
+}
+
+/// T-RED-2: edges that no system has sent, at any moment of the start, do not cost dual operation.
+#[test]
+fn stray_edges_at_the_start_do_not_cost_dual_operation() {
+    for kind in [Kind::StrayBeats(3), Kind::StraySync] {
+        for to in SystemId::ALL {
+            for at_ms in [5, 30, 59, 60, 61, 62, 65, 80] {
+                let mut bench = Bench::new(Bench::config(Config::rt()), 1, true);
+                for system in SystemId::ALL {
+                    bench.pair.power_on(system);
+                }
+                let fault = Fault {
+                    kind,
+                    way: Way::From(to.peer()),
+                    at: Duration::from_ms(at_ms),
+                    lasts: None,
+                };
+                bench.suffer(&[fault], Duration::from_ms(700));
+                let mut roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
+                roles.sort_by_key(|role| *role != Some(RoleLamp::Master));
+                let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
+                assert_eq!(
+                    roles,
+                    dual,
+                    "{kind:?} to {to} at {at_ms} ms: {:#?}",
+                    bench.story()
+                );
+            }
+        }
+    }
 }
