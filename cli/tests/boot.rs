@@ -84,7 +84,7 @@ fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
     Some((slot, environment.versions[0], environment.trial.is_some()))
 }
 
-/// U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its new
+/// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its new
 /// image. Between the two updates the driving system fails, so that it becomes the standby.
 #[test]
 fn both_systems_are_updated_while_they_drive() {

@@ -121,6 +121,7 @@ fn run(config: Config) -> (Summary, Vec<String>) {
     (summary, failed)
 }
 
+/// T-BOOT-2: among all contracts that core 0 starts alone and releases the others.
 #[test]
 fn the_simulated_board_passes() {
     let (summary, failed) = run(config());
