@@ -97,7 +97,7 @@ pub fn switch_cores(model: impl FnOnce()) {
 }
 
 /// Runs `operation`, freezes it just before its access number `at` for as long as `meanwhile`
-/// takes, then thaws it. The flag says whether it came that far.
+/// takes, then thaws it. The flag says whether the operation reached that access.
 pub fn freeze_at<T>(
     at: usize,
     meanwhile: impl FnOnce() + 'static,

@@ -249,11 +249,11 @@ mod tests {
     }
 
     #[test]
-    fn a_incarnation_is_alive_from_its_announcement_to_its_end() {
+    fn an_incarnation_is_alive_from_its_announcement_to_its_end() {
         let incarnations = Incarnations::attach(zeroed(Incarnations::WORDS)).unwrap();
         assert!(
             !incarnations.is_alive(incarnation(1, 1)),
-            "nobody incarnations in zeroed memory"
+            "zeroed memory has no incarnation"
         );
         assert_eq!(incarnations.current(1), None);
         incarnations.announce(incarnation(1, 1)).unwrap();

@@ -90,15 +90,15 @@ const fn released_at(core: usize, generation: u32) -> usize {
     1 + core * RELEASED_LIVES + generation as usize % RELEASED_LIVES
 }
 
-/// The lock was not to be had within the given number of looks.
+/// The lock was not free for this core within the given number of polls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedOut;
 
 /// Why one look did not take the lock.
 enum Missed {
-    /// Someone else holds it, or was quicker.
+    /// Another core holds it, or was quicker.
     Held,
-    /// It is free and in this turn another's.
+    /// It is free, and in this turn another core's.
     Passed { turn: u32 },
 }
 
@@ -226,7 +226,7 @@ impl<'a> Lock<'a> {
     /// own, something that gives the CPU away on a shared one. Task context.
     ///
     /// # Errors
-    /// [`TimedOut`] after so many looks.
+    /// [`TimedOut`] after `looks` polls.
     #[inline]
     pub fn lock(
         &mut self,

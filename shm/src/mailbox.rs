@@ -85,12 +85,12 @@ const fn next_post(posted: u32) -> u32 {
 /// Bits 1 ..= 15.
 const ALL_TASKS: u32 = (1 << IDS) - 2;
 
-/// Once in so many looks that find nothing posted, and once in so many posts, the receiver compares
-/// all counts nevertheless: to a receiver that was stopped for a multiple of 2^28 signals, or for
-/// one more, the posted word says that there was none, or one.
+/// Every 65,536 empty polls, and every 65,536 posts, the receiver compares all counts: the 28-bit
+/// post number may have wrapped. A receiver that was stopped for a multiple of 2^28 signals, or for
+/// one more, reads in the posted word that there was none, or one.
 #[cfg(not(loom))]
 const LOOKS_UNTIL_SURE: u32 = 1 << 16;
-/// A loom model polls a handful of times and shall not find by this what a post should have told.
+/// Disabled under loom, so that comparing all counts cannot hide a lost post.
 #[cfg(loom)]
 const LOOKS_UNTIL_SURE: u32 = 1 << 31;
 
@@ -202,8 +202,8 @@ impl<'a> Sender<'a> {
 
     #[inline]
     fn look_for_sleeper(&self) -> Ring {
-        // SeqCst pairs with the fence in `prepare_sleep`: either this sees `asleep`, or that the
-        // post.
+        // SeqCst pairs with the fence in `prepare_sleep`: either this core sees `asleep`, or the
+        // receiver sees the post.
         fence(Ordering::SeqCst);
         if self.words[ASLEEP_AT].load(Ordering::Relaxed) == 0 {
             Ring::NotNeeded
@@ -270,8 +270,8 @@ impl<'a> Receiver<'a> {
     }
 
     /// Hands the open signals of each task to `handle`, the lowest id first, and counts them as
-    /// handled when it returns. Returns how many signals there were (wrapping). One look and
-    /// bounded: what comes meanwhile is left to the next call. Never blocks.
+    /// handled when it returns. Returns how many signals there were (wrapping). Polls once and
+    /// is bounded: a signal that arrives during the call is left to the next one. Never blocks.
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         // Acquire pairs with the Release in `post`.
@@ -333,7 +333,7 @@ impl<'a> Receiver<'a> {
         fence(Ordering::SeqCst);
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.look == 0 && posted == self.posted {
-            // A sleep may last: be sure. loom shall not find by this what a post should have told.
+            // A sleep may last: compare all counts, as above. Disabled under loom as well.
             if cfg!(loom) || !self.is_any_open() {
                 return true;
             }
@@ -656,7 +656,7 @@ mod tests {
         assert_eq!(poll(&mut receiver).len(), 15);
         assert!(
             receiver.prepare_sleep(),
-            "the bits that mean nothing keep nobody awake"
+            "bits without a meaning keep no receiver awake"
         );
     }
 }
