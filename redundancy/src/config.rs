@@ -8,8 +8,8 @@ pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 
 /// Periods and limits of the redundancy. Both systems must use the same.
 ///
-/// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`] says
-/// whether changed values still fit together.
+/// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`]
+/// says whether changed values still fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Time between two heartbeats on each line.

@@ -130,10 +130,11 @@ impl Standby {
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
-    /// Neither the other system nor the vehicle says that one drives.
+    /// Neither the other system nor the vehicle has said for long enough that one drives.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
-        !obeys && !witnesses.reports.drives(now, config.report_limit)
+        let listened = now.since(self.last_control) > config.witness_limit();
+        listened && !obeys && !witnesses.reports.drives(now, config.report_limit)
     }
 
     /// Whether the word of the lines is enough: the driver has not changed for long enough, or the
