@@ -17,7 +17,7 @@ use can_dbc::{
 const DBC: &str = "dbc/tandem.dbc";
 
 /// Signals that the message layer fills and checks; they are no fields of the structs.
-const FRAMING: [&str; 4] = ["Crc", "Counter", "Spare", "System"];
+const FRAMING: [&str; 3] = ["Crc", "Counter", "System"];
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -377,7 +377,7 @@ impl<'a> Field<'a> {
 
 /// The constants of all signals that are coded.
 fn signal_consts(message: &Message) -> Result<String> {
-    let coded = |signal: &&Signal| !["Crc", "Counter", "Spare"].contains(&&*signal.name);
+    let coded = |signal: &&Signal| !["Crc", "Counter"].contains(&&*signal.name);
     let line = |signal| {
         let constant = signal_const(message, signal)?;
         Ok(format!("    pub(crate) const {constant}\n"))

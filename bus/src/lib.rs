@@ -31,7 +31,7 @@ pub mod dbc {
 }
 
 pub use dbc::{
-    CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,
+    Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,
     SensorHeader, SensorObject, Status,
 };
 pub use endpoint::{ReceiveError, Receiver, Transmitter};

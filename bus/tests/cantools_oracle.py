@@ -41,7 +41,6 @@ def encode(db, seed, count):
         values = {s.name: random_value(s) for s in message.signals}
         if "System" in values:
             values["System"] = int(message.name[-1] == "B")
-            values["Spare"] = 0
         # Scaling to and from floats leaves values a hair outside of the range.
         data = message.encode(values, strict=False)
         print(f"{message.frame_id:03x} {data.hex()}", *(f"{k}={v!r}" for k, v in values.items()))

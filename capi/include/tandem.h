@@ -174,6 +174,9 @@ extern void tandem_on_panic(void);
 // No mastership term is left.
 #define TANDEM_FAILURE_TERMS_EXHAUSTED 7
 
+// Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
+#define TANDEM_FAILURE_WRONG_COMMAND 8
+
 // A state was found in the flash.
 #define TANDEM_LOADED_STATE 0
 

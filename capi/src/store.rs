@@ -54,6 +54,8 @@ pub const TANDEM_FAILURE_PLANNING_CORE: u32 = 5;
 pub const TANDEM_FAILURE_DEADLINE: u32 = 6;
 /// No mastership term is left.
 pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
+/// Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
+pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
 
 const _: () = {
     use FailureMode as F;
@@ -64,6 +66,7 @@ const _: () = {
     assert!(F::PlanningCore.code() as u32 == TANDEM_FAILURE_PLANNING_CORE);
     assert!(F::Deadline.code() as u32 == TANDEM_FAILURE_DEADLINE);
     assert!(F::TermsExhausted.code() as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
+    assert!(F::WrongCommand.code() as u32 == TANDEM_FAILURE_WRONG_COMMAND);
 };
 
 /// A state was found in the flash.

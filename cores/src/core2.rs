@@ -1,9 +1,11 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
+use crate::driving::control::is_right;
 use crate::driving::planning::Planner;
-use crate::driving::types::{Scene, Trajectory};
+use crate::driving::types::{ControlStep, Scene, Trajectory};
 use crate::layout::{
-    ControllerMap, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY, TRAJECTORY_READY,
+    CONTROL_STEP, ControllerMap, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY,
+    TRAJECTORY_READY,
 };
 use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};
@@ -23,6 +25,7 @@ struct Planning<'b, B: Board> {
     scenes: Reader<'b, Scene>,
     planner: Planner,
     trajectories: Writer<'b, Trajectory>,
+    control_steps: Reader<'b, ControlStep>,
     to_control: Sender<'b>,
 }
 
@@ -34,7 +37,18 @@ impl<B: Board> Planning<'_, B> {
         self.trace(Event::TaskOut { task, leaves });
     }
 
+    /// Computes core 0's newest step again, from the own copy of the trajectory.
+    fn judge_control(&mut self) {
+        if let Ok(Some(step)) = self.control_steps.fetch()
+            && let Some((trajectory, ego)) = self.planner.last()
+            && trajectory.cycle == step.cycle
+        {
+            self.map.judge_control(is_right(&step, trajectory, ego));
+        }
+    }
+
     fn plan(&mut self) {
+        self.judge_control();
         match self.scenes.fetch() {
             Ok(Some(scene)) => {
                 let flow = scene.cycle;
@@ -100,8 +114,10 @@ impl<'b, B: Board> Core2<'b, B> {
             scenes: SCENE.reader(&map).ok()?,
             planner: Planner::new(),
             trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,
+            control_steps: CONTROL_STEP.reader(&map).ok()?,
             to_control: MAILBOX_2_TO_0.sender(&map, incarnation).ok()?,
         };
+        lmu.judge_control(true);
         // What an earlier incarnation has counted, but not rung for.
         self.board.ring(CoreId::CONTROL);
         let receiver = MAILBOX_1_TO_2.receiver(&map, incarnation).ok()?;

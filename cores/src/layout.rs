@@ -1,6 +1,6 @@
 //! The controller's layout of the LMU: who talks to whom through which words.
 
-use crate::driving::types::{Scene, Trajectory};
+use crate::driving::types::{ControlStep, Scene, Trajectory};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Instant};
@@ -32,8 +32,10 @@ const ALIVE: Region<Words<{ CoreId::COUNT * LINE_WORDS }>> = MAILBOX_2_TO_0.then
 pub const SCENE: Region<Newest<Scene>> = ALIVE.then("scene");
 /// Core 2 publishes, core 0 reads.
 pub const TRAJECTORY: Region<Newest<Trajectory>> = SCENE.then("trajectory");
+/// Core 0 publishes, core 2 reads and computes again.
+pub const CONTROL_STEP: Region<Newest<ControlStep>> = TRAJECTORY.then("control step");
 
-const LAYOUT: Layout = TRAJECTORY.end();
+const LAYOUT: Layout = CONTROL_STEP.end();
 
 const _: () = assert!(
     LAYOUT.total_words() <= 8192,
@@ -90,6 +92,25 @@ impl<'a> ControllerMap<'a> {
         // Relaxed: the count itself is the message.
         let word = &self.alive[self.incarnation.core() * LINE_WORDS];
         word.store(word.load(Relaxed).wrapping_add(1), Relaxed);
+    }
+
+    /// Core 2 has computed a step of core 0 again: whether that was right. Core 0 reads how many in
+    /// succession were not.
+    pub fn judge_control(&self, right: bool) {
+        let word = &self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1];
+        let wrong = if right {
+            0
+        } else {
+            word.load(Relaxed).saturating_add(1)
+        };
+        // Relaxed: the count itself is the message.
+        word.store(wrong, Relaxed);
+    }
+
+    /// How many steps of core 0 in succession core 2 has found wrong.
+    #[must_use]
+    pub fn wrong_steps(&self) -> u32 {
+        self.alive[CoreId::PLANNING.index() * LINE_WORDS + 1].load(Relaxed)
     }
 
     /// Cycles of a core so far; wraps around.

@@ -246,6 +246,20 @@ pub enum Event {
         /// Bytes that were never used.
         free_bytes: u32,
     },
+    /// How well the other system agrees with this one's commands: at each change, and whenever the
+    /// difference has become larger than ever by a tenth of the limit.
+    Agreement {
+        /// 0 agreed, 1 disagreed, 2 unresolved: a safe stop is asked for.
+        stage: u8,
+        /// Share of the limit that the difference uses, %.
+        percent: u8,
+    },
+    /// This system found that its command is wrong, and leaves.
+    WrongCommand {
+        /// 0: the vehicle obeys another one than was sent, or refuses it. 1: core 2 computes
+        /// another one from the same inputs.
+        witness: u8,
+    },
     /// A task never held what all share for longer than this.
     Held {
         /// Which.
@@ -367,6 +381,8 @@ impl Event {
             Self::Stack { task, free_bytes } => [head(25, task.0, 0, 0), free_bytes, 0, 0],
             Self::Held { task, longest_ns } => [head(27, task.0, 0, 0), longest_ns, 0, 0],
             Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
+            Self::Agreement { stage, percent } => [head(29, stage, percent, 0), 0, 0, 0],
+            Self::WrongCommand { witness } => [head(30, witness, 0, 0), 0, 0, 0],
             Self::Flood {
                 source,
                 times,
@@ -463,6 +479,11 @@ impl Event {
             26 => Self::Ring {
                 core: CoreId::new(a)?,
             },
+            29 if a <= 2 => Self::Agreement {
+                stage: a,
+                percent: b,
+            },
+            30 if a <= 1 => Self::WrongCommand { witness: a },
             28 => Self::Flood {
                 source: *FloodSource::ALL.get(usize::from(a))?,
                 times: x,
@@ -579,6 +600,11 @@ mod tests {
             },
             flood(FloodSource::Can),
             flood(FloodSource::Doorbell),
+            Event::Agreement {
+                stage: 2,
+                percent: 99,
+            },
+            Event::WrongCommand { witness: 1 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -591,7 +617,9 @@ mod tests {
             0x0000_0317,
             0x0000_0318,
             0x051C,
-            29,
+            0x031D,
+            0x021E,
+            31,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }

@@ -4,8 +4,8 @@
 //! tag and number, and refuses the whole if one is impossible. Numbers cross as IEEE 754 bits.
 
 use crate::driving::types::{
-    Ego, Lanes, MAX_OBJECTS, Maneuver, Object, ObjectClass, Scene, TRAJECTORY_SAMPLES, Trajectory,
-    TrajectoryPoint,
+    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Object, ObjectClass, Scene,
+    TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -293,6 +293,37 @@ impl Payload for Trajectory {
             cycle,
             maneuver,
             points,
+        })
+    }
+}
+
+impl Payload for ControlStep {
+    const WORDS: usize = 1 + 1 + 3 + Ego::WORDS + 2 + 2;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put(self.cycle);
+        put_f32s(put, &[self.age_s]);
+        put_f32s(put, &self.pose);
+        self.ego.store(put);
+        for command in [self.last, self.command] {
+            put_f32s(put, &[command.steering_angle, command.acceleration]);
+        }
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let command = |take: &mut _| {
+            Ok(Command {
+                steering_angle: finite(take)?,
+                acceleration: finite(take)?,
+            })
+        };
+        Ok(Self {
+            cycle: take(),
+            age_s: finite(take)?,
+            pose: [finite(take)?, finite(take)?, finite(take)?],
+            ego: Ego::load(take)?,
+            last: command(take)?,
+            command: command(take)?,
         })
     }
 }

@@ -55,6 +55,17 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::StateLost => "the state in flash was lost".to_owned(),
         Event::Refused { id: 0 } => "refused what the shared memory held".to_owned(),
         Event::Refused { id } => format!("refused a frame with id {id:03X}"),
+        Event::Agreement { stage, percent } => match stage {
+            0 => format!("the other system agrees; the difference used {percent} % of its limit"),
+            1 => "the other system would command something else".to_owned(),
+            _ => "the systems disagree without a known cause: stops the vehicle".to_owned(),
+        },
+        Event::WrongCommand { witness: 0 } => {
+            "leaves: the vehicle did not obey what it sent".to_owned()
+        }
+        Event::WrongCommand { .. } => {
+            "leaves: core 2 computes another command from the same inputs".to_owned()
+        }
         Event::Flood {
             source,
             times,

@@ -19,11 +19,13 @@ use crate::log::VehicleRecord;
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
-const VERDICTS: [Verdict; 4] = [
+const VERDICTS: [Verdict; 6] = [
     Verdict::Accepted,
     Verdict::Fenced,
     Verdict::NotMaster,
     Verdict::Invalid,
+    Verdict::Stale,
+    Verdict::Implausible,
 ];
 
 /// The line of a frame in a CAN log, without a line feed; `epoch_us` is the time of day at the

@@ -145,7 +145,7 @@ fn old_master_lived_on(log: &RunLog, last: &ControlFrame, takeover_ns: u64) -> b
     let next_frame = log.control.iter().find(|frame| {
         frame.system == last.system
             && frame.at_ns > last.at_ns
-            && frame.verdict != Verdict::Invalid
+            && matches!(frame.verdict, Verdict::Accepted | Verdict::Fenced)
             && frame.term <= last.term
     });
     if let Some(frame) = next_frame

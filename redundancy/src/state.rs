@@ -30,13 +30,16 @@ pub enum FailureMode {
     Deadline = 6,
     /// No mastership term is left.
     TermsExhausted = 7,
+    /// Its command is not the one that its own inputs demand, or not the one that reaches the
+    /// vehicle.
+    WrongCommand = 8,
     /// A number that this software does not know.
     Unknown = 255,
 }
 
 impl FailureMode {
     /// All of them, for tables.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 10] = [
         Self::None,
         Self::AbnormalResets,
         Self::CanOpenCircuit,
@@ -45,6 +48,7 @@ impl FailureMode {
         Self::PlanningCore,
         Self::Deadline,
         Self::TermsExhausted,
+        Self::WrongCommand,
         Self::Unknown,
     ];
 
@@ -68,7 +72,11 @@ impl FailureMode {
     pub const fn reset_may_cure(self) -> bool {
         matches!(
             self,
-            Self::PerceptionCore | Self::PlanningCore | Self::Deadline | Self::CanOpenCircuit
+            Self::PerceptionCore
+                | Self::PlanningCore
+                | Self::Deadline
+                | Self::CanOpenCircuit
+                | Self::WrongCommand
         )
     }
 

@@ -2,5 +2,6 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::expect_used, reason = "a test may panic")]
 
+pub mod bent;
 pub mod drive;
 pub mod faults;

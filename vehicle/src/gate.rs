@@ -1,4 +1,5 @@
-//! The vehicle's own decision which control frames act: valid, from a master, of the highest term.
+//! The vehicle's own decision which control frames act: valid, from a master, of the highest term,
+//! fresh and plausible.
 //!
 //! The term is a fencing token: a frame with a lower term than one seen before never acts, whatever
 //! its sender believes. The caller is told of every control frame what became of it, and records
@@ -9,10 +10,16 @@
 //! | protection, length or value wrong, or the term's lowest bit is another | `Invalid` | no |
 //! | role other than master | `NotMaster` | no |
 //! | term lower than the highest seen | `Fenced` | no |
+//! | was on its way for too long, or rests on data that are too old | `Stale` | no |
+//! | asks for more than the vehicle can do, or changes too fast | `Implausible` | no |
 //! | else | `Accepted` | yes; its term is now the highest |
+//!
+//! Freshness needs no common clock: each frame tells when it was made, on its sender's clock.
+//! The smallest difference to the time of arrival is the clocks' offset; a frame that differs by
+//! more has waited on its way, however valid it is. A frame that tells no time is not dated.
 
 use tandem_bus::e2e::{Check, Checker};
-use tandem_bus::{Control, GateEcho, Message, Role};
+use tandem_bus::{Control, GateEcho, Message, Mode, Role};
 
 use crate::mastership::Mastership;
 
@@ -25,6 +32,31 @@ const OVERDUE_NS: u64 = 11_000_000;
 /// After this silence no system waits for a hasty word any more, ns.
 const OVERDUE_ENDS_NS: u64 = 100_000_000;
 
+/// A frame that was longer on its way than the fastest one by more than this is refused, ms: four
+/// control periods.
+const MAX_DELAY_MS: u16 = 40;
+/// The clocks may drift apart: the offset that is taken for the smallest grows by 1 ms in this
+/// time, ns. So the clocks may differ by 0.1 %, and a queue that grows by less is not found.
+const DRIFT_NS: u64 = 1_000_000_000;
+/// A difference beyond this is no delay but a clock that was set, ms: the offset is learnt anew.
+const CLOCK_WAS_SET_MS: i16 = 2_000;
+
+/// The oldest data that a command may rest on, ms. The functions stop earlier, by the age of what
+/// they have; this is for one that does not. A safe stop rests on no data.
+const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
+
+/// What the actuators can do: rad, m/s².
+const MAX_STEERING: f32 = 0.61;
+const MAX_BRAKING: f32 = 10.0;
+const MAX_ACCELERATION: f32 = 4.0;
+/// How fast a command may change: about twice as fast as the controllers change it, and a step
+/// besides. rad/s and rad; m/s³ and m/s² of lateral acceleration; m/s³ and m/s².
+const STEERING_RATE: (f32, f32) = (0.8, 0.002);
+const LATERAL_JERK: (f32, f32) = (30.0, 0.5);
+const LONGITUDINAL_JERK: (f32, f32) = (100.0, 0.5);
+/// Axle to axle, m.
+const WHEELBASE: f32 = 2.578_9;
+
 /// What became of a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
@@ -36,6 +68,10 @@ pub enum Verdict {
     NotMaster,
     /// It is damaged, repeated, out of sequence, or contradicts itself.
     Invalid,
+    /// It was made too long ago, or rests on data that are too old.
+    Stale,
+    /// No vehicle can do what it asks for, or it jumps.
+    Implausible,
 }
 
 /// What became of a control frame, and when.
@@ -62,6 +98,18 @@ pub struct FrameCounts {
     pub not_master: u64,
     /// Frames that were damaged, repeated or out of sequence.
     pub invalid: u64,
+    /// Frames that were too old.
+    pub stale: u64,
+    /// Frames beyond the limits of range and rate.
+    pub implausible: u64,
+}
+
+/// The smallest difference between arrival and sender's clock, modulo 2^16 ms.
+#[derive(Clone, Copy, Debug)]
+struct Offset {
+    smallest_ms: u16,
+    /// When it was last as small as this, or was raised for the drift, ns.
+    at_ns: u64,
 }
 
 /// Judges control frames.
@@ -71,6 +119,13 @@ pub struct Gate {
     last_ns: [Option<u64>; 2],
     highest_term: u32,
     accepted: Option<Acceptance>,
+    /// What the last accepted frame asked for: steering angle and acceleration.
+    obeyed: (f32, f32),
+    /// m/s
+    speed: f32,
+    obeyed_counter: u8,
+    offsets: [Option<Offset>; 2],
+    refused: u8,
     counts: FrameCounts,
     mastership: Mastership,
 }
@@ -93,6 +148,11 @@ impl Gate {
             last_ns: [None; 2],
             highest_term: 0,
             accepted: None,
+            obeyed: (0.0, 0.0),
+            speed: 0.0,
+            obeyed_counter: 0,
+            offsets: [None; 2],
+            refused: 0,
             counts: FrameCounts::default(),
             mastership: Mastership::default(),
         }
@@ -113,10 +173,26 @@ impl Gate {
             verdict,
         };
         match verdict {
-            Verdict::Accepted => self.accept(acceptance),
+            Verdict::Accepted => {
+                if let Some(Control {
+                    steering_angle,
+                    acceleration,
+                    ..
+                }) = control
+                {
+                    self.obeyed = (steering_angle, acceleration);
+                    self.obeyed_counter = data[2];
+                }
+                self.accept(acceptance);
+            }
             Verdict::Fenced => self.counts.fenced += 1,
             Verdict::NotMaster => self.counts.not_master += 1,
             Verdict::Invalid => self.counts.invalid += 1,
+            Verdict::Stale => self.counts.stale += 1,
+            Verdict::Implausible => {
+                self.counts.implausible += 1;
+                self.refused = self.refused.wrapping_add(1);
+            }
         }
         Some(Judged {
             acceptance,
@@ -133,6 +209,7 @@ impl Gate {
         self.last_ns[system] = Some(now_ns);
         if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
             check = Check::Initial;
+            self.offsets[system] = None;
         }
         let message = Message::decode(u32::from(Control::IDS[system]), data);
         let Ok(Message::Control { control, .. }) = message else {
@@ -147,7 +224,60 @@ impl Gate {
         if control.term < self.highest_term {
             return (Verdict::Fenced, Some(control));
         }
+        let delay_ms = self.delay_ms(now_ns, system, control.sent_at);
+        if delay_ms > MAX_DELAY_MS {
+            self.refused = self.refused.wrapping_add(1);
+            return (Verdict::Stale, Some(control));
+        }
+        if control.mode != Mode::SafeStop && control.command_age > COMMAND_MAX_AGE_MS {
+            return (Verdict::Stale, Some(control));
+        }
+        if !self.is_plausible(now_ns, &control) {
+            return (Verdict::Implausible, Some(control));
+        }
         (Verdict::Accepted, Some(control))
+    }
+
+    /// How much longer this frame was on its way than the fastest one of its system, ms.
+    fn delay_ms(&mut self, now_ns: u64, system: usize, sent_at: u16) -> u16 {
+        if sent_at == 0 {
+            return 0;
+        }
+        let difference = ((now_ns / 1_000_000) as u16).wrapping_sub(sent_at);
+        let fresh = Offset {
+            smallest_ms: difference,
+            at_ns: now_ns,
+        };
+        let offset = self.offsets[system].get_or_insert(fresh);
+        let drifts = now_ns.saturating_sub(offset.at_ns) / DRIFT_NS;
+        offset.smallest_ms = offset.smallest_ms.wrapping_add(drifts as u16);
+        offset.at_ns += drifts * DRIFT_NS;
+        let delay = difference.wrapping_sub(offset.smallest_ms) as i16;
+        if delay <= 0 || delay > CLOCK_WAS_SET_MS {
+            *offset = fresh;
+        }
+        if delay > CLOCK_WAS_SET_MS {
+            return 0;
+        }
+        delay.max(0) as u16
+    }
+
+    /// Range of the command, and its rate since the last one that was obeyed.
+    fn is_plausible(&self, now_ns: u64, control: &Control) -> bool {
+        let (angle, acceleration) = (control.steering_angle, control.acceleration);
+        if angle.abs() > MAX_STEERING || !(-MAX_BRAKING..=MAX_ACCELERATION).contains(&acceleration)
+        {
+            return false;
+        }
+        let Some(last) = self.accepted else {
+            return true;
+        };
+        let dt = now_ns.saturating_sub(last.at_ns) as f32 * 1e-9;
+        let within = |change: f32, (rate, step): (f32, f32)| change.abs() <= rate * dt + step;
+        let turn = angle - self.obeyed.0;
+        within(turn, STEERING_RATE)
+            && within(turn * self.speed * self.speed / WHEELBASE, LATERAL_JERK)
+            && within(acceleration - self.obeyed.1, LONGITUDINAL_JERK)
     }
 
     fn accept(&mut self, entry: Acceptance) {
@@ -164,12 +294,21 @@ impl Gate {
         self.accepted
     }
 
-    /// What the vehicle tells both systems: which term it obeys, and how old its last frame is.
-    #[must_use]
+    /// The vehicle's speed, m/s: the faster it is, the less may a wheel turn. 0 until it is told.
+    pub fn set_speed(&mut self, speed: f64) {
+        self.speed = speed as f32;
+    }
+
+    /// What the vehicle tells both systems, to be sent at `now_ns`: which term it obeys, how old
+    /// its last frame is, and what that asked for.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
         self.accepted.map_or(GateEcho::default(), |last| GateEcho {
             term: last.term,
             term_age: now_ns.saturating_sub(last.at_ns) as f32 * 1e-6,
+            steering_angle: self.obeyed.0,
+            acceleration: self.obeyed.1,
+            refused: self.refused,
+            obeyed_counter: self.obeyed_counter,
         })
     }
 
@@ -278,6 +417,109 @@ mod tests {
         let (id, damaged) = Sender(Transmitter::new()).frame(1, 9, Role::Master);
         gate.on_frame(33 * MS, id, &damaged[1..]);
         assert_eq!(gate.echo(33 * MS).term, 3);
+    }
+
+    /// The verdict on a frame of A that asks for this at this time, ms.
+    fn verdict_on(gate: &mut Gate, sender: &mut Sender, at: u64, control: Control) -> Verdict {
+        let control = Control {
+            role: Role::Master,
+            term: 2,
+            ..control
+        };
+        let message = Message::Control { system: 0, control };
+        let frame = sender.0.encode(&message);
+        let judged = gate.on_frame(at * MS, frame.id.into(), frame.data());
+        judged.unwrap().acceptance.verdict
+    }
+
+    /// T-RED-9: frames that wait in a queue that grows are refused, though each is valid and in
+    /// order, and its command rests on fresh data by its own word. Clocks that run apart by 0.05 %
+    /// and wrap around are none; nor is one that was set.
+    #[test]
+    fn frames_of_a_growing_queue_are_refused() {
+        let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+        let mut verdict = |at: u64, sent_at: u64| {
+            let control = Control {
+                mode: Mode::L3,
+                command_age: 30.0,
+                sent_at: sent_at as u16,
+                ..Control::default()
+            };
+            verdict_on(&mut gate, &mut sender, at, control)
+        };
+        // Its clock is 65 s ahead, and slower.
+        let made = |at: u64| 65_000 + at - at / 2_000;
+        for at in (0..200_000).step_by(10) {
+            assert_eq!(verdict(at, made(at)), Verdict::Accepted, "{at} ms");
+        }
+        // In each second the queue grows by 100 ms.
+        for at in (200_000..201_000).step_by(10) {
+            let delay = (at - 200_000) / 10;
+            let is_stale = verdict(at, made(at) - delay) == Verdict::Stale;
+            // The drift of the clocks may hide 1 ms.
+            assert!(
+                delay.abs_diff(41) <= 1 || is_stale == (delay > 41),
+                "delay {delay} ms"
+            );
+        }
+        let set = |at: u64| made(at) - 30_000;
+        assert_eq!(verdict(201_000, set(201_000)), Verdict::Accepted);
+        assert_eq!(verdict(201_010, set(201_010)), Verdict::Accepted);
+        assert_eq!(verdict(201_020, set(201_020) - 50), Verdict::Stale);
+    }
+
+    /// T-RED-9: the age of the data that a command rests on is limited, unless it rests on none.
+    #[test]
+    fn commands_that_rest_on_old_data_are_refused() {
+        use Verdict::{Accepted, Stale};
+        let table = [
+            (Mode::L3, 1_999.0, Accepted),
+            (Mode::L3, 2_001.0, Stale),
+            (Mode::DegradedL2, 2_001.0, Stale),
+            (Mode::SafeStop, 6553.5, Accepted),
+        ];
+        for (mode, command_age, expected) in table {
+            let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+            let control = Control {
+                mode,
+                command_age,
+                ..Control::default()
+            };
+            let verdict = verdict_on(&mut gate, &mut sender, 0, control);
+            assert_eq!(verdict, expected, "{mode:?} {command_age}");
+        }
+    }
+
+    /// T-RED-9: a command beyond the range of the actuators, or one that jumps, does not act; one
+    /// that changes as fast as the controllers do does.
+    #[test]
+    fn commands_out_of_range_and_rate_are_refused() {
+        use Verdict::{Accepted, Implausible};
+        // Speed; the command before, and 10 ms later.
+        let table = [
+            (0.0, (0.0, 0.0), (0.004, 0.45), Accepted),
+            (0.0, (0.6, -9.5), (0.596, -9.3), Accepted),
+            (0.0, (0.0, 0.0), (0.02, 0.0), Implausible),
+            (0.0, (0.0, 0.0), (-0.02, 0.0), Implausible),
+            (0.0, (0.6, 0.0), (0.62, 0.0), Implausible),
+            (25.0, (0.0, 0.0), (0.003, 0.0), Accepted),
+            (25.0, (0.0, 0.0), (0.004, 0.0), Implausible),
+            (25.0, (0.0, -9.9), (0.0, -10.1), Implausible),
+            (25.0, (0.0, 0.0), (0.0, -1.6), Implausible),
+            (25.0, (0.0, 3.9), (0.0, 4.1), Implausible),
+        ];
+        for (speed, before, after, expected) in table {
+            let (mut gate, mut sender) = (Gate::new(), Sender(Transmitter::new()));
+            gate.set_speed(speed);
+            let of = |(steering_angle, acceleration)| Control {
+                steering_angle,
+                acceleration,
+                ..Control::default()
+            };
+            assert_eq!(verdict_on(&mut gate, &mut sender, 0, of(before)), Accepted);
+            let verdict = verdict_on(&mut gate, &mut sender, 10, of(after));
+            assert_eq!(verdict, expected, "{speed} m/s, {before:?} to {after:?}");
+        }
     }
 
     /// Whether a control frame acts; `None` if it is none.

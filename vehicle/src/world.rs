@@ -184,6 +184,7 @@ impl World {
     /// of it; `None` if it is no control frame, which changes nothing. The first control frame that
     /// is accepted starts the world.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
+        self.gate.set_speed(self.state.speed);
         let judged = self.gate.on_frame(now_ns, id, data)?;
         if let Some(control) = judged.command {
             self.request = Request {

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 use tandem_bus::{
-    CameraLanes, Class, Control, DriverRequest, EgoMotion, GateEcho, Message, Mode, Role,
-    SensorHeader, SensorId, SensorObject, Status,
+    Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, GateEcho, Message, Mode,
+    Role, SensorHeader, SensorId, SensorObject, Status,
 };
 
 /// Any value, mostly within `limit` so that the scaling is tested and not the saturation only.
@@ -22,16 +22,17 @@ fn control() -> impl Strategy<Value = Control> {
         any::<u32>(),
         within(0.7),
         within(33.0),
-        within(7000.0),
+        (within(7000.0), any::<u16>()),
     )
         .prop_map(
-            |((role, mode), term, steering_angle, acceleration, command_age)| Control {
+            |((role, mode), term, steering_angle, acceleration, (command_age, sent_at))| Control {
                 role,
                 mode,
                 term,
                 steering_angle,
                 acceleration,
                 command_age,
+                sent_at,
             },
         )
 }
@@ -40,6 +41,7 @@ fn status() -> impl Strategy<Value = Status> {
     let enums = (
         prop::sample::select(&Role::ALL[..]),
         prop::sample::select(&Mode::ALL[..]),
+        prop::sample::select(&Agreement::ALL[..]),
     );
     (
         enums,
@@ -48,20 +50,23 @@ fn status() -> impl Strategy<Value = Status> {
         any::<[u16; 2]>(),
         any::<[u8; 3]>(),
     )
-        .prop_map(|((role, mode), flags, term, resets, bytes)| Status {
-            role,
-            mode,
-            sys_failure: flags[0],
-            cpsys_failure: flags[1],
-            line1_silent: flags[2],
-            line2_silent: flags[3],
-            failure_mode: bytes[0],
-            term,
-            abn_resets: resets[0],
-            total_resets: resets[1],
-            tracks: bytes[1],
-            deadline_misses: bytes[2],
-        })
+        .prop_map(
+            |((role, mode, agreement), flags, term, resets, bytes)| Status {
+                role,
+                mode,
+                agreement,
+                sys_failure: flags[0],
+                cpsys_failure: flags[1],
+                line1_silent: flags[2],
+                line2_silent: flags[3],
+                failure_mode: bytes[0],
+                term,
+                abn_resets: resets[0],
+                total_resets: resets[1],
+                tracks: bytes[1],
+                deadline_misses: bytes[2],
+            },
+        )
 }
 
 fn ego_motion() -> impl Strategy<Value = EgoMotion> {
@@ -158,8 +163,17 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
     });
     let request = (any::<bool>(), within(700.0))
         .prop_map(|(engage, set_speed)| DriverRequest { engage, set_speed });
-    let echo =
-        (any::<u32>(), within(7000.0)).prop_map(|(term, term_age)| GateEcho { term, term_age });
+    let numbers = any::<(u32, u8, u8)>();
+    let echo = (numbers, within(7000.0), within(0.7), within(33.0)).prop_map(
+        |((term, obeyed_counter, refused), term_age, steering_angle, acceleration)| GateEcho {
+            refused,
+            term,
+            term_age,
+            obeyed_counter,
+            steering_angle,
+            acceleration,
+        },
+    );
     prop_oneof![
         echo.prop_map(Message::GateEcho),
         (0..2_u8, control()).prop_map(|(system, control)| Message::Control { system, control }),
@@ -176,7 +190,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
 pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
     match message {
         Message::Control { system, control } => {
-            let framing = [("System", f64::from(*system)), ("Spare", 0.0)];
+            let framing = [("System", f64::from(*system))];
             control.values().into_iter().chain(framing).collect()
         }
         Message::Status { status, .. } => status.values().into(),

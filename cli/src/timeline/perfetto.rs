@@ -315,6 +315,8 @@ impl Trace {
                 Verdict::Fenced => "fenced off",
                 Verdict::NotMaster => "not a master's",
                 Verdict::Invalid => "invalid",
+                Verdict::Stale => "too old",
+                Verdict::Implausible => "implausible",
             };
             let name = format!("{} {verdict}", frame.system);
             self.instant(bus, frame.at_ns, &name);

@@ -1,8 +1,8 @@
 //! Which function drives: trajectory control, the degraded L2 functions, or the safe stop.
 
-use crate::driving::control::MotionControl;
+use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::DegradedControl;
-use crate::driving::types::{Command, Ego, Scene, Trajectory};
+use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
@@ -14,6 +14,12 @@ pub(crate) struct Output {
     pub(crate) mode: Mode,
     /// Age of the oldest measurement it rests on; `None` if it rests on none.
     pub(crate) age: Option<Duration>,
+    /// What this system would command if it had driven all the time.
+    pub(crate) opinion: Command,
+    /// m/s
+    pub(crate) speed: f32,
+    /// The step of the motion control, if that gave the command.
+    pub(crate) step: Option<ControlStep>,
 }
 
 /// The motion control of core 0 with its inputs.
@@ -23,12 +29,19 @@ pub struct Drive {
     scene: Option<Scene>,
     motion: MotionControl,
     degraded: DegradedControl,
-    /// What was commanded last: by this system, or by the other while this one is standby.
+    /// What was commanded last by this system, or is obeyed while it does not drive.
     last: Command,
+    /// Limits the command that this system would have given had it driven all the time.
+    opinion: Shaper,
+    /// Control cycles for which the vehicle is still taken to obey the other system.
+    follows: u8,
 }
 
 /// Without the chassis' own motion for this long there is nothing to control by.
 const EGO_MAX_AGE: Duration = Duration::from_ms(100);
+
+/// An echo of the vehicle holds for so many control cycles.
+const FOLLOWS_CYCLES: u8 = 5;
 
 impl Drive {
     pub(crate) fn new() -> Self {
@@ -39,6 +52,8 @@ impl Drive {
             motion: MotionControl::new(),
             degraded: DegradedControl::new(),
             last: Command::default(),
+            opinion: Shaper::new(),
+            follows: 0,
         }
     }
 
@@ -55,54 +70,60 @@ impl Drive {
         self.scene = Some(scene);
     }
 
-    /// The other system's command was heard: a takeover starts from it without a jerk.
-    pub(crate) fn on_command_of_master(&mut self, command: Command) {
+    /// What the vehicle obeys, while this system does not drive: a takeover starts from there
+    /// without a jerk, whatever the other system sent.
+    pub(crate) fn on_obeyed(&mut self, command: Command) {
         self.last = command;
+        self.follows = FOLLOWS_CYCLES;
     }
 
     /// The command for `now` by the best function that `mode` permits and the inputs allow.
     pub(crate) fn cycle(&mut self, now: Instant, mode: Mode) -> Output {
-        let output = self.by_best_function(now, mode);
-        self.last = output.command;
-        output
-    }
-
-    fn by_best_function(&mut self, now: Instant, mode: Mode) -> Output {
+        let fresh = self.ego.filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE);
+        let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
         self.motion.resume(&self.last);
         self.degraded.resume(&self.last);
-        let ego = self
-            .ego
-            .filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE)
-            .map(|(_, ego)| ego);
-        let Some(ego) = ego.filter(|_| mode != Mode::SafeStop) else {
-            let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
-            return Output {
-                command: self.degraded.safe_stop(&ego),
-                mode: Mode::SafeStop,
-                age: None,
-            };
+        let mode = if fresh.is_some() {
+            mode
+        } else {
+            Mode::SafeStop
         };
-        if let (Mode::L3, Some(trajectory)) = (mode, &self.trajectory)
-            && let Ok(command) = self.motion.step(now, &ego, trajectory)
-        {
-            return Output {
-                command,
-                mode: Mode::L3,
-                age: Some(now.since(trajectory.measured)),
-            };
+        let (command, mode, age) = self.by_best_function(now, mode, &ego);
+        let wish = match mode {
+            Mode::L3 => self.motion.wish(),
+            _ => self.degraded.wish(),
+        };
+        if self.follows == 0 {
+            self.opinion.resume(&self.last);
         }
-        if let Some(scene) = &self.scene {
-            let command = self.degraded.step(now, &ego, scene);
-            return Output {
-                command,
-                mode: Mode::DegradedL2,
-                age: Some(now.since(scene.measured)),
-            };
-        }
+        self.follows = self.follows.saturating_sub(1);
+        self.last = command;
         Output {
-            command: self.degraded.safe_stop(&ego),
-            mode: Mode::SafeStop,
-            age: None,
+            command,
+            mode,
+            age,
+            opinion: self.opinion.shape(&wish, &ego),
+            speed: ego.speed,
+            step: (mode == Mode::L3).then(|| *self.motion.last_step()),
         }
+    }
+
+    /// The command, the function that gave it, and the age of the sensor data that it rests on.
+    fn by_best_function(
+        &mut self,
+        now: Instant,
+        mode: Mode,
+        ego: &Ego,
+    ) -> (Command, Mode, Option<Duration>) {
+        if let (Mode::L3, Some(trajectory)) = (mode, &self.trajectory)
+            && let Ok(command) = self.motion.step(now, ego, trajectory)
+        {
+            return (command, Mode::L3, Some(now.since(trajectory.measured)));
+        }
+        if let (false, Some(scene)) = (mode == Mode::SafeStop, &self.scene) {
+            let command = self.degraded.step(now, ego, scene);
+            return (command, Mode::DegradedL2, Some(now.since(scene.measured)));
+        }
+        (self.degraded.safe_stop(ego), Mode::SafeStop, None)
     }
 }

@@ -1,8 +1,8 @@
 //! The frames that core 0 sends and hears, between the bus's words and the redundancy's.
 
 use super::drive::Output;
-use tandem_board::{Board, Can, CanFrame, CanId, Duration, SystemId};
-use tandem_bus::{Control, GateEcho, Message, Status, Transmitter};
+use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
+use tandem_bus::{Control, Encoded, GateEcho, Message, Status, Transmitter};
 use tandem_redundancy::{ControlFrame, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
 const fn bus_role(role: Role) -> tandem_bus::Role {
@@ -14,7 +14,7 @@ const fn bus_role(role: Role) -> tandem_bus::Role {
     }
 }
 
-const fn bus_mode(mode: Mode) -> tandem_bus::Mode {
+pub(super) const fn bus_mode(mode: Mode) -> tandem_bus::Mode {
     match mode {
         Mode::None => tandem_bus::Mode::None,
         Mode::L3 => tandem_bus::Mode::L3,
@@ -24,7 +24,8 @@ const fn bus_mode(mode: Mode) -> tandem_bus::Mode {
 }
 
 /// The control frame for this output.
-pub(super) fn control(redundancy: &Redundancy, output: &Output) -> Control {
+/// `now`: when it is made.
+pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) -> Control {
     Control {
         role: bus_role(redundancy.role()),
         mode: bus_mode(output.mode),
@@ -33,6 +34,8 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output) -> Control {
         acceleration: output.command.acceleration,
         // The largest number that the signal can carry stands for "rests on no sensor data".
         command_age: output.age.map_or(f32::MAX, |age| age.as_ms_f64() as f32),
+        // 0 stands for "not told".
+        sent_at: ((now.as_ns() / 1_000_000) as u16).max(1),
     }
 }
 
@@ -47,6 +50,7 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
         cpsys_failure: state.cpsys_failure,
         line1_silent,
         line2_silent,
+        agreement: tandem_bus::Agreement::Agreed,
         failure_mode: state.failure_mode.code(),
         term: redundancy.highest_term().bits(),
         abn_resets: u16::try_from(state.abn_resets).unwrap_or(u16::MAX),
@@ -58,7 +62,11 @@ pub(super) fn status(redundancy: &Redundancy, tracks: u8, deadline_misses: u32) 
 
 /// Encodes and sends; whether the controller took the frame.
 pub(super) fn send<B: Board>(board: &B, transmitter: &mut Transmitter, message: &Message) -> bool {
-    let encoded = transmitter.encode(message);
+    send_encoded(board, &transmitter.encode(message))
+}
+
+/// Sends; whether the controller took the frame.
+pub(super) fn send_encoded<B: Board>(board: &B, encoded: &Encoded) -> bool {
     let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
     frame.is_ok_and(|frame| board.can().try_send(&frame).is_ok())
 }

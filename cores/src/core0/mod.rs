@@ -8,10 +8,13 @@
 //! its end, in the simulator; the crate `tandem-runtime` gives each a task of FreeRTOS.
 //! `docs/rtos-tasks.md` has the priorities and why they are so.
 
+mod agreement;
 mod alive;
 mod drive;
 mod frames;
 mod limits;
+mod peer_link;
+mod read_back;
 mod run_to_completion;
 mod shared;
 mod state_flash;

@@ -2,10 +2,14 @@
 //!
 //! A task holds it for microseconds; nothing here computes a command.
 
+use super::agreement::{self, Agreement, Deviation, Stage};
+use super::drive::Output;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
+use super::peer_link::{MAX_WORDS, Opinion, PeerLink};
+use super::read_back::ReadBack;
 use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
 use crate::driving::perception::ego_of;
-use crate::driving::types::{Command, Ego};
+use crate::driving::types::{Command, ControlStep, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
 use crate::trace::Event;
 use crate::{Config, Heard, read_can};
@@ -16,6 +20,7 @@ use tandem_redundancy::{
     Action, Actions, ControlFrame, FailureMode, Input, Loaded, Mode, PeerReport, Phase, Redundancy,
     Snapshot, StateStore,
 };
+use tandem_shm::newest::Writer;
 
 /// A state that is not in flash after this time will not be: erasing a sector and programming a
 /// record take less.
@@ -37,7 +42,8 @@ const MOTIONS: usize = 6;
 #[derive(Default)]
 pub(super) struct Inbox {
     motions: Deque<(Instant, Ego), MOTIONS>,
-    command_of_master: Option<Command>,
+    /// What the vehicle obeys, unless this system drives.
+    obeyed: Option<Command>,
 }
 
 impl Inbox {
@@ -53,8 +59,8 @@ impl Inbox {
         for (at, ego) in &self.motions {
             drive.on_ego(*at, *ego);
         }
-        if let Some(command) = self.command_of_master {
-            drive.on_command_of_master(command);
+        if let Some(command) = self.obeyed {
+            drive.on_obeyed(command);
         }
     }
 }
@@ -86,6 +92,17 @@ pub struct Shared<'b, B: Board> {
     /// A control cycle that the degraded task is to do.
     pub(super) handed_over: Option<Release>,
     pub(super) inbox: Inbox,
+    /// The other system's command since the last control cycle, and the function that gave it.
+    pub(super) heard: Option<(Command, tandem_bus::Mode)>,
+    pub(super) agreement: Agreement,
+    pub(super) peer_link: PeerLink,
+    pub(super) read_back: ReadBack,
+    /// This system's command was found wrong: it sends none any more.
+    pub(super) wrong_command: bool,
+    /// Where core 2 finds what to compute again; `None` until the LMU is there.
+    pub(super) steps: Option<Writer<'b, ControlStep>>,
+    /// What this system would have commanded in its last control cycle.
+    pub(super) last_output: Option<Output>,
     /// Cores 1 and 2 have both passed through a cycle.
     pub(super) all_seen: bool,
     ego_seen: bool,
@@ -94,6 +111,8 @@ pub struct Shared<'b, B: Board> {
     /// The latest scene has lanes.
     pub(super) lanes_seen: bool,
     pub(super) deadline_misses: u32,
+    /// Control cycles that have ended; wraps around.
+    pub(super) control_cycles: u32,
     pub(super) tracks: u8,
 }
 
@@ -132,11 +151,19 @@ impl<'b, B: Board> Shared<'b, B> {
             trajectories_waited: 0,
             handed_over: None,
             inbox: Inbox::default(),
+            heard: None,
+            agreement: Agreement::new(),
+            peer_link: PeerLink::new(),
+            read_back: ReadBack::new(),
+            wrong_command: false,
+            steps: None,
+            last_output: None,
             all_seen: false,
             ego_seen: false,
             stands: false,
             lanes_seen: false,
             deadline_misses: 0,
+            control_cycles: 0,
             tracks: 0,
         }
     }
@@ -204,16 +231,79 @@ impl<'b, B: Board> Shared<'b, B> {
     /// The newest report that has arrived over the link. Datagrams that are none do not hide it.
     fn newest_report(&mut self) -> Option<PeerReport> {
         let mut newest = None;
-        let mut words = [0; PeerReport::WORDS];
+        let mut words = [0; MAX_WORDS];
         for _ in 0..LINK_DATAGRAMS {
             let Some(length) = self.board.link().try_receive(&mut words) else {
                 return newest;
             };
-            let report = words.get(..length).and_then(PeerReport::from_words);
-            newest = report.or(newest);
+            let words = words.get(..length).unwrap_or_default();
+            if let Some(report) = PeerReport::from_words(words) {
+                newest = Some(report);
+            } else if let Some(opinion) = self.peer_link.on_datagram(words) {
+                self.hear_opinion(opinion);
+            }
         }
         self.floods.link();
         newest
+    }
+
+    /// What the other system would command. For the one that drives this is what to compare with.
+    fn hear_opinion(&mut self, opinion: Opinion) {
+        if self.phase().is_some_and(Phase::is_driving) {
+            self.heard = Some((opinion.command, opinion.mode));
+        }
+        self.hear_stage(opinion.stage);
+    }
+
+    fn hear_stage(&mut self, stage: Stage) {
+        let change = self.agreement.on_stage_of_peer(stage);
+        self.tell_agreement(change);
+    }
+
+    fn tell_agreement(&self, change: Option<agreement::Change>) {
+        if let Some((stage, percent)) = change {
+            let stage = stage as u8;
+            self.trace(Event::Agreement { stage, percent });
+        }
+    }
+
+    /// Compares this system's command with the other's. `output`: of this cycle.
+    pub(super) fn compare(&mut self, now: Instant, output: Output) {
+        let last = self.last_output.replace(output);
+        let heard = self.heard.take();
+        let own = match self.phase() {
+            Some(Phase::Standby) => Some((output.opinion, output.mode)),
+            // The other's opinion is a cycle old.
+            Some(Phase::Master | Phase::DegradedMaster) => {
+                last.map(|last| (last.command, last.mode))
+            }
+            _ => None,
+        };
+        let deviation = heard
+            .zip(own)
+            .and_then(|((theirs, their_mode), (own, mode))| {
+                let alike = frames::bus_mode(mode) == their_mode && mode != Mode::SafeStop;
+                alike.then(|| Deviation::of(&own, &theirs, output.speed))
+            });
+        let phase = self.phase().unwrap_or(Phase::Starting);
+        let change = self.agreement.cycle(now, phase, deviation);
+        self.tell_agreement(change);
+    }
+
+    /// The function to run.
+    pub(super) fn mode(&self) -> Option<Mode> {
+        let mode = self.redundancy.as_ref()?.mode();
+        let stops = mode != Mode::None && self.agreement.stage() == Stage::Unresolved;
+        Some(if stops { Mode::SafeStop } else { mode })
+    }
+
+    /// This system's command is wrong. It sends none any more and leaves, and the other drives.
+    pub(super) fn on_wrong_command(&mut self, witness: u8) -> TaskSet {
+        if core::mem::replace(&mut self.wrong_command, true) {
+            return TaskSet::NONE;
+        }
+        self.trace(Event::WrongCommand { witness });
+        self.tell(Input::OwnFault(FailureMode::WrongCommand))
     }
 
     /// Tells of floods. `held_back`: running count of the interrupts that came too early.
@@ -250,7 +340,19 @@ impl<'b, B: Board> Shared<'b, B> {
         match message {
             Message::GateEcho(echo) => {
                 let on_the_way = self.board.now().since(at);
-                self.tell(Input::VehicleTerm(frames::heard_echo(&echo, on_the_way)))
+                let mut released =
+                    self.tell(Input::VehicleTerm(frames::heard_echo(&echo, on_the_way)));
+                if echo.term != 0 && !self.phase().is_some_and(Phase::is_driving) {
+                    self.inbox.obeyed = Some(Command {
+                        steering_angle: echo.steering_angle,
+                        acceleration: echo.acceleration,
+                    });
+                }
+                let term = self.redundancy.as_ref().map(|it| it.term().bits());
+                if term.is_some_and(|term| self.read_back.on_echo(term, &echo)) {
+                    released |= self.on_wrong_command(0);
+                }
+                released
             }
             Message::EgoMotion(motion) => {
                 self.ego_seen = true;
@@ -267,26 +369,29 @@ impl<'b, B: Board> Shared<'b, B> {
                 };
                 let released = self.tell(Input::ControlFrame(frame));
                 if self.is_of_master(frame) {
-                    self.inbox.command_of_master = Some(Command {
+                    let command = Command {
                         steering_angle: control.steering_angle,
                         acceleration: control.acceleration,
-                    });
+                    };
+                    self.heard = Some((command, control.mode));
                 }
                 released
             }
             Message::Status {
                 system: from,
                 status,
-            } if usize::from(from) != self.system.index() => frames::heard_status(&status)
-                .map_or(TaskSet::NONE, |report| {
+            } if usize::from(from) != self.system.index() => {
+                self.hear_stage(status.agreement);
+                frames::heard_status(&status).map_or(TaskSet::NONE, |report| {
                     self.tell(Input::StatusFrame(report))
-                }),
+                })
+            }
             _ => TaskSet::NONE,
         }
     }
 
-    /// Whether the vehicle obeys this frame of the other system, which was told to the redundancy.
-    /// Do not resume from a stale frame of a master that was held up.
+    /// Whether this frame of the other system, which was told to the redundancy, is of the one that
+    /// drives.
     fn is_of_master(&self, frame: ControlFrame) -> bool {
         self.redundancy.as_ref().is_none_or(|redundancy| {
             !redundancy.phase().is_driving() && frame.term == redundancy.highest_term()
@@ -349,6 +454,12 @@ impl<'b, B: Board> Shared<'b, B> {
             // the next.
             let _full = self.board.link().try_send(&report.to_words());
         }
+    }
+
+    /// The control task does not end its cycles. Without a redundancy there is nothing to tell; the
+    /// watchdog resets this system.
+    pub(super) fn on_hung_control(&mut self) -> TaskSet {
+        self.tell(Input::OwnFault(FailureMode::Deadline))
     }
 
     /// Core 1 or 2 is dead.

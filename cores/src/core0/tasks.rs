@@ -2,14 +2,17 @@
 
 use super::alive::Alive;
 use super::limits::DOORBELL_DISTANCE;
+use super::peer_link::Opinion;
 use super::shared::Shared;
 use super::{Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
-use crate::layout::{ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns};
+use crate::layout::{
+    CONTROL_STEP, ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns,
+};
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
-use tandem_board::{Board, CoreId, Duration, Instant, Supply, watchdog_answer};
+use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answer};
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
@@ -52,6 +55,9 @@ impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
     }
 }
 
+/// Steps in succession that core 2 finds wrong, until the command is. It looks every 50 ms.
+const WRONG_STEPS: u32 = 2;
+
 /// The window and functional watchdog, and the cores' alive counters.
 pub struct Monitoring<'b, B> {
     board: &'b B,
@@ -61,7 +67,36 @@ pub struct Monitoring<'b, B> {
     alive: Alive,
     /// The core that was last told to be silent: a system that drives on tells it once.
     told_silent: Option<CoreId>,
+    control: Progress,
+    /// The watchdog gets no service, and resets this system.
+    withholds: bool,
     last_service: Option<Instant>,
+}
+
+/// Logical supervision of the control task: it must end cycles as time goes on. Time is counted in
+/// polls of the monitoring, so a core that was held up as a whole is not blamed.
+#[derive(Default)]
+struct Progress {
+    cycles: u32,
+    polls_without: u8,
+}
+
+impl Progress {
+    /// Polls of the monitoring, 5 ms apart, without a control cycle: four periods of it.
+    const HUNG_POLLS: u8 = 8;
+
+    /// `cycles`: running count of the control cycles that have ended.
+    fn poll(&mut self, cycles: u32) {
+        self.polls_without = if core::mem::replace(&mut self.cycles, cycles) == cycles {
+            self.polls_without.saturating_add(1)
+        } else {
+            0
+        };
+    }
+
+    const fn is_hung(&self) -> bool {
+        self.polls_without >= Self::HUNG_POLLS
+    }
 }
 
 impl<'b, B: Board> Monitoring<'b, B> {
@@ -74,6 +109,8 @@ impl<'b, B: Board> Monitoring<'b, B> {
             map: None,
             alive: Alive::new(started, config.boot_limit, |_| 0),
             told_silent: None,
+            control: Progress::default(),
+            withholds: false,
             last_service: None,
         }
     }
@@ -86,8 +123,11 @@ impl<'b, B: Board> Monitoring<'b, B> {
         }
     }
 
-    /// Services the watchdog unless the window is not yet open.
+    /// Services the watchdog unless the window is not yet open, or this system is not to go on.
     fn service_watchdog(&mut self) {
+        if self.withholds {
+            return;
+        }
         let now = self.board.now();
         // 1 ms after the window opens: the supply's clock may run slower than this one.
         let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 1000);
@@ -104,9 +144,27 @@ impl<'b, B: Board> Monitoring<'b, B> {
         self.last_service = Some(self.board.now());
     }
 
+    /// A control task that hangs ends its system: a standby that only looks alive is none. So does
+    /// a wrong command: the watchdog resets a system that has no other to leave the vehicle to.
+    fn supervise_control(&mut self, executor: &impl Executor<'b, B>) {
+        let tasks = executor.shared(|shared| {
+            self.control.poll(shared.control_cycles);
+            self.withholds = self.control.is_hung() || shared.wrong_command;
+            self.control.is_hung().then(|| shared.on_hung_control())
+        });
+        if let Some(tasks) = tasks {
+            executor.release(tasks);
+        }
+    }
+
     /// Compares the alive counters with their limit.
     fn supervise(&mut self, executor: &impl Executor<'b, B>) {
         let Some(map) = &self.map else { return };
+        if map.wrong_steps() >= WRONG_STEPS {
+            map.judge_control(true);
+            let tasks = executor.shared(|shared| shared.on_wrong_command(1));
+            executor.release(tasks);
+        }
         let (now, limit) = (self.board.now(), self.config.alive_limit);
         let silent = self.alive.silent(now, limit, |core| map.cycles(core));
         let all_seen = self.alive.all_seen();
@@ -141,9 +199,17 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if self.map.is_none() {
             self.attach();
+            if let Some(ControllerMap {
+                map, incarnation, ..
+            }) = &self.map
+            {
+                let steps = CONTROL_STEP.writer(map, *incarnation).ok();
+                executor.shared(|shared| shared.steps = steps);
+            }
         }
         if let Some(release) = self.grid.release(self.board.now()) {
             executor.begins(Self::ID, released(self.board, release));
+            self.supervise_control(executor);
             self.service_watchdog();
             self.supervise(executor);
             executor.ends(Self::ID);
@@ -165,8 +231,7 @@ impl<'b, B: Board> Task<'b, B> for Control<'b, B> {
         let now = self.0.now();
         let (release, degraded, next) = executor.shared(|shared| {
             let release = shared.release_control(now);
-            let mode = shared.redundancy.as_ref().map(|it| it.mode());
-            let degraded = mode == Some(Mode::DegradedL2);
+            let degraded = shared.mode() == Some(Mode::DegradedL2);
             if degraded {
                 shared.handed_over = release.or(shared.handed_over);
             }
@@ -213,7 +278,7 @@ fn cycle<'b, B: Board>(
                 missed: release.missed,
             });
         }
-        let mode = shared.redundancy.as_ref()?.mode();
+        let mode = shared.mode()?;
         Some((mode, core::mem::take(&mut shared.inbox)))
     });
     if let Some((mode, inbox)) = inputs {
@@ -223,26 +288,44 @@ fn cycle<'b, B: Board>(
         });
         executor.shared(|shared| shared.send_control(&output, begin, release.at));
     }
+    executor.shared(|shared| shared.control_cycles = shared.control_cycles.wrapping_add(1));
     executor.ends(task);
 }
 
 impl<B: Board> Shared<'_, B> {
     fn send_control(&mut self, output: &super::drive::Output, begin: Instant, release: Instant) {
+        self.compare(begin, *output);
+        if let (Some(steps), Some(step)) = (&mut self.steps, &output.step) {
+            steps.publish(step);
+        }
+        let mode = if self.agreement.is_warm(begin) {
+            output.mode
+        } else {
+            Mode::None
+        };
+        let opinion = Opinion {
+            mode: frames::bus_mode(mode),
+            stage: self.agreement.stage(),
+            command: output.opinion,
+        };
         let Some(redundancy) = &mut self.redundancy else {
             return;
         };
         let may_transmit = redundancy.may_transmit(self.board.now());
         self.report();
+        let _full = self.board.link().try_send(&self.peer_link.opinion(opinion));
         let Some(redundancy) = &mut self.redundancy else {
             return;
         };
-        let transmitted = may_transmit && {
-            let control = frames::control(redundancy, output);
+        let transmitted = may_transmit && !self.wrong_command && {
+            let control = frames::control(redundancy, output, self.board.now());
             let message = Message::Control {
                 system: self.system.index() as u8,
                 control,
             };
-            frames::send(self.board, &mut self.transmitter, &message)
+            let encoded = self.transmitter.encode(&message);
+            self.read_back.on_sent(encoded.data()[2], &control);
+            frames::send_encoded(self.board, &encoded)
         };
         self.trace(Event::ControlCycle {
             lateness_ns: age_ns(begin, release),
@@ -387,7 +470,11 @@ impl<B: Board> Shared<'_, B> {
         let Some(redundancy) = &self.redundancy else {
             return;
         };
-        let status = frames::status(redundancy, self.tracks, self.deadline_misses);
+        // Its mode is the redundancy's: a master that tells of a safe stop there resigns.
+        let status = tandem_bus::Status {
+            agreement: self.agreement.stage(),
+            ..frames::status(redundancy, self.tracks, self.deadline_misses)
+        };
         let message = Message::Status {
             system: self.system.index() as u8,
             status,

@@ -6,7 +6,9 @@
 
 use tandem_board::{Duration, Instant};
 
-use super::control::{PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, driven_curvature, steer};
+use super::control::{
+    PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, Wish, driven_curvature, steer,
+};
 use super::idm::{self, Driver, Leader};
 use super::math::{abs, max, min, sqrt, wrap_angle};
 use super::odometry::{Pose, motion};
@@ -46,6 +48,7 @@ const DRIVER: Driver = Driver {
 pub struct DegradedControl {
     slip: SlipFilter,
     shaper: Shaper,
+    wish: Wish,
 }
 
 impl Default for DegradedControl {
@@ -61,7 +64,14 @@ impl DegradedControl {
         Self {
             slip: SlipFilter::default(),
             shaper: Shaper::new(),
+            wish: Wish::default(),
         }
+    }
+
+    /// What the last step would have commanded without limits.
+    #[must_use]
+    pub(crate) fn wish(&self) -> Wish {
+        self.wish
     }
 
     /// Goes on from this command, which another function or the other system gave last.
@@ -159,7 +169,11 @@ impl DegradedControl {
         if ego.speed < 0.3 && wish.acceleration < 0.2 {
             wish.acceleration = STANDSTILL_BRAKE;
         }
-        self.shaper.shape(&wish, ego, false)
+        self.wish = Wish {
+            command: wish,
+            urgent: false,
+        };
+        self.shaper.shape(&self.wish, ego)
     }
 }
 

@@ -9,4 +9,4 @@ pub mod perception;
 pub mod planning;
 pub mod road;
 pub mod types;
-mod vehicle;
+pub(crate) mod vehicle;

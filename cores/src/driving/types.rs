@@ -171,3 +171,21 @@ pub struct Command {
     /// Longitudinal acceleration, m/s².
     pub acceleration: f32,
 }
+
+/// One step of the motion control with its inputs (core 0 to 2): whoever has the trajectory can
+/// compute it again.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ControlStep {
+    /// The trajectory's cycle.
+    pub cycle: u32,
+    /// Age of the trajectory at the step, s.
+    pub age_s: f32,
+    /// The vehicle in the trajectory's frame: x and y in m, heading in rad.
+    pub pose: [f32; 3],
+    /// Motion of the own vehicle, its slip angle without noise.
+    pub ego: Ego,
+    /// The command before.
+    pub last: Command,
+    /// The command that was computed.
+    pub command: Command,
+}

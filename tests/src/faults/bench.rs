@@ -48,7 +48,7 @@ impl Vehicle {
                 match judged.acceptance.verdict {
                     Verdict::Accepted => self.accepted.push(judged.acceptance),
                     Verdict::Fenced => self.fenced.push(judged.acceptance),
-                    Verdict::NotMaster | Verdict::Invalid => {}
+                    _ => {}
                 }
             }
         }

@@ -9,8 +9,11 @@ mod download;
 mod faults;
 mod floods;
 mod held_up;
+mod hung;
+mod joins;
 mod stale;
 mod terms;
+mod wrong;
 
 use tandem_board::{CoreId, Duration, SystemId};
 use tandem_cores::trace::Event;

@@ -4,14 +4,15 @@ mod lateral;
 mod shaping;
 
 pub(crate) use lateral::{PathError, SlipFilter, steer};
-pub(crate) use shaping::{STANDSTILL_BRAKE, Shaper};
+pub(crate) use shaping::{STANDSTILL_BRAKE, Shaper, Wish};
 
 use tandem_board::{Duration, Instant};
 
-use super::math::{atan, bound, cos, lerp, max, min, sin, wrap_angle};
-use super::odometry::{Odometry, Pose};
+use super::math::{abs, atan, bound, cos, lerp, max, min, sin, wrap_angle};
+use super::odometry::{Odometry, Pose, motion};
 use super::types::{
-    Command, Ego, Maneuver, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S, Trajectory, TrajectoryPoint,
+    Command, ControlStep, Ego, Maneuver, TRAJECTORY_SAMPLES, TRAJECTORY_STEP_S, Trajectory,
+    TrajectoryPoint,
 };
 
 /// A trajectory is followed for this long: six cycles of core 1 and 2, after which the traffic may
@@ -48,6 +49,8 @@ pub struct MotionControl {
     odometry: Odometry,
     slip: SlipFilter,
     shaper: Shaper,
+    wish: Wish,
+    last_step: ControlStep,
 }
 
 impl Default for MotionControl {
@@ -64,7 +67,21 @@ impl MotionControl {
             odometry: Odometry::new(),
             slip: SlipFilter::default(),
             shaper: Shaper::new(),
+            wish: Wish::default(),
+            last_step: ControlStep::default(),
         }
+    }
+
+    /// The last step that gave a command, with its inputs.
+    #[must_use]
+    pub fn last_step(&self) -> &ControlStep {
+        &self.last_step
+    }
+
+    /// What the last step would have commanded without limits.
+    #[must_use]
+    pub(crate) fn wish(&self) -> Wish {
+        self.wish
     }
 
     /// Takes the motion measured at `now`; to be called with every such message (100 Hz).
@@ -102,19 +119,59 @@ impl MotionControl {
         if age > TRAJECTORY_MAX_AGE {
             return Err(ControlError::TrajectoryTooOld);
         }
-        let age_s = age.as_secs_f32();
         let pose = self.odometry.between(trajectory.at, now);
-        let reference = sample(trajectory, age_s);
-        let feed_forward = FeedForward {
-            curvature: sample(trajectory, age_s + STEERING_PREVIEW_S).curvature,
-            acceleration: sample(trajectory, age_s + POWERTRAIN_PREVIEW_S).acceleration,
+        let step = ControlStep {
+            cycle: trajectory.cycle,
+            age_s: age.as_secs_f32(),
+            pose: [pose.x, pose.y, pose.heading],
+            ego: *ego,
+            last: self.shaper.last(),
+            command: Command::default(),
         };
-        let Some(wish) = wish(&pose, ego, &reference, &feed_forward) else {
+        let Some(wish) = wish(&step, trajectory) else {
             return Err(ControlError::TrajectoryInvalid);
         };
-        let urgent = trajectory.maneuver == Maneuver::Brake;
-        Ok(self.shaper.shape(&wish, ego, urgent))
+        self.wish = wish;
+        let command = self.shaper.shape(&wish, ego);
+        self.last_step = ControlStep { command, ..step };
+        Ok(command)
     }
+}
+
+/// Differences that rounding explains: rad and m/s².
+const STEERING_ROUNDING: f32 = 1e-5;
+const ACCELERATION_ROUNDING: f32 = 1e-3;
+/// How far the vehicle may be from where its motion since the scene leads, m, m, rad, and that
+/// motion from the scene's, m/s, rad/s, rad: more than sensors and 150 ms of hard driving explain.
+const PLAUSIBLE_POSE: [f32; 3] = [2.0, 0.6, 0.1];
+const PLAUSIBLE_EGO: [f32; 3] = [3.0, 0.4, 0.06];
+
+/// Whether this step of another core follows from its inputs, and those from what this core knows:
+/// the trajectory, and the motion at its begin. T-RED-9
+#[must_use]
+pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool {
+    let expected = motion(ego, &step.ego, step.age_s);
+    let pose = [expected.x, expected.y, expected.heading];
+    let near = |a: f32, b: f32, limit: f32| abs(a - b) <= limit;
+    let pairs = [
+        (step.ego.speed, ego.speed),
+        (step.ego.yaw_rate, ego.yaw_rate),
+        (step.ego.slip_angle, ego.slip_angle),
+    ];
+    let plausible = (0..3).all(|axis| {
+        near(step.pose[axis], pose[axis], PLAUSIBLE_POSE[axis])
+            && near(pairs[axis].0, pairs[axis].1, PLAUSIBLE_EGO[axis])
+    });
+    let Some(wish) = wish(step, trajectory) else {
+        return false;
+    };
+    let mut shaper = Shaper::new();
+    shaper.resume(&step.last);
+    let command = shaper.shape(&wish, &step.ego);
+    let (given, due) = (step.command, command);
+    plausible
+        && near(given.steering_angle, due.steering_angle, STEERING_ROUNDING)
+        && near(given.acceleration, due.acceleration, ACCELERATION_ROUNDING)
 }
 
 /// What the trajectory demands by the time the actuators answer.
@@ -125,13 +182,15 @@ struct FeedForward {
     acceleration: f32,
 }
 
-/// The unlimited command that holds the vehicle, now at `pose`, on the reference.
-fn wish(
-    pose: &Pose,
-    ego: &Ego,
-    reference: &TrajectoryPoint,
-    feed_forward: &FeedForward,
-) -> Option<Command> {
+/// The unlimited command that holds the vehicle, now at the step's pose, on the trajectory.
+fn wish(step: &ControlStep, trajectory: &Trajectory) -> Option<Wish> {
+    let (age_s, ego, [x, y, heading]) = (step.age_s, &step.ego, step.pose);
+    let pose = Pose { x, y, heading };
+    let reference = sample(trajectory, age_s);
+    let feed_forward = FeedForward {
+        curvature: sample(trajectory, age_s + STEERING_PREVIEW_S).curvature,
+        acceleration: sample(trajectory, age_s + POWERTRAIN_PREVIEW_S).acceleration,
+    };
     let (sine, cosine) = (sin(reference.heading), cos(reference.heading));
     let (dx, dy) = (pose.x - reference.x, pose.y - reference.y);
     let error = PathError {
@@ -154,9 +213,12 @@ fn wish(
         return None;
     }
     let steering_angle = steer(&error, ego.speed, ego.acceleration);
-    Some(Command {
-        steering_angle,
-        acceleration,
+    Some(Wish {
+        command: Command {
+            steering_angle,
+            acceleration,
+        },
+        urgent: trajectory.maneuver == Maneuver::Brake,
     })
 }
 
@@ -182,5 +244,70 @@ pub(crate) fn driven_curvature(ego: &Ego) -> f32 {
         ego.yaw_rate / ego.speed
     } else {
         atan(ego.steering_angle) / super::vehicle::WHEELBASE_M
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const EGO: Ego = Ego {
+        speed: 25.0,
+        yaw_rate: 0.0,
+        acceleration: 0.0,
+        steering_angle: 0.0,
+        slip_angle: 0.0,
+    };
+
+    /// Straight on at 24 m/s, half a metre to the left.
+    fn trajectory() -> Trajectory {
+        let mut points = [TrajectoryPoint::default(); TRAJECTORY_SAMPLES];
+        for (index, point) in points.iter_mut().enumerate() {
+            point.x = 24.0 * TRAJECTORY_STEP_S * index as f32;
+            point.y = 0.5;
+            point.speed = 24.0;
+        }
+        Trajectory {
+            at: Instant::from_ns(1_000_000_000),
+            measured: Instant::from_ns(1_000_000_000),
+            cycle: 7,
+            maneuver: Maneuver::Follow,
+            points,
+        }
+    }
+
+    /// T-RED-9: another core that has the trajectory finds a step right, and finds it wrong when
+    /// anything of it is not as it must be: a stuck command, a wrong place, a wrong motion.
+    #[test]
+    fn a_step_is_computed_again_and_every_fault_in_it_is_found() {
+        let (trajectory, at) = (trajectory(), trajectory().at);
+        let mut control = MotionControl::new();
+        for cycle in 0..15 {
+            let now = at + Duration::from_ms(10 * cycle);
+            control.on_ego(now, &EGO);
+            control.step(now, &EGO, &trajectory).unwrap();
+            assert!(is_right(control.last_step(), &trajectory, &EGO), "{cycle}");
+        }
+        let good = *control.last_step();
+        let faults: [fn(&mut ControlStep); 10] = [
+            |step| step.command.steering_angle += 1e-4,
+            |step| step.command.acceleration += 0.01,
+            |step| step.command = step.last,
+            |step| step.pose[0] += 3.0,
+            |step| step.pose[1] += 1.0,
+            |step| step.pose[2] += 0.2,
+            |step| step.ego.speed -= 4.0,
+            |step| step.ego.yaw_rate += 0.5,
+            |step| step.ego.slip_angle -= 0.1,
+            |step| step.command.steering_angle = f32::NAN,
+        ];
+        for (index, fault) in faults.iter().enumerate() {
+            let mut step = good;
+            fault(&mut step);
+            assert!(!is_right(&step, &trajectory, &EGO), "fault {index}");
+        }
+        let mut other = trajectory.clone();
+        other.points.iter_mut().for_each(|point| point.y = -0.5);
+        assert!(!is_right(&good, &other, &EGO));
     }
 }

@@ -24,6 +24,14 @@ const ROLLING_SPEED: f32 = 4.0;
 /// Lateral jerk that a change of steering may cause, m/s³.
 const LATERAL_JERK: f32 = 12.0;
 
+/// A command before its limits.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Wish {
+    pub(crate) command: Command,
+    /// Any braking may have the jerk of hard braking.
+    pub(crate) urgent: bool,
+}
+
 /// Limits commands; remembers the last one.
 #[derive(Clone, Debug)]
 pub(crate) struct Shaper {
@@ -51,8 +59,11 @@ impl Shaper {
     }
 
     /// The command nearest to the wish that limits allow one period after the last command.
-    /// `urgent` allows the jerk of hard braking for any braking.
-    pub(crate) fn shape(&mut self, wish: &Command, ego: &Ego, urgent: bool) -> Command {
+    pub(crate) fn shape(&mut self, wish: &Wish, ego: &Ego) -> Command {
+        let Wish {
+            command: wish,
+            urgent,
+        } = *wish;
         let speed = max(ego.speed, 3.0);
         let lateral_rate = LATERAL_JERK * WHEELBASE_M / (speed * speed);
         // The wheels of a standing vehicle are not turned: it would only follow noise.
@@ -99,14 +110,21 @@ mod tests {
         }
     }
 
+    fn wish(steering_angle: f32, acceleration: f32) -> Wish {
+        let command = Command {
+            steering_angle,
+            acceleration,
+        };
+        Wish {
+            command,
+            urgent: false,
+        }
+    }
+
     #[test]
     fn comfort_limits_the_rate_of_gentle_wishes() {
         let mut shaper = Shaper::new();
-        let wish = Command {
-            steering_angle: 0.1,
-            acceleration: -2.0,
-        };
-        let first = shaper.shape(&wish, &cruising(), false);
+        let first = shaper.shape(&wish(0.1, -2.0), &cruising());
         assert!((first.acceleration + COMFORT_JERK * PERIOD_S).abs() < 1e-6);
         let lateral_jerk = first.steering_angle / PERIOD_S / WHEELBASE_M * 625.0;
         assert!((lateral_jerk - LATERAL_JERK).abs() < 0.1, "{lateral_jerk}");
@@ -115,12 +133,8 @@ mod tests {
     #[test]
     fn an_emergency_brakes_at_once() {
         let mut shaper = Shaper::new();
-        let wish = Command {
-            steering_angle: 0.0,
-            acceleration: -9.0,
-        };
         for _ in 0..21 {
-            shaper.shape(&wish, &cruising(), false);
+            shaper.shape(&wish(0.0, -9.0), &cruising());
         }
         assert!(shaper.last().acceleration <= -9.0);
     }
@@ -133,7 +147,7 @@ mod tests {
             steering_angle: 0.02,
             acceleration: -1.5,
         });
-        let next = shaper.shape(&Command::default(), &cruising(), false);
+        let next = shaper.shape(&Wish::default(), &cruising());
         assert!((next.acceleration + 1.5).abs() <= COMFORT_JERK * PERIOD_S + 1e-6);
         assert!((next.steering_angle - 0.02).abs() < 0.001);
     }

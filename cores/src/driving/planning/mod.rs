@@ -95,6 +95,13 @@ impl Planner {
         }
     }
 
+    /// The last plan, and the vehicle's motion at its begin; `None` before the first.
+    #[must_use]
+    pub fn last(&self) -> Option<(&Trajectory, &Ego)> {
+        let last = self.last.as_ref()?;
+        Some((&last.trajectory, &last.ego))
+    }
+
     /// The trajectory for this scene. Always gives one: if nothing else is left, full braking along
     /// the lane. Without lanes it stays in the driven curve and slows down.
     pub fn plan(&mut self, scene: &Scene) -> Trajectory {

@@ -134,6 +134,7 @@ impl<'b> Core<'b> {
                 steering_angle: 0.0,
                 acceleration: 0.0,
                 command_age: 0.0,
+                sent_at: 0,
             },
         };
         let encoded = self.transmitter.encode(&message);

@@ -1,0 +1,160 @@
+//! Reads back what the vehicle obeys: it must be what this system has sent. T-RED-9
+//!
+//! The vehicle's echo names the control frame that it obeys, by the frame's counter, and the
+//! command. A fault between the computation and the bus (a stuck signal with a valid protection,
+//! for instance) shows here within some control periods. An echo may come late: the frames of the
+//! last 0.3 s are remembered, and what is older is not judged.
+
+use tandem_bus::{Control, GateEcho};
+
+/// Commands that are remembered, by the counter of their frames.
+const REMEMBERED: usize = 32;
+/// Successive echoes that are wrong, until the command is.
+const WRONG_ECHOES: u8 = 2;
+/// Half a step of the signals, and what rounding adds, rad and m/s².
+const STEERING_STEP: f32 = 1.5e-5;
+const ACCELERATION_STEP: f32 = 0.75e-3;
+
+/// The commands that were sent, and what the vehicle said of them.
+#[derive(Clone, Debug)]
+pub(super) struct ReadBack {
+    term: u32,
+    /// Steering angle and acceleration, by the counter.
+    sent: [(f32, f32); REMEMBERED],
+    /// How many of these are of this term, and the counter of the newest.
+    count: u8,
+    newest: u8,
+    wrong: u8,
+    refused: Option<u8>,
+    /// Counter of the frame that is obeyed, by the last echo.
+    obeyed: u8,
+}
+
+impl ReadBack {
+    pub(super) const fn new() -> Self {
+        Self {
+            term: 0,
+            sent: [(0.0, 0.0); REMEMBERED],
+            count: 0,
+            newest: 0,
+            wrong: 0,
+            refused: None,
+            obeyed: 0,
+        }
+    }
+
+    /// This frame is about to be sent, with this counter.
+    pub(super) fn on_sent(&mut self, counter: u8, control: &Control) {
+        if control.term != self.term {
+            (self.term, self.count) = (control.term, 0);
+            (self.wrong, self.refused) = (0, None);
+        }
+        self.sent[usize::from(counter) % REMEMBERED] =
+            (control.steering_angle, control.acceleration);
+        self.count = (self.count + 1).min(REMEMBERED as u8);
+        self.newest = counter;
+    }
+
+    /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
+    pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho) -> bool {
+        if echo.term != term || self.term != term {
+            (self.wrong, self.refused) = (0, None);
+            return false;
+        }
+        let before = self.refused.replace(echo.refused);
+        let refuses = before.is_some_and(|count| count != echo.refused);
+        let ago = self.newest.wrapping_sub(echo.obeyed_counter);
+        let (steering_angle, acceleration) =
+            self.sent[usize::from(echo.obeyed_counter) % REMEMBERED];
+        let obeyed = ago >= self.count
+            || (steering_angle - echo.steering_angle).abs() < STEERING_STEP
+                && (acceleration - echo.acceleration).abs() < ACCELERATION_STEP;
+        let before = core::mem::replace(&mut self.obeyed, echo.obeyed_counter);
+        if !obeyed || refuses {
+            self.wrong += 1;
+        } else if before != echo.obeyed_counter {
+            // Echoes between two frames say nothing new.
+            self.wrong = 0;
+        }
+        if self.wrong < WRONG_ECHOES {
+            return false;
+        }
+        self.wrong = 0;
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TERM: u32 = 16;
+
+    fn control(cycle: u32) -> Control {
+        Control {
+            term: TERM,
+            steering_angle: cycle as f32 * 1e-3,
+            acceleration: -1.0,
+            ..Control::default()
+        }
+    }
+
+    /// The echo of the frame of this cycle.
+    fn echo(cycle: u32) -> GateEcho {
+        let control = control(cycle);
+        GateEcho {
+            refused: 0,
+            term: control.term,
+            term_age: 1.0,
+            obeyed_counter: cycle as u8,
+            // As the bus rounds it.
+            steering_angle: libm::roundf(control.steering_angle / 2e-5) * 2e-5,
+            acceleration: control.acceleration,
+        }
+    }
+
+    /// Sends 400 frames, and hears for each what `obeyed` makes of it; when that was found wrong.
+    fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
+        let mut read_back = ReadBack::new();
+        (0..400).find(|cycle| {
+            read_back.on_sent(*cycle as u8, &control(*cycle));
+            read_back.on_echo(TERM, &obeyed(*cycle, echo(*cycle)))
+        })
+    }
+
+    /// T-RED-9: what is obeyed as it was sent is right, also when the echo comes late; what is
+    /// obeyed otherwise, or refused again and again, is wrong. Another system's command is none of
+    /// ours.
+    #[test]
+    fn a_command_that_is_obeyed_otherwise_is_wrong() {
+        assert_eq!(found(|_, echo| echo), None);
+        for late in [5, 31, 32, 100] {
+            let late = |cycle: u32, _| echo(cycle.saturating_sub(late));
+            assert_eq!(found(late), None);
+        }
+        let stuck = |_, it| GateEcho {
+            steering_angle: 0.5,
+            ..it
+        };
+        assert_eq!(found(stuck), Some(1));
+        let brakes = |cycle, it| match cycle {
+            10 | 20.. => GateEcho {
+                acceleration: -1.002,
+                ..it
+            },
+            _ => it,
+        };
+        assert_eq!(found(brakes), Some(21));
+        let refused = |cycle: u32, it| GateEcho {
+            refused: cycle.saturating_sub(10) as u8,
+            ..it
+        };
+        assert_eq!(found(refused), Some(12));
+        let others = |_, it| GateEcho {
+            steering_angle: 0.5,
+            term: TERM + 1,
+            ..it
+        };
+        assert_eq!(found(others), None);
+    }
+}

@@ -1,0 +1,173 @@
+//! A simulated board whose CAN controller is not what it seems: frames are altered on their way.
+
+use std::cell::RefCell;
+use std::sync::atomic::AtomicU32;
+use tandem_board::{
+    Board, Can, CanFrame, CanId, CoreId, Identity, Instant, Received, TraceRecord, TransmitFull,
+    Wake,
+};
+use tandem_board_sim::{Poller, SimBoard};
+use tandem_bus::Message;
+use tandem_cores::core0::Core0;
+use tandem_cores::core1::Core1;
+use tandem_cores::{Config, Core};
+
+/// What becomes of a frame that a core sends: none, one or more reach the controller.
+pub type OnSend = Box<dyn FnMut(Instant, CanFrame) -> Vec<CanFrame>>;
+/// What a core hears instead of a frame.
+pub type OnHear = Box<dyn FnMut(Instant, CanFrame) -> CanFrame>;
+
+/// A board around a simulated one.
+pub struct BentBoard {
+    board: SimBoard,
+    can: BentCan,
+}
+
+/// Its CAN controller.
+pub struct BentCan {
+    board: SimBoard,
+    on_send: RefCell<OnSend>,
+    on_hear: RefCell<OnHear>,
+}
+
+impl BentBoard {
+    /// A board that bends what is sent and heard.
+    #[must_use]
+    pub fn new(board: &SimBoard, on_send: OnSend, on_hear: OnHear) -> Self {
+        Self {
+            board: board.clone(),
+            can: BentCan {
+                board: board.clone(),
+                on_send: on_send.into(),
+                on_hear: on_hear.into(),
+            },
+        }
+    }
+}
+
+/// Core 0 or core 1 of a system, with frames that it sends or hears bent.
+///
+/// # Panics
+/// For core 2, which neither sends nor hears.
+#[must_use]
+pub fn bent_core(board: &SimBoard, config: Config, on_send: OnSend, on_hear: OnHear) -> Poller {
+    let bent: &'static BentBoard = Box::leak(Box::new(BentBoard::new(board, on_send, on_hear)));
+    match board.identity().core {
+        CoreId::CONTROL => {
+            let mut core = Core0::new(bent, config);
+            Box::new(move |_| core.poll())
+        }
+        CoreId::PERCEPTION => {
+            let mut core = Core1::new(bent);
+            Box::new(move |_| core.poll())
+        }
+        other => panic!("{other} has no CAN"),
+    }
+}
+
+/// The frame as it is.
+#[must_use]
+pub fn straight(_: Instant, frame: CanFrame) -> CanFrame {
+    frame
+}
+
+/// Alters the content of a frame of the DBC and protects it anew with its own counter. Others stay
+/// as they are.
+///
+/// # Panics
+/// If the altered message makes no frame.
+#[must_use]
+pub fn altered(frame: CanFrame, alter: impl FnOnce(&mut Message)) -> CanFrame {
+    let CanId::Standard(id) = frame.id() else {
+        return frame;
+    };
+    let Ok(mut message) = Message::decode(id.into(), frame.data()) else {
+        return frame;
+    };
+    alter(&mut message);
+    let encoded = message.encode(frame.data()[2]);
+    CanFrame::new(frame.id(), true, encoded.data()).expect("a frame of the DBC")
+}
+
+impl Can for BentCan {
+    fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
+        let frames = (self.on_send.borrow_mut())(self.board.now(), *frame);
+        frames
+            .iter()
+            .try_for_each(|frame| self.board.can().try_send(frame))
+    }
+
+    fn discard_unsent(&self) {
+        self.board.can().discard_unsent();
+    }
+
+    fn try_receive(&self) -> Option<Received> {
+        let Received { frame, at } = self.board.can().try_receive()?;
+        let frame = (self.on_hear.borrow_mut())(at, frame);
+        Some(Received { frame, at })
+    }
+
+    fn wake_on_receive(&self, on: bool) {
+        self.board.can().wake_on_receive(on);
+    }
+
+    fn overruns(&self) -> u32 {
+        self.board.can().overruns()
+    }
+}
+
+impl Board for BentBoard {
+    type Can = BentCan;
+    type Lines = <SimBoard as Board>::Lines;
+    type Link = <SimBoard as Board>::Link;
+    type Flash = <SimBoard as Board>::Flash;
+    type Supply = <SimBoard as Board>::Supply;
+
+    fn identity(&self) -> Identity {
+        self.board.identity()
+    }
+
+    fn now(&self) -> Instant {
+        self.board.now()
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        self.board.lmu()
+    }
+
+    fn ring(&self, to: CoreId) {
+        self.board.ring(to);
+    }
+
+    fn release_core(&self, core: CoreId) {
+        self.board.release_core(core);
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        self.board.wait(deadline)
+    }
+
+    fn can(&self) -> &BentCan {
+        &self.can
+    }
+
+    fn lines(&self) -> &Self::Lines {
+        self.board.lines()
+    }
+
+    fn link(&self) -> &Self::Link {
+        self.board.link()
+    }
+
+    fn flash(&self) -> &Self::Flash {
+        self.board.flash()
+    }
+
+    fn supply(&self) -> &Self::Supply {
+        self.board.supply()
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        self.board.trace(record);
+    }
+}

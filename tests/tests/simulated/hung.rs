@@ -1,0 +1,105 @@
+//! A control task that hangs while the more urgent tasks of its core go on.
+
+use std::cell::{Cell, RefCell};
+use tandem_board::{Board, CoreId, Duration, Instant, SystemId};
+use tandem_board_sim::{Poller, SimBoard};
+use tandem_cores::Config;
+use tandem_cores::core0::{Drive as Driving, Executor, Parts, Shared, Task, TaskId, TaskSet};
+use tandem_cores::trace::{Begin, Event};
+use tandem_tests::drive::{Drive, poller};
+
+const MS: fn(u64) -> Duration = Duration::from_ms;
+/// The control task hangs from this time of its system's life on.
+const HANGS: Duration = Duration::from_ms(10_000);
+
+/// Runs the tasks of core 0 one after the other, every millisecond.
+struct OneFlow {
+    shared: RefCell<Shared<'static, SimBoard>>,
+    drive: RefCell<Driving>,
+    released: Cell<TaskSet>,
+}
+
+impl Executor<'static, SimBoard> for OneFlow {
+    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, SimBoard>) -> R) -> R {
+        body(&mut self.shared.borrow_mut())
+    }
+
+    fn drive<R>(&self, body: impl FnOnce(&mut Driving) -> R) -> R {
+        body(&mut self.drive.borrow_mut())
+    }
+
+    fn release(&self, tasks: TaskSet) {
+        self.released.set(self.released.get() | tasks);
+    }
+
+    fn held_back(&self) -> u32 {
+        0
+    }
+
+    fn begins(&self, _: TaskId, _: Begin) {}
+
+    fn ends(&self, _: TaskId) {}
+}
+
+/// Core 0 whose control task hangs in the first life of its system.
+fn hanging(board: &SimBoard) -> Poller {
+    let hangs = board.identity().generation.0 == 1;
+    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+    let started = board.now();
+    let Parts {
+        shared,
+        drive,
+        mut tasks,
+    } = Parts::new(board, Config::rt());
+    let executor = OneFlow {
+        shared: RefCell::new(shared),
+        drive: RefCell::new(drive),
+        released: Cell::new(TaskSet::NONE),
+    };
+    Box::new(move |_| {
+        let now: Instant = board.now();
+        executor.released.set(TaskSet::NONE);
+        tasks.roles.poll(&executor);
+        tasks.monitoring.poll(&executor);
+        if !hangs || now.since(started) < HANGS {
+            tasks.control.poll(&executor);
+            if executor.released.get().contains(TaskId::Degraded) {
+                tasks.degraded.poll(&executor);
+            }
+            tasks.trajectory_input.poll(&executor);
+            tasks.status.poll(&executor);
+        }
+        now + MS(1)
+    })
+}
+
+/// T-CHIP-6, T-RED-3: a control task that hangs is noticed in the standby as in the master: its
+/// system stops its heartbeats, resets itself and comes back; the other drives.
+#[test]
+fn a_control_task_that_hangs_is_noticed_in_the_standby_too() {
+    for of in SystemId::ALL {
+        let mut drive = Drive::with("free-lane", 4, move |board| {
+            let id = board.identity();
+            if (id.system, id.core) == (of, CoreId::CONTROL) {
+                hanging(board)
+            } else {
+                poller(board, Config::rt())
+            }
+        });
+        drive.run_for(MS(13_000));
+        crate::print_story(&drive);
+        let restarted = drive.events.iter().find(|(_, system, core, event)| {
+            let again = matches!(event, Event::Started { generation: 2, .. });
+            (*system, *core) == (of, CoreId::CONTROL) && again
+        });
+        let after_ms = restarted.map(|(at, ..)| at.as_ns() / 1_000_000 - HANGS.as_ns() / 1_000_000);
+        println!("{of} restarts after {after_ms:?} ms");
+        assert!(after_ms.is_some_and(|ms| ms < 100), "{of}: {after_ms:?}");
+        let masters: &[SystemId] = match of {
+            SystemId::A => &[SystemId::A, SystemId::B],
+            SystemId::B => &[SystemId::A],
+        };
+        assert_eq!(drive.masters(), masters);
+        assert!(drive.gap_max() < MS(40), "{:?}", drive.gap_max());
+    }
+}

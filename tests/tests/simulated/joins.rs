@@ -1,0 +1,81 @@
+//! A standby that has just joined takes over: what its first commands are worth.
+
+use tandem_board::{CanId, Duration, ResetCause, SystemId};
+use tandem_bus::{Control, Message};
+use tandem_tests::drive::Drive;
+
+const MS: fn(u64) -> Duration = Duration::from_ms;
+/// A system that was reset is standby again within 60 ms; 100 ms later the other fails.
+const YOUNG: Duration = Duration::from_ms(160);
+/// Long enough to know all that the other knows.
+const OLD: Duration = Duration::from_ms(5_000);
+
+/// The commands on the bus in 300 ms from `at` on. B was reset `age` before; at `at` A loses its
+/// power, or it does not.
+fn commands(scenario: &str, at: Duration, age: Duration, takeover: bool) -> Vec<Control> {
+    let mut drive = Drive::new(scenario, 3);
+    drive.run_for(at - age);
+    drive.pair.reset(SystemId::B, ResetCause::Watchdog);
+    drive.run_for(age);
+    if takeover {
+        drive.pair.power_off(SystemId::A);
+    }
+    drive.pair.take_bus_log();
+    drive.pair.run_for(MS(300));
+    let log = drive.pair.take_bus_log();
+    let system = u8::from(takeover);
+    let commands = log.iter().filter_map(|on_bus| match on_bus.frame.id() {
+        CanId::Standard(id) => match Message::decode(id.into(), on_bus.frame.data()) {
+            Ok(Message::Control {
+                system: from,
+                control,
+            }) if from == system => Some(control),
+            _ => None,
+        },
+        CanId::Extended(_) => None,
+    });
+    commands.collect()
+}
+
+/// The largest difference between what B commands and what A would have commanded: rad, m/s².
+fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
+    let ours = commands(scenario, at, age, true);
+    let theirs = commands(scenario, at, age, false);
+    assert!(
+        ours.len() > 25 && theirs.len() > 25,
+        "{} {}",
+        ours.len(),
+        theirs.len()
+    );
+    let most = |of: fn(&Control) -> f32| {
+        let pairs = ours.iter().zip(&theirs);
+        pairs
+            .map(|(a, b)| (of(a) - of(b)).abs())
+            .fold(0.0, f32::max)
+    };
+    (most(|it| it.steering_angle), most(|it| it.acceleration))
+}
+
+/// T-RED-4: a takeover 100 ms after the standby has joined is as smooth as one 5 s after: its first
+/// commands are those that the failed system would have given, also while it brakes hard.
+#[test]
+fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {
+    let places = [
+        ("cut-in", 8_000),
+        ("hard-braking", 11_000),
+        ("hard-braking", 12_000),
+        ("stop-and-go", 9_500),
+    ];
+    for (scenario, at_ms) in places {
+        let young = difference(scenario, MS(at_ms), YOUNG);
+        let old = difference(scenario, MS(at_ms), OLD);
+        println!("{scenario} {at_ms} ms: after 100 ms {young:?}, after 5 s {old:?}");
+        for (steering, acceleration) in [young, old] {
+            assert!(steering < 0.002, "{scenario} {at_ms} ms: {steering} rad");
+            assert!(
+                acceleration < 0.4,
+                "{scenario} {at_ms} ms: {acceleration} m/s²"
+            );
+        }
+    }
+}

@@ -1,0 +1,232 @@
+//! A system that is wrong but alive: its frames are valid and in time, and what they ask for is
+//! wrong.
+
+use std::collections::VecDeque;
+use tandem_board::{Board, CanFrame, CoreId, Duration, Instant, SystemId};
+use tandem_board_sim::{Poller, SimBoard};
+use tandem_bus::{Message, Mode};
+use tandem_cores::Config;
+use tandem_cores::trace::Event;
+use tandem_tests::bent::{OnHear, OnSend, altered, bent_core, straight};
+use tandem_tests::drive::{Drive, poller};
+use tandem_vehicle::Scenario;
+
+const MS: fn(u64) -> Duration = Duration::from_ms;
+/// The fault begins at this time of A's clock.
+const FAULT: Instant = Instant::from_ns(12_000_000_000);
+
+/// The drive of a pair of which one core of A is bent.
+fn drive(core: CoreId, bend: impl Fn() -> (OnSend, OnHear) + 'static) -> Drive {
+    let mut drive = Drive::with("free-lane", 5, move |board: &SimBoard| -> Poller {
+        let of = board.identity();
+        if (of.system, of.core) == (SystemId::A, core) {
+            let (on_send, on_hear) = bend();
+            bent_core(board, Config::rt(), on_send, on_hear)
+        } else {
+            poller(board, Config::rt())
+        }
+    });
+    drive.run_for(MS(FAULT.as_ns() / 1_000_000));
+    drive
+}
+
+/// Drives on; the largest offset from the lane meanwhile, m.
+fn aside(drive: &mut Drive, span: Duration) -> f64 {
+    let until = drive.pair.now() + span;
+    let mut most = 0.0_f64;
+    while drive.pair.now() < until {
+        drive.run_for(MS(10));
+        most = most.max(drive.seen.borrow().world.snapshot().lateral_offset.abs());
+    }
+    most
+}
+
+fn steers(frame: CanFrame, angle: impl Fn(f32) -> f32) -> CanFrame {
+    altered(frame, |message| {
+        if let Message::Control { control, .. } = message {
+            control.steering_angle = angle(control.steering_angle);
+        }
+    })
+}
+
+/// The first event of this kind after the fault: how many ms after it, and of which system.
+fn first(drive: &Drive, kind: impl Fn(&Event) -> bool) -> Option<(u64, SystemId)> {
+    let mut events = drive.events.iter();
+    events.find_map(|(at, system, _, event)| {
+        (*at >= FAULT && kind(event)).then(|| ((at.as_ns() - FAULT.as_ns()) / 1_000_000, *system))
+    })
+}
+
+/// What becomes of a steering angle: by the time since the fault, s, and the angle, rad.
+type Steering = fn(f32, f32) -> f32;
+
+/// A's control frames steer by what `angle` makes of the time since the fault, s, and the angle.
+fn drive_steering(angle: Steering) -> (Drive, f64) {
+    let mut drive = drive(CoreId::CONTROL, move || bend_steering(angle));
+    let aside = aside(&mut drive, MS(3_000));
+    crate::print_story(&drive);
+    println!("{aside:.2} m aside after 3 s");
+    (drive, aside)
+}
+
+fn bend_steering(angle: Steering) -> (OnSend, OnHear) {
+    let bent = move |now: Instant, frame| {
+        let since = now.since(FAULT).as_secs_f32();
+        let frame = if now < FAULT {
+            frame
+        } else {
+            steers(frame, |own| angle(since, own))
+        };
+        vec![frame]
+    };
+    (Box::new(bent), Box::new(straight))
+}
+
+/// T-RED-9: the steering angle in A's frames is stuck, or drifts, and the protection is valid. A
+/// reads back what the vehicle obeys or refuses, leaves, and B drives on from what is obeyed.
+#[test]
+fn a_steering_angle_that_is_wrong_on_the_wire_costs_centimetres() {
+    let faults: [(&str, Steering); 3] = [
+        ("stuck", |_, _| 0.01),
+        ("drifts", |since, own| own + 0.02 * since),
+        ("reversed", |_, own| -own - 0.001),
+    ];
+    for (name, fault) in faults {
+        let (drive, aside) = drive_steering(fault);
+        let told = first(&drive, |event| *event == Event::WrongCommand { witness: 0 });
+        println!("{name}: found after {told:?}, gap {:?}", drive.gap_max());
+        assert!(
+            told.is_some_and(|(ms, of)| ms < 100 && of == SystemId::A),
+            "{told:?}"
+        );
+        assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
+        assert!(drive.gap_max() < MS(60), "{:?}", drive.gap_max());
+        assert!(aside < 0.4, "{name}: {aside} m");
+        assert_eq!(stage(&drive), 0, "B drives on without a doubt");
+    }
+}
+
+/// The last stage of agreement that any system told.
+fn stage(drive: &Drive) -> u8 {
+    let mut stages = drive.events.iter().filter_map(|(.., event)| match event {
+        Event::Agreement { stage, .. } => Some(*stage),
+        _ => None,
+    });
+    stages.next_back().unwrap_or(0)
+}
+
+/// T-RED-9: core 0 of A hears a wrong speed with a valid protection and controls by it. Core 2 of A
+/// finds that the step does not follow from what the system knows; A leaves, and B drives on.
+#[test]
+fn a_wrong_input_of_the_control_core_is_found_by_another_core() {
+    let mut drive = drive(CoreId::CONTROL, || {
+        let hears = |now, frame| {
+            altered(frame, |message| {
+                if let (Message::EgoMotion(motion), true) = (message, now >= FAULT) {
+                    motion.speed *= 0.7;
+                }
+            })
+        };
+        (Box::new(|_, frame| vec![frame]), Box::new(hears))
+    });
+    let aside = aside(&mut drive, MS(3_000));
+    crate::print_story(&drive);
+    let found = first(&drive, |event| *event == Event::WrongCommand { witness: 1 });
+    println!("{aside:.2} m aside, found after {found:?}");
+    assert!(
+        found.is_some_and(|(ms, of)| ms <= 160 && of == SystemId::A),
+        "{found:?}"
+    );
+    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
+    assert!(drive.gap_max() < MS(30), "{:?}", drive.gap_max());
+}
+
+/// T-RED-9: core 1 of A sees the lane 1 m beside its place, so A computes what is right for wrong
+/// inputs, and no system finds a fault in itself. B would steer otherwise: the vehicle is stopped.
+#[test]
+fn a_disagreement_without_a_known_cause_stops_the_vehicle() {
+    let mut drive = drive(CoreId::PERCEPTION, || {
+        let hears = |now, frame| {
+            altered(frame, |message| {
+                if let (Message::CameraLanes(lanes), true) = (message, now >= FAULT) {
+                    lanes.c0 += 1.0;
+                }
+            })
+        };
+        (Box::new(|_, frame| vec![frame]), Box::new(hears))
+    });
+    let aside = aside(&mut drive, MS(20_000));
+    crate::print_story(&drive);
+    let disagreed = first(&drive, |event| {
+        matches!(event, Event::Agreement { stage: 1, .. })
+    });
+    let stopping = first(&drive, |event| {
+        matches!(event, Event::Agreement { stage: 2, .. })
+    });
+    println!("{aside:.2} m aside; disagreed {disagreed:?}, stopping {stopping:?}");
+    assert!(disagreed.is_some_and(|(ms, _)| ms < 1_500), "{disagreed:?}");
+    assert!(stopping.is_some_and(|(ms, _)| ms < 1_800), "{stopping:?}");
+    assert!(aside < 2.0, "{aside} m");
+    let seen = drive.seen.borrow();
+    assert!(seen.world.snapshot().speed < 0.1, "stands");
+    let control = seen.log.control.last().expect("control frames");
+    assert_eq!(control.mode, Mode::SafeStop);
+    drop(seen);
+    assert_eq!(drive.masters(), [SystemId::A], "no system left");
+}
+
+/// T-RED-9: A's frames wait in a queue that grows. Each is valid, in order and by its own word
+/// fresh; the vehicle refuses them, A finds that out, and B drives on.
+#[test]
+fn frames_that_wait_in_a_growing_queue_do_not_drive() {
+    let mut drive = drive(CoreId::CONTROL, || {
+        let mut queue: VecDeque<(Instant, CanFrame)> = VecDeque::new();
+        let waits = move |now: Instant, frame| {
+            // The delay grows by 100 ms in each second.
+            let delay = MS(now.since(FAULT).as_ns() / 10_000_000);
+            queue.push_back((now + delay, frame));
+            let due = queue.iter().take_while(|(due, _)| *due <= now).count();
+            queue.drain(..due).map(|(_, frame)| frame).collect()
+        };
+        (Box::new(waits), Box::new(straight))
+    });
+    let aside = aside(&mut drive, MS(8_000));
+    crate::print_story(&drive);
+    let counts = drive.seen.borrow().world.gate().counts();
+    println!("{aside:.2} m aside, {counts:?}");
+    assert!(counts.stale > 0, "{counts:?}");
+    assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
+    assert!(drive.gap_max() < MS(100), "{:?}", drive.gap_max());
+    assert!(aside < 0.3, "{aside} m");
+}
+
+/// T-RED-9: two healthy systems agree, whatever the traffic does and however their cycles lie to
+/// each other. The recorded scenarios lie in the folder that `TANDEM_SCENARIOS` names.
+#[test]
+fn two_healthy_systems_agree_in_every_scenario() {
+    let mut names: Vec<String> = Scenario::names().map(str::to_owned).collect();
+    if let Some(folder) = std::env::var_os("TANDEM_SCENARIOS") {
+        let files = std::fs::read_dir(folder).expect("the folder of the scenarios");
+        names.extend(files.map(|file| file.expect("a file").path().display().to_string()));
+    }
+    for name in names {
+        for late_us in [7_100, 38_900] {
+            let mut drive = Drive::new(&name, 2);
+            // Switched on later: its cores 1 and 2 run in other phases than A's.
+            drive.pair.power_off(SystemId::B);
+            drive.run_for(Duration::from_us(late_us));
+            drive.pair.power_on(SystemId::B);
+            drive.run_for(MS(45_000));
+            let used = drive.events.iter().filter_map(|(.., event)| match event {
+                Event::Agreement { percent, .. } => Some(*percent),
+                _ => None,
+            });
+            let worst = used.max().unwrap_or(0);
+            println!("{name}, B {late_us} us late: {worst} % of the limit");
+            assert!(worst < 70, "{name}: {worst} %");
+            assert_eq!(drive.masters(), [SystemId::A]);
+            let counts = drive.seen.borrow().world.gate().counts();
+            assert_eq!((counts.stale, counts.implausible), (0, 0), "{name}");
+        }
+    }
+}
