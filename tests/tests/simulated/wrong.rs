@@ -176,7 +176,7 @@ fn a_disagreement_without_a_known_cause_stops_the_vehicle() {
 }
 
 /// T-RED-9: A's frames wait in a queue that grows. Each is valid, in order and by its own word
-/// fresh; the vehicle refuses them, A finds that out, and B drives on.
+/// fresh. Before the vehicle has to refuse them B finds that they are late, and drives on.
 #[test]
 fn frames_that_wait_in_a_growing_queue_do_not_drive() {
     let mut drive = drive(CoreId::CONTROL, || {
@@ -194,7 +194,6 @@ fn frames_that_wait_in_a_growing_queue_do_not_drive() {
     crate::print_story(&drive);
     let counts = drive.seen.borrow().world.gate().counts();
     println!("{aside:.2} m aside, {counts:?}");
-    assert!(counts.stale > 0, "{counts:?}");
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B]);
     assert!(drive.gap_max() < MS(100), "{:?}", drive.gap_max());
     assert!(aside < 0.3, "{aside} m");
