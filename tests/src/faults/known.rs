@@ -1,8 +1,10 @@
 //! What is known to be violated, and why. Each is told in `docs/redundancy.md`.
 
-use super::fault::Kind;
+use super::fault::{Kind, Way};
 use super::judge::Violation;
 use super::plan::Sequence;
+use tandem_board::SystemId;
+use tandem_board_sim::Wire;
 
 impl Sequence {
     /// Why this is known to be violated; `None` if it must not be.
@@ -13,7 +15,21 @@ impl Sequence {
             Violation::Gap if has(|kind| matches!(kind, Kind::Clock(..-100 | 101..))) => {
                 Some("a clock that is far too slow or fast goes unnoticed")
             }
+            Violation::Changes if SystemId::ALL.iter().all(|of| self.loses_frames(*of)) => {
+                Some("both systems lose frames, so each relieves the other rightly")
+            }
             _ => None,
         }
+    }
+
+    /// Whether frames of this system are lost on CAN.
+    fn loses_frames(&self, of: SystemId) -> bool {
+        self.faults.iter().any(|fault| {
+            let loses = matches!(
+                fault.kind,
+                Kind::LosesSent(_) | Kind::Mute | Kind::Cut(Wire::Can) | Kind::Flap(Wire::Can, _)
+            );
+            loses && fault.way == Way::From(of)
+        })
     }
 }
