@@ -53,8 +53,7 @@ fn core_0(system: &str, launcher: u32) -> Option<String> {
     let listed = tandem().arg("ps").output().unwrap();
     let listed = String::from_utf8(listed.stdout).unwrap();
     let process = |line: &str| {
-        let [pid, kind, of, core, _, _, run] = line.split_whitespace().collect::<Vec<_>>()[..]
-        else {
+        let [pid, kind, of, core, .., run] = line.split_whitespace().collect::<Vec<_>>()[..] else {
             return None;
         };
         let is_it = (kind, of, core) == ("core", system, "0");
