@@ -1,8 +1,8 @@
 //! How much core 0 takes from sources that another system can flood, and how it tells of a flood.
 //!
 //! The most urgent task reads CAN, the link and the lines. Each limit here bounds the work of one
-//! poll, and [`DOORBELL_DISTANCE`] bounds how often an interrupt causes a poll, so the worst case
-//! of the task is a sum of constants: see `docs/rtos-tasks.md`.
+//! poll, and [`DOORBELL_DISTANCE`](super::DOORBELL_DISTANCE) bounds how often an interrupt causes a
+//! poll, so the worst case of the task is a sum of constants: see `docs/rtos-tasks.md`.
 
 use crate::trace::{Event, FloodSource};
 use tandem_board::{Duration, Instant};
@@ -20,12 +20,6 @@ pub const LINK_DATAGRAMS: u32 = 16;
 /// Edges in a millisecond beyond which a line is flooded. Edges are counters: a flood costs no time
 /// and loses nothing. A heartbeat line has 1 edge in a millisecond.
 pub const EDGES_PER_MS: u32 = 4;
-
-/// Least distance between two polls that doorbells cause. Doorbells that ring earlier are merged
-/// into one at the end of the distance. A doorbell announces a trajectory every 50 ms, an edge of
-/// the start protocol every 5 ms, or a change of the power level. None of these waits longer than
-/// 1 ms for the roles, which the tick releases too.
-pub const DOORBELL_DISTANCE: Duration = Duration::from_ms(5);
 
 /// Floods are told at most once in this time for each source.
 const WINDOW: Duration = Duration::from_ms(100);
@@ -189,6 +183,7 @@ impl Floods {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::core0::DOORBELL_DISTANCE;
     use std::vec::Vec;
 
     fn at_us(us: u64) -> Instant {

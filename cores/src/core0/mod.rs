@@ -21,11 +21,12 @@ mod state_flash;
 mod tasks;
 
 use crate::Config;
+pub use crate::task_table::DOORBELL_DISTANCE;
 use crate::task_table::{CORE_0, TaskCode, TaskInfo};
 use crate::trace::Begin;
 use core::ops::{BitOr, BitOrAssign};
 pub use drive::Drive;
-pub use limits::{CAN_FRAMES, DOORBELL_DISTANCE, EDGES_PER_MS, LINK_DATAGRAMS};
+pub use limits::{CAN_FRAMES, EDGES_PER_MS, LINK_DATAGRAMS};
 pub use run_to_completion::Core0;
 pub use shared::Shared;
 use tandem_board::{Board, CoreId, Duration, Instant};

@@ -1,7 +1,7 @@
 //! The executor without a kernel: one pass runs what is due, each task to its end.
 
-use super::limits::{DOORBELL_DISTANCE, Throttle};
-use super::{Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
+use super::limits::Throttle;
+use super::{DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks};
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Config, Core};
 use core::cell::{Cell, RefCell};

@@ -1,10 +1,9 @@
 //! The bodies of core 0's tasks: each does what is due and returns when it is due next.
 
 use super::alive::Alive;
-use super::limits::DOORBELL_DISTANCE;
 use super::peer_link::Opinion;
 use super::shared::Shared;
-use super::{Executor, Task, TaskId, frames};
+use super::{DOORBELL_DISTANCE, Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
     CONTROL_STEP, ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns,
