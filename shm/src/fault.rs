@@ -194,7 +194,6 @@ pub(crate) use unit::zeroed;
 #[allow(clippy::unwrap_used, reason = "test code")]
 mod unit {
     use super::*;
-    use crate::LINE_WORDS;
     use std::sync::Mutex;
     use std::vec::Vec;
 
@@ -203,10 +202,14 @@ mod unit {
     pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
         /// Where Miri finds them, so that it sees no leak.
         static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
-        let all: Box<[AtomicU32]> = (0..words + LINE_WORDS).map(|_| AtomicU32::new(0)).collect();
+        /// Bytes of a cache line.
+        const LINE: usize = 64;
+        // A line begins among the first words, at the latest after these.
+        let spare = LINE / size_of::<AtomicU32>();
+        let all: Box<[AtomicU32]> = (0..words + spare).map(|_| AtomicU32::new(0)).collect();
         let all: &'static [AtomicU32] = Box::leak(all);
         ALL.lock().unwrap().push(all);
-        let skip = all.as_ptr().align_offset(64);
+        let skip = all.as_ptr().align_offset(LINE);
         &all[skip..skip + words]
     }
 

@@ -11,7 +11,7 @@ use std::path::Path;
 const FIRMWARE: &str = "firmware-port";
 
 /// Rooms whose modules still use each other in a circle.
-const WITH_CIRCLES: &[&str] = &["rtos", "shm"];
+const WITH_CIRCLES: &[&str] = &["rtos"];
 
 /// Circles.
 pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
