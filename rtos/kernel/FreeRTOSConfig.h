@@ -69,7 +69,7 @@
 #define INCLUDE_xTimerPendFunctionCall             0
 #define INCLUDE_eTaskGetState                      1
 
-/* Trace: one test of a pointer without a sink. The numbers are those in `sys/trace.rs`. */
+/* Trace: one test of a pointer without a sink. The numbers are those in `port/trace.rs`. */
 #define tandemTRACE( kind, task )                                          \
     do {                                                                   \
         if( tandem_trace_sink != 0 ) {                                     \

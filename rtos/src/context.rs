@@ -1,12 +1,6 @@
 //! Where code runs: in a task, or in a handler of an interrupt.
 
-use crate::kernel::Kernel;
-use crate::port;
-use crate::sys;
-use crate::sys::task::TaskStatistics;
-use crate::time::Ticks;
 use core::marker::PhantomData;
-use core::time::Duration;
 
 mod sealed {
     pub trait Sealed {
@@ -45,13 +39,6 @@ impl Sealed for TaskContext {
 impl Context for TaskContext {}
 impl TaskLevel for TaskContext {}
 
-impl Sealed for Kernel {
-    const IN_INTERRUPT: bool = false;
-    fn woken(&self, _woken: bool) {}
-}
-impl Context for Kernel {}
-impl TaskLevel for Kernel {}
-
 /// Proof that the caller is the callback of a software timer. It runs in the task that serves all
 /// timers, and must not block.
 #[derive(Debug)]
@@ -71,12 +58,6 @@ impl TimerContext {
             _of_one_task: PhantomData,
         }
     }
-
-    /// The current tick.
-    #[must_use]
-    pub fn now(&self) -> Ticks {
-        sys::task::now(false)
-    }
 }
 
 impl Sealed for InterruptContext {
@@ -95,12 +76,6 @@ impl InterruptContext {
         }
     }
 
-    /// The current tick.
-    #[must_use]
-    pub fn now(&self) -> Ticks {
-        sys::task::now(true)
-    }
-
     /// T-RTOS-2: what a handler wakes runs when the last interrupt has ended.
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
@@ -112,94 +87,5 @@ impl TaskContext {
         Self {
             _of_one_task: PhantomData,
         }
-    }
-
-    /// The current tick.
-    #[must_use]
-    pub fn now(&self) -> Ticks {
-        sys::task::now(false)
-    }
-
-    /// When tick 0 was, in nanoseconds of the clock that times
-    /// [`KernelEvent`](crate::KernelEvent)s. The same value in every task and at every call, until
-    /// the count of ticks wraps around (49 days).
-    #[must_use]
-    pub fn tick_origin_ns(&self) -> u64 {
-        port::tick_origin_ns()
-    }
-
-    /// Waits until this task's notification is not zero, and takes all of it.
-    ///
-    /// Returns the count, or zero if the time was over first.
-    ///
-    /// # Panics
-    /// In a critical section or with pre-emption deferred.
-    pub fn take_notifications(&self, timeout: impl Into<Ticks>) -> u32 {
-        sys::task::take_notification(true, timeout.into())
-    }
-
-    /// Waits until this task's notification is not zero, and counts it down by one.
-    ///
-    /// Returns whether there was one before the time was over.
-    ///
-    /// # Panics
-    /// In a critical section or with pre-emption deferred.
-    pub fn take_notification(&self, timeout: impl Into<Ticks>) -> bool {
-        sys::task::take_notification(false, timeout.into()) != 0
-    }
-
-    /// Lets the other ready tasks of the same priority run (T-RTOS-2: the switch happens at once).
-    pub fn yield_now(&self) {
-        sys::task::yield_now();
-    }
-
-    /// Blocks for a span, counted from now.
-    ///
-    /// # Panics
-    /// In a critical section or with pre-emption deferred.
-    pub fn delay(&self, span: impl Into<Ticks>) {
-        sys::task::delay(span.into());
-    }
-
-    /// Blocks until `period` after `last_wake`, and moves `last_wake` there: without drift, however
-    /// long the work took. Returns at once with `false` if that point has passed already.
-    ///
-    /// # Panics
-    /// If the period is zero; in a critical section or with pre-emption deferred.
-    pub fn delay_until(&self, last_wake: &mut Ticks, period: impl Into<Ticks>) -> bool {
-        sys::task::delay_until(last_wake, period.into())
-    }
-
-    /// Works for a span of this task's own time: while others run it does not pass. In virtual time
-    /// the span passes at once. For tests and models.
-    pub fn burn(&self, span: Duration) {
-        port::burn(span);
-    }
-
-    /// Bytes of this task's stack that it never used. Reads all of them, which takes some
-    /// microseconds; other tasks may run in between.
-    #[must_use]
-    pub fn unused_stack_bytes(&self) -> usize {
-        sys::task::own_unused_stack_bytes()
-    }
-
-    /// Calls `look` for every task that is alive. `look` must not block; no other task runs until
-    /// this call returns.
-    pub fn each_task(&self, look: impl FnMut(&TaskStatistics<'_>)) {
-        port::without_others(|| sys::task::each(look));
-    }
-
-    /// Runs `body` with interrupts masked: neither handlers nor other tasks run before it returns.
-    /// Keep it short.
-    pub fn critical<R>(&self, body: impl FnOnce() -> R) -> R {
-        sys::critical(body)
-    }
-
-    /// Ends the scheduler: [`Kernel::start`](crate::Kernel::start) returns. The other tasks are
-    /// abandoned where they are: what they own is not dropped. To end without that, let every task
-    /// return.
-    #[cfg(target_os = "linux")]
-    pub fn stop(&self) -> ! {
-        crate::port::host::stop()
     }
 }

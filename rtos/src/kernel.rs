@@ -1,30 +1,15 @@
 //! The kernel as a value: taken once, filled with tasks, started.
 
-use crate::TaskContext;
-use crate::context::{self, InterruptContext};
+use crate::context::{Context, InterruptContext, Sealed, TaskContext, TaskLevel};
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::port;
+use crate::port::trace::{self, TraceSink};
+use crate::port::{self, Clock, StartError};
 use crate::sys;
 use crate::sys::task::TaskHandle;
-use crate::sys::trace::TraceSink;
 use crate::task::{SpawnError, TaskOptions};
 use alloc::boxed::Box;
 use core::fmt;
 use core::marker::PhantomData;
-use core::sync::atomic::{AtomicBool, Ordering};
-
-static TAKEN: AtomicBool = AtomicBool::new(false);
-
-/// What drives the tick.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Clock {
-    /// The machine's timer: 1 kHz on absolute time.
-    Wall,
-    /// Work: time passes only in [`TaskContext::burn`] and while all tasks wait. For tests that
-    /// must give the same result each time. Host only.
-    #[cfg(target_os = "linux")]
-    Virtual,
-}
 
 /// The one kernel of this process or core.
 #[derive(Debug)]
@@ -50,38 +35,13 @@ impl fmt::Display for KernelError {
 
 impl core::error::Error for KernelError {}
 
-/// The scheduler cannot start.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum StartError {
-    /// The program's allocator is not one that tasks can share: see `host::TaskAllocator`.
-    Allocator,
-    /// The operating system refused a timer, a signal or a stack; its error number.
-    System(i32),
-}
-
-impl fmt::Display for StartError {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Allocator => out.write_str(
-                "tasks cannot share this allocator: the program must declare \
-                 `#[global_allocator] static A: tandem_rtos::host::TaskAllocator<…>`",
-            ),
-            Self::System(errno) => write!(out, "the operating system refused: error {errno}"),
-        }
-    }
-}
-
-impl core::error::Error for StartError {}
-
 impl Kernel {
     /// Takes the kernel.
     ///
     /// # Errors
     /// [`KernelError::Taken`]
     pub fn take() -> Result<Self, KernelError> {
-        // Acquire pairs with the Release in `drop`: a kernel that was used on another thread is
-        // idle.
-        if TAKEN.swap(true, Ordering::Acquire) {
+        if !sys::take() {
             return Err(KernelError::Taken);
         }
         port::prepare();
@@ -119,7 +79,7 @@ impl Kernel {
 
     /// Has every event told to a sink, until the scheduler stops.
     pub fn trace(&self, sink: &'static dyn TraceSink) {
-        sys::trace::listen(Some(sink));
+        trace::listen(Some(sink));
     }
 
     /// Runs the tasks: on the host until all have returned or one calls `TaskContext::stop`, on the
@@ -132,35 +92,22 @@ impl Kernel {
     /// # Errors
     /// [`StartError`]; the kernel is free again.
     pub fn start(self, clock: Clock) -> Result<(), StartError> {
-        port::start(clock)
+        port::start(clock, sys::task::none_left)
     }
 }
+
+impl Sealed for Kernel {
+    const IN_INTERRUPT: bool = false;
+    fn woken(&self, _woken: bool) {}
+}
+impl Context for Kernel {}
+impl TaskLevel for Kernel {}
 
 impl Drop for Kernel {
     fn drop(&mut self) {
+        #[cfg(target_os = "linux")]
+        sys::task::abandon_all();
         port::tear_down();
-        release();
-    }
-}
-
-/// The kernel can be taken again.
-pub(crate) fn release() {
-    sys::trace::listen(None);
-    // Release pairs with the Acquire in `take`.
-    TAKEN.store(false, Ordering::Release);
-}
-
-impl context::TaskContext {
-    /// Makes a task, with memory from the heap. It may run before this call returns. Other tasks
-    /// wait while its stack is filled with the pattern by which its use is measured.
-    ///
-    /// # Errors
-    /// [`SpawnError`]
-    pub fn spawn(
-        &self,
-        options: &TaskOptions<'_>,
-        body: impl FnOnce(&TaskContext) + Send + 'static,
-    ) -> Result<TaskHandle, SpawnError> {
-        sys::task::spawn(options, Box::new(body))
+        sys::release();
     }
 }

@@ -19,34 +19,41 @@ extern crate alloc;
 #[cfg(target_os = "linux")]
 extern crate std;
 
+mod calls;
 mod context;
 pub mod demo;
+mod ffi;
 mod interrupt;
 mod kernel;
 mod port;
-mod semaphore;
 mod sys;
 mod task;
 mod time;
 
 pub use context::{Context, InterruptContext, TaskContext, TaskLevel, TimerContext};
 pub use interrupt::{AttachError, Interrupt, InterruptPriority};
-pub use kernel::{Clock, Kernel, KernelError, StartError};
+pub use kernel::{Kernel, KernelError};
 #[cfg(target_os = "linux")]
 pub use port::host;
-#[cfg(target_arch = "riscv32")]
-pub use port::riscv32;
-pub use semaphore::{Semaphore, SemaphoreFull};
+pub use port::trace::{KernelEvent, KernelEventKind, TraceSink};
+pub use port::{Clock, StartError};
 pub use sys::mutex::{Mutex, MutexGuard};
 pub use sys::queue::{Full, Queue};
+pub use sys::semaphore::{Semaphore, SemaphoreFull};
 pub use sys::set::{AddError, Member, QueueSet};
 pub use sys::task::{TaskError, TaskHandle, TaskStatistics};
 pub use sys::timer::{CommandsFull, Timer};
-pub use sys::trace::{KernelEvent, KernelEventKind, TraceSink};
 pub use task::{Priority, SpawnError, TaskOptions};
 pub use time::Ticks;
 
 use core::fmt;
+
+/// The target: its doorbell, its fatal errors, and a reset of its hart.
+#[cfg(target_arch = "riscv32")]
+pub mod riscv32 {
+    pub use crate::port::riscv32::{on_fatal, ring};
+    pub use crate::sys::after_reset;
+}
 
 /// The time was over before the wait was fulfilled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

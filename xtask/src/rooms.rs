@@ -10,9 +10,6 @@ use std::path::Path;
 /// The one workspace beside that of the tree: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
 
-/// Rooms whose modules still use each other in a circle.
-const WITH_CIRCLES: &[&str] = &["rtos"];
-
 /// Circles.
 pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
@@ -23,7 +20,7 @@ pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
             let folder = Path::new(manifest).with_file_name("");
             let circle = circle(&module_uses(&folder.join("src"))?);
             let room = folder.strip_prefix(root).unwrap_or(&folder);
-            if !circle.is_empty() && !WITH_CIRCLES.iter().any(|known| room == Path::new(known)) {
+            if !circle.is_empty() {
                 let room = room.display();
                 findings.push(format!("{room}: modules that use each other: {circle:?}"));
             }

@@ -1,6 +1,8 @@
 //! What differs between machines: switching, masking, interrupts, the tick.
 #![allow(unsafe_code)]
 
+pub(crate) mod trace;
+
 #[cfg(target_os = "linux")]
 pub mod host;
 #[cfg(target_os = "linux")]
@@ -10,23 +12,45 @@ pub(crate) use host::{
 };
 
 #[cfg(target_arch = "riscv32")]
-pub mod riscv32;
+pub(crate) mod riscv32;
 #[cfg(target_arch = "riscv32")]
 pub(crate) use riscv32::{
     Stack, assert_may_block, attach, epoch, fatal, idle, in_task, prepare, run_time, run_time_span,
     start, tear_down, tick_origin_ns, timestamp_ns, virtual_work, without_others,
 };
 
-use crate::sys;
-use core::time::Duration;
+use core::fmt;
 
-/// Works for a span of the running task's own time.
-pub(crate) fn burn(span: Duration) {
-    if virtual_work(span) {
-        return;
-    }
-    let begin = sys::task::own_run_time();
-    while run_time_span(sys::task::own_run_time().saturating_sub(begin)) < span {
-        core::hint::spin_loop();
+/// What drives the tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Clock {
+    /// The machine's timer: 1 kHz on absolute time.
+    Wall,
+    /// Work: time passes only in [`burn`](crate::TaskContext::burn) and while all tasks wait. For
+    /// tests that must give the same result each time. Host only.
+    #[cfg(target_os = "linux")]
+    Virtual,
+}
+
+/// The scheduler cannot start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartError {
+    /// The program's allocator is not one that tasks can share: see `host::TaskAllocator`.
+    Allocator,
+    /// The operating system refused a timer, a signal or a stack; its error number.
+    System(i32),
+}
+
+impl fmt::Display for StartError {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Allocator => out.write_str(
+                "tasks cannot share this allocator: the program must declare \
+                 `#[global_allocator] static A: tandem_rtos::host::TaskAllocator<…>`",
+            ),
+            Self::System(errno) => write!(out, "the operating system refused: error {errno}"),
+        }
     }
 }
+
+impl core::error::Error for StartError {}

@@ -4,10 +4,10 @@
 //! the hart's `msip`). The trap vector must be the kernel's: [`start`] writes it to `mtvec`.
 //! Interrupts do not nest, so a switch that a handler asks for happens when it returns.
 
+use super::{Clock, StartError, trace};
 use crate::context::InterruptContext;
+use crate::ffi;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::kernel::{Clock, StartError};
-use crate::sys::{self, ffi, trace};
 use crate::time::TICK_RATE_HZ;
 use core::cell::UnsafeCell;
 use core::fmt;
@@ -113,7 +113,7 @@ pub(crate) fn prepare() {
 }
 
 /// Sets the trap vector and runs the scheduler. Returns only if the kernel could not start.
-pub(crate) fn start(_clock: Clock) -> Result<(), StartError> {
+pub(crate) fn start(_clock: Clock, _none_left: fn() -> bool) -> Result<(), StartError> {
     let vector = freertos_risc_v_trap_handler as *const () as usize;
     // SAFETY: the vector is the kernel's, aligned, in direct mode. The software interrupt is
     // enabled here; interrupts as a whole are by the first task.
@@ -136,14 +136,11 @@ pub(crate) fn epoch() -> u32 {
     EPOCH.load(Ordering::Relaxed)
 }
 
-/// Makes the kernel as it was at power-on, after a reset of its hart that has kept its memory:
-/// [`Kernel::take`](crate::Kernel::take) gives it again. Tasks, handlers and objects of the earlier
-/// life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
+/// After a reset of the hart: handlers and the scheduler's state as at power-on.
 ///
 /// # Safety
-/// The calling hart was the kernel's and has been reset: no code of the earlier life runs again,
-/// and nothing that it has made (handles, objects, borrowed stacks) is used again, by any hart.
-pub unsafe fn after_reset() {
+/// As [`after_reset`](crate::sys::after_reset).
+pub(crate) unsafe fn reset() {
     // SAFETY: by the caller's promise nothing reads or writes what is set here.
     unsafe {
         core::arch::asm!("csrci mstatus, 8");
@@ -154,10 +151,8 @@ pub unsafe fn after_reset() {
         ffi::vTaskResetState();
         ffi::vTimerResetState();
     }
-    sys::task::forget_all();
     IN_INTERRUPT.store(false, Ordering::Relaxed);
     EPOCH.store(epoch().wrapping_add(1), Ordering::Relaxed);
-    crate::kernel::release();
 }
 
 static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
@@ -168,8 +163,13 @@ pub(crate) fn in_task() -> bool {
     hart() == KERNEL_HART.load(Ordering::Relaxed) && !IN_INTERRUPT.load(Ordering::Relaxed)
 }
 
+/// The idle task has nothing to do.
+pub(crate) fn idle(_none_left: fn() -> bool) {
+    wait();
+}
+
 /// Waits for an interrupt.
-pub(crate) fn idle() {
+fn wait() {
     // SAFETY: no effect but waiting.
     unsafe { core::arch::asm!("wfi") };
 }
@@ -211,11 +211,12 @@ pub(crate) fn timestamp_ns() -> u64 {
 pub(crate) fn tick_origin_ns() -> u64 {
     let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
     // Neither changes while interrupts are masked: both do in the tick's interrupt.
-    let (next, ticks) = sys::critical(|| {
+    let (next, ticks) = ffi::critical(|| {
         // SAFETY: the two words of the CLINT's register of this hart.
         let (low, high) = unsafe { (register.read_volatile(), register.add(1).read_volatile()) };
         let next = u64::from(high) << 32 | u64::from(low);
-        (next, sys::task::now(false).0)
+        // SAFETY: only reads the count of ticks.
+        (next, unsafe { ffi::xTaskGetTickCount() })
     });
     let since = (u64::from(ticks) + 1) * (1_000_000_000 / u64::from(TICK_RATE_HZ));
     (next * MTIME_NS).saturating_sub(since)
@@ -250,7 +251,7 @@ pub(crate) fn attach(
     let source = SOURCES
         .get(usize::from(interrupt.number()))
         .ok_or(AttachError::NoSuchSource)?;
-    sys::critical(|| {
+    ffi::critical(|| {
         // SAFETY: interrupts are masked, so no handler runs.
         let place = unsafe { &mut *source.0.get() };
         if place.is_some() {
@@ -287,7 +288,7 @@ pub(crate) fn fatal(message: fmt::Arguments<'_>) -> ! {
         report(message);
     }
     loop {
-        idle();
+        wait();
     }
 }
 
@@ -343,7 +344,7 @@ extern "C" fn tandem_riscv_exception(cause: u32) {
         core::arch::asm!("csrr {}, mepc", out(reg) place);
         core::arch::asm!("csrr {}, mtval", out(reg) value);
     }
-    let task = sys::task::current_name();
+    let task = ffi::current_name();
     fatal(format_args!(
         "exception {cause} at {place:#010x}, value {value:#x}, in task '{task}'"
     ));

@@ -1,29 +1,30 @@
-//! The kernel's C interface, and the few wrappers around it that need `unsafe`.
+//! What calls the kernel: its objects, and the claim on it.
 #![allow(unsafe_code)]
 
-pub(crate) mod ffi;
 pub(crate) mod mutex;
 pub(crate) mod queue;
+pub(crate) mod semaphore;
 pub(crate) mod set;
 pub(crate) mod task;
 pub(crate) mod timer;
-pub(crate) mod trace;
 
 use crate::port;
+use core::sync::atomic::{AtomicBool, Ordering};
 
-/// Runs `body` with interrupts masked. Nests. Ends also if `body` unwinds.
-pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
-    struct End;
-    impl Drop for End {
-        fn drop(&mut self) {
-            // SAFETY: pairs with the entry below.
-            unsafe { ffi::tandem_exit_critical() };
-        }
-    }
-    // SAFETY: callable from every task, and before the scheduler runs; `End` pairs with it.
-    unsafe { ffi::tandem_enter_critical() };
-    let _end = End;
-    body()
+static TAKEN: AtomicBool = AtomicBool::new(false);
+
+/// Claims the one kernel. Whether it was free.
+pub(crate) fn take() -> bool {
+    // Acquire pairs with the Release in `release`: a kernel that was used on another thread is
+    // idle.
+    !TAKEN.swap(true, Ordering::Acquire)
+}
+
+/// The kernel can be taken again.
+pub(crate) fn release() {
+    port::trace::listen(None);
+    // Release pairs with the Acquire in `take`.
+    TAKEN.store(false, Ordering::Release);
 }
 
 /// The life of the kernel that an object was made for.
@@ -50,4 +51,19 @@ impl Life {
             "an object that was made for an earlier life of the kernel"
         );
     }
+}
+
+/// Makes the kernel as it was at power-on, after a reset of its hart that has kept its memory:
+/// [`Kernel::take`](crate::Kernel::take) gives it again. Tasks, handlers and objects of the earlier
+/// life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
+///
+/// # Safety
+/// The calling hart was the kernel's and has been reset: no code of the earlier life runs again,
+/// and nothing that it has made (handles, objects, borrowed stacks) is used again, by any hart.
+#[cfg(target_arch = "riscv32")]
+pub unsafe fn after_reset() {
+    // SAFETY: the caller's promise.
+    unsafe { port::riscv32::reset() };
+    task::forget_all();
+    release();
 }

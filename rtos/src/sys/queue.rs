@@ -1,9 +1,10 @@
 //! Queues of the kernel, which are also its semaphores, mutexes and sets; queues of values.
 
+use super::Life;
 use super::set::Inner as Set;
-use super::{Life, ffi, task};
 use crate::TimedOut;
 use crate::context::{Context, TaskContext, TaskLevel};
+use crate::ffi;
 use crate::port;
 use crate::time::Ticks;
 use alloc::{boxed::Box, sync::Arc};
@@ -105,7 +106,7 @@ impl Raw {
     /// Whether the running task holds this mutex.
     pub(crate) fn is_mine(&self) -> bool {
         // SAFETY: a mutex of this life; compares two pointers.
-        unsafe { ffi::xQueueGetMutexHolder(self.handle()) == task::current_tcb() }
+        unsafe { ffi::xQueueGetMutexHolder(self.handle()) == ffi::current_tcb() }
     }
 
     /// Makes this a member of a set. Whether it was empty and in none.

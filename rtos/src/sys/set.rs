@@ -1,10 +1,9 @@
 //! Queue sets: a task waits for the first of several queues and semaphores.
 
-use super::ffi;
-use super::queue::{Items, Raw, may_wait};
+use super::queue::{Items, Queue, Raw, may_wait};
+use super::semaphore::Semaphore;
 use crate::context::{TaskContext, TaskLevel};
-use crate::semaphore::Semaphore;
-use crate::sys::queue::Queue;
+use crate::ffi;
 use crate::time::Ticks;
 use alloc::sync::Arc;
 use core::fmt;
@@ -85,7 +84,7 @@ impl QueueSet {
             return Err(AddError::SetFull);
         }
         // Undivided: the member must not fill between the check and the joining.
-        if !super::critical(|| member.join(&self.set)) {
+        if !ffi::critical(|| member.join(&self.set)) {
             return Err(AddError::NotFree);
         }
         self.set.promised.store(promised, Ordering::Relaxed);

@@ -1,7 +1,7 @@
 //! Tasks: their memory, their life, and the calls that they make about themselves.
 
-use super::ffi::{self, Base, Tcb};
 use crate::context::{Context, TaskContext};
+use crate::ffi::{self, Base, Tcb, current_name, current_tcb, name_of};
 use crate::port;
 use crate::task::{SpawnError, TaskOptions};
 use crate::time::Ticks;
@@ -60,7 +60,7 @@ impl Record {
 
     /// Puts this into the list of tasks.
     fn link(&self) {
-        super::critical(|| {
+        ffi::critical(|| {
             self.next
                 .store(TASKS.load(Ordering::Relaxed), Ordering::Relaxed);
             TASKS.store(ptr::from_ref(self).cast_mut(), Ordering::Relaxed);
@@ -68,7 +68,7 @@ impl Record {
     }
 
     fn unlink(&self) {
-        super::critical(|| {
+        ffi::critical(|| {
             let mut link = &TASKS;
             loop {
                 let at = link.load(Ordering::Relaxed);
@@ -139,7 +139,7 @@ impl TaskHandle {
         if in_interrupt {
             checked()
         } else {
-            super::critical(checked)
+            ffi::critical(checked)
         }
     }
 }
@@ -250,7 +250,6 @@ unsafe fn retire(record: &Record) {
 }
 
 /// Whether every task has returned and its memory is free.
-#[cfg(target_os = "linux")]
 pub(crate) fn none_left() -> bool {
     TASKS.load(Ordering::Relaxed).is_null()
 }
@@ -283,12 +282,6 @@ pub(crate) fn forget_all() {
     TASKS.store(ptr::null_mut(), Ordering::Relaxed);
 }
 
-/// The control block of the running task, or null.
-pub(crate) fn current_tcb() -> *mut Tcb {
-    // SAFETY: the kernel's variable is a pointer, which is all that matters here.
-    unsafe { ffi::pxCurrentTCB.load(Ordering::Relaxed) }
-}
-
 fn current() -> Option<&'static Record> {
     // SAFETY: only this thread changes the pointer. Every task of the kernel was made from a
     // record, whose first field is the control block; the running one's is not given back.
@@ -307,33 +300,6 @@ pub(crate) fn mutex_given() {
     if let Some(record) = current() {
         record.mutexes.fetch_sub(1, Ordering::Relaxed);
     }
-}
-
-/// The stack of the running task, from its lowest word on.
-#[cfg(target_os = "linux")]
-pub(crate) fn current_stack() -> Option<(usize, usize)> {
-    // SAFETY: set before the task runs, and taken after it has left.
-    let stack = unsafe { &*current()?.stack.get() };
-    stack
-        .as_ref()
-        .map(|stack| (stack.low as usize, stack.words))
-}
-
-/// The name of the running task, for messages.
-pub(crate) fn current_name() -> &'static str {
-    let current = current_tcb();
-    if current.is_null() {
-        "none"
-    } else {
-        name_of(current)
-    }
-}
-
-fn name_of(tcb: *mut Tcb) -> &'static str {
-    // SAFETY: a live task's control block holds its name, closed with a zero; a name is read at
-    // once and not kept.
-    let name = unsafe { CStr::from_ptr(ffi::pcTaskGetName(tcb)) };
-    name.to_str().unwrap_or("not UTF-8")
 }
 
 pub(crate) fn now(in_interrupt: bool) -> Ticks {
@@ -402,7 +368,7 @@ extern "C" fn vApplicationGetTimerTaskMemory(
 
 #[unsafe(no_mangle)]
 extern "C" fn vApplicationIdleHook() {
-    port::idle();
+    port::idle(none_left);
 }
 
 /// The kernel saw at a switch that the end of this task's stack was overwritten.
@@ -534,4 +500,15 @@ pub(crate) fn take_notification(all: bool, timeout: Ticks) -> u32 {
     port::assert_may_block();
     // SAFETY: called by a task that may block, about its own word 0.
     unsafe { ffi::ulTaskGenericNotifyTake(0, Base::from(all), timeout.0) }
+}
+
+/// Works for a span of the running task's own time.
+pub(crate) fn burn(span: Duration) {
+    if port::virtual_work(span) {
+        return;
+    }
+    let begin = own_run_time();
+    while port::run_time_span(own_run_time().saturating_sub(begin)) < span {
+        core::hint::spin_loop();
+    }
 }

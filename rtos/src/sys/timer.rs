@@ -1,7 +1,8 @@
 //! Software timers: callbacks in the kernel's service task, once or repeatedly.
 
-use super::{Life, ffi};
+use super::Life;
 use crate::context::{Context, TaskLevel, TimerContext};
+use crate::ffi;
 use crate::time::Ticks;
 use alloc::boxed::Box;
 use core::cell::UnsafeCell;

@@ -2,7 +2,7 @@
 
 use super::stack::page;
 use super::{fatal, state};
-use crate::sys::task;
+use crate::ffi;
 use core::mem::MaybeUninit;
 use core::ptr;
 use std::boxed::Box;
@@ -76,7 +76,7 @@ pub(super) fn end(before: &Before) {
 
 extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut libc::c_void) {
     if state::on_core()
-        && let Some((low, _)) = task::current_stack()
+        && let Some(low) = current_stack()
     {
         // SAFETY: the operating system passes both to a handler with SA_SIGINFO.
         let (address, pointer) = unsafe { ((*info).si_addr() as usize, stack_pointer(context)) };
@@ -85,7 +85,7 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
         let no_room =
             (low - page()..low + FRAME_BYTES).contains(&pointer) && !on_stack(address, low);
         if guard.contains(&address) || no_room {
-            let name = task::current_name();
+            let name = ffi::current_name();
             fatal(format_args!("task '{name}' has overflowed its stack"));
         }
     }
@@ -94,6 +94,18 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
     let place = usize::from(signal == libc::SIGBUS);
     // SAFETY: `begin` wrote it before this handler was there.
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
+}
+
+/// The lowest address of the running task's stack.
+fn current_stack() -> Option<usize> {
+    let task = ffi::current_tcb();
+    if task.is_null() {
+        return None;
+    }
+    let (mut low, mut tcb) = (ptr::null_mut(), ptr::null_mut());
+    // SAFETY: the running task lives; the call reads what it was made from into the two places.
+    let known = unsafe { ffi::xTaskGetStaticBuffers(task, &mut low, &mut tcb) } == ffi::PASS;
+    known.then_some(low as usize)
 }
 
 /// Whether a fault's address lies in the stack itself, where no fault is.
@@ -130,7 +142,7 @@ pub(super) fn name_panics() {
             } else {
                 "task"
             };
-            fatal(format_args!("{place} '{}' {panic}", task::current_name()));
+            fatal(format_args!("{place} '{}' {panic}", ffi::current_name()));
         }));
     });
 }

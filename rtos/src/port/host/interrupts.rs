@@ -10,8 +10,9 @@
 use super::state::{self, PENDING};
 use super::tick;
 use crate::context::InterruptContext;
+use crate::ffi;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
-use crate::sys::{self, trace};
+use crate::port::trace;
 use core::cell::UnsafeCell;
 use core::mem::MaybeUninit;
 use core::ptr;
@@ -69,7 +70,7 @@ pub(crate) fn attach(
     let source = SOURCES
         .get(usize::from(interrupt.number()))
         .ok_or(AttachError::NoSuchSource)?;
-    sys::critical(|| {
+    ffi::critical(|| {
         if source.priority.load(Ordering::Relaxed) != 0 {
             return Err(AttachError::HasHandler);
         }

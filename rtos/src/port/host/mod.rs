@@ -19,8 +19,8 @@ pub(crate) use interrupts::attach;
 pub(crate) use stack::{Stack, idle};
 pub(crate) use state::{assert_may_block, epoch, in_task};
 
-use crate::kernel::{Clock, StartError};
-use crate::sys::{self, ffi};
+use super::{Clock, StartError};
+use crate::ffi;
 use core::fmt::{self, Write};
 use std::sync::mpsc;
 use std::thread;
@@ -31,12 +31,13 @@ pub(crate) fn prepare() {}
 /// Bytes of the stack of the kernel's thread, which only starts and ends the scheduler.
 const THREAD_STACK_BYTES: usize = 64 << 10;
 
-/// Runs the scheduler on a thread of its own, until all tasks have returned or one stops it.
+/// Runs the scheduler on a thread of its own, until all tasks have returned or one stops it;
+/// `none_left` tells whether all have returned.
 ///
 /// An abandoned task may have lent a thread-local of that thread to another thread, which reads it
 /// as long as the task's call has not returned: for ever. So after a stop the thread never ends,
 /// and its thread-locals stay.
-pub(crate) fn start(clock: Clock) -> Result<(), StartError> {
+pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartError> {
     if !exclusive::is_installed() {
         return Err(StartError::Allocator);
     }
@@ -46,7 +47,7 @@ pub(crate) fn start(clock: Clock) -> Result<(), StartError> {
     let life = move || {
         scheduling.apply()?;
         run(clock)?;
-        if !sys::task::none_left() {
+        if !none_left() {
             let _ = stopped.send(());
             loop {
                 thread::park();
@@ -122,9 +123,8 @@ pub(crate) fn stop() -> ! {
     state::leave()
 }
 
-/// After the scheduler, or without one.
+/// After the scheduler, or without one; its tasks are abandoned.
 pub(crate) fn tear_down() {
-    sys::task::abandon_all();
     interrupts::detach_all();
     state::reset();
 }

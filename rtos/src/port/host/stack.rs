@@ -1,7 +1,6 @@
 //! Stacks with a page below them that faults when it is touched.
 
 use super::{state, tick};
-use crate::sys::task;
 use core::ptr;
 
 /// The smallest stack in bytes: frames of signals with all vector registers (3.7 KiB with AVX-512),
@@ -71,11 +70,11 @@ impl Drop for Stack {
     }
 }
 
-/// The idle task has nothing to do: ends the scheduler if no task is left, or sleeps until a
-/// signal. A signal before the call has been handled, and if it woke a task, that task ran first;
-/// so no signal is slept through.
-pub(crate) fn idle() {
-    if task::none_left() {
+/// The idle task has nothing to do: ends the scheduler if `none_left` says that no task is left, or
+/// sleeps until a signal. A signal before the call has been handled, and if it woke a task, that
+/// task ran first; so no signal is slept through.
+pub(crate) fn idle(none_left: fn() -> bool) {
+    if none_left() {
         state::leave();
     } else if tick::is_virtual() {
         tick::skip_to_next();

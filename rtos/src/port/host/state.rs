@@ -13,8 +13,7 @@
 
 use super::switch::{first_frame, tandem_switch};
 use super::{interrupts, tick};
-use crate::sys::ffi::{self, Base, Tcb};
-use crate::sys::task::current_tcb;
+use crate::ffi::{self, Base, Tcb, current_tcb};
 use core::ffi::c_void;
 use core::ptr;
 use core::sync::atomic::Ordering::Relaxed;

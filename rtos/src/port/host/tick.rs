@@ -6,8 +6,8 @@
 
 use super::interrupts;
 use super::state;
-use crate::kernel::Clock;
-use crate::sys::ffi;
+use crate::ffi;
+use crate::port::Clock;
 use crate::time::TICK_RATE_HZ;
 use core::mem::MaybeUninit;
 use core::ptr;

@@ -1,8 +1,8 @@
 //! Semaphores: counting, and binary as those that count to one.
 
+use super::queue::Raw;
 use crate::TimedOut;
 use crate::context::{Context, TaskContext, TaskLevel};
-use crate::sys::queue::Raw;
 use crate::time::Ticks;
 use alloc::sync::Arc;
 use core::fmt;

@@ -1,10 +1,10 @@
 //! Functions and types of the kernel as the C compiler sees them; `kernel/shim.c` checks the
-//! widths.
-
+//! widths. What ports and objects both need of it has a wrapper here.
+#![allow(unsafe_code)]
 #![allow(dead_code, reason = "each target uses its part")]
 
-use core::ffi::{c_char, c_void};
-use core::sync::atomic::AtomicPtr;
+use core::ffi::{CStr, c_char, c_void};
+use core::sync::atomic::{AtomicPtr, Ordering};
 
 include!(concat!(env!("OUT_DIR"), "/sizes.rs"));
 
@@ -66,6 +66,11 @@ unsafe extern "C" {
     pub(crate) fn xTaskDelayUntil(previous: *mut Tick, increment: Tick) -> Base;
     pub(crate) fn xTaskGetTickCount() -> Tick;
     pub(crate) fn xTaskGetTickCountFromISR() -> Tick;
+    pub(crate) fn xTaskGetStaticBuffers(
+        task: *mut Tcb,
+        stack: *mut *mut usize,
+        tcb: *mut *mut c_void,
+    ) -> Base;
     pub(crate) fn pcTaskGetName(task: *mut Tcb) -> *const c_char;
     pub(crate) fn xTaskGenericNotify(
         task: *mut Tcb,
@@ -153,4 +158,43 @@ unsafe extern "C" {
     pub(crate) fn vTaskSuspendAll();
     pub(crate) fn xTaskResumeAll() -> Base;
     pub(crate) fn ulTaskGetRunTimeCounter(task: *const Tcb) -> u64;
+}
+
+/// Runs `body` with interrupts masked. Nests. Ends also if `body` unwinds.
+pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
+    struct End;
+    impl Drop for End {
+        fn drop(&mut self) {
+            // SAFETY: pairs with the entry below.
+            unsafe { tandem_exit_critical() };
+        }
+    }
+    // SAFETY: callable from every task, and before the scheduler runs; `End` pairs with it.
+    unsafe { tandem_enter_critical() };
+    let _end = End;
+    body()
+}
+
+/// The control block of the running task, or null.
+pub(crate) fn current_tcb() -> *mut Tcb {
+    // SAFETY: the kernel's variable is a pointer, which is all that matters here.
+    unsafe { pxCurrentTCB.load(Ordering::Relaxed) }
+}
+
+/// The name of the running task, for messages.
+pub(crate) fn current_name() -> &'static str {
+    let current = current_tcb();
+    if current.is_null() {
+        "none"
+    } else {
+        name_of(current)
+    }
+}
+
+/// The name of a live task.
+pub(crate) fn name_of(tcb: *mut Tcb) -> &'static str {
+    // SAFETY: a live task's control block holds its name, closed with a zero; a name is read at
+    // once and not kept.
+    let name = unsafe { CStr::from_ptr(pcTaskGetName(tcb)) };
+    name.to_str().unwrap_or("not UTF-8")
 }
