@@ -17,6 +17,9 @@ pub(crate) struct HartState {
     pub(crate) slice: AtomicU32,
     /// A hash of the places where this hart's turns ended.
     pub(crate) places: AtomicU32,
+    /// Where the last turn ended, and how many turns in a row have ended there.
+    ended_at: AtomicU32,
+    repeats: AtomicU32,
     /// The carrier wants this hart to stand still.
     pub(crate) held: AtomicBool,
     /// Between two incarnations: one of the four below.
@@ -48,6 +51,8 @@ pub(crate) static STATES: [HartState; HARTS] = [const {
         rung: AtomicBool::new(false),
         slice: AtomicU32::new(0),
         places: AtomicU32::new(0),
+        ended_at: AtomicU32::new(0),
+        repeats: AtomicU32::new(0),
         held: AtomicBool::new(false),
         incarnation: AtomicU32::new(0),
         on_doorbell: AtomicPtr::new(core::ptr::null_mut()),
@@ -186,13 +191,29 @@ extern "C" fn tandem_on_timer() {
         // It was only to end a sleep.
         0 => hart::disable(MTI),
         ticks => {
-            let places = &STATES[number].places;
-            let hash = places.load(Ordering::Relaxed) ^ hart::interrupted_at() as u32;
+            let HartState {
+                places,
+                ended_at,
+                repeats,
+                ..
+            } = &STATES[number];
+            let place = hart::interrupted_at() as u32;
+            let hash = places.load(Ordering::Relaxed) ^ place;
             // FNV-1a, by words.
             places.store(hash.wrapping_mul(0x0100_0193), Ordering::Relaxed);
             hart::yield_turn();
             call(&STATES[number].on_turn);
-            clint::set_timer(number, hart::time() + u64::from(ticks));
+            // The timer of another hart may end this turn, and this hart's timer then runs out
+            // while the others run: short turns in step with each other get nowhere. A hart that
+            // stays where it is gets longer ones.
+            let stays = ended_at.load(Ordering::Relaxed) == place;
+            let times = match stays {
+                true => (repeats.load(Ordering::Relaxed) + 1).min(6),
+                false => 0,
+            };
+            ended_at.store(place, Ordering::Relaxed);
+            repeats.store(times, Ordering::Relaxed);
+            clint::set_timer(number, hart::time() + (u64::from(ticks) << times));
         }
     }
 }
