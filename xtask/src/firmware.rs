@@ -190,27 +190,17 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    let of_qemu = [
-        "--test",
-        "identical",
-        "--test",
-        "feeds",
-        "--test",
-        "outputs",
-        "--test",
-        "tasks",
-    ];
-    let of_command = ["--test", "emulated"];
-    for (package, tests) in [("tandem-board-qemu", &of_qemu[..]), ("tandem", &of_command)] {
-        let mut command = crate::cargo(root, &["test", "-p", package]);
-        command.args(tests);
-        command.args(["--", "--ignored", "--test-threads", "1"]);
-        command.env(
-            "TANDEM_IMAGES",
-            build_dir(root).join(TARGET).join("release"),
-        );
-        crate::run(command)?;
+    // Of the whole workspace, as all other tests: for one package alone cargo builds much anew.
+    let mut command = crate::cargo(root, &["test", "--workspace"]);
+    for file in ["identical", "feeds", "outputs", "tasks", "emulated"] {
+        command.args(["--test", file]);
     }
+    command.args(["--", "--ignored", "--test-threads", "1"]);
+    command.env(
+        "TANDEM_IMAGES",
+        build_dir(root).join(TARGET).join("release"),
+    );
+    crate::run(command)?;
     Ok(())
 }
 
