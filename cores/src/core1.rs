@@ -3,7 +3,7 @@
 //!
 //! The sensors release it: a cycle begins when all lists are there that the last one had. The core
 //! sleeps until they are expected, and only then asks to be woken by frames. If one is missing, the
-//! cycle begins [`PATIENCE`] after it was expected, and the next ones no longer wait for it.
+//! cycle begins 5 ms after it was expected, and the next ones no longer wait for it.
 
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;

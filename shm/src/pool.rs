@@ -308,7 +308,7 @@ impl<'a> Pool<'a> {
     /// [`HandOverError`]
     ///
     /// # Panics
-    /// If `to` is no core (see [`CORES`](crate::incarnation::CORES)).
+    /// If `to` is no core (see [`CORES`]).
     pub fn hand_over(&self, handle: Handle, to: usize) -> Result<(), HandOverError> {
         let head = self.checked(handle)?;
         let receiver = self.attached.incarnations().current(to);
