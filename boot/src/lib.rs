@@ -23,6 +23,7 @@ mod protocol;
 mod session;
 mod srec;
 mod start;
+mod three_frames;
 mod trust;
 
 pub use environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
@@ -40,4 +41,5 @@ pub use protocol::{Answer, Refusal, Request, TO_HOST, TO_LOADER};
 pub use session::{MAX_WINDOW, RESEND_AFTER};
 pub use srec::{Assembler, MAX_DATA, Record, RecordError, RecordType};
 pub use start::{BetweenSteps, Keeper, Leave, first_service, next_service, start};
+pub use three_frames::{FIRST_ID, three_frames};
 pub use trust::{Trust, TrustMode};

@@ -145,7 +145,7 @@ pub(crate) fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     Ok(SigningKey { number: 0, seed })
 }
 
-/// A key that nobody else has.
+/// A key of this run alone.
 ///
 /// # Errors
 /// If the system gives no random numbers.

@@ -9,7 +9,7 @@ use anyhow::{Context as _, anyhow, bail, ensure};
 use tandem_board::{CanFrame, CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
 use tandem_board_qemu::{BootFrom, EmulatedWorld};
-use tandem_boot::Slot;
+use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FlashFile, Sender, SigningKey, ToDo, records};
 
 use crate::args::{BootDemoArgs, DemoBoard};
@@ -18,7 +18,7 @@ use crate::emulated;
 use crate::files::RunFiles;
 use crate::run::this_program;
 use crate::run_config::{Profile, RunConfig};
-use crate::three_frames::{FIRST_ID, NAME};
+use crate::three_frames::NAME;
 
 /// The controller under test; the other one has an empty flash and waits.
 const SYSTEM: SystemId = SystemId::A;

@@ -73,7 +73,7 @@ pub struct TaskInfo {
     pub name: &'static str,
     /// What releases it.
     pub released_by: &'static [ReleasedBy],
-    /// Shortest time between two releases.
+    /// Time between two releases. Control's is a tick less while its grid follows the trajectories.
     pub period: Duration,
     /// The longest time from a release to the end of its job. `None` if the trace does not tell
     /// the release; then the analysis takes the period.

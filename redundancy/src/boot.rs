@@ -11,7 +11,7 @@ pub(crate) struct Boot {
     /// Whether this system claims to be the one that leads.
     pub(crate) claims_master: bool,
     /// The fault for which it suspends if the other system drives. If no system does, it starts
-    /// into the safe stop: silence would help nobody.
+    /// into the safe stop: silence stops no vehicle.
     pub(crate) fault: Option<FailureMode>,
 }
 

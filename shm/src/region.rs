@@ -68,7 +68,7 @@ pub enum Mailbox {}
 #[derive(Debug)]
 pub enum SharedLock {}
 
-/// A pool of so many blocks: see [`pool`].
+/// A pool of this many blocks: see [`pool`].
 #[derive(Debug)]
 pub enum SharedPool<const BLOCKS: usize> {}
 

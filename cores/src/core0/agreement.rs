@@ -17,7 +17,7 @@ const WARM_UP: Duration = Duration::from_ms(1000);
 /// A system that finds itself wrong leaves within this time. What is left of a disagreement
 /// afterwards has no cause that a system can find in itself.
 const RESOLVE: Duration = Duration::from_ms(300);
-/// After so many cycles without a command of the other system there is nothing to compare.
+/// After this many cycles without a command of the other system there is nothing to compare.
 const ABSENT_CYCLES: u8 = 10;
 /// The other system has told so often in succession that it sees no way out.
 const TOLD_TIMES: u8 = 3;

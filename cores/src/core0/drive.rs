@@ -40,7 +40,7 @@ pub struct Drive {
 /// Without the chassis' own motion for this long there is nothing to control by.
 const EGO_MAX_AGE: Duration = Duration::from_ms(100);
 
-/// An echo of the vehicle holds for so many control cycles.
+/// An echo of the vehicle holds for this many control cycles.
 const FOLLOWS_CYCLES: u8 = 5;
 
 impl Drive {

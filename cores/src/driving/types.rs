@@ -172,7 +172,7 @@ pub struct Command {
     pub acceleration: f32,
 }
 
-/// One step of the motion control with its inputs (core 0 to 2): whoever has the trajectory can
+/// One step of the motion control with its inputs (core 0 to 2): a core that has the trajectory can
 /// compute it again.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ControlStep {

@@ -39,7 +39,7 @@ pub enum Kind {
     Hang(u16),
     /// A core dies.
     CoreDies(CoreId),
-    /// Core 0 is called every so many milliseconds at most.
+    /// Core 0 is called in each period of this many milliseconds at most.
     Slow(u8),
     /// Its clock is wrong by this many parts in a thousand.
     Clock(i16),
@@ -288,7 +288,7 @@ impl Fault {
 }
 
 /// A loose contact: an edge line sees an edge each time that contact is made or lost, a level line
-/// falls, anything else is cut meanwhile.
+/// falls, anything else is cut in between.
 fn flap(
     wire: Wire,
     from: SystemId,

@@ -22,8 +22,8 @@ fn resets(drive: &Drive, of: SystemId) -> Vec<ResetCause> {
     reset.collect()
 }
 
-/// The system that drives refuses; the standby goes, for a download; nobody hears a host that names
-/// no system. The vehicle drives on without a gap.
+/// The system that drives refuses; the standby goes, for a download; no system hears a host that
+/// names no system. The vehicle drives on without a gap.
 #[test]
 fn only_the_standby_of_a_driving_vehicle_goes_for_a_download() {
     let mut drive = Drive::new("free-lane", 1);

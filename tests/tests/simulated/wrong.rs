@@ -30,7 +30,7 @@ fn drive(core: CoreId, bend: impl Fn() -> (OnSend, OnHear) + 'static) -> Drive {
     drive
 }
 
-/// Drives on; the largest offset from the lane meanwhile, m.
+/// Drives on; the largest offset from the lane on the way, m.
 fn aside(drive: &mut Drive, span: Duration) -> f64 {
     let until = drive.pair.now() + span;
     let mut most = 0.0_f64;

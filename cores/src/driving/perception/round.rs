@@ -1,6 +1,6 @@
 //! The sensors' round: what comes in within each period, and when all of it is there.
 //!
-//! The sensors are not synchronised with this core, and tell nobody their phase. The end of a round
+//! The sensors are not synchronised with this core, and do not tell their phase. The end of a round
 //! is where the longest pause begins: a cycle there has the freshest lists.
 
 use tandem_board::{Duration, Instant};

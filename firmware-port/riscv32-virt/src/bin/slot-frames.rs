@@ -1,20 +1,15 @@
-//! The smallest application, for slot A: its three cores each send a CAN frame with their number.
-//! T-BOOT-8
+//! The smallest application, for slot A: see `tandem_boot::three_frames`. T-BOOT-8
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
 
-use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Supply, watchdog_answer,
-};
+use tandem_board::Duration;
 use tandem_board_riscv32_virt::board::{VirtBoard, run_in_slot};
 use tandem_board_riscv32_virt::entry;
 
 entry!(main);
 
-/// The id of core 0's frames; those of the others follow.
-const FIRST_ID: u16 = 0x700;
-/// How often each core sends, and core 0 serves the watchdog.
+/// How often each core sends, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(10);
 
 fn main(hart: usize) -> ! {
@@ -22,28 +17,5 @@ fn main(hart: usize) -> ! {
 }
 
 fn core(board: &VirtBoard) {
-    let core = board.identity().core;
-    let number = core.index() as u8;
-    let id = CanId::Standard(FIRST_ID + u16::from(number));
-    let Ok(frame) = CanFrame::new(id, false, &[number]) else {
-        return;
-    };
-    if core == CoreId::CONTROL {
-        board.release_core(CoreId::PERCEPTION);
-        board.release_core(CoreId::PLANNING);
-    }
-    let mut due = Instant::ORIGIN;
-    loop {
-        let now = board.now();
-        if now >= due {
-            due = now + PERIOD;
-            // Full: the bus is slower, and the next one will do.
-            let _ = board.can().try_send(&frame);
-            if core == CoreId::CONTROL {
-                let supply = board.supply();
-                supply.service_watchdog(watchdog_answer(supply.watchdog_question()));
-            }
-        }
-        board.wait(due);
-    }
+    tandem_boot::three_frames(board, PERIOD)
 }
