@@ -292,13 +292,16 @@ fn test(root: &Path) -> Result<()> {
 }
 
 fn bare_metal(root: &Path) -> Result<()> {
-    let portable = BARE_METAL.map(|target| PORTABLE.map(|package| (package, target)));
-    for (package, target) in portable.into_iter().flatten().chain(RTOS) {
-        run(cargo(
-            root,
-            &["build", "--quiet", "--target", target, "-p", package],
-        ))?;
-        println!("{package} builds for {target}");
+    for target in BARE_METAL {
+        let rtos = RTOS.iter().filter(|(_, has_port)| *has_port == target);
+        let packages: Vec<&str> = PORTABLE
+            .into_iter()
+            .chain(rtos.map(|(name, _)| *name))
+            .collect();
+        let mut command = cargo(root, &["build", "--quiet", "--target", target]);
+        command.args(packages.iter().flat_map(|package| ["-p", package]));
+        run(command)?;
+        println!("{} build for {target}", packages.join(", "));
     }
     Ok(())
 }
