@@ -149,7 +149,9 @@ where
         port.drain_trace(&mut |_| {});
         for _ in 0..FRAMES_PER_MS {
             match sender.next(now) {
-                ToDo::Send(frame) => port.broadcast(&frame),
+                ToDo::Send(frame) => {
+                    port.broadcast(&frame);
+                }
                 ToDo::Wait(_) => break,
                 ToDo::Done => {
                     accepted.get_or_insert(now);

@@ -155,10 +155,10 @@ where
         let roles = SystemId::ALL.map(|system| self.port.role(system));
         let Self { port, recorder, .. } = self;
         update.poll(now, roles, &mut |frame| {
-            port.broadcast(frame);
+            let at = port.broadcast(frame);
             recorder.record(Entry::Frame(LoggedFrame {
-                at: now,
-                sent: now,
+                at,
+                sent: at,
                 frame: *frame,
                 verdict: None,
             }));

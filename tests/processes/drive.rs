@@ -68,12 +68,16 @@ fn a_short_drive_ends_with_a_report() {
     assert!(read("control-period.hgrm").contains("Total count"));
     assert!(read("chain.hgrm").contains("Total count"));
     let log = read("candump.log");
+    // Stamped by the bus, so in the order of the bus.
+    let mut before = String::new();
     for line in log.lines() {
         let words: Vec<&str> = line.split(' ').collect();
         let [time, "can0", frame] = words[..] else {
             panic!("{line}");
         };
         assert!(time.starts_with('(') && frame.contains('#'), "{line}");
+        assert!(*before <= *time, "{before} before {line}");
+        time.clone_into(&mut before);
     }
     assert!(log.contains(" 0A0##"), "control frames of A");
     assert!(log.contains(" 0B1##"), "status frames of B");

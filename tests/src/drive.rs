@@ -2,7 +2,7 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use tandem_board::{Board, CanFrame, CoreId, Duration, Instant, Received, SystemId, VehicleBus};
+use tandem_board::{Board, CanFrame, Carried, CoreId, Duration, Instant, SystemId, VehicleBus};
 use tandem_board_sim::{Config, Poller, SimBoard, SimPair, WorldTick};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
@@ -57,9 +57,9 @@ fn tick(seen: &mut Seen, tick: &mut WorldTick) {
     let Seen { world, log, forged } = seen;
     world.run_period(tick.at, tick, &mut |frame| log.push(Entry::Frame(frame)));
     for frame in forged.drain(..) {
-        let at = tick.at;
-        tick.broadcast(&frame);
-        log.push(Entry::Frame(world.hear(at, Received { frame, at })));
+        let at = tick.broadcast(&frame);
+        let sent = at;
+        log.push(Entry::Frame(world.hear(at, Carried { frame, sent, at })));
     }
 }
 

@@ -1,7 +1,7 @@
 //! The world loop: each millisecond the world hears what the controllers have sent, moves, and
 //! sends what its sensors see.
 
-use tandem_board::{CanFrame, CanId, CoreId, Instant, Received, SystemId, VehicleBus};
+use tandem_board::{CanFrame, CanId, Carried, CoreId, Instant, SystemId, VehicleBus};
 use tandem_bus::{Control, Message};
 
 use crate::gate::Verdict;
@@ -10,7 +10,7 @@ use crate::world::World;
 /// A frame on the bus, as a recording has it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LoggedFrame {
-    /// When it was on the bus.
+    /// When the bus carried it: the log's time stamp. Never earlier than the frame before.
     pub at: Instant,
     /// When its sender sent it.
     pub sent: Instant,
@@ -56,13 +56,13 @@ impl World {
         seen: &mut dyn FnMut(LoggedFrame),
     ) {
         let now = bus.now();
-        bus.transmitted(&mut |_, _, received| seen(self.hear(now, received)));
+        bus.transmitted(&mut |_, _, carried| seen(self.hear(now, carried)));
         self.step(due.as_ns(), &mut |id, data| {
             // The world sends what the DBC has, which is always a frame.
             if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
-                bus.broadcast(&frame);
+                let at = bus.broadcast(&frame);
                 seen(LoggedFrame {
-                    at: due,
+                    at,
                     sent: due,
                     frame,
                     verdict: None,
@@ -72,14 +72,14 @@ impl World {
         bus.ring_receivers();
     }
 
-    /// Hears a frame of a controller that is on the bus at `now`.
-    pub fn hear(&mut self, now: Instant, Received { frame, at: sent }: Received) -> LoggedFrame {
+    /// Hears at `now` a frame of a controller.
+    pub fn hear(&mut self, now: Instant, Carried { frame, sent, at }: Carried) -> LoggedFrame {
         let judged = match frame.id() {
             CanId::Standard(id) => self.on_frame(now.as_ns(), id.into(), frame.data()),
             CanId::Extended(_) => None,
         };
         LoggedFrame {
-            at: now,
+            at,
             sent,
             frame,
             verdict: judged.map(|acceptance| acceptance.verdict),
@@ -115,14 +115,15 @@ impl VehicleBus for LocalBus {
         self.now
     }
 
-    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
-        let at = self.now;
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
+        let (sent, at) = (self.now, self.now);
         for frame in self.to_vehicle.drain(..) {
-            seen(SystemId::A, CoreId::CONTROL, Received { frame, at });
+            seen(SystemId::A, CoreId::CONTROL, Carried { frame, sent, at });
         }
     }
 
-    fn broadcast(&mut self, frame: &CanFrame) {
+    fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         self.from_vehicle.push(*frame);
+        self.now
     }
 }

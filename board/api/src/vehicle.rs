@@ -3,7 +3,18 @@
 //!
 //! There is one vehicle in a run. It calls all of this from one thread.
 
-use crate::{CanFrame, CoreId, Instant, Received, RoleLamp, SupplyEvent, SystemId, Traced};
+use crate::{CanFrame, CoreId, Instant, RoleLamp, SupplyEvent, SystemId, Traced};
+
+/// A frame of a core, as the bus carried it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Carried {
+    /// The frame.
+    pub frame: CanFrame,
+    /// When its core sent it.
+    pub sent: Instant,
+    /// When it was on the bus: never before `sent`, nor before the frame that the bus carried last.
+    pub at: Instant,
+}
 
 /// The CAN bus, as the vehicle's nodes are connected to it.
 pub trait VehicleBus {
@@ -11,11 +22,12 @@ pub trait VehicleBus {
     fn now(&self) -> Instant;
 
     /// Takes the frames that the cores have sent since the last call, in bus order. Each comes with
-    /// its sender and the time at which it was sent.
-    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received));
+    /// its sender.
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried));
 
-    /// Sends a frame of one of the vehicle's own nodes.
-    fn broadcast(&mut self, frame: &CanFrame);
+    /// Sends a frame of one of the vehicle's own nodes. Returns when it is on the bus: never before
+    /// a frame that the bus has carried.
+    fn broadcast(&mut self, frame: &CanFrame) -> Instant;
 
     /// Wakes the cores that wait for frames, if there are new ones.
     fn ring_receivers(&mut self) {}

@@ -3,8 +3,8 @@
 use core::convert::Infallible;
 
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent, SystemId,
-    Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent,
+    SystemId, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::bus::TransmitLimit;
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
@@ -133,7 +133,7 @@ impl VehicleBus for HostVehiclePort {
 
     /// A core sends at most 8 frames in a millisecond; the rest waits. A system without power, or
     /// cut off the bus, sends nothing: what its cores had left to send is dropped.
-    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         let now = clock::now();
         let reaches = self.reaches();
         // What is found now was not there the last time. A core that was frozen between looking at
@@ -163,13 +163,12 @@ impl VehicleBus for HostVehiclePort {
         }
         // Stable: the frames of one core stay in their order even at equal times.
         self.sent.sort_by_key(|(_, _, sent)| sent.at);
-        for (system, core, sent) in self.sent.drain(..) {
-            seen(system, core, sent);
+        // The bus carries them now: the time of the call may lie before that of a sender.
+        let at = clock::now();
+        for (system, core, Received { frame, at: sent }) in self.sent.drain(..) {
+            seen(system, core, Carried { frame, sent, at });
             let sender = Sender::Core(CoreAddress::new(system, core));
-            let received = Received {
-                frame: sent.frame,
-                at: now,
-            };
+            let received = Received { frame, at };
             self.bus.publish(
                 &BusFrame {
                     received,
@@ -185,11 +184,9 @@ impl VehicleBus for HostVehiclePort {
 
     /// The cores hear of it with the next [`VehicleBus::transmitted`] or
     /// [`VehicleBus::ring_receivers`].
-    fn broadcast(&mut self, frame: &CanFrame) {
-        let received = Received {
-            frame: *frame,
-            at: clock::now(),
-        };
+    fn broadcast(&mut self, frame: &CanFrame) -> Instant {
+        let at = clock::now();
+        let received = Received { frame: *frame, at };
         let frame = BusFrame {
             received,
             sender: Sender::Vehicle,
@@ -197,6 +194,7 @@ impl VehicleBus for HostVehiclePort {
         };
         self.bus.publish(&frame.encode());
         self.news = true;
+        at
     }
 
     fn ring_receivers(&mut self) {
@@ -331,7 +329,7 @@ mod tests {
             };
             transmit.send(&encode_transmit(&frame, 0)).unwrap();
             let mut seen = vec![];
-            port.transmitted(&mut |_, _, received| seen.push(received.at));
+            port.transmitted(&mut |_, _, carried| seen.push(carried.sent));
             seen
         };
         let begin = clock::now();
@@ -341,6 +339,51 @@ mod tests {
             panic!("one frame was sent");
         };
         assert!(ahead <= clock::now(), "in the future");
+        Backplane::remove(&run);
+    }
+
+    /// A log is what was on the bus: frames in the order in which a receiver gets them, each with the
+    /// receiver's time, whoever sent them and however long ago.
+    #[test]
+    fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
+        let (run, mut port) = port();
+        let attach = |system, core| {
+            let generation = Generation(1);
+            let of = Identity {
+                system,
+                core,
+                generation,
+            };
+            HostCan::attach(port.backplane, of).unwrap()
+        };
+        let senders = [
+            attach(SystemId::A, CoreId::CONTROL),
+            attach(SystemId::B, CoreId::CONTROL),
+        ];
+        let receiver = attach(SystemId::A, CoreId::PERCEPTION);
+        let mut stamped = vec![];
+        for round in 0..20 {
+            for (index, sender) in senders.iter().enumerate() {
+                let id = CanId::Standard(0x100 + index as u16);
+                sender
+                    .try_send(&CanFrame::new(id, true, &[round]).unwrap())
+                    .unwrap();
+            }
+            clock::sleep_until(clock::now() + Duration::from_ms(1));
+            port.transmitted(&mut |_, _, carried| {
+                assert!(carried.sent < carried.at);
+                stamped.push((carried.frame, carried.at));
+            });
+            let own = CanFrame::new(CanId::Standard(0x700), true, &[round]).unwrap();
+            let at = port.broadcast(&own);
+            stamped.push((own, at));
+        }
+        let heard: Vec<_> = core::iter::from_fn(|| receiver.try_receive())
+            .map(|received| (received.frame, received.at))
+            .collect();
+        assert_eq!(stamped.len(), 60);
+        assert_eq!(heard, stamped);
+        assert!(stamped.is_sorted_by_key(|(_, at)| *at));
         Backplane::remove(&run);
     }
 

@@ -5,7 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tandem_board::{
-    CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreId, Instant, Received, RoleLamp, SystemId, Traced, VehicleBus,
+    VehiclePort,
 };
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
@@ -30,6 +31,8 @@ pub struct EmulatedWorld {
     step: u64,
     /// What was on the bus, with its sender, since the last step.
     sent: Vec<(SystemId, CoreId, Received)>,
+    /// When the last frame was on the bus.
+    carried: Instant,
     traced: Vec<Traced>,
     lamps: [RoleLamp; 2],
     powered: [bool; 2],
@@ -112,6 +115,7 @@ impl EmulatedWorld {
             machines,
             step: 0,
             sent: vec![],
+            carried: Instant::ORIGIN,
             traced: vec![],
             lamps: [RoleLamp::Starting; 2],
             powered: [false; 2],
@@ -289,14 +293,22 @@ impl VehicleBus for EmulatedWorld {
         Instant::from_ns(self.step * PERIOD_NS)
     }
 
-    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
-        for (system, core, sent) in self.sent.drain(..) {
-            seen(system, core, sent);
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
+        for (system, core, Received { frame, at }) in self.sent.drain(..) {
+            // One that came too late for the last step is on the bus with this one.
+            self.carried = self.carried.max(at);
+            let carried = Carried {
+                frame,
+                sent: at,
+                at: self.carried,
+            };
+            seen(system, core, carried);
         }
     }
 
     /// The cores get it with the next step.
-    fn broadcast(&mut self, frame: &CanFrame) {
+    fn broadcast(&mut self, frame: &CanFrame) -> Instant {
+        self.carried = self.carried.max(self.now());
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
@@ -309,6 +321,7 @@ impl VehicleBus for EmulatedWorld {
         for node in &mut self.machines {
             node.outgoing.push(item);
         }
+        self.carried
     }
 }
 

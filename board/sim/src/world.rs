@@ -1,7 +1,7 @@
 //! What lies outside the two systems, as a function that is called once a millisecond.
 
 use crate::machine::OnBus;
-use tandem_board::{CanFrame, CoreId, Instant, Received, RoleLamp, SystemId, VehicleBus};
+use tandem_board::{CanFrame, Carried, CoreId, Instant, RoleLamp, SystemId, VehicleBus};
 use tandem_peripherals::codec::Sender;
 
 /// One step of the world: what it hears, sees and sends.
@@ -21,16 +21,17 @@ impl VehicleBus for WorldTick {
         self.at
     }
 
-    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Received)) {
-        for OnBus { at, sender, frame } in &self.heard {
+    fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
+        for &OnBus { at, sender, frame } in &self.heard {
             if let Sender::Core(from) = sender {
-                let (frame, at) = (*frame, *at);
-                seen(from.system, from.core, Received { frame, at });
+                let sent = at;
+                seen(from.system, from.core, Carried { frame, sent, at });
             }
         }
     }
 
-    fn broadcast(&mut self, frame: &CanFrame) {
+    fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         self.sent.push(*frame);
+        self.at
     }
 }
