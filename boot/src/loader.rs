@@ -1,11 +1,13 @@
 //! The bootloader: what it does from the reset to the jump. T-BOOT-1, T-BOOT-2, U-3, U-4, E-4
 
+mod own_update;
+
 use crate::download::Ground;
-use crate::environment::{Environment, EnvironmentStore, LoaderUpdate, Selection, Trial};
-use crate::flash::{FlashFault, body_crc, copy_to_bank, is_intact, program, read};
+use crate::environment::{Environment, EnvironmentStore, Selection, Trial};
+use crate::flash::{FlashFault, body_crc, is_intact, read};
 use crate::log::{LogEvent, append};
 use crate::manifest::{BODY_OFFSET, HARDWARE, MANIFEST_BYTES, Manifest, SIGNED_BYTES};
-use crate::map::{Bank, Kind, PAGE_BYTES, Region, Slot, Target};
+use crate::map::{Bank, Region, Slot, Target};
 use crate::protocol::{Answer, Request, TO_LOADER};
 use crate::session::Session;
 use crate::trust::{Trust, TrustMode};
@@ -353,93 +355,6 @@ impl<'k, F: NorFlash> Loader<'k, F> {
         let slot = self.ground.store.get().active.application?;
         self.log(LogEvent::StartedUntrusted, slot as u32);
         self.launch(slot, self.ground.keep.configuration)
-    }
-
-    /// One step of an update of the bootloader; what to do then, or `None` to go on. U-4
-    fn update_bootloader(&mut self) -> Result<Option<Next>, FlashFault> {
-        let staging = Region::Target(Target::Staging).range().start;
-        let backup = Region::Bank(Bank::Backup).range().start;
-        match (self.ground.store.get().loader, self.setup.bank) {
-            (LoaderUpdate::Idle, Bank::Primary) => Ok(None),
-            // The ROM found the primary bank damaged: make it whole again.
-            (LoaderUpdate::Idle, Bank::Backup) => {
-                self.set_loader(LoaderUpdate::Restoring)?;
-                self.update_bootloader()
-            }
-            (LoaderUpdate::Staged, bank) => {
-                if !self.can_boot(Target::Staging) {
-                    self.log(LogEvent::SlotDamaged, Kind::Bootloader as u32);
-                    self.set_loader(LoaderUpdate::Idle)?;
-                    return self.update_bootloader();
-                }
-                if bank == Bank::Primary {
-                    let primary = Region::Bank(Bank::Primary).range().start;
-                    self.copy(primary, Bank::Backup, true)?;
-                }
-                self.set_loader(LoaderUpdate::Installing)?;
-                self.update_bootloader()
-            }
-            (LoaderUpdate::Installing, _) => {
-                self.copy(staging, Bank::Primary, false)?;
-                self.set_loader(LoaderUpdate::Trial)?;
-                self.log(LogEvent::LoaderInstalled, 0);
-                Ok(Some(Next::Reset))
-            }
-            // Only the backup gets here by itself: the primary bank is not sealed.
-            (LoaderUpdate::Trial, Bank::Backup) => {
-                self.set_loader(LoaderUpdate::TrialExecuted)?;
-                Ok(Some(Next::StartPrimary))
-            }
-            (LoaderUpdate::Trial | LoaderUpdate::TrialExecuted, Bank::Primary) => Ok(None),
-            (LoaderUpdate::TrialExecuted, Bank::Backup) => {
-                self.set_loader(LoaderUpdate::Restoring)?;
-                self.update_bootloader()
-            }
-            (LoaderUpdate::Sealing, _) => {
-                self.copy(staging, Bank::Primary, true)?;
-                self.set_loader(LoaderUpdate::Idle)?;
-                Ok(Some(Next::Reset))
-            }
-            (LoaderUpdate::Restoring, _) => {
-                self.copy(backup, Bank::Primary, true)?;
-                self.set_loader(LoaderUpdate::Idle)?;
-                self.log(LogEvent::LoaderRestored, 0);
-                Ok(Some(Next::Reset))
-            }
-        }
-    }
-
-    /// The last step of a new bootloader: it approves itself and is sealed. U-4
-    fn approve_bootloader(&mut self) -> Result<(), FlashFault> {
-        if self.ground.store.get().loader != LoaderUpdate::TrialExecuted {
-            return Ok(());
-        }
-        self.set_loader(LoaderUpdate::Sealing)?;
-        let staging = Region::Target(Target::Staging).range().start;
-        let seal = read::<PAGE_BYTES>(&mut self.flash, staging)?;
-        let primary = Region::Bank(Bank::Primary).range().start;
-        program(&mut self.flash, primary, &seal)?;
-        let mut environment = *self.ground.store.get();
-        if let Some((manifest, _)) = manifest_at(&mut self.flash, Target::Staging) {
-            raise(&mut environment, &manifest);
-        }
-        environment.loader = LoaderUpdate::Idle;
-        self.write(environment)?;
-        self.log(LogEvent::LoaderApproved, 0);
-        Ok(())
-    }
-
-    fn copy(&mut self, from: u32, bank: Bank, seal: bool) -> Result<(), FlashFault> {
-        let page = read::<PAGE_BYTES>(&mut self.flash, from)?;
-        let (length, _) = Manifest::seal(&page).ok_or(FlashFault)?;
-        copy_to_bank(&mut self.flash, from, bank, BODY_OFFSET + length, seal)
-    }
-
-    fn set_loader(&mut self, loader: LoaderUpdate) -> Result<(), FlashFault> {
-        self.write(Environment {
-            loader,
-            ..*self.ground.store.get()
-        })
     }
 
     fn write(&mut self, environment: Environment) -> Result<(), FlashFault> {
