@@ -1,6 +1,7 @@
 //! Whom the bootloader believes: Ed25519 keys, strict and monitor mode. E-4
 
 use crate::manifest::{MANIFEST_BYTES, SIGNED_BYTES};
+use salty::{CompressedY, EdwardsPoint, Sha512};
 
 /// What happens with an image that is not authentic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -42,19 +43,66 @@ impl Trust<'_> {
     }
 }
 
-/// Verifies an Ed25519 signature. As `salty` does not check it, the scalar is checked here: else
-/// each signature had a second form.
+/// Verifies an Ed25519 signature (RFC 8032, 5.1.7) with the points and the hash of `salty`. Its own
+/// verification takes 4.6 KiB more, twice the time, and a second form of each signature.
 fn verify(key: &[u8; 32], message: &[u8], signature: &[u8; 64]) -> bool {
-    let scalar = signature[32..].iter().rev();
-    let key = salty::PublicKey::try_from(key);
-    scalar.lt(ORDER.iter().rev())
-        && key.is_ok_and(|key| key.verify(message, &signature.into()).is_ok())
+    let (point, scalar) = signature.split_at(32);
+    let Ok(public) = CompressedY(*key).decompressed() else {
+        return false;
+    };
+    // A scalar that is not below the order would be a second form of the signature.
+    if reduced(scalar) != *scalar {
+        return false;
+    }
+    let hash = Sha512::new().updated(point).updated(key).updated(message);
+    let hash = reduced(&hash.finalize());
+    // scalar * base - hash * public, both bit by bit at once. All of it is public, so time may tell.
+    let (base, public) = (EdwardsPoint::basepoint(), -&public);
+    let both = &base + &public;
+    let mut sum = EdwardsPoint::neutral_element();
+    for bit in (0..256).rev() {
+        sum = &sum + &sum;
+        match (is_set(scalar, bit), is_set(&hash, bit)) {
+            (false, false) => {}
+            (true, false) => sum = &sum + &base,
+            (false, true) => sum = &sum + &public,
+            (true, true) => sum = &sum + &both,
+        }
+    }
+    sum.compressed().0 == *point
+}
+
+fn is_set(number: &[u8], bit: usize) -> bool {
+    number[bit / 8] >> (bit % 8) & 1 != 0
+}
+
+/// A little-endian number modulo the order of the group, bit by bit.
+fn reduced(number: &[u8]) -> [u8; 32] {
+    let mut rest = [0u8; 32];
+    for bit in (0..8 * number.len()).rev() {
+        // Twice the rest, and this bit: below 2^254.
+        let mut carry = u8::from(is_set(number, bit));
+        for byte in &mut rest {
+            (*byte, carry) = (*byte << 1 | carry, *byte >> 7);
+        }
+        if rest.iter().rev().lt(ORDER.iter().rev()) {
+            continue;
+        }
+        let mut borrow = false;
+        for (byte, order) in rest.iter_mut().zip(ORDER) {
+            let (difference, first) = byte.overflowing_sub(order);
+            let (difference, second) = difference.overflowing_sub(u8::from(borrow));
+            (*byte, borrow) = (difference, first | second);
+        }
+    }
+    rest
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::manifest::tests::example;
+    use proptest::prelude::*;
 
     fn signed(seed: u8) -> ([u8; 32], [u8; MANIFEST_BYTES]) {
         let pair = salty::Keypair::from(&[seed; 32]);
@@ -103,6 +151,37 @@ mod tests {
             let mut bytes = bytes;
             bytes[bit / 8] ^= 1 << (bit % 8);
             assert!(!authentic(&[key], &bytes, 0), "bit {bit}");
+        }
+    }
+
+    proptest! {
+        /// E-4: two implementations agree, also where a bit is changed.
+        #[test]
+        fn signatures_of_another_implementation_verify(
+            seed: [u8; 32],
+            message in prop::collection::vec(any::<u8>(), 0..300),
+            changed in prop::option::of(0..64 * 8usize),
+        ) {
+            let pair = salty::Keypair::from(&seed);
+            let mut signature = pair.sign(&message).to_bytes();
+            if let Some(bit) = changed {
+                signature[bit / 8] ^= 1 << (bit % 8);
+            }
+            let public = pair.public.to_bytes();
+            prop_assert_eq!(verify(&public, &message, &signature), changed.is_none());
+        }
+
+        /// E-4: numbers up to 512 bits, also multiples of the order.
+        #[test]
+        fn numbers_are_reduced(wide: [u8; 64], times: u8) {
+            let expected = salty::Scalar::from_u512_le(&wide);
+            prop_assert_eq!(reduced(&wide), expected.to_bytes());
+            let (mut multiple, mut carry) = ([0; 33], 0u16);
+            for (byte, order) in multiple.iter_mut().zip(ORDER.into_iter().chain([0])) {
+                carry += u16::from(order) * u16::from(times);
+                (*byte, carry) = (carry as u8, carry >> 8);
+            }
+            prop_assert_eq!(reduced(&multiple), [0; 32]);
         }
     }
 

@@ -1,18 +1,19 @@
 //! `tandem boot-demo`: a download over CAN to an empty controller, its start, and the frames of its
 //! three cores. T-BOOT-8
 
-use std::fmt::Write as _;
+use std::fmt;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail, ensure};
-use tandem_board::{CanFrame, CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
+use serde::{Deserialize, Serialize};
+use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
 use tandem_board_qemu::{BootFrom, EmulatedWorld};
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FlashFile, Sender, SigningKey, ToDo, records};
 
-use crate::args::{BootDemoArgs, DemoBoard};
+use crate::args::DemoBoard;
 use crate::boot::{self, ProgramFlash};
 use crate::emulated;
 use crate::files::RunFiles;
@@ -29,19 +30,59 @@ const FRAMES_PER_MS: usize = 3;
 /// Download and start take seconds.
 const PATIENCE: Duration = Duration::from_ms(120_000);
 
-/// Plays it; what to print.
-///
-/// # Errors
-/// If the board cannot be started, the download is refused, or a frame does not come.
-pub(crate) fn run(args: &BootDemoArgs) -> anyhow::Result<String> {
-    let key = boot::new_key()?;
-    match args.board {
-        DemoBoard::Host => on_host(&key),
-        DemoBoard::Qemu => on_qemu(args, &key),
+/// A download to an empty controller, and what its three cores sent then.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Downloaded {
+    /// S-records of the file.
+    pub(crate) records: usize,
+    /// From the ignition to the acknowledgement of the last record, ms of the board's time.
+    pub(crate) download_ms: f64,
+    /// By [`CoreId::index`].
+    pub(crate) frames: [FirstFrame; CoreId::COUNT],
+}
+
+/// The first frame of a core.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+pub(crate) struct FirstFrame {
+    /// Since the last record was acknowledged, ms of the board's time.
+    pub(crate) after_ms: f64,
+    /// Identifier on CAN.
+    pub(crate) id: u16,
+    /// Its one byte: the number of the core.
+    pub(crate) core: u8,
+}
+
+impl fmt::Display for Downloaded {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (records, ms) = (self.records, self.download_ms);
+        writeln!(f, "downloaded {records} records in {ms:.0} ms to {SYSTEM}")?;
+        for (core, frame) in CoreId::ALL.into_iter().zip(&self.frames) {
+            let FirstFrame {
+                after_ms,
+                id,
+                core: sent,
+            } = frame;
+            writeln!(f, "{after_ms:8.1} ms  core {core}  {id:03X}#{sent:02X}")?;
+        }
+        Ok(())
     }
 }
 
-fn on_host(key: &SigningKey) -> anyhow::Result<String> {
+/// The experiment of T-BOOT-8: downloads the smallest application to an empty controller, starts
+/// it, and waits for a frame of each core. `images`: folder of the images for the emulated board;
+/// `None` is where `cargo xtask firmware build` makes them.
+///
+/// # Errors
+/// If the board cannot be started, the download is refused, or a frame does not come.
+pub(crate) fn experiment(board: DemoBoard, images: Option<&Path>) -> anyhow::Result<Downloaded> {
+    let key = boot::new_key()?;
+    match board {
+        DemoBoard::Host => on_host(&key),
+        DemoBoard::Qemu => on_qemu(images, &key),
+    }
+}
+
+fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
     let mut launcher = Launcher::prepare()?;
     let files = RunFiles::of(launcher.isolation().run());
     let lines = records(NAME, &[&boot::application(NAME, Slot::A, 1, key)]);
@@ -68,7 +109,8 @@ fn on_host(key: &SigningKey) -> anyhow::Result<String> {
     let told = fs::read_to_string(&demo[1]);
     launcher.finish();
     ensure!(!ended.interrupted, "ended early");
-    told.map_err(|_| anyhow!("the vehicle has seen no application"))
+    let told = told.map_err(|_| anyhow!("the vehicle has seen no application"))?;
+    Ok(serde_json::from_str(&told)?)
 }
 
 /// The vehicle's part on the host.
@@ -82,12 +124,13 @@ pub(crate) fn play(args: &VehicleArgs, [lines, told]: &[PathBuf; 2]) -> anyhow::
     let lines = text.split_inclusive('\n').map(str::to_owned).collect();
     let shown = download(&mut port, lines);
     port.set_ignition(false);
-    fs::write(told, shown?).with_context(|| told.display().to_string())
+    let text = serde_json::to_string(&shown?)?;
+    fs::write(told, text).with_context(|| told.display().to_string())
 }
 
-fn on_qemu(args: &BootDemoArgs, key: &SigningKey) -> anyhow::Result<String> {
+fn on_qemu(images: Option<&Path>, key: &SigningKey) -> anyhow::Result<Downloaded> {
     let image = |name: &str| {
-        let chosen = args.images.as_ref().map(|folder| folder.join(name));
+        let chosen = images.map(|folder| folder.join(name));
         emulated::image(name, chosen.as_deref())
     };
     let (bootloader, application) = (image("bootloader")?, image("slot-frames")?);
@@ -116,18 +159,18 @@ fn emulated_system(
     )?)
 }
 
-/// Downloads to an empty controller, and waits for a frame of each core; what came.
+/// Downloads to an empty controller, and waits for a frame of each core.
 ///
 /// # Errors
 /// If the board fails, the download is refused, or a frame does not come.
-fn download<P>(port: &mut P, lines: Vec<String>) -> anyhow::Result<String>
+fn download<P>(port: &mut P, lines: Vec<String>) -> anyhow::Result<Downloaded>
 where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
 {
     let count = lines.len();
     let mut sender = Sender::new(lines, Some(SYSTEM), WINDOW);
     let mut accepted = None;
-    let mut came: [Option<(Instant, CanFrame)>; CoreId::COUNT] = [None; CoreId::COUNT];
+    let mut came: [Option<(Instant, u16, u8)>; CoreId::COUNT] = [None; CoreId::COUNT];
     port.set_ignition(true);
     let begin = port.now();
     while came.iter().any(Option::is_none) {
@@ -141,9 +184,12 @@ where
         ensure!(!port.stop_requested(), "ended early");
         port.transmitted(&mut |system, core, sent| {
             sender.on_frame(now, &sent.frame);
-            let id = CanId::Standard(FIRST_ID + core.index() as u16);
-            if system == SYSTEM && sent.frame.id() == id {
-                came[core.index()].get_or_insert((now, sent.frame));
+            let id = FIRST_ID + core.index() as u16;
+            if let (true, &[number]) = (
+                system == SYSTEM && sent.frame.id() == CanId::Standard(id),
+                sent.frame.data(),
+            ) {
+                came[core.index()].get_or_insert((now, id, number));
             }
         });
         port.drain_trace(&mut |_| {});
@@ -165,21 +211,17 @@ where
     }
     let accepted = accepted.context("an application runs that was not downloaded")?;
     let ms = |from: Instant, to: Instant| to.since(from).as_ms_f64();
-    let mut shown = format!(
-        "downloaded {count} records in {:.0} ms to {SYSTEM}\n",
-        ms(begin, accepted)
-    );
-    for (core, (at, frame)) in CoreId::ALL.into_iter().zip(came.into_iter().flatten()) {
-        let CanId::Standard(id) = frame.id() else {
-            continue;
-        };
-        // Writing to a string does not fail.
-        let _ = writeln!(
-            shown,
-            "{:8.1} ms  core {core}  {id:03X}#{:02X}",
-            ms(accepted, at),
-            frame.data()[0]
-        );
-    }
-    Ok(shown)
+    let frame = |(at, id, core)| FirstFrame {
+        after_ms: ms(accepted, at),
+        id,
+        core,
+    };
+    let [Some(first), Some(second), Some(third)] = came else {
+        bail!("not all cores send: {came:?}");
+    };
+    Ok(Downloaded {
+        records: count,
+        download_ms: ms(begin, accepted),
+        frames: [first, second, third].map(frame),
+    })
 }

@@ -75,8 +75,9 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Bench(args) => bench(&args),
         Command::BootDemo(args) => {
-            let shown = boot_demo::run(&args).map_err(Failure::Run)?;
-            print(&shown).map_err(Failure::Run)
+            let shown = boot_demo::experiment(args.board, args.images.as_deref());
+            let shown = shown.map_err(Failure::Run)?;
+            print(&shown.to_string()).map_err(Failure::Run)
         }
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
