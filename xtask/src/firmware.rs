@@ -140,12 +140,17 @@ fn build(root: &Path) -> Result<()> {
     cargo_build(root, &arguments)
 }
 
+/// Builds images of the board.
 fn cargo_build(root: &Path, arguments: &[&str]) -> Result<()> {
+    let board = ["-p", "tandem-board-riscv32-virt"];
+    cargo_build_package(root, &[&board, arguments].concat())
+}
+
+fn cargo_build_package(root: &Path, arguments: &[&str]) -> Result<()> {
     let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
     command
         .current_dir(port(root))
         .args(["build", "--quiet", "--target", TARGET])
-        .args(["-p", "tandem-board-riscv32-virt"])
         .args(arguments)
         .env("CARGO_TARGET_DIR", build_dir(root));
     let status = command

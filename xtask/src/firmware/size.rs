@@ -1,6 +1,6 @@
 //! Text and RAM of images, from the sections of their ELF files.
 
-use super::{Image, TARGET, build_dir, cargo_build};
+use super::{Image, TARGET, build_dir, cargo_build, cargo_build_package};
 use anyhow::{Context, Result};
 use clap::ValueEnum as _;
 use std::fs;
@@ -8,6 +8,11 @@ use std::path::Path;
 
 /// RPMsg-Lite's published footprint: text of the library, in bytes.
 const RPMSG_LITE_TEXT: u32 = 2_926;
+
+/// A bootloader's bank without the manifest that begins it, in bytes.
+const BANK_BYTES: u32 = (32 << 10) - 256;
+/// The thesis's bootloader: 25.3 KiB, in bytes.
+const THESIS_BYTES: u32 = 25_907;
 
 /// What an image takes, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -20,7 +25,10 @@ struct Size {
     ram: u32,
 }
 
-/// Prints a table of all images, and of `shm` alone.
+/// Prints a table of all images, of `shm` alone, and of the bootloader.
+///
+/// # Errors
+/// If the bootloader does not fit in its bank.
 pub(super) fn run(root: &Path) -> Result<()> {
     let mut arguments = vec!["--profile", "size"];
     for image in ["size-none", "size-messages", "size-shm"] {
@@ -56,6 +64,13 @@ pub(super) fn run(root: &Path) -> Result<()> {
         );
     }
     println!("{:<44} {RPMSG_LITE_TEXT:>7}", "RPMsg-Lite, as published");
+    let of_boot = bootloader(root)?;
+    line("bootloader without drivers (opt z)", of_boot);
+    let used = of_boot.text + of_boot.constants;
+    println!(
+        "{:<44} {used:>7} of {BANK_BYTES} for it and its drivers; the thesis's, without trust: {THESIS_BYTES}",
+        "  in its bank, S0 and S1"
+    );
     for image in Image::value_variants() {
         let size = of(&build_dir(root)
             .join(TARGET)
@@ -64,6 +79,13 @@ pub(super) fn run(root: &Path) -> Result<()> {
         line(&format!("image {}", image.name()), size);
     }
     Ok(())
+}
+
+/// Builds the bootloader without a board. Its linker script refuses what does not fit in its bank.
+fn bootloader(root: &Path) -> Result<Size> {
+    let arguments = ["-p", "tandem-boot-size", "--profile", "boot"];
+    cargo_build_package(root, &arguments)?;
+    of(&build_dir(root).join(TARGET).join("boot/tandem-boot-size"))
 }
 
 fn of(elf: &Path) -> Result<Size> {
