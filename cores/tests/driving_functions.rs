@@ -214,6 +214,7 @@ fn the_drivers_request_is_passed_on() {
     let mut feed = Feed::new(25.0);
     for engage in [true, false] {
         let request = DriverRequest {
+            overrides: false,
             engage,
             set_speed: 30.0,
         };

@@ -42,7 +42,8 @@ const DRIFT_NS: u64 = 1_000_000_000;
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
 /// The oldest data that a command may rest on, ms. The functions stop earlier, by the age of what
-/// they have; this is for one that does not. A safe stop rests on no data.
+/// they have; this is for one that does not. A safe stop rests on no data, nor does a frame of a function
+/// that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
 /// What the actuators can do: rad, m/s².
@@ -229,7 +230,8 @@ impl Gate {
             self.refused = self.refused.wrapping_add(1);
             return (Verdict::Stale, Some(control));
         }
-        if control.mode != Mode::SafeStop && control.command_age > COMMAND_MAX_AGE_MS {
+        let rests_on_data = matches!(control.mode, Mode::L3 | Mode::DegradedL2);
+        if rests_on_data && control.command_age > COMMAND_MAX_AGE_MS {
             return (Verdict::Stale, Some(control));
         }
         if !self.is_plausible(now_ns, &control) {

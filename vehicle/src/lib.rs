@@ -24,6 +24,7 @@
 
 pub mod actuators;
 pub mod commonroad;
+mod driver;
 mod error;
 pub mod gate;
 pub mod geometry;
@@ -37,6 +38,7 @@ pub mod traffic;
 pub mod world;
 pub mod world_loop;
 
+pub use driver::Habit;
 pub use error::ScenarioError;
 pub use gate::{Acceptance, FrameCounts, Verdict};
 pub use metrics::Metrics;

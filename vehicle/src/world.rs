@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use tandem_bus::{DriverRequest, Message, SensorHeader, SensorId, Transmitter};
+use tandem_bus::{self as bus, Message, SensorHeader, SensorId, Transmitter};
 
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
 use crate::commonroad::Class;
+use crate::driver::{self, Driver, Habit};
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::metrics::{Meter, Metrics, Sample};
@@ -112,6 +113,9 @@ pub struct Snapshot {
 pub struct World {
     road: Arc<Road>,
     set_speed: f64,
+    driver: Driver,
+    /// The last control frame that acted says that the driver drives.
+    by_hand: bool,
     state: plant::State,
     actuators: Actuators,
     request: Request,
@@ -164,6 +168,8 @@ impl World {
             gate: Gate::new(),
             transmitter: Transmitter::new(),
             set_speed: scenario.set_speed,
+            driver: Driver::default(),
+            by_hand: false,
             request: Request::default(),
             actuators: Actuators::settled(Request::default()),
             next_ns: None,
@@ -180,19 +186,30 @@ impl World {
         world
     }
 
+    /// What the driver does in this run.
+    pub fn set_driver(&mut self, habit: Habit) {
+        self.driver = Driver::new(habit);
+    }
+
     /// A frame that a controller has sent, at `now_ns` on the caller's clock. Returns what became
     /// of it; `None` if it is no control frame, which changes nothing. The first control frame that
-    /// is accepted starts the world.
+    /// is accepted, of a function that drives, starts the world.
     pub fn on_frame(&mut self, now_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
         self.gate.set_speed(self.state.speed);
         let judged = self.gate.on_frame(now_ns, id, data)?;
         if let Some(control) = judged.command {
+            self.driver
+                .on_request(self.snapshot.time_s, control.takeover_request);
+            self.snapshot.accepted = Some(judged.acceptance);
+            self.by_hand = control.mode == bus::Mode::None;
+            if self.by_hand {
+                return Some(judged.acceptance);
+            }
             self.request = Request {
                 steering_angle: f64::from(control.steering_angle),
                 acceleration: f64::from(control.acceleration),
             };
             self.snapshot.running = true;
-            self.snapshot.accepted = Some(judged.acceptance);
         }
         Some(judged.acceptance)
     }
@@ -229,7 +246,9 @@ impl World {
             .accepted()
             .map_or(0, |last| now_ns.saturating_sub(last.at_ns));
         self.snapshot.fallback = silence > FALLBACK_AFTER_NS;
-        if self.snapshot.fallback {
+        if self.by_hand {
+            self.request = driver::by_hand(&self.road, &self.snapshot, self.set_speed);
+        } else if self.snapshot.fallback {
             self.request.acceleration = -FALLBACK_DECELERATION;
         }
         let input = self.actuators.step(self.request, &self.state, &BMW_320I);
@@ -357,11 +376,8 @@ impl World {
             ));
         }
         if *ticks % DRIVER_TICKS == 3 {
-            let set_speed = self.set_speed as f32;
-            send(&Message::DriverRequest(DriverRequest {
-                engage: true,
-                set_speed,
-            }));
+            let wish = self.driver.wish(self.snapshot.time_s, self.set_speed);
+            send(&Message::DriverRequest(wish));
         }
         let phase = *ticks % SENSOR_PERIOD_MS;
         for sensor in SensorId::ALL

@@ -19,15 +19,22 @@ fn control() -> impl Strategy<Value = Control> {
     );
     (
         enums,
-        any::<u32>(),
+        any::<(bool, u32)>(),
         within(0.7),
         within(33.0),
         (within(7000.0), any::<u16>()),
     )
         .prop_map(
-            |((role, mode), term, steering_angle, acceleration, (command_age, sent_at))| Control {
+            |(
+                (role, mode),
+                (takeover_request, term),
+                steering_angle,
+                acceleration,
+                (command_age, sent_at),
+            )| Control {
                 role,
                 mode,
+                takeover_request,
                 term,
                 steering_angle,
                 acceleration,
@@ -161,8 +168,14 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         object_count,
         measured_at,
     });
-    let request = (any::<bool>(), within(700.0))
-        .prop_map(|(engage, set_speed)| DriverRequest { engage, set_speed });
+    let request =
+        (any::<[bool; 2]>(), within(700.0)).prop_map(|([engage, overrides], set_speed)| {
+            DriverRequest {
+                engage,
+                overrides,
+                set_speed,
+            }
+        });
     let numbers = any::<(u32, u8, u8)>();
     let echo = (numbers, within(7000.0), within(0.7), within(33.0)).prop_map(
         |((term, obeyed_counter, refused), term_age, steering_angle, acceleration)| GateEcho {

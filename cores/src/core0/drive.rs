@@ -1,7 +1,8 @@
 //! Which function drives: trajectory control, the degraded L2 functions, or the safe stop.
 
 use crate::driving::control::{MotionControl, Shaper};
-use crate::driving::degraded::DegradedControl;
+use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
+use crate::driving::function::{Driver, Function, Inputs, State};
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
@@ -20,6 +21,7 @@ pub(crate) struct Output {
     pub(crate) speed: f32,
     /// The step of the motion control, if that gave the command.
     pub(crate) step: Option<ControlStep>,
+    pub(crate) state: State,
 }
 
 /// The motion control of core 0 with its inputs.
@@ -35,6 +37,9 @@ pub struct Drive {
     opinion: Shaper,
     /// Control cycles for which the vehicle is still taken to obey the other system.
     follows: u8,
+    function: Function,
+    driver: Driver,
+    in_domain: bool,
 }
 
 /// Without the chassis' own motion for this long there is nothing to control by.
@@ -54,6 +59,9 @@ impl Drive {
             last: Command::default(),
             opinion: Shaper::new(),
             follows: 0,
+            function: Function::default(),
+            driver: Driver::Unheard,
+            in_domain: true,
         }
     }
 
@@ -77,34 +85,77 @@ impl Drive {
         self.follows = FOLLOWS_CYCLES;
     }
 
-    /// The command for `now` by the best function that `mode` permits and the inputs allow.
-    pub(crate) fn cycle(&mut self, now: Instant, mode: Mode) -> Output {
+    /// What the driver's frame says. It holds until the next one.
+    pub(crate) fn on_driver(&mut self, driver: Driver) {
+        self.driver = driver;
+    }
+
+    /// Whether the vehicle stays within the operational design domain, as far as is known. Outside,
+    /// the function asks the driver to take over, and stops if there is no answer.
+    pub fn on_domain(&mut self, inside: bool) {
+        self.in_domain = inside;
+    }
+
+    /// The state of the driving function, with what is known at `now`.
+    fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> State {
+        let lanes = |scene: &Scene| scene.lanes.is_some() && now.since(scene.at) <= SCENE_MAX_AGE;
+        self.function.cycle(
+            now,
+            &Inputs {
+                permitted,
+                driver: self.driver,
+                sees: moves && self.scene.as_ref().is_some_and(lanes),
+                in_domain: self.in_domain,
+            },
+        )
+    }
+
+    /// The command for `now` by the best function that `permitted`, the state of the driving
+    /// function and the inputs allow.
+    pub(crate) fn cycle(&mut self, now: Instant, permitted: Mode) -> Output {
         let fresh = self.ego.filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE);
         let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
+        let state = self.state(now, permitted, fresh.is_some());
+        let mode = state.mode(permitted);
+        if mode == Mode::None {
+            // The driver drives: the function begins from what the vehicle does.
+            self.last = Command {
+                steering_angle: ego.steering_angle,
+                acceleration: ego.acceleration,
+            };
+        }
         self.motion.resume(&self.last);
         self.degraded.resume(&self.last);
-        let mode = if fresh.is_some() {
-            mode
-        } else {
-            Mode::SafeStop
+        let mode = match mode {
+            Mode::L3 | Mode::DegradedL2 if fresh.is_none() => Mode::SafeStop,
+            mode => mode,
         };
-        let (command, mode, age) = self.by_best_function(now, mode, &ego);
-        let wish = match mode {
-            Mode::L3 => self.motion.wish(),
-            _ => self.degraded.wish(),
+        let sees = fresh.is_some() && permitted != Mode::SafeStop;
+        let (command, mode, age) = match &self.scene {
+            Some(scene) if mode == Mode::SafeStop && sees => {
+                let command = self.degraded.stop(now, &ego, scene);
+                (command, mode, Some(now.since(scene.measured)))
+            }
+            _ => self.by_best_function(now, mode, &ego),
         };
         if self.follows == 0 {
             self.opinion.resume(&self.last);
         }
+        let opinion = match mode {
+            Mode::None => command,
+            Mode::L3 => self.opinion.shape(&self.motion.wish(), &ego),
+            Mode::DegradedL2 | Mode::SafeStop => self.opinion.shape(&self.degraded.wish(), &ego),
+        };
         self.follows = self.follows.saturating_sub(1);
         self.last = command;
         Output {
             command,
             mode,
             age,
-            opinion: self.opinion.shape(&wish, &ego),
+            opinion,
             speed: ego.speed,
             step: (mode == Mode::L3).then(|| *self.motion.last_step()),
+            state,
         }
     }
 
@@ -115,6 +166,9 @@ impl Drive {
         mode: Mode,
         ego: &Ego,
     ) -> (Command, Mode, Option<Duration>) {
+        if mode == Mode::None {
+            return (self.last, mode, None);
+        }
         if let (Mode::L3, Some(trajectory)) = (mode, &self.trajectory)
             && let Ok(command) = self.motion.step(now, ego, trajectory)
         {

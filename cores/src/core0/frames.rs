@@ -1,8 +1,9 @@
 //! The frames that core 0 sends and hears, between the bus's words and the redundancy's.
 
 use super::drive::Output;
+use crate::driving::function::{Driver, State};
 use tandem_board::{Board, Can, CanFrame, CanId, Duration, Instant, SystemId};
-use tandem_bus::{Control, Encoded, GateEcho, Message, Status, Transmitter};
+use tandem_bus::{Control, DriverRequest, Encoded, GateEcho, Message, Status, Transmitter};
 use tandem_redundancy::{ControlFrame, Mode, ObeyedTerm, PeerReport, Redundancy, Role, Term};
 
 const fn bus_role(role: Role) -> tandem_bus::Role {
@@ -29,6 +30,7 @@ pub(super) fn control(redundancy: &Redundancy, output: &Output, now: Instant) ->
     Control {
         role: bus_role(redundancy.role()),
         mode: bus_mode(output.mode),
+        takeover_request: output.state == State::TakeoverRequest,
         term: redundancy.term().bits(),
         steering_angle: output.command.steering_angle,
         acceleration: output.command.acceleration,
@@ -79,6 +81,14 @@ pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame>
         role: Role::from_code(control.role as u8)?,
         mode: Mode::from_code(control.mode as u8)?,
     })
+}
+
+/// What the driver wants.
+pub(super) const fn driver(request: &DriverRequest) -> Driver {
+    match (request.engage, request.overrides) {
+        (true, false) => Driver::Engages,
+        _ => Driver::Drives,
+    }
 }
 
 /// What the vehicle told of the term that it obeys, `on_the_way` ago.

@@ -8,6 +8,7 @@ use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::peer_link::{MAX_WORDS, Opinion, PeerLink};
 use super::read_back::ReadBack;
 use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
+use crate::driving::function::Driver;
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, ControlStep, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
@@ -44,6 +45,7 @@ pub(super) struct Inbox {
     motions: Deque<(Instant, Ego), MOTIONS>,
     /// What the vehicle obeys, unless this system drives.
     obeyed: Option<Command>,
+    driver: Option<Driver>,
 }
 
 impl Inbox {
@@ -61,6 +63,9 @@ impl Inbox {
         }
         if let Some(command) = self.obeyed {
             drive.on_obeyed(command);
+        }
+        if let Some(driver) = self.driver {
+            drive.on_driver(driver);
         }
     }
 }
@@ -282,7 +287,8 @@ impl<'b, B: Board> Shared<'b, B> {
         let deviation = heard
             .zip(own)
             .and_then(|((theirs, their_mode), (own, mode))| {
-                let alike = frames::bus_mode(mode) == their_mode && mode != Mode::SafeStop;
+                let drives = !matches!(mode, Mode::None | Mode::SafeStop);
+                let alike = drives && frames::bus_mode(mode) == their_mode;
                 alike.then(|| Deviation::of(&own, &theirs, output.speed))
             });
         let phase = self.phase().unwrap_or(Phase::Starting);
@@ -290,7 +296,7 @@ impl<'b, B: Board> Shared<'b, B> {
         self.tell_agreement(change);
     }
 
-    /// The function to run.
+    /// The mode that the redundancy and the agreement permit; [`Drive`] may do less.
     pub(super) fn mode(&self) -> Option<Mode> {
         let mode = self.redundancy.as_ref()?.mode();
         let stops = mode != Mode::None && self.agreement.stage() == Stage::Unresolved;
@@ -353,6 +359,10 @@ impl<'b, B: Board> Shared<'b, B> {
                     released |= self.on_wrong_command(0);
                 }
                 released
+            }
+            Message::DriverRequest(request) => {
+                self.inbox.driver = Some(frames::driver(&request));
+                TaskSet::NONE
             }
             Message::EgoMotion(motion) => {
                 self.ego_seen = true;

@@ -88,6 +88,16 @@ impl DegradedControl {
     /// The command for `now`; to be called every 10 ms. A scene older than [`SCENE_MAX_AGE`] leads
     /// to [`DegradedControl::safe_stop`].
     pub fn step(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
+        self.drive(now, ego, scene, DRIVER.max_acceleration)
+    }
+
+    /// The same, braking to standstill in the lane: a minimal-risk stop that sees.
+    pub fn stop(&mut self, now: Instant, ego: &Ego, scene: &Scene) -> Command {
+        self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
+    }
+
+    /// Keeps lane and distance, and accelerates by no more than `limit`, m/s².
+    fn drive(&mut self, now: Instant, ego: &Ego, scene: &Scene, limit: f32) -> Command {
         let ego = &Ego {
             slip_angle: self.slip.filter(ego.slip_angle),
             ..*ego
@@ -103,13 +113,13 @@ impl DegradedControl {
         let line = CentreLine::new(lanes);
         let steering_angle = keep(&line, &pose, ego);
 
-        let limit = min(lanes.speed_limit, scene.set_speed.unwrap_or(SPEED_CAP));
-        let desired = min(min(limit, SPEED_CAP), curve_speed(&line, ego.speed));
+        let signed = min(lanes.speed_limit, scene.set_speed.unwrap_or(SPEED_CAP));
+        let desired = min(min(signed, SPEED_CAP), curve_speed(&line, ego.speed));
         let driver = Driver {
             desired_speed: max(desired, 0.1),
             ..DRIVER
         };
-        let mut acceleration = idm::acceleration(&driver, ego.speed, None);
+        let mut acceleration = min(limit, idm::acceleration(&driver, ego.speed, None));
         let now_at = (age.as_secs_f32(), &pose);
         acceleration = min(
             acceleration,

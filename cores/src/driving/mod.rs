@@ -2,6 +2,7 @@
 
 pub mod control;
 pub mod degraded;
+pub mod function;
 mod idm;
 mod math;
 pub mod odometry;

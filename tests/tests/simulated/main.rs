@@ -8,6 +8,7 @@
 mod download;
 mod faults;
 mod floods;
+mod function;
 mod held_up;
 mod hung;
 mod joins;

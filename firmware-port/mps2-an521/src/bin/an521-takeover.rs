@@ -130,6 +130,7 @@ impl<'b> Core<'b> {
             control: Control {
                 role: tandem_bus::Role::Master,
                 mode: driven,
+                takeover_request: false,
                 term: self.machine.term().bits(),
                 steering_angle: 0.0,
                 acceleration: 0.0,

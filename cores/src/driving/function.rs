@@ -1,0 +1,370 @@
+//! The state of the driving function: who drives, by what, and how automated driving ends. U-1
+//!
+//! One machine for all that ends automated driving: the driver, the loss of the other system, the
+//! end of the operational design domain, a fault. [`NEXT`] is the whole of it. The redundancy says
+//! what is permitted ([`Mode`]), the scene what is known, the driver what is wanted; the answer is
+//! the state, and with it the mode that core 0 drives by.
+//!
+//! Automated driving that lost something ends within [`END_LIMIT`]: with the driver, or at
+//! standstill.
+
+use tandem_board::{Duration, Instant};
+use tandem_redundancy::Mode;
+
+/// How long degraded mode may last before it asks the driver to take over: long enough for a system
+/// that was reset to come back.
+pub const DEGRADED_LIMIT: Duration = Duration::from_ms(60_000);
+/// How long the driver has to answer a takeover request: the ten seconds of UN Regulation 157.
+pub const TAKEOVER_LIMIT: Duration = Duration::from_ms(10_000);
+/// How long inputs may be missing while the best function without them drives.
+pub const BLIND_LIMIT: Duration = Duration::from_ms(2_000);
+/// The longest time from standing speed to standstill in a minimal-risk stop: 60 m/s at the
+/// 2.5 m/s² of the safe stop, and a second to build up the brake.
+pub const STOP_LIMIT: Duration = Duration::from_ms(25_000);
+/// Automated driving that lost a system or its domain ends within this time: with the driver, or at
+/// standstill.
+pub const END_LIMIT: Duration =
+    Duration::from_us(DEGRADED_LIMIT.as_us() + TAKEOVER_LIMIT.as_us() + STOP_LIMIT.as_us());
+
+/// State of the driving function.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u8)]
+pub enum State {
+    /// What it needs is not known: no lanes, no motion of the chassis.
+    #[default]
+    Off = 0,
+    /// Could drive; the driver does.
+    Ready = 1,
+    /// Drives with both systems.
+    Active = 2,
+    /// Drives by what one system can do.
+    Degraded = 3,
+    /// Drives on, and asks the driver to take over.
+    TakeoverRequest = 4,
+    /// Brings the vehicle to standstill and holds it there.
+    MinimalRisk = 5,
+}
+
+impl State {
+    /// All, in the order of their codes.
+    pub const ALL: [Self; 6] = [
+        Self::Off,
+        Self::Ready,
+        Self::Active,
+        Self::Degraded,
+        Self::TakeoverRequest,
+        Self::MinimalRisk,
+    ];
+
+    /// Whether the function drives, and not the driver.
+    #[must_use]
+    pub const fn is_driving(self) -> bool {
+        !matches!(self, Self::Off | Self::Ready)
+    }
+
+    /// How long it may last, and no longer; `None` if it may last.
+    #[must_use]
+    pub const fn limit(self) -> Option<Duration> {
+        match self {
+            Self::Degraded => Some(DEGRADED_LIMIT),
+            Self::TakeoverRequest => Some(TAKEOVER_LIMIT),
+            Self::Off | Self::Ready | Self::Active | Self::MinimalRisk => None,
+        }
+    }
+
+    /// The mode that core 0 drives by, of what the redundancy permits.
+    #[must_use]
+    pub const fn mode(self, permitted: Mode) -> Mode {
+        match (self, permitted) {
+            (Self::Off | Self::Ready, _) | (_, Mode::None) => Mode::None,
+            (Self::MinimalRisk, _) | (_, Mode::SafeStop) => Mode::SafeStop,
+            (Self::Degraded, _) | (_, Mode::DegradedL2) => Mode::DegradedL2,
+            (Self::Active | Self::TakeoverRequest, Mode::L3) => Mode::L3,
+        }
+    }
+}
+
+/// What changes the state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Signal {
+    /// The inputs are missing for longer than [`BLIND_LIMIT`].
+    Blind = 0,
+    /// The inputs are there.
+    Sees = 1,
+    /// The driver drives: steers or brakes against the function, or switches it off.
+    Override = 2,
+    /// The driver asks for automated driving.
+    Engage = 3,
+    /// The redundancy permits no more than a stop: this system drives alone and has a fault.
+    Fault = 4,
+    /// One system is left.
+    Alone = 5,
+    /// The vehicle leaves the operational design domain.
+    Leaves = 6,
+    /// Both systems drive, within the domain.
+    Whole = 7,
+    /// The state's time is over.
+    Expired = 8,
+}
+
+impl Signal {
+    /// All, in the order of their columns in [`NEXT`].
+    pub const ALL: [Self; 9] = [
+        Self::Blind,
+        Self::Sees,
+        Self::Override,
+        Self::Engage,
+        Self::Fault,
+        Self::Alone,
+        Self::Leaves,
+        Self::Whole,
+        Self::Expired,
+    ];
+}
+
+/// The next state: a row for each state, a column for each signal.
+///
+/// The driver can always take over. A minimal-risk stop is completed: only the driver ends it.
+pub const NEXT: [[State; Signal::ALL.len()]; State::ALL.len()] = {
+    use State::{
+        Active as Act, Degraded as Deg, MinimalRisk as Mrm, Off, Ready as Rdy,
+        TakeoverRequest as Req,
+    };
+    [
+        // Blind Sees Override Engage Fault Alone Leaves Whole Expired
+        [Off, Rdy, Off, Off, Off, Off, Off, Off, Off], // off
+        [Off, Rdy, Rdy, Act, Rdy, Rdy, Rdy, Rdy, Rdy], // ready
+        [Mrm, Act, Rdy, Act, Mrm, Deg, Req, Act, Act], // active
+        [Mrm, Deg, Rdy, Deg, Mrm, Deg, Req, Act, Req], // degraded
+        [Mrm, Req, Rdy, Req, Mrm, Req, Req, Act, Mrm], // takeover request
+        [Mrm, Mrm, Rdy, Mrm, Mrm, Mrm, Mrm, Mrm, Mrm], // minimal-risk stop
+    ]
+};
+
+/// What the driver wants, as the driver's frame says it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Driver {
+    /// Nothing was heard of the driver.
+    #[default]
+    Unheard,
+    /// Drives, or wants to.
+    Drives,
+    /// Wants automated driving.
+    Engages,
+}
+
+/// What the machine looks at in a cycle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Inputs {
+    /// What the redundancy permits.
+    pub permitted: Mode,
+    /// What the driver wants.
+    pub driver: Driver,
+    /// Lanes and the motion of the chassis are known, and fresh.
+    pub sees: bool,
+    /// The vehicle is within the operational design domain, and stays there for as long as is
+    /// known.
+    pub in_domain: bool,
+}
+
+/// The driving function of one system. Both systems run one each, with the same inputs.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Function {
+    state: State,
+    since: Instant,
+    seen: Instant,
+}
+
+impl Function {
+    /// The state after the last cycle.
+    #[must_use]
+    pub const fn state(&self) -> State {
+        self.state
+    }
+
+    /// One control cycle. The driver comes first and the clock last; a signal acts on the state
+    /// that the one before it has led to.
+    pub fn cycle(&mut self, now: Instant, inputs: &Inputs) -> State {
+        if inputs.sees {
+            self.seen = now;
+        }
+        let blind = now.since(self.seen) > BLIND_LIMIT;
+        let over = |limit| now.since(self.since) >= limit;
+        let expired = self.state.limit().is_some_and(over);
+        let driver = match inputs.driver {
+            Driver::Drives => Some(Signal::Override),
+            Driver::Engages => Some(Signal::Engage),
+            Driver::Unheard => None,
+        };
+        let permitted = match inputs.permitted {
+            Mode::SafeStop => Some(Signal::Fault),
+            Mode::DegradedL2 => Some(Signal::Alone),
+            Mode::L3 => Some(Signal::Whole).filter(|_| inputs.in_domain),
+            Mode::None => None,
+        };
+        let signals = [
+            inputs.sees.then_some(Signal::Sees),
+            blind.then_some(Signal::Blind),
+            driver,
+            permitted,
+            (!inputs.in_domain).then_some(Signal::Leaves),
+            expired.then_some(Signal::Expired),
+        ];
+        let before = self.state;
+        for signal in signals.into_iter().flatten() {
+            self.state = NEXT[self.state as usize][signal as usize];
+        }
+        if self.state != before {
+            self.since = now;
+        }
+        self.state
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use std::format;
+    use std::vec;
+    use std::vec::Vec;
+
+    const DRIVES: Inputs = Inputs {
+        permitted: Mode::L3,
+        driver: Driver::Engages,
+        sees: true,
+        in_domain: true,
+    };
+    const MS: fn(u64) -> Instant = |ms| Instant::from_ns(ms * 1_000_000);
+
+    /// The table of the documentation is the table of the code, cell by cell.
+    #[test]
+    fn the_table_in_the_docs_is_the_one_that_runs() {
+        let docs = include_str!("../../../docs/driving-function.md");
+        let name = |state: State| match state {
+            State::Off => "off",
+            State::Ready => "ready",
+            State::Active => "active",
+            State::Degraded => "degraded",
+            State::TakeoverRequest => "takeover request",
+            State::MinimalRisk => "minimal-risk stop",
+        };
+        for state in State::ALL {
+            let row = docs
+                .lines()
+                .find(|line| line.starts_with(&format!("| **{}** |", name(state))));
+            let cells: Vec<_> = row.expect("a row").split('|').map(str::trim).collect();
+            for signal in Signal::ALL {
+                let next = NEXT[state as usize][signal as usize];
+                let shown = if next == state { "·" } else { name(next) };
+                assert_eq!(cells[2 + signal as usize], shown, "{state:?} {signal:?}");
+            }
+        }
+    }
+
+    /// Properties that hold in each cell, whatever the table says.
+    #[test]
+    fn the_driver_always_gets_the_vehicle_and_a_stop_is_completed() {
+        for state in State::ALL {
+            let next = |signal: Signal| NEXT[state as usize][signal as usize];
+            assert!(!next(Signal::Override).is_driving(), "{state:?}");
+            // Only the driver makes the function drive.
+            for signal in Signal::ALL {
+                let begins = !state.is_driving() && next(signal).is_driving();
+                assert!(!begins || signal == Signal::Engage, "{state:?} {signal:?}");
+                // While it drives, only the driver makes it stop driving.
+                let ends = state.is_driving() && !next(signal).is_driving();
+                assert!(!ends || signal == Signal::Override, "{state:?} {signal:?}");
+                let aborts = state == State::MinimalRisk && next(signal) != state;
+                assert!(!aborts || signal == Signal::Override, "{signal:?}");
+            }
+        }
+        assert_eq!(State::ALL.map(|state| state as u8), [0, 1, 2, 3, 4, 5]);
+    }
+
+    #[test]
+    fn no_state_drives_by_more_than_is_permitted() {
+        for (state, permitted) in State::ALL
+            .into_iter()
+            .flat_map(|state| Mode::ALL.map(|mode| (state, mode)))
+        {
+            let mode = state.mode(permitted);
+            assert!(mode == Mode::None || mode.code() >= permitted.code());
+            let idle = !state.is_driving() || permitted == Mode::None;
+            assert_eq!(mode == Mode::None, idle);
+        }
+    }
+
+    /// U-1: one system is lost, the driver does not answer: at the stated times the function asks
+    /// and stops.
+    #[test]
+    fn degraded_mode_ends_within_its_limit() {
+        let mut function = Function::default();
+        assert_eq!(function.cycle(MS(0), &DRIVES), State::Active);
+        let alone = Inputs {
+            permitted: Mode::DegradedL2,
+            ..DRIVES
+        };
+        let (lost, mut at) = (1_000, 1_000);
+        let mut changes = vec![];
+        while changes
+            .last()
+            .is_none_or(|(_, state)| *state != State::MinimalRisk)
+        {
+            let state = function.cycle(MS(at), &alone);
+            if changes.last().is_none_or(|(_, last)| *last != state) {
+                changes.push((at - lost, state));
+            }
+            at += 10;
+        }
+        let degraded = DEGRADED_LIMIT.as_us() / 1_000;
+        let expected = [
+            (0, State::Degraded),
+            (degraded, State::TakeoverRequest),
+            (
+                degraded + TAKEOVER_LIMIT.as_us() / 1_000,
+                State::MinimalRisk,
+            ),
+        ];
+        assert_eq!(changes, expected);
+        // Nothing but the driver ends it.
+        assert_eq!(function.cycle(MS(at), &DRIVES), State::MinimalRisk);
+        let takes = Inputs {
+            driver: Driver::Drives,
+            ..DRIVES
+        };
+        assert_eq!(function.cycle(MS(at + 10), &takes), State::Ready);
+    }
+
+    #[test]
+    fn a_system_that_comes_back_ends_degraded_mode_and_the_request() {
+        let mut function = Function::default();
+        function.cycle(MS(0), &DRIVES);
+        let leaves = Inputs {
+            in_domain: false,
+            ..DRIVES
+        };
+        assert_eq!(function.cycle(MS(10), &leaves), State::TakeoverRequest);
+        assert_eq!(function.state().mode(Mode::L3), Mode::L3);
+        assert_eq!(function.cycle(MS(20), &DRIVES), State::Active);
+        let alone = Inputs {
+            permitted: Mode::DegradedL2,
+            ..DRIVES
+        };
+        assert_eq!(function.cycle(MS(30), &alone), State::Degraded);
+        assert_eq!(function.cycle(MS(40), &DRIVES), State::Active);
+    }
+
+    #[test]
+    fn inputs_that_are_missing_for_long_end_in_a_stop() {
+        let mut function = Function::default();
+        function.cycle(MS(0), &DRIVES);
+        let blind = Inputs {
+            sees: false,
+            ..DRIVES
+        };
+        assert_eq!(function.cycle(MS(2_000), &blind), State::Active);
+        assert_eq!(function.cycle(MS(2_010), &blind), State::MinimalRisk);
+    }
+}

@@ -1,0 +1,104 @@
+//! The state machine of the driving function, with the whole controller and a driver. U-1
+
+use tandem_board::{Duration, SystemId};
+use tandem_bus::Mode;
+use tandem_cores::driving::function::{DEGRADED_LIMIT, END_LIMIT, TAKEOVER_LIMIT};
+use tandem_tests::drive::Drive;
+use tandem_vehicle::Habit;
+
+use crate::S;
+
+/// The functions that the vehicle obeyed, each with its first scenario time, s.
+fn functions(drive: &Drive) -> Vec<(Mode, f64)> {
+    let seen = drive.seen.borrow();
+    let start_ns = seen.log.accepted().next().map_or(0, |frame| frame.at_ns);
+    let mut functions: Vec<(Mode, f64)> = vec![];
+    for frame in seen.log.accepted() {
+        if functions.last().is_none_or(|(mode, _)| *mode != frame.mode) {
+            functions.push((frame.mode, (frame.at_ns - start_ns) as f64 * 1e-9));
+        }
+    }
+    functions
+}
+
+fn modes(drive: &Drive) -> Vec<Mode> {
+    functions(drive).into_iter().map(|(mode, _)| mode).collect()
+}
+
+fn with(habit: Habit) -> Drive {
+    let drive = Drive::new("free-lane", 1);
+    drive.seen.borrow_mut().world.set_driver(habit);
+    drive
+}
+
+/// U-1: one system is lost and the driver does not answer. The vehicle stands within the stated
+/// time, and the function goes no faster through its states than the table says.
+#[test]
+fn degraded_mode_ends_at_standstill_when_no_driver_answers() {
+    let mut drive = with(Habit::default());
+    drive.run_for(S(5));
+    drive.pair.power_off(SystemId::A);
+    drive.run_for(DEGRADED_LIMIT + TAKEOVER_LIMIT);
+    let speed = |drive: &Drive| drive.seen.borrow().world.snapshot().speed;
+    assert!(speed(&drive) > 10.0, "it drives until then");
+    let left =
+        Duration::from_us(END_LIMIT.as_us() - DEGRADED_LIMIT.as_us() - TAKEOVER_LIMIT.as_us());
+    drive.run_for(left);
+    assert!(speed(&drive) < 0.1, "{}", speed(&drive));
+    let expected = [Mode::L3, Mode::DegradedL2, Mode::SafeStop];
+    assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
+    assert_eq!(drive.collisions(), 0);
+    assert!(drive.gap_max() < Duration::from_ms(20));
+}
+
+/// U-1: the driver answers the request: the function hands the vehicle over while it drives.
+#[test]
+fn degraded_mode_ends_with_a_driver_who_answers() {
+    let mut drive = with(Habit {
+        answers_after_s: Some(4.0),
+        ..Habit::default()
+    });
+    drive.run_for(S(5));
+    drive.pair.power_off(SystemId::A);
+    drive.run_for(DEGRADED_LIMIT + TAKEOVER_LIMIT + S(5));
+    let expected = [Mode::L3, Mode::DegradedL2, Mode::None];
+    assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
+    let seen = drive.seen.borrow();
+    let now = seen.world.snapshot();
+    assert!(
+        now.speed > 10.0 && now.lateral_offset.abs() < 0.5,
+        "{now:?}"
+    );
+}
+
+/// The driver overrides for five seconds and engages again; no system takes the other for failed
+/// meanwhile, and the function begins from what the vehicle does.
+#[test]
+fn a_driver_overrides_and_engages_again() {
+    let mut drive = with(Habit {
+        overrides_s: Some((4.0, 9.0)),
+        ..Habit::default()
+    });
+    drive.run_for(S(20));
+    let functions = functions(&drive);
+    assert_eq!(
+        modes(&drive),
+        [Mode::L3, Mode::None, Mode::L3],
+        "{functions:?}"
+    );
+    // The driver's frame comes every 100 ms.
+    let late = [functions[1].1 - 4.0, functions[2].1 - 9.0];
+    assert!(
+        late.iter().all(|late| (0.0..0.15).contains(late)),
+        "{late:?}"
+    );
+    assert_eq!(drive.masters(), [SystemId::A]);
+    assert!(drive.gap_max() < Duration::from_ms(11));
+    let seen = drive.seen.borrow();
+    assert_eq!(seen.world.gate().counts().implausible, 0);
+    assert!(
+        seen.world.metrics().lateral_error_max_m < 0.5,
+        "{:?}",
+        seen.world.metrics()
+    );
+}

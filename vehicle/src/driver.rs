@@ -1,0 +1,78 @@
+//! The person at the wheel: engages the function, overrides it, answers its takeover request, and
+//! drives while the function does not.
+
+use crate::actuators::Request;
+use crate::plant::BMW_320I;
+use crate::road::Road;
+use crate::traffic::{self, Leader};
+use crate::world::Snapshot;
+use tandem_bus::DriverRequest;
+
+/// How far ahead the driver aims, m, and s of driving.
+const AIM: (f64, f64) = (8.0, 1.0);
+
+/// What the driver does in a run. The default engages the function and never touches it again.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Habit {
+    /// Overrides the function from the one scenario time to the other, s.
+    pub overrides_s: Option<(f64, f64)>,
+    /// Takes over this long after the function has asked for it, s.
+    pub answers_after_s: Option<f64>,
+}
+
+/// The driver with what happened until now.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Driver {
+    habit: Habit,
+    /// Scenario time since which the function asks without a pause, s.
+    asked_s: Option<f64>,
+    has_taken_over: bool,
+}
+
+impl Driver {
+    pub(crate) fn new(habit: Habit) -> Self {
+        Self {
+            habit,
+            ..Self::default()
+        }
+    }
+
+    /// Whether the function asks the driver to take over, as its frame says.
+    pub(crate) fn on_request(&mut self, time_s: f64, asks: bool) {
+        self.asked_s = asks.then(|| self.asked_s.unwrap_or(time_s));
+    }
+
+    /// What the driver's frame says now.
+    pub(crate) fn wish(&mut self, time_s: f64, set_speed: f64) -> DriverRequest {
+        let answers = self.asked_s.zip(self.habit.answers_after_s);
+        self.has_taken_over |=
+            answers.is_some_and(|(since_s, after_s)| time_s >= since_s + after_s);
+        let overrides = |(from_s, to_s): (f64, f64)| (from_s..to_s).contains(&time_s);
+        DriverRequest {
+            engage: !self.has_taken_over,
+            overrides: self.has_taken_over || self.habit.overrides_s.is_some_and(overrides),
+            set_speed: set_speed as f32,
+        }
+    }
+}
+
+/// How the driver drives: keeps the lane, the set speed and the distance.
+pub(crate) fn by_hand(road: &Road, now: &Snapshot, set_speed: f64) -> Request {
+    let lane = road.lane(now.lane);
+    let ahead = lane.at(now.station + AIM.0 + AIM.1 * now.speed);
+    let aim = now.pose.to_local(ahead.centre);
+    let wheelbase = BMW_320I.front_axle + BMW_320I.rear_axle;
+    let driver = traffic::Driver {
+        desired_speed: set_speed,
+        ..traffic::Driver::CAR
+    };
+    let leader = Leader {
+        gap: now.gap,
+        speed: now.leader_speed,
+        acceleration: 0.0,
+    };
+    Request {
+        steering_angle: (2.0 * wheelbase * aim.y / aim.dot(aim).max(1.0)).atan(),
+        acceleration: driver.follow(now.speed, &leader),
+    }
+}
