@@ -1,7 +1,7 @@
 //! Turns `dbc/tandem.dbc` into Rust: structs for frame layouts, enums for value tables.
 //!
-//! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
-//! stands in `src/signal.rs`. What this generator does not know in a DBC fails the build.
+//! Frames with the same layout share a struct (see [`layout_name`]). The generated code calls
+//! `src/signal.rs`. A DBC feature that this generator does not know fails the build.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -16,7 +16,7 @@ use can_dbc::{
 
 const DBC: &str = "dbc/tandem.dbc";
 
-/// Signals that the message layer fills and checks; they are no fields of the structs.
+/// Signals that the message layer fills and checks; the structs have no fields for them.
 const FRAMING: [&str; 3] = ["Crc", "Counter", "System"];
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
@@ -27,7 +27,7 @@ fn main() -> Result<()> {
     let text = fs::read_to_string(DBC)?;
     let dbc = Dbc::try_from(text.as_str()).map_err(|e| format!("{DBC}: {e}"))?;
 
-    // Structs appear in the order in which their first message stands in the DBC.
+    // The structs have the order of their first messages in the DBC.
     let mut layouts: Vec<(String, Vec<&Message>)> = Vec::new();
     for message in &dbc.messages {
         check_protection(message)?;
@@ -67,7 +67,7 @@ fn layout_name(message: &Message) -> String {
     }
 }
 
-/// The end-to-end protection of `src/e2e.rs` has fixed places.
+/// Checks that the signals of the end-to-end protection are where `src/e2e.rs` expects them.
 fn check_protection(message: &Message) -> Result<()> {
     for (name, start_bit, size) in [("Crc", 0, 16), ("Counter", 16, 8)] {
         let found = message.signals.iter().find(|s| s.name == name);
@@ -199,8 +199,8 @@ impl {name} {{
     pub const CYCLE_MS: u32 = {cycle};
 
 {signals}
-    /// Writes all signals but those of the end-to-end protection, which become zero.
-    /// Values out of range saturate, fractions round to nearest, NaN becomes 0.
+    /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
+    /// range saturate, fractions round to nearest, NaN becomes 0.
     pub fn encode(&self, data: &mut [u8; Self::LEN]) {{
         *data = [0; Self::LEN];
 {puts}    }}

@@ -12,11 +12,12 @@ pub const HEADER_LEN: usize = 3;
 
 /// How far the counter may jump: a frame after up to nine lost ones is still good.
 ///
-/// Ten control frames are 100 ms. Who has heard nothing for that long has noticed by its time-outs;
-/// the counter has only to tell a plausible gap from a restarted or a wrong sender.
+/// Ten control frames are 100 ms. A receiver that has had no frame for that long has already seen
+/// its time-out. The counter only has to distinguish a plausible gap from a restarted or wrong
+/// sender.
 pub const MAX_DELTA_COUNTER: u8 = 10;
 
-/// CRC-16/CCITT-FALSE goes by the name of IBM-3740 in the catalogue of CRCs.
+/// CRC-16/CCITT-FALSE is called IBM-3740 in the catalogue of CRCs.
 const CRC: Crc<u16> = Crc::<u16>::new(&CRC_16_IBM_3740);
 
 /// Writes counter and CRC into a frame whose other bytes are final. A frame without room for them
@@ -38,7 +39,7 @@ fn checksum(id: u16, data: &[u8]) -> u16 {
     digest.finalize()
 }
 
-/// What a [`Checker`] says of a frame.
+/// The verdict of a [`Checker`] on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Check {
     /// The CRC is right and it is the first frame: the counter cannot be judged yet.
@@ -47,12 +48,12 @@ pub enum Check {
     Ok,
     /// The CRC is right; this many frames before it were lost (less than [`MAX_DELTA_COUNTER`]).
     OkSomeLost(u8),
-    /// The CRC is right, but the counter is that of the last frame: not a new one.
+    /// The CRC is right, but the counter is that of the last frame: the frame is a repetition.
     Repeated,
     /// The CRC is right, but the counter jumped too far: frames were lost, or the sender restarted.
     /// The next frame is judged against this one.
     WrongSequence,
-    /// The CRC is wrong, or the frame is too short to have one. It leaves no trace in the checker.
+    /// The CRC is wrong, or the frame is too short to have one. The checker's state is unchanged.
     CrcError,
 }
 
@@ -81,7 +82,7 @@ pub struct Checker {
 }
 
 impl Checker {
-    /// A checker for the frames of this id that has seen none.
+    /// A checker for the frames of this id; its first frame gives [`Check::Initial`].
     #[must_use]
     pub const fn new(id: u16) -> Self {
         Self { id, last: None }

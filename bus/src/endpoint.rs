@@ -20,8 +20,8 @@ impl Transmitter {
         }
     }
 
-    /// The frame to send. Call it once for each frame that is really sent: a number that is left
-    /// out counts as a lost frame at the receiver.
+    /// The frame to send. Call this once for each frame that is really sent: the receiver counts a
+    /// skipped number as a lost frame.
     pub fn encode(&mut self, message: &Message) -> Encoded {
         let Some(index) = frame_index(message.id()) else {
             return message.encode(0);
@@ -41,9 +41,9 @@ impl Default for Transmitter {
 /// Why a received frame must not be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReceiveError {
-    /// The end-to-end protection says so.
+    /// The end-to-end protection refuses the frame.
     Protection(Check),
-    /// It cannot be decoded.
+    /// The frame cannot be decoded.
     Decode(DecodeError),
 }
 
@@ -78,8 +78,9 @@ impl Receiver {
     /// Checks and decodes a frame with a standard id.
     ///
     /// # Errors
-    /// [`ReceiveError::Decode`] for what is no frame of the DBC (other traffic may be), and
-    /// [`ReceiveError::Protection`] for a frame that is damaged, repeated or out of sequence.
+    /// [`ReceiveError::Decode`] for a frame that is not in the DBC (other traffic may be on the
+    /// bus), and [`ReceiveError::Protection`] for a frame that is damaged, repeated or out of
+    /// sequence.
     pub fn receive(&mut self, id: u32, data: &[u8]) -> Result<Message, ReceiveError> {
         let index = u16::try_from(id).ok().and_then(frame_index);
         let index = index.ok_or(ReceiveError::Decode(DecodeError::UnknownId))?;
@@ -96,8 +97,8 @@ impl Receiver {
         Message::decode(id, data).map_err(ReceiveError::Decode)
     }
 
-    /// How many frames the counters say were lost; wraps around. Gaps that ended in
-    /// [`Check::WrongSequence`] are not in it.
+    /// How many frames were lost, by the counters; wraps around. Gaps that ended in
+    /// [`Check::WrongSequence`] are not counted.
     #[must_use]
     pub const fn lost(&self) -> u32 {
         self.lost

@@ -42,8 +42,7 @@ impl Message {
     /// [`Receiver`](crate::Receiver) does both.
     ///
     /// # Errors
-    /// [`DecodeError`]: the frame is none of the DBC's, or a value is one that the DBC does not
-    /// allow.
+    /// [`DecodeError`]: the frame is not in the DBC, or a value is not one that the DBC allows.
     pub fn decode(id: u32, data: &[u8]) -> Result<Self, DecodeError> {
         let id = u16::try_from(id).map_err(|_| DecodeError::UnknownId)?;
         if let Some(system) = position(&Control::IDS, id) {

@@ -2,7 +2,7 @@
 
 use core::fmt;
 
-/// What every frame of the DBC has.
+/// The properties of every frame of the DBC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameInfo {
     /// Standard CAN id.
@@ -42,7 +42,7 @@ impl core::error::Error for DecodeError {}
 /// A little endian (Intel) signal of up to 32 bits without offset; signed if `min` is negative.
 pub(crate) struct Signal {
     pub(crate) name: &'static str,
-    /// Place of the lowest bit; bit 0 is the lowest of byte 0.
+    /// Position of the lowest bit; bit 0 is the lowest of byte 0.
     pub(crate) start: usize,
     /// Bits, 1 ..= 32.
     pub(crate) len: u32,
@@ -80,7 +80,7 @@ impl Signal {
         Ok(self.get(data)? as f32 * self.factor)
     }
 
-    /// Puts the raw value, saturated to the signal's range, where only zeroes are yet.
+    /// Writes the raw value, saturated to the signal's range. The bits must be zero before.
     pub(crate) fn put(&self, data: &mut [u8], raw: i64) {
         let unsigned = raw.clamp(self.min, self.max) as u64 & self.mask();
         let window = unsigned << (self.start % 8);
@@ -94,7 +94,7 @@ impl Signal {
         self.put(data, round(value / self.factor));
     }
 
-    /// The error that blames this signal.
+    /// The error that names this signal.
     pub(crate) const fn invalid(&self) -> DecodeError {
         DecodeError::InvalidSignal(self.name)
     }

@@ -17,8 +17,8 @@ use tandem_bus::{Encoded, FRAMES, Message, Transmitter};
 const DBC: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/dbc/tandem.dbc");
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/cantools_oracle.py");
 
-/// Whether cantools is there. Without it a test passes and says so, unless
-/// `TANDEM_REQUIRE_ORACLES=1`.
+/// Whether cantools is installed. Without it a test passes and prints that it was skipped; with
+/// `TANDEM_REQUIRE_ORACLES=1` it fails.
 fn cantools_or_skip(test: &str) -> bool {
     let import = Command::new("python3")
         .args(["-c", "import cantools"])
@@ -31,7 +31,7 @@ fn cantools_or_skip(test: &str) -> bool {
         !required,
         "{test}: cantools is required and not installed (pip install cantools)"
     );
-    // Past the capture of the test runner: a skipped test has to be seen.
+    // Not captured by the test runner, so that a skipped test is visible.
     let _ = writeln!(
         std::io::stderr(),
         "{test}: skipped: cantools is not installed (pip install cantools)"
@@ -48,7 +48,7 @@ fn python(arguments: &[&str], input: String) -> String {
         .spawn()
         .unwrap();
     let mut stdin = child.stdin.take().unwrap();
-    // A thread of its own: both pipes may be full at the same time.
+    // A separate thread: both pipes may be full at the same time.
     let writer = thread::spawn(move || stdin.write_all(input.as_bytes()));
     let output = child.wait_with_output().unwrap();
     writer.join().unwrap().unwrap();
@@ -97,7 +97,7 @@ fn bytes(hex: &str) -> Vec<u8> {
 /// The values that Rust reads from a frame are those of the oracle, to the precision of an `f32`.
 fn assert_same_values(frame: &Message, oracle: &BTreeMap<&str, f64>) {
     let ours = frames::values(frame);
-    // The oracle has two more: Crc and Counter.
+    // The oracle also decodes Crc and Counter.
     assert_eq!(
         ours.len() + 2,
         oracle.keys().filter(|name| **name != "E2E").count()
@@ -112,7 +112,7 @@ fn assert_same_values(frame: &Message, oracle: &BTreeMap<&str, f64>) {
     }
 }
 
-/// What Rust encodes cantools decodes to the same values, and Python's CRC agrees.
+/// cantools decodes the frames of this crate to the same values, and Python's CRC agrees.
 #[test]
 fn cantools_decodes_our_frames() {
     if !cantools_or_skip("cantools_decodes_our_frames") {
@@ -134,7 +134,8 @@ fn cantools_decodes_our_frames() {
     }
 }
 
-/// What cantools encodes Rust decodes to the same values, and encodes to the same bytes.
+/// This crate decodes the frames of cantools to the same values, and encodes them to the same
+/// bytes.
 #[test]
 fn we_decode_the_frames_of_cantools() {
     if !cantools_or_skip("we_decode_the_frames_of_cantools") {
@@ -148,7 +149,7 @@ fn we_decode_the_frames_of_cantools() {
         let data = bytes(words.next().unwrap());
         let message = Message::decode(id, &data).unwrap();
         assert_same_values(&message, &pairs(words));
-        // All but the CRC, which cantools knows nothing of.
+        // All bytes but the CRC, which cantools does not know.
         assert_eq!(message.encode(data[2]).data()[2..], data[2..], "{line}");
     }
 }

@@ -21,8 +21,8 @@ fn number(value: NumericValue) -> f64 {
     value.to_string().parse().unwrap()
 }
 
-/// What must come out if this value goes in, as an interval: the range limits it, half a step (and
-/// the precision of an `f32`) are lost in rounding.
+/// The interval in which a value lies after a round trip: limited by the range, and widened by half
+/// a step and the precision of an `f32`.
 fn expected(signal: &Signal, value: f64) -> (f64, f64) {
     let value = if value.is_nan() { 0.0 } else { value };
     let value = value.clamp(number(signal.min), number(signal.max));
@@ -31,7 +31,7 @@ fn expected(signal: &Signal, value: f64) -> (f64, f64) {
     (value - slack, value + slack)
 }
 
-/// The DBC's frames, each with every signal, are those that the tests know.
+/// The tests know every frame of the DBC and every signal of it.
 #[test]
 fn the_tests_know_every_signal() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();
@@ -59,7 +59,7 @@ fn the_tests_know_every_signal() {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(2000))]
 
-    /// Every value comes back within half a step, saturated to its range.
+    /// After a round trip every value is within half a step, saturated to its range.
     #[test]
     fn values_come_back(message in frames::message(), counter: u8) {
         let frame = message.encode(counter);
@@ -74,11 +74,11 @@ proptest! {
             let (low, high) = expected(signal, *value);
             prop_assert!((low..=high).contains(&back), "{}: {} became {}", name, value, back);
         }
-        // What a frame can hold passes through unchanged from then on.
+        // A value that a frame can hold is unchanged by further round trips.
         prop_assert_eq!(back.encode(counter), frame);
     }
 
-    /// Bytes from a peer are allegations: refused or decoded, and what was decoded is in range.
+    /// Random bytes are either refused or decoded to values in range.
     #[test]
     fn any_bytes_decode_or_are_refused(
         id in prop_oneof![
@@ -124,7 +124,7 @@ fn values_out_of_range_saturate() {
     assert_eq!(lanes.speed_limit, CameraLanes::NO_SPEED_LIMIT);
 }
 
-/// What the DBC does not allow is refused by name.
+/// A value that the DBC does not allow is refused; the error names the signal.
 #[test]
 fn invalid_signals_are_refused() {
     let control = |system, change: fn(&mut [u8])| {

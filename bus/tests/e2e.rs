@@ -74,7 +74,7 @@ fn judges_every_step_of_the_counter() {
                 _ => Check::WrongSequence,
             };
             assert_eq!(check, expected, "from {last} by {delta}");
-            // Whatever it was: the next frame is judged against this one.
+            // In every case the next frame is judged against this one.
             assert_eq!(
                 checker.check(&frame(last.wrapping_add(delta).wrapping_add(1))),
                 Check::Ok
@@ -83,7 +83,7 @@ fn judges_every_step_of_the_counter() {
     }
 }
 
-/// A damaged frame is refused and leaves no trace.
+/// A damaged frame is refused and does not change the checker.
 #[test]
 fn a_crc_error_leaves_the_counter_alone() {
     let mut checker = Checker::new(ID);
@@ -186,8 +186,8 @@ proptest! {
         let mut data = fill[..frame_info.len].to_vec();
         protect(frame_info.id, counter, &mut data);
         let at = place.index(data.len() - 1);
-        // The CRC stands before the data here, behind them in the code word: byte 1 and byte 2
-        // are no neighbours in it.
+        // The CRC stands before the data in the frame, but after them in the code word: byte 1 and
+        // byte 2 are not adjacent there.
         prop_assume!(at != 1);
         let [low, high] = damage.to_le_bytes();
         data[at] ^= low;

@@ -17,10 +17,10 @@ const BOTTOM: f64 = 40.0;
 /// Height of a name.
 const NAME: f64 = 18.0;
 
-/// One axis: its range, where it is labelled and how.
+/// One axis: its range and its labels.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    /// What it shows, with its unit.
+    /// Quantity on this axis, with its unit.
     pub name: &'static str,
     /// From, to.
     pub range: (f64, f64),
@@ -31,7 +31,7 @@ pub struct Axis {
 }
 
 impl Axis {
-    /// A linear axis that holds all `values`, and about `count` round labels.
+    /// A linear axis that covers all `values` and has about `count` round labels.
     pub fn over(name: &'static str, values: impl Iterator<Item = f64>, count: usize) -> Self {
         let (mut low, mut high) = bounds(values).unwrap_or((0.0, 1.0));
         if high - low < 1e-9 {
@@ -71,8 +71,8 @@ impl Axis {
         }
     }
 
-    /// A logarithmic axis that holds these powers of ten, with a margin; `None` if there are none.
-    /// A short one is labelled at 1, 2 and 5 of each power.
+    /// A logarithmic axis that covers these powers of ten, with a margin; `None` if there are none.
+    /// A short range is labelled at 1, 2 and 5 of each power.
     pub fn powers(
         name: &'static str,
         powers: impl Iterator<Item = f64>,
@@ -97,7 +97,7 @@ impl Axis {
         })
     }
 
-    /// Where a value stands between two places; those outside the range stand at its ends.
+    /// Position of a value between two positions; a value outside the range is at the nearer end.
     #[must_use]
     pub fn at(&self, value: f64, (from, to): (f64, f64)) -> f64 {
         let (low, high) = self.range;
@@ -129,7 +129,7 @@ pub fn round_ticks((low, high): (f64, f64), count: usize) -> Vec<f64> {
     (first..=last).map(|n| n as f64 * step).collect()
 }
 
-/// A number without needless zeros.
+/// A number without trailing zeros.
 #[must_use]
 pub fn plain(value: f64) -> String {
     let text = format!("{value:.3}");
@@ -147,7 +147,7 @@ pub fn power(power: f64) -> String {
     plain(10.0_f64.powf(power))
 }
 
-/// The label of a rarity as a percentile: 0 → "0 %", 1 → "90 %", 3 → "99.9 %".
+/// The label of a percentile given by its number of nines: 0 → "0 %", 1 → "90 %", 3 → "99.9 %".
 #[must_use]
 pub fn percentile(nines: f64) -> String {
     let digits = (nines.round() as usize).saturating_sub(2);
@@ -226,7 +226,7 @@ impl Chart {
         }
     }
 
-    /// Width of the plotting area over its height.
+    /// Ratio of the plotting area's width to its height.
     #[must_use]
     pub fn aspect(height: f64) -> f64 {
         (WIDTH - LEFT - RIGHT) / (height - TOP - BOTTOM)
@@ -312,7 +312,7 @@ impl Chart {
         }
     }
 
-    /// Each curve's name beside its end, with a thin line from one to the other.
+    /// Writes each curve's name beside its end, with a thin line between them.
     fn draw_names(&self, svg: &mut Svg) {
         let named = self
             .series
@@ -333,8 +333,8 @@ impl Chart {
     }
 }
 
-/// Moves places so far apart that two are never closer than `gap`, and keeps them within the range
-/// if they fit.
+/// Moves positions apart until no two are closer than `gap`. They stay within the range if they
+/// fit.
 fn spread(places: &[f64], gap: f64, (top, bottom): (f64, f64)) -> Vec<f64> {
     let mut order: Vec<usize> = (0..places.len()).collect();
     order.sort_by(|i, j| places[*i].total_cmp(&places[*j]));
@@ -352,7 +352,7 @@ fn spread(places: &[f64], gap: f64, (top, bottom): (f64, f64)) -> Vec<f64> {
     spread
 }
 
-/// At most about `limit` points that keep the extremes of every part, so that a peak is never lost.
+/// About `limit` points at most, with the extremes of every part, so that no peak is lost.
 #[must_use]
 pub fn thin(points: &[(f64, f64)], limit: usize) -> Vec<(f64, f64)> {
     if points.len() <= limit {

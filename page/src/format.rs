@@ -1,4 +1,4 @@
-//! Figures as people read them: a unit that fits, and no more digits than mean something.
+//! Figures for people: a unit that fits, and only significant digits.
 
 /// The middle of these values; `None` if there is none.
 #[must_use]
@@ -22,7 +22,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// The unit in which these times, in ns, have few digits: that of their middle one.
+    /// The unit that suits these times, in ns: chosen by their median.
     #[must_use]
     pub fn of(times_ns: &[f64]) -> Self {
         match median(times_ns).unwrap_or(0.0) {
@@ -32,7 +32,7 @@ impl Unit {
         }
     }
 
-    /// Its sign.
+    /// The unit's symbol.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -42,8 +42,8 @@ impl Unit {
         }
     }
 
-    /// A time in this unit, without its sign; one that would have more than five digits before
-    /// the point has the sign of its own unit.
+    /// A time in this unit, without the symbol. A time with more than five digits before the point
+    /// is shown in the unit that fits it, with its symbol.
     #[must_use]
     pub fn show(self, ns: f64) -> String {
         let value = match self {
@@ -67,7 +67,7 @@ pub fn time(ns: f64) -> String {
     format!("{} {unit}", number(value))
 }
 
-/// About three digits that mean something: `8.31`, `84.2`, `312`, `25013`.
+/// A number with about three significant digits: `8.31`, `84.2`, `312`, `25013`.
 #[must_use]
 pub fn number(value: f64) -> String {
     let decimals = match value.abs() {
@@ -117,10 +117,10 @@ pub fn bytes(bytes: u64) -> String {
     }
 }
 
-/// A further fact by its name: those that say so are times in ns.
+/// A further figure by its name: one whose name says so is a time in ns.
 #[must_use]
 pub fn fact(name: &str, value: f64) -> String {
-    // No "-0".
+    // Avoids "-0".
     let value = if value == 0.0 { 0.0 } else { value };
     match name.strip_suffix(", ns") {
         Some(name) => format!("{name}: {}", time(value)),

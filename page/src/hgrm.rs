@@ -1,9 +1,9 @@
-//! `.hgrm`: a distribution as the text that HdrHistogram's tools write and its plotters read.
+//! `.hgrm`: a distribution in the text format of HdrHistogram's tools and plotters.
 
 use hdrhistogram::Histogram;
 use std::fmt::Write as _;
 
-/// Steps for each halving of what is left of the distribution.
+/// Lines for each halving of the distance to 100 %.
 const STEPS: u32 = 5;
 
 /// The text of the file. Values are multiplied by `scale`: 1e-3 shows picoseconds as nanoseconds.
@@ -83,7 +83,7 @@ mod tests {
             let [value, quantile, count, rarity] = line[..] else {
                 panic!("{line:?}");
             };
-            // Three digits, and the step of the grid.
+            // Precision: three digits and the step of the grid.
             assert!(
                 (value - 10_000.0 * quantile).abs() <= 0.002 * value + 1.0,
                 "{line:?}"

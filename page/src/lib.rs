@@ -1,4 +1,4 @@
-//! Pages that need nothing else: no scripts, no fonts, no files beside them.
+//! Self-contained pages: no scripts, no fonts, no other files.
 //!
 //! One template, one style and one set of charts for the report of a run and for the benchmark.
 #![forbid(unsafe_code)]
@@ -11,7 +11,7 @@ pub mod svg;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 use svg::Color;
 
-/// The style of every page. Colours are its variables: [`Color`] names them.
+/// The style of every page. [`Color`] names its colour variables.
 pub const STYLE: &str = include_str!("style.css");
 
 /// A whole page.
@@ -44,7 +44,7 @@ pub fn section(title: &str, aside: &Markup, note: &str, content: &Markup) -> Mar
     }
 }
 
-/// A legend: names with their colours; one without a colour is an empty box.
+/// A legend: names with their colours; a name without a colour has an empty box.
 #[must_use]
 pub fn legend<'a>(entries: impl Iterator<Item = (&'a str, Option<Color>)>) -> Markup {
     html! {
@@ -62,7 +62,7 @@ pub fn legend<'a>(entries: impl Iterator<Item = (&'a str, Option<Color>)>) -> Ma
     }
 }
 
-/// A figure that leads the page: `state` is `good`, `bad` or nothing.
+/// One main figure of the page: `state` is `good`, `bad` or empty.
 #[must_use]
 pub fn tile(name: &str, state: &str, value: &str, unit: &str, below: &Markup) -> Markup {
     html! {

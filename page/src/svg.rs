@@ -1,5 +1,5 @@
-//! Inline SVG: lines, text, shapes. Colours are variables of the page's style, so that light and
-//! dark pages have their own.
+//! Inline SVG: lines, text, shapes. Colours are variables of the page's style, with other values on
+//! a dark page.
 
 use maud::{Markup, PreEscaped};
 use std::fmt::Write as _;
@@ -82,10 +82,10 @@ impl Stroke {
     }
 }
 
-/// Which point of a text stands at its place.
+/// Which point of a text is at the given place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Anchor {
-    /// Its begin.
+    /// Its start.
     Start,
     /// Its middle.
     Middle,

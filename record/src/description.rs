@@ -1,4 +1,4 @@
-//! What events say to people.
+//! Events in words, for people.
 
 use tandem_board::{ResetCause, SupplyEvent};
 use tandem_bus::Mode;
@@ -8,7 +8,7 @@ use tandem_redundancy::{Evidence, Phase};
 use crate::roles::State;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
-/// What a core reports; `None` for what every cycle writes and for the events of a scheduler.
+/// A core's event in words; `None` for those of every cycle and those of a scheduler.
 #[must_use]
 pub fn core_event(event: Event) -> Option<String> {
     Some(match event {
@@ -96,7 +96,7 @@ impl Takeover {
     }
 }
 
-/// What a supply did or saw.
+/// An event of a supply in words.
 #[must_use]
 pub fn supply_event(event: SupplyEvent) -> String {
     match event {
@@ -119,7 +119,7 @@ pub fn supply_event(event: SupplyEvent) -> String {
     }
 }
 
-/// The sign that a change of phase rests on.
+/// The evidence for a change of phase, in words.
 #[must_use]
 pub const fn evidence(evidence: Evidence) -> &'static str {
     match evidence {

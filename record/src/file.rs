@@ -1,8 +1,8 @@
-//! The file of a run: one entry after the other, as the vehicle's process sees them.
+//! The file of a run: a sequence of entries, in the order in which the vehicle's process sees them.
 //!
 //! An entry is its length (4 bytes), its kind (1 byte) and its content. Numbers are little-endian.
-//! Trace records and frames are binary, because there are thousands in a second; what the vehicle
-//! adds is JSON. A recording whose writer was killed can be read up to its last whole entry.
+//! Trace records and frames are binary, because there are thousands in a second; the vehicle's own
+//! records are JSON. A recording whose writer was killed can be read up to its last whole entry.
 
 use std::fs::File;
 use std::io::{self, BufReader, Read as _, Write};
@@ -15,7 +15,7 @@ use tandem_vehicle::{LoggedFrame, Verdict};
 
 use crate::log::VehicleRecord;
 
-/// Longest entry that a reader believes, bytes.
+/// A reader refuses a longer entry, bytes.
 const LONGEST: u32 = 1 << 24;
 /// Name of the bus in the CAN log.
 const INTERFACE: &str = "can0";
@@ -55,7 +55,7 @@ pub enum Entry {
     Supply(Instant, SystemId, SupplyEvent),
     /// A frame on the bus.
     Frame(LoggedFrame),
-    /// What the vehicle adds.
+    /// A record of the vehicle itself.
     Vehicle(Box<VehicleRecord>),
 }
 
@@ -139,7 +139,7 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
     };
     let fd = if of.frame.is_fd() { FD } else { 0 };
     let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
-    // 0: not judged.
+    // 0: the frame was not judged.
     let verdict = of.verdict.and_then(judged).map_or(0, |place| place + 1);
     let mut bytes = vec![extended | fd, verdict as u8];
     bytes.extend(of.at.as_ns().to_le_bytes());
@@ -149,7 +149,7 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
     bytes
 }
 
-/// What is left of an entry's content.
+/// The part of an entry's content that is not yet read.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -193,10 +193,10 @@ impl Bytes<'_> {
     }
 }
 
-/// Reads a recording and gives each entry to `into`.
+/// Reads a recording and passes each entry to `into`.
 ///
 /// # Errors
-/// If the file cannot be read, holds what no writer wrote, or `into` fails.
+/// If the file cannot be read, holds an invalid entry, or `into` fails.
 pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let file = File::open(path)
         .with_context(|| format!("the vehicle left no recording at {}", path.display()))?;
@@ -217,7 +217,7 @@ pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> a
     Ok(())
 }
 
-/// `None` if the file ended before.
+/// `None` at the end of the file.
 fn whole<T>(read: io::Result<T>) -> io::Result<Option<T>> {
     match read {
         Ok(read) => Ok(Some(read)),

@@ -1,9 +1,8 @@
 //! The recording of a run, and its analysis: who drove, who took over and why, in which roles.
 //!
-//! Events have one vocabulary: [`tandem_cores::trace::Event`] for what a core says,
-//! [`tandem_board::SupplyEvent`] for what a supply says. The vehicle adds what it saw of the bus
-//! and of the world. A run on processes, in emulated machines or in virtual time fills the same
-//! [`RunLog`].
+//! All events have one vocabulary: [`tandem_cores::trace::Event`] for a core,
+//! [`tandem_board::SupplyEvent`] for a supply. The vehicle adds its view of the bus and of the
+//! world. A run on processes, in emulated machines or in virtual time fills the same [`RunLog`].
 #![forbid(unsafe_code)]
 
 pub mod description;

@@ -1,17 +1,17 @@
-//! What the vehicle adds to the trace and the frames.
+//! The vehicle's own records, beside the trace and the frames.
 
 use serde::{Deserialize, Serialize};
 
-/// What was asked for.
+/// How the run was started.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Header {
     /// Name of the scenario.
     pub scenario: String,
     /// Seed of the sensors' noise.
     pub seed: u64,
-    /// Seconds of scenario time that were asked for.
+    /// Requested scenario time, s.
     pub duration_s: f64,
-    /// Time of day less the run's clock, µs since 1970: the CAN log has the time of day.
+    /// Time of day minus the run's clock, µs since 1970: the CAN log uses the time of day.
     pub epoch_us: u64,
 }
 
@@ -46,7 +46,7 @@ pub struct Sample {
     pub heading: f64,
     /// m/s
     pub speed: f64,
-    /// What the driver has set, m/s.
+    /// The speed that the driver has set, m/s.
     pub set_speed: Option<f64>,
     /// Longitudinal acceleration, m/s².
     pub accel: f64,
@@ -95,11 +95,11 @@ pub struct DriveFigures {
     pub ttc_min_s: Option<f64>,
     /// How far the vehicle went, m.
     pub distance_m: f64,
-    /// What passengers feel.
+    /// Accelerations and jerk that passengers feel.
     pub comfort: Comfort,
 }
 
-/// Extremes of what passengers feel.
+/// Extremes of the accelerations and the jerk that passengers feel.
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct Comfort {
     /// Strongest acceleration, m/s².
@@ -108,15 +108,15 @@ pub struct Comfort {
     pub brake_max: f64,
     /// Strongest lateral acceleration to either side, m/s².
     pub lat_accel_max: f64,
-    /// 99 of 100 milliseconds had less longitudinal jerk, m/s³.
+    /// 99th percentile of the longitudinal jerk at each millisecond, m/s³.
     pub jerk_p99: f64,
 }
 
-/// What the vehicle adds to the trace and the frames.
+/// A record of the vehicle itself, beside the trace and the frames.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(tag = "r", rename_all = "snake_case")]
 pub enum VehicleRecord {
-    /// The first one.
+    /// The first record.
     Header(Header),
     /// The world began to move: the first control frame was accepted.
     Start {
@@ -141,7 +141,7 @@ pub enum VehicleRecord {
         /// ns
         at_ns: u64,
     },
-    /// How the drive stands; the last such record counts.
+    /// The figures of the drive up to now; the last such record counts.
     Figures(DriveFigures),
     /// The last record of a run that reached its end.
     End {

@@ -1,23 +1,23 @@
-//! From the sensors to the actuators: how soon a measurement acts, and how old what acts is.
+//! Reaction and age: how soon a measurement acts, and how old the acting measurements are.
 
 use crate::RunLog;
 
-/// By how much the age in a control frame may be rounded, ns.
+/// The age in a control frame is rounded by up to this, ns.
 const AGE_ROUNDING_NS: u64 = 100_000;
 
 /// The two distributions, ms.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Reaction {
-    /// From each measurement to the first control frame that acts and reflects it.
+    /// From each measurement to the first acting control frame that reflects it.
     pub reaction_ms: Vec<f64>,
-    /// Age of the oldest measurement behind each control frame, when it acts.
+    /// Age of the oldest measurement behind each control frame at the moment when the frame acts.
     pub age_ms: Vec<f64>,
 }
 
 /// Follows each measurement to the control frames, by the age that they carry.
 ///
-/// A control frame tells the time of its oldest measurement. So a measurement is in the command
-/// whose oldest one is the last that is not newer. Until another command acts there is no reaction.
+/// A control frame gives the time of its oldest measurement. So a measurement belongs to the last
+/// command whose oldest measurement is not newer. The reaction ends when that command first acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
@@ -42,7 +42,7 @@ pub fn reaction(log: &RunLog) -> Reaction {
     }
     for measurement in &log.measurements {
         let after = commands.partition_point(|command| command.0 <= measurement.at_ns);
-        // The last command is followed by none that would show where it ends.
+        // No later command shows where the last one ends.
         if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
             && after < commands.len()
         {
@@ -63,8 +63,8 @@ mod tests {
 
     const MS: u64 = 1_000_000;
 
-    /// Lists at 0 and 15 ms of each 50 ms, on the bus 0.5 ms later. Control frames every 10 ms; the
-    /// command of a round acts from `acts_ms` of its period on.
+    /// Object lists at 0 and 15 ms of each 50 ms, on the bus 0.5 ms later. Control frames every 10
+    /// ms; the command of a round acts from `acts_ms` of its period on.
     fn log(acts_ms: u64) -> RunLog {
         let mut log = RunLog::default();
         for round in 0..20 {
@@ -83,7 +83,7 @@ mod tests {
                 system: SystemId::A,
                 term: 2,
                 mode: Mode::L3,
-                // As the frame rounds it.
+                // Rounded as in the frame.
                 age_ns: Some((sent_ns - oldest_ns) / 100_000 * 100_000 + 50_000),
                 verdict: Verdict::Accepted,
             });

@@ -1,4 +1,4 @@
-//! The role of each system over time, from everything in the log that shows it.
+//! The role of each system over time, from every entry of the log that shows it.
 
 use tandem_board::{CoreId, SystemId};
 use tandem_bus::{Mode, Role};
@@ -10,10 +10,10 @@ use crate::RunLog;
 /// A system that shows no sign for this time is off, ns: two and a half status periods.
 const SILENT_NS: u64 = 250_000_000;
 
-/// What a system is, as a person tells it apart.
+/// The state of a system as a report shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum State {
-    /// Not seen: without power, in reset, or dead.
+    /// No sign of it: without power, in reset, or dead.
     Off,
     /// Not yet in a role.
     Starting,
@@ -41,7 +41,7 @@ impl State {
         Self::Off,
     ];
 
-    /// What a legend calls it.
+    /// Its name in a legend.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -115,9 +115,9 @@ pub fn timeline(log: &RunLog, system: SystemId) -> Vec<Span> {
         let next_s = seen
             .get(index + 1)
             .map_or(end_s, |(next_ns, _)| log.seconds(*next_ns));
-        // A suspended system stays suspended, and need not say it again.
+        // A suspended system stays suspended and need not report again.
         if next_s - from_s > SILENT_NS as f64 * 1e-9 && *state != State::Suspended {
-            // It shows its state for an instant, so that a single sign of life is not lost.
+            // Shown for an instant, so that a single sign of life is visible.
             let until_s = (from_s + 0.01).min(next_s);
             push(from_s, until_s, *state);
             push(until_s, next_s, State::Off);

@@ -1,4 +1,4 @@
-//! A recording in memory: what is known of one run, sorted by kind.
+//! A recording in memory: all entries of one run, sorted by kind.
 
 use tandem_board::{CoreId, SupplyEvent, SystemId, Traced};
 use tandem_bus::{Message, Mode, Role};
@@ -24,7 +24,7 @@ pub struct ControlFrame {
     pub mode: Mode,
     /// Age of the oldest measurement behind it when it was sent, ns; `None` if there is none.
     pub age_ns: Option<u64>,
-    /// What the vehicle did with it.
+    /// The vehicle's verdict on it.
     pub verdict: Verdict,
 }
 
@@ -50,7 +50,7 @@ pub struct StatusFrame {
     pub mode: Mode,
 }
 
-/// An event of a core. Those of its scheduler are in [`RunLog::trace`] alone.
+/// An event of a core. The events of its scheduler are only in [`RunLog::trace`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CoreEvent {
     /// When, ns.
@@ -74,13 +74,13 @@ pub struct PowerChange {
     pub on: bool,
 }
 
-/// From this on a command's age means that it rests on no measurement, ms.
+/// An age from this value on means that the command rests on no measurement, ms.
 const NO_AGE_MS: f64 = 6_553.0;
 
 /// All of one run, each kind in the order of time.
 #[derive(Clone, Debug, Default)]
 pub struct RunLog {
-    /// What was asked for.
+    /// How the run was started.
     pub header: Header,
     /// When the world began to move, ns; `None` if no control frame was ever accepted.
     pub start_ns: Option<u64>,
@@ -96,15 +96,15 @@ pub struct RunLog {
     pub road: Vec<RoadPiece>,
     /// All control frames in the order of the bus.
     pub control: Vec<ControlFrame>,
-    /// What the sensors measured, in the order of the bus.
+    /// The sensors' measurements, in the order of the bus.
     pub measurements: Vec<Measurement>,
     /// All status frames in the order of the bus.
     pub status: Vec<StatusFrame>,
-    /// What the cores reported, without the events of their schedulers.
+    /// The events that the cores reported, without those of their schedulers.
     pub events: Vec<CoreEvent>,
-    /// All that the cores wrote; those of one core in their order.
+    /// All trace records of the cores; those of one core in their order.
     pub trace: Vec<Traced>,
-    /// What the supplies did and saw, ns.
+    /// The events of the supplies, with their times, ns.
     pub supplies: Vec<(u64, SystemId, SupplyEvent)>,
     /// Changes of the systems' power.
     pub power: Vec<PowerChange>,
@@ -125,7 +125,7 @@ impl RunLog {
         }
     }
 
-    /// Orders what reached the recording through buffers of several writers.
+    /// Sorts by time: the entries reached the recording through the buffers of several writers.
     pub fn sort(&mut self) {
         self.events.sort_by_key(|event| event.at_ns);
         self.supplies.sort_by_key(|(at_ns, ..)| *at_ns);
@@ -166,7 +166,7 @@ impl RunLog {
                     verdict,
                 }));
         } else if let Some(Message::SensorHeader(_, header)) = message {
-            // The sensor's clock is the bus's, in µs, and wraps around.
+            // The sensor uses the bus's clock, in µs; it wraps around.
             let on_the_way = ((at_ns / 1_000) as u32).wrapping_sub(header.measured_at);
             self.measurements.push(Measurement {
                 at_ns,

@@ -1,4 +1,4 @@
-//! The one analysis of takeovers: who took over from whom, on which sign, after which gap, and
+//! The analysis of takeovers: who took over from whom, on which evidence, after which gap, and
 //! whether the old master had failed.
 
 use tandem_board::{CoreId, SystemId};
@@ -15,12 +15,12 @@ use crate::{RunLog, ms_between};
 const NOT_SILENT_MS: f64 = 15.0;
 /// The same for its status frames, which it sends every 100 ms.
 const STATUS_NOT_SILENT_MS: f64 = 150.0;
-/// A core writes all that it finds out in one cycle within this time, ns.
+/// A core writes all events of one cycle within this time, ns.
 const SAME_CYCLE_NS: u64 = 5_000_000;
 /// The new master reports a takeover within this time of its first frame, ns.
 const REPORT_WINDOW_NS: u64 = 100_000_000;
-/// A control cycle that begins later than this has missed its slot: half a control period. Punctual
-/// timers are late by tens of microseconds; this much is a CPU that was taken away.
+/// A control cycle that begins later than this has missed its slot: half a control period. A
+/// healthy timer is late by tens of microseconds; this delay means that the core lost its CPU.
 const LATE_NS: u32 = 5_000_000;
 
 /// One change of the system that is obeyed.
@@ -32,10 +32,9 @@ pub struct Takeover {
     pub to: SystemId,
     /// First accepted frame of the new master, ns.
     pub at_ns: u64,
-    /// The sign by which the new master says that it knew the old one's failure.
+    /// The evidence of the old master's failure that the new master reported.
     pub cause: Option<Evidence>,
-    /// From the old master's last sign of life to the decision, ms, as the new master says
-    /// it.
+    /// From the old master's last sign of life to the decision, ms, as reported by the new master.
     pub detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
     pub gap_ms: f64,
@@ -80,7 +79,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
 #[must_use]
 pub fn detected_ms(report: Event) -> Option<f64> {
     match report {
-        // A mute master's heart still beats.
+        // A mute master still sends heartbeats.
         Event::TookOver {
             cause: Evidence::MasterMute,
             since_control_us,
@@ -93,13 +92,13 @@ pub fn detected_ms(report: Event) -> Option<f64> {
     }
 }
 
-/// Whether this is a control cycle whose frame came out of time.
+/// Whether this event is a control cycle whose frame was late.
 #[must_use]
 pub const fn is_late(event: Event) -> bool {
     matches!(event, Event::ControlCycle { lateness_ns, .. } if lateness_ns > LATE_NS)
 }
 
-/// What the new master reported of the takeover.
+/// The new master's report of the takeover.
 fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<Event> {
     log.events
         .iter()
@@ -109,8 +108,8 @@ fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<Event> {
         .map(|event| event.event)
 }
 
-/// Whether the old master found, by the time at which it gave up its role, that it had been held up
-/// or had left out cycles. Then it was silent as a dead one is, and the takeover was right.
+/// Whether the old master found, before it gave up its role, that it had been held up or had left
+/// out cycles. Then it was as silent as a dead one, and the takeover was right.
 fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
     let since = || {
         let of_core_0 =
@@ -249,7 +248,7 @@ mod tests {
             fenced(20, A, 2),
         ];
         assert!(takeovers(&log(sends_on.to_vec()))[0].is_false);
-        // One that thaws later was silent.
+        // A master that later goes to Thawed was silent.
         let thaws = [
             frame(0, A, 2),
             frame(10, A, 2),

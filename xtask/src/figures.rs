@@ -1,6 +1,6 @@
-//! The one page of figures, `docs/figures.md`, from files that the measuring commands wrote.
+//! The one page of figures, `docs/figures.md`, made from files of the measuring commands.
 //!
-//! Prose links there and repeats nothing: a figure that stands in two places is soon two figures.
+//! Prose links there and repeats no figure: two copies of a figure soon differ.
 
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
@@ -15,7 +15,7 @@ const FIRMWARE: &str = "firmware-port/baseline.json";
 const BENCH: &str = "docs/figures/bench.json";
 /// `metrics.json` of a `tandem run`.
 const RUN: &str = "docs/figures/run.json";
-/// A percentile that has fewer samples beyond it rests on chance.
+/// A percentile with fewer samples beyond it depends on chance.
 const FEW: f64 = 10.0;
 
 /// The paths, in words.
@@ -51,7 +51,7 @@ const PATHS: &[(&str, &str)] = &[
     ("clock/two-readings", "two readings of the clock in a row"),
 ];
 
-/// Takes new measurements, if there are any, and writes the page; or says with `check` whether the
+/// Copies new measurements, if given, and writes the page. With `check` it only says whether the
 /// page is stale.
 pub(crate) fn run(
     root: &Path,
@@ -66,7 +66,7 @@ pub(crate) fn run(
             "{}: figures of a debug build mean nothing",
             bench.display()
         );
-        // The version says enough; what a distributor adds does not.
+        // Only the version: the rest is the distributor's.
         let kernel = results["machine"]["kernel"].as_str().unwrap_or_default();
         let version = kernel.split('-').next().unwrap_or_default().to_owned();
         results["machine"]["kernel"] = version.into();
@@ -196,7 +196,7 @@ fn host(results: &Value) -> Result<String> {
     Ok(text)
 }
 
-/// What a drive came to.
+/// The results of a drive.
 fn drive(metrics: &Value) -> Result<String> {
     let mut text = format!(
         "\n## A drive\n\n`{RUN}`: scenario {}, {:.1} s, {}.\n\n| figure | |\n|---|---:|\n",
@@ -249,7 +249,7 @@ fn time(ns: f64) -> String {
 mod tests {
     use super::*;
 
-    /// The page says what the files say; `cargo xtask figures` makes it so.
+    /// The page agrees with its files; `cargo xtask figures` writes it.
     #[test]
     fn the_page_is_current() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();

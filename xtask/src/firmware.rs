@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 
 const TARGET: &str = "riscv32imac-unknown-none-elf";
 const QEMU: &str = "qemu-system-riscv32";
-/// Longer than any image here runs on a busy machine; an image that hangs is ended then.
+/// Longer than any image here runs on a busy machine; an image that hangs is killed then.
 const LIMIT: Duration = Duration::from_secs(300);
 /// How much worse than the baseline a measurement may be, in percent.
 const TOLERANCE_PERCENT: u64 = 5;
-/// How many times the bare interrupt a mailbox signal may take.
+/// A mailbox signal may take this many times the instructions of a bare interrupt.
 const MAILBOX_PER_FLOOR: u64 = 2;
 
 #[derive(Subcommand)]
@@ -60,7 +60,7 @@ pub(crate) enum Firmware {
     },
 }
 
-/// What an example is written in.
+/// The language of an example.
 #[derive(Clone, Copy, ValueEnum)]
 pub(crate) enum Language {
     /// C99, for riscv64-unknown-elf-gcc
@@ -93,7 +93,7 @@ pub(crate) enum Image {
 }
 
 impl Image {
-    /// Its name, as the command line writes it.
+    /// Its name on the command line.
     fn name(self) -> String {
         let value = self.to_possible_value();
         value.map_or_else(String::new, |value| value.get_name().to_owned())
@@ -195,7 +195,7 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
 
 fn test(root: &Path) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
-    // Of the whole workspace, as all other tests: for one package alone cargo builds much anew.
+    // The whole workspace, as in all other tests: for one package alone cargo would rebuild much.
     let mut command = crate::cargo(root, &["test", "--workspace"]);
     for file in ["identical", "feeds", "outputs", "tasks", "emulated"] {
         command.args(["--test", file]);
@@ -211,7 +211,7 @@ fn test(root: &Path) -> Result<()> {
 
 /// Strap `Mode` of the schedules: the lock is broken.
 const BROKEN_LOCK: u32 = 1;
-/// A tick of the timer is 25 instructions: fine enough for turns that end in all places.
+/// A tick of the timer is 25 instructions: short enough for turns that end at any instruction.
 const SCHEDULES_SHIFT: u32 = 2;
 
 fn explore(root: &Path, lengths: u32) -> Result<()> {
@@ -262,7 +262,7 @@ fn ended(command: &mut Command) -> Result<(ExitStatus, String)> {
     }
 }
 
-/// What was measured, in the order of the log.
+/// One measurement.
 struct Figure {
     name: String,
     min: u64,
@@ -337,7 +337,7 @@ fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
     floor_holds(&figures)
 }
 
-/// A mailbox signal with all that makes it safe takes at most twice the bare interrupt.
+/// A mailbox signal, with all its safety checks, takes at most twice the bare interrupt.
 fn floor_holds(figures: &[Figure]) -> Result<()> {
     let max = |name: &str| {
         let figure = figures.iter().find(|figure| figure.name == name);

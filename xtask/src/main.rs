@@ -16,7 +16,7 @@ use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// Crates that run in firmware: no_std, and free of boards.
+/// Crates that run in firmware: no_std, without dependencies on a board.
 const PORTABLE: [&str; 8] = [
     "tandem-shm",
     "tandem-bus",
@@ -27,7 +27,7 @@ const PORTABLE: [&str; 8] = [
     "tandem-cores",
     "tandem-capi",
 ];
-/// The crates with the RTOS in them, and the one bare-metal target that it has a port for.
+/// The crates that contain the RTOS, and the one bare-metal target with a port for it.
 const RTOS: [(&str, &str); 2] = [
     ("tandem-rtos", "riscv32imac-unknown-none-elf"),
     ("tandem-runtime", "riscv32imac-unknown-none-elf"),
@@ -87,7 +87,7 @@ enum Task {
     Rta {
         /// The run's metrics.json
         metrics: PathBuf,
-        /// What a switch, and the entry of an interrupt, costs, in µs: `tandem bench rtos`
+        /// What a task switch, and the entry of an interrupt, cost, in µs: `tandem bench rtos`
         #[arg(long, value_name = "US")]
         overhead_us: f64,
     },
@@ -110,14 +110,14 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
-    /// Long trials that a person starts; CI runs short ones of each
+    /// Long trials for a person to start; CI runs short ones of each
     #[command(subcommand)]
     Campaign(Campaign),
 }
 
 #[derive(Subcommand)]
 enum Campaign {
-    /// Kill a process of a run that is just starting, again and again; then start normally
+    /// Kill a process of a starting run, again and again; then start normally
     StartupKills {
         /// How many starts are killed
         #[arg(long, default_value_t = 200)]
@@ -158,8 +158,8 @@ enum Campaign {
         monitor: bool,
     },
     /// Try faults on the control core in virtual time: each single one at 20 moments, all pairs
-    /// within one system, and random sequences. Fails if one violates what is not known to be
-    /// violated
+    /// within one system, and random sequences. Fails if one violates a property that is not known
+    /// to be violated
     Faults {
         /// As `--count 100000 --from SEED --json FILE`; `--help` lists them
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -277,7 +277,7 @@ fn run(mut command: Command) -> Result<()> {
 
 /// Builds the programs first: the whole-process tests start `tandem` as a user would.
 fn test(root: &Path) -> Result<()> {
-    // The output of a test that passes is not shown.
+    // The runner hides the output of a test that passes.
     if std::env::var_os("TANDEM_SCENARIOS").is_none() {
         println!("SKIPPED: recorded scenarios (TANDEM_SCENARIOS=FOLDER is not set)");
     }
@@ -322,7 +322,7 @@ fn loom(root: &Path) -> Result<()> {
         root,
         &["test", "--release", "-p", "tandem-shm", "--test", "loom*"],
     );
-    // A target folder of its own: the flag would rebuild everything in the common one.
+    // A separate target folder: the flag would rebuild everything in the shared one.
     command
         .env("RUSTFLAGS", "--cfg loom")
         .env("CARGO_TARGET_DIR", target_dir(root).join("loom"));
@@ -337,7 +337,7 @@ fn miri(root: &Path) -> Result<()> {
         &["-p", "tandem-shm", "--target", BITS_32],
         &["-p", "tandem-capi", "--test", "calls", "--target", BITS_32],
     ] {
-        // `cargo` of this process belongs to the stable toolchain; the shim chooses nightly.
+        // The `cargo` of this process belongs to the stable toolchain; the shim chooses nightly.
         let mut command = Command::new("cargo");
         command
             .current_dir(root)
@@ -366,7 +366,7 @@ fn startup_kills(root: &Path, count: u32) -> Result<()> {
     run(command)
 }
 
-/// A campaign that is an example of a package; its paths are the caller's.
+/// A campaign that is an example of a package; paths are relative to the caller's folder.
 fn campaign(root: &Path, package: &str, name: &str) -> Command {
     let manifest = root.join("Cargo.toml");
     let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));

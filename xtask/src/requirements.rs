@@ -47,7 +47,7 @@ pub(crate) fn run(root: &Path, require: &[String]) -> Result<()> {
     require_tests(&ids, require, |id| tests.contains_key(id))
 }
 
-/// Fails if a prefix fits no requirement, or one that it fits has no test.
+/// Fails if a prefix matches no requirement, or a matching requirement has no test.
 fn require_tests(ids: &[&str], prefixes: &[String], has_test: impl Fn(&str) -> bool) -> Result<()> {
     let mut missing = Vec::new();
     for prefix in prefixes {
@@ -96,7 +96,7 @@ fn named_tests(text: &str) -> Vec<(Vec<String>, String)> {
                 .split("fn ")
                 .nth(1)
                 .and_then(|rest| rest.split(['(', '<']).next());
-            // A program with a harness of its own names its tests in a table.
+            // A program with its own harness lists its tests in a table.
             is_test |= name.is_some_and(|name| text.contains(&format!("\"{name}\"")));
             if let (Some(name), true, false) = (name, is_test, ids.is_empty()) {
                 found.push((ids.clone(), name.to_owned()));

@@ -1,4 +1,4 @@
-//! Which way the arrows run between the modules of a crate.
+//! The directions of dependency between the modules of a crate.
 
 use crate::cargo;
 use anyhow::{Context, Result};
@@ -7,10 +7,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-/// The one workspace beside that of the tree: its folder is one room.
+/// The second workspace: its folder is one room.
 const FIRMWARE: &str = "firmware-port";
 
-/// Circles.
+/// Finds circles of dependency between modules.
 pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
     let mut findings = Vec::new();
     for workspace in [root, &root.join(FIRMWARE)] {
@@ -34,7 +34,7 @@ fn metadata(folder: &Path) -> Result<Value> {
     serde_json::from_slice(&output.stdout).context("cargo metadata")
 }
 
-/// Which top modules of a crate name which others.
+/// For each top module of a crate: the others that it names.
 type Uses = BTreeMap<String, BTreeSet<String>>;
 
 fn module_uses(src: &Path) -> Result<Uses> {
@@ -45,7 +45,7 @@ fn module_uses(src: &Path) -> Result<Uses> {
         let name = path.file_stem().and_then(|name| name.to_str());
         let name = name.unwrap_or_default().to_owned();
         if path.is_dir() {
-            // The programs of a crate are crates of their own.
+            // A crate's programs are separate crates.
             if name != "bin" {
                 read_folder(&path, texts.entry(name).or_default())?;
             }
@@ -53,7 +53,7 @@ fn module_uses(src: &Path) -> Result<Uses> {
             root.push_str(&fs::read_to_string(&path)?);
         } else {
             let text = without_tests(&fs::read_to_string(&path)?);
-            // In a file of its own, `super` is the crate.
+            // In this file `super` is the crate.
             let text = text.replace("super::", "crate::");
             texts.entry(name).or_default().push_str(&text);
         }
@@ -75,11 +75,10 @@ fn module_uses(src: &Path) -> Result<Uses> {
     Ok(uses.collect())
 }
 
-/// Which module a name behind `crate::` belongs to.
+/// The module of each name behind `crate::`.
 type Homes = BTreeMap<String, String>;
 
-/// What the root of a crate hands on from its modules (`pub use module::{Name, ..}`), with the
-/// module.
+/// The names that a crate's root re-exports (`pub use module::{Name, ..}`), with their modules.
 fn handed_on(root: &str) -> Homes {
     let mut homes = Homes::new();
     for item in root.split(';') {
@@ -108,7 +107,7 @@ fn read_folder(folder: &Path, into: &mut String) -> Result<()> {
     Ok(())
 }
 
-/// The code without comments, and without the tests, which stand last in a file.
+/// The code without comments, and without the tests, which are last in a file.
 fn without_tests(text: &str) -> String {
     let code = text.split("#[cfg(test)]\nmod tests").next().unwrap_or(text);
     let lines = code
@@ -117,7 +116,7 @@ fn without_tests(text: &str) -> String {
     lines.collect::<Vec<_>>().join("\n")
 }
 
-/// The modules of what stands behind `crate::`, alone or in braces.
+/// The modules of the names behind `crate::`, alone or in braces.
 fn named_modules(text: &str, homes: &Homes) -> BTreeSet<String> {
     let mut named = BTreeSet::new();
     for behind in text.split("crate::").skip(1) {
@@ -151,8 +150,8 @@ fn named_modules(text: &str, homes: &Homes) -> BTreeSet<String> {
     named
 }
 
-/// The modules that are left when all are taken away, again and again, that use no other or that
-/// no other uses.
+/// The modules that remain when those that use no other, or that no other uses, are removed
+/// repeatedly.
 fn circle(uses: &Uses) -> BTreeSet<String> {
     let mut left = uses.clone();
     loop {
@@ -181,7 +180,7 @@ mod tests {
         let mut homes = Homes::from(modules);
         let text = "use crate::{a::{X, d}, b};\nfn f() { crate::c::g(crate::e) }";
         assert_eq!(named_modules(text, &homes), set(&["a", "b", "c"]));
-        // What the crate's root hands on belongs to its module.
+        // A name that the crate's root re-exports belongs to its module.
         homes.extend(handed_on("mod d;\npub use d::{E, F};\npub use std::fmt;"));
         assert_eq!(named_modules("crate::F;", &homes), set(&["d"]));
     }

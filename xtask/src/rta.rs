@@ -1,4 +1,4 @@
-//! Response-time analysis of core 0's tasks, from the times that a run has measured.
+//! Response-time analysis of core 0's tasks, from the times measured in a run.
 //!
 //! Fixed priorities, pre-emptive, with locks that lend priority: the worst response of a task is
 //! the smallest `R = C + B + Σ ⌈(R + J) / T⌉ · C` over all tasks and handlers above it (Joseph and
@@ -14,7 +14,7 @@ use tandem_board::Duration;
 use tandem_cores::core0::DOORBELL_DISTANCE;
 use tandem_cores::task_table::{CORE_0, INTERRUPTS, Part, ReleasedBy, TaskInfo};
 
-/// Where the table goes, and the name of its marks.
+/// The page with the table, and the name of its marks.
 const PAGE: &str = "docs/rtos-tasks.md";
 const MARKS: &str = "response times";
 
@@ -23,7 +23,7 @@ const MARKS: &str = "response times";
 struct Load {
     /// Shortest time between two releases.
     period: f64,
-    /// How late a release may be, counted from the point that the period counts from.
+    /// How late a release may be, counted from the start of its period.
     jitter: f64,
     /// Longest time on the processor.
     execution: f64,
@@ -31,7 +31,7 @@ struct Load {
 
 /// The worst response to a release, µs: `None` if there is none before `limit`.
 ///
-/// `above` is all that may interrupt the task; `blocking` the longest wait for those below it.
+/// `above` are all that may interrupt the task; `blocking` is the longest wait for those below it.
 fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> {
     let mut response = own + blocking;
     // Each step adds at least one release, and there are finitely many before the
@@ -52,8 +52,8 @@ fn response(own: f64, blocking: f64, above: &[Load], limit: f64) -> Option<f64> 
     None
 }
 
-/// Shortest times between two releases of a task, µs: one for each source that releases it by
-/// itself. A task that only another one releases has its period.
+/// Shortest times between two releases of a task, µs: one for each source that releases it
+/// independently. A task that only another task releases has its period.
 fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
     let own = info.released_by.iter().filter_map(|by| match by {
         ReleasedBy::Period | ReleasedBy::OwnDeadline => Some(us(info.period)),
@@ -68,8 +68,8 @@ fn release_distances_us(info: &TaskInfo) -> Vec<f64> {
     }
 }
 
-/// For how many critical sections a task may have to wait: the locks that those below it share with
-/// it or with one above it.
+/// For how many critical sections a task may wait: the locks that a lower task shares with it or
+/// with a higher one.
 fn blocking_locks(index: usize) -> usize {
     let uses = |infos: &[TaskInfo], part| infos.iter().any(|info| info.uses.contains(&part));
     let (above, below) = CORE_0.split_at(index + 1);
@@ -83,7 +83,7 @@ fn us(span: Duration) -> f64 {
     span.as_us() as f64
 }
 
-/// What a run has measured of one task, the worst of both systems, µs.
+/// The measurements of one task in a run, the worst of both systems, µs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Measured {
     p99: f64,
@@ -110,7 +110,7 @@ fn measured(list: &Value, key: &str, name: &str) -> Measured {
     worst
 }
 
-/// A column of the analysis.
+/// Which column of the analysis.
 #[derive(Clone, Copy)]
 enum By {
     P99,
@@ -144,8 +144,8 @@ fn responses(metrics: &Value, overhead_us: f64, by: By) -> Vec<Option<f64>> {
         let (own, _) = tasks[index];
         let held = tasks[index + 1..].iter().map(|(_, held)| *held);
         let held = match by {
-            // The longest time in a lock is at most the job that it is in; what was measured beyond
-            // that is what interrupted it.
+            // A lock is held for at most its job's execution time; a longer measurement includes
+            // interrupts.
             By::P99 => held
                 .zip(&tasks[index + 1..])
                 .map(|(held, task)| held.min(task.0))
@@ -258,7 +258,7 @@ mod tests {
         assert_eq!(set, [Some(3.0), Some(6.0), Some(20.0)]);
     }
 
-    /// Liu and Layland's condition fails and so does the task: two of 50 % and one more.
+    /// Liu and Layland's condition fails and so does the task: two tasks of 50 % and one more.
     #[test]
     fn what_cannot_be_done_in_time_has_no_response() {
         let set = responses_of(&[(10.0, 20.0), (10.0, 30.0), (12.0, 50.0)]);
@@ -275,12 +275,12 @@ mod tests {
             jitter: 1.0,
             ..load(3.0, 7.0)
         };
-        // By itself 5 + 3; with 1 of jitter two releases fall into 8 > 7 - 1.
+        // Alone 5 + 3; with a jitter of 1 two releases fall into 8 > 7 - 1.
         assert_eq!(response(5.0, 0.0, &[load(3.0, 8.0)], 100.0), Some(8.0));
         assert_eq!(response(5.0, 0.0, &[late], 100.0), Some(11.0));
     }
 
-    /// The page says the distance of doorbells that core 0 enforces.
+    /// The page and core 0 have the same shortest distance of doorbells.
     #[test]
     fn the_page_says_the_distance_of_doorbells() {
         let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(PAGE);
@@ -289,7 +289,7 @@ mod tests {
         assert!(page.contains(&format!("one interrupt in {ms} ms")));
     }
 
-    /// By hand from the task table: which tasks below share which of the two locks.
+    /// Calculated by hand from the task table: the lower tasks that share each of the two locks.
     #[test]
     fn a_task_waits_for_the_locks_that_those_below_share_with_it() {
         let found: Vec<usize> = (0..CORE_0.len()).map(blocking_locks).collect();

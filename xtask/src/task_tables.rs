@@ -32,7 +32,7 @@ pub(crate) fn run(root: &Path, check: bool) -> Result<()> {
     Ok(())
 }
 
-/// The page with another table between the marks of this name.
+/// The page with the table between the marks of this name replaced.
 pub(crate) fn placed(page: &str, name: &str, table: &str) -> Result<String> {
     let begin = format!("<!-- generated, {name}: begin -->");
     let end = format!("<!-- generated, {name}: end -->");
@@ -122,7 +122,7 @@ fn codes() -> String {
 mod tests {
     use super::*;
 
-    /// The documentation shows the tasks as the code has them.
+    /// The tables in the documentation agree with the task table in the code.
     #[test]
     fn the_tables_of_the_documentation_are_those_of_the_code() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");

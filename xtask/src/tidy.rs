@@ -79,7 +79,7 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
         &["tandem-board", "tandem-cosim", "tandem-peripherals"],
     ),
 ];
-/// What stands on top: these may depend on all.
+/// The top crates: these may depend on all.
 const ON_TOP: [&str; 3] = ["tandem", "tandem-tests", "xtask"];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
 /// peer.
@@ -161,7 +161,7 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
         findings.push(format!("{place}: {lines} lines; split it at {MAX_LINES}"));
     }
     for (number, line) in text.lines().enumerate() {
-        // What cannot be broken: a link, and text in a string.
+        // A link, and text in a string, cannot be broken.
         let breaks = !line.contains("http") && !line.contains('"');
         if breaks && line.chars().count() > MAX_COLUMNS {
             findings.push(format!(
@@ -170,7 +170,7 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
             ));
         }
     }
-    // What is measured in tests stands in a module of its own.
+    // Code that is measured in tests is in a separate module.
     let is_measurement = place.ends_with("/measure.rs");
     let is_lock_free = NAMES_PARTNERS
         .iter()
@@ -188,12 +188,13 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Memory orders outside of tests that no comment pairs with another one, some lines above or above
-/// the item. A `compiler_fence` is exempt: it orders a thread and its own handlers.
+/// Memory orders outside of tests without a comment that pairs them with another one, within some
+/// lines above or above the item. A `compiler_fence` is exempt: it orders a thread and its own
+/// handlers.
 fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     let mut findings = Vec::new();
     let mut named = None;
-    // Whether the comment above the item names a partner: for all of the item.
+    // Whether the comment above the item names a partner: valid for the whole item.
     let mut named_above = false;
     for (number, line) in text.lines().enumerate() {
         if line.starts_with("#[cfg(test)]") {
@@ -221,7 +222,7 @@ fn orders_without_partner(place: &str, text: &str) -> Vec<String> {
     findings
 }
 
-/// Every Rust file that git knows or would take.
+/// Every Rust file that is tracked by git or not ignored.
 pub(crate) fn rust_files(root: &Path) -> Result<Vec<PathBuf>> {
     let output = std::process::Command::new("git")
         .current_dir(root)
@@ -265,7 +266,7 @@ mod tests {
         let far = "    y();\n".repeat(PARTNER_WITHIN);
         let text = format!("fn f() {{\n    // Pairs with `g`.\n{far}    x.load(Acquire);\n}}\n");
         assert_eq!(found(&text), 1);
-        // For a whole item, and not for the next one.
+        // Valid for the whole item, and not for the next one.
         let item =
             format!("/// All pair with each other.\nimpl X {{\n{far}    x.load(Acquire);\n}}\n");
         assert_eq!(found(&item), 0);

@@ -1,18 +1,18 @@
-//! Each memory ordering of shm made relaxed, one at a time: a loom model must fail.
+//! Relaxes each memory ordering of shm, one at a time: a loom model must fail.
 
 use anyhow::{Context, Result, ensure};
 use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-/// Orderings that no loom model can tell from a relaxed one, each with the reason: lines
-/// `FILE FUNCTION NUMBER: reason`.
+/// Orderings whose relaxation no loom model detects, each with the reason: lines `FILE FUNCTION
+/// NUMBER: reason`.
 const NOT_CAUGHT: &str = "shm/tests/weakened.txt";
 
 /// A test of the bound on waiting, which no ordering changes; it takes longest.
 const SKIPPED: &str = "three_cores_wait_two_turns_at_most";
 
-/// One ordering in the sources: the number counts those of one function.
+/// One ordering in the sources: `number` counts within one function.
 struct Site {
     file: &'static str,
     function: String,

@@ -6,7 +6,8 @@ use tandem_bus::{
     Role, SensorHeader, SensorId, SensorObject, Status,
 };
 
-/// Any value, mostly within `limit` so that the scaling is tested and not the saturation only.
+/// Any value, mostly within `limit`, so that the tests check the scaling and not only the
+/// saturation.
 fn within(limit: f32) -> impl Strategy<Value = f32> + Clone {
     let special = prop::sample::select(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY][..]);
     prop_oneof![8 => -limit..=limit, 1 => any::<f32>(), 1 => special]
@@ -161,7 +162,7 @@ fn camera_lanes() -> impl Strategy<Value = CameraLanes> {
         )
 }
 
-/// Any message, also with values that no frame can hold.
+/// Any message, including values that no frame can hold.
 pub(crate) fn message() -> impl Strategy<Value = Message> {
     let sensor = prop::sample::select(&SensorId::ALL[..]);
     let header = any::<(u8, u32)>().prop_map(|(object_count, measured_at)| SensorHeader {
@@ -199,7 +200,7 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
     ]
 }
 
-/// The values of a message by the names of the DBC, physical, enums and flags as numbers.
+/// The physical values of a message by their DBC names; enums and flags as numbers.
 pub(crate) fn values(message: &Message) -> Vec<(&'static str, f64)> {
     match message {
         Message::Control { system, control } => {

@@ -15,8 +15,8 @@ const PASSED: i32 = 0;
 const SKIPPED: i32 = 2;
 const NO_SUCH_CASE: i32 = 3;
 
-/// Lengths of turns, in ticks of 50 ns, under which the primitives run. Shorter ones the emulator
-/// does not keep: a broken lock passes with them.
+/// Lengths of turns, in ticks of 50 ns, under which the primitives run. The emulator does not keep
+/// shorter ones: a broken lock passes with them.
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
 
 pub(super) fn run(root: &Path) -> Result<()> {
@@ -32,7 +32,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Every case that two cores carry, each on a freshly started machine.
+/// Every case that two cores can run, each on a freshly started machine.
 fn conformance(root: &Path) -> Result<()> {
     let (mut passed, mut skipped) = (0, 0);
     for case in 0.. {
@@ -69,7 +69,7 @@ fn primitives(root: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Runs an image to its end. Fails if it ends with another status than those.
+/// Runs an image to its end. Fails if its exit status is not one of `good`.
 fn play(root: &Path, image: &str, straps: &[u32], good: &[i32]) -> Result<(i32, String)> {
     let elf = build_dir(root).join(TARGET).join("release").join(image);
     let mut command = Command::new(QEMU);

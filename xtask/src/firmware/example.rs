@@ -8,7 +8,7 @@ use std::process::Command;
 
 const GCC: &str = "riscv64-unknown-elf-gcc";
 const SIZE: &str = "riscv64-unknown-elf-size";
-/// As a user's build would have it: strict, small, no C library, only what is called.
+/// The flags of a user's build: strict, small, no C library, unused functions dropped.
 const FLAGS: [&str; 13] = [
     "-march=rv32imac_zicsr",
     "-mabi=ilp32",
@@ -51,7 +51,7 @@ pub(super) fn run(root: &Path) -> Result<()> {
         .args(["-display", "none", "-monitor", "none", "-serial", "stdio"])
         .args(["-icount", "shift=0,sleep=off", "-kernel"])
         .arg(in_rust)
-        // Hart 2 begins in this image.
+        // Hart 2 starts in this image.
         .arg("-device")
         .arg(format!("loader,file={},cpu-num=2", in_c.display()));
     let log = finish(&mut command)?;
@@ -88,7 +88,7 @@ fn gcc(root: &Path) -> Command {
 /// The functions that the header declares.
 fn functions(root: &Path) -> Result<Vec<String>> {
     let header = fs::read_to_string(root.join("capi/include/tandem.h"))?;
-    // A declaration begins a line with its type: a status or a number.
+    // A declaration is a line that begins with its type: a status or a number.
     let declared = header.lines().filter_map(|line| {
         let types = ["tandem_status_t ", "uint32_t ", "size_t "];
         let rest = types.iter().find_map(|of| line.strip_prefix(of))?;
@@ -97,8 +97,8 @@ fn functions(root: &Path) -> Result<Vec<String>> {
     Ok(declared.collect())
 }
 
-/// Prints what the library takes of a C image: all of it, the functions of `shm`, what the example
-/// calls.
+/// Prints the sizes of the library in a C image: all of it, the functions of `shm`, the functions
+/// that the example calls.
 fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     let all = functions(root)?;
     let redundancy = ["redundancy", "config", "state", "store"];
@@ -127,7 +127,7 @@ fn sizes(root: &Path, library: &Path, example: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Text of an image with nothing but these functions and what they call.
+/// Size of the text of an image that has only these functions and their callees.
 fn linked(root: &Path, library: &Path, functions: &[&String]) -> Result<u32> {
     let source = build_dir(root).join("size.c");
     let image = build_dir(root).join("size.elf");

@@ -14,7 +14,7 @@ const BANK_BYTES: u32 = (32 << 10) - 256;
 /// The thesis's bootloader: 25.3 KiB, in bytes.
 const THESIS_BYTES: u32 = 25_907;
 
-/// What an image takes, in bytes.
+/// Sizes of an image, in bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Size {
     /// Code.
