@@ -121,8 +121,8 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "FOLDER")]
     pub(crate) program_flash: Option<PathBuf>,
 
-    /// Bring both systems this release while they drive, each when it is standby; needs
-    /// --reintegrate to see the second
+    /// Bring both systems this release while they drive: the standby first, then the master, which
+    /// hands over; needs --reintegrate for the second
     #[arg(long, value_name = "RELEASE")]
     pub(crate) update: Option<u32>,
 

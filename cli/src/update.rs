@@ -11,7 +11,9 @@ use tandem_boot_host::{Sender, ToDo};
 
 use crate::run_config::UpdateFiles;
 
-/// How long a system must have been standby, with the other driving, before it is updated.
+/// How long the roles must have stayed before an update begins. A system that was updated before
+/// has approved its image by then: it does so after a second or two with a role, and dual operation
+/// resumes after two seconds.
 const SETTLED: Duration = Duration::from_ms(1_000);
 /// Frames of a download in a millisecond: what a bus of 500 kbit/s carries of them.
 const FRAMES_PER_MS: usize = 3;
@@ -26,7 +28,7 @@ pub(crate) struct Update {
     lines: [Option<Vec<String>>; 2],
     under_way: Option<(SystemId, Sender)>,
     /// Since when a system could be updated.
-    standby_since: [Option<Instant>; 2],
+    ready_since: [Option<Instant>; 2],
 }
 
 impl Update {
@@ -46,7 +48,7 @@ impl Update {
             ended: files.ended.clone(),
             lines: [read(a)?, read(b)?],
             under_way: None,
-            standby_since: [None; 2],
+            ready_since: [None; 2],
         })
     }
 
@@ -87,12 +89,18 @@ impl Update {
         }
     }
 
+    /// The standby comes first. The master follows in dual operation with one that was updated: it
+    /// hands over when it hears the request.
     fn begin(&mut self, now: Instant, roles: [RoleLamp; 2]) {
         for system in SystemId::ALL {
-            let [own, other] = [system, system.peer()].map(|system| roles[system.index()]);
-            let drives = matches!(other, RoleLamp::Master | RoleLamp::DegradedMaster);
-            let since = &mut self.standby_since[system.index()];
-            if own != RoleLamp::Standby || !drives {
+            let peer = system.peer();
+            let is_ready = match (roles[system.index()], roles[peer.index()]) {
+                (RoleLamp::Standby, RoleLamp::Master | RoleLamp::DegradedMaster) => true,
+                (RoleLamp::Master, RoleLamp::Standby) => self.lines[peer.index()].is_none(),
+                _ => false,
+            };
+            let since = &mut self.ready_since[system.index()];
+            if !is_ready {
                 *since = None;
                 continue;
             }

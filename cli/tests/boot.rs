@@ -84,7 +84,7 @@ fn boots(flash: &Path) -> Option<(Option<Slot>, u32, bool)> {
 }
 
 /// U-1, U-3, U-5, T-BOOT-1: each system is updated while the other one drives, and approves its new
-/// image. Between the two updates the driving system fails, so that it becomes the standby.
+/// image: first the standby, then the master, which hands over.
 #[test]
 fn both_systems_are_updated_while_they_drive() {
     let folder = tempfile::tempdir().unwrap();
@@ -110,11 +110,6 @@ fn both_systems_are_updated_while_they_drive() {
         ["A", "B"].into_iter().find(|system| is_updated(system))
     });
     let second = if first == "A" { "B" } else { "A" };
-    if !is_updated(second) {
-        let master = core_0(second, launcher).unwrap();
-        let kill = Command::new("kill").args(["-9", &master]).status();
-        assert!(kill.unwrap().success());
-    }
     run.until("the other approves its image", || {
         is_updated(second).then_some(())
     });

@@ -140,7 +140,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::FaultStop => "own fault, stops the vehicle until the other drives",
         Evidence::FaultSuspend => "own fault that stays",
         Evidence::StandbyMute => "the standby is not heard on CAN",
-        Evidence::MasterResigns => "the master has a fault and resigns",
+        Evidence::MasterResigns => "the master resigns",
     }
 }
 

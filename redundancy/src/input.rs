@@ -80,6 +80,10 @@ pub enum Input {
     VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
+    /// This system is asked to let the other one drive. In dual operation it resigns for
+    /// [`Config::report_limit`](crate::Config::report_limit), without a fault and without stopping
+    /// the vehicle; in every other phase it does nothing. Repeat it while the wish lasts.
+    HandOver,
 }
 
 /// What is new at a poll.

@@ -109,6 +109,8 @@ pub struct Redundancy {
     witnesses: Witnesses,
     /// When this system was first ready for a role.
     running_since: Option<Instant>,
+    /// Until when this master offers its role to the standby.
+    hands_over_until: Option<Instant>,
 }
 
 impl Redundancy {
@@ -147,6 +149,7 @@ impl Redundancy {
             polls: Polls::new(now),
             witnesses: Witnesses::new(&config, now),
             running_since: None,
+            hands_over_until: None,
         }
     }
 
@@ -164,6 +167,7 @@ impl Redundancy {
             Input::StaleFrame(frame) => self.stale_frame(now, frame, &mut actions),
             Input::VehicleTerm(obeyed) => self.vehicle_term(now, obeyed, &mut actions),
             Input::OwnFault(mode) => self.own_fault(now, mode, &mut actions),
+            Input::HandOver => self.hands_over_until = Some(now + self.config.report_limit),
         }
         if self.persisted != Some(self.state) {
             self.persisted = Some(self.state);
@@ -253,6 +257,15 @@ impl Redundancy {
         (self.beats.sent(), self.witnesses.beats.received())
     }
 
+    /// Whether the vehicle can do without this system: it is standby, and the other has driven
+    /// without a fault for longer than the hold-down. All witnesses must say so. T-BOOT-1
+    #[must_use]
+    pub fn may_leave(&self, now: Instant) -> bool {
+        let (config, witnesses) = (&self.config, &self.witnesses);
+        matches!(&self.phase, PhaseState::Standby(standby)
+            if standby.is_dispensable(config, now, witnesses))
+    }
+
     /// What to tell the other system over the link every control cycle. Ask after
     /// [`Redundancy::may_transmit`]: a master whose frame was refused does not say that it drives.
     #[must_use]
@@ -262,9 +275,15 @@ impl Redundancy {
             Role::Master if !self.phase.mastership().is_some_and(drives) => Role::Starting,
             role => role,
         };
+        let hands_over = self.hands_over_until.is_some();
+        let mode = match &self.phase {
+            // The standby takes over at this word. On CAN and to the vehicle nothing changes.
+            PhaseState::Master(_) if hands_over => Mode::SafeStop,
+            _ => self.mode(),
+        };
         PeerReport {
             role,
-            mode: self.mode(),
+            mode,
             term: self.state.term,
             can_alive: self.witnesses.can.is_alive(),
         }
@@ -289,6 +308,7 @@ impl Redundancy {
                 standby.forgive(now);
             }
         }
+        self.hands_over_until = self.hands_over_until.filter(|until| now < *until);
         self.witnesses.update(&self.config, now, &seen, actions);
         self.note_start_line(now, &seen, actions);
         if self.can_is_open(now) {

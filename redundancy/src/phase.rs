@@ -174,7 +174,7 @@ pub enum Evidence {
     FaultSuspend = 15,
     /// The standby is not heard on CAN: it could not take over.
     StandbyMute = 16,
-    /// The master says that it has a fault and stops the vehicle.
+    /// The master resigns: it has a fault and stops the vehicle, or was asked to hand over.
     MasterResigns = 17,
 }
 

@@ -87,6 +87,26 @@ impl Standby {
             || witnesses.reports.drives(now, config.witness_limit())
     }
 
+    /// Whether the master drives without a fault, and has not just begun to: by its heartbeats, its
+    /// control frames, its word over the link, and the vehicle's. Nothing may be late.
+    pub(crate) fn is_dispensable(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+    ) -> bool {
+        let peer = self.system.peer();
+        let obeyed = matches!(witnesses.gate.verdict(config, now),
+            GateVerdict::Obeys(term) if term.system() == peer);
+        let report = witnesses.reports.fresh(now, config.report_limit);
+        let sound = report
+            .is_some_and(|report| report.role == Role::Master && report.mode != Mode::SafeStop);
+        let late = config.heartbeat_period + config.heartbeat_jitter;
+        let beats = witnesses.beats.silent_for(now) <= late;
+        let heard = now.since(self.last_control) <= config.control_period + config.heartbeat_jitter;
+        now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
+    }
+
     /// What the witnesses say about the master. `handshakes`: new ones. `sound`: this system has no
     /// fault of its own.
     pub(crate) fn judge(

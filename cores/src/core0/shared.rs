@@ -218,10 +218,7 @@ impl<'b, B: Board> Shared<'b, B> {
                     self.hear(at, message)
                 }
                 Heard::WrongCounter(message) => self.hear_stale(message),
-                Heard::Download(system) => {
-                    self.on_host(system);
-                    TaskSet::NONE
-                }
+                Heard::Download(system) => self.on_host(system),
             };
         }
         if left == 0 {
@@ -333,13 +330,17 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// A host asks for the bootloader of a system. A system goes only if the vehicle does not need
-    /// it: as standby, or at standstill. T-BOOT-1
-    fn on_host(&mut self, of: SystemId) {
-        let phase = self.phase();
-        let stands = self.stands && phase.is_some();
-        if of == self.system && (stands || phase == Some(Phase::Standby)) {
+    /// it: beside a master that drives without a fault, or at standstill. A master hands over
+    /// first; the host asks again. T-BOOT-1
+    fn on_host(&mut self, of: SystemId) -> TaskSet {
+        let Some(redundancy) = self.redundancy.as_ref().filter(|_| of == self.system) else {
+            return TaskSet::NONE;
+        };
+        if self.stands || redundancy.may_leave(self.board.now()) {
             self.board.supply().request_reset(ResetRequest::Download);
+            return TaskSet::NONE;
         }
+        self.tell(Input::HandOver)
     }
 
     fn hear(&mut self, at: Instant, message: Message) -> TaskSet {

@@ -341,7 +341,7 @@ fn no_cell_drives_without_a_term() {
 
 fn every_input() -> Vec<Input> {
     let quiet = Bench::starting().snapshot;
-    let mut inputs = Vec::new();
+    let mut inputs = Vec::from([Input::HandOver]);
     for peer_powered in [false, true] {
         for new in [0, 1, u32::MAX] {
             inputs.push(Input::Poll(Snapshot {

@@ -2,9 +2,10 @@
 
 use tandem_board::{CanFrame, CanId, Duration, ResetCause, RoleLamp, SystemId};
 use tandem_board_sim::SystemEventKind;
-use tandem_tests::drive::Drive;
+use tandem_redundancy::Evidence;
+use tandem_tests::drive::{Drive, poller};
 
-use crate::S;
+const MS: fn(u64) -> Duration = Duration::from_ms;
 
 /// The connect request of `docs/boot.md`: to system 1 (A), 2 (B), or 0 (any).
 fn connect(to: u8) -> CanFrame {
@@ -22,28 +23,87 @@ fn resets(drive: &Drive, of: SystemId) -> Vec<ResetCause> {
     reset.collect()
 }
 
-/// The system that drives refuses; the standby goes, for a download; no system hears a host that
-/// names no system. The vehicle drives on without a gap.
-#[test]
-fn only_the_standby_of_a_driving_vehicle_goes_for_a_download() {
-    let mut drive = Drive::new("free-lane", 1);
-    drive.run_for(S(4));
-    let lamp = |drive: &Drive, system| drive.pair.lamp(system);
-    assert_eq!(lamp(&drive, SystemId::A), Some(RoleLamp::Master));
-    assert_eq!(lamp(&drive, SystemId::B), Some(RoleLamp::Standby));
-    for to in [0, 1] {
+/// A drive whose systems resume dual operation while they run.
+fn drive() -> Drive {
+    let mut config = tandem_cores::Config::rt();
+    config.redundancy.reintegrate = true;
+    let mut drive = Drive::with("free-lane", 1, move |board| poller(board, config));
+    drive.run_for(MS(4_000));
+    assert_eq!(lamps(&drive), DUAL);
+    drive
+}
+
+fn lamps(drive: &Drive) -> [Option<RoleLamp>; 2] {
+    SystemId::ALL.map(|system| drive.pair.lamp(system))
+}
+
+/// A drives, B is its standby.
+const DUAL: [Option<RoleLamp>; 2] = [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
+
+/// A host repeats its request for at most 300 ms, as `docs/boot.md` says, until the system goes.
+fn ask(drive: &mut Drive, system: SystemId) {
+    let to = system.index() as u8 + 1;
+    for _ in 0..60 {
         drive.seen.borrow_mut().forged.push(connect(to));
-        drive.run_for(S(1));
+        drive.run_for(MS(5));
+        if !resets(drive, system).is_empty() {
+            return;
+        }
     }
+}
+
+/// T-BOOT-1, U-3: each system goes for a download while the other drives: the standby at once, the
+/// master when it has handed over. Neither costs a control frame.
+#[test]
+fn both_systems_go_for_a_download_while_the_vehicle_drives() {
+    let mut drive = drive();
+    drive.seen.borrow_mut().forged.push(connect(0));
+    drive.run_for(MS(1_000));
     for system in SystemId::ALL {
-        assert_eq!(resets(&drive, system), [], "{system}");
+        assert_eq!(resets(&drive, system), [], "{system} was not named");
     }
-    drive.seen.borrow_mut().forged.push(connect(2));
-    drive.run_for(S(2));
+    ask(&mut drive, SystemId::B);
+    drive.run_for(MS(4_000));
     assert_eq!(resets(&drive, SystemId::B), [ResetCause::Download]);
-    assert_eq!(resets(&drive, SystemId::A), [], "the master drives on");
-    let seen = drive.seen.borrow();
-    let mastership = seen.world.gate().mastership();
-    let gap = Duration::from_ns(mastership.gap_max_ns(drive.pair.now().as_ns()));
-    assert!(gap <= Duration::from_ms(11), "{gap:?}");
+    assert_eq!(lamps(&drive), DUAL, "B is back");
+
+    ask(&mut drive, SystemId::A);
+    drive.run_for(MS(4_000));
+    assert_eq!(resets(&drive, SystemId::A), [ResetCause::Download]);
+    assert_eq!(resets(&drive, SystemId::B), [ResetCause::Download]);
+    let [a, b] = lamps(&drive);
+    assert_eq!([b, a], DUAL, "A is the standby of B");
+    let takeovers = drive.takeovers();
+    let causes: Vec<_> = takeovers.iter().map(|takeover| takeover.cause).collect();
+    assert_eq!(causes, [Some(Evidence::MasterResigns)]);
+    assert!(takeovers[0].gap_ms <= 11.0, "{takeovers:?}");
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+    assert_eq!(drive.two_masters_ns(), 0);
+}
+
+/// T-BOOT-1: one request makes the master hand over; it stays the standby of the other, and goes
+/// only when it is asked again.
+#[test]
+fn a_system_that_drives_does_not_go() {
+    let mut drive = drive();
+    drive.seen.borrow_mut().forged.push(connect(1));
+    drive.run_for(MS(4_000));
+    let [a, b] = lamps(&drive);
+    assert_eq!([b, a], DUAL);
+    assert_eq!(resets(&drive, SystemId::A), []);
+    assert!(drive.gap_max() <= MS(11), "{:?}", drive.gap_max());
+}
+
+/// T-BOOT-1: a standby does not go while its master fails, however often it is asked.
+#[test]
+fn a_standby_does_not_leave_a_master_that_fails() {
+    for after_ms in [5, 8, 12] {
+        let mut drive = drive();
+        drive.pair.power_off(SystemId::A);
+        drive.run_for(MS(after_ms));
+        ask(&mut drive, SystemId::B);
+        assert_eq!(resets(&drive, SystemId::B), [], "after {after_ms} ms");
+        assert_eq!(drive.masters(), SystemId::ALL);
+        assert!(drive.gap_max() <= MS(20), "{:?}", drive.gap_max());
+    }
 }
