@@ -20,6 +20,7 @@ mod report;
 mod rtos_demo;
 mod run;
 mod run_config;
+mod stall_watch;
 mod summary;
 #[cfg(test)]
 mod synthetic;

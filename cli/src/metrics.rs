@@ -2,12 +2,15 @@
 
 use serde::Serialize;
 use tandem_cores::trace::Event;
+use tandem_record::description;
+use tandem_record::gap::{self, Bounds, EndedBy, Stall, Stood};
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
-use tandem_record::{RunLog, ms_between, takeovers};
+use tandem_record::{RunLog, Takeover, ms_between, takeovers};
 use tandem_vehicle::Verdict;
 
 use crate::percentiles::Spans;
+use crate::stall_watch::Seen;
 use crate::timeline::{InterruptMetrics, TaskMetrics, Timeline, WakeMetrics};
 
 /// Value of [`Metrics::schema`]: by it a report folder is recognised as one.
@@ -24,8 +27,10 @@ pub(crate) struct Surroundings {
     pub(crate) timing: String,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
-    /// How long the vehicle can be without control at most when a master falls silent, ms.
-    pub(crate) gap_bound_ms: Option<f64>,
+    /// How long the vehicle can be without control at most, by cause.
+    pub(crate) bounds: Bounds,
+    /// What the machine did, on a board of processes.
+    pub(crate) machine: Seen,
     /// Files and processes that were still there after the end.
     pub(crate) leftovers: Vec<String>,
 }
@@ -92,6 +97,17 @@ pub(crate) struct Metrics {
     pub(crate) chain_max_ms: Option<f64>,
     /// Time in which frames of both systems were accepted, ms.
     pub(crate) two_masters_ms: f64,
+    /// Time in which both systems transmitted control frames as master, ms, whether or not the
+    /// vehicle obeyed them.
+    pub(crate) both_transmitted_ms: f64,
+    /// How much of that the hand-overs of this run explain at most, ms.
+    pub(crate) hand_over_ms: f64,
+    /// Control frames after a takeover that were too old to act.
+    pub(crate) stale_frames: usize,
+    /// Times without control beyond the bound of their cause.
+    pub(crate) gaps: Vec<GapMetrics>,
+    /// How often, and how long at most, the machine stood still.
+    pub(crate) stalls: StallMetrics,
     /// Changes of the system that is obeyed.
     pub(crate) takeovers: Vec<TakeoverMetrics>,
     /// How many of them replaced a master that had not failed.
@@ -120,6 +136,38 @@ pub(crate) struct Metrics {
     pub(crate) leftovers: Vec<String>,
 }
 
+/// One entry of [`Metrics::gaps`].
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct GapMetrics {
+    /// Scenario time of the last accepted frame before it, s.
+    pub(crate) at_s: f64,
+    /// Its length, ms.
+    pub(crate) gap_ms: f64,
+    /// How long it may be, ms.
+    pub(crate) bound_ms: f64,
+    /// What ended it: the sign of a takeover, the same system, or the end of the run.
+    pub(crate) ended_by: String,
+    /// How much of it the machine or the bus stood still, ms.
+    pub(crate) stalled_ms: f64,
+    /// What stood still, in words; empty if nothing did.
+    pub(crate) evidence: String,
+    /// Without the stalls it would have kept its bound.
+    pub(crate) explained: bool,
+}
+
+/// [`Metrics::stalls`].
+#[derive(Clone, Debug, Default, Serialize)]
+pub(crate) struct StallMetrics {
+    /// What watched: the thread's scheduling, in words. Empty on a board in virtual time.
+    pub(crate) watched_by: String,
+    /// How often it woke late.
+    pub(crate) count: usize,
+    /// The longest stall, ms; 0 if there was none.
+    pub(crate) longest_ms: f64,
+    /// How often the vehicle's process, which is the bus, was held up.
+    pub(crate) bus_count: usize,
+}
+
 /// One entry of [`Metrics::takeovers`].
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct TakeoverMetrics {
@@ -135,6 +183,8 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) detected_ms: Option<f64>,
     /// From the old master's last accepted frame to the new one's first, ms.
     pub(crate) gap_ms: f64,
+    /// How long that may be on this sign, ms.
+    pub(crate) bound_ms: f64,
     /// The old master had not failed.
     pub(crate) is_false: bool,
     /// The old master found later that its core had been held up: frozen, or not scheduled.
@@ -205,6 +255,54 @@ fn deadline_misses(log: &RunLog) -> u64 {
         .sum()
 }
 
+/// Milliseconds of a stall.
+fn stall_ms(stall: &Stall) -> f64 {
+    ms_between(stall.from_ns, stall.to_ns)
+}
+
+fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
+    let stalls: Vec<Stall> = around
+        .machine
+        .stalls
+        .iter()
+        .chain(&log.held_up)
+        .copied()
+        .collect();
+    let of_gap = |gap: gap::Gap| {
+        let within = |stall: &&Stall| stall.from_ns < gap.to_ns && gap.from_ns < stall.to_ns;
+        let mut evidence: Vec<String> = Vec::new();
+        for stall in stalls.iter().filter(within) {
+            let what = match stall.of {
+                Stood::Cpu(cpu) => format!("CPU {cpu}"),
+                Stood::Bus => "the vehicle's process".to_owned(),
+            };
+            evidence.push(format!(
+                "{what} gone for {:.1} ms at {:.3} s",
+                stall_ms(stall),
+                log.seconds(stall.from_ns)
+            ));
+        }
+        GapMetrics {
+            at_s: log.seconds(gap.from_ns),
+            gap_ms: gap.ms(),
+            bound_ms: gap.bound_ms,
+            ended_by: match gap.ended_by {
+                EndedBy::SameSystem => "the same system".to_owned(),
+                EndedBy::Nothing => "the end of the run".to_owned(),
+                EndedBy::Takeover(None) => "a takeover, sign not reported".to_owned(),
+                EndedBy::Takeover(Some(sign)) => {
+                    format!("a takeover: {}", description::evidence(sign))
+                }
+            },
+            stalled_ms: gap.stalled_ms,
+            evidence: evidence.join(", "),
+            explained: gap.is_explained(),
+        }
+    };
+    let found = gap::gaps(log, takeovers, &around.bounds, &stalls);
+    found.into_iter().map(of_gap).collect()
+}
+
 /// Computes all figures of a run.
 pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) -> Metrics {
     let period = Spans::from_ms(control_periods_ms(log));
@@ -248,6 +346,21 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         chain_p99_9_ms: chain.percentile_ms(99.9),
         chain_max_ms: chain.max_ms(),
         two_masters_ms: log.mastership().two_masters_ns() as f64 * 1e-6,
+        both_transmitted_ms: gap::both_transmitted_ms(log),
+        hand_over_ms: gap::hand_over_ms(&takeovers),
+        stale_frames: gap::stale_frames(log, &takeovers),
+        gaps: gaps(log, &takeovers, around),
+        stalls: StallMetrics {
+            watched_by: around.machine.watched_by.clone(),
+            count: around.machine.stalls.len(),
+            longest_ms: around
+                .machine
+                .stalls
+                .iter()
+                .map(stall_ms)
+                .fold(0.0, f64::max),
+            bus_count: log.held_up.len(),
+        },
         false_takeovers: takeovers
             .iter()
             .filter(|takeover| takeover.is_false)
@@ -261,12 +374,13 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
                 cause: takeover.cause_in_words().to_owned(),
                 detected_ms: takeover.detected_ms,
                 gap_ms: takeover.gap_ms,
+                bound_ms: around.bounds.of(takeover.cause),
                 is_false: takeover.is_false,
                 held_up: takeover.held_up,
             })
             .collect(),
         detection_bound_ms: around.detection_bound_ms,
-        gap_bound_ms: around.gap_bound_ms,
+        gap_bound_ms: Some(around.bounds.silent_ms).filter(|ms| ms.is_finite()),
         deadline_misses: deadline_misses(log),
         tasks: timeline.tasks.clone(),
         interrupts: timeline.interrupts(),

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, bail};
-use tandem_board::SystemId;
+use tandem_board::{Duration, SystemId};
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
+use tandem_record::gap::Bounds;
 use tandem_record::{RunLog, file};
 use tandem_vehicle::Scenario;
 
@@ -24,6 +25,7 @@ use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, Output};
 use crate::percentiles::Spans;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
+use crate::stall_watch::{Seen, StallWatch};
 use crate::timeline::{self, Timeline};
 use crate::{core_process, emulated, report, summary};
 
@@ -53,7 +55,10 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     };
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
-    let ended = drive(args, &checked, &config, &files, &mut launcher).map_err(Failure::Run)?;
+    let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
+    let ended = drive(args, &checked, &config, &files, &mut launcher);
+    let machine = watch.end();
+    let ended = ended.map_err(Failure::Run)?;
     if ended.interrupted {
         launcher.finish();
         return Err(Failure::Interrupted);
@@ -76,6 +81,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     let collected = Collected::new(&checked.out, &files, &because);
     let around = Surroundings {
         leftovers: leftovers(&launcher.finish()),
+        machine,
         ..surroundings(&config, granted)
     };
     conclude(args, &checked, collected, &around)
@@ -142,12 +148,19 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
 
 fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let limits = core_process::config(config).redundancy;
+    // The bus moves frames once a millisecond.
+    let on_bus = |bound: Duration| bound.as_ms_f64() + 1.0;
     Surroundings {
         granted,
         timing: config.profile.name().to_owned(),
         detection_bound_ms: Some(limits.takeover_bound().as_ms_f64()),
-        // The bus moves frames once a millisecond.
-        gap_bound_ms: Some(limits.gap_bound().as_ms_f64() + 1.0),
+        bounds: Bounds {
+            silent_ms: on_bus(limits.gap_bound()),
+            // The timers of processes are late; the other bounds have that within them.
+            power_ms: on_bus(limits.gap_bound_power() + limits.heartbeat_jitter),
+            mute_ms: on_bus(limits.gap_bound_mute()),
+        },
+        machine: Seen::default(),
         leftovers: vec![],
     }
 }
@@ -174,6 +187,8 @@ struct Checked {
     out: Output,
     pinning: Pinning,
     cpus: Vec<usize>,
+    /// The same, with their places among those that this process may use.
+    places: Vec<(usize, usize)>,
     dflash: Option<PathBuf>,
 }
 
@@ -184,15 +199,23 @@ impl Checked {
         let out = Output::check(&args.out)?;
         outside_shared_memory("--out", out.path())?;
         let available = available_cpus()?;
-        let (pinning, cpus) = match &args.cpus {
-            None => (Pinning::Auto, available),
-            Some(CpuList(asked)) => (Pinning::Cpus(indices(asked, &available)?), asked.clone()),
+        let (pinning, cpus, places) = match &args.cpus {
+            None => {
+                let places = (0..available.len()).collect();
+                (Pinning::Auto, available, places)
+            }
+            Some(CpuList(asked)) => {
+                let places = indices(asked, &available)?;
+                (Pinning::Cpus(places.clone()), asked.clone(), places)
+            }
         };
+        let places = cpus.iter().copied().zip(places).collect();
         let dflash = args.dflash.as_deref().map(check_dflash).transpose()?;
         Ok(Self {
             out,
             pinning,
             cpus,
+            places,
             dflash,
         })
     }

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 use crate::metrics::Metrics;
+use crate::report;
 
 /// The most important figures, and where the rest is.
 pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
@@ -74,7 +75,16 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         format!("{} ms", ms(metrics.control_gap_max_ms)),
     );
     row("two masters", format!("{:.1} ms", metrics.two_masters_ms));
+    row(
+        "both transmitted",
+        format!("{:.1} ms", metrics.both_transmitted_ms),
+    );
     row("takeovers", takeovers(metrics));
+    let verdict: Vec<String> = report::verdict(metrics)
+        .into_iter()
+        .map(|(_, part)| part)
+        .collect();
+    row("verdict", verdict.join(&format!("\n{:24}", "")));
     row("report", report.display().to_string());
     text
 }

@@ -23,6 +23,8 @@ const OTHERS_TICKS: u64 = 100;
 const ROAD_TICKS: u64 = 5_000;
 /// The recorder gets what was collected every 100 ticks.
 const HAND_OVER_TICKS: u64 = 100;
+/// A period that begins later than this was held up, ns.
+const HELD_UP_NS: u64 = 2_000_000;
 /// If no control frame was accepted by then, none will be, ms of 1 kHz ticks.
 const GIVE_UP_TICKS: u64 = 15_000;
 
@@ -79,6 +81,8 @@ struct Drive<P> {
     collides: bool,
     powered: [bool; 2],
     lost_trace: u64,
+    /// Until when the bus was held up, ns.
+    held_up_ns: u64,
 }
 
 impl<P> Drive<P>
@@ -113,6 +117,7 @@ where
             collides: false,
             powered: [false; 2],
             lost_trace: 0,
+            held_up_ns: 0,
         })
     }
 
@@ -123,6 +128,7 @@ where
             if self.port.stop_requested() {
                 return Ok(Ended::Stopped);
             }
+            self.note_lateness(due.as_ns());
             let Self {
                 world,
                 port,
@@ -143,6 +149,18 @@ where
             if time_s >= self.duration_s || (!self.running && self.ticks >= GIVE_UP_TICKS) {
                 return Ok(Ended::ByItself);
             }
+        }
+    }
+
+    /// Notes a period that begins late: the bus carried nothing meanwhile.
+    fn note_lateness(&mut self, due_ns: u64) {
+        let to_ns = self.port.now().as_ns();
+        let from_ns = due_ns.max(self.held_up_ns);
+        // The periods that follow at once to catch up were held up by the same.
+        if to_ns.saturating_sub(from_ns) > HELD_UP_NS {
+            self.held_up_ns = to_ns;
+            self.recorder
+                .record(VehicleRecord::HeldUp { from_ns, to_ns });
         }
     }
 

@@ -7,6 +7,7 @@
 
 pub mod description;
 pub mod file;
+pub mod gap;
 pub mod log;
 pub mod reaction;
 pub mod roles;

@@ -136,6 +136,13 @@ pub enum VehicleRecord {
         /// Whether the system has power and is out of reset.
         on: bool,
     },
+    /// The vehicle's process, which is the bus, did not run.
+    HeldUp {
+        /// When its period was due, ns.
+        from_ns: u64,
+        /// When it ran, ns.
+        to_ns: u64,
+    },
     /// The own vehicle touched another one.
     Collision {
         /// ns

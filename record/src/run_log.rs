@@ -7,6 +7,7 @@ use tandem_vehicle::mastership::Mastership;
 use tandem_vehicle::{LoggedFrame, Verdict};
 
 use crate::file::Entry;
+use crate::gap::{Stall, Stood};
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 
 /// A control frame, as the vehicle judged it.
@@ -108,6 +109,8 @@ pub struct RunLog {
     pub supplies: Vec<(u64, SystemId, SupplyEvent)>,
     /// Changes of the systems' power.
     pub power: Vec<PowerChange>,
+    /// Times in which the bus stood still.
+    pub held_up: Vec<Stall>,
     /// When the vehicle touched another one, ns.
     pub collisions_ns: Vec<u64>,
     /// The vehicle's own figures.
@@ -195,6 +198,11 @@ impl RunLog {
                 self.power
                     .extend(system.map(|system| PowerChange { at_ns, system, on }));
             }
+            VehicleRecord::HeldUp { from_ns, to_ns } => self.held_up.push(Stall {
+                of: Stood::Bus,
+                from_ns,
+                to_ns,
+            }),
             VehicleRecord::Collision { at_ns } => self.collisions_ns.push(at_ns),
             VehicleRecord::Figures(figures) => self.figures = figures,
             VehicleRecord::End {

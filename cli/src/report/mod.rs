@@ -10,11 +10,13 @@ use tandem_page::{legend, section, tile};
 use tandem_record::roles::State;
 use tandem_record::{RunLog, Takeover, description, takeovers};
 
-use crate::metrics::Metrics;
+use crate::metrics::{GapMetrics, Metrics};
 use crate::timeline::Timeline;
 
 /// Rows of the event log; more would bury what matters.
 const EVENT_ROWS: usize = 200;
+/// Gaps that the verdict tells one by one; `metrics.json` has all.
+const TOLD_GAPS: usize = 5;
 
 /// The whole page.
 pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> String {
@@ -63,6 +65,20 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
         format!("two masters for {:.1} ms", metrics.two_masters_ms),
     );
     object(
+        metrics.both_transmitted_ms > metrics.hand_over_ms,
+        format!(
+            "both systems transmitted for {:.1} ms",
+            metrics.both_transmitted_ms
+        ),
+    );
+    object(
+        metrics.stale_frames > 0,
+        format!(
+            "{} control frame(s) after a takeover were too old to act",
+            metrics.stale_frames
+        ),
+    );
+    object(
         metrics.false_takeovers > 0,
         format!(
             "{} takeover(s) from a master that had not failed",
@@ -73,11 +89,67 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
         !metrics.leftovers.is_empty(),
         format!("{} leftover(s)", metrics.leftovers.len()),
     );
+    let unexplained: Vec<&GapMetrics> = metrics.gaps.iter().filter(|gap| !gap.explained).collect();
+    objections.extend(unexplained.iter().take(TOLD_GAPS).map(|gap| {
+        let evidence = match gap.evidence.as_str() {
+            "" => "no stall explains it".to_owned(),
+            found => format!("{found} does not explain it"),
+        };
+        format!("{}; {evidence}", without_control(gap))
+    }));
+    if let Some(more @ 1..) = unexplained.len().checked_sub(TOLD_GAPS) {
+        objections.push(format!("and {more} more gaps beyond their bounds"));
+    }
     objections
 }
 
+/// What the machine did to a run that has no fault of the product, in words; empty if it did
+/// nothing that anyone drove without.
+pub(crate) fn machine_stalled(metrics: &Metrics) -> Vec<String> {
+    let explained = metrics.gaps.iter().filter(|gap| gap.explained);
+    explained
+        .map(|gap| {
+            format!(
+                "machine stalled (evidence: {}): {}",
+                gap.evidence,
+                without_control(gap)
+            )
+        })
+        .collect()
+}
+
+fn without_control(gap: &GapMetrics) -> String {
+    format!(
+        "no system drove for {:.1} ms from {:.3} s on, up to {} (bound {:.0} ms)",
+        gap.gap_ms, gap.at_s, gap.ended_by, gap.bound_ms
+    )
+}
+
+/// The verdict in words, each part with the class of its colour.
+pub(crate) fn verdict(metrics: &Metrics) -> Vec<(&'static str, String)> {
+    let mut parts: Vec<_> = objections(metrics)
+        .into_iter()
+        .map(|objection| ("bad", objection))
+        .collect();
+    let stalled = machine_stalled(metrics);
+    if parts.is_empty() && stalled.is_empty() {
+        let all_well = "The vehicle was under control from start to end".to_owned();
+        return vec![("good", all_well)];
+    }
+    let unkept = stalled.len().saturating_sub(TOLD_GAPS);
+    parts.extend(
+        stalled
+            .into_iter()
+            .take(TOLD_GAPS)
+            .map(|part| ("warn", part)),
+    );
+    if unkept > 0 {
+        parts.push(("warn", format!("and {unkept} more stalls of the machine")));
+    }
+    parts
+}
+
 fn header(metrics: &Metrics) -> Markup {
-    let objections = objections(metrics);
     html! {
         h1 { "Scenario " (metrics.scenario) }
         p.sub {
@@ -85,10 +157,8 @@ fn header(metrics: &Metrics) -> Markup {
             (format!("{:.1} s", metrics.duration_asked_s)) " asked for"
             " · seed " (metrics.seed) " · " (metrics.control_frames) " control frames"
         }
-        @if objections.is_empty() {
-            div.verdict.good { "The vehicle was under control from start to end" }
-        } @else {
-            div.verdict.bad { (objections.join(" · ")) }
+        @for (class, part) in verdict(metrics) {
+            div class=(format!("verdict {class}")) { (part) }
         }
     }
 }
@@ -253,7 +323,7 @@ fn takeover_table(metrics: &Metrics) -> Markup {
                             td.num { (optional_ms(takeover.detected_ms)) }
                             td.num { (optional_ms(bound)) }
                             td.num { (format!("{:.2} ms", takeover.gap_ms)) }
-                            td.num { (optional_ms(metrics.gap_bound_ms)) }
+                            td.num { (format!("{:.2} ms", takeover.bound_ms)) }
                             td.bad {
                                 @if takeover.is_false { "the old master had not failed" }
                                 @if takeover.held_up { "the old master had been held up" }
@@ -287,6 +357,7 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Invalid control frames", metrics.invalid_frames.to_string()))
                     (row("Lost trace records", metrics.lost_trace.to_string()))
                     (row("The world stood still", format!("{:.0} ms", metrics.stalled_ms)))
+                    (row("Stalls of the machine", stalls(metrics)))
                     (row("Left behind", match metrics.leftovers.as_slice() {
                         [] => "nothing".to_owned(),
                         found => found.join(", "),
@@ -306,6 +377,17 @@ fn conditions(metrics: &Metrics) -> Markup {
             }
         }
     }
+}
+
+fn stalls(metrics: &Metrics) -> String {
+    let stalls = &metrics.stalls;
+    if stalls.watched_by.is_empty() {
+        return "none: virtual time".to_owned();
+    }
+    format!(
+        "{}, {:.1} ms at most (seen by {}); the vehicle's process was held up {} times",
+        stalls.count, stalls.longest_ms, stalls.watched_by, stalls.bus_count
+    )
 }
 
 /// One row of the event log: scenario time, who, what.

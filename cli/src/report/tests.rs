@@ -2,8 +2,10 @@
 
 use super::*;
 use crate::metrics::Surroundings;
+use crate::stall_watch::Seen;
 use crate::timeline::Timeline;
 use crate::{metrics, synthetic, timeline};
+use tandem_record::gap::{Bounds, Stall, Stood};
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);
@@ -11,7 +13,12 @@ fn synthetic_page() -> String {
         granted: "SCHED_FIFO, memory locked, CPUs 0 and 1".into(),
         timing: "rt".into(),
         detection_bound_ms: Some(3.2),
-        gap_bound_ms: Some(14.5),
+        bounds: Bounds {
+            silent_ms: 20.0,
+            power_ms: 14.5,
+            mute_ms: 20.0,
+        },
+        machine: Seen::default(),
         leftovers: Vec::new(),
     };
     let moment = takeovers(&log)[0].at_ns;
@@ -77,4 +84,73 @@ fn names_from_a_scenario_file_are_text_and_no_markup() {
         &metrics::compute(&log, &Timeline::default(), &around),
     );
     assert!(!page.contains("<script>"));
+}
+
+/// A run in which both systems lose power in the middle, and what its report says.
+fn nobody_drives(machine: Seen) -> (metrics::Metrics, String) {
+    let mut log = synthetic::with_takeover(8.0);
+    let middle_ns = log.start_ns.unwrap() + 4_000_000_000;
+    log.control.retain(|frame| frame.at_ns < middle_ns);
+    let bounds = Bounds {
+        silent_ms: 20.0,
+        power_ms: 16.0,
+        mute_ms: 19.0,
+    };
+    let around = Surroundings {
+        bounds,
+        machine,
+        ..Surroundings::default()
+    };
+    let metrics = metrics::compute(&log, &Timeline::default(), &around);
+    let page = page(&log, &Timeline::default(), &metrics);
+    (metrics, page)
+}
+
+#[test]
+fn a_run_in_which_nobody_drives_fails() {
+    let (metrics, page) = nobody_drives(Seen::default());
+    let objections = objections(&metrics);
+    assert_eq!(objections.len(), 1, "{objections:?}");
+    assert!(
+        objections[0].contains("no system drove for 4"),
+        "{objections:?}"
+    );
+    assert!(
+        objections[0].contains("no stall explains it"),
+        "{objections:?}"
+    );
+    assert!(page.contains(&objections[0]) && !page.contains("under control from start"));
+}
+
+/// A stall of the machine is no fault of the product, and not "all well" either.
+#[test]
+fn a_gap_that_a_stall_explains_is_told_with_its_evidence() {
+    let start_ns = synthetic::with_takeover(8.0).start_ns.unwrap();
+    let stall = |from_ms: u64, to_ms: u64| Seen {
+        stalls: vec![Stall {
+            of: Stood::Cpu(1),
+            from_ns: start_ns + from_ms * 1_000_000,
+            to_ns: start_ns + to_ms * 1_000_000,
+        }],
+        watched_by: "a test".into(),
+    };
+    let (metrics, page) = nobody_drives(stall(4_000, 8_000));
+    assert!(
+        objections(&metrics).is_empty(),
+        "{:?}",
+        objections(&metrics)
+    );
+    assert!(metrics.gaps[0].explained && metrics.stalls.count == 1);
+    let said = &machine_stalled(&metrics)[0];
+    assert!(
+        said.starts_with("machine stalled (evidence: CPU 1 gone for 4000.0 ms"),
+        "{said}"
+    );
+    assert!(page.contains(said.as_str()) && !page.contains("under control from start"));
+    let (metrics, _) = nobody_drives(stall(4_000, 6_000));
+    let said = objections(&metrics);
+    assert!(
+        said[0].ends_with("gone for 2000.0 ms at 4.000 s does not explain it"),
+        "{said:?}"
+    );
 }

@@ -1,0 +1,370 @@
+//! Times without control, each against the bound of its cause and beside what was seen to stand
+//! still then; and the times in which both systems transmitted.
+
+use tandem_board::SystemId;
+use tandem_redundancy::Evidence;
+use tandem_vehicle::Verdict;
+use tandem_vehicle::mastership::Mastership;
+
+use crate::run_log::ControlFrame;
+use crate::{RunLog, Takeover, ms_between};
+
+/// A system that sends no control frame for longer than this does not transmit, ns: one and a half
+/// control periods.
+const SILENT_NS: u64 = 15_000_000;
+/// A refused frame belongs to a takeover if it arrives within this time after it, ns: all that was
+/// under way then has arrived.
+const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
+/// A new master whose predecessor still lives is heard by it within one control period and one
+/// move of the bus, ms.
+const HAND_OVER_MS: f64 = 11.0;
+
+/// How long the vehicle may be without control, ms, by the sign of the takeover that ends it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounds {
+    /// The old master fell silent, by any sign but the following two. Also without a takeover: a
+    /// master that is late for longer is replaced.
+    pub silent_ms: f64,
+    /// The power level of the old master fell.
+    pub power_ms: f64,
+    /// The old master lived, and its frames did not reach the vehicle.
+    pub mute_ms: f64,
+}
+
+/// No bounds.
+impl Default for Bounds {
+    fn default() -> Self {
+        Self {
+            silent_ms: f64::INFINITY,
+            power_ms: f64::INFINITY,
+            mute_ms: f64::INFINITY,
+        }
+    }
+}
+
+impl Bounds {
+    /// The bound of a takeover on this sign.
+    #[must_use]
+    pub const fn of(&self, cause: Option<Evidence>) -> f64 {
+        match cause {
+            Some(Evidence::PeerOff) => self.power_ms,
+            Some(Evidence::MasterMute) => self.mute_ms,
+            _ => self.silent_ms,
+        }
+    }
+}
+
+/// What stood still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stood {
+    /// A CPU of the machine: a thread that does nothing else and goes before all of the run did not
+    /// get it.
+    Cpu(usize),
+    /// The vehicle's process, and with it the bus: somebody stopped it, or it got no CPU.
+    Bus,
+}
+
+/// A time in which something stood still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stall {
+    /// What.
+    pub of: Stood,
+    /// From, on the run's clock, ns.
+    pub from_ns: u64,
+    /// To, ns.
+    pub to_ns: u64,
+}
+
+/// What ended a gap.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum EndedBy {
+    /// The system that had driven before, in the same or a later term.
+    SameSystem,
+    /// The other system, on this sign.
+    Takeover(Option<Evidence>),
+    /// The end of the run: no system drove any more.
+    Nothing,
+}
+
+/// A time without an accepted control frame that is longer than its cause permits.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Gap {
+    /// The last accepted frame before, ns.
+    pub from_ns: u64,
+    /// The first one after, or the end of the run, ns.
+    pub to_ns: u64,
+    /// What ended it.
+    pub ended_by: EndedBy,
+    /// How long it may be, ms.
+    pub bound_ms: f64,
+    /// How much of it the machine or the bus stood still, ms.
+    pub stalled_ms: f64,
+}
+
+impl Gap {
+    /// Its length.
+    #[must_use]
+    pub fn ms(&self) -> f64 {
+        ms_between(self.from_ns, self.to_ns)
+    }
+
+    /// Without what stood still it would have kept its bound.
+    #[must_use]
+    pub fn is_explained(&self) -> bool {
+        self.ms() - self.stalled_ms <= self.bound_ms
+    }
+}
+
+/// The gaps beyond their bounds, in order. `takeovers` are those of the same log.
+#[must_use]
+pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Stall]) -> Vec<Gap> {
+    let accepted: Vec<&ControlFrame> = log.accepted().collect();
+    let between = accepted.windows(2).map(|pair| {
+        let of_pair = |takeover: &&Takeover| takeover.at_ns == pair[1].at_ns;
+        let ended_by = if pair[0].system == pair[1].system {
+            EndedBy::SameSystem
+        } else {
+            EndedBy::Takeover(takeovers.iter().find(of_pair).and_then(|of| of.cause))
+        };
+        (pair[0].at_ns, pair[1].at_ns, ended_by)
+    });
+    let last = accepted.last().zip(log.end_ns);
+    let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, EndedBy::Nothing));
+    between
+        .chain(open)
+        .filter_map(|(from_ns, to_ns, ended_by)| {
+            let bound_ms = match ended_by {
+                EndedBy::Takeover(cause) => bounds.of(cause),
+                EndedBy::SameSystem | EndedBy::Nothing => bounds.silent_ms,
+            };
+            let is_beyond = ms_between(from_ns, to_ns) > bound_ms;
+            is_beyond.then(|| Gap {
+                from_ns,
+                to_ns,
+                ended_by,
+                bound_ms,
+                stalled_ms: stalled_ms(stalls, from_ns, to_ns),
+            })
+        })
+        .collect()
+}
+
+/// How much of this time something stood still, ms. What several saw counts once.
+fn stalled_ms(stalls: &[Stall], from_ns: u64, to_ns: u64) -> f64 {
+    let within = stalls
+        .iter()
+        .map(|stall| (stall.from_ns.max(from_ns), stall.to_ns.min(to_ns)));
+    let mut within: Vec<(u64, u64)> = within.filter(|(from, to)| from < to).collect();
+    within.sort_unstable();
+    let (mut counted_ns, mut until_ns) = (0, 0);
+    for (from, to) in within {
+        counted_ns += to.saturating_sub(from.max(until_ns));
+        until_ns = until_ns.max(to);
+    }
+    counted_ns as f64 * 1e-6
+}
+
+/// Time in which both systems transmitted control frames as master, ms, whether the vehicle obeyed
+/// or refused them. From the first frame of the one to the frame that follows the last of the
+/// other, by the times at which they were sent.
+#[must_use]
+pub fn both_transmitted_ms(log: &RunLog) -> f64 {
+    let claims =
+        |frame: &&ControlFrame| !matches!(frame.verdict, Verdict::NotMaster | Verdict::Invalid);
+    let mut sent: Vec<(u64, SystemId)> = log
+        .control
+        .iter()
+        .filter(claims)
+        .map(|frame| (frame.sent_ns, frame.system))
+        .collect();
+    sent.sort_unstable();
+    // Each row of frames without a silence is a mastership of its own.
+    let (mut both, mut row) = (Mastership::default(), 0);
+    let mut last: [Option<(u64, u32)>; 2] = [None; 2];
+    for (at_ns, system) in sent {
+        let goes_on = |(last_ns, _): &(u64, u32)| at_ns - last_ns <= SILENT_NS;
+        let of = last[system.index()].filter(goes_on).map_or_else(
+            || {
+                row += 1;
+                row
+            },
+            |(_, row)| row,
+        );
+        last[system.index()] = Some((at_ns, of));
+        both.accept(at_ns, system.index() as u8, of);
+    }
+    both.two_masters_ns() as f64 * 1e-6
+}
+
+/// How long both systems may have transmitted, ms. A master that resigns sends until it hears the
+/// new one, and one that was held up may have a frame under way.
+#[must_use]
+pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
+    let lived = |of: &&Takeover| of.held_up || of.cause == Some(Evidence::MasterResigns);
+    takeovers.iter().filter(lived).count() as f64 * HAND_OVER_MS
+}
+
+/// Control frames that arrived within a second after a takeover and rested on data, or had been
+/// made, too long ago to act.
+#[must_use]
+pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
+    let follows = |frame: &&ControlFrame| {
+        let mut after = takeovers.iter().map(|of| frame.at_ns.checked_sub(of.at_ns));
+        after.any(|after| after.is_some_and(|after| after < AFTER_TAKEOVER_NS))
+    };
+    let stale = log
+        .control
+        .iter()
+        .filter(|frame| frame.verdict == Verdict::Stale);
+    stale.filter(follows).count()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::takeovers;
+    use tandem_bus::Mode;
+    use tandem_cores::trace::Event;
+
+    const A: SystemId = SystemId::A;
+    const B: SystemId = SystemId::B;
+    const BOUNDS: Bounds = Bounds {
+        silent_ms: 20.0,
+        power_ms: 16.0,
+        mute_ms: 19.0,
+    };
+
+    fn frame(at_ms: u64, system: SystemId, verdict: Verdict) -> ControlFrame {
+        ControlFrame {
+            at_ns: at_ms * 1_000_000,
+            sent_ns: at_ms * 1_000_000,
+            system,
+            term: 2 + system.index() as u32,
+            mode: Mode::L3,
+            age_ns: None,
+            verdict,
+        }
+    }
+
+    /// Accepted frames of (time in ms, system).
+    fn log(frames: &[(u64, SystemId)], end_ms: u64) -> RunLog {
+        let accepted =
+            |(at_ms, system): &(u64, SystemId)| frame(*at_ms, *system, Verdict::Accepted);
+        RunLog {
+            control: frames.iter().map(accepted).collect(),
+            start_ns: Some(0),
+            end_ns: Some(end_ms * 1_000_000),
+            ..RunLog::default()
+        }
+    }
+
+    fn stall(of: Stood, from_ms: u64, to_ms: u64) -> Stall {
+        let (from_ns, to_ns) = (from_ms * 1_000_000, to_ms * 1_000_000);
+        Stall { of, from_ns, to_ns }
+    }
+
+    fn found(log: &RunLog, stalls: &[Stall]) -> Vec<Gap> {
+        gaps(log, &takeovers(log), &BOUNDS, stalls)
+    }
+
+    /// T-RED-8: each gap is held against the bound of its cause.
+    #[test]
+    fn a_gap_is_judged_by_the_bound_of_the_sign_that_ended_it() {
+        for (cause, to_ms, is_beyond) in [
+            (Evidence::PeerOff, 26, false),
+            (Evidence::PeerOff, 27, true),
+            (Evidence::MasterMute, 29, false),
+            (Evidence::MasterMute, 30, true),
+            (Evidence::PeerSilent, 30, false),
+            (Evidence::PeerSilent, 31, true),
+        ] {
+            let mut log = log(&[(0, A), (10, A), (to_ms, B)], to_ms);
+            log.events = vec![crate::run_log::CoreEvent {
+                at_ns: to_ms * 1_000_000,
+                system: B,
+                core: tandem_board::CoreId::CONTROL,
+                event: Event::TookOver {
+                    cause,
+                    since_heartbeat_us: 0,
+                    since_control_us: 0,
+                    term: 3,
+                },
+            }];
+            assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{cause:?} {to_ms}");
+        }
+        let same = log(&[(0, A), (21, A)], 21);
+        assert_eq!(found(&same, &[])[0].ended_by, EndedBy::SameSystem);
+    }
+
+    #[test]
+    fn a_run_in_which_no_system_drives_any_more_has_a_gap_to_its_end() {
+        let gap = found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
+        assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
+        assert!(!gap.is_explained());
+    }
+
+    #[test]
+    fn a_gap_is_explained_by_a_stall_that_makes_up_for_all_beyond_the_bound() {
+        let log = log(&[(0, A), (50, A)], 50);
+        let cpu = Stood::Cpu(1);
+        let explained = |stalls: &[Stall]| found(&log, stalls)[0].is_explained();
+        assert!(!explained(&[]));
+        assert!(!explained(&[stall(cpu, 5, 34)]), "1 ms too short");
+        assert!(explained(&[stall(cpu, 5, 35)]));
+        assert!(!explained(&[stall(cpu, 60, 90)]), "at another time");
+        assert!(!explained(&[
+            stall(cpu, 0, 20),
+            stall(Stood::Cpu(0), 0, 20)
+        ]));
+        assert!(explained(&[stall(cpu, 0, 20), stall(Stood::Bus, 10, 30)]));
+    }
+
+    /// T-CHIP-7, T-RED-9: counted before the vehicle fences anything off.
+    #[test]
+    fn both_systems_transmitting_is_counted_though_the_vehicle_refuses_one() {
+        let both = |frames: &[ControlFrame]| {
+            both_transmitted_ms(&RunLog {
+                control: frames.to_vec(),
+                ..RunLog::default()
+            })
+        };
+        let row = |system, verdict, from: u64, to: u64| {
+            (from..to)
+                .step_by(10)
+                .map(move |at| frame(at, system, verdict))
+        };
+        let (accepted, fenced) = (Verdict::Accepted, Verdict::Fenced);
+        let master: Vec<_> = row(A, accepted, 0, 1_000).collect();
+        assert_eq!(both(&master), 0.0);
+        // A standby that chatters, and one frame of it.
+        let chatters = [master.clone(), row(B, fenced, 205, 300).collect()].concat();
+        assert_eq!(both(&chatters), 95.0);
+        let one = [master.clone(), vec![frame(503, B, fenced)]].concat();
+        assert_eq!(both(&one), 7.0);
+        // A master that thaws long after it was deposed did not transmit all the time.
+        let thawed = [
+            row(A, accepted, 0, 100).collect(),
+            row(B, accepted, 113, 800).collect(),
+            vec![frame(504, A, fenced)],
+        ];
+        assert_eq!(both(&thawed.concat()), 9.0);
+        // A clean takeover, and there and back; and a standby that says that it is none.
+        let clean = [
+            row(A, accepted, 0, 100).collect(),
+            row(B, accepted, 113, 300).collect::<Vec<_>>(),
+            row(A, accepted, 313, 500).collect(),
+        ];
+        assert_eq!(both(&clean.concat()), 0.0);
+        let said = [master, row(B, Verdict::NotMaster, 5, 500).collect()].concat();
+        assert_eq!(both(&said), 0.0);
+    }
+
+    #[test]
+    fn stale_frames_count_after_a_takeover() {
+        let mut log = log(&[(0, A), (10, A), (23, B)], 3_000);
+        for at_ms in [5, 30, 900, 2_000] {
+            log.control.push(frame(at_ms, B, Verdict::Stale));
+        }
+        assert_eq!(stale_frames(&log, &takeovers(&log)), 2);
+    }
+}
