@@ -2,14 +2,19 @@
 
 use std::cell::RefCell;
 use std::rc::Rc;
-use tandem_board::{Board, CanFrame, Carried, CoreId, Duration, Instant, SystemId, VehicleBus};
+use tandem_board::{
+    Board, CanFrame, Carried, CoreId, DataFlash, Duration, FlashError, Instant, SystemId,
+    VehicleBus,
+};
 use tandem_board_sim::{Config, Poller, SimBoard, SimPair, WorldTick};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
 use tandem_cores::trace::Event;
+use tandem_record::gap::{Bounds, Gap, both_transmitted_ms, gaps};
 use tandem_record::{Entry, RunLog, Takeover, takeovers};
+use tandem_redundancy::{Geometry, Loaded, StateStore, SystemState};
 use tandem_vehicle::{Scenario, World};
 
 /// What the vehicle saw during a drive.
@@ -149,6 +154,48 @@ impl Drive {
         let seen = self.seen.borrow();
         let last_ns = seen.log.accepted().last().map_or(0, |frame| frame.at_ns);
         Duration::from_ns(seen.log.mastership().gap_max_ns(last_ns))
+    }
+
+    /// What the data flash of a system holds.
+    ///
+    /// # Panics
+    /// If it holds no valid record.
+    #[must_use]
+    pub fn state_in_flash(&self, system: SystemId) -> SystemState {
+        let bytes = self.pair.flash(system);
+        let read = |offset: u32, into: &mut [u8]| {
+            let from = bytes
+                .get(offset as usize..)
+                .and_then(|from| from.get(..into.len()));
+            into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
+            Ok(())
+        };
+        let sector_bytes = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
+        match StateStore::load(Geometry::first_sectors(sector_bytes), read).1 {
+            Loaded::State(state) => state,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// The gaps beyond the bounds of their causes, of a board whose timers are never late.
+    #[must_use]
+    pub fn gaps_beyond(&self) -> Vec<Gap> {
+        let limits = tandem_cores::Config::rt().redundancy;
+        // The vehicle hears what was on the bus once a millisecond.
+        let heard = |bound: Duration| bound.as_ms_f64() + 1.0;
+        let bounds = Bounds {
+            silent_ms: heard(limits.gap_bound()),
+            power_ms: heard(limits.gap_bound_power()),
+            mute_ms: heard(limits.gap_bound_mute()),
+        };
+        gaps(&self.seen.borrow().log, &self.takeovers(), &bounds, &[])
+    }
+
+    /// Time in which both systems transmitted as master, whether the vehicle obeyed them or not,
+    /// ms.
+    #[must_use]
+    pub fn both_transmitted_ms(&self) -> f64 {
+        both_transmitted_ms(&self.seen.borrow().log)
     }
 
     /// Time in which both systems drove, ns.

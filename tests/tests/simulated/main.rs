@@ -16,9 +16,16 @@ mod stale;
 mod terms;
 mod wrong;
 
-use tandem_board::{CoreId, Duration, SystemId};
+use tandem_board::{CoreId, Duration, Instant, RoleLamp, SystemId};
+use tandem_bus::{Control, Mode, Role, Transmitter};
 use tandem_cores::trace::Event;
+use tandem_record::gap::both_transmitted_ms;
+use tandem_record::run_log::ControlFrame;
+use tandem_record::takeovers;
+use tandem_redundancy::{Evidence, Phase};
 use tandem_tests::drive::Drive;
+
+type TracedEvent = (Instant, SystemId, CoreId, Event);
 
 const S: fn(u64) -> Duration = |seconds| Duration::from_ms(seconds * 1000);
 
@@ -61,6 +68,79 @@ fn both_systems_drive_and_only_the_master_transmits() {
     assert!(drive.seen.borrow().log.accepted().count() > 5900);
     assert!(drive.gap_max() <= Duration::from_ms(11));
     assert!(drive.takeovers().is_empty());
+    // Not one frame of the standby is on the bus, not even one that the vehicle would refuse.
+    let seen = drive.seen.borrow();
+    let chatters = |frame: &&ControlFrame| frame.system == SystemId::B;
+    assert_eq!(seen.log.control.iter().find(chatters), None);
+    assert_eq!(both_transmitted_ms(&seen.log), 0.0);
+    // It computes all the same: as often as the master.
+    let chains = |of: SystemId| {
+        let of = |e: &&TracedEvent| e.1 == of && matches!(e.3, Event::Chain { .. });
+        drive.events.iter().filter(of).count()
+    };
+    assert!(chains(SystemId::B) > 1_100 && chains(SystemId::A).abs_diff(chains(SystemId::B)) < 5);
+}
+
+/// T-RED-2: both systems begin dual operation on the same edge: their times differ by less than
+/// 2 ms (thesis: 572 µs), and each one's first control cycle lies as far from it.
+#[test]
+fn both_systems_start_in_step() {
+    let mut drive = Drive::new("free-lane", 6);
+    drive.run_for(S(4));
+    let first = |of: SystemId, wanted: Phase| {
+        let found = drive.events.iter().find_map(|(at, system, _, event)| {
+            let is_it = matches!(event, Event::Phase { to, .. } if *to == wanted);
+            (*system == of && is_it).then_some(*at)
+        });
+        found.expect("a phase")
+    };
+    let (a, b) = (
+        first(SystemId::A, Phase::Master),
+        first(SystemId::B, Phase::Standby),
+    );
+    let skew_us = a.as_ns().abs_diff(b.as_ns()) / 1_000;
+    println!("the systems' times differ by {skew_us} us");
+    assert!(skew_us < 2_000, "{skew_us} us");
+}
+
+/// T-CHIP-7, T-RED-9: a second transmitter is found before the vehicle's fence hides it: a standby
+/// that chatters in an old term, and a forged master in a higher one.
+#[test]
+fn a_second_transmitter_is_found_although_the_vehicle_fences_it_off() {
+    for above in [false, true] {
+        let mut drive = Drive::new("free-lane", 7);
+        drive.run_for(S(5));
+        let term = drive.seen.borrow().log.accepted().last().map(|f| f.term);
+        let term = term.expect("A drives");
+        assert_eq!((drive.both_transmitted_ms(), term & 1), (0.0, 0));
+        let mut transmitter = Transmitter::new();
+        for _ in 0..20 {
+            let control = Control {
+                role: Role::Master,
+                mode: Mode::L3,
+                term: if above { term + 1 } else { term - 1 },
+                ..Control::default()
+            };
+            stale::forge(&drive, &mut transmitter, control);
+            drive.run_for(Duration::from_ms(10));
+        }
+        let both_ms = drive.both_transmitted_ms();
+        drive.run_for(Duration::from_ms(300));
+        let log = &drive.seen.borrow().log;
+        let takeovers = takeovers(log);
+        if above {
+            // A hears the higher term and closes its output. It had not failed.
+            assert_eq!((both_ms, takeovers[0].to), (0.0, SystemId::B));
+            assert!(
+                takeovers[0].is_false && takeovers[0].cause.is_none(),
+                "{takeovers:?}"
+            );
+        } else {
+            assert!((180.0..220.0).contains(&both_ms), "{both_ms} ms");
+            assert!(takeovers.is_empty(), "{takeovers:?}");
+        }
+        assert_eq!(log.mastership().two_masters_ns(), 0, "the fence holds");
+    }
 }
 
 /// T-RED-4, T-RED-9: the master loses its supply; one takeover, a gap below 20 ms, no collision.
@@ -78,19 +158,53 @@ fn the_standby_takes_over_when_the_master_loses_its_supply() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// T-RED-8: the master's processor dies and comes back as standby; then the other loses its supply.
+/// T-RED-8, T-RED-1: the master's processor dies and comes back as standby; then the other loses its
+/// supply. Each takeover has its cause and keeps the bound of it, the old master is standby in
+/// between, and the flash of both tells what happened.
 #[test]
 fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     let mut drive = Drive::new("slow-leader", 3);
     drive.run_for(S(15));
+    let before = SystemId::ALL.map(|of| drive.state_in_flash(of));
+    assert_eq!(before.map(|state| state.is_master), [true, false]);
     drive.pair.kill_core(SystemId::A, CoreId::CONTROL);
     drive.run_for(S(15));
+    assert_eq!(drive.pair.lamp(SystemId::A), Some(RoleLamp::Standby));
+    let [a, b] = SystemId::ALL.map(|of| drive.state_in_flash(of));
+    assert_eq!((a.is_master, b.is_master), (false, true));
+    assert_eq!(a.abn_resets, before[0].abn_resets + 1);
+    assert_eq!(a.total_resets, before[0].total_resets + 1);
+    let resets = (before[1].abn_resets, before[1].total_resets);
+    assert_eq!((b.abn_resets, b.total_resets), resets);
+    assert!(b.term > before[0].term && !b.sys_failure && !a.sys_failure);
+
     drive.pair.power_off(SystemId::B);
     drive.run_for(S(20));
     print_story(&drive);
     assert_eq!(drive.masters(), [SystemId::A, SystemId::B, SystemId::A]);
-    assert_eq!(drive.takeovers().len(), 2);
-    assert!(drive.gap_max() < Duration::from_ms(20));
+    let takeovers = drive.takeovers();
+    let causes: Vec<_> = takeovers.iter().map(|takeover| takeover.cause).collect();
+    // The heartbeats of a dead processor end before its supply resets it; a supply tells at once.
+    assert_eq!(
+        causes,
+        [Some(Evidence::PeerSilent), Some(Evidence::PeerOff)]
+    );
+    let limits = tandem_cores::Config::rt().redundancy;
+    let bounds = [
+        limits.takeover_bound(),
+        limits.level_limit() + limits.poll_interval,
+    ];
+    for (takeover, bound) in takeovers.iter().zip(bounds) {
+        let detected_ms = takeover.detected_ms.expect("told");
+        assert!(detected_ms <= bound.as_ms_f64(), "{takeover:?}");
+    }
+    assert_eq!(drive.gaps_beyond(), []);
+    assert_eq!(
+        (drive.two_masters_ns(), drive.both_transmitted_ms()),
+        (0, 0.0)
+    );
+    let a = drive.state_in_flash(SystemId::A);
+    assert!(a.is_master && a.cpsys_failure && a.term > b.term);
     assert_eq!(drive.collisions(), 0);
 }
 

@@ -1,9 +1,8 @@
 //! Control frames that come late, in the name of a system that no longer drives, or many at once.
 
-use tandem_board::{Board, CanFrame, CanId, CoreId, DataFlash, Duration, FlashError, SystemId};
-use tandem_board_sim::SimBoard;
+use tandem_board::{CanFrame, CanId, CoreId, Duration, SystemId};
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
-use tandem_redundancy::{Geometry, Loaded, StateStore, Term};
+use tandem_redundancy::Term;
 use tandem_tests::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
@@ -28,29 +27,14 @@ fn sent_by(drive: &mut Drive, system: SystemId) -> Vec<Control> {
         .collect()
 }
 
-fn forge(drive: &Drive, transmitter: &mut Transmitter, control: Control) {
-    let message = Message::Control { system: 0, control };
+pub(crate) fn forge(drive: &Drive, transmitter: &mut Transmitter, control: Control) {
+    // The lowest bit of a term tells whose it is.
+    let system = (control.term & 1) as u8;
+    let message = Message::Control { system, control };
     let encoded = transmitter.encode(&message);
     let frame = CanFrame::new(CanId::Standard(encoded.id), true, encoded.data());
     let frame = frame.expect("a frame of the DBC");
     drive.seen.borrow_mut().forged.push(frame);
-}
-
-/// The newest term in the flash of a system.
-fn term_in_flash(drive: &Drive, system: SystemId) -> Term {
-    let bytes = drive.pair.flash(system);
-    let read = |offset: u32, into: &mut [u8]| {
-        let from = bytes
-            .get(offset as usize..)
-            .and_then(|from| from.get(..into.len()));
-        into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
-        Ok(())
-    };
-    let sector_bytes = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
-    match StateStore::load(Geometry::first_sectors(sector_bytes), read).1 {
-        Loaded::State(state) => state.term,
-        other => panic!("{other:?}"),
-    }
 }
 
 /// T-RED-9: a master that thaws after a takeover may send what it had begun to send. The vehicle
@@ -115,5 +99,5 @@ fn of_many_frames_at_once_the_last_word_reaches_the_flash() {
     // Long enough to write, and too short for A, which hears of these terms, to answer with a
     // higher one.
     drive.run_for(MS(15));
-    assert_eq!(term_in_flash(&drive, SystemId::B), term);
+    assert_eq!(drive.state_in_flash(SystemId::B).term, term);
 }
