@@ -4,20 +4,28 @@ use crate::tidy::rust_files;
 use anyhow::{Context, Result, bail};
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Prints every requirement with the tests that name it.
 pub(crate) fn run(root: &Path, require: &[String]) -> Result<()> {
     let requirements = requirements(root)?;
     let mut tests: BTreeMap<&str, Vec<String>> = BTreeMap::new();
+    let mut texts = Vec::new();
+    let mut tables: BTreeMap<PathBuf, BTreeMap<String, String>> = BTreeMap::new();
     for file in rust_files(root)? {
         let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
+        let folder = file.parent().map(Path::to_owned).unwrap_or_default();
+        tables.entry(folder).or_default().extend(cases(&text));
+        texts.push((file, text));
+    }
+    for (file, text) in texts {
         let place = file
             .strip_prefix(root)
             .unwrap_or(&file)
             .display()
             .to_string();
-        for (ids, test) in named_tests(&text) {
+        let folder = file.parent().unwrap_or(root);
+        for (ids, test) in named_tests(&text, &tables[folder]) {
             for (id, _) in requirements
                 .iter()
                 .filter(|(id, _)| ids.iter().any(|named| named == id))
@@ -81,8 +89,39 @@ fn requirements(root: &Path) -> Result<Vec<(String, String)>> {
     Ok(rows.collect())
 }
 
-/// Tests of a file with the requirement ids in their documentation comments.
-fn named_tests(text: &str) -> Vec<(Vec<String>, String)> {
+/// What a case in a table begins with: of the conformance suite, and of programs with a harness of
+/// their own.
+const CASES: [&str; 3] = ["case!(", "Case {", "Trial::test("];
+
+/// The functions that the tables of a file name, with the name of their case.
+fn cases(text: &str) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for begin in CASES {
+        for piece in text.split(begin).skip(1) {
+            // A case begins with its name and ends where the next one begins.
+            let piece = CASES
+                .iter()
+                .fold(piece, |rest, next| rest.split(next).next().unwrap_or(rest));
+            let Some((_, rest)) = piece.split_once('"') else {
+                continue;
+            };
+            let Some((name, rest)) = rest.split_once('"') else {
+                continue;
+            };
+            if !name.contains(['-', '_']) || name.contains(' ') {
+                continue;
+            }
+            let end = rest.find("\n\n").unwrap_or(rest.len());
+            let words = rest[..end].split(|c: char| !(c.is_alphanumeric() || c == '_'));
+            found.extend(words.map(|word| (word.to_owned(), name.to_owned())));
+        }
+    }
+    found
+}
+
+/// Tests of a file with the requirement ids in their documentation comments. `cases` are those of
+/// the tables in its folder.
+fn named_tests(text: &str, cases: &BTreeMap<String, String>) -> Vec<(Vec<String>, String)> {
     let mut found = Vec::new();
     let mut ids = Vec::new();
     let mut is_test = false;
@@ -98,8 +137,10 @@ fn named_tests(text: &str) -> Vec<(Vec<String>, String)> {
                 .and_then(|rest| rest.split(['(', '<']).next());
             // A program with its own harness lists its tests in a table.
             is_test |= name.is_some_and(|name| text.contains(&format!("\"{name}\"")));
-            if let (Some(name), true, false) = (name, is_test, ids.is_empty()) {
-                found.push((ids.clone(), name.to_owned()));
+            let case = name.and_then(|name| cases.get(name));
+            let test = case.map(String::as_str).or(name.filter(|_| is_test));
+            if let (Some(test), false) = (test, ids.is_empty()) {
+                found.push((ids.clone(), test.to_owned()));
             }
             ids.clear();
             is_test = false;
@@ -168,6 +209,22 @@ mod tests {
                     /// T-LOCK-3\nfn of_table() {}\nconst TESTS: _ = [(\"of_table\", of_table)];\n";
         let expected = [("T-LOCK-2", "counts"), ("T-LOCK-3", "of_table")]
             .map(|(id, test)| (vec![id.to_owned()], test.to_owned()));
-        assert_eq!(named_tests(text), expected);
+        assert_eq!(named_tests(text, &BTreeMap::new()), expected);
+    }
+
+    /// The table may stand in another file of the folder.
+    #[test]
+    fn cases_of_tables_count() {
+        let table = "case!(\"line-count\", Plain, A0: lines::counter::<B>),\n\
+                     Case {\n name: \"a_dead_system_is_silent\",\n core: none,\n vehicle: silence,\n }\n";
+        let of_table: BTreeMap<_, _> = cases(table).into_iter().collect();
+        let text = "/// T-CHIP-5\npub(super) fn counter<B: Board>() {}\n/// T-RED-9\nfn silence(x: u8) {}\n\
+                    /// T-RED-1\nfn helper() {}\n";
+        let expected = [
+            ("T-CHIP-5", "line-count"),
+            ("T-RED-9", "a_dead_system_is_silent"),
+        ]
+        .map(|(id, test)| (vec![id.to_owned()], test.to_owned()));
+        assert_eq!(named_tests(text, &of_table), expected);
     }
 }

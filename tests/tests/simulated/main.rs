@@ -12,6 +12,7 @@ mod function;
 mod held_up;
 mod hung;
 mod joins;
+mod mailboxes;
 mod stale;
 mod terms;
 mod wrong;

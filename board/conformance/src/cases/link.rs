@@ -56,7 +56,7 @@ fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, Failure>
     Ok(true)
 }
 
-/// Both systems send and receive at the same time.
+/// T-CHIP-5: both systems send and receive at the same time.
 pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const DATAGRAMS: u32 = 300;
     let own = place.system.index();

@@ -36,7 +36,7 @@ fn pattern(index: usize, writer: usize) -> u32 {
     (index as u32 ^ (writer as u32) << 28).wrapping_mul(0x9E37_79B1) | 1
 }
 
-/// Each core in turn writes every word; the other two read it.
+/// T-CHIP-1: each core in turn writes every word; the other two read it.
 pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let words = &board.lmu()[FREE_WORDS..];
     for writer in CoreId::ALL {

@@ -47,7 +47,7 @@ pub(super) fn nothing_more<B: Board>(_: &B, _: CoreAddress) -> Result<(), Failur
     Ok(())
 }
 
-/// In each of two incarnations: alone, then with core 2, then with core 1.
+/// T-CHIP-2: in each of two incarnations: alone, then with core 2, then with core 1.
 pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const OTHERS: [CoreId; 2] = [CoreId::PLANNING, CoreId::PERCEPTION];
     let ran = |core: CoreId| steps(board, core).load(Ordering::Acquire) != 0;

@@ -97,7 +97,7 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     )
 }
 
-/// First incarnation: a wrong answer. Second incarnation: that was the cause.
+/// T-CHIP-6: first incarnation: a wrong answer. Second incarnation: that was the cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -125,7 +125,7 @@ pub(super) fn early<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: one service, and no second.
+/// T-CHIP-6: first incarnation: one service, and no second.
 pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -134,7 +134,7 @@ pub(super) fn late<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: no service at all.
+/// T-CHIP-6: first incarnation: no service at all.
 pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "no first service resets the system");
