@@ -10,8 +10,8 @@ fn takeovers(metrics: &Value) -> &[Value] {
     metrics["takeovers"].as_array().unwrap()
 }
 
-/// T-CHIP-7, T-RED-2: both systems start in step, one drives, the vehicle comes to no harm; and the
-/// report is there.
+/// T-CHIP-2, T-CHIP-7: core 0 runs on the kernel and cores 1 and 2 without a tick; one system drives,
+/// the other does not transmit, the vehicle comes to no harm; and the report is there.
 #[test]
 fn a_short_drive_ends_with_a_report() {
     let fixture = Fixture::new();
@@ -20,6 +20,11 @@ fn a_short_drive_ends_with_a_report() {
     assert_eq!(metrics["scenario"], "cut-in");
     assert_eq!(metrics["collisions"], 0);
     assert_eq!(metrics["two_masters_ms"], 0.0);
+    assert_eq!(metrics["both_transmitted_ms"], 0.0, "{metrics:#}");
+    assert_eq!(metrics["stale_frames"], 0, "{metrics:#}");
+    for gap in metrics["gaps"].as_array().unwrap() {
+        assert_eq!(gap["explained"], true, "{metrics:#}");
+    }
     assert_eq!(metrics["leftovers"].as_array().map(Vec::len), Some(0));
     assert!(
         metrics["control_frames"].as_u64().unwrap() > 400,
@@ -45,6 +50,15 @@ fn a_short_drive_ends_with_a_report() {
     };
     let tick = of_core_0("interrupts", "interrupt", "tick");
     assert!(tick["count"].as_u64().unwrap() > 1000, "{tick}");
+    let interrupts = metrics["interrupts"].as_array().unwrap();
+    let ticks_elsewhere = |of: &&Value| of["core"] != 0 && of["interrupt"] == "tick";
+    assert_eq!(interrupts.iter().find(ticks_elsewhere), None);
+    for (core, task) in [(1, "perception"), (2, "planning")] {
+        let tasks = metrics["tasks"].as_array().unwrap().iter();
+        let own: Vec<&Value> = tasks.filter(|of| of["core"] == core).collect();
+        let named = own.iter().all(|of| of["task"] == task);
+        assert!(named && !own.is_empty(), "{own:?}");
+    }
     for name in [
         "heartbeat and roles",
         "monitoring",
