@@ -3,6 +3,7 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
+use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;
 use tandem_board::SystemId;
@@ -64,6 +65,8 @@ pub(crate) enum Command {
     Scenarios,
     /// Measure the time from one core to another, beside the floor and what else one would use
     Bench(BenchArgs),
+    /// Try faults on the control cores of both systems, in virtual time
+    Sim(SimArgs),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
     RtosDemo(RtosDemoArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show the

@@ -20,6 +20,7 @@ mod report;
 mod rtos_demo;
 mod run;
 mod run_config;
+mod sim;
 mod stall_watch;
 mod summary;
 #[cfg(test)]
@@ -82,6 +83,7 @@ fn command(command: Command) -> Result<(), Failure> {
         }
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
+        Command::Sim(args) => sim::run(&args),
         Command::RtosDemo(args) => {
             let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
             print(&shown).map_err(Failure::Run)

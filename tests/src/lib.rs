@@ -3,5 +3,3 @@
 #![allow(clippy::expect_used, reason = "a test may panic")]
 
 pub mod bent;
-pub mod drive;
-pub mod faults;

@@ -157,14 +157,6 @@ enum Campaign {
         #[arg(long)]
         monitor: bool,
     },
-    /// Try faults on the control core in virtual time: each single one at 20 moments, all pairs
-    /// within one system, and random sequences. Fails if one violates a property that is not known
-    /// to be violated
-    Faults {
-        /// As `--count 100000 --from SEED --json FILE`; `--help` lists them
-        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-        arguments: Vec<String>,
-    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -242,11 +234,6 @@ fn execute() -> Result<()> {
             if monitor {
                 command.arg("--monitor");
             }
-            run(command)
-        }
-        Task::Campaign(Campaign::Faults { arguments }) => {
-            let mut command = campaign(root, "tandem-tests", "faults");
-            command.args(arguments);
             run(command)
         }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {

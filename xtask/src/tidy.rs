@@ -70,6 +70,18 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
             "tandem-vehicle",
         ],
     ),
+    (
+        "tandem-sim",
+        &[
+            "tandem-board",
+            "tandem-board-sim",
+            "tandem-bus",
+            "tandem-cores",
+            "tandem-record",
+            "tandem-redundancy",
+            "tandem-vehicle",
+        ],
+    ),
     ("tandem-board-conformance", &["tandem-board", "tandem-shm"]),
     ("tandem-board-sim", &["tandem-board", "tandem-peripherals"]),
     ("tandem-peripherals", &["tandem-board"]),

@@ -18,7 +18,7 @@ use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 use tandem_record::run_log::ControlFrame;
 use tandem_redundancy::Phase;
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 
 const S: fn(u64) -> Duration = |seconds| Duration::from_ms(seconds * 1000);
 

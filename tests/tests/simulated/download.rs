@@ -3,7 +3,7 @@
 use tandem_board::{CanFrame, CanId, Duration, ResetCause, RoleLamp, SystemId};
 use tandem_board_sim::SystemEventKind;
 use tandem_redundancy::Evidence;
-use tandem_tests::drive::{Drive, poller};
+use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 

@@ -1,10 +1,10 @@
-//! A slice of `cargo xtask campaign faults`.
+//! A slice of `tandem sim`.
 
 use tandem_board::{CoreId, Duration, Instant, ResetCause, RoleLamp, SystemId, Traced};
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::trace::Event;
 use tandem_redundancy::Config;
-use tandem_tests::faults::{Bench, Fault, Group, Kind, Sequence, Verdict, Way};
+use tandem_sim::faults::{Bench, Fault, Group, Kind, Sequence, Verdict, Way};
 
 /// Runs these sequences. Fails on what is not known to be violated.
 fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {

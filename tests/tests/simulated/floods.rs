@@ -12,7 +12,7 @@ use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_cores::{Config, Core};
-use tandem_tests::drive::{Drive, poller};
+use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// The flood begins and ends at these virtual times.

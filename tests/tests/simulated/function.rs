@@ -3,7 +3,7 @@
 use tandem_board::{Duration, SystemId};
 use tandem_bus::Mode;
 use tandem_cores::driving::function::{DEGRADED_LIMIT, END_LIMIT, TAKEOVER_LIMIT};
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 use tandem_vehicle::Habit;
 
 use crate::S;

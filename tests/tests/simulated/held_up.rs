@@ -10,7 +10,7 @@ use tandem_board::{
 use tandem_board_sim::{Config, SimBoard, SimPair};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
-use tandem_tests::drive::poller;
+use tandem_sim::drive::poller;
 
 /// How long the core is held up.
 const SPAN: Duration = Duration::from_ms(8);

@@ -6,7 +6,7 @@ use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::Config;
 use tandem_cores::core0::{Drive as Driving, Executor, Parts, Shared, Task, TaskId, TaskSet};
 use tandem_cores::trace::{Begin, Event};
-use tandem_tests::drive::{Drive, poller};
+use tandem_sim::drive::{Drive, poller};
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// The control task hangs from this time of its system's life on.

@@ -2,7 +2,7 @@
 
 use tandem_board::{CanId, Duration, ResetCause, SystemId};
 use tandem_bus::{Control, Message};
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// A system that was reset is standby again within 60 ms; 100 ms later the other fails.

@@ -24,7 +24,7 @@ use tandem_record::gap::both_transmitted_ms;
 use tandem_record::run_log::ControlFrame;
 use tandem_record::takeovers;
 use tandem_redundancy::{Evidence, Phase};
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 
 type TracedEvent = (Instant, SystemId, CoreId, Event);
 

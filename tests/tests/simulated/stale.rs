@@ -3,7 +3,7 @@
 use tandem_board::{CanFrame, CanId, CoreId, Duration, SystemId};
 use tandem_bus::{Control, Message, Mode, Role, Transmitter};
 use tandem_redundancy::Term;
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 

@@ -2,7 +2,7 @@
 
 use tandem_board::{CanFrame, CanId, Duration, SystemId};
 use tandem_bus::{Control, Message, Role, Transmitter};
-use tandem_tests::drive::Drive;
+use tandem_sim::drive::Drive;
 use tandem_vehicle::gate::Acceptance;
 
 const fn ms(ms: u64) -> Duration {

@@ -7,8 +7,8 @@ use tandem_board_sim::{Poller, SimBoard};
 use tandem_bus::{Message, Mode};
 use tandem_cores::Config;
 use tandem_cores::trace::Event;
+use tandem_sim::drive::{Drive, poller};
 use tandem_tests::bent::{OnHear, OnSend, altered, bent_core, straight};
-use tandem_tests::drive::{Drive, poller};
 use tandem_vehicle::Scenario;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;

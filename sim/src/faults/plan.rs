@@ -17,6 +17,8 @@ pub enum Group {
     Pair,
     /// Several faults in both systems, drawn from the number.
     Random,
+    /// The faults of a file; the number is the seed of what the machine draws.
+    File,
 }
 
 /// Moments of the control cycle at which a single fault begins.
@@ -77,20 +79,21 @@ impl Group {
                 let pairs = within.map(|count| count * count).iter().sum::<u64>();
                 Some(pairs * DISTANCES.len() as u64)
             }
-            Self::Random => None,
+            Self::Random | Self::File => None,
         }
     }
 
     /// A sequence by its number.
     ///
     /// # Panics
-    /// If there is none of this number.
+    /// If there is none of this number, as of all that stand in a file.
     #[must_use]
     pub fn sequence(self, number: u64) -> Sequence {
         match self {
             Self::Single => single(number),
             Self::Pair => pair(number),
             Self::Random => random(number),
+            Self::File => panic!("the faults of a file have no number"),
         }
     }
 }
@@ -207,7 +210,27 @@ impl Sequence {
             }
             Group::Pair => Some((Row::Mute, containment_bound(config))),
             Group::Random => None,
+            Group::File => self.bound_of_a_file(config),
         }
+    }
+
+    /// As of the other groups, if what they presume is so: in dual operation A drives.
+    fn bound_of_a_file(&self, config: &Config) -> Option<(Row, Duration)> {
+        if self.from_power_on || self.faults.iter().any(|it| it.kind == Kind::VehicleSilent) {
+            return None;
+        }
+        if let [one] = &self.faults[..] {
+            let row = row(one);
+            return Some((row, row.bound(config)));
+        }
+        let within = |system| {
+            let mut faults = self.faults.iter();
+            faults.all(|it| {
+                it.kind != Kind::Poison && (it.kind.is_of_wire() || it.way == Way::From(system))
+            })
+        };
+        let contained = SystemId::ALL.into_iter().any(within);
+        contained.then(|| (Row::Mute, containment_bound(config)))
     }
 
     /// Runs it. `told`: whether the cores' events are kept.

@@ -119,6 +119,8 @@ pub struct Bench {
     /// The limits of both systems.
     pub config: Config,
     bus: [BusFault; 2],
+    /// When the run began.
+    pub(super) born: Instant,
 }
 
 impl Bench {
@@ -152,6 +154,7 @@ impl Bench {
             ..BoardConfig::default()
         };
         let mut pair = SimPair::new(board_config, move |board| poller(board, config));
+        let born = pair.now();
         let vehicle = Rc::new(RefCell::new(Vehicle::default()));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
@@ -160,6 +163,7 @@ impl Bench {
             vehicle,
             config,
             bus: [BusFault::default(); 2],
+            born,
         }
     }
 

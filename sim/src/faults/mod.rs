@@ -5,11 +5,13 @@
 
 mod bench;
 mod fault;
+mod file;
 mod judge;
 mod known;
 mod plan;
 
 pub use bench::{Bench, Vehicle};
 pub use fault::{Fault, Kind, Way};
+pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
 pub use plan::{DISTANCES, Group, PHASES, Sequence};

@@ -107,6 +107,8 @@ pub struct Verdict {
     pub changes: usize,
     /// Systems that suspended themselves.
     pub suspended: usize,
+    /// Virtual time of the whole run, with its start and the time to settle.
+    pub simulated: Duration,
     /// What was violated.
     pub violations: Vec<Violation>,
 }
@@ -136,6 +138,7 @@ impl fmt::Display for Verdict {
             changes,
             suspended,
             violations,
+            ..
         } = self;
         let gap = gap.as_ms_f64();
         write!(
@@ -213,6 +216,7 @@ impl Bench {
             gap,
             changes,
             suspended: self.suspended(),
+            simulated: self.pair.now().since(self.born),
             violations,
         }
     }

@@ -1,0 +1,393 @@
+//! `tandem sim`: faults on the control cores of both systems, in virtual time.
+
+mod outcome;
+mod report;
+
+use std::fs;
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Mutex;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, Result, bail};
+use clap::{Args, ValueEnum};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use tandem_redundancy::Config;
+use tandem_sim::faults::{Group, Sequence};
+
+use crate::failure::Failure;
+use crate::print;
+use outcome::Outcome;
+use report::Summary;
+
+/// Sequences that one process runs: each reset of a core leaves its board in memory.
+const CHUNK: u64 = 100;
+
+/// Arguments of `tandem sim`.
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct SimArgs {
+    /// How many random sequences of faults, or how many seeds for --faults
+    #[arg(long, value_name = "N", default_value_t = 1_000)]
+    seeds: u64,
+
+    /// The first seed; each further one is the next number
+    #[arg(long, value_name = "S", default_value_t = 0)]
+    from: u64,
+
+    /// How many processes at a time [default: one for each CPU]
+    #[arg(long, value_name = "J")]
+    jobs: Option<NonZero<usize>>,
+
+    /// Try the faults of this TOML file instead of random ones
+    #[arg(long, value_name = "FILE", conflicts_with = "group")]
+    faults: Option<PathBuf>,
+
+    /// Which sequences: each single fault at 20 moments of the control cycle, all pairs within one
+    /// system, or random ones
+    #[arg(long, value_enum, default_values_t = [Kind::Random])]
+    group: Vec<Kind>,
+
+    /// Of single faults and pairs, every N-th only
+    #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN)]
+    every: NonZero<u64>,
+
+    /// Limits of the redundancy
+    #[arg(long, value_enum, default_value_t = Timing::Rt)]
+    timing: Timing,
+
+    /// Tell what happens in one sequence, as random:137; with --faults, the seed alone
+    #[arg(long, value_name = "GROUP:NUMBER")]
+    only: Option<String>,
+
+    /// With --only: write the faults of this sequence to a TOML file
+    #[arg(long, value_name = "FILE", requires = "only")]
+    save: Option<PathBuf>,
+
+    /// Write {seeds, violations, simulated_s, wall_s, ratio, groups} to this file
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+
+    /// Run these sequences and end: what the campaign starts
+    #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
+    chunk: Option<Vec<u64>>,
+}
+
+const EXAMPLES: &str = "\
+Core 0 of both systems, its state store and the vehicle's gate are the real ones. Cores 1 and 2 only
+count cycles. A sequence is judged while it runs and after everything works again: gap, terms, role,
+flash.
+
+  tandem sim --seeds 2000                      random sequences of up to eight faults
+  tandem sim --group single                    each fault at 20 moments, with its bound
+  tandem sim --only random:137 --save my.toml  one of them as a story, and as a file to change
+  tandem sim --faults my.toml --seeds 20       that file
+  tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
+
+Exit status: 0 if no sequence violates what must be so, 1 if one does, 2 if an argument or a file is
+wrong.";
+
+/// Sequences by number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Kind {
+    Single,
+    Pair,
+    Random,
+}
+
+impl Kind {
+    const fn group(self) -> Group {
+        match self {
+            Self::Single => Group::Single,
+            Self::Pair => Group::Pair,
+            Self::Random => Group::Random,
+        }
+    }
+}
+
+/// Limits of the redundancy.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(crate) enum Timing {
+    Chip,
+    Rt,
+    Desktop,
+}
+
+impl Timing {
+    const fn limits(self) -> Config {
+        match self {
+            Self::Chip => Config::chip(),
+            Self::Rt => Config::rt(),
+            Self::Desktop => Config::desktop(),
+        }
+    }
+}
+
+/// The name of a value on the command line.
+fn name_of(value: impl ValueEnum) -> String {
+    let value = value.to_possible_value();
+    value.map_or_else(String::new, |value| value.get_name().to_owned())
+}
+
+/// Sequences that belong together.
+enum Source<'a> {
+    Numbered(Kind),
+    File { path: &'a Path, text: String },
+}
+
+impl Source<'_> {
+    fn name(&self) -> String {
+        match self {
+            Self::Numbered(kind) => name_of(*kind),
+            Self::File { path, .. } => path.display().to_string(),
+        }
+    }
+
+    fn sequence(&self, number: u64) -> Result<Sequence> {
+        match self {
+            Self::Numbered(kind) => {
+                let group = kind.group();
+                if group.count().is_some_and(|count| number >= count) {
+                    bail!("{}: there is no number {number}", name_of(*kind));
+                }
+                Ok(group.sequence(number))
+            }
+            Self::File { path, text } => {
+                Sequence::from_toml(text, number).with_context(|| path.display().to_string())
+            }
+        }
+    }
+
+    /// The first number, the one after the last, and the step.
+    fn numbers(&self, arguments: &SimArgs) -> Result<(u64, u64, u64)> {
+        let count = match self {
+            Self::Numbered(kind) => kind.group().count(),
+            Self::File { .. } => None,
+        };
+        if let Some(count) = count {
+            return Ok((0, count, arguments.every.get()));
+        }
+        let to = arguments.from.checked_add(arguments.seeds);
+        Ok((
+            arguments.from,
+            to.context("--from and --seeds are too large")?,
+            1,
+        ))
+    }
+
+    /// The arguments by which another process finds the same sequences.
+    fn arguments(&self) -> [String; 2] {
+        match self {
+            Self::Numbered(kind) => ["--group".to_owned(), name_of(*kind)],
+            Self::File { path, .. } => ["--faults".to_owned(), path.display().to_string()],
+        }
+    }
+
+    /// The command that tells one of them.
+    fn repeats(&self, number: u64) -> String {
+        match self {
+            Self::Numbered(kind) => format!("tandem sim --only {}:{number}", name_of(*kind)),
+            Self::File { path, .. } => {
+                format!("tandem sim --faults {} --only {number}", path.display())
+            }
+        }
+    }
+}
+
+/// Runs the command.
+pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
+    let sources = sources(arguments).map_err(Failure::Usage)?;
+    if let Some(one) = &arguments.only {
+        return tell(one, &sources, arguments);
+    }
+    if let (Some(chunk), [source]) = (&arguments.chunk, &sources[..]) {
+        return run_chunk(source, chunk, arguments).map_err(Failure::Run);
+    }
+    let begin = Instant::now();
+    let mut all = Summary::default();
+    let mut groups = serde_json::Map::new();
+    for source in &sources {
+        let outcomes = campaign(source, arguments).map_err(Failure::Run)?;
+        let (text, summary) = report::of(source, &outcomes, arguments).map_err(Failure::Run)?;
+        print(&text).map_err(Failure::Run)?;
+        groups.insert(source.name(), summary.json());
+        all.add(&summary);
+    }
+    let (wall_s, simulated_s) = (
+        begin.elapsed().as_secs_f64(),
+        all.simulated_ns as f64 * 1e-9,
+    );
+    let ratio = simulated_s / wall_s;
+    print(&format!(
+        "{} sequences, {} violated; {simulated_s:.0} s simulated in {wall_s:.1} s: \
+         {ratio:.0} times real time\n",
+        all.sequences, all.violated
+    ))
+    .map_err(Failure::Run)?;
+    if let Some(path) = &arguments.json {
+        let figures = json!({
+            "seeds": all.sequences, "violations": all.violated, "simulated_s": simulated_s,
+            "wall_s": wall_s, "ratio": ratio, "groups": groups,
+        });
+        write(path, &format!("{figures:#}\n")).map_err(Failure::Run)?;
+    }
+    if all.violated > 0 {
+        let objection = format!("{} sequences violate what must be so", all.violated);
+        return Err(Failure::Objections(vec![objection]));
+    }
+    Ok(())
+}
+
+fn write(path: &Path, text: &str) -> Result<()> {
+    fs::write(path, text).with_context(|| path.display().to_string())
+}
+
+fn sources(arguments: &SimArgs) -> Result<Vec<Source<'_>>> {
+    let Some(path) = &arguments.faults else {
+        return Ok(arguments
+            .group
+            .iter()
+            .map(|kind| Source::Numbered(*kind))
+            .collect());
+    };
+    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    let source = Source::File { path, text };
+    source.sequence(0)?;
+    Ok(vec![source])
+}
+
+/// Tells what happens in one sequence.
+fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Failure> {
+    let find = || -> Result<Sequence> {
+        if let [file @ Source::File { .. }] = sources {
+            return file.sequence(one.parse().context("--only: the seed, a number")?);
+        }
+        let (group, number) = one.split_once(':').context("--only GROUP:NUMBER")?;
+        let Ok(kind) = Kind::from_str(group, true) else {
+            bail!("the groups are single, pair and random, not {group}");
+        };
+        Source::Numbered(kind).sequence(number.parse().context("--only: a number")?)
+    };
+    let sequence = find().map_err(Failure::Usage)?;
+    if let Some(path) = &arguments.save {
+        let text = sequence
+            .to_toml()
+            .map_err(|error| Failure::Run(error.into()))?;
+        write(path, &text).map_err(Failure::Run)?;
+    }
+    let (verdict, mut bench) = sequence.run(arguments.timing.limits(), true);
+    let mut text = format!("{sequence}\n");
+    for line in bench.story() {
+        text.push_str(&line);
+        text.push('\n');
+    }
+    if let Some((row, bound)) = sequence.bound(&bench.config.redundancy) {
+        text.push_str(&format!("bound {:.1} ms ({row:?})\n", bound.as_ms_f64()));
+    }
+    text.push_str(&format!("{verdict}\n"));
+    print(&text).map_err(Failure::Run)?;
+    let new: Vec<String> = verdict
+        .violations
+        .iter()
+        .filter(|violation| sequence.known(**violation).is_none())
+        .map(|violation| format!("{violation:?}"))
+        .collect();
+    if new.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Objections(new))
+    }
+}
+
+/// What another process of the campaign does: a line for each sequence.
+fn run_chunk(source: &Source<'_>, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
+    let (.., step) = source.numbers(arguments)?;
+    for number in (chunk[0]..chunk[1]).step_by(usize::try_from(step)?) {
+        let verdict = source.sequence(number)?.try_run(arguments.timing.limits());
+        print(&format!("{}\n", Outcome::new(number, verdict).line()))?;
+    }
+    Ok(())
+}
+
+/// Runs the sequences in processes, some at a time.
+fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
+    let (from, to, step) = source.numbers(arguments)?;
+    let chunk = CHUNK * step;
+    let cpus = thread::available_parallelism();
+    let jobs = arguments.jobs.or(cpus.ok()).map_or(1, NonZero::get);
+    let bar = ProgressBar::new((to - from).div_ceil(step));
+    let style = "{bar:24.cyan/dim} {pos} of {len} sequences, {per_sec}, {eta} left {msg}";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let (next, done) = (Mutex::new(from), Mutex::new(Vec::new()));
+    let work = || -> Result<()> {
+        loop {
+            let first = {
+                let mut next = lock(&next);
+                let first = *next;
+                *next = first.saturating_add(chunk).min(to);
+                first
+            };
+            if first >= to {
+                return Ok(());
+            }
+            let until = first.saturating_add(chunk).min(to);
+            let outcomes = run_in_process(source, [first, until], arguments)?;
+            bar.inc(outcomes.len() as u64);
+            lock(&done).extend(outcomes);
+        }
+    };
+    thread::scope(|scope| {
+        let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+        workers
+            .into_iter()
+            .try_for_each(|worker| match worker.join() {
+                Ok(result) => result,
+                Err(_) => bail!("a worker panicked"),
+            })
+    })?;
+    bar.finish_and_clear();
+    let mut outcomes = core::mem::take(&mut *lock(&done));
+    outcomes.sort_by_key(|outcome| outcome.number);
+    Ok(outcomes)
+}
+
+fn run_in_process(
+    source: &Source<'_>,
+    [from, to]: [u64; 2],
+    arguments: &SimArgs,
+) -> Result<Vec<Outcome>> {
+    let output = Command::new(std::env::current_exe()?)
+        .arg("sim")
+        .args(source.arguments())
+        .args(["--timing", &name_of(arguments.timing)])
+        .args(["--every", &arguments.every.to_string()])
+        .args(["--chunk", &from.to_string(), &to.to_string()])
+        .output()?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        bail!(
+            "sequences {from} to {to} ended with {}: {said}",
+            output.status
+        );
+    }
+    let text = String::from_utf8(output.stdout)?;
+    let outcomes: Vec<Outcome> = text.lines().filter_map(Outcome::of).collect();
+    let (.., step) = source.numbers(arguments)?;
+    if outcomes.len() as u64 != (to - from).div_ceil(step) {
+        bail!(
+            "sequences {from} to {to}: only {} were told",
+            outcomes.len()
+        );
+    }
+    Ok(outcomes)
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex
+        .lock()
+        .unwrap_or_else(std::sync::PoisonError::into_inner)
+}

@@ -1,0 +1,176 @@
+//! What became of a campaign, as text and as figures.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use serde_json::json;
+use tandem_redundancy::Config;
+use tandem_sim::faults::{PHASES, Sequence, Violation};
+
+use super::outcome::Outcome;
+use super::{Kind, SimArgs, Source};
+
+/// Classes of a violation that are printed, and sequences that are shrunk to find them.
+const CLASSES: usize = 12;
+const SHRUNK: usize = 40;
+
+/// The figures of a campaign.
+#[derive(Default)]
+pub(super) struct Summary {
+    pub(super) sequences: u64,
+    /// Sequences that violate what is not known to be violated.
+    pub(super) violated: u64,
+    pub(super) simulated_ns: u64,
+    /// Sequences that end with a suspended system.
+    suspended: u64,
+    gap_ns: u64,
+    violations: BTreeMap<String, usize>,
+    /// How often what is known was violated, by its reason.
+    known: BTreeMap<&'static str, u64>,
+}
+
+impl Summary {
+    pub(super) fn json(&self) -> serde_json::Value {
+        json!({
+            "sequences": self.sequences, "violated": self.violated, "suspended": self.suspended,
+            "violations": self.violations, "known": self.known,
+            "gap_max_ms": self.gap_ns as f64 * 1e-6,
+        })
+    }
+
+    /// Counts another campaign too.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.sequences += other.sequences;
+        self.violated += other.violated;
+        self.simulated_ns += other.simulated_ns;
+    }
+}
+
+/// The text and the figures of a campaign.
+pub(super) fn of(
+    source: &Source<'_>,
+    outcomes: &[Outcome],
+    arguments: &SimArgs,
+) -> Result<(String, Summary)> {
+    let limits = arguments.timing.limits();
+    let mut text = String::new();
+    if matches!(source, Source::Numbered(Kind::Single)) {
+        table(source, outcomes, &limits, &mut text)?;
+    }
+    let mut summary = Summary {
+        sequences: outcomes.len() as u64,
+        suspended: outcomes.iter().filter(|it| it.suspended > 0).count() as u64,
+        simulated_ns: outcomes.iter().map(|outcome| outcome.simulated_ns).sum(),
+        gap_ns: outcomes.iter().map(|it| it.gap_ns).max().unwrap_or(0),
+        ..Summary::default()
+    };
+    let name = source.name();
+    let mut bad = BTreeSet::new();
+    for violation in Violation::ALL {
+        let mut new = Vec::new();
+        for outcome in outcomes
+            .iter()
+            .filter(|it| it.violations.contains(&violation))
+        {
+            let sequence = source.sequence(outcome.number)?;
+            match sequence.known(violation) {
+                Some(why) => *summary.known.entry(why).or_insert(0) += 1,
+                None => new.push(sequence),
+            }
+        }
+        if !new.is_empty() {
+            writeln!(text, "{name}: {violation:?} {}", new.len())?;
+            classes(source, violation, &new, limits, &mut text)?;
+            summary
+                .violations
+                .insert(format!("{violation:?}"), new.len());
+            bad.extend(new.iter().map(|sequence| sequence.number));
+        }
+    }
+    summary.violated = bad.len() as u64;
+    let (count, suspended) = (summary.sequences, summary.suspended);
+    let gap = summary.gap_ns as f64 * 1e-6;
+    writeln!(
+        text,
+        "{name}: {count} sequences, {} violated, {suspended} end with a suspended system, longest gap {gap:.1} ms",
+        bad.len()
+    )?;
+    for (why, count) in &summary.known {
+        writeln!(text, "  known: {count} for {why}")?;
+    }
+    Ok((text, summary))
+}
+
+/// Which faults lead to a violation, the most frequent first, with a line that repeats each.
+fn classes(
+    source: &Source<'_>,
+    violation: Violation,
+    sequences: &[Sequence],
+    limits: Config,
+    text: &mut String,
+) -> Result<()> {
+    let numbered = matches!(source, Source::Numbered(Kind::Single | Kind::Pair));
+    let mut classes: BTreeMap<String, Vec<u64>> = BTreeMap::new();
+    for (index, sequence) in sequences.iter().enumerate() {
+        let kinds = match numbered {
+            true => sequence.kinds(),
+            false if index >= SHRUNK => continue,
+            false => sequence.shrunk(limits, violation).kinds(),
+        };
+        classes.entry(kinds).or_default().push(sequence.number);
+    }
+    let mut classes: Vec<_> = classes.into_iter().collect();
+    classes.sort_by_key(|(_, numbers)| std::cmp::Reverse(numbers.len()));
+    for (kinds, numbers) in classes.iter().take(CLASSES) {
+        let (count, repeats) = (numbers.len(), source.repeats(numbers[0]));
+        writeln!(text, "  {count:5} {kinds}: {repeats}")?;
+    }
+    Ok(())
+}
+
+/// The bound of each single fault beside what was measured.
+fn table(
+    source: &Source<'_>,
+    outcomes: &[Outcome],
+    limits: &Config,
+    text: &mut String,
+) -> Result<()> {
+    writeln!(
+        text,
+        "| fault | row | bound ms | longest gap ms | violated |"
+    )?;
+    writeln!(text, "|---|---|---|---|---|")?;
+    for outcomes in outcomes.chunk_by(|a, b| a.number / PHASES == b.number / PHASES) {
+        let Some(first) = outcomes.first() else {
+            continue;
+        };
+        let sequence = source.sequence(first.number)?;
+        let fault = &sequence.faults[0];
+        let bound = sequence.bound(limits).map_or_else(
+            || "| ".to_owned(),
+            |(row, bound)| format!("{row:?} | {:.0}", bound.as_ms_f64()),
+        );
+        let gap_ns = outcomes.iter().map(|outcome| outcome.gap_ns).max();
+        let gap = gap_ns.unwrap_or(0) as f64 * 1e-6;
+        let violations = Violation::ALL.into_iter().filter(|violation| {
+            let violates = |outcome: &Outcome| outcome.violations.contains(violation);
+            outcomes.iter().any(violates)
+        });
+        let violations: Vec<String> = violations.map(|it| format!("{it:?}")).collect();
+        let count = outcomes
+            .iter()
+            .filter(|it| !it.violations.is_empty())
+            .count();
+        let violated = match count {
+            0 => String::new(),
+            count => format!("{count} of {}: {}", outcomes.len(), violations.join(", ")),
+        };
+        let (kind, way) = (fault.kind, fault.way);
+        writeln!(
+            text,
+            "| {kind:?} {way:?} | {bound} | {gap:.1} | {violated} |"
+        )?;
+    }
+    Ok(())
+}

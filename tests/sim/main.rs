@@ -1,0 +1,79 @@
+//! `tandem sim` as a user calls it.
+#![forbid(unsafe_code)]
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+fn sim(arguments: &[&str], folder: &Path) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    command.arg("sim").args(arguments).current_dir(folder);
+    command.output().unwrap()
+}
+
+fn said(output: &[u8]) -> String {
+    String::from_utf8_lossy(output).into_owned()
+}
+
+#[test]
+fn a_campaign_ends_with_figures_and_repeats_to_the_nanosecond() {
+    let folder = tempfile::tempdir().unwrap();
+    let figures = |jobs: &str| {
+        let arguments = [
+            "--seeds", "24", "--from", "100", "--jobs", jobs, "--json", "f.json",
+        ];
+        let output = sim(&arguments, folder.path());
+        assert!(output.status.success(), "{}", said(&output.stderr));
+        let text = fs::read_to_string(folder.path().join("f.json")).unwrap();
+        serde_json::from_str::<serde_json::Value>(&text).unwrap()
+    };
+    let [one, two] = ["1", "2"].map(figures);
+    assert_eq!(one["seeds"], 24);
+    assert_eq!(one["violations"], 0);
+    assert_eq!(one["simulated_s"], two["simulated_s"]);
+    assert_eq!(one["groups"], two["groups"]);
+}
+
+#[test]
+fn a_saved_sequence_is_tried_from_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = sim(
+        &["--only", "single:260", "--save", "one.toml"],
+        folder.path(),
+    );
+    assert!(told.status.success(), "{}", said(&told.stderr));
+    let again = sim(&["--faults", "one.toml", "--only", "260"], folder.path());
+    let story = |output: &Output| {
+        let text = said(&output.stdout);
+        text.lines().skip(1).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert!(story(&told).len() > 3);
+    assert_eq!(story(&told), story(&again));
+}
+
+#[test]
+fn wrong_arguments_are_refused_before_anything_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(
+        folder.path().join("bad.toml"),
+        "mended-at-ms = 1.0\nfault = [{}]\n",
+    )
+    .unwrap();
+    for (arguments, reason) in [
+        (&["--faults", "bad.toml"][..], "missing field"),
+        (&["--faults", "none.toml"], "none.toml"),
+        (
+            &["--only", "single:99999999"],
+            "there is no number 99999999",
+        ),
+        (&["--only", "triple:1"], "the groups are"),
+        (&["--jobs", "0"], "invalid value"),
+    ] {
+        let output = sim(arguments, folder.path());
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+        let text = said(&output.stderr);
+        assert!(text.contains(reason), "{arguments:?}: {text}");
+        assert!(output.stdout.is_empty());
+    }
+}
