@@ -3,9 +3,10 @@
 use serde::Serialize;
 use tandem_cores::trace::Event;
 use tandem_record::description;
-use tandem_record::gap::{self, Bounds, EndedBy, Stall, Stood};
+use tandem_record::gap::{self, Bounds, EndedBy};
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
+use tandem_record::run_log::{Stall, Stood};
 use tandem_record::{RunLog, Takeover, ms_between, takeovers};
 use tandem_vehicle::Verdict;
 

@@ -14,7 +14,7 @@ use signal_hook::consts::SIGCONT;
 use tandem_board::Duration;
 use tandem_board_host::clock;
 use tandem_board_host::realtime::{Claim, claim};
-use tandem_record::gap::{Stall, Stood};
+use tandem_record::run_log::{Stall, Stood};
 
 /// Time between two looks at the clock.
 const PERIOD: Duration = Duration::from_ms(1);

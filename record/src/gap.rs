@@ -6,7 +6,7 @@ use tandem_redundancy::Evidence;
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::ControlFrame;
+use crate::run_log::{ControlFrame, Stall, Stood};
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -52,27 +52,6 @@ impl Bounds {
             _ => self.silent_ms,
         }
     }
-}
-
-/// What stood still.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stood {
-    /// A CPU of the machine: a thread that does nothing else and goes before all of the run did not
-    /// get it.
-    Cpu(usize),
-    /// The vehicle's process, and with it the bus: somebody stopped it, or it got no CPU.
-    Bus,
-}
-
-/// A time in which something stood still.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Stall {
-    /// What.
-    pub of: Stood,
-    /// From, on the run's clock, ns.
-    pub from_ns: u64,
-    /// To, ns.
-    pub to_ns: u64,
 }
 
 /// What ended a gap.

@@ -7,8 +7,28 @@ use tandem_vehicle::mastership::Mastership;
 use tandem_vehicle::{LoggedFrame, Verdict};
 
 use crate::file::Entry;
-use crate::gap::{Stall, Stood};
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
+
+/// What stood still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stood {
+    /// A CPU of the machine: a thread that does nothing else and goes before all of the run did not
+    /// get it.
+    Cpu(usize),
+    /// The vehicle's process, and with it the bus: it was stopped, or it got no CPU.
+    Bus,
+}
+
+/// A time in which something stood still.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stall {
+    /// What.
+    pub of: Stood,
+    /// From, on the run's clock, ns.
+    pub from_ns: u64,
+    /// To, ns.
+    pub to_ns: u64,
+}
 
 /// A control frame, as the vehicle judged it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

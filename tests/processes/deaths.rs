@@ -86,8 +86,8 @@ fn a_run_in_which_no_system_is_left_fails() {
     assert!(said.contains("up to the end of the run"), "{said}");
 }
 
-/// T-RED-4, T-RED-5, T-RED-9: a core of the master dies: its supply resets the system. A compute core
-/// that dies leaves time to resign.
+/// T-RED-4, T-RED-5, T-RED-9: a core of the master dies: its supply resets the system. A compute
+/// core that dies leaves time to resign.
 #[test]
 fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
     let fixture = Fixture::new();

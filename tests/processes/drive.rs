@@ -10,8 +10,8 @@ fn takeovers(metrics: &Value) -> &[Value] {
     metrics["takeovers"].as_array().unwrap()
 }
 
-/// T-CHIP-2, T-CHIP-7: core 0 runs on the kernel and cores 1 and 2 without a tick; one system drives,
-/// the other does not transmit, the vehicle comes to no harm; and the report is there.
+/// T-CHIP-2, T-CHIP-7: core 0 runs on the kernel and cores 1 and 2 without a tick; one system
+/// drives, the other does not transmit, the vehicle comes to no harm; and the report is there.
 #[test]
 fn a_short_drive_ends_with_a_report() {
     let fixture = Fixture::new();

@@ -42,8 +42,8 @@ const DRIFT_NS: u64 = 1_000_000_000;
 const CLOCK_WAS_SET_MS: i16 = 2_000;
 
 /// The oldest data that a command may rest on, ms. The functions stop earlier, by the age of what
-/// they have; this is for one that does not. A safe stop rests on no data, nor does a frame of a function
-/// that does not drive.
+/// they have; this is for one that does not. A safe stop rests on no data, nor does a frame of a
+/// function that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
 /// What the actuators can do: rad, m/s².

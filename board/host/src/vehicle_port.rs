@@ -342,8 +342,8 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// A log is what was on the bus: frames in the order in which a receiver gets them, each with the
-    /// receiver's time, whoever sent them and however long ago.
+    /// A log is what was on the bus: frames in the order in which a receiver gets them, each with
+    /// the receiver's time, whoever sent them and however long ago.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
         let (run, mut port) = port();

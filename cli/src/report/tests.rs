@@ -5,7 +5,8 @@ use crate::metrics::Surroundings;
 use crate::stall_watch::Seen;
 use crate::timeline::Timeline;
 use crate::{metrics, synthetic, timeline};
-use tandem_record::gap::{Bounds, Stall, Stood};
+use tandem_record::gap::Bounds;
+use tandem_record::run_log::{Stall, Stood};
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);

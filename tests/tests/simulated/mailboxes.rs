@@ -122,8 +122,8 @@ fn core(board: &SimBoard, heard: &Heard) -> Poller {
     })
 }
 
-/// T-SYNC-1: for each ordered pair of cores: the signal arrives by an interrupt, at this core and no
-/// other, through the mailbox of this pair, with the id of the task that it named, once.
+/// T-SYNC-1: for each ordered pair of cores: the signal arrives by an interrupt, at this core and
+/// no other, through the mailbox of this pair, with the id of the task that it named, once.
 #[test]
 fn each_core_wakes_the_named_task_of_each_other_core_by_an_interrupt() {
     let heard = Heard::default();

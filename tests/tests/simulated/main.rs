@@ -159,8 +159,8 @@ fn the_standby_takes_over_when_the_master_loses_its_supply() {
     assert_eq!(drive.collisions(), 0);
 }
 
-/// T-RED-8, T-RED-1: the master's processor dies and comes back as standby; then the other loses its
-/// supply. Each takeover has its cause and keeps the bound of it, the old master is standby in
+/// T-RED-8, T-RED-1: the master's processor dies and comes back as standby; then the other loses
+/// its supply. Each takeover has its cause and keeps the bound of it, the old master is standby in
 /// between, and the flash of both tells what happened.
 #[test]
 fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
