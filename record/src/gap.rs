@@ -6,7 +6,7 @@ use tandem_redundancy::Evidence;
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::{ControlFrame, Stall, Stood};
+use crate::run_log::{ControlFrame, Stall};
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -201,6 +201,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::run_log::Stood;
     use crate::takeovers;
     use tandem_bus::Mode;
     use tandem_cores::trace::Event;
