@@ -20,8 +20,8 @@ pub struct CanFrame {
     data: [u8; 64],
 }
 
-/// The id is out of range, or the length is none that CAN (0..=8) or CAN FD (0..=8, 12, 16, 20, 24,
-/// 32, 48, 64) can carry.
+/// The id is out of range, or the length is not one of CAN (0..=8) or CAN FD (0..=8, 12, 16, 20,
+/// 24, 32, 48, 64).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InvalidFrame;
 
@@ -76,7 +76,7 @@ impl CanFrame {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TransmitFull;
 
-/// A frame as it came from the bus.
+/// A frame received from the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Received {
     /// The frame.
@@ -85,8 +85,8 @@ pub struct Received {
     pub at: Instant,
 }
 
-/// A CAN controller with a receive FIFO of its own. Frames come in bus order; a core does not
-/// receive what it sent itself.
+/// A CAN controller with its own receive FIFO. Frames arrive in bus order; a core does not receive
+/// its own frames.
 pub trait Can {
     /// Hands a frame to the transmit buffer. One at a time. Frames of one core leave in order.
     ///
@@ -94,11 +94,11 @@ pub trait Can {
     /// [`TransmitFull`] if the buffer is full.
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull>;
 
-    /// Discards the frames of this core that wait in the transmit buffer. One at a time.
+    /// Discards this core's frames that wait in the transmit buffer. One at a time.
     ///
-    /// A frame that is already on its way to the bus is not stopped: of the frames handed over
-    /// before this call, the first few may still be sent, the others never. A frame handed over
-    /// after this call is sent as usual.
+    /// A frame that is already on its way to the bus is still sent. So of the frames handed over
+    /// before this call, the first few may be sent, and the others never. A frame handed over after
+    /// this call is sent as usual.
     fn discard_unsent(&self);
 
     /// The next received frame. One at a time.

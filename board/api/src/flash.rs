@@ -11,7 +11,7 @@ pub enum FlashError {
     Failed,
 }
 
-/// What the flash does.
+/// State of the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FlashStatus {
     /// Ready; the last operation, if any, is durable.
@@ -23,9 +23,9 @@ pub enum FlashStatus {
     Failed,
 }
 
-/// Data flash as NOR flash is: erase sets a sector to ones, program writes aligned pages that were
-/// erased. Power loss during an operation leaves any mixture of old and new bytes in its range, and
-/// nothing else changes.
+/// NOR data flash: erase sets a sector to ones, program writes aligned pages that were erased.
+/// Power loss during an operation leaves any mixture of old and new bytes in its range; no other
+/// byte changes.
 ///
 /// Programming takes time and must not stop the control core, so operations are started and then
 /// run in the background, one at a time.
@@ -57,6 +57,6 @@ pub trait DataFlash {
     /// [`FlashError::Busy`], [`FlashError::OutOfRange`] (also when not aligned to pages).
     fn start_program(&self, offset: u32, data: &[u8]) -> Result<(), FlashError>;
 
-    /// What the flash does now. Any context.
+    /// The state of the flash now. Any context.
     fn status(&self) -> FlashStatus;
 }

@@ -163,7 +163,7 @@ pub struct Identity {
 }
 
 impl Identity {
-    /// The core, whichever of its incarnations it is in.
+    /// The core, without its incarnation.
     #[must_use]
     pub const fn address(self) -> CoreAddress {
         CoreAddress::new(self.system, self.core)

@@ -1,8 +1,8 @@
-//! What a board gives to a core: the one boundary between portable code and a machine.
+//! The boundary between portable code and a machine: the interface of a board to a core.
 //!
-//! A board is what a TC297 with its carrier gives: a monotonic clock, the LMU, doorbells to the
-//! other cores of the system, lines and a link to the other system, CAN, data flash, the supply
-//! with its watchdogs. Portable code is generic over one `B: Board` and knows nothing else of the
+//! A board offers what a TC297 with its carrier offers: a monotonic clock, the LMU, doorbells to
+//! the other cores of the system, lines and a link to the other system, CAN, data flash, the supply
+//! with its watchdogs. Portable code is generic over one `B: Board` and uses nothing else of the
 //! machine.
 //!
 //! A *task* runs in a core's main flow. A *handler* interrupts it, as a task of higher priority
@@ -11,12 +11,12 @@
 //! - **Any context**: from tasks and handlers, also while another call on this core is not
 //!   finished. It never blocks.
 //! - **One at a time**: from tasks and handlers, but no two calls of the same part ([`Can`],
-//!   [`Link`], [`DataFlash`], [`Supply`]) overlap on one core. The caller makes sure of that, for
+//!   [`Link`], [`DataFlash`], [`Supply`]) may overlap on one core. The caller ensures that, for
 //!   instance by a lock between its tasks. A call that interrupts another one may deadlock or lose
-//!   data. It never blocks by itself.
+//!   data. The call itself never blocks.
 //! - **Task**: from one task of the core at a time, never from a handler. It may block.
 //!
-//! `tandem-board-conformance` is the executable form of the contracts written here.
+//! `tandem-board-conformance` tests the contracts written here.
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -40,7 +40,7 @@ pub use vehicle::{Carried, VehicleBus, VehiclePort};
 
 use core::sync::atomic::AtomicU32;
 
-/// What ended a [`Board::wait`].
+/// Why a [`Board::wait`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wake {
     /// A doorbell, a waking edge or a received CAN frame: something may be pending. May be
@@ -50,10 +50,10 @@ pub enum Wake {
     Deadline,
 }
 
-/// Everything that one core sees of its machine.
+/// One core's view of its machine.
 ///
 /// All methods take `&self`: a board is shared between the tasks and handlers of one core, never
-/// between cores. Nothing here panics because of what another core or the other system does.
+/// between cores. No method panics because of another core or the other system.
 pub trait Board {
     /// The CAN controller of this core.
     type Can: Can;
@@ -83,19 +83,19 @@ pub trait Board {
     /// own. Any context.
     ///
     /// Writes to the LMU before the call are visible to the receiver after its `wait` returns.
-    /// Rings that arrive before the receiver waits are merged into one. To ring a dead core has no
+    /// Rings that arrive before the receiver waits are merged into one. Ringing a dead core has no
     /// effect.
     fn ring(&self, to: CoreId);
 
     /// Releases another core of this system from reset. One at a time; core 0 only.
     ///
-    /// At each start of the system core 0 runs alone, and the others stand still until it releases
-    /// them. A released core begins the incarnation of its system. What core 0 wrote to the LMU
-    /// before is visible to it. No effect on a core that was released in this incarnation.
+    /// At each start of the system only core 0 runs; the others do not run until core 0 releases
+    /// them. The core begins the incarnation of its system and sees everything that core 0 wrote to
+    /// the LMU before the release. No effect on a core that was released in this incarnation.
     fn release_core(&self, core: CoreId);
 
-    /// Sleeps until an interrupt is pending or `deadline` has passed, and consumes what is pending.
-    /// Task; blocks.
+    /// Sleeps until an interrupt is pending or `deadline` has passed, and consumes the pending
+    /// interrupt. Task; blocks.
     ///
     /// Race-free: an interrupt raised before the call ends it at once. Interrupts are: this core's
     /// doorbell, an edge on [`Line::Start`], a change of [`Lines::peer_powered`] (both on core 0

@@ -1,6 +1,6 @@
 //! The wires between the two systems: ERU lines and the data link. T-CHIP-5
 
-/// A hard-wired line to the other system. Each exists once in either direction.
+/// A hard-wired line to the other system. Each line exists once in each direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Line {
     /// Start protocol: handshake on the rising edge, sync on the falling edge. Edges interrupt core
@@ -40,8 +40,7 @@ pub enum Edge {
 
 /// This system's ends of the lines.
 pub trait Lines {
-    /// Sends one edge. Any context. What this core wrote before is not thereby visible to the other
-    /// system: they share no memory.
+    /// Sends one edge. Any context. Orders no memory: the systems share none.
     fn send(&self, line: Line, edge: Edge);
 
     /// How many edges of this type arrived on this line since this system was powered on. Any
@@ -49,9 +48,9 @@ pub trait Lines {
     fn received(&self, line: Line, edge: Edge) -> u32;
 
     /// The level line of the other system's supply. Any context. High while that supply is on and
-    /// holds its system out of reset. Falls when it loses power or its safety chip holds the system
-    /// in reset. A low level means that the other system cannot transmit; a high level says nothing
-    /// about its software. A cut of this line reads as high.
+    /// holds its system out of reset. Falls when that system loses power or its safety chip holds
+    /// it in reset. A low level means that the other system cannot transmit; a high level says
+    /// nothing about its software. A cut line reads as high.
     fn peer_powered(&self) -> bool;
 }
 
@@ -60,7 +59,7 @@ pub trait Lines {
 pub struct LinkFull;
 
 /// The bulk data link to the other system (HSSL; SPI has the same shape): datagrams, in order, not
-/// acknowledged. What arrives is an allegation: the receiver checks it.
+/// acknowledged. The receiver must check the content.
 pub trait Link {
     /// The largest datagram in words.
     const MAX_WORDS: usize;
@@ -74,7 +73,7 @@ pub trait Link {
     /// If the datagram is longer than [`Link::MAX_WORDS`].
     fn try_send(&self, words: &[u32]) -> Result<(), LinkFull>;
 
-    /// Fetches the next datagram into `words` and returns its length in words; `None` if there is
-    /// none. One at a time. What does not fit in `words` is cut off.
+    /// Copies the next datagram into `words` and returns its length in words; `None` if there is
+    /// none. One at a time. A datagram longer than `words` is cut off.
     fn try_receive(&self, words: &mut [u32]) -> Option<usize>;
 }

@@ -5,18 +5,18 @@
 pub enum ResetCause {
     /// Power came on.
     PowerOn,
-    /// The software asked for it.
+    /// The software requested it.
     Software,
-    /// A watchdog was not serviced as it must be: late, early, or with a wrong answer.
+    /// A watchdog service was missing, late, early, or had a wrong answer.
     Watchdog,
     /// A core trapped, died, or was reset by the supply because another core reported it dead.
     Trap,
-    /// The software asked for it, to take a download.
+    /// The software requested it, to receive a download.
     Download,
 }
 
 impl ResetCause {
-    /// Every cause but power-on and the resets that the software asked for. T-RED-5
+    /// Every cause but power-on and the resets that the software requested. T-RED-5
     #[must_use]
     pub const fn is_abnormal(self) -> bool {
         matches!(self, Self::Watchdog | Self::Trap)
@@ -24,7 +24,7 @@ impl ResetCause {
 }
 
 impl ResetCause {
-    /// All of them, in the order of their codes.
+    /// All causes, in the order of their codes.
     pub const ALL: [Self; 5] = [
         Self::PowerOn,
         Self::Software,
@@ -33,7 +33,7 @@ impl ResetCause {
         Self::Download,
     ];
 
-    /// The number by which a cause is passed on.
+    /// The number that encodes the cause.
     #[must_use]
     pub const fn code(self) -> u32 {
         self as u32
@@ -46,14 +46,14 @@ impl ResetCause {
     }
 }
 
-/// What a core asks of the reset generator. A request resets the whole system: all three cores.
+/// A request of a core to the reset generator. A request resets the whole system: all three cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ResetRequest {
     /// An orderly restart; the next reset cause is [`ResetCause::Software`].
     Software,
     /// A core of this system does not answer; the next reset cause is [`ResetCause::Trap`].
     CoreDead,
-    /// Hold the system in reset for good: it has failed and suspends (T-RED-5).
+    /// Hold the system in reset until the next power-on: it has failed and suspends (T-RED-5).
     Suspend,
     /// An orderly restart after which the bootloader waits for a host; the next reset cause is
     /// [`ResetCause::Download`].
@@ -61,7 +61,7 @@ pub enum ResetRequest {
 }
 
 impl ResetRequest {
-    /// All of them, in the order of their codes.
+    /// All requests, in the order of their codes.
     pub const ALL: [Self; 4] = [
         Self::Software,
         Self::CoreDead,
@@ -69,7 +69,7 @@ impl ResetRequest {
         Self::Download,
     ];
 
-    /// The number by which a request is passed on.
+    /// The number that encodes the request.
     #[must_use]
     pub const fn code(self) -> u32 {
         self as u32
@@ -82,7 +82,7 @@ impl ResetRequest {
     }
 }
 
-/// What the system shows of itself on its digital outputs, for a person or an oscilloscope.
+/// The system's role, shown on its digital outputs for a person or an oscilloscope.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoleLamp {
     /// Not yet in a role.
@@ -98,7 +98,7 @@ pub enum RoleLamp {
 }
 
 impl RoleLamp {
-    /// All of them, in the order of their codes.
+    /// All roles, in the order of their codes.
     pub const ALL: [Self; 5] = [
         Self::Starting,
         Self::Master,
@@ -107,7 +107,7 @@ impl RoleLamp {
         Self::Suspended,
     ];
 
-    /// The number by which a role is passed on.
+    /// The number that encodes the role.
     #[must_use]
     pub const fn code(self) -> u32 {
         self as u32
@@ -123,7 +123,7 @@ impl RoleLamp {
 /// The answer that the functional watchdog expects to a question (0 ..= 15): a fixed byte
 /// permutation.
 ///
-/// A core that merely loops over a store to the watchdog register cannot give it.
+/// A core that only repeats a store to the watchdog register cannot give it.
 #[must_use]
 pub const fn watchdog_answer(question: u8) -> u8 {
     let q = question & 0xF;
@@ -131,7 +131,7 @@ pub const fn watchdog_answer(question: u8) -> u8 {
     q.wrapping_mul(0x1D).rotate_left(3) ^ 0xA5
 }
 
-/// The supply as its system's core 0 sees it.
+/// The supply, seen from core 0 of its system.
 pub trait Supply {
     /// Why this incarnation of the system began. Any context.
     fn reset_cause(&self) -> ResetCause;
@@ -144,8 +144,8 @@ pub trait Supply {
     /// time, core 0 only.
     ///
     /// The call must be within the open window: not before [`Supply::WINDOW_OPENS_US`] and not
-    /// after [`Supply::WINDOW_CLOSES_US`] since the last service. The first service may come at
-    /// once, and not after [`Supply::FIRST_SERVICE_US`] since the start. Otherwise the supply
+    /// after [`Supply::WINDOW_CLOSES_US`] since the last service. The first service may be
+    /// immediate and must be within [`Supply::FIRST_SERVICE_US`] of the start. Otherwise the supply
     /// resets the system.
     fn service_watchdog(&self, answer: u8);
 
@@ -156,8 +156,8 @@ pub trait Supply {
     /// Latest first service after a start, in microseconds.
     const FIRST_SERVICE_US: u32;
 
-    /// Asks for a reset. Any context. It returns before the reset; the caller must not act any
-    /// more.
+    /// Requests a reset. Any context. Returns before the reset; after this call the caller must not
+    /// act.
     fn request_reset(&self, request: ResetRequest);
 
     /// Shows the role on the system's digital outputs. Any context.

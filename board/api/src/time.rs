@@ -1,10 +1,10 @@
-//! Time as the portable code sees it: nanoseconds on one system's monotonic clock.
+//! Time in portable code: nanoseconds on one system's monotonic clock.
 
 use core::ops::{Add, AddAssign, Sub};
 
 /// A point on a system's monotonic clock, in nanoseconds since an origin that only the board knows.
 ///
-/// Plain 64-bit arithmetic, no atomics: it is carried between cores as two words.
+/// Plain 64-bit arithmetic, no atomics: cores pass it to each other as two words.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Instant(u64);
 
@@ -15,7 +15,7 @@ pub struct Duration(u64);
 impl Instant {
     /// The origin of the clock.
     pub const ORIGIN: Self = Self(0);
-    /// Later than every time that a clock can show.
+    /// Later than any time that a clock can show.
     pub const NEVER: Self = Self(u64::MAX);
 
     /// The instant `ns` nanoseconds after the origin.
@@ -36,7 +36,7 @@ impl Instant {
         Duration(self.0.saturating_sub(earlier.0))
     }
 
-    /// The low and the high word, for a place in shared memory.
+    /// The low and the high word, for shared memory.
     #[must_use]
     pub const fn to_words(self) -> [u32; 2] {
         [self.0 as u32, (self.0 >> 32) as u32]

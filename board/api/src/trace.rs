@@ -1,15 +1,15 @@
-//! What a board keeps for people: records of its cores, and of the supplies that start and end
-//! them.
+//! Records for people, kept by the board: those of its cores, and those of the supplies that start
+//! and end them.
 //!
-//! Nothing that drives reads a trace. What the records of a core mean is said by the portable code
-//! that writes them.
+//! Driving never reads a trace. The portable code that writes a core's records defines their
+//! meaning.
 
 use crate::{CoreId, Generation, Instant, ResetCause, SystemId};
 
 /// One record: four words. The board adds the time and the core.
 pub type TraceRecord = [u32; 4];
 
-/// A record of a core, as an observer reads it from the board.
+/// A record of a core, as read from the board.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Traced {
     /// When the core wrote it.
@@ -18,30 +18,30 @@ pub struct Traced {
     pub system: SystemId,
     /// The core.
     pub core: CoreId,
-    /// What it wrote.
+    /// The record.
     pub record: TraceRecord,
 }
 
-/// What a supply did or saw: the deaths and resets that no core can report itself.
+/// An event of a supply: deaths and resets that no core can report itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SupplyEvent {
-    /// It started a core.
+    /// The supply started a core.
     CoreStarted {
-        /// Which.
+        /// The core.
         core: CoreId,
-        /// In which of its incarnations.
+        /// Its incarnation.
         generation: Generation,
     },
     /// A core ended while the system was on: by itself or by a signal from outside.
     CoreDied {
-        /// Which.
+        /// The core.
         core: CoreId,
-        /// The signal; 0 if it ended by itself or that is not known.
+        /// The signal; 0 if the core ended by itself, or the signal is not known.
         signal: u8,
     },
-    /// It took the system down and will start it anew.
+    /// The supply stopped the system and will restart it.
     Reset(ResetCause),
-    /// It took the system down for good: the system asked for it.
+    /// The supply stopped the system until the next power-on: the system requested it.
     Suspended,
 }
 
@@ -57,7 +57,7 @@ impl SupplyEvent {
         }
     }
 
-    /// The event in a record; `None` if no supply wrote it.
+    /// The event in a record; `None` if the record is not one of a supply.
     #[must_use]
     pub fn decode([kind, x, y, _]: TraceRecord) -> Option<Self> {
         let core = || CoreId::new(u8::try_from(x).ok()?);

@@ -1,39 +1,39 @@
-//! The vehicle's side of a board: the CAN bus between both systems, the ignition, and what an
-//! observer sees.
+//! The vehicle's side of a board: the CAN bus between both systems, the ignition, and data for an
+//! observer.
 //!
-//! There is one vehicle in a run. It calls all of this from one thread.
+//! A run has one vehicle. It calls all of this from one thread.
 
 use crate::{CanFrame, CoreId, Instant, RoleLamp, SupplyEvent, SystemId, Traced};
 
-/// A frame of a core, as the bus carried it.
+/// A frame of a core on the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Carried {
     /// The frame.
     pub frame: CanFrame,
     /// When its core sent it.
     pub sent: Instant,
-    /// When it was on the bus: never before `sent`, nor before the frame that the bus carried last.
+    /// When it was on the bus: never before `sent`, nor before the previous frame on the bus.
     pub at: Instant,
 }
 
-/// The CAN bus, as the vehicle's nodes are connected to it.
+/// The CAN bus, seen from the vehicle's nodes.
 pub trait VehicleBus {
     /// The vehicle's clock.
     fn now(&self) -> Instant;
 
-    /// Takes the frames that the cores have sent since the last call, in bus order. Each comes with
-    /// its sender.
+    /// Takes the frames that the cores have sent since the last call, in bus order, each with its
+    /// sender.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried));
 
     /// Sends a frame of one of the vehicle's own nodes. Returns when it is on the bus: never before
-    /// a frame that the bus has carried.
+    /// the previous frame on the bus.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant;
 
     /// Wakes the cores that wait for frames, if there are new ones.
     fn ring_receivers(&mut self) {}
 }
 
-/// A whole run as the vehicle sees it.
+/// A whole run, seen from the vehicle.
 pub trait VehiclePort: VehicleBus {
     /// Why the board failed.
     type Error;
@@ -50,15 +50,15 @@ pub trait VehiclePort: VehicleBus {
     /// Whether a person wants the run to end early.
     fn stop_requested(&self) -> bool;
 
-    /// Takes the trace records of the cores since the last call, in the order of each core, and
-    /// returns how many were lost.
+    /// Takes the cores' trace records since the last call, in the order of each core, and returns
+    /// how many were lost.
     fn drain_trace(&mut self, into: &mut dyn FnMut(Traced)) -> u32;
 
-    /// Takes the records behind one whose writer was killed while it wrote. Only at the end of the
-    /// run.
+    /// Takes the records behind a record that its writer never completed, because it was killed.
+    /// Only at the end of the run.
     fn salvage_trace(&mut self, _into: &mut dyn FnMut(Traced)) {}
 
-    /// Takes what the supplies have done since the last call, on a board that tells.
+    /// Takes the events of the supplies since the last call. A board may report none.
     fn drain_supplies(&mut self, _into: &mut dyn FnMut(Instant, SystemId, SupplyEvent)) {}
 
     /// The role that the system shows.

@@ -4,17 +4,17 @@ use crate::case::{Failure, check};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreId, Duration, Edge, Line, Lines, Wake};
 
-/// Time limit for what must happen. No board needs as much, even on a busy machine: the limit only
-/// decides how late a failure is seen.
+/// Time limit for everything that must happen. No board needs this much, even on a busy machine:
+/// the limit only decides how late a failure is seen.
 pub(crate) const PATIENCE: Duration = Duration::from_ms(10_000);
-/// Time between the first polls of a role that sleeps in between.
+/// First polling interval of a role that sleeps between polls.
 const LOOK: Duration = Duration::from_ms(1);
-/// Time after which something that must *not* happen would have happened.
+/// After this time, a thing that must *not* happen would have happened.
 pub(crate) const SETTLE: Duration = Duration::from_ms(20);
 /// How many interrupts without a cause a board may see in one wait.
 const SPURIOUS: u32 = 1_000;
 
-/// Word `index` of those that are free for a case.
+/// Word `index` of those that a case may use.
 pub(crate) fn word<B: Board>(board: &B, index: usize) -> &AtomicU32 {
     &board.lmu()[FREE_WORDS + index]
 }
@@ -34,13 +34,13 @@ pub(crate) fn sleep_until<B: Board>(
         let now = board.now();
         let waited = now.since(begin);
         check(waited < PATIENCE, what)?;
-        // The longer it has taken, the longer it may take.
+        // The interval grows with the time already waited.
         board.wait(now + LOOK.max(Duration::from_ns(waited.as_ns() / 32)));
     }
     Ok(())
 }
 
-/// Looks until `holds`, without a `wait`: interrupts stay pending.
+/// Polls until `holds`, without a `wait`: interrupts stay pending.
 #[track_caller]
 pub(crate) fn spin_until<B: Board>(
     board: &B,
@@ -55,7 +55,7 @@ pub(crate) fn spin_until<B: Board>(
     Ok(())
 }
 
-/// Sleeps until `holds`, and may be woken by interrupts only: a deadline is a failure.
+/// Sleeps until `holds`. Only interrupts may wake it: a deadline is a failure.
 #[track_caller]
 pub(crate) fn woken_until<B: Board>(
     board: &B,
@@ -70,7 +70,7 @@ pub(crate) fn woken_until<B: Board>(
     Ok(())
 }
 
-/// Sleeps for a span whatever comes.
+/// Sleeps for the whole span, whatever interrupts arrive.
 #[track_caller]
 pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), Failure> {
     let end = board.now() + span;
@@ -85,7 +85,7 @@ pub(crate) fn sleep<B: Board>(board: &B, span: Duration) -> Result<(), Failure> 
     Ok(())
 }
 
-/// Waits until all of `cores` of this system have come to `step`. Steps count from 1.
+/// Waits until all of `cores` of this system have reached `step`. Steps count from 1.
 #[track_caller]
 pub(crate) fn wait_for_cores<B: Board>(
     board: &B,
@@ -102,7 +102,7 @@ pub(crate) fn wait_for_cores<B: Board>(
     })
 }
 
-/// Edge number `number`, from 0 on, of a line that is low: rising and falling in turn.
+/// Edge number `number`, from 0 on, of a line that starts low: rising and falling in turn.
 pub(crate) const fn alternating(number: u32) -> Edge {
     if number.is_multiple_of(2) {
         Edge::Rising

@@ -4,39 +4,40 @@ use core::fmt;
 use core::panic::Location;
 use tandem_board::CoreAddress;
 
-/// What one core does in a case. It is told which core it is meant to be.
+/// The function of one core in a case. Its argument says which core it is meant to be.
 pub type Role<B> = fn(&B, CoreAddress) -> Result<(), Failure>;
 
-/// A role and the core that plays it.
+/// A role and the core that runs it.
 #[derive(Clone, Copy, Debug)]
 pub struct Part<B: 'static> {
     /// The core.
     pub place: CoreAddress,
-    /// What it does.
+    /// Its function.
     pub role: Role<B>,
 }
 
-/// What a case needs beside two systems with power.
+/// What a case needs in addition to two systems with power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Setting {
-    /// Nothing; the watchdogs do not reset anybody.
+    /// Nothing; the watchdogs reset no system.
     Plain,
-    /// The watchdogs watch. A reset of a system that has a role is a failure; what happens to the
-    /// other system does not matter.
+    /// The watchdogs are active. A reset of a system that has a role is a failure; the other
+    /// system's state does not matter.
     Watchdog,
-    /// The watchdogs watch, and after a reset the rig runs the roles of that system again, in the
-    /// next generation. The case has passed when every role has returned `Ok` in some incarnation.
+    /// The watchdogs are active, and after a reset the rig runs the roles of that system again, in
+    /// the next generation. The case has passed when every role has returned `Ok` in some
+    /// incarnation.
     Restarts,
     /// As [`Setting::Restarts`], and the role of core 0 releases the other cores itself. In every
     /// other setting they are released before that role begins.
     Releases,
-    /// System A asks to be held in reset for good: its roles need not end. Those of system B must
-    /// return `Ok`. The watchdogs do not reset anybody.
+    /// System A requests to be held in reset: its roles need not end. Those of system B must return
+    /// `Ok`. The watchdogs reset no system.
     Suspends,
 }
 
 impl Setting {
-    /// Whether the watchdogs watch.
+    /// Whether the watchdogs are active.
     #[must_use]
     pub const fn watches(self) -> bool {
         matches!(self, Self::Watchdog | Self::Restarts | Self::Releases)
@@ -56,16 +57,16 @@ pub struct Case<B: 'static> {
     pub name: &'static str,
     /// What the case needs.
     pub setting: Setting,
-    /// The cores that take part, and what each does.
+    /// The cores that take part, with their roles.
     pub parts: &'static [Part<B>],
 }
 
-/// A contract that was broken, as one role saw it.
+/// A broken contract, as one role saw it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Failure {
     /// The contract.
     pub what: &'static str,
-    /// What was seen, and what should have been, if that is a number.
+    /// The observed and the expected value, if it is a number.
     pub numbers: Option<(u64, u64)>,
     /// The check that failed.
     pub at: &'static Location<'static>,

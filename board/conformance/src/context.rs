@@ -13,7 +13,7 @@ const FROM_HANDLER: u32 = 0xC0_0001;
 /// The same for a task.
 const FROM_TASK: u32 = 0xC0_0002;
 
-/// What a handler does: it calls each method that may be called from any context.
+/// A handler for tests: it calls each method that may be called from any context.
 #[derive(Debug, Default)]
 pub struct Handler {
     runs: AtomicU32,
@@ -39,8 +39,8 @@ impl Handler {
         self.runs.load(Ordering::Relaxed)
     }
 
-    /// Runs it once. The only call that is left out is `request_reset`, which would end the test.
-    /// It asserts nothing: what it breaks is seen by the task, in the trace, or as a deadlock.
+    /// Runs the handler once. It leaves out only `request_reset`, which would end the test. It
+    /// asserts nothing: an error is seen by the task, in the trace, or as a deadlock.
     pub fn run<B: Board>(&self, board: &B) {
         let run = self.runs.load(Ordering::Relaxed);
         let identity = board.identity();
@@ -61,8 +61,8 @@ impl Handler {
     }
 }
 
-/// What the task does that the handler interrupts: it calls each method but `request_reset`, and
-/// those that would reset the system or wear out its flash. `round` counts from 0.
+/// The task that the handler interrupts. It calls each method except `request_reset` and those that
+/// would reset the system or wear out its flash. `round` counts from 0.
 ///
 /// # Errors
 /// [`Failure`] if a call of the handler has disturbed one of the task.
@@ -74,7 +74,7 @@ pub fn in_task<B: Board>(board: &B, round: u32) -> Result<(), Failure> {
     check(board.now() >= before, "the clock never goes back")?;
     let frame = CanFrame::new(CanId::Standard(0x7F0), false, &round.to_le_bytes());
     if let Ok(frame) = frame {
-        // Full, if the bus is slower than this loop.
+        // Fails when full: the bus may be slower than this loop.
         let _ = board.can().try_send(&frame);
     }
     board.can().discard_unsent();

@@ -1,16 +1,15 @@
-//! One suite that every board passes: the contracts of `tandem-board`, executable.
+//! One suite that every board must pass: tests of the contracts of `tandem-board`.
 //!
 //! A [`Case`] has one role for each core that takes part, and a role is a plain function over a
 //! [`Board`](tandem_board::Board): a rig can run it on a thread, in a process started for it, or on
-//! a hart. The roles of a case meet through LMU words and lines, with time limits on the board's
-//! clock.
+//! a hart. The roles of a case wait for each other through LMU words and lines, with time limits on
+//! the board's clock.
 //!
-//! What a rig gives to each case: both systems freshly powered on (LMU zero, no edges counted,
-//! generation 1), all boards of the case made before or while its roles start, no other node on the
-//! bus, and no watchdog unless [`Case::setting`] says so. Cores that have no role in the case are
-//! absent.
+//! A rig gives each case: both systems freshly powered on (LMU zero, no edges counted, generation
+//! 1), all boards of the case made before or while its roles start, no other node on the bus, and
+//! no watchdog unless [`Case::setting`] says so. Cores without a role in the case are absent.
 //!
-//! Which methods a handler may call is beside the cases, as a portable role cannot be interrupted
+//! Calls from handlers are tested outside the cases, because a portable role cannot be interrupted
 //! on purpose: a rig whose board has handlers runs [`in_task`] in a loop, and [`Handler::run`] from
 //! an interrupt.
 //!

@@ -1,22 +1,22 @@
-//! How a board runs the suite.
+//! How a rig runs the suite on a board.
 
 use crate::case::{Case, Failure, Part, Setting, fail};
 use crate::cases::cases;
 use core::fmt::Display;
 use tandem_board::{Board, CoreId};
 
-/// What runs cases on one kind of board.
+/// Runs cases on one kind of board.
 pub trait Rig {
     /// The board.
     type Board: Board + 'static;
-    /// How a case ends that does not pass: which role failed, hung or died.
+    /// Why a case failed: which role failed, hung or died.
     type Fault: Display;
 
-    /// Whether this rig can give the case its setting.
+    /// Whether this rig supports the case's setting.
     fn takes(&self, case: &Case<Self::Board>) -> bool;
 
-    /// Powers both systems on, plays all parts of the case at the same time, and switches off.
-    /// `index` is the case's place in [`cases`], for [`run_role`].
+    /// Powers both systems on, runs all parts of the case at the same time, and switches off.
+    /// `index` is the case's index in [`cases`], for [`run_role`].
     ///
     /// # Errors
     /// The first fault, if a role fails or does not end.
@@ -28,13 +28,13 @@ pub trait Rig {
 pub enum Outcome<F> {
     /// Every role returned `Ok`.
     Passed,
-    /// The rig cannot give the case its setting.
+    /// The rig does not support the case's setting.
     Skipped,
     /// A role did not pass.
     Failed(F),
 }
 
-/// How many cases ended how.
+/// How many cases ended in each way.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
     /// Passed.
@@ -45,7 +45,7 @@ pub struct Summary {
     pub failed: u32,
 }
 
-/// Plays all cases in order and tells `report` of each.
+/// Runs all cases in order and calls `report` for each.
 pub fn run_all<R: Rig>(
     rig: &mut R,
     mut report: impl FnMut(&Case<R::Board>, &Outcome<R::Fault>),
@@ -69,9 +69,8 @@ pub fn run_all<R: Rig>(
     summary
 }
 
-/// Plays part `part` of case `case` of [`cases`]: how a process or a hart that was
-/// started for one role finds it. On core 0 it releases the other cores first, unless the case is
-/// about that.
+/// Runs part `part` of case `case` of [`cases`], for a process or a hart that was started for one
+/// role. On core 0 it releases the other cores first, unless the case tests the release.
 ///
 /// # Errors
 /// The [`Failure`] that the role saw, also if there is no such case or part.

@@ -1,9 +1,8 @@
-//! What an emulated machine and the world outside it tell each other, as words.
+//! The protocol between an emulated machine and the world outside it, as words.
 //!
-//! Once in each period of virtual time the machine writes a [`Report`] and then waits, with its
-//! clock standing still, for the answer. Both are a head of fixed length and then [`Item`]s. The
-//! host's side is `tandem-board-qemu`, the machine's side the emulated peripherals of a bare-metal
-//! board.
+//! Once in each period of virtual time the machine writes a [`Report`], stops its clock and waits
+//! for the answer. Both messages are a head of fixed length followed by [`Item`]s. The host's side
+//! is `tandem-board-qemu`; the machine's side is the emulated peripherals of a bare-metal board.
 //!
 //! ```text
 //! machine → world   MAGIC, words, now (2), lamps, powered, trace records lost, items …
@@ -19,9 +18,9 @@ use tandem_peripherals::codec::{
 
 /// Virtual time from one exchange to the next, ns.
 pub const PERIOD_NS: u64 = 1_000_000;
-/// The largest message, in words: less than a pipe holds, so that writing never blocks.
+/// The largest message, in words: fits into a pipe, so that a write never blocks.
 pub const MAX_WORDS: usize = 8_192;
-/// Words of an item at most.
+/// Largest item, in words.
 pub const ITEM_WORDS: usize = 1 + DATAGRAM_WORDS;
 
 /// "TXCH", little-endian.
@@ -45,7 +44,7 @@ pub enum Item {
     },
     /// Edges on a line to a system.
     Edges {
-        /// Whom they reach.
+        /// The receiving system.
         to: SystemId,
         /// The line, as [`tandem_board::Line::index`].
         line: usize,
@@ -56,7 +55,7 @@ pub enum Item {
     },
     /// A datagram on the link to a system.
     Datagram {
-        /// Whom it reaches.
+        /// The receiving system.
         to: SystemId,
         /// As [`tandem_peripherals::codec::encode_datagram`] makes them.
         words: [u32; DATAGRAM_WORDS],
@@ -79,12 +78,12 @@ pub enum Item {
     End,
 }
 
-/// A message that is no message: the other side is another version.
+/// The message cannot be decoded: the other side has another version.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Malformed;
 
 impl Item {
-    /// Writes the item; the number of words, at most [`ITEM_WORDS`].
+    /// Writes the item; returns the number of words, at most [`ITEM_WORDS`].
     pub fn encode(&self, into: &mut [u32; ITEM_WORDS]) -> usize {
         let head = |kind: u32, a: usize, b: usize, c: usize| {
             kind | (a as u32) << 8 | (b as u32) << 16 | (c as u32) << 24
@@ -116,7 +115,7 @@ impl Item {
     /// Takes an item off the front of `words`.
     ///
     /// # Errors
-    /// [`Malformed`] if none begins there.
+    /// [`Malformed`] if `words` does not begin with an item.
     pub fn decode(words: &mut &[u32]) -> Result<Self, Malformed> {
         let (&head, mut rest) = words.split_first().ok_or(Malformed)?;
         let [kind, a, b, c] = head.to_le_bytes().map(usize::from);
@@ -170,7 +169,7 @@ fn take<const N: usize>(words: &mut &[u32]) -> Result<[u32; N], Malformed> {
 pub struct Report {
     /// Its clock.
     pub now: Instant,
-    /// What A and B show of their roles.
+    /// The roles that A and B show.
     pub lamps: [RoleLamp; 2],
     /// Whether A and B have power and are out of reset.
     pub powered: [bool; 2],
@@ -179,7 +178,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// The words of the head, of a message of `words` words.
+    /// The head of a message of `words` words.
     #[must_use]
     pub fn encode(&self, words: usize) -> [u32; REPORT_WORDS] {
         let [low, high] = self.now.to_words();

@@ -1,4 +1,4 @@
-//! An image that runs by itself to its end, on nothing but its machine.
+//! Runs an image to its end, without a world around its machine.
 
 use std::fs::File;
 use std::path::Path;
@@ -7,26 +7,26 @@ use std::time::{Duration, Instant};
 
 use crate::machine::{MachineError, QEMU};
 
-/// Longer than any image takes that is run in this way, even on a busy machine.
+/// Longer than any such image takes, even on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// An emulator that does not outlive its value.
+/// An emulator that is killed when its value is dropped.
 struct Emulator(Child);
 
 impl Drop for Emulator {
     fn drop(&mut self) {
-        // It may have ended by itself; else nothing is lost with it.
+        // Fails if it has already ended.
         let _ = self.0.kill();
         let _ = self.0.wait();
     }
 }
 
-/// Runs an image to its end; what it has logged. Under `-icount shift=0`: an instruction takes 1 ns
-/// of its time, which jumps when all harts sleep, so that each run is the same.
+/// Runs an image to its end and returns its log. Uses `-icount shift=0`: an instruction takes 1 ns
+/// of virtual time, and time jumps when all harts sleep, so that all runs are the same.
 ///
 /// # Errors
-/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] with another status
-/// than 0; [`MachineError::Hangs`] after two minutes.
+/// [`MachineError::Start`] or [`MachineError::Pipes`]; [`MachineError::Ended`] if the status is not
+/// 0; [`MachineError::Hangs`] after two minutes.
 pub fn run_to_end(image: &Path) -> Result<String, MachineError> {
     let folder = tempfile::Builder::new()
         .prefix("tandem-qemu-")

@@ -1,9 +1,9 @@
-//! The world's side of emulated machines: starts QEMU, and exchanges with the firmware in it.
+//! The host's side of emulated machines: starts QEMU, and exchanges messages with its firmware.
 //!
-//! [`Machine`] is one emulator process with one or both systems in it, [`EmulatedWorld`] all
-//! machines of a run as the vehicle sees them: the bus, the wires between the systems, and what an
-//! observer sees. Virtual time advances in steps of [`tandem_cosim::PERIOD_NS`]; within a step
-//! the machines run by themselves and in parallel, and what one sends to another or to the world
+//! [`Machine`] is one emulator process with one or both systems in it. [`EmulatedWorld`] is all
+//! machines of a run as the vehicle sees them: the bus, the wires between the systems, and data for
+//! an observer. Virtual time advances in steps of [`tandem_cosim::PERIOD_NS`]. Within a step the
+//! machines run independently and in parallel; a message from one to another or to the world
 //! arrives with the next step. With the same frames from the world, two runs are equal to the bit.
 //! [`run_to_end`] is for images that need no world.
 #![forbid(unsafe_code)]

@@ -16,13 +16,13 @@ use tempfile::TempDir;
 pub(crate) const QEMU: &str = "qemu-system-riscv32";
 /// Address from which the firmware reads its straps.
 const STRAPS_AT: u32 = 0x8090_0000;
-/// Where the bootloader finds the public key that it believes.
+/// Address of the public key that the bootloader trusts.
 const KEY_AT: u32 = STRAPS_AT + 64;
-/// Where the program flash of the system begins.
+/// Start of the system's program flash.
 pub const PROGRAM_FLASH_AT: u32 = 0x8500_0000;
 /// A machine that reports nothing in this time hangs. One step takes far less than a second.
 const PATIENCE: Duration = Duration::from_secs(60);
-/// How often a machine that says nothing is looked after.
+/// How often a silent machine is checked.
 const LOOK_MS: i64 = 50;
 
 /// Why a machine cannot continue.
@@ -37,28 +37,28 @@ pub enum MachineError {
     /// The emulator has ended; its log says why.
     #[error("the emulator ended with {status}: {log}")]
     Ended {
-        /// How.
+        /// Its exit status.
         status: ExitStatus,
-        /// What the firmware has logged.
+        /// The firmware's log.
         log: String,
     },
-    /// The emulator says nothing any more.
+    /// The emulator no longer reports.
     #[error("the firmware does not answer: {log}")]
     Hangs {
-        /// What the firmware has logged.
+        /// The firmware's log.
         log: String,
     },
-    /// This version does not understand its report.
+    /// The report cannot be decoded: the image has another version.
     #[error("the firmware is not of this version")]
     Malformed,
 }
 
-/// What the image `bootloader` starts from: for one system in a machine of its own.
+/// What the image `bootloader` starts from: one system in its own machine.
 #[derive(Clone, Debug)]
 pub struct BootFrom {
     /// The content of the program flash, 2 MiB. The machine works on a copy.
     pub flash: PathBuf,
-    /// The public key that it believes.
+    /// The public key that the bootloader trusts.
     pub public: [u8; 32],
 }
 
@@ -68,17 +68,17 @@ pub struct Machine {
     child: Child,
     from: File,
     to: File,
-    /// What the emulator complains about, and what the firmware logs.
+    /// Errors of the emulator, and the firmware's log.
     logs: [File; 2],
-    /// Until the emulator has opened all that is in it: so nothing is left behind, whatever ends.
+    /// Kept until the emulator has opened all files in it, so that none is left behind in any case.
     folder: Option<TempDir>,
     systems: Vec<SystemId>,
 }
 
 impl Machine {
-    /// Starts the image with these systems in it. Alone in a machine, a system's core 0 runs its
-    /// tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is none. An
-    /// image that boots is told from where.
+    /// Starts the image with these systems in it. Core 0 of a system that is alone in its machine
+    /// runs its tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is
+    /// no overload. `BootFrom` is for an image that boots.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
@@ -132,7 +132,7 @@ impl Machine {
         let logs = [log("errors")?, log("log")?];
         let errors = logs[0].try_clone().map_err(MachineError::Pipes)?;
         let child = command
-            // Ctrl-C at a terminal is the run's to handle.
+            // The run itself handles Ctrl-C at a terminal.
             .process_group(0)
             .stdin(Stdio::null())
             .stdout(Stdio::null())
@@ -161,11 +161,11 @@ impl Machine {
         self.child.id()
     }
 
-    /// The next report, and what has happened since the last one. Blocks until the machine has
-    /// come to its next exchange.
+    /// Waits for the machine's next exchange and returns its report; `each` gets what happened
+    /// since the last one. Blocks.
     ///
     /// # Errors
-    /// [`MachineError`] if it does not.
+    /// [`MachineError`] if the machine does not report.
     pub fn report(&mut self, mut each: impl FnMut(Item)) -> Result<Report, MachineError> {
         let mut words = vec![0; REPORT_WORDS];
         self.read(&mut words)?;
@@ -184,8 +184,8 @@ impl Machine {
         Ok(report)
     }
 
-    /// Answers: the machine goes on with what has happened outside. What does not fit is left out;
-    /// how many items that are.
+    /// Answers: the machine continues, with these items from outside. Returns the number of items
+    /// that did not fit and were left out.
     ///
     /// # Errors
     /// [`MachineError`] if the machine has ended.
@@ -209,7 +209,7 @@ impl Machine {
         }
     }
 
-    /// Ends the run of the machine; what it has logged.
+    /// Ends the run of the machine and returns its log.
     ///
     /// # Errors
     /// [`MachineError`] if it had ended before.
@@ -228,7 +228,7 @@ impl Machine {
         while filled < bytes.len() {
             self.await_bytes(begin)?;
             match self.from.read(&mut bytes[filled..]) {
-                // No writer: it has not opened the pipe yet, or it is gone.
+                // No writer: the emulator has not opened the pipe yet, or has ended.
                 Ok(0) => {
                     if self.has_ended() {
                         return Err(self.ended());
@@ -286,12 +286,12 @@ impl Machine {
         }
     }
 
-    /// What the firmware has logged, and what the emulator has complained about.
+    /// The firmware's log, and the errors of the emulator.
     #[must_use]
     pub fn log(&self) -> String {
         let mut text = String::new();
         for mut log in &self.logs {
-            // One that cannot be read says nothing.
+            // A log that cannot be read counts as empty.
             let _ = log.seek(SeekFrom::Start(0));
             let _ = log.read_to_string(&mut text);
         }
@@ -301,21 +301,21 @@ impl Machine {
 
 impl Drop for Machine {
     fn drop(&mut self) {
-        // It may have ended by itself; else nothing is lost with it.
+        // Fails if it has already ended.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 }
 
 /// Makes the two pipes and opens this side of them: the reading end so that it does not wait for a
-/// writer, the writing end so that a machine that dies does not raise a signal here.
+/// writer, the writing end so that a machine's death raises no signal here.
 fn pipes(folder: &Path) -> rustix::io::Result<(File, File)> {
     let mode = Mode::RUSR | Mode::WUSR;
     let paths = ["to-world", "from-world"].map(|name| folder.join(name));
     for path in &paths {
         mknodat(CWD, path, FileType::Fifo, mode, 0)?;
     }
-    // Not for the emulators: a machine whose world is gone must see the end of its pipe.
+    // Not inherited by the emulators: a machine whose world has ended must see the end of its pipe.
     let flags = OFlags::CLOEXEC;
     let from = open(&paths[0], flags | OFlags::RDONLY | OFlags::NONBLOCK, mode)?;
     let to = open(&paths[1], flags | OFlags::RDWR, mode)?;

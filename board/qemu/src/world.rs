@@ -13,12 +13,12 @@ use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
 
 use crate::machine::{BootFrom, Machine, MachineError};
 
-/// In how many emulators the systems are.
+/// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
-    /// Both in one.
+    /// Both in one emulator.
     One,
-    /// One each: either can be killed.
+    /// One emulator each: either can be killed.
     Two,
 }
 
@@ -29,7 +29,7 @@ pub struct EmulatedWorld {
     machines: Vec<Node>,
     /// The number of the last step.
     step: u64,
-    /// What was on the bus, with its sender, since the last step.
+    /// Frames on the bus since the last step, with their senders.
     sent: Vec<(SystemId, CoreId, Received)>,
     /// When the last frame was on the bus.
     carried: Instant,
@@ -42,10 +42,10 @@ pub struct EmulatedWorld {
 
 #[derive(Debug)]
 struct Node {
-    /// `None` when it has ended.
+    /// `None` when the machine has ended.
     machine: Option<Machine>,
     systems: Vec<SystemId>,
-    /// What it will hear with the next answer.
+    /// The items of the next answer.
     outgoing: Vec<Item>,
     lost: u32,
 }
@@ -59,8 +59,8 @@ impl EmulatedWorld {
         Self::start_overloaded(image, layout, reintegrate, 0)
     }
 
-    /// As [`EmulatedWorld::start`], with jobs of a task of core 0 that take too long: the strap
-    /// `Third` of the image, whose main says what it means.
+    /// As [`EmulatedWorld::start`], with overlong jobs of a task of core 0: `overload` is the strap
+    /// `Third` of the image, explained in its main.
     ///
     /// # Errors
     /// [`MachineError`]
@@ -82,7 +82,8 @@ impl EmulatedWorld {
     }
 
     /// Starts an emulator for each of these systems with the image `bootloader`, which boots from
-    /// the flash of the system. Both systems are without power; one that is not named stays so.
+    /// the flash of the system. Both systems are without power; a system that is not named stays
+    /// so.
     ///
     /// # Errors
     /// [`MachineError`]
@@ -124,7 +125,7 @@ impl EmulatedWorld {
         })
     }
 
-    /// The emulator processes that run, with their systems.
+    /// The running emulator processes, with their systems.
     pub fn processes(&self) -> impl Iterator<Item = (u32, &[SystemId])> {
         let running = self
             .machines
@@ -133,13 +134,13 @@ impl EmulatedWorld {
         running.map(|machine| (machine.pid(), machine.systems()))
     }
 
-    /// The flag that a person sets who wants the run to end early.
+    /// The flag that requests an early end of the run.
     #[must_use]
     pub fn stop_flag(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.stop)
     }
 
-    /// What the firmware of all machines that run has logged.
+    /// The log of the firmware of all running machines.
     #[must_use]
     pub fn log(&self) -> String {
         let running = self
@@ -149,7 +150,7 @@ impl EmulatedWorld {
         running.map(Machine::log).collect::<Vec<_>>().join("\n")
     }
 
-    /// Ends all machines; what their firmware has logged.
+    /// Ends all machines and returns their firmware's logs.
     ///
     /// # Errors
     /// [`MachineError`] if one has ended by itself.
@@ -159,8 +160,8 @@ impl EmulatedWorld {
         Ok(logs?.join("\n"))
     }
 
-    /// Lets all machines run to the next step, with what was broadcast and switched since the last
-    /// one. A machine that was killed takes its systems with it: their level falls.
+    /// Lets all machines run to the next step, with everything that was broadcast and switched
+    /// since the last one. If a machine was killed, its systems end and their level falls.
     ///
     /// # Errors
     /// [`MachineError`] if a machine hangs, or has ended by itself.
@@ -183,7 +184,7 @@ impl EmulatedWorld {
             if let Some(machine) = &mut node.machine {
                 let left_out = machine.answer(&items);
                 match left_out {
-                    // One that was just killed is noticed when it does not report.
+                    // A machine that was just killed is noticed when it does not report.
                     Ok(_) | Err(MachineError::Ended { .. }) => {}
                     Err(error) => return Err(error),
                 }
@@ -200,7 +201,7 @@ impl EmulatedWorld {
         let mut items = vec![];
         let report = match machine.report(|item| items.push(item)) {
             Ok(report) => report,
-            // Killed by a signal: that is a loss of power.
+            // Killed by a signal: counts as a loss of power.
             Err(MachineError::Ended { status, .. }) if status.code().is_none() => {
                 self.bury(index);
                 return Ok(());
@@ -230,7 +231,7 @@ impl EmulatedWorld {
         }
     }
 
-    /// The level line of a system, as the other one sees it.
+    /// Sets the level line of a system, as the other one sees it.
     fn set_level(&mut self, of: SystemId, high: bool) {
         if self.powered[of.index()] != high {
             self.powered[of.index()] = high;
@@ -238,7 +239,7 @@ impl EmulatedWorld {
         }
     }
 
-    /// Tells the machine of `to`, if it is not that of `from`, which knows.
+    /// Sends the item to the machine of `to`, unless that is also the machine of `from`.
     fn tell(&mut self, to: SystemId, from: SystemId, item: Item) {
         let elsewhere =
             |node: &&mut Node| node.systems.contains(&to) && !node.systems.contains(&from);
@@ -277,7 +278,7 @@ impl EmulatedWorld {
         }
     }
 
-    /// Connects the battery of a system, or disconnects it, with the next step.
+    /// Connects the battery of a system, or disconnects it, at the next step.
     pub fn set_feed(&mut self, of: SystemId, on: bool) {
         for node in &mut self.machines {
             if node.systems.contains(&of) {
@@ -288,14 +289,14 @@ impl EmulatedWorld {
 }
 
 impl VehicleBus for EmulatedWorld {
-    /// Virtual time: that of the last step.
+    /// Virtual time of the last step.
     fn now(&self) -> Instant {
         Instant::from_ns(self.step * PERIOD_NS)
     }
 
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         for (system, core, Received { frame, at }) in self.sent.drain(..) {
-            // One that came too late for the last step is on the bus with this one.
+            // A frame that missed the last step is on the bus with this one.
             self.carried = self.carried.max(at);
             let carried = Carried {
                 frame,
@@ -306,7 +307,7 @@ impl VehicleBus for EmulatedWorld {
         }
     }
 
-    /// The cores get it with the next step.
+    /// The cores receive it with the next step.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         self.carried = self.carried.max(self.now());
         let frame = BusFrame {

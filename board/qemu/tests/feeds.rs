@@ -11,11 +11,11 @@ use std::path::PathBuf;
 use tandem_board::{RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, Layout};
 
-/// Virtual time within which everything here happens, ms. Without sensors a system waits for two
-/// seconds before it begins.
+/// Virtual time limit of these tests, ms. Without sensors a system waits for two seconds before it
+/// begins.
 const LIMIT_MS: u64 = 10_000;
 
-/// Runs until `holds`, and says for how many milliseconds.
+/// Runs until `holds`; returns for how many milliseconds.
 fn until(world: &mut EmulatedWorld, what: &str, holds: impl Fn(&EmulatedWorld) -> bool) -> u64 {
     for ms in 0..LIMIT_MS {
         if holds(world) {

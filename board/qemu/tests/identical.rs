@@ -19,7 +19,7 @@ use tandem_vehicle::{Config, LocalBus, Scenario, World};
 const DRIVE_MS: u64 = 3_000;
 /// Address from which the image reads the frames; see link.x.
 const RECORDING_AT: u32 = 0x8100_0000;
-/// The strap that says for how long.
+/// Address of the strap with that length.
 const LENGTH_AT: u32 = 0x8090_0004;
 
 /// The frames of a vehicle that the functions drive.
@@ -67,7 +67,7 @@ fn record(scenario: &str) -> Vec<u32> {
     recording
 }
 
-/// What the firmware says of these frames.
+/// The firmware's result for these frames.
 fn as_firmware(recording: &[u32]) -> String {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let folder = tempfile::tempdir().unwrap();
@@ -121,7 +121,7 @@ fn outputs_of_the_functions_are_bit_identical_on_host_and_firmware() {
             Some(format!("{here:?}").as_str()),
             "{scenario}"
         );
-        // Wrong bits in ten frames, not all of which the functions read, make another digest: the
+        // Wrong bits in ten frames, of which the functions read some, change the digest: the
         // comparison can fail.
         let mut other = recording;
         let middle = other.len() / 2 / 20 * 20;

@@ -11,8 +11,8 @@ use std::path::PathBuf;
 use tandem_board_qemu::run_to_end;
 use tandem_rtos::demo::{COMPLETE, Edge};
 
-/// How much the paths from a tick to an edge may differ: a switch for each task that comes before,
-/// at 1 ns an instruction. The tests are about milliseconds.
+/// How much the paths from a tick to an edge may differ: one switch for each earlier task, at 1 ns
+/// an instruction. The tests check milliseconds.
 const PATH_NS: u64 = 10_000;
 const MS_NS: u64 = 1_000_000;
 const SPAN_MS: u64 = 360;
@@ -24,7 +24,7 @@ fn log() -> String {
     log
 }
 
-/// When this output has changed, ns.
+/// The times at which this output changed, ns.
 fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
     log.lines()
         .filter_map(Edge::parse)
@@ -33,7 +33,7 @@ fn edges(log: &str, test: usize, output: usize) -> Vec<u64> {
         .collect()
 }
 
-/// Fails unless there is one edge for each of these points in time, in this order.
+/// Fails unless there is exactly one edge at each of these points in time, in this order.
 fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
     assert_eq!(edges.len(), expected_ms.len(), "{what}: {edges:?}");
     for (at, expected) in edges.iter().zip(expected_ms) {
@@ -75,13 +75,13 @@ fn no_lower_task_toggles_while_the_highest_works() {
             assert_eq!(within.next(), None, "{lower} toggles within {work:?}");
         }
     }
-    // Each of their periods is served, as soon as the highest rests.
+    // Each of their periods is served as soon as the task of highest priority sleeps.
     let rests_from = |ms: u64| if ms % 30 < 20 { ms - ms % 30 + 20 } else { ms };
     for (what, edges, period_ms) in [("the middle", &middle, 20), ("the lowest", &lowest, 10)] {
         let expected: Vec<u64> = (0..SPAN_MS).step_by(period_ms).map(rests_from).collect();
         assert_at(edges, &expected, what);
     }
-    // T-RTOS-4's order among the two that were held up.
+    // T-RTOS-4: the order of the two tasks that were held up.
     for from in changes.iter().skip(1).step_by(2).map(|ms| ms * MS_NS) {
         let first = |edges: &[u64]| edges.iter().copied().find(|at| *at >= from);
         assert!(first(&middle) < first(&lowest), "after {from} ns");

@@ -23,7 +23,7 @@ fn overload(task: TaskId, ms: u8, every: u16) -> u32 {
     u32::from_le_bytes([task as u8 + 1, ms, low, high])
 }
 
-/// What core 0 of system A has traced, and what its firmware has logged.
+/// The trace of core 0 of system A, and the log of its firmware.
 fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
@@ -55,7 +55,7 @@ fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
     (events, world.end().unwrap())
 }
 
-/// A job, from its begin to its end.
+/// A job, from start to end.
 struct Job {
     task: TaskCode,
     from: Instant,
@@ -64,7 +64,7 @@ struct Job {
     within: Vec<TaskCode>,
 }
 
-/// All jobs that have ended, in the order of their begins.
+/// All jobs that have ended, in the order of their starts.
 fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
     let mut open: Vec<Job> = vec![];
     let mut done = vec![];
@@ -103,9 +103,8 @@ fn jobs(events: &[(Instant, Event)]) -> Vec<Job> {
     done
 }
 
-/// T-RTOS-4: a task that works for 20 ms keeps every less urgent one from running, and no more
-/// urgent one. Here it is the control task of the controller itself, of which every 20th job takes
-/// 20 ms longer.
+/// T-RTOS-4: a task that works for 20 ms delays all less urgent tasks and no more urgent one. Here
+/// it is the controller's own control task: every 20th job takes 20 ms longer.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
@@ -123,13 +122,14 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
             if info.priority < control.priority {
                 assert_eq!(ran(&info), 0, "{} ran at {:?}", info.name, job.from);
             } else if info.priority > control.priority {
-                // As often as without: monitoring every 5 ms, the roles at least every 2 ms.
+                // As often as without the load: monitoring every 5 ms, the roles at least every 2
+                // ms.
                 let least = if info.code == TaskCode::ROLES { 10 } else { 3 };
                 assert!(ran(&info) >= least, "{}: {} times", info.name, ran(&info));
             }
         }
     }
-    // Some of the less urgent ones were released in that time, and had to wait.
+    // Some of the less urgent tasks were released in that time, and had to wait.
     let waited = events.iter().filter(|(at, event)| match event {
         Event::Ready { task } => {
             let within = |job: &&&Job| job.from < *at && *at < job.to;
@@ -140,14 +140,14 @@ fn a_burning_control_task_holds_up_only_what_is_less_urgent() {
         _ => false,
     });
     assert!(waited.count() > 0, "nothing less urgent was released");
-    // They run between the jobs that burn.
+    // They run between the long jobs.
     for task in [TaskCode::STATUS, TaskCode::MONITORING, TaskCode::ROLES] {
         assert!(jobs.iter().any(|job| job.task == task));
     }
 }
 
 /// A reset of the core does not end FreeRTOS: the kernel starts again in each incarnation. Here
-/// monitoring holds the watchdog up, of which every 600th job takes 100 ms longer.
+/// every 600th job of monitoring takes 100 ms longer, so the watchdog is serviced too late.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_kernel_runs_again_after_a_reset_of_the_core() {

@@ -5,11 +5,12 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Mutex, PoisonError};
 use tandem_board::Instant;
 
-/// What unwinds a blocking core whose incarnation is over, out of the call in which it is parked.
+/// The panic payload that unwinds a blocking core whose incarnation is over, out of the call in
+/// which it is parked.
 #[derive(Clone, Copy, Debug)]
 pub struct CoreKilled;
 
-/// What a core tells the pair.
+/// Message of a core to the pair.
 pub(crate) enum Said {
     /// Parked until this time on the core's clock.
     Parked(Instant),
@@ -24,8 +25,8 @@ pub(crate) struct Baton {
 }
 
 impl Baton {
-    /// Lets the others run until `until` on the core's clock, or until the pair has a reason to
-    /// resume this core. Unwinds with [`CoreKilled`] when the core's incarnation is over.
+    /// Lets the others run until `until` on the core's clock, or until the pair resumes this core
+    /// earlier. Unwinds with [`CoreKilled`] when the core's incarnation is over.
     pub(crate) fn park(&self, until: Instant) {
         if std::thread::panicking() {
             return;

@@ -1,4 +1,4 @@
-//! A core whose code blocks, as a poller: a thread that runs only when the pair says so.
+//! Makes a poller from a core whose code blocks: a thread that runs only while the pair polls it.
 
 use crate::baton::{Baton, Said};
 use crate::board::{Poller, SimBoard};
@@ -10,15 +10,15 @@ use std::time::Duration as WallTime;
 use tandem_board::{Board, Instant};
 
 /// How long a core may compute, in wall-clock time, before it counts as hanging in a loop that
-/// never looks at its board. Only a diagnosis: no result depends on it.
+/// never calls its board. Only a diagnosis: no result depends on it.
 const HANGS_AFTER: WallTime = WallTime::from_secs(120);
 
-/// Says that the function has ended, also when it unwinds.
+/// Reports the end of the function, also when it unwinds.
 struct AtEnd(Arc<Baton>);
 
 impl Drop for AtEnd {
     fn drop(&mut self) {
-        // The pair may have been dropped; then no one receives it.
+        // Fails if the pair was dropped.
         let _ = self.0.said.send(Said::Ended);
     }
 }
@@ -31,7 +31,7 @@ struct CoreThread {
 }
 
 impl CoreThread {
-    /// Runs the core until it parks; the time until which it sleeps.
+    /// Runs the core until it parks; returns the time until which it sleeps.
     fn poll(&mut self) -> Instant {
         let Some(resume) = &self.resume else {
             return Instant::NEVER;
@@ -55,7 +55,7 @@ impl CoreThread {
 impl Drop for CoreThread {
     fn drop(&mut self) {
         self.resume = None;
-        // The thread unwinds; what a destructor in it says by panicking has been printed.
+        // The thread unwinds; a panic message of a destructor in it has been printed.
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
@@ -65,14 +65,14 @@ impl Drop for CoreThread {
 /// Makes a poller of a function that blocks in `Board::wait`, for a factory of
 /// [`SimPair`](crate::SimPair). When `run` returns, the core sleeps for ever.
 ///
-/// It runs on a thread of its own, but only while the pair polls it. Each look at the clock, at a
-/// line or at an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in
-/// which the other cores run: a loop that waits by looking ends. A loop that looks at the LMU alone
-/// does not.
+/// It runs on its own thread, but only while the pair polls it. Each read of the clock, of a line
+/// or of an empty receiver costs [`Config::look_at_clock`](crate::Config) of virtual time, in which
+/// the other cores run, so a loop that polls one of these ends. A loop that only reads the LMU does
+/// not.
 ///
 /// # Panics
-/// A panic in `run` comes out of the pair's run function. The poller panics when the core computes
-/// for two minutes without a look at its board.
+/// A panic in `run` propagates out of the pair's run function. The poller panics when the core
+/// computes for two minutes without a call of its board.
 pub fn blocking(board: &SimBoard, run: impl FnOnce(&SimBoard) + Send + 'static) -> Poller {
     let (resume, resumed) = channel();
     let (says, said) = channel();

@@ -14,8 +14,8 @@ use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
 use tandem_peripherals::watchdog::Window;
 
-/// A core: called when its interrupt is pending or its deadline has come, returns its next deadline
-/// on its system's clock.
+/// A core: called when its interrupt is pending or its deadline has passed. Returns its next
+/// deadline on its system's clock.
 pub type Poller = Box<dyn FnMut(&SimBoard) -> Instant>;
 
 /// A core's connection to the machine, for one incarnation of the core.
@@ -29,7 +29,7 @@ pub(crate) struct Port {
 }
 
 impl Port {
-    /// Runs `act` unless this incarnation of the core is over: the dead do not act.
+    /// Runs `act` if this incarnation of the core is still current: a dead core does not act.
     fn alive<R>(&self, act: impl FnOnce(&mut crate::machine::Machine) -> R) -> Option<R> {
         let mut machine = self.shared.lock();
         let core = machine.core(self.place);
@@ -37,8 +37,8 @@ impl Port {
         incarnations.then(|| act(&mut machine))
     }
 
-    /// What a blocking core pays for looking at something that may change: the others run
-    /// meanwhile.
+    /// Virtual time that a blocking core pays for reading something that may change: the others run
+    /// in that time.
     fn look(&self) {
         let pays = self.shared.config.look_at_clock;
         let Some(baton) = &self.baton else { return };
@@ -69,7 +69,7 @@ impl Port {
         }
     }
 
-    /// What ends a wait now; if nothing does, the core pays attention to interrupts.
+    /// The reason that ends a wait now; without one the core starts to wait for interrupts.
     fn woken(&self, deadline: Instant) -> Option<Wake> {
         let mut machine = self.shared.lock();
         let now = machine.local(self.place.system);
@@ -103,14 +103,14 @@ impl Port {
     }
 }
 
-/// What one core sees of a [`SimPair`](crate::SimPair), for one incarnation of that core.
+/// The view of one core of a [`SimPair`](crate::SimPair), for one incarnation of that core.
 ///
-/// When that incarnation is over (power lost, reset, core killed), what is sent through a board
-/// that was kept goes nowhere.
+/// When that incarnation is over (power lost, reset, core killed), a board that was kept sends
+/// nothing.
 ///
 /// # Panics
-/// `wait` panics on a core that is polled. Programming the flash and serving the watchdog panic on
-/// another core than core 0.
+/// `wait` panics on a core that is polled. Programming the flash and servicing the watchdog panic
+/// on a core other than core 0.
 #[derive(Clone)]
 pub struct SimBoard {
     port: Port,
@@ -249,7 +249,7 @@ impl Can for SimCan {
         sent
     }
 
-    /// Nothing waits here: a frame is on the bus when it is handed over.
+    /// Nothing to discard: a frame is on the bus as soon as it is handed over.
     fn discard_unsent(&self) {
         self.0.alive(|machine| machine.discard_unsent(self.0.place));
     }

@@ -1,4 +1,4 @@
-//! What a run of the simulated pair depends on.
+//! The configuration of a simulated run.
 
 use tandem_board::Duration;
 use tandem_peripherals::supply;
@@ -42,19 +42,20 @@ impl Clock {
     }
 }
 
-/// What is wrong with a system's connection to the CAN bus. The default is a whole one.
+/// The faults of a system's connection to the CAN bus. The default is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct BusFault {
-    /// Of a thousand frames that it sends, this many do not reach the bus. 1000: its transmitter
-    /// is dead.
+    /// Of a thousand frames that the system sends, this many do not reach the bus. 1000: its
+    /// transmitter is dead.
     pub lost_out: u16,
-    /// Of a thousand frames on the bus, this many do not reach it. 1000: its receiver is dead.
+    /// Of a thousand frames on the bus, this many do not reach the system. 1000: its receiver is
+    /// dead.
     pub lost_in: u16,
     /// Its frames reach the bus this much later.
     pub late: Duration,
 }
 
-/// In which order cores run that are due at the same instant.
+/// The order of cores that are due at the same instant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Order {
     /// A0, A1, A2, B0, B1, B2.
@@ -67,7 +68,7 @@ pub enum Order {
 /// Configuration of a [`SimPair`](crate::SimPair).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
-    /// Seed of everything that is drawn: the order of cores, torn flash bytes.
+    /// Seed of all random choices: the order of cores, torn flash bytes.
     pub seed: u64,
     /// The clocks of systems A and B. By default with different origins, as two chips have.
     pub clocks: [Clock; 2],
@@ -77,9 +78,8 @@ pub struct Config {
     pub watchdog: bool,
     /// How long a supply holds its system in reset.
     pub reset_hold: Duration,
-    /// What a blocking core pays in virtual time for looking at the clock, a line, an empty
-    /// receiver, or for a wait that ends at once, so that waiting by spinning ends. Polled cores
-    /// pay nothing.
+    /// Virtual time that a blocking core pays for reading the clock, a line, an empty receiver, or
+    /// for a wait that ends at once, so that a polling loop ends. Polled cores pay nothing.
     pub look_at_clock: Duration,
     /// Frames that a core's CAN receive FIFO holds.
     pub can_fifo_frames: usize,
@@ -118,7 +118,7 @@ impl Default for Config {
 }
 
 impl Config {
-    /// How the supplies are set up, with the defects of the watchdog's window.
+    /// The configuration of the supplies, with the defects of the watchdog's window.
     pub(crate) fn supply(&self) -> supply::Config {
         let mut window = Window::TARGET;
         match self.defect {
@@ -141,10 +141,10 @@ impl Config {
 
 /// A way in which a board can break its contract.
 ///
-/// Exists for one purpose: each of these must make the conformance suite fail.
+/// Exists for one purpose: each defect must make the conformance suite fail.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Defect {
-    /// A ring that comes while the core is awake is forgotten.
+    /// A ring that arrives while the core is awake is lost.
     LostRing,
     /// A ring goes to the next core.
     MisdirectedRing,
@@ -154,7 +154,7 @@ pub enum Defect {
     WrongWake,
     /// `wait` says "interrupt" for a deadline.
     SpuriousForEver,
-    /// The clock goes back now and then.
+    /// The clock sometimes goes back.
     ClockGoesBack,
     /// The cores of a system have different clocks.
     SkewedCores,
@@ -170,9 +170,9 @@ pub enum Defect {
     NoneHeld,
     /// A release has no effect.
     NeverReleased,
-    /// A release is one of all cores.
+    /// A release releases all cores.
     ReleasesAll,
-    /// A core that is released twice begins twice.
+    /// A core that is released twice starts twice.
     ReleasesAgain,
     /// A core receives the CAN frames that it sends.
     SelfReception,
@@ -210,13 +210,14 @@ pub enum Defect {
     LinkReordered,
     /// A full link drops datagrams silently.
     LinkDrops,
-    /// What does not fit into a receiver's buffer comes as the next datagram.
+    /// The rest of a datagram that is too long for a receiver's buffer arrives as the next
+    /// datagram.
     LinkSplits,
     /// Erase fills with zeros.
     EraseToZero,
     /// Programming need not be aligned to pages.
     MisalignedProgram,
-    /// A new operation takes the place of the one under way.
+    /// A new operation replaces the one under way.
     NeverBusy,
     /// Programming sets bits.
     ProgramSets,
@@ -228,7 +229,7 @@ pub enum Defect {
     FlashForgets,
     /// The watchdog resets the system although it was serviced well.
     WatchdogRefuses,
-    /// The watchdog asks the same question for ever.
+    /// The watchdog always asks the same question.
     SameQuestion,
     /// A wrong answer to the watchdog has no effect.
     AnyAnswer,
@@ -236,18 +237,18 @@ pub enum Defect {
     WindowIgnored,
     /// The window of the watchdog opens too late.
     WindowLate,
-    /// A service that does not come has no effect.
+    /// A missing service has no effect.
     WatchdogSleeps,
     /// The reset cause is always power-on.
     CauseForgotten,
-    /// A reset that a core asks for does not come.
+    /// A requested reset does not happen.
     RequestIgnored,
     /// A reset leaves core 2 running.
     PartialReset,
 }
 
 impl Defect {
-    /// All of them.
+    /// All defects.
     pub const ALL: [Self; 50] = [
         Self::LostRing,
         Self::MisdirectedRing,

@@ -1,4 +1,4 @@
-//! What lies between the two systems: lines, data link, CAN bus.
+//! The connections between the two systems: lines, data link, CAN bus.
 
 use crate::config::Defect;
 use crate::machine::{Machine, OnBus};
@@ -81,7 +81,7 @@ impl Machine {
         self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
     }
 
-    /// Sends a frame of a core, unless it has sent its share of this millisecond.
+    /// Sends a frame of a core, unless the core has used up its share of this millisecond.
     pub(crate) fn send_can(
         &mut self,
         from: CoreAddress,
@@ -106,7 +106,7 @@ impl Machine {
         Ok(())
     }
 
-    /// Puts a frame on the bus: every core that is connected hears it, but its sender.
+    /// Puts a frame on the bus: every connected core but its sender receives it.
     pub(crate) fn put_on_bus(&mut self, sender: Sender, frame: &CanFrame) {
         let at = self.at();
         let on_bus = OnBus {
@@ -170,7 +170,7 @@ impl Machine {
         let mute = self.has(Defect::NoWakeOnReceive);
         let core = self.core(place);
         core.can_wakes = on;
-        // Level, not edge: what has come before the caller asked is pending, too.
+        // Level, not edge: a frame that arrived before the request is also pending.
         core.pending |= on && !mute && !core.can_fifo.is_empty();
     }
 }

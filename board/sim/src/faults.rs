@@ -1,4 +1,4 @@
-//! What fails: power, cores, wires, the bus, the flash, the clock.
+//! Faults: power, cores, wires, the bus, the flash, the clock.
 
 use crate::config::{BusFault, Clock};
 use crate::machine::Machine;
@@ -10,7 +10,7 @@ use tandem_peripherals::wires::Wire;
 
 /// Faults.
 impl SimPair {
-    /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. Nothing if it is on.
+    /// Switches a supply on: the LMU is zero, core 0 starts in generation 1. No effect if it is on.
     pub fn power_on(&mut self, system: SystemId) {
         self.shared.power_on(system);
         self.follow_incarnations();
@@ -22,7 +22,7 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes: 0 is
+    /// Takes the power from a system as soon as its flash has changed `bytes` more bytes; with 0,
     /// before the next operation changes its first byte.
     pub fn power_off_after_flash_bytes(&mut self, system: SystemId, bytes: u64) {
         self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
@@ -48,7 +48,7 @@ impl SimPair {
         self.follow_incarnations();
     }
 
-    /// A core does nothing for a span of virtual time; what comes for it stays pending.
+    /// A core does nothing for a span of virtual time; its interrupts and frames stay pending.
     pub fn freeze_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
         let mut machine = self.shared.lock();
         let thaws = (machine.at() + span).as_ns();
@@ -87,23 +87,22 @@ impl SimPair {
         self.shared.lock().count_edge(to, line, edge);
     }
 
-    /// Changes what is wrong with a system's connection to the CAN bus.
+    /// Sets the faults of a system's connection to the CAN bus.
     pub fn disturb_bus(&mut self, system: SystemId, fault: BusFault) {
         self.shared.lock().system(system).bus_fault = fault;
     }
 
-    /// A core rests for this span after each poll, so that all its deadlines pass late.
+    /// A core is not due for this span after each poll, so that all its deadlines pass late.
     pub fn rest_core(&mut self, system: SystemId, core: CoreId, span: Duration) {
         self.shared.lock().core(CoreAddress { system, core }).rest = span;
     }
 
-    /// The operation of the flash that is under way, and each later one, does not end while this
-    /// is so.
+    /// While `hangs`, no operation of the flash ends: neither the one under way nor a later one.
     pub fn hang_flash(&mut self, system: SystemId, hangs: bool) {
         self.shared.lock().system(system).flash.hang(hangs);
     }
 
-    /// The clock of a system continues from the time that it shows, faster than virtual time by
+    /// The clock of a system continues from its present value, faster than virtual time by
     /// `drift_ppb` parts per billion.
     pub fn set_clock_rate(&mut self, system: SystemId, drift_ppb: i32) {
         let mut machine = self.shared.lock();
@@ -122,7 +121,7 @@ impl Machine {
         }
     }
 
-    /// Whether one of these is lost: `permille` of a thousand.
+    /// Whether a frame is lost, with a probability of `permille` in a thousand.
     pub(crate) fn loses(&mut self, permille: u16) -> bool {
         permille > 0 && self.noise.random_range(0..1000) < permille
     }
@@ -138,7 +137,7 @@ impl Machine {
         }
     }
 
-    /// Puts the frames on the bus whose time has come.
+    /// Puts the delayed frames on the bus that are due.
     pub(crate) fn settle_bus(&mut self) {
         while let Some((at_ns, from, frame)) = self.on_the_way.front().copied()
             && at_ns <= self.now_ns
@@ -148,7 +147,7 @@ impl Machine {
         }
     }
 
-    /// When the next frame reaches the bus that is on the way.
+    /// When the next delayed frame reaches the bus.
     pub(crate) fn bus_next_ns(&self) -> u64 {
         self.on_the_way
             .front()
@@ -157,7 +156,7 @@ impl Machine {
 }
 
 impl Clock {
-    /// This clock, at another rate from virtual time `at_ns`.
+    /// This clock, with another rate from virtual time `at_ns` on.
     fn with_rate(self, at_ns: u64, drift_ppb: i32) -> Self {
         let shows = self.local_ns(at_ns);
         let from_zero = Self {

@@ -1,4 +1,4 @@
-//! Data flash as NOR flash is: one operation at a time, torn by a loss of power.
+//! NOR data flash: one operation at a time, torn by a loss of power.
 
 use rand::Rng;
 use tandem_board::{FlashError, Instant};
@@ -13,7 +13,7 @@ struct UnderWay {
     begun: Instant,
 }
 
-/// The medium and what is being done to it.
+/// The medium and the operation under way.
 #[derive(Clone, Debug)]
 pub(crate) struct Flash {
     bytes: Vec<u8>,
@@ -22,7 +22,7 @@ pub(crate) struct Flash {
 }
 
 impl Flash {
-    /// As it comes from the factory: erased.
+    /// As delivered: erased.
     pub(crate) fn new() -> Self {
         Self {
             bytes: vec![ERASED; SIZE],
@@ -55,7 +55,7 @@ impl Flash {
         Some(operation.ends(*begun).as_ns())
     }
 
-    /// When the operation under way has changed `count` bytes, if it changes that many.
+    /// When the operation under way has changed `count` bytes; `None` if it changes fewer.
     pub(crate) fn changed_ns(&self, count: u64) -> Option<u64> {
         let UnderWay {
             operation, begun, ..
@@ -104,8 +104,7 @@ impl Flash {
         Ok(())
     }
 
-    /// Lets a defect change what the operation under way does: the page behind its range, its
-    /// result.
+    /// Applies a defect to the operation under way: the page behind its range, its result.
     pub(crate) fn spoil(&mut self, change: impl FnOnce(&mut [u8], &mut [u8])) {
         if let Some(under_way) = &mut self.under_way {
             let end = under_way.operation.range().end;
@@ -114,7 +113,7 @@ impl Flash {
         }
     }
 
-    /// Ends the operation under way if its time has come; says how many bytes it changed.
+    /// Ends the operation under way if it is due; returns how many bytes it changed.
     pub(crate) fn settle(&mut self, now_ns: u64) -> u64 {
         if self.ends_ns().is_none_or(|ends| now_ns < ends) {
             return 0;
@@ -127,7 +126,7 @@ impl Flash {
         self.under_way = None;
     }
 
-    /// Ends the operation under way at once; says how many bytes it changed.
+    /// Ends the operation under way at once; returns how many bytes it changed.
     fn finish(&mut self) -> u64 {
         let Some(under_way) = self.under_way.take() else {
             return 0;
@@ -136,8 +135,8 @@ impl Flash {
         under_way.target.len() as u64
     }
 
-    /// Power is lost: the bytes done so far are new, the next one is noise, the rest is old.
-    /// Says how many bytes were done.
+    /// Power is lost: the bytes that are done are new, the next one is random, the rest is old.
+    /// Returns how many bytes were done.
     pub(crate) fn lose_power(&mut self, now: Instant, noise: &mut impl Rng) -> u64 {
         let Some(under_way) = self.under_way.take() else {
             return 0;

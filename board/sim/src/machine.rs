@@ -1,4 +1,4 @@
-//! The state of the two systems and of what lies between them.
+//! The state of the two systems and of their connections.
 
 use crate::config::{BusFault, Config, Defect};
 use crate::flash::Flash;
@@ -24,31 +24,31 @@ const LMU_WORDS: usize = 8192;
 pub struct OnBus {
     /// When, in virtual time.
     pub at: Instant,
-    /// From whom.
+    /// Its sender.
     pub sender: Sender,
-    /// What.
+    /// The frame.
     pub frame: CanFrame,
 }
 
-/// Something that happened to a system.
+/// An event of a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemEvent {
     /// When, in virtual time.
     pub at: Instant,
-    /// To which system.
+    /// The system.
     pub system: SystemId,
-    /// What.
+    /// The event.
     pub kind: SystemEventKind,
 }
 
 /// What happened to a system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SystemEventKind {
-    /// Power came, or the supply released the reset: the cores start.
+    /// Power was switched on, or the supply released the reset: the cores start.
     Started(ResetCause),
     /// Power was lost.
     PowerLost,
-    /// A core asked for a reset.
+    /// A core requested a reset.
     Requested(CoreId, ResetRequest),
     /// The supply holds the system in reset for this cause.
     Reset(ResetCause),
@@ -62,10 +62,10 @@ pub enum SystemEventKind {
     Lamp(RoleLamp),
 }
 
-/// How a core takes notice of interrupts.
+/// How a core gets its interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Attention {
-    /// It is called for them.
+    /// It is polled for them.
     Polled,
     /// It sleeps in `wait`.
     Waits,
@@ -78,8 +78,7 @@ pub(crate) struct Core {
     /// Core 0 has not released it in this incarnation.
     pub(crate) held: bool,
     pub(crate) generation: u32,
-    /// Differs between any two incarnations, unlike the generation, which begins anew with the
-    /// power.
+    /// Unique for each incarnation. (The generation restarts at each power-on.)
     pub(crate) incarnation: u64,
     pub(crate) pending: bool,
     pub(crate) attention: Attention,
@@ -130,7 +129,7 @@ impl Core {
         self.alive && now_ns >= self.frozen_until_ns && (interrupted || now_ns >= self.deadline_ns)
     }
 
-    /// When it will be due if nothing happens.
+    /// When the core is due if nothing happens.
     pub(crate) fn next_ns(&self) -> u64 {
         let interrupted = self.pending && self.attention != Attention::Runs;
         match (self.alive, interrupted) {
@@ -145,7 +144,7 @@ pub(crate) struct System {
     pub(crate) supply: Supply,
     pub(crate) cores: [Core; CoreId::COUNT],
     pub(crate) flash: Flash,
-    /// Power fails when the flash has changed this many bytes more.
+    /// Power fails when the flash has changed this many more bytes.
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
     pub(crate) edges: [[u32; 2]; 3],
@@ -170,16 +169,16 @@ impl System {
     }
 }
 
-/// Everything that changes, behind one lock.
+/// All state that changes, behind one lock.
 pub(crate) struct Machine {
     pub(crate) config: Config,
     pub(crate) now_ns: u64,
     pub(crate) systems: [System; 2],
     pub(crate) cuts: Cuts,
     pub(crate) bus: Vec<OnBus>,
-    /// Frames that are late: when each reaches the bus, and from whom.
+    /// Delayed frames: when each reaches the bus, and its sender.
     pub(crate) on_the_way: VecDeque<(u64, CoreAddress, CanFrame)>,
-    /// What the world has not heard yet.
+    /// Frames that the world has not received yet.
     pub(crate) unheard: Vec<OnBus>,
     pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
@@ -187,10 +186,10 @@ pub(crate) struct Machine {
     pub(crate) noise: ChaCha8Rng,
 }
 
-/// The LMU begins at a boundary of this.
+/// The LMU starts at a multiple of this.
 const LINE_BYTES: usize = 64;
 
-/// The machine, as the pair and its boards share it.
+/// The machine, shared by the pair and its boards.
 pub(crate) struct Shared {
     pub(crate) config: Config,
     lmus: Vec<Vec<AtomicU32>>,
@@ -200,7 +199,7 @@ pub(crate) struct Shared {
 impl Shared {
     pub(crate) fn new(config: Config) -> Self {
         let lmu = || {
-            // One line more than needed, so that `lmu` can begin at a boundary of a line.
+            // One extra line, so that `lmu` can start at a line.
             (0..LMU_WORDS + LINE_BYTES / size_of::<AtomicU32>())
                 .map(|_| AtomicU32::new(0xDEAD_BEEF))
                 .collect()
@@ -227,7 +226,7 @@ impl Shared {
         }
     }
 
-    /// A core that panicked under test leaves the machine as it is: every change is complete.
+    /// Ignores poisoning: a core that panicked under test left the machine consistent.
     pub(crate) fn lock(&self) -> MutexGuard<'_, Machine> {
         self.machine.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -259,7 +258,7 @@ impl Shared {
         for core in CoreId::ALL {
             for (index, word) in self.lmu(CoreAddress { system, core }).iter().enumerate() {
                 let dirt = u32::from(self.has(Defect::DirtyLmu) && index == LMU_WORDS - 7);
-                // Relaxed: the lock orders it before the start of the cores.
+                // Relaxed: the lock orders the store before the start of the cores.
                 word.store(dirt, Ordering::Relaxed);
             }
         }
@@ -289,7 +288,7 @@ impl Machine {
         Instant::from_ns(self.config.clocks[system.index()].local_ns(self.now_ns))
     }
 
-    /// The time as a core sees it, with the defects of its clock.
+    /// The time on a core's clock, with the defects of that clock.
     pub(crate) fn look(&mut self, place: CoreAddress) -> Instant {
         let now = self.local(place.system);
         let defect = self.config.defect;

@@ -15,12 +15,12 @@ use tandem_board::{
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
 
-/// What the vehicle does every millisecond.
+/// The vehicle's function, called every millisecond.
 type World = Box<dyn FnMut(&mut WorldTick)>;
 
 /// The period of the world.
 const WORLD_PERIOD: Duration = Duration::from_ms(1);
-/// Polls at one instant after which the cores count as waking each other for ever.
+/// More polls than this at one instant are a livelock: the cores wake each other for ever.
 const LIVELOCK_POLLS: u32 = 100_000;
 
 struct Running {
@@ -29,7 +29,7 @@ struct Running {
     poll: Poller,
 }
 
-/// Two systems of three cores with everything between them, on one virtual clock.
+/// Two systems of three cores and their connections, on one virtual clock.
 pub struct SimPair {
     pub(crate) shared: Arc<Shared>,
     factory: Box<dyn FnMut(&SimBoard) -> Poller>,
@@ -40,9 +40,8 @@ pub struct SimPair {
 }
 
 impl SimPair {
-    /// Two systems without power. `factory` makes the code of a core at each of its starts: at
-    /// power-on and after each reset; the board's identity says which core, and which of its
-    /// incarnations.
+    /// Two systems without power. `factory` makes the code of a core at each start of the core: at
+    /// power-on and after each reset. The board's identity says which core, in which incarnation.
     pub fn new(config: Config, factory: impl FnMut(&SimBoard) -> Poller + 'static) -> Self {
         let order = ChaCha8Rng::seed_from_u64(config.seed ^ 0x5EED);
         Self {
@@ -55,8 +54,7 @@ impl SimPair {
         }
     }
 
-    /// Two systems with power whose cores run and do nothing, for tests that act through
-    /// [`SimPair::board`].
+    /// Two powered systems whose cores do nothing, for tests that act through [`SimPair::board`].
     #[must_use]
     pub fn idle(config: Config) -> Self {
         let mut pair = Self::new(config, |_| Box::new(|_| Instant::NEVER));
@@ -97,7 +95,7 @@ impl SimPair {
         })
     }
 
-    /// Sets what the vehicle does: called at once and then every millisecond of virtual time.
+    /// Sets the vehicle's function: called at once and then every millisecond of virtual time.
     pub fn set_world(&mut self, world: impl FnMut(&mut WorldTick) + 'static) {
         self.world = Some(Box::new(world));
         self.world_next = self.now();
@@ -114,13 +112,13 @@ impl SimPair {
     /// Runs everything that happens up to and including the virtual time `until`.
     ///
     /// # Panics
-    /// If a core panics, or if the cores wake each other for ever at one instant.
+    /// If a core panics, or if the cores wake each other endlessly at one instant.
     pub fn run_until(&mut self, until: Instant) {
         self.run_while(until, |_| true);
     }
 
     /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is
-    /// false. Says whether it still was true at the end.
+    /// false. Returns whether `goes_on` was still true at the end.
     ///
     /// # Panics
     /// See [`SimPair::run_until`].
@@ -205,7 +203,7 @@ impl SimPair {
         self.world_next += WORLD_PERIOD;
     }
 
-    /// Ends the code of cores whose incarnation is over, and makes the code of those that began
+    /// Drops the code of cores whose incarnation is over, and makes the code of cores that began
     /// one.
     pub(crate) fn follow_incarnations(&mut self) {
         for place in CoreAddress::ALL {
@@ -250,7 +248,7 @@ impl SimPair {
             let mut machine = self.shared.lock();
             let now_ns = machine.now_ns;
             let core = machine.core(place);
-            // One polled before at this instant may have ended this incarnation.
+            // An earlier poll at this instant may have ended this incarnation.
             if core.incarnation != running.incarnation || !core.is_due(now_ns) {
                 return;
             }
@@ -269,7 +267,7 @@ impl SimPair {
     }
 }
 
-/// What a test can see.
+/// Observation by tests.
 impl SimPair {
     /// The state of a supply.
     #[must_use]
@@ -295,7 +293,7 @@ impl SimPair {
         })
     }
 
-    /// The content of a system's flash; what is under way has not happened.
+    /// The content of a system's flash, without the operation under way.
     #[must_use]
     pub fn flash(&self, system: SystemId) -> Vec<u8> {
         self.shared.lock().systems[system.index()]

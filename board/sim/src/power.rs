@@ -1,4 +1,4 @@
-//! What the supplies do: power, resets, watchdogs, and what a loss of power does to the flash.
+//! The supplies: power, resets, watchdogs, and the effect of a power loss on the flash.
 
 use crate::config::Defect;
 use crate::flash::Flash;
@@ -15,7 +15,7 @@ impl Machine {
         self.systems[system.index()].supply.is_on()
     }
 
-    /// What the level line shows of `system` to its peer.
+    /// The level line of `system`, seen by its peer.
     pub(crate) fn level(&self, system: SystemId) -> bool {
         let shown = self.is_powered(system) && !self.has(Defect::LevelStuckLow);
         let stuck = self.has(Defect::LevelStuckHigh);
@@ -23,7 +23,7 @@ impl Machine {
         self.cuts.level(system, shown || stuck) && !held_low
     }
 
-    /// Lets a supply act; a change of the level line interrupts the other system.
+    /// Runs an action of a supply; a change of the level line interrupts the other system.
     pub(crate) fn with_supply(
         &mut self,
         system: SystemId,
@@ -65,7 +65,7 @@ impl Machine {
         let all = self.has(Defect::NoneHeld);
         let state = self.system(system);
         state.lamp = RoleLamp::Starting;
-        // All are dead here, but for a defect.
+        // All are dead here, unless a defect leaves one running.
         for core in state.cores.iter_mut().filter(|core| !core.alive) {
             (core.held, core.generation) = (true, core.generation + 1 + skipped);
         }
@@ -77,7 +77,7 @@ impl Machine {
         self.log(system, SystemEventKind::Started(cause));
     }
 
-    /// What core 0 asks for, with the defects of the release.
+    /// A release by core 0, with the defects of the release.
     pub(crate) fn release_core(&mut self, place: CoreAddress) {
         let others = [CoreId::PERCEPTION, CoreId::PLANNING];
         match self.config.defect {
@@ -103,7 +103,7 @@ impl Machine {
         }
     }
 
-    /// The cores of a system and what the chip was doing end.
+    /// Stops the cores of a system and its operations.
     fn stop(&mut self, system: SystemId, why: SystemEventKind) {
         let now = self.at();
         let resets = matches!(why, SystemEventKind::Reset(_));
@@ -164,7 +164,7 @@ impl Machine {
         );
     }
 
-    /// Why the incarnation of the system began, as its cores read it.
+    /// The reset cause that the system's cores read.
     pub(crate) fn reset_cause(&self, system: SystemId) -> ResetCause {
         match self.has(Defect::CauseForgotten) {
             true => ResetCause::PowerOn,
@@ -193,7 +193,7 @@ impl Machine {
         self.with_supply(system, |supply| supply.service(now, now, Some(answer)));
     }
 
-    /// What the supplies and the flash do at this instant.
+    /// Does everything that is due at this instant in the supplies and the flash.
     pub(crate) fn settle(&mut self) {
         let now = self.at();
         self.settle_bus();
@@ -205,7 +205,7 @@ impl Machine {
         }
     }
 
-    /// When the flash of a system has changed as many bytes as it is allowed to.
+    /// When the flash of a system reaches the number of changed bytes at which power fails.
     fn flash_dies_ns(&self, system: SystemId) -> Option<u64> {
         let state = &self.systems[system.index()];
         state.flash.changed_ns(state.flash_bytes_to_live?)
@@ -226,7 +226,7 @@ impl Machine {
         state.flash_bytes_to_live = state.flash_bytes_to_live.map(|left| left - changed);
     }
 
-    /// The next virtual time at which something happens by itself.
+    /// The next virtual time at which a supply or a flash acts by itself.
     pub(crate) fn next_ns(&self) -> u64 {
         let of_system = |system: SystemId| {
             let state = &self.systems[system.index()];
@@ -246,7 +246,7 @@ impl Machine {
     }
 }
 
-/// What core 0 asks of the flash, with the defects of the medium.
+/// Core 0's flash operations, with the defects of the medium.
 impl Machine {
     pub(crate) fn start_erase(&mut self, system: SystemId, sector: u32) -> Result<(), FlashError> {
         let (now, defect) = (self.at(), self.config.defect);

@@ -1,15 +1,15 @@
-//! What lies outside the two systems, as a function that is called once a millisecond.
+//! The world outside the two systems, as a function that is called once a millisecond.
 
 use crate::machine::OnBus;
 use tandem_board::{CanFrame, Carried, CoreId, Instant, RoleLamp, SystemId, VehicleBus};
 use tandem_peripherals::codec::Sender;
 
-/// One step of the world: what it hears, sees and sends.
+/// One step of the world: its inputs and outputs.
 #[derive(Debug)]
 pub struct WorldTick {
     /// The virtual time.
     pub at: Instant,
-    /// What was on the bus since the last step, in bus order, its own frames included.
+    /// Frames on the bus since the last step, in bus order, including the world's own.
     pub heard: Vec<OnBus>,
     /// The roles that the systems show; `None` while a system has no power or is in reset.
     pub lamps: [Option<RoleLamp>; 2],

@@ -10,15 +10,15 @@ use tandem_board_conformance::{
 };
 use tandem_board_sim::{Config, Defect, Order, SimBoard, SimPair, SystemEventKind, blocking};
 
-/// Virtual time after which a case counts as hanging: longer than a role's patience.
+/// Virtual time after which a case counts as hung: longer than a role's patience.
 const HANGS_AFTER: Duration = Duration::from_ms(60_000);
 
-/// Plays each case on a pair of its own, each role as a blocking core.
+/// Runs each case on a separate pair, each role as a blocking core.
 struct SimRig {
     config: Config,
 }
 
-/// How a role did not pass.
+/// Why a role did not pass.
 #[derive(Debug, PartialEq)]
 enum Fault {
     Failed(CoreAddress, Failure),
@@ -121,7 +121,7 @@ fn run(config: Config) -> (Summary, Vec<String>) {
     (summary, failed)
 }
 
-/// T-BOOT-2: among all contracts that core 0 starts alone and releases the others.
+/// T-BOOT-2, among other contracts: core 0 starts alone and releases the others.
 #[test]
 fn the_simulated_board_passes() {
     let (summary, failed) = run(config());
@@ -142,8 +142,8 @@ fn the_simulated_board_passes_in_any_order_of_cores() {
     }
 }
 
-/// Cases that no defect makes fail: they prove the absence of a crash, or what every board of
-/// safe Rust has.
+/// Cases that no defect makes fail: they prove the absence of a crash, or a property of any board
+/// in safe Rust.
 const CANNOT_FAIL_HERE: [&str; 1] = ["trace-and-lamp"];
 
 /// Each defect makes some case fail, and each case fails for some defect.

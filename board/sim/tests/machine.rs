@@ -1,4 +1,4 @@
-//! What a test can do with the simulated pair: time, faults, power, the world.
+//! The functions of the simulated pair for tests: time, faults, power, the world.
 #![allow(clippy::unwrap_used, reason = "all of it is a test")]
 
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -31,7 +31,7 @@ fn frame(value: u8) -> CanFrame {
     CanFrame::new(CanId::Standard(0x123), false, &[value]).unwrap()
 }
 
-/// What core 0 does first.
+/// Core 0's first action.
 fn release_others(board: &SimBoard) {
     if board.identity().core == CoreId::CONTROL {
         board.release_core(CoreId::PERCEPTION);
@@ -39,7 +39,7 @@ fn release_others(board: &SimBoard) {
     }
 }
 
-/// A pair on whose core `core` of system A `make` runs, with power on both systems.
+/// A pair with power in which `make` provides the code of core `core` of system A.
 fn pair_with(
     config: Config,
     core: CoreId,
@@ -58,7 +58,7 @@ fn pair_with(
     pair
 }
 
-/// Serves the watchdog every 10 ms, and shows that it is master.
+/// Services the watchdog every 10 ms, and shows that it is master.
 fn servant(_: &SimBoard) -> Poller {
     let mut next = Instant::ORIGIN;
     Box::new(move |board| {
@@ -124,8 +124,8 @@ fn the_same_seed_gives_the_same_run_and_another_seed_another() {
     assert_ne!(run(1), run(2));
 }
 
-/// T-CHIP-5: a core that sends without a pause gets 8 frames in a millisecond onto the bus, and the
-/// others get theirs.
+/// T-CHIP-5: a core that sends without a pause gets 8 frames onto the bus per millisecond; the
+/// other cores can still send theirs.
 #[test]
 fn a_core_has_its_share_of_the_bus() {
     let mut pair = SimPair::idle(relaxed());
@@ -149,7 +149,7 @@ fn blocking_cores_are_deterministic_too() {
             release_others(board);
             blocking(board, |board| {
                 for count in 0..50 {
-                    // The rings of the others make it faster than the bus permits.
+                    // Rings of the others wake the core more often than the bus takes frames.
                     while board.can().try_send(&frame(count)).is_err() {
                         board.wait(board.now() + Duration::from_us(300));
                     }
@@ -209,7 +209,7 @@ fn a_core_that_dies_is_found_by_the_watchdog() {
     pair.lmu(A)[5].store(42, Ordering::Relaxed);
     pair.kill_core(A, CONTROL);
     let died = pair.now();
-    // B has no servant; its resets are of no interest here.
+    // B does not service its watchdog; its resets do not matter here.
     let is_on = pair.run_while(died + ms(20), |pair| pair.power(A) == Power::On);
     assert!(!is_on, "reset within the window");
     assert!(!pair.board(B, CONTROL).lines().peer_powered());
@@ -360,7 +360,8 @@ fn cut_wires_carry_nothing_and_mended_ones_do() {
     assert!(!far.lines().peer_powered());
 }
 
-/// Power fails after every byte of an erase and a program; the flash holds what was done.
+/// Power fails after every byte of an erase and a program; the flash keeps the bytes that were
+/// done.
 #[test]
 fn power_can_fail_at_every_byte_of_the_flash() {
     let erase = u64::from(<SimBoard as Board>::Flash::SECTOR_BYTES);
@@ -384,7 +385,7 @@ fn power_can_fail_at_every_byte_of_the_flash() {
         let flash = pair.flash(A);
         let (erased, programmed) = (cut.min(erase) as usize, (cut.max(erase) - erase) as usize);
         assert!(flash[..programmed].iter().all(|byte| *byte == 0x11));
-        // The byte at the cut is noise.
+        // The byte at the cut is random.
         let first_erased = if cut >= erase { programmed + 1 } else { 0 };
         assert!(
             flash[first_erased.min(erased)..erased]

@@ -38,7 +38,7 @@ fn send<B: Board>(board: &B, frame: &CanFrame) -> Result<(), Failure> {
     })
 }
 
-/// The next frame, when it comes.
+/// Waits for the next frame.
 #[track_caller]
 fn receive<B: Board>(board: &B) -> Result<Received, Failure> {
     let mut received = None;
@@ -62,7 +62,7 @@ pub(super) fn order_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
     wait_for_all(board, HERE, 2)
 }
 
-/// Every other core, in both systems, hears the frames in order, each with its time.
+/// Every other core, in both systems, receives the frames in order, each with its time.
 pub(super) fn order_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let begin = board.now();
     wait_for_all(board, HERE, 1)?;
@@ -97,12 +97,12 @@ pub(super) fn chatter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
         send(board, &numbered(place.system.index() as u8, number)?)?;
         sleep(board, Duration::from_us(300))?;
     }
-    // The end of both, so that no core sends while the listeners compare.
+    // At the end of both, so that no core sends while the listeners compare.
     wait_for_all(board, HERE, 2)?;
     wait_for_all(board, HERE, 3)
 }
 
-/// Core 1 of both systems hears both senders, and in the same order: they compare what they heard.
+/// Core 1 of both systems receives both senders' frames in the same order: they compare the orders.
 pub(super) fn listener<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     wait_for_all(board, HERE, 1)?;
     let mut next = [0_u32; 2];
@@ -151,7 +151,7 @@ pub(super) fn witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure
     wait_for_cores(board, HERE, 2)
 }
 
-/// Every length that CAN and CAN FD have.
+/// Every payload length of CAN and CAN FD.
 const LENGTHS: [usize; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64];
 
 /// The frames of the payload cases: each length, FD and classic, with ids at the ends of their
@@ -202,12 +202,12 @@ pub(super) fn payload_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<()
     Ok(())
 }
 
-/// Bursts that are discarded, and the most frames of each: fewer than a receiver holds.
+/// Number of discarded bursts. Each has fewer frames than a receiver holds.
 const BURSTS: u8 = 10;
 const BURST: u32 = 12;
 
-/// Fills the transmit buffer, discards what waits there, and sends one frame that says how many
-/// there were.
+/// Fills the transmit buffer, discards its content, and sends one frame with the number of frames
+/// before it.
 pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
@@ -223,8 +223,8 @@ pub(super) fn discarding_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(
     wait_for_cores(board, HERE, 2)
 }
 
-/// Hears the first frames of each burst, how many is not determined, and then the frame that was
-/// sent after the discard.
+/// Receives the first frames of each burst (their number is not determined), then the frame sent
+/// after the discard.
 pub(super) fn discard_witness<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     for burst in 0..BURSTS {
@@ -291,7 +291,7 @@ pub(super) fn steady_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// Interrupts may be spurious, but not in every one of many waits.
+/// Interrupts may be spurious, but not in all of many waits.
 pub(super) fn deaf_sleeper<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, HERE, 1)?;
     let mut quiet = 0_u32;
@@ -321,7 +321,7 @@ pub(super) fn flood<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     wait_for_cores(board, HERE, 2)
 }
 
-/// Fetches nothing until all has been sent; what it then gets and what was lost make the whole.
+/// Receives nothing until all has been sent; received and lost frames must then add up to all.
 pub(super) fn late_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let before = board.can().overruns();
     wait_for_cores(board, HERE, 1)?;

@@ -1,4 +1,4 @@
-//! The clock, and `wait` as far as it is about time.
+//! The clock, and `wait` in so far as it concerns time.
 
 use crate::barrier::{SETTLE, spin_until, wait_for_cores, word};
 use crate::case::{Failure, check};
@@ -46,7 +46,7 @@ pub(super) fn past_deadline<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// Two cores hand a time to and fro; each sees it as past.
+/// Two cores pass a time back and forth; each sees it in the past.
 pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     wait_for_cores(board, &[CoreId::CONTROL, CoreId::PERCEPTION], 1)?;
     let own_turn = place.core.index() as u32;
@@ -55,7 +55,7 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
             for (index, half) in board.now().to_words().into_iter().enumerate() {
                 word(board, 1 + index).store(half, Ordering::Relaxed);
             }
-            // Release pairs with Acquire below: the time is there when the turn has passed.
+            // Release pairs with Acquire below: a core that sees the turn sees the time.
             word(board, 0).store(turn + 1, Ordering::Release);
         } else {
             let turn_passed = || word(board, 0).load(Ordering::Acquire) > turn;

@@ -15,16 +15,17 @@ pub(super) fn early_ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core gets ready for a ring", ready)?;
         board.ring(CoreId::PERCEPTION);
-        // Release pairs with Acquire in `late_waiter`: when it sees this, the ring has been.
+        // Release pairs with Acquire in `late_waiter`: a waiter that sees this waits after the
+        // ring.
         word(board, 1).store(round, Ordering::Release);
     }
     Ok(())
 }
 
-/// Begins to wait when the ring has been.
+/// Waits only after the ring.
 pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
-        // Consumes whatever is pending, so that the next interrupt can only be the ring.
+        // Consumes all pending interrupts, so that the next interrupt can only be the ring.
         sleep(board, Duration::from_ms(2))?;
         word(board, 0).store(round, Ordering::Release);
         let rung = || word(board, 1).load(Ordering::Acquire) >= round;
@@ -35,13 +36,13 @@ pub(super) fn late_waiter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
     sleep(board, SETTLE)
 }
 
-/// Writes, then rings a core that sleeps.
+/// Writes, then rings a sleeping core.
 pub(super) fn ringer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 1..=ROUNDS {
         let ready = || word(board, 0).load(Ordering::Acquire) >= round;
         sleep_until(board, "the other core goes to sleep", ready)?;
         sleep(board, Duration::from_ms(5))?;
-        // Relaxed: `ring` itself must make it visible.
+        // Relaxed: `ring` itself must make the value visible.
         word(board, 1).store(round, Ordering::Relaxed);
         board.ring(CoreId::PLANNING);
     }

@@ -104,7 +104,7 @@ pub(super) fn erase_program<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     erased_but(board, 1, &[])
 }
 
-/// What is not a whole page inside the flash is refused, and changes nothing.
+/// An operation that does not cover whole pages inside the flash is refused, and changes nothing.
 pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let (page_bytes, sector_bytes) = (B::Flash::PAGE_BYTES, B::Flash::SECTOR_BYTES);
     let size = sector_bytes * B::Flash::SECTORS;
@@ -152,7 +152,7 @@ pub(super) fn ranges<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure>
     erased_but(board, 0, &[])
 }
 
-/// Starts a page while the one before may still be under way: both are programmed in the end.
+/// Starts a page while the one before may still be under way: in the end both are programmed.
 pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page_bytes = B::Flash::PAGE_BYTES;
     erase(board, 0)?;
@@ -180,7 +180,7 @@ pub(super) fn one_at_a_time<B: Board>(board: &B, _: CoreAddress) -> Result<(), F
     Ok(())
 }
 
-/// A page that is programmed twice without an erase holds the bits that both have set.
+/// A page that is programmed twice without an erase holds the bits that were set both times.
 pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page_bytes = B::Flash::PAGE_BYTES as usize;
     erase(board, 0)?;
@@ -197,7 +197,7 @@ pub(super) fn no_erase<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
     erased_but(board, 0, &[0])
 }
 
-/// First incarnation: is reset while a page is programmed. Second: the pages beside it are whole,
+/// First incarnation: is reset while a page is programmed. Second: the adjacent pages are whole,
 /// and the sector can be used again.
 pub(super) fn interrupted<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     let page_bytes = B::Flash::PAGE_BYTES;

@@ -4,17 +4,17 @@ use crate::barrier::{SETTLE, alternating, sleep, sleep_until, wait_for_peer, wok
 use crate::case::{Failure, equal};
 use tandem_board::{Board, CoreAddress, Duration, Edge, Line, Lines, SystemId};
 
-/// How many rising edges a system sends on a line; it ends low or high.
+/// How many rising edges a system sends on a line.
 fn rising(system: SystemId, line: Line) -> u32 {
     3 + 2 * line.index() as u32 + 7 * system.index() as u32
 }
 
-/// As many falling edges, or one less: a line is high or low.
+/// The same number of falling edges, or one less: the line ends low or high.
 fn falling(system: SystemId, line: Line) -> u32 {
     rising(system, line) - u32::from(line != Line::Heartbeat1)
 }
 
-/// Both systems send a number of edges of their own on each line; both count all of the other's.
+/// Both systems send different numbers of edges on each line; each counts all edges of the other.
 pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     let lines = board.lines();
     for line in Line::ALL {
@@ -48,7 +48,7 @@ pub(super) fn counter<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fai
 
 const STARTS: u32 = 6;
 
-/// Sends an edge on the start line whenever the other system says that it sleeps.
+/// Sends an edge on the start line whenever the other system reports that it sleeps.
 pub(super) fn starter<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for round in 0..STARTS {
         wait_for_peer(board, round + 1)?;

@@ -4,7 +4,7 @@ use crate::barrier::{SETTLE, sleep, sleep_until, wait_for_peer};
 use crate::case::{Failure, check, equal};
 use tandem_board::{Board, CoreAddress, Link};
 
-/// Beyond what any board's link can carry at once; the cases need no more.
+/// More words than any board's link carries at once; enough for all cases.
 const WORDS: usize = 256;
 
 /// Word `index` of datagram `number` from system `from`.
@@ -20,7 +20,7 @@ fn length<L: Link>(number: u32) -> usize {
     1 + (number as usize * 7) % most
 }
 
-/// Sends datagram `number`; whether there was room.
+/// Sends datagram `number`; returns whether there was room.
 fn send<B: Board>(board: &B, from: usize, number: u32) -> bool {
     let words: [u32; WORDS] = core::array::from_fn(|index| content(from, number, index));
     board
@@ -29,7 +29,7 @@ fn send<B: Board>(board: &B, from: usize, number: u32) -> bool {
         .is_ok()
 }
 
-/// Fetches datagram `number` if one has come; says whether it has.
+/// Receives datagram `number` if it has arrived; returns whether it has.
 #[track_caller]
 fn fetch<B: Board>(board: &B, from: usize, number: u32) -> Result<bool, Failure> {
     let mut words = [0; WORDS];
@@ -85,7 +85,7 @@ pub(super) fn order<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failu
     wait_for_peer(board, 2)
 }
 
-/// Sends until there is no room, while the other system fetches nothing.
+/// Sends until there is no room, while the other system receives nothing.
 pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     const MANY: u32 = 100_000;
     wait_for_peer(board, 1)?;
@@ -96,7 +96,7 @@ pub(super) fn filler<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
     }
     check(sent > 0, "an empty link has room")?;
     wait_for_peer(board, 2)?;
-    // The number of datagrams goes after them, as the next one.
+    // The next datagram tells the number of datagrams before it.
     sleep_until(board, "a link that is emptied has room", || {
         board.link().try_send(&[u32::MAX, sent]).is_ok()
     })
@@ -145,7 +145,7 @@ pub(super) fn long_sender<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fai
     Ok(())
 }
 
-/// Fetches the first datagram into a buffer that is too short.
+/// Receives the first datagram into a buffer that is too short.
 pub(super) fn short_receiver<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_peer(board, 1)?;
     let mut short = [0; 3];

@@ -63,7 +63,7 @@ pub(super) fn shared<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fail
     }
 }
 
-/// The other system, at the same time.
+/// The other system does the same at the same time.
 pub(super) fn apart<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_peer(board, 1)?;
     let untouched = board

@@ -29,7 +29,7 @@ macro_rules! case {
     };
 }
 
-/// All cases, in the order in which they make sense: a case relies on what those before it proved.
+/// All cases, in a sensible order: a case relies on properties that earlier cases proved.
 #[must_use]
 #[rustfmt::skip]
 pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {

@@ -6,24 +6,24 @@ use crate::cases::supply::{expect_reset, is_first_incarnation, middle, serve};
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{Board, CoreAddress, CoreId, Duration, Instant, ResetRequest, Supply};
 
-/// Steps of a released core: it counts them as long as it runs.
+/// Steps of a released core: it counts them while it runs.
 fn steps<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, core.index())
 }
 
-/// How often a core has begun.
+/// How often a core has started.
 fn begins<B: Board>(board: &B, core: CoreId) -> &AtomicU32 {
     word(board, CoreId::COUNT + core.index())
 }
 
-/// A core 0 that serves the watchdog while it waits.
+/// A core 0 that services the watchdog while it waits.
 struct Servant<'b, B> {
     board: &'b B,
     next_service: Instant,
 }
 
 impl<B: Board> Servant<'_, B> {
-    /// Whether `holds` within `span`.
+    /// Returns whether `holds` within `span`.
     fn until(&mut self, span: Duration, mut holds: impl FnMut() -> bool) -> bool {
         let limit = self.board.now() + span;
         while !holds() {
@@ -42,12 +42,12 @@ impl<B: Board> Servant<'_, B> {
     }
 }
 
-/// Core 0 of a case that is about another core: it has released that before.
+/// Core 0 of a case about another core: that core is already released.
 pub(super) fn nothing_more<B: Board>(_: &B, _: CoreAddress) -> Result<(), Failure> {
     Ok(())
 }
 
-/// T-CHIP-2: in each of two incarnations: alone, then with core 2, then with core 1.
+/// T-CHIP-2: in each of two incarnations: core 0 alone, then with core 2, then with core 1.
 pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const OTHERS: [CoreId; 2] = [CoreId::PLANNING, CoreId::PERCEPTION];
     let ran = |core: CoreId| steps(board, core).load(Ordering::Acquire) != 0;
@@ -91,7 +91,7 @@ pub(super) fn releases<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
     Ok(())
 }
 
-/// Counts its beginning, and steps until a reset; in the second incarnation a few.
+/// Counts its start, and steps until a reset; in the second incarnation only a few.
 pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     equal(
         board.identity().generation.0,
@@ -101,7 +101,7 @@ pub(super) fn released<B: Board>(board: &B, place: CoreAddress) -> Result<(), Fa
     begins(board, place.core).fetch_add(1, Ordering::Relaxed);
     let limit = board.now() + PATIENCE;
     while board.now() < limit {
-        // Release pairs with the Acquire of core 0: it sees the beginning with the first step.
+        // Release pairs with the Acquire of core 0: with the first step it also sees the start.
         let count = steps(board, place.core).fetch_add(1, Ordering::Release);
         if count > 20 && !is_first_incarnation(board) {
             break;

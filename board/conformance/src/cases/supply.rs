@@ -48,7 +48,7 @@ pub(super) fn good_service<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fa
 /// Every service comes just after the window opens: no reset.
 pub(super) fn as_early_as_may_be<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     const ROUNDS: u32 = 10;
-    // Half a millisecond for clocks that differ.
+    // Half a millisecond for differences between the clocks.
     let opens = Duration::from_us(u64::from(B::Supply::WINDOW_OPENS_US) + 500);
     for _ in 0..ROUNDS {
         serve(board);
@@ -65,7 +65,7 @@ pub(super) fn is_first_incarnation<B: Board>(board: &B) -> bool {
     board.identity().generation.0 == 1
 }
 
-/// Serves well, so that a reset can only come for what was before.
+/// Services the watchdog correctly, so that a reset can only have an earlier cause.
 fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
     for _ in 0..5 {
         sleep(board, middle::<B::Supply>())?;
@@ -74,14 +74,14 @@ fn serve_on<B: Board>(board: &B) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The first incarnation ends here, by a reset that is due.
+/// The first incarnation ends here, by the expected reset.
 #[track_caller]
 pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<(), Failure> {
     sleep(board, PATIENCE)?;
     fail(what)
 }
 
-/// This is the second incarnation, and began for this cause.
+/// This is the second incarnation; `cause` was its reset cause.
 #[track_caller]
 fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     equal(
@@ -97,7 +97,7 @@ fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     )
 }
 
-/// T-CHIP-6: first incarnation: a wrong answer. Second incarnation: that was the cause.
+/// T-CHIP-6: first incarnation: a wrong answer. Second incarnation: reads that as the cause.
 pub(super) fn wrong_answer<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         serve(board);
@@ -142,7 +142,7 @@ pub(super) fn never<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> 
     reset_for(board, ResetCause::Watchdog)
 }
 
-/// First incarnation: makes a request. Second incarnation: that was the cause.
+/// First incarnation: makes a request. Second incarnation: reads that as the cause.
 fn asks<B: Board>(board: &B, request: ResetRequest, cause: ResetCause) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         board.supply().request_reset(request);
@@ -164,7 +164,7 @@ pub(super) fn reports_core_dead<B: Board>(board: &B, _: CoreAddress) -> Result<(
     asks(board, ResetRequest::CoreDead, ResetCause::Trap)
 }
 
-/// A core of a system that another core of it lets reset.
+/// A core whose system is reset by another core.
 pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         return expect_reset(board, "a reset is one of all cores of the system");
@@ -176,7 +176,7 @@ pub(super) fn bystander<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failu
     )
 }
 
-/// Asks to be held in reset, when the other system watches.
+/// Requests to be held in reset, while the other system watches.
 pub(super) fn suspends<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     wait_for_peer(board, 1)?;
     sleep(board, Duration::from_ms(5))?;
@@ -198,7 +198,7 @@ pub(super) fn sees_low<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failur
     )
 }
 
-/// First incarnation: asks for a reset when the other system watches.
+/// First incarnation: requests a reset while the other system watches.
 pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<(), Failure> {
     if is_first_incarnation(board) {
         wait_for_peer(board, 1)?;
@@ -210,7 +210,7 @@ pub(super) fn reset_in_sight<B: Board>(board: &B, place: CoreAddress) -> Result<
 /// The other system is reset: its level line falls, and rises when its next incarnation begins.
 pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     if !is_first_incarnation(board) {
-        // No role serves this system after this one has ended.
+        // After this role has ended, no role services this system's watchdog.
         return Ok(());
     }
     wait_for_peer(board, 1)?;
@@ -230,7 +230,7 @@ pub(super) fn sees_reset<B: Board>(board: &B, _: CoreAddress) -> Result<(), Fail
     Ok(())
 }
 
-/// More records than a trace may hold, and every lamp: neither blocks.
+/// More records than a trace may hold, and every lamp: no call blocks.
 pub(super) fn trace_and_lamp<B: Board>(board: &B, _: CoreAddress) -> Result<(), Failure> {
     for number in 0..100_000 {
         board.trace([number, 0, 0, u32::MAX]);
