@@ -11,7 +11,7 @@ use crate::realtime::{self, Claim, Grant};
 /// Which CPUs the six cores are pinned to.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Pinning {
-    /// Core i of both systems together (A0 is 0, B2 is 5) on CPU i modulo their number.
+    /// Core i of both systems together (A0 is 0, B2 is 5) on CPU i modulo the number of CPUs.
     #[default]
     Auto,
     /// The kernel chooses.
@@ -40,10 +40,10 @@ impl Default for Schedule {
 }
 
 impl Schedule {
-    /// What a core of a run with this schedule would be granted, tried on a thread of its own. For
-    /// the line that a start prints.
+    /// What the kernel would grant to a core of a run with this schedule, tried on a separate
+    /// thread. For the line that a start prints.
     ///
-    /// Starts a thread, so it comes after [`isolation::enter`](crate::isolation::enter).
+    /// Starts a thread, so call it after [`isolation::enter`](crate::isolation::enter).
     #[must_use]
     pub fn probe(&self) -> Grant {
         let priority = self.realtime.then_some(CONTROL_PRIORITY);
@@ -56,25 +56,25 @@ impl Schedule {
     }
 }
 
-/// Priorities under SCHED_FIFO. The supply must run whatever the cores do. The vehicle
-/// is physics and does not wait. Core 0 controls, the others compute.
+/// Priorities under SCHED_FIFO. The supply has the highest: it must always run. The vehicle comes
+/// next: physics does not wait. Then core 0, which controls, then the cores that compute.
 const SUPPLY_PRIORITY: u8 = 80;
 const VEHICLE_PRIORITY: u8 = 70;
 const CONTROL_PRIORITY: u8 = 60;
 const COMPUTE_PRIORITY: u8 = 40;
 
-/// What all processes of a run are told.
+/// Arguments of all processes of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Common {
     /// The run.
     pub run: RunName,
     /// How they are scheduled.
     pub schedule: Schedule,
-    /// What the program itself wants to pass on, after `--`.
+    /// The program's own arguments, after `--`.
     pub extra: Vec<OsString>,
 }
 
-/// What a supply is told.
+/// Arguments of a supply.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SupplyArgs {
     /// The run.
@@ -85,7 +85,7 @@ pub struct SupplyArgs {
     pub flash: PathBuf,
 }
 
-/// What a core is told.
+/// Arguments of a core.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CoreArgs {
     /// The run.
@@ -94,11 +94,11 @@ pub struct CoreArgs {
     pub identity: Identity,
     /// The file that is the system's data flash.
     pub flash: PathBuf,
-    /// The application that a slot has named; `None` in the first program of a core.
+    /// The application named by a slot; `None` in the first program of a core.
     pub application: Option<String>,
 }
 
-/// What the vehicle is told.
+/// Arguments of the vehicle.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VehicleArgs {
     /// The run.
@@ -116,7 +116,7 @@ pub enum ProcessArgs {
     Vehicle(VehicleArgs),
 }
 
-/// The command line is not one that this program has made.
+/// The command line was not made by this program.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("hidden argument {0}: missing or not understood (it is made by this program itself)")]
 pub struct InvalidArgs(&'static str);
@@ -254,10 +254,11 @@ impl ProcessArgs {
         argv
     }
 
-    /// Reads the arguments after the program's name; `None` if they are none of a run's process.
+    /// Reads the arguments after the program's name; `None` if they are not those of a run's
+    /// process.
     ///
     /// # Errors
-    /// [`InvalidArgs`] if they begin like those of a process and the rest is not understood.
+    /// [`InvalidArgs`] if they begin like those of a process and the rest is invalid.
     pub fn parse(argv: impl IntoIterator<Item = OsString>) -> Option<Result<Self, InvalidArgs>> {
         let mut argv = argv.into_iter();
         let mut kind = argv.next()?.into_string().ok()?;

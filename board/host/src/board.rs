@@ -1,4 +1,4 @@
-//! The board of one core that is a process.
+//! The board of one core, which is a process.
 
 use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicU32};
@@ -41,7 +41,7 @@ pub enum AttachError {
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
-    /// The backplane is not what this build expects.
+    /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
 }
@@ -52,14 +52,14 @@ impl From<FitError> for AttachError {
     }
 }
 
-/// Everything that one core, which is this process, sees of its machine.
+/// The machine as one core, which is this process, sees it.
 #[derive(Debug)]
 pub struct HostBoard {
     of: Identity,
     backplane: Backplane,
     lmu: &'static [AtomicU32],
     bell: Bell,
-    /// The first wait returns at once: rings from before the bell was hung were forgotten.
+    /// The first wait returns at once, because rings from before the bell was set up are forgotten.
     looked_around: AtomicBool,
     ringers: Arc<Ringers>,
     can: HostCan,
@@ -71,10 +71,10 @@ pub struct HostBoard {
 }
 
 impl HostBoard {
-    /// Attaches this process as the core that `args` says, in the incarnation that `args` says.
+    /// Attaches this process as the core and the incarnation in `args`.
     ///
-    /// From then on the core's doorbell can be rung. A process attaches once, on its main thread:
-    /// the memory stays mapped until it ends, and it ends when its supply does.
+    /// From then on the core's doorbell can be rung. A process attaches once, on its main thread.
+    /// The memory stays mapped until the process ends, which is at the latest when its supply ends.
     ///
     /// # Errors
     /// [`AttachError`] if the run is over, or something of it cannot be mapped or opened.
@@ -103,7 +103,7 @@ impl HostBoard {
         Ok(board)
     }
 
-    /// The run's backplane, for what is no part of a board.
+    /// The run's backplane, for everything outside the board.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
@@ -176,7 +176,7 @@ impl Board for HostBoard {
     }
 }
 
-/// A core dies with its supply. A system without a supply has no process of one.
+/// A core dies with its supply. If the supply is dead, the system has no such process.
 fn bind_to_supply(backplane: Backplane, system: SystemId) -> Result<(), AttachError> {
     match backplane.supply_pid(system) {
         0 => Ok(()),

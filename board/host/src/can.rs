@@ -69,7 +69,7 @@ impl Can for HostCan {
 
     fn try_receive(&self) -> Option<Received> {
         let mut receive = self.receive.lock().unwrap_or_else(PoisonError::into_inner);
-        // The bus may send while this core reads: one call skips no more than the ring holds.
+        // The bus may send while this core reads: one call skips at most the slots of the ring.
         for _ in 0..RINGS.receive.shape.slots() {
             match receive.receive() {
                 Ok(None) => return None,

@@ -12,13 +12,13 @@ pub fn now() -> Instant {
     Instant::from_ns(time.tv_sec as u64 * 1_000_000_000 + time.tv_nsec as u64)
 }
 
-/// Sleeps until `deadline`, on absolute time: one late wake-up does not shift the next ones.
+/// Sleeps until `deadline`, in absolute time: a late wake-up does not delay the next ones.
 pub fn sleep_until(deadline: Instant) {
     let at = timespec(deadline.as_ns());
     while clock_nanosleep_absolute(ClockId::Monotonic, &at) == Err(Errno::INTR) {}
 }
 
-/// A span or a point in nanoseconds as the kernel takes it; longer ones than it can take are cut.
+/// A span or a point in nanoseconds for the kernel; longer ones than it accepts are cut.
 pub(crate) fn timespec(ns: u64) -> Timespec {
     const LIMIT_S: u64 = i32::MAX as u64;
     let seconds = (ns / 1_000_000_000).min(LIMIT_S);
@@ -28,7 +28,7 @@ pub(crate) fn timespec(ns: u64) -> Timespec {
     }
 }
 
-/// Wakes its owner at equal distances.
+/// Wakes its owner at equal intervals.
 #[derive(Debug)]
 pub struct Ticker {
     period: Duration,
@@ -46,8 +46,8 @@ impl Ticker {
     }
 
     /// Sleeps until the next tick is due, and returns when it was due: consecutive ticks are
-    /// exactly one period apart. Ticks that were overslept follow at once, each by itself, so that
-    /// the owner may catch up.
+    /// exactly one period apart. Missed ticks follow at once, one by one, so that the owner may
+    /// catch up.
     pub fn wait(&mut self) -> Instant {
         let due = self.next;
         self.next += self.period;

@@ -23,14 +23,14 @@ const IDLE: u8 = 0;
 const BUSY: u8 = 1;
 const FAILED: u8 = 2;
 
-/// How long a start waits for a taken file. A process that was killed keeps it until the kernel has
-/// taken its memory back, some milliseconds after it has left the list of processes.
+/// How long a start waits for a file that is in use. A killed process keeps it until the kernel has
+/// released its memory, some milliseconds after it has left the list of processes.
 const LAST_OWNER_ENDS: Duration = Duration::from_secs(1);
 
 /// Why the file cannot be the data flash.
 #[derive(Debug, thiserror::Error)]
 pub enum FlashFileError {
-    /// It cannot be created, read or written.
+    /// The file cannot be created, read or written.
     #[error("data flash {path}: {source}")]
     Io {
         /// The file.
@@ -38,7 +38,7 @@ pub enum FlashFileError {
         /// What the operating system said.
         source: io::Error,
     },
-    /// It is another kind of file.
+    /// The file has another size, so it is not a data flash.
     #[error("data flash {path} has {found} bytes, but a data flash has {SIZE}; name another file")]
     Size {
         /// The file.
@@ -46,7 +46,7 @@ pub enum FlashFileError {
         /// Its size in bytes.
         found: u64,
     },
-    /// Another system has it.
+    /// Another system uses the file.
     #[error("data flash {path} is in use by another system; end that run or name another file")]
     InUse {
         /// The file.
@@ -54,8 +54,8 @@ pub enum FlashFileError {
     },
 }
 
-/// The data flash of one system, as long as this process or one that it has started lives: two
-/// systems that write one flash would each destroy what the other has written.
+/// The data flash of one system, locked while this process or one that it has started lives: two
+/// systems that write one flash would destroy each other's data.
 #[derive(Debug)]
 pub(crate) struct Claimed {
     _lock: File,
@@ -63,12 +63,12 @@ pub(crate) struct Claimed {
 
 /// The data flash of a system in a file.
 ///
-/// A background thread does what was started and calls `fdatasync`, so that "idle" means durable.
-/// The death of the process at any time leaves in the range of the operation what NOR flash leaves
-/// there: any mixture of old and new.
+/// A background thread performs the operations and calls `fdatasync`, so that "idle" means durable.
+/// If the process dies at any time, the range of the operation holds what NOR flash would hold: any
+/// mixture of old and new.
 ///
-/// To start an operation allocates nothing and makes one system call, which wakes the thread. The
-/// thread has a lower priority than the core, so the two share no lock at the same time.
+/// Starting an operation allocates nothing and makes one system call, which wakes the thread. The
+/// thread has a lower priority than the core, so the two never compete for a lock.
 #[derive(Debug)]
 pub struct HostFlash {
     device: Arc<Device>,
@@ -81,9 +81,9 @@ struct Device {
     /// [`IDLE`], [`BUSY`] or [`FAILED`]. The caller that sets it to `BUSY` owns `operation` until
     /// the thread sets it to another value.
     status: AtomicU8,
-    /// Never waited for: see `status`.
+    /// Never contended: see `status`.
     operation: Mutex<Started>,
-    /// The operation is complete; the thread clears it when it begins.
+    /// The operation is ready to run; the thread clears this when it begins.
     requested: AtomicBool,
     /// The flash was dropped; the thread ends.
     closed: AtomicBool,
@@ -91,14 +91,14 @@ struct Device {
 
 #[derive(Debug)]
 struct Started {
-    /// `None` before the first one.
+    /// `None` before the first operation.
     operation: Option<Operation>,
-    /// What it programs.
+    /// The data to program.
     data: [u8; SECTOR],
 }
 
 impl HostFlash {
-    /// Creates the file, erased, if there is none; checks it otherwise.
+    /// Creates the file, erased, if it does not exist; otherwise checks it.
     ///
     /// # Errors
     /// [`FlashFileError`] if it cannot be created or has a wrong size.
@@ -118,10 +118,10 @@ impl HostFlash {
         }
     }
 
-    /// Prepares the file and takes it for one system of the calling process's run.
+    /// Prepares the file and claims it for one system of the calling process's run.
     ///
     /// # Errors
-    /// [`FlashFileError`], among them that it is taken.
+    /// [`FlashFileError`], also if the file is in use.
     pub(crate) fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
         let failed = |source| FlashFileError::Io {
             path: path.to_owned(),
@@ -146,14 +146,16 @@ impl HostFlash {
                 }
                 locked => locked.map_err(|errno| failed(errno.into()))?,
             }
-            // The name may stand for another file by now: the next to open it would lock that one.
+            // The name may belong to another file by now: the next process to open it would lock
+            // that one.
             let locked = file.metadata().map_err(failed)?;
             let named = fs::metadata(path);
             if !named.is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino()))
             {
                 continue;
             }
-            // The children inherit it, and with it the lock: a launcher may die before its run.
+            // The children inherit the descriptor, and with it the lock: a launcher may die before
+            // its run.
             fcntl_setfd(&file, FdFlags::empty()).map_err(|errno| failed(errno.into()))?;
             return Ok(Claimed { _lock: file });
         }
@@ -202,7 +204,8 @@ impl HostFlash {
             requested,
             ..
         } = &*self.device;
-        // Acquire pairs with the release in `Device::work`: the thread is done with the operation.
+        // Acquire pairs with the release in `Device::work`: the thread has finished with the
+        // operation.
         if status.swap(BUSY, Ordering::AcqRel) == BUSY {
             return Err(FlashError::Busy);
         }
@@ -226,9 +229,9 @@ impl Drop for HostFlash {
 }
 
 impl Device {
-    /// The incarnation of the background thread.
+    /// The background thread, from its start to its end.
     fn work(&self) {
-        // What programming reads back, kept for its memory.
+        // Buffer for the old content of a range; kept to avoid allocation.
         let mut present = [flash::ERASED; SECTOR];
         loop {
             // Acquire pairs with the store in `HostFlash::begin`.
@@ -255,7 +258,8 @@ impl DataFlash for HostFlash {
     const SECTORS: u32 = flash::SECTORS;
 
     fn read(&self, offset: u32, into: &mut [u8]) -> Result<(), FlashError> {
-        // Acquire pairs with the Release in `Device::work`: what it has written can be read.
+        // Acquire pairs with the Release in `Device::work`: everything that it has written can be
+        // read.
         if self.device.status.load(Ordering::Acquire) == BUSY {
             return Err(FlashError::Busy);
         }
@@ -296,8 +300,8 @@ fn carry_out(file: &File, started: &Started, present: &mut [u8; SECTOR]) -> io::
     file.sync_data()
 }
 
-/// Creates the file whole or not at all, whenever the power goes; leaves one that another process
-/// has created at the same time.
+/// Creates the file completely or not at all, even at a power loss. Keeps a file that another
+/// process has created at the same time.
 fn create(path: &Path) -> io::Result<()> {
     let folder = match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
@@ -315,8 +319,8 @@ fn create(path: &Path) -> io::Result<()> {
     let written = File::create_new(&draft).and_then(|mut file| {
         file.write_all(&[flash::ERASED; flash::SIZE])?;
         file.sync_all()?;
-        // Never in the place of a file that another run has claimed. Not every file system can
-        // rename so; those have links.
+        // Never replaces a file that another run has claimed. Not every file system can rename in
+        // this way; the others have links.
         let renamed = match renameat_with(CWD, &draft, CWD, path, RenameFlags::NOREPLACE) {
             Err(Errno::INVAL) => linkat(CWD, &draft, CWD, path, AtFlags::empty()),
             renamed => renamed,
@@ -327,7 +331,7 @@ fn create(path: &Path) -> io::Result<()> {
         }
         File::open(folder)?.sync_all()
     });
-    // Renamed or not.
+    // Whether or not it was renamed.
     let _ = fs::remove_file(&draft);
     written
 }
@@ -393,8 +397,8 @@ mod tests {
         assert_eq!(fs::read(&path).unwrap(), b"mine");
     }
 
-    /// T-RED-1: two runs that start at the same time, with a data flash that is not there yet: one
-    /// of them gets it.
+    /// T-RED-1: two runs start at the same time and their data flash does not exist yet: exactly
+    /// one of them gets it.
     #[test]
     fn a_new_data_flash_is_claimed_once() {
         for round in 0..3 {
@@ -416,7 +420,7 @@ mod tests {
         }
     }
 
-    /// A file whose name was given to another one while it was locked is not the data flash.
+    /// A locked file whose name was given to another file is not the data flash.
     #[test]
     fn what_was_locked_is_what_the_name_stands_for() {
         let folder = tempfile::tempdir().unwrap();
@@ -436,7 +440,7 @@ mod tests {
         assert_eq!(second._lock.metadata().unwrap().ino(), there.ino());
     }
 
-    /// T-RED-1: a run beside another does not write over its state.
+    /// T-RED-1: a run beside another does not overwrite its state.
     #[test]
     fn a_data_flash_belongs_to_one_system() {
         let folder = tempfile::tempdir().unwrap();
@@ -444,7 +448,7 @@ mod tests {
         let _claimed = HostFlash::claim(&path).unwrap();
         let error = HostFlash::claim(&path).unwrap_err();
         assert!(matches!(error, FlashFileError::InUse { .. }), "{error}");
-        // Its cores open it all the same.
+        // Its cores can still open it.
         HostFlash::open(&path).unwrap();
     }
 }

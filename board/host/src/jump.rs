@@ -1,7 +1,7 @@
-//! From the first program of a core to the one that a slot holds: the same process, another image.
+//! The jump from the first program of a core to the one in a slot: same process, another image.
 //!
-//! A slot holds what Linux can execute: an ELF file, or a script. The script
-//! `#!/proc/self/exe __application NAME` is the application NAME of the executable that runs.
+//! A slot holds a file that Linux can execute: an ELF file, or a script. The script
+//! `#!/proc/self/exe __application NAME` is the application NAME of the running executable.
 
 use std::io::{self, Write as _};
 use std::os::fd::AsRawFd as _;
@@ -13,17 +13,17 @@ use rustix::fs::{MemfdFlags, memfd_create};
 use crate::args::{APPLICATION, CoreArgs, ProcessArgs};
 use crate::backplane::{Backplane, BackplaneError};
 
-/// What a slot holds to start an application of the executable that runs.
+/// The content of a slot that starts an application of the running executable.
 #[must_use]
 pub fn script(application: &str) -> Vec<u8> {
     format!("#!/proc/self/exe {APPLICATION}{application}\n").into_bytes()
 }
 
-/// Replaces the program of this process. The process keeps its id and dies with its supply as
-/// before; nothing else of the old program stays but its priority. Returns only if it fails.
+/// Replaces the program of this process. The process keeps its id and its priority, and still dies
+/// with its supply; nothing else of the old program remains. Returns only if it fails.
 #[must_use]
 pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
-    // Open over the exec: the interpreter of a script is told this path.
+    // Stays open over the exec: the interpreter of a script gets this path.
     let execute = || -> io::Result<core::convert::Infallible> {
         let mut file = std::fs::File::from(memfd_create("slot", MemfdFlags::empty())?);
         file.write_all(image)?;
@@ -37,7 +37,7 @@ pub fn jump(image: &[u8], args: &CoreArgs) -> io::Error {
     }
 }
 
-/// Says which slot core 0 is about to jump to: the other cores of its system follow.
+/// Publishes the slot to which core 0 is about to jump: the other cores of its system follow.
 ///
 /// # Errors
 /// [`BackplaneError`] if the run is over.

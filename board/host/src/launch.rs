@@ -1,7 +1,7 @@
-//! Starting a run and ending it without a trace.
+//! Starts a run, and ends it without leaving anything behind.
 //!
-//! The launcher is needed for neither driving nor failover: after the start it only waits. If it is
-//! killed, the run continues until the vehicle ends, and the rest ends with the vehicle.
+//! Neither driving nor failover needs the launcher: after the start it only waits. If it is killed,
+//! the run continues until the vehicle ends; all other processes end with the vehicle.
 
 use std::ffi::OsString;
 use std::io;
@@ -23,7 +23,7 @@ use crate::memory::{self, MemoryError};
 use crate::processes::{self, Process};
 use crate::spawn;
 
-/// How long a vehicle that was asked to end may take, for instance to write its report.
+/// How long the vehicle may take to end after a request, for instance to write its report.
 const STOP_GRACE: Duration = Duration::from_secs(30);
 /// How long supplies may take to power down.
 const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
@@ -34,10 +34,10 @@ const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Why a run did not start.
 #[derive(Debug, thiserror::Error)]
 pub enum LaunchError {
-    /// There is no place for its files.
+    /// The run's files have no place.
     #[error(transparent)]
     Isolation(#[from] IsolationError),
-    /// Its shared memory cannot be created, or has no room.
+    /// The run's shared memory cannot be created, or has no room.
     #[error(transparent)]
     Memory(#[from] MemoryError),
     /// The data flash of a system cannot be used.
@@ -46,7 +46,7 @@ pub enum LaunchError {
     /// A process cannot be started.
     #[error("cannot start the {what}: {source}")]
     Spawn {
-        /// Which.
+        /// The process.
         what: String,
         /// What the operating system said.
         source: io::Error,
@@ -56,7 +56,7 @@ pub enum LaunchError {
     Signals(io::Error),
 }
 
-/// What is to run.
+/// The configuration of a run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Plan {
     /// How the processes are scheduled.
@@ -76,7 +76,7 @@ pub struct Ended {
     pub interrupted: bool,
 }
 
-/// What a run has left behind; empty if all is well.
+/// What a run has left behind; empty in a good run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Leftovers {
     /// Processes that could not be killed.
@@ -100,9 +100,9 @@ pub struct Launcher {
     backplane: Backplane,
     /// Supply A, supply B, vehicle.
     children: Vec<Child>,
-    /// Locked as long as a process of the run lives.
+    /// Locked while a process of the run lives.
     flash: Vec<Claimed>,
-    /// A signal that asks to end has arrived and was not yet handled.
+    /// A signal that requests the end has arrived and is not yet handled.
     signalled: Arc<AtomicBool>,
     is_over: bool,
 }
@@ -110,10 +110,10 @@ pub struct Launcher {
 impl Launcher {
     /// Prepares a run: its place, its backplane, and Ctrl-C.
     ///
-    /// To be called before the process has threads (see [`isolation::enter`]).
+    /// Call it before the process has threads (see [`isolation::enter`]).
     ///
     /// # Errors
-    /// [`LaunchError`] if shared memory or signals cannot be had.
+    /// [`LaunchError`] if shared memory or signals are not available.
     pub fn prepare() -> Result<Self, LaunchError> {
         Self::prepare_in(isolation::enter()?)
     }
@@ -121,11 +121,11 @@ impl Launcher {
     /// Prepares a run in this place.
     ///
     /// # Errors
-    /// [`LaunchError`] if shared memory or signals cannot be had.
+    /// [`LaunchError`] if shared memory or signals are not available.
     pub fn prepare_in(isolation: Isolation) -> Result<Self, LaunchError> {
         let backplane = create_memory(&isolation)?;
         backplane.set_launcher(std::process::id());
-        // Cores whose supply was killed become children of this process, which waits for them.
+        // Cores whose supply was killed become children of this process, which then waits for them.
         let _ = set_child_subreaper(Pid::from_raw(1));
         let signalled = Arc::new(AtomicBool::new(false));
         for signal in [SIGINT, SIGTERM, SIGHUP] {
@@ -142,7 +142,7 @@ impl Launcher {
         })
     }
 
-    /// The place of the run's files; its display is the line that says what was granted.
+    /// The place of the run's files; its display is the line that tells what was granted.
     #[must_use]
     pub const fn isolation(&self) -> &Isolation {
         &self.isolation
@@ -234,7 +234,7 @@ impl Launcher {
             let signalled = self.signalled.swap(false, Ordering::Relaxed);
             let patience_is_over = asked.is_some_and(|since| since.elapsed() > STOP_GRACE);
             if patience_is_over || (signalled && asked.is_some()) {
-                // It may just have ended by itself.
+                // Fails if the vehicle has just ended.
                 let _ = vehicle.kill();
             } else if signalled {
                 self.backplane.request_stop();
@@ -244,8 +244,8 @@ impl Launcher {
         }
     }
 
-    /// Ends the run: powers the systems down, kills what does not go, waits for all, wipes the
-    /// files, and reports what is left all the same.
+    /// Ends the run: powers the systems down, kills the remaining processes, waits for all, removes
+    /// the files, and reports what is still left.
     pub fn finish(mut self) -> Leftovers {
         self.end()
     }
@@ -258,8 +258,8 @@ impl Launcher {
         let mut processes = processes::of_run(self.isolation.run());
         if !all_gone || !processes.is_empty() {
             let deadline = Instant::now() + KILL_GRACE;
-            // Supplies first would be enough; repeated, because a supply may just be starting a
-            // core.
+            // Killing the supplies once would be enough, except that a supply may just be starting
+            // a core.
             while !processes.is_empty() && Instant::now() < deadline {
                 for process in &processes {
                     if let Some(pid) = i32::try_from(process.pid).ok().and_then(Pid::from_raw) {
@@ -303,12 +303,12 @@ impl Drop for Launcher {
     }
 }
 
-/// Creates the run's memory; leaves nothing of it if there is not room for all.
+/// Creates the run's memory; if there is not room for all, removes it again.
 fn create_memory(isolation: &Isolation) -> Result<Backplane, MemoryError> {
     memory::create(isolation.run()).inspect_err(|_| isolation.wipe())
 }
 
-/// Cores whose supply was killed were handed to this process.
+/// Waits for cores whose supply was killed: they are children of this process now.
 fn reap_orphans() {
     while let Ok(Some(_)) = wait(WaitOptions::NOHANG) {}
 }

@@ -8,10 +8,10 @@
 //!
 //! A system's LMU is a segment of iceoryx2 storage that its cores map read-write; a doorbell is an
 //! iceoryx2 event; the wires between the systems, the bus and the supplies' registers are the
-//! [`Backplane`], one more segment. Everything lives in a `/dev/shm` of the run's own
-//! ([`isolation`]), so that nothing is left behind whatever is killed.
+//! [`Backplane`], one more segment. All files are in the run's own `/dev/shm` ([`isolation`]), so
+//! that nothing is left behind, whichever process is killed.
 
-// iceoryx2 links against a logger; this one says nothing.
+// iceoryx2 links against a logger; this one prints nothing.
 extern crate iceoryx2_bb_loggers as _;
 
 mod args;

@@ -54,8 +54,8 @@ impl Lines for HostLines {
     }
 }
 
-/// A system's end of the data link. It is wired to core 0: on the other cores nothing can be sent
-/// and nothing arrives.
+/// A system's end of the data link. It is connected to core 0: the other cores can neither send nor
+/// receive on it.
 #[derive(Debug)]
 pub struct HostLink {
     backplane: Backplane,

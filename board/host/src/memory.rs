@@ -1,5 +1,6 @@
 //! The shared memory of a run: all of it is created, and its pages reserved, before the first
-//! process starts. A place that is too small refuses the run; it never stops one that drives.
+//! process starts. If there is not enough room, the run does not start; a run that drives cannot
+//! run out of it.
 
 use core::sync::atomic::AtomicU32;
 
@@ -13,7 +14,7 @@ use crate::segment::{Segment, SegmentError};
 /// Words of the LMU: 32 KiB, as on the TC297. T-CHIP-1
 pub const LMU_WORDS: usize = 8192;
 
-/// Why the shared memory of a run cannot be had.
+/// Why the shared memory of a run cannot be created.
 #[derive(Debug, thiserror::Error)]
 pub enum MemoryError {
     /// The backplane.
@@ -41,7 +42,7 @@ fn lmu_name(system: SystemId) -> String {
     format!("lmu-{system}")
 }
 
-/// Maps the LMU of a system as long as this process lives.
+/// Maps the LMU of a system until this process ends.
 pub(crate) fn open_lmu(
     run: &RunName,
     system: SystemId,

@@ -8,8 +8,8 @@ const RUN_PREFIX: &str = "tandem-";
 
 /// The name of one run on this machine: `tandem-` and up to 40 letters, digits and dashes.
 ///
-/// All shared memory of a run is named after it, so that two runs never meet and what one left
-/// behind is known to be its.
+/// All shared memory of a run is named after it, so that two runs never share any and leftovers can
+/// be assigned to their run.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RunName(String);
 
@@ -19,7 +19,7 @@ pub struct RunName(String);
 pub struct InvalidRunName(String);
 
 impl RunName {
-    /// A name that no other run on this machine has: made of this process's id and the time.
+    /// A name that no other run on this machine has, from this process's id and the time.
     #[must_use]
     pub fn unique() -> Self {
         let pid = std::process::id();

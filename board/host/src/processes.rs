@@ -10,7 +10,7 @@ use tandem_board::{CoreId, Generation, SystemId};
 use crate::args::ProcessArgs;
 use crate::name::RunName;
 
-/// What a process of a run is.
+/// Kind of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The supply of a system.
@@ -38,7 +38,7 @@ pub struct Process {
     pub pid: u32,
     /// Its run.
     pub run: RunName,
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// Its system; `None` for the vehicle.
     pub system: Option<SystemId>,
@@ -51,8 +51,8 @@ pub struct Process {
 
 /// All processes of all runs, ordered by run, system (the vehicle last), supply before cores.
 ///
-/// What is seen is what the caller may see of `/proc`. Processes that have ended but were not
-/// waited for are left out.
+/// Limited to what the caller may read in `/proc`. Processes that have ended but were not waited
+/// for are left out.
 #[must_use]
 pub fn list() -> Vec<Process> {
     let entries = fs::read_dir("/proc").into_iter().flatten().flatten();

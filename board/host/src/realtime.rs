@@ -1,4 +1,5 @@
-//! Real time as far as the machine permits: a CPU, SCHED_FIFO, locked memory, no timer slack.
+//! Real time as far as the machine permits: a pinned CPU, SCHED_FIFO, locked memory, no timer
+//! slack.
 
 use core::fmt;
 use std::hint::black_box;
@@ -7,7 +8,7 @@ use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getrlimit};
 use rustix::thread::{CapabilitySet, capabilities};
 
-/// What a process claims.
+/// The claims of a process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// Priority under SCHED_FIFO, 1 ..= 99; `None` asks for the default policy.
@@ -15,11 +16,11 @@ pub struct Claim {
     /// The CPU, as an index into those that this process may use (taken modulo their number);
     /// `None` leaves the choice to the kernel.
     pub cpu: Option<usize>,
-    /// Whether memory shall stay resident.
+    /// Whether memory is to stay resident.
     pub lock_memory: bool,
 }
 
-/// What was granted.
+/// The granted claims.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Grant {
     /// The priority under SCHED_FIFO, if granted.
@@ -31,7 +32,7 @@ pub struct Grant {
 }
 
 impl Grant {
-    /// Whether timing may be held to real-time limits.
+    /// Whether timing may be judged by real-time limits.
     #[must_use]
     pub const fn is_realtime(&self) -> bool {
         self.fifo.is_some()
@@ -56,16 +57,16 @@ impl fmt::Display for Grant {
     }
 }
 
-/// How much stack is touched in advance, in bytes: more than a core's deepest cycle.
+/// How much stack is touched in advance, in bytes: more than the deepest cycle of a core.
 const STACK: usize = 256 * 1024;
 
-/// Claims for the calling thread (and the memory of its process) what `claim` says, and returns
-/// what was granted. Threads that are started afterwards inherit the CPU, not the priority.
+/// Makes the claims for the calling thread (and the memory of its process) and returns what was
+/// granted. Threads that are started later inherit the CPU, not the priority.
 ///
-/// Memory is locked as it is touched, not all at once: what a killed process has touched must be
-/// given back before anybody hears of its death (some 58 µs for a MiB).
+/// Memory is locked when it is touched, not all at once: the kernel must release the touched memory
+/// of a killed process before it reports the death (about 58 µs for a MiB).
 pub fn claim(claim: Claim) -> Grant {
-    // Errors only say that the kernel has no such knob.
+    // An error only means that the kernel lacks this setting.
     let _ = rustix::thread::set_current_timer_slack(core::num::NonZeroU64::new(1));
     let cpu = claim.cpu.and_then(pin);
     let memory_locked = claim.lock_memory && may_lock() && {
@@ -81,7 +82,7 @@ pub fn claim(claim: Claim) -> Grant {
     }
 }
 
-/// What [`claim`] would grant, without touching the calling thread or the memory of its process.
+/// What [`claim`] would grant, without changes to the calling thread or the memory of its process.
 #[must_use]
 pub fn probe(wanted: Claim) -> Grant {
     let tried = std::thread::spawn(move || {
@@ -114,7 +115,7 @@ fn pin(index: usize) -> Option<usize> {
     core_affinity::set_for_current(id).then_some(id.id)
 }
 
-/// With a limit on locked memory, locking all future memory would make allocations fail later on.
+/// With a limit on locked memory, locking all future memory would make later allocations fail.
 fn may_lock() -> bool {
     let unlimited = getrlimit(Resource::Memlock).current.is_none();
     let privileged =
@@ -126,7 +127,7 @@ fn set_fifo(priority: u8) -> bool {
     let param = libc::sched_param {
         sched_priority: libc::c_int::from(priority),
     };
-    // What this thread starts (the data flash, cores) has its own claim or none.
+    // Children of this thread (the data flash, cores) make their own claims or none.
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
     // SAFETY: `param` is a valid `sched_param` for the time of the call; 0 is the calling thread.
     unsafe { libc::sched_setscheduler(0, policy, &raw const param) == 0 }

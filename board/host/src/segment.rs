@@ -41,7 +41,7 @@ unsafe impl<const N: usize> ZeroCopySend for Words<N> {}
 /// Why a segment could not be created, opened or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum SegmentError {
-    /// It was not created, or is removed.
+    /// It was never created, or was removed.
     #[error("shared memory “{name}” of run {run} does not exist")]
     DoesNotExist {
         /// The run.
@@ -100,7 +100,7 @@ impl<const N: usize> Segment<N> {
         }
     }
 
-    /// Removes the segment that a test has made. Nothing happens if there is none.
+    /// Removes a segment that a test has created. No effect if it does not exist.
     #[cfg(test)]
     pub(crate) fn remove(run: &RunName, name: &str) {
         // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
@@ -119,8 +119,8 @@ impl<const N: usize> fmt::Debug for Segment<N> {
     }
 }
 
-/// iceoryx2 reports expected outcomes (such as "does not exist") to its log; ours are in the
-/// errors.
+/// Silences iceoryx2's log: it reports expected outcomes (such as "does not exist") there, which
+/// the errors here contain.
 pub(crate) fn quiet() {
     iceoryx2_log::set_log_level(iceoryx2_log::LogLevel::Fatal);
 }
@@ -129,7 +129,7 @@ fn config<const N: usize>(run: &RunName) -> Configuration<Words<N>> {
     Configuration::default().prefix(&prefix(run))
 }
 
-/// Stands where a name cannot be formed, which is never: run names are short and plain.
+/// Used if a name cannot be formed, which never happens: run names are short and plain.
 // SAFETY: letters are a valid file name.
 pub(crate) const FALLBACK: FileName = unsafe { FileName::new_unchecked_const(b"tandem") };
 

@@ -11,9 +11,9 @@ use rustix::process::{
     set_parent_process_death_signal,
 };
 
-/// Starts a process that dies with the calling one: it is killed as soon as that dies, however.
+/// Starts a process that is killed as soon as the calling one dies, in any way.
 ///
-/// The kernel watches the calling *thread*: that must live as long as the process.
+/// The kernel watches the calling *thread*: it must live as long as the process.
 pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     let parent = getpid();
     let tie = move || {
@@ -31,9 +31,9 @@ pub(crate) fn spawn_bound(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// Binds this process to its parent, as [`spawn_bound`] does, in the process itself: a program with
-/// file capabilities loses the binding when it is executed. `false` if its parent is another one:
-/// then that has died.
+/// Binds this process to its parent, as [`spawn_bound`] does, but from inside: a program with file
+/// capabilities loses the binding when it is executed. Returns `false` if its parent is another
+/// process: the original one has died.
 ///
 /// The calling thread must live as long as the process.
 pub(crate) fn bind_to_parent(parent: u32) -> io::Result<bool> {
@@ -47,19 +47,19 @@ pub(crate) fn spawn_free(command: &mut Command) -> io::Result<Child> {
     detach(command).spawn()
 }
 
-/// A Ctrl-C in the terminal reaches the launcher, which ends the run in order; not every process.
+/// A Ctrl-C in the terminal must reach only the launcher, which ends the run in order.
 fn detach(command: &mut Command) -> &mut Command {
     command.process_group(0)
 }
 
-/// A process of the run that is not a child of this one, or one that is.
+/// A process of the run, child of this one or not.
 #[derive(Debug)]
 pub(crate) struct Watched {
     fd: OwnedFd,
 }
 
 impl Watched {
-    /// `None` if it has ended already (and, if it was a child, was waited for).
+    /// `None` if the process has already ended (and, if it was a child, was waited for).
     pub(crate) fn new(pid: u32) -> Option<Self> {
         let pid = Pid::from_raw(i32::try_from(pid).ok()?)?;
         let fd = pidfd_open(pid, PidfdFlags::empty()).ok()?;

@@ -2,16 +2,16 @@
 //!
 //! iceoryx2's own storage (`dynamic_storage::posix_shared_memory`) sets the size of the file and
 //! lets the kernel find a page at the first touch. In a full `/dev/shm` that touch ends the process
-//! with SIGBUS, and it may be the touch of a process that did nothing but ring a bell. Here
-//! [`Builder::create`] calls `fallocate` before anything touches the memory: a place that is too
-//! small refuses the creator, and no other process later.
+//! with SIGBUS, possibly a process that only rings a bell. Here [`Builder::create`] calls
+//! `fallocate` before any access to the memory: if there is not enough room, the creator gets an
+//! error, and no other process fails later.
 //!
-//! A *lasting* storage belongs to the run and not to the process that created it: no process that
-//! drops it removes it, and [`Builder::create`] takes over the one that is there and initializes
-//! its value anew, in the same memory. Processes that have it mapped keep using it, and must expect
-//! that.
+//! A *lasting* storage belongs to the run and not to the process that created it: dropping it does
+//! not remove it, and [`Builder::create`] takes over an existing one and initializes its value
+//! again, in the same memory. Processes that have it mapped continue to use it, and must tolerate
+//! the change.
 //!
-//! The suite of iceoryx2 for a dynamic storage is a test of this one: `tests/iceoryx2.rs`.
+//! iceoryx2's suite for a dynamic storage also tests this one: `tests/iceoryx2.rs`.
 
 use core::fmt::Debug;
 use core::marker::PhantomData;
@@ -56,15 +56,16 @@ const FINISHED: Permission = Permission::OWNER_READ_WRITE;
 const FINISHED_FOR_ALL: Permission = FINISHED
     .const_bitor(Permission::GROUP_READ_WRITE)
     .const_bitor(Permission::OTHERS_READ_WRITE);
-/// Content of [`Content::complete`] once the value is there: "TDMS" and the version of the layout.
+/// Content of [`Content::complete`] once the value is complete: "TDMS" and the version of the
+/// layout.
 const COMPLETE: u32 = 0x5444_4D01;
 const LOOK_AGAIN: Duration = Duration::from_millis(1);
 
-/// What a `T` of a storage has to be.
+/// Requirements on the `T` of a storage.
 pub trait Value: Send + Sync + Debug + ZeroCopySend {}
 impl<T: Send + Sync + Debug + ZeroCopySend> Value for T {}
 
-/// What lies in the memory.
+/// The content of the memory.
 #[repr(C)]
 struct Content<T> {
     complete: AtomicU32,
@@ -74,18 +75,18 @@ struct Content<T> {
 /// Why a storage could not be created.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum CreateError {
-    /// There is one of this name.
+    /// A storage with this name exists.
     AlreadyExists,
     /// This user may not create one.
     InsufficientPermissions,
     /// The file system has no room for these bytes.
     NoSpace {
-        /// What was asked for.
+        /// The requested size.
         bytes: usize,
     },
     /// The initializer has refused.
     InitializationFailed,
-    /// The operating system refused something else.
+    /// The operating system refused another step.
     Refused,
 }
 
@@ -100,7 +101,7 @@ impl From<CreateError> for DynamicStorageCreateError {
     }
 }
 
-/// How the file of a storage is named, and whose it is.
+/// How the file of a storage is named, and who owns it.
 #[derive(Debug)]
 pub struct Configuration<T, const LASTING: bool = false> {
     prefix: FileName,
@@ -192,7 +193,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         self.config.path_for(&self.name).file_name()
     }
 
-    /// As [`DynamicStorageBuilder::create`], but says whether it was the space.
+    /// As [`DynamicStorageBuilder::create`], but the error tells whether there was no room.
     ///
     /// # Errors
     /// [`CreateError`]
@@ -236,7 +237,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         Ok(storage)
     }
 
-    /// Initializes the storage that is there, in its memory.
+    /// Initializes the existing storage, in its memory.
     fn take_over(mut self, bytes: usize) -> Result<Storage<T, LASTING>, CreateError> {
         let memory = SharedMemoryBuilder::new(&self.file_name())
             .open_existing(AccessMode::ReadWrite)
@@ -251,8 +252,8 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         let content = memory.base_address().cast::<Content<T>>();
         let beyond = size_of::<Content<T>>();
         // SAFETY: the memory is at least as large as a `Content`, aligned to a page, and mapped as
-        // long as `memory` incarnations. Fresh memory is zero, and any bits are a `Content`. What
-        // is behind it is in the mapping as well.
+        // long as `memory` lives. Fresh memory is zero, and any bits are a `Content`. The rest
+        // behind it is in the mapping as well.
         let (content, rest) =
             unsafe { (&mut *content.as_ptr(), memory.base_address().add(beyond)) };
         let mut allocator = BumpAllocator::new(rest, memory.size() - beyond);
@@ -269,7 +270,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
         })
     }
 
-    /// The storage as it is now; an unfinished one is an error.
+    /// Opens the storage as it is now; an incomplete one is an error.
     fn open_now(&self, access: AccessMode) -> Result<Storage<T, LASTING>, DynamicStorageOpenError> {
         let unfinished = Err(DynamicStorageOpenError::InitializationNotYetFinalized);
         let memory = match SharedMemoryBuilder::new(&self.file_name()).open_existing(access) {
@@ -277,14 +278,15 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
             Err(SharedMemoryCreationError::DoesNotExist) => {
                 return Err(DynamicStorageOpenError::DoesNotExist);
             }
-            // Its size is zero, or it may only be written.
+            // Its size is zero, or it is still write-only.
             Err(
                 SharedMemoryCreationError::InsufficientPermissions
                 | SharedMemoryCreationError::MemoryMappingCreationError(_),
             ) => return unfinished,
             Err(_) => return Err(DynamicStorageOpenError::InternalError),
         };
-        // Root may read what no other user can. No page may be touched before all are reserved.
+        // Root can read an incomplete storage, other users cannot. No page may be touched before
+        // all are reserved.
         match memory.permission() {
             Ok(permission) if permission.has(Permission::OWNER_READ) => {}
             Ok(_) => return unfinished,
@@ -325,7 +327,7 @@ impl<T: Value, const LASTING: bool> Builder<'_, T, LASTING> {
     }
 }
 
-/// Finds a page for every byte, or refuses.
+/// Reserves a page for every byte, or fails.
 fn reserve(memory: &SharedMemory, bytes: usize) -> Result<(), CreateError> {
     // SAFETY: the descriptor is open as long as `memory`, which the borrow does not outlive.
     let file = unsafe { BorrowedFd::borrow_raw(memory.file_descriptor().native_handle()) };
@@ -449,7 +451,7 @@ impl<T, const LASTING: bool> Drop for Storage<T, LASTING> {
     fn drop(&mut self) {
         if self.memory.has_ownership() {
             let content = self.memory.base_address().cast::<Content<T>>();
-            // SAFETY: the value was initialized by this storage's builder. As iceoryx2 has it, its
+            // SAFETY: the value was initialized by this storage's builder. As in iceoryx2, its
             // owner is the last user.
             unsafe { (*content.as_ptr()).value.assume_init_drop() };
         }
@@ -530,7 +532,7 @@ impl<T: Value, const LASTING: bool> DynamicStorage<T> for Storage<T, LASTING> {
     }
 
     fn get(&self) -> &T {
-        // SAFETY: a storage is built when its value is complete, and no code makes it incomplete.
+        // SAFETY: a storage is built when its value is complete, and the value stays complete.
         unsafe { self.content().value.assume_init_ref() }
     }
 

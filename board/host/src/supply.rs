@@ -1,13 +1,14 @@
 //! The supply of a system: power, watchdogs, reset generator, reset cause. T-CHIP-6
 //!
-//! One process for each system. It powers its three cores, which die with it; it watches over core
-//! 0 and resets the system when that dies, is not served, or asks for it; and it watches the other
-//! supply to tell its own system at once when that loses power. It depends on the vehicle (which is
-//! the battery: without it all is dark), not on the launcher.
+//! One process for each system. It powers its three cores, which die with it. It monitors core 0
+//! and resets the system when core 0 dies, misses the watchdog, or requests a reset. It also
+//! monitors the other supply, and tells its own system at once when that one loses power. It
+//! depends on the vehicle (which is the battery: without it there is no power), not on the
+//! launcher.
 //!
-//! What a supply decides is in `tandem_peripherals::supply`; this is the process around that model.
-//! The level line is high before the ignition. When the ignition goes off, or the vehicle ends, the
-//! supply kills its cores and ends.
+//! `tandem_peripherals::supply` decides; this is the process around that model. The level line is
+//! high before the ignition. When the ignition goes off, or the vehicle ends, the supply kills its
+//! cores and ends.
 
 use std::os::fd::OwnedFd;
 use std::os::unix::process::ExitStatusExt as _;
@@ -33,7 +34,7 @@ use crate::spawn::{self, Watched};
 
 /// How often the supply reads its registers.
 const PERIOD: Duration = Duration::from_ms(1);
-/// A supply that is later than this was held up itself: it was stopped, or the machine was.
+/// A supply that polls later than this was held up itself: the process or the machine was stopped.
 const HELD_UP: Duration = Duration::from_ms(50);
 /// Why a supply cannot work.
 #[derive(Debug, thiserror::Error)]
@@ -47,7 +48,7 @@ pub enum SupplyError {
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
-    /// The backplane is not what this build expects.
+    /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
 }
@@ -58,15 +59,15 @@ impl From<FitError> for SupplyError {
     }
 }
 
-/// Is the supply of a system until the ignition is off. `command` makes the command that starts a
-/// core.
+/// Runs as the supply of a system until the ignition is off. `command` makes the command that
+/// starts a core.
 ///
-/// To be called on the main thread: cores die with the thread that started them. It claims real
-/// time as `args` says.
+/// Call it on the main thread: cores die with the thread that started them. It claims real time as
+/// `args` says.
 ///
 /// # Errors
-/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be had. A core that
-/// cannot be started is no error: it is a core that is dead.
+/// [`SupplyError`] if the run is over, or the LMU or the data flash cannot be used. A core that
+/// cannot be started is no error: it counts as dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
     let backplane = Backplane::open(&args.common.run)?;
@@ -95,15 +96,16 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         peer,
     };
     if power_on > 1 {
-        // At the first one nothing is older than the run, and the other system may be on already.
+        // At the first power-on no edge is older than the run, and the other system may already be
+        // on.
         backplane.clear_received_edges(args.system);
     }
     supply.work(&vehicle);
     Ok(())
 }
 
-/// Waits until all processes of the run are known and the ignition is on; `None` if that will never
-/// be.
+/// Waits until all processes of the run are known and the ignition is on; `None` if that can no
+/// longer happen.
 fn wait_for_ignition(
     args: &SupplyArgs,
     backplane: Backplane,
@@ -139,7 +141,7 @@ struct Supply<'a> {
     services: fifo::Consumer<'static, [u32; SERVICE_WORDS]>,
     link: Ring,
     cores: [Option<PoweredCore>; CoreId::COUNT],
-    /// Which cores have begun in this incarnation of the system.
+    /// Which cores have started in this incarnation of the system.
     begun: [bool; CoreId::COUNT],
     model: Model,
     peer: Option<Watched>,
@@ -163,7 +165,7 @@ impl Supply<'_> {
                 self.model.was_blind(next, now);
             }
             if now >= next {
-                // Ticks that were missed carry nothing.
+                // Missed ticks carry no work.
                 next = now + PERIOD;
             }
             if !self.backplane.ignition() || vehicle.has_ended() {
@@ -190,7 +192,7 @@ impl Supply<'_> {
         let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
         let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
         let left = clock::timespec(next.since(clock::now()).as_ns());
-        // Interrupted or not: the registers are looked at anyway.
+        // Interrupted or not: the registers are polled anyway.
         let _ = poll(&mut fds, Some(&left));
     }
 
@@ -216,7 +218,7 @@ impl Supply<'_> {
                     let signal = u8::try_from(signal).unwrap_or(0);
                     self.trace(SupplyEvent::CoreDied { core, signal });
                 }
-                // Cores 1 and 2 are core 0's to supervise: it notices and asks for a reset.
+                // Core 0 supervises cores 1 and 2: it notices their death and requests a reset.
                 if core == CoreId::CONTROL && on {
                     let change = self.model.reset(now, ResetCause::Trap);
                     self.carry_out(change);
@@ -238,8 +240,7 @@ impl Supply<'_> {
             && let Ok(Some(words)) = self.services.receive()
         {
             let (at, answer) = decode_service(words);
-            // Read the clock again: had this process been held up since it woke, these services
-            // would lie ahead of that time.
+            // Read the clock again: `now` may be older than these services.
             let change = self.model.service(clock::now(), at, answer);
             self.carry_out(change);
         }
@@ -254,7 +255,7 @@ impl Supply<'_> {
                 self.stop_all(ResetCause::Software, RoleLamp::Suspended);
                 self.trace(SupplyEvent::Suspended);
             }
-            // The end of the run ends this process, too.
+            // The end of the run also ends this process.
             Some(Change::PowerOff) => self.kill_cores(),
         }
     }
@@ -269,7 +270,7 @@ impl Supply<'_> {
     fn start_system(&mut self, cause: ResetCause) {
         self.clear_memory();
         self.backplane.set_reset_cause(self.args.system, cause);
-        // Requests of the incarnation that is over.
+        // Discard requests of the last incarnation.
         self.backplane.take_reset_request(self.args.system);
         self.backplane
             .take_released(self.args.system)
@@ -281,17 +282,17 @@ impl Supply<'_> {
                 .set_generation(self.args.system, core, Generation(generation));
         }
         self.set_level(self.args.system, true);
-        // It releases the others. T-BOOT-2
+        // Core 0 releases the others. T-BOOT-2
         self.start(CoreId::CONTROL);
     }
 
-    /// All cores are dead: what they had in common begins anew, as after power-on.
+    /// All cores are dead: clears their shared memory, as after power-on.
     fn clear_memory(&mut self) {
         for word in self.lmu {
             word.store(0, Relaxed);
         }
         while let Ok(Some(_)) = self.services.receive() {}
-        // What was under way to them on the link. The ring was checked when the supply started.
+        // Datagrams to them that were under way. The ring was checked when the supply started.
         if let Ok(mut link) = bare::fifo_consumer::<[u32; DATAGRAM_WORDS]>(
             self.backplane.ring(self.link),
             self.link.shape,
@@ -307,8 +308,8 @@ impl Supply<'_> {
         let system = self.args.system;
         let generation = self.backplane.generation(system, core);
         let mut command = (self.command)(&self.args.core(core, generation));
-        // A core that cannot be started is one that died at its start: for core 0 that is a reset,
-        // as the watchdog is not served.
+        // A core that cannot be started counts as one that died at its start: for core 0 that means
+        // a reset, as the watchdog is not serviced.
         if let Ok(child) = spawn::spawn_bound(&mut command) {
             self.trace(SupplyEvent::CoreStarted { core, generation });
             self.backplane.set_core_pid(system, core, child.id());
@@ -317,7 +318,7 @@ impl Supply<'_> {
         }
     }
 
-    /// Writes to the supply's trace. A full trace loses it: nothing that drives reads it.
+    /// Writes to the supply's trace. A full trace loses the record: driving never reads it.
     fn trace(&self, event: SupplyEvent) {
         let trace_ring = self
             .backplane
@@ -327,7 +328,7 @@ impl Supply<'_> {
 
     fn kill_cores(&mut self) {
         for core in self.cores.iter_mut().flatten() {
-            // It may have ended by itself.
+            // Fails if it has already ended.
             let _ = core.child.kill();
         }
     }
@@ -369,7 +370,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: services that wait in the ring are as far apart as they were sent.
+    /// T-CHIP-6: services that the supply reads together keep the distance at which they were sent.
     #[test]
     fn services_that_are_seen_together_are_not_early() {
         let run = RunName::unique();
@@ -404,8 +405,8 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// T-CHIP-6: a supply that starts slowly, while the launcher has done its part and died, is
-    /// needed all the same: the vehicle drives.
+    /// T-CHIP-6: a supply starts slowly, and the launcher has meanwhile done its part and died: the
+    /// vehicle still drives.
     #[test]
     fn a_launcher_that_died_after_the_start_is_not_missed() {
         let run = RunName::unique();

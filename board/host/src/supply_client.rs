@@ -1,4 +1,4 @@
-//! The supply as core 0 sees it: registers in the backplane.
+//! The supply seen from core 0: registers in the backplane.
 
 use std::fs::{File, OpenOptions};
 use std::io::Write as _;
@@ -19,7 +19,7 @@ pub struct HostSupply {
     backplane: Backplane,
     of: Identity,
     services: Mutex<fifo::Producer<'static, [u32; SERVICE_WORDS]>>,
-    /// Services in this incarnation.
+    /// Number of services in this incarnation.
     count: AtomicU32,
     /// The name of this process in `ps`, if Linux shows it as a file.
     comm: Option<File>,
@@ -54,7 +54,7 @@ impl Supply for HostSupply {
     fn service_watchdog(&self, answer: u8) {
         let service = encode_service(clock::now(), answer);
         let mut services = self.services.lock().unwrap_or_else(PoisonError::into_inner);
-        // Full: the supply itself is behind, and the next service will do.
+        // Full: the supply is behind, and the next service will be enough.
         if services.send(&service).is_ok() {
             self.count.fetch_add(1, Relaxed);
         }
@@ -66,7 +66,8 @@ impl Supply for HostSupply {
 
     fn show_role(&self, lamp: RoleLamp) {
         self.backplane.show_role(self.of.system, lamp);
-        // One system call and no allocation, for a person who looks at `ps`: failure is no loss.
+        // One system call and no allocation. For a person who reads `ps`: a failure does not
+        // matter.
         if let Some(mut comm) = self.comm.as_ref() {
             let (name, length) = process_name(self.of, lamp);
             let _ = comm.write(&name[..length]);
@@ -77,7 +78,7 @@ impl Supply for HostSupply {
 /// Bytes that Linux keeps of a process's name.
 const NAME_BYTES: usize = 15;
 
-/// What `ps` shows of a core, and its length: `A0 master`.
+/// The name of a core in `ps`, and its length: `A0 master`.
 fn process_name(of: Identity, lamp: RoleLamp) -> ([u8; NAME_BYTES], usize) {
     let role = match lamp {
         RoleLamp::Starting => "starting",
@@ -88,7 +89,7 @@ fn process_name(of: Identity, lamp: RoleLamp) -> ([u8; NAME_BYTES], usize) {
     };
     let mut name = [0; NAME_BYTES];
     let mut rest = &mut name[..];
-    // What does not fit is cut off.
+    // The end of a long name is cut off.
     let _ = write!(rest, "{}{} {role}", of.system, of.core);
     let length = NAME_BYTES - rest.len();
     (name, length)

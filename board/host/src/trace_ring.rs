@@ -1,14 +1,14 @@
-//! The ring that a core writes its trace to: it outlives the core, and no writer ever waits.
+//! The ring to which a core writes its trace: it outlives the core, and no writer ever waits.
 //!
 //! A bounded queue of many writers and one reader after D. Vyukov, "Bounded MPMC queue": a writer
 //! reserves the next slot by compare-and-swap, fills it, and marks it as filled with the number of
-//! its turn. A writer is a task or a handler of one core: one that is interrupted between the two
-//! steps, or killed, stops only the reader, and only at this slot. A full ring refuses
-//! the record: what is there stays, and the caller counts what is not.
+//! its turn. A writer is a task or a handler of one core. If it is interrupted or killed between
+//! the two steps, it stops only the reader, and only at this slot. A full ring refuses new records:
+//! the old ones stay, and the caller counts the refused ones.
 //!
-//! An incarnation that ended never fills the slots that it had reserved. The supply starts the next
-//! one only after that death: [`TraceRing::begin_incarnation`] then marks these slots as void.
-//! [`Reader::salvage`] reads around them when no core writes any more.
+//! An incarnation that has ended never fills the slots that it had reserved. The supply starts the
+//! next incarnation only after that death: [`TraceRing::begin_incarnation`] then marks these slots
+//! as void. [`Reader::salvage`] skips them when no core writes any more.
 
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
@@ -23,13 +23,13 @@ const RESERVED_AT: usize = 0;
 /// Line 1, written by the reader: how many slots were read; wraps around.
 const READ_AT: usize = LINE;
 const SLOTS_AT: usize = 2 * LINE;
-/// A record, its turn, and a word that is not used: two slots are a cache line.
+/// A record, its turn, and an unused word: two slots are a cache line.
 const SLOT_WORDS: usize = 8;
 const TURN_AT: usize = TRACE_WORDS;
-/// First word of a record that is none: [`decode_trace`] never returns it.
+/// First word of a void record: [`decode_trace`] never returns it.
 const VOID_AT: usize = TRACE_WORDS + 1;
 
-/// Slots of a ring. At the load of core 0, some 3200 records a second, more than a second.
+/// Slots of a ring: more than a second at the load of core 0, about 3200 records a second.
 pub(crate) const SLOTS: u32 = 4096;
 /// Words of a ring.
 pub(crate) const WORDS: usize = SLOTS_AT + SLOTS as usize * SLOT_WORDS;
@@ -59,14 +59,15 @@ impl TraceRing {
         &self.words[first..first + SLOT_WORDS]
     }
 
-    /// Marks as void what an earlier incarnation of this core has reserved and not filled. Call it
-    /// once in an incarnation, before its first record; no earlier incarnation may run any more.
+    /// Marks as void the slots that an earlier incarnation of this core has reserved and not
+    /// filled. Call it once in an incarnation, before its first record, when no earlier incarnation
+    /// runs any more.
     pub(crate) fn begin_incarnation(self) {
         let reserved = self.words[RESERVED_AT].load(Relaxed);
         // Acquire pairs with the Release in `Reader::release`: the slots before it were read.
         let read = self.words[READ_AT].load(Acquire);
         if reserved.wrapping_sub(read) > SLOTS {
-            // No writer and no reader did this: begin anew where the reader stands.
+            // Neither a writer nor a reader caused this: start again at the reader's position.
             self.words[RESERVED_AT].store(read, Relaxed);
             return;
         }
@@ -124,7 +125,7 @@ impl Reader {
         Self { ring, read }
     }
 
-    /// The next record; `None` if there is none, or the next one is just being written.
+    /// The next record; `None` if the ring is empty, or a writer is just filling the next slot.
     pub(crate) fn next(&mut self) -> Option<(Instant, TraceRecord)> {
         loop {
             let slot = self.ring.slot(self.read);
@@ -139,10 +140,10 @@ impl Reader {
         }
     }
 
-    /// The next record, past slots that were never filled. Only when the core runs no more.
+    /// The next record, skipping slots that were never filled. Only when the core no longer runs.
     pub(crate) fn salvage(&mut self) -> Option<(Instant, TraceRecord)> {
         let reserved = self.ring.words[RESERVED_AT].load(Relaxed);
-        // More than there are slots is no state of this ring.
+        // A larger number than there are slots is not a state of this ring.
         let left = reserved.wrapping_sub(self.read).min(SLOTS);
         for _ in 0..left {
             if let Some(found) = self.next() {
@@ -197,7 +198,7 @@ mod tests {
             .collect()
     }
 
-    /// What a writer does that is killed after its reservation.
+    /// Acts as a writer that is killed after its reservation.
     fn reserve_and_die(words: &[AtomicU32]) {
         words[RESERVED_AT].fetch_add(1, Relaxed);
     }
@@ -228,7 +229,7 @@ mod tests {
         ring.write(at(2), [3; 4]).unwrap();
         assert_eq!(all(&mut reader), [1]);
         assert_eq!(all(&mut reader), []);
-        // It continues, and fills its slot.
+        // The writer continues, and fills its slot.
         let slot = ring.slot(1);
         for (word, value) in slot.iter().zip(encode_trace(at(1), [2; 4])) {
             word.store(value, Relaxed);
@@ -251,7 +252,7 @@ mod tests {
         TraceRing::new(words).begin_incarnation();
         ring.write(at(1), [101; 4]).unwrap();
         assert_eq!(all(&mut reader), [100, 101]);
-        // The void slot is a good one in the next round.
+        // The void slot is usable in the next round.
         for n in 0..SLOTS {
             ring.write(at(n), [n; 4]).unwrap();
         }

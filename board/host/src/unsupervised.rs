@@ -19,7 +19,7 @@ pub struct UnsupervisedSystem {
 }
 
 impl UnsupervisedSystem {
-    /// Powers the system on in this place. The memory goes with the place.
+    /// Powers the system on in this place. Its memory is removed with the place.
     ///
     /// # Errors
     /// [`AttachError`] if shared memory or the file of the data flash cannot be had.
@@ -34,7 +34,7 @@ impl UnsupervisedSystem {
     /// Attaches the calling process as a core in this incarnation. Once per process.
     ///
     /// # Errors
-    /// [`AttachError`] if something of it cannot be mapped or opened.
+    /// [`AttachError`] if something cannot be mapped or opened.
     pub fn attach(&self, core: CoreId, generation: Generation) -> Result<HostBoard, AttachError> {
         HostBoard::attach(&CoreArgs {
             common: Common {

@@ -1,4 +1,4 @@
-//! The vehicle's side of the backplane: the bus, the ignition, and what an observer sees.
+//! The vehicle's side of the backplane: the bus, the ignition, and data for an observer.
 
 use core::convert::Infallible;
 
@@ -29,7 +29,7 @@ pub enum VehiclePortError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
-    /// The backplane is not what this build expects.
+    /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
     /// The launcher died before the run was complete.
@@ -43,11 +43,11 @@ impl From<FitError> for VehiclePortError {
     }
 }
 
-/// The vehicle's connection to the controller. There is one in a run: it is the bus, which orders
-/// the frames of all nodes.
+/// The vehicle's connection to the controller. A run has one: it is the bus, which orders the
+/// frames of all nodes.
 ///
-/// Once a millisecond the vehicle calls [`VehicleBus::transmitted`], which moves what the cores
-/// sent, and [`VehicleBus::broadcast`] for what its own nodes send.
+/// Once a millisecond the vehicle calls [`VehicleBus::transmitted`], which moves the frames of the
+/// cores, and [`VehicleBus::broadcast`] for each frame of its own nodes.
 #[derive(Debug)]
 pub struct HostVehiclePort {
     backplane: Backplane,
@@ -55,13 +55,13 @@ pub struct HostVehiclePort {
     from_cores: Vec<Node>,
     from_supplies: [Reader; 2],
     bus: broadcast::Writer<'static, [u32; FRAME_WORDS]>,
-    /// Empty between calls; kept for its memory.
+    /// Empty between calls; kept to avoid allocation.
     sent: Vec<(SystemId, CoreId, Received)>,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
-    /// Frames were put on the bus that some core has not been told of.
+    /// Frames were put on the bus, and some cores are not yet notified.
     news: bool,
-    /// Begins with the first period.
+    /// `None` before the first period.
     ticker: Option<Ticker>,
 }
 
@@ -76,7 +76,7 @@ struct Node {
 }
 
 impl HostVehiclePort {
-    /// Attaches as the vehicle of the run, when all of its processes are there.
+    /// Attaches as the vehicle of the run, when all of its processes have started.
     ///
     /// # Errors
     /// [`VehiclePortError`] if the run is over or never became complete.
@@ -115,7 +115,7 @@ impl HostVehiclePort {
         self.backplane.set_cut(wire, from, is_cut);
     }
 
-    /// The backplane, for everything else that an observer may see.
+    /// The backplane, for an observer.
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
@@ -132,12 +132,12 @@ impl VehicleBus for HostVehiclePort {
     }
 
     /// A core sends at most 8 frames in a millisecond; the rest waits. A system without power, or
-    /// cut off the bus, sends nothing: what its cores had left to send is dropped.
+    /// cut off the bus, sends nothing: the waiting frames of its cores are dropped.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         let now = clock::now();
         let reaches = self.reaches();
-        // What is found now was not there the last time. A core that was frozen between looking at
-        // the clock and sending would say otherwise, and hide the gap.
+        // These frames were not yet there at the last call. A core that was frozen between reading
+        // the clock and sending would report an older time, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
         for node in &mut self.from_cores {
             let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
@@ -152,10 +152,10 @@ impl VehicleBus for HostVehiclePort {
                 let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
                 if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
                     node.limit.count(now);
-                    // The clock anew: the vehicle itself may have been held up since it looked.
+                    // Read the clock again: the vehicle itself may have been held up since `now`.
                     let at = sent.received.at.clamp(emptied, clock::now());
                     let frame = sent.received.frame;
-                    // The ring tells the sender, whatever the words say.
+                    // The ring identifies the sender, whatever the words say.
                     let sent = (node.system, node.core, Received { frame, at });
                     self.sent.push(sent);
                 }
@@ -163,7 +163,7 @@ impl VehicleBus for HostVehiclePort {
         }
         // Stable: the frames of one core stay in their order even at equal times.
         self.sent.sort_by_key(|(_, _, sent)| sent.at);
-        // The bus carries them now: the time of the call may lie before that of a sender.
+        // The bus carries them now: the start of this call may be earlier than a sender's time.
         let at = clock::now();
         for (system, core, Received { frame, at: sent }) in self.sent.drain(..) {
             seen(system, core, Carried { frame, sent, at });
@@ -182,7 +182,7 @@ impl VehicleBus for HostVehiclePort {
         self.ring_receivers();
     }
 
-    /// The cores hear of it with the next [`VehicleBus::transmitted`] or
+    /// The cores are notified with the next [`VehicleBus::transmitted`] or
     /// [`VehicleBus::ring_receivers`].
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         let at = clock::now();
@@ -212,7 +212,7 @@ impl VehicleBus for HostVehiclePort {
 impl VehiclePort for HostVehiclePort {
     type Error = Infallible;
 
-    /// Periods that were overslept follow at once, each by itself.
+    /// Missed periods follow at once, one by one.
     fn tick(&mut self) -> Result<Instant, Infallible> {
         let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
         Ok(ticker.wait())
@@ -296,7 +296,7 @@ mod tests {
     use crate::name::RunName;
     use tandem_board::{Can, CanId, Generation, Identity};
 
-    /// A run without processes, of which this one is launcher and vehicle.
+    /// A run without processes, in which this process is launcher and vehicle.
     fn port() -> (RunName, HostVehiclePort) {
         let run = RunName::unique();
         let backplane = Backplane::create(&run).unwrap();
@@ -312,8 +312,9 @@ mod tests {
         (run, port)
     }
 
-    /// T-RED-8: a frame is logged when it was on the bus, whatever its sender says: one that was
-    /// frozen between looking at the clock and sending hides no gap, and none lies ahead.
+    /// T-RED-8: a frame is logged with the time at which it was on the bus, whatever its sender
+    /// says: a sender that was frozen between reading the clock and sending hides no gap, and no
+    /// time is in the future.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
         let (run, mut port) = port();
@@ -343,7 +344,7 @@ mod tests {
     }
 
     /// A log is what was on the bus: frames in the order in which a receiver gets them, each with
-    /// the receiver's time, whoever sent them and however long ago.
+    /// the receiver's time, independent of the sender and its time.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
         let (run, mut port) = port();
@@ -387,7 +388,7 @@ mod tests {
         Backplane::remove(&run);
     }
 
-    /// T-RED-9: what waits when the output closes is not sent; what is sent later is.
+    /// T-RED-9: frames that wait when the output closes are not sent; later frames are.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
         let (run, mut port) = port();

@@ -1,4 +1,4 @@
-//! iceoryx2's own conformance suite over the parts that the host board puts in place of iceoryx2's:
+//! iceoryx2's own conformance suite over the parts with which the host board replaces iceoryx2's:
 //! the storage whose pages are reserved, and the event that sleeps on a futex.
 
 #![allow(missing_docs, reason = "the harness is a macro of iceoryx2")]
@@ -31,7 +31,7 @@ instantiate!(
     PendingBits,
     FutexEvent<PendingBits, false>
 );
-// The futex under the state that iceoryx2 has by default.
+// The futex with iceoryx2's default state.
 instantiate!(
     counting,
     suite::event_trait,
@@ -49,8 +49,8 @@ mod harness {
 }
 
 fn main() {
-    // What the suite abandons on purpose goes with this process, where a place of its own is
-    // permitted.
+    // Files that the suite abandons on purpose disappear with this process, where an own `/dev/shm`
+    // is permitted.
     let _place = tandem_board_host::isolation::enter();
     harness::main();
 }

@@ -3,11 +3,11 @@
 use tandem_board::Instant;
 
 /// Frames that one core can send in a millisecond. A bus of 1 Mbit/s carries at most 20, and a core
-/// without a fault sends 2 in 10 ms. A core that sends without a pause leaves the bus to the
-/// others; its frames wait in its transmit buffer until that is full.
+/// without a fault sends 2 in 10 ms. A core that sends without a pause leaves the rest of the bus
+/// to the others; its own frames wait in its transmit buffer until that is full.
 pub const FRAMES_PER_MS: u32 = 8;
 
-/// The share of the bus that one core has used up.
+/// How much of its bus share one core has used.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct TransmitLimit {
     /// Which millisecond.

@@ -1,13 +1,13 @@
-//! How frames, datagrams, services and trace records stand in memory that processors share.
+//! The encoding of frames, datagrams, services and trace records in memory that processors share.
 //!
-//! The unit is the 32-bit word. What is decoded was written by another processor, so it becomes a
-//! checked type or is refused.
+//! The unit is the 32-bit word. Another processor wrote the words, so decoding returns a checked
+//! type or refuses them.
 
 use tandem_board::{CanFrame, CanId, CoreAddress, Instant, Received, TraceRecord};
 
 /// Words of a frame: time (2), id, kind, data (16).
 pub const FRAME_WORDS: usize = 20;
-/// Words that a datagram of the link carries at most.
+/// Largest content of a datagram of the link, in words.
 pub const DATAGRAM_MAX_WORDS: usize = 64;
 /// Words of a datagram: length, content.
 pub const DATAGRAM_WORDS: usize = 1 + DATAGRAM_MAX_WORDS;
@@ -23,7 +23,7 @@ const EXTENDED: u32 = 1 << 9;
 const SENDER_AT: u32 = 16;
 const SENDER: u32 = 0x7 << SENDER_AT;
 const REACHES_AT: u32 = 24;
-/// The sender that is no core.
+/// The code of a sender that is not a core.
 const VEHICLE: u32 = 7;
 
 /// Who put a frame on the bus.
@@ -70,7 +70,7 @@ impl BusFrame {
         words
     }
 
-    /// The inverse of [`BusFrame::encode`]; `None` if the words are no frame that a bus can carry.
+    /// The inverse of [`BusFrame::encode`]; `None` if a bus cannot carry such a frame.
     #[must_use]
     pub fn decode(words: &[u32; FRAME_WORDS]) -> Option<Self> {
         let (id, kind) = (words[2], words[3]);
@@ -99,12 +99,12 @@ impl BusFrame {
     }
 }
 
-/// Writes into an encoded frame when it is on the bus.
+/// Writes into an encoded frame the time at which it is on the bus.
 pub const fn set_time(words: &mut [u32; FRAME_WORDS], at: Instant) {
     [words[0], words[1]] = at.to_words();
 }
 
-/// Writes into an encoded frame who sent it.
+/// Writes the sender into an encoded frame.
 pub const fn set_sender(words: &mut [u32; FRAME_WORDS], sender: Sender) {
     let index = match sender {
         Sender::Core(address) => address.index() as u32,
@@ -130,8 +130,8 @@ pub fn encode_datagram(content: &[u32]) -> [u32; DATAGRAM_WORDS] {
     words
 }
 
-/// Copies the content of an encoded datagram and returns its length in words. What does not fit in
-/// `into` is cut off.
+/// Copies the content of an encoded datagram and returns its length in words. Content that is
+/// longer than `into` is cut off.
 pub fn decode_datagram(words: &[u32; DATAGRAM_WORDS], into: &mut [u32]) -> usize {
     let len = (words[0] as usize).min(DATAGRAM_MAX_WORDS).min(into.len());
     into[..len].copy_from_slice(&words[1..=len]);
@@ -145,7 +145,7 @@ pub fn encode_service(at: Instant, answer: u8) -> [u32; SERVICE_WORDS] {
     [low, high, answer.into()]
 }
 
-/// The inverse of [`encode_service`]; no answer if the word is not a byte.
+/// The inverse of [`encode_service`]; the answer is `None` if the word is not a byte.
 #[must_use]
 pub fn decode_service([low, high, answer]: [u32; SERVICE_WORDS]) -> (Instant, Option<u8>) {
     let at = Instant::from_words([low, high]);

@@ -1,5 +1,5 @@
-//! Data flash as NOR flash is: what an operation may touch, what it makes of each byte, and how far
-//! it has come. Where the bytes lie is the board's affair.
+//! NOR data flash: the range of an operation, its effect on each byte, and its progress. The board
+//! stores the bytes.
 
 use core::ops::Range;
 use tandem_board::{FlashError, Instant};
@@ -12,7 +12,7 @@ pub const SECTOR_BYTES: u32 = 4096;
 pub const SECTORS: u32 = 2;
 /// Bytes of the flash.
 pub const SIZE: usize = (SECTOR_BYTES * SECTORS) as usize;
-/// What an erased byte holds.
+/// Content of an erased byte.
 pub const ERASED: u8 = 0xFF;
 
 /// Time to program one byte: 80 µs a page.
@@ -68,14 +68,14 @@ impl Operation {
         self.offset..self.offset + self.len
     }
 
-    /// What a byte that holds `old` holds afterwards, if it is programmed with `data`. Programming
+    /// The new value of a byte that holds `old`; `data` is used by programming only. Programming
     /// clears bits and sets none.
     #[must_use]
     pub const fn result(&self, old: u8, data: u8) -> u8 {
         if self.programs { old & data } else { ERASED }
     }
 
-    /// Does it to the bytes of its range, all at once. An erase needs no data.
+    /// Performs the operation on the bytes of its range, all at once. An erase needs no data.
     pub fn apply(&self, cells: &mut [u8], data: &[u8]) {
         let data = data.iter().copied().chain(core::iter::repeat(ERASED));
         for (cell, data) in cells.iter_mut().zip(data) {
@@ -83,21 +83,21 @@ impl Operation {
         }
     }
 
-    /// When it has changed `count` bytes, if it began at `begun`; `None` if it changes fewer. Bytes
-    /// change one after the other, from the lowest address.
+    /// When the operation, begun at `begun`, has changed `count` bytes; `None` if it changes fewer.
+    /// Bytes change one after the other, from the lowest address.
     #[must_use]
     pub fn changed(&self, begun: Instant, count: u64) -> Option<Instant> {
         let ns = begun.as_ns() + self.byte_ns() * count;
         (count <= self.len as u64).then_some(Instant::from_ns(ns))
     }
 
-    /// When it ends, if it began at `begun`.
+    /// When the operation ends, if it began at `begun`.
     #[must_use]
     pub fn ends(&self, begun: Instant) -> Instant {
         Instant::from_ns(begun.as_ns() + self.byte_ns() * self.len as u64)
     }
 
-    /// How many bytes it has changed at `now`, if it began at `begun`.
+    /// How many bytes the operation has changed at `now`, if it began at `begun`.
     #[must_use]
     pub fn done(&self, begun: Instant, now: Instant) -> usize {
         let done = now.since(begun).as_ns() / self.byte_ns();
@@ -180,7 +180,7 @@ mod tests {
         assert_eq!(range(u32::MAX, usize::MAX), refused);
     }
 
-    /// Without an erase before, programming leaves the bits that both have set.
+    /// Without an erase before, programming leaves the bits that were set both times.
     #[test]
     fn programming_clears_bits_and_erasing_sets_all() {
         let program = Operation::program(0, 8).unwrap();

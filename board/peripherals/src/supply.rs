@@ -13,17 +13,17 @@ use tandem_board::{Duration, Instant, ResetCause, ResetRequest};
 
 use crate::watchdog::{Watchdog, Window};
 
-/// How a supply is set up.
+/// The configuration of a supply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// When a service of the watchdog is in time.
     pub window: Window,
     /// Whether a fault of the watchdog resets the system.
     pub watches: bool,
-    /// How long a reset holds the system down.
+    /// How long a reset holds the system.
     pub hold: Duration,
-    /// The hold doubles with each reset up to here, so that a program which dies at its start does
-    /// not use up the machine.
+    /// The hold doubles with each reset up to this limit, so that a program which dies at its start
+    /// does not use up the machine.
     pub longest_hold: Duration,
     /// An incarnation that lasted this long ends the doubling.
     pub stable: Duration,
@@ -38,8 +38,8 @@ impl Config {
         longest_hold: Duration::from_ms(2),
         stable: Duration::ZERO,
     };
-    /// For cores that are processes. The hold gives the bus time to drop what the dead cores had
-    /// not sent.
+    /// For cores that are processes. During the hold the bus drops the unsent frames of the dead
+    /// cores.
     pub const DESKTOP: Self = Self {
         window: Window::DESKTOP,
         watches: true,
@@ -56,7 +56,7 @@ pub enum Power {
     Off,
     /// The system runs.
     On,
-    /// The supply holds the system in reset at least until then.
+    /// The supply holds the system in reset at least until `until`.
     Reset {
         /// When the hold is over.
         until: Instant,
@@ -67,8 +67,8 @@ pub enum Power {
     Suspended,
 }
 
-/// What the board does to the system when the supply's state has changed. Each changes the level
-/// line, which interrupts core 0 of the other system.
+/// The board's action when the supply's state has changed. Each one changes the level line, which
+/// interrupts core 0 of the other system.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Change {
@@ -76,7 +76,7 @@ pub enum Change {
     Start(ResetCause),
     /// All cores stop. The supply will start them again.
     Reset(ResetCause),
-    /// All cores stop for good: the system asked for it.
+    /// All cores stop until the next power-on: the system requested it.
     Suspend,
     /// All cores stop: power is lost.
     PowerOff,
@@ -87,7 +87,7 @@ pub enum Change {
 pub struct Supply {
     config: Config,
     state: State,
-    /// How long the next reset holds the system down.
+    /// How long the next reset holds the system.
     next_hold: Duration,
 }
 
@@ -98,7 +98,7 @@ enum State {
         since: Instant,
         cause: ResetCause,
         watchdog: Watchdog,
-        /// What a core asked for first.
+        /// The first request of a core.
         request: Option<ResetRequest>,
     },
     Reset {
@@ -136,7 +136,8 @@ impl Supply {
         matches!(self.state, State::On { .. })
     }
 
-    /// Why the incarnation of the system began that runs, or the next one will begin.
+    /// The reset cause of the current incarnation of the system, or of the next one if it does not
+    /// run.
     #[must_use]
     pub const fn cause(&self) -> ResetCause {
         match self.state {
@@ -154,7 +155,7 @@ impl Supply {
         }
     }
 
-    /// Power comes. Nothing if it was there.
+    /// Power is switched on. No effect if it was on.
     pub fn power_on(&mut self, now: Instant) -> Option<Change> {
         match self.state {
             State::Off => Some(self.start(now, ResetCause::PowerOn)),
@@ -162,7 +163,7 @@ impl Supply {
         }
     }
 
-    /// Power is lost. Nothing if there was none.
+    /// Power is lost. No effect if it was off.
     pub fn power_off(&mut self) -> Option<Change> {
         match self.state {
             State::Off => None,
@@ -173,7 +174,7 @@ impl Supply {
         }
     }
 
-    /// A core asks for a reset. [`Supply::poll`] obeys the first request of an incarnation.
+    /// A core requests a reset. [`Supply::poll`] obeys the first request of an incarnation.
     pub fn request(&mut self, asked: ResetRequest) {
         if let State::On { request, .. } = &mut self.state {
             request.get_or_insert(asked);
@@ -210,7 +211,7 @@ impl Supply {
         Some(Change::Reset(cause))
     }
 
-    /// Does what is due. `cores_stand` says that no core of an earlier incarnation runs any more.
+    /// Does everything that is due. `cores_stand`: no core of an earlier incarnation runs any more.
     pub fn poll(&mut self, now: Instant, cores_stand: bool) -> Option<Change> {
         match self.state {
             State::On {
@@ -235,7 +236,7 @@ impl Supply {
         }
     }
 
-    /// When [`Supply::poll`] is due next if nothing else happens.
+    /// When [`Supply::poll`] is next due if no other call is made.
     #[must_use]
     pub fn next(&self) -> Instant {
         match self.state {
@@ -320,7 +321,7 @@ mod tests {
         supply.poll(ms(1), false)
     }
 
-    /// T-CHIP-6: every input in every state: what the board is told, and the next state.
+    /// T-CHIP-6: every input in every state: the action of the board, and the next state.
     #[test]
     fn every_cell_of_the_table() {
         use Change::{PowerOff, Reset, Start, Suspend};
@@ -392,7 +393,7 @@ mod tests {
         assert_eq!(IN_RESET().next(), ms(20));
     }
 
-    /// An incarnation tells its cause, and nothing of an old incarnation reaches the next one.
+    /// An incarnation reports its cause, and nothing of an old incarnation reaches the next one.
     #[test]
     fn a_new_incarnation_is_free_of_the_old_one() {
         let mut supply = ON();

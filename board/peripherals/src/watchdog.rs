@@ -4,8 +4,8 @@ use tandem_board::{Duration, Instant, watchdog_answer};
 
 /// When a service of the watchdog is in time.
 ///
-/// The requirements name a TLF35584 and no figures. That chip counts both windows in units of 50
-/// cycles of 0.1 ms or 1 ms; the values here are settings that it has.
+/// The requirements name a TLF35584 but give no figures. That chip counts both windows in units of
+/// 50 cycles of 0.1 ms or 1 ms; the values here are settings of that chip.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Window {
     /// Earliest service after the previous one, in microseconds: the closed window.
@@ -35,14 +35,14 @@ impl Window {
 }
 
 /// The question that follows `services` services of one incarnation; 0 ..= 15, each in turn in a
-/// scrambled order. A core that counts its services needs not ask.
+/// scrambled order. A core that counts its services need not read it.
 #[must_use]
 pub const fn question(services: u32) -> u8 {
     // An odd factor permutes the residues.
     (services.wrapping_mul(7).wrapping_add(3) & 0xF) as u8
 }
 
-/// What was wrong with the service.
+/// What is wrong with a service.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WatchdogFault {
     /// None arrived in time.
@@ -53,7 +53,7 @@ pub enum WatchdogFault {
     WrongAnswer,
 }
 
-/// Watches over one incarnation of a system.
+/// Monitors one incarnation of a system.
 #[derive(Clone, Copy, Debug)]
 pub struct Watchdog {
     window: Window,
@@ -84,18 +84,18 @@ impl Watchdog {
         question(self.services)
     }
 
-    /// A service that the core gave at `at`, by its own word, and that is seen at `now`. `None` is
+    /// A service that the core claims to have given at `at`, seen by the supply at `now`. `None` is
     /// an answer that is not a byte.
     ///
     /// # Errors
-    /// What is wrong with it.
+    /// The fault of the service.
     pub fn service(
         &mut self,
         now: Instant,
         at: Instant,
         answer: Option<u8>,
     ) -> Result<(), WatchdogFault> {
-        // The core's time is an allegation: it lies neither ahead nor before the last service.
+        // The core's time is unchecked input: limit it to between the last service and now.
         let at = at.clamp(self.last.min(now), now);
         if answer != Some(watchdog_answer(self.question())) {
             return Err(WatchdogFault::WrongAnswer);
@@ -126,10 +126,10 @@ impl Watchdog {
         closes + self.blind_since_last()
     }
 
-    /// No service has arrived by `now`.
+    /// Checks at `now` that the next service is not overdue.
     ///
     /// # Errors
-    /// [`WatchdogFault::Late`] if one should have.
+    /// [`WatchdogFault::Late`] if it is overdue.
     pub fn check(&self, now: Instant) -> Result<(), WatchdogFault> {
         if now > self.closes() {
             Err(WatchdogFault::Late)
@@ -202,7 +202,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: the first service has an end of its own, and is never early.
+    /// T-CHIP-6: the first service has a separate limit, and is never early.
     #[test]
     fn the_first_service_has_only_an_end() {
         for (now, expected) in [
@@ -226,7 +226,7 @@ mod tests {
         }
     }
 
-    /// T-CHIP-6: one answer is right to each question, and each question is asked.
+    /// T-CHIP-6: each question has one right answer, and each question is asked.
     #[test]
     fn one_answer_is_right_to_each_question() {
         let mut dog = Watchdog::new(WINDOW, START);
@@ -249,11 +249,11 @@ mod tests {
         let mut dog = served_once();
         dog.services = u32::MAX;
         assert_eq!(serve(&mut dog, at(OPENS)), Ok(()));
-        // Still not the first service: the window is the short one.
+        // Still the normal window, not that of the first service.
         assert_eq!(dog.closes(), at(OPENS + CLOSES));
     }
 
-    /// A time that the core alleges can neither lie ahead nor before its last service.
+    /// The core cannot claim a time in the future or before its last service.
     #[test]
     fn a_false_time_gains_nothing() {
         let mut dog = Watchdog::new(WINDOW, START);
@@ -265,7 +265,7 @@ mod tests {
         assert_eq!(past, Err(Early), "before the last service");
     }
 
-    /// Services that a supply finds late count by their own times.
+    /// Services that a supply reads late count by their own times.
     #[test]
     fn services_that_are_seen_late_are_as_far_apart_as_they_were_sent() {
         let mut dog = Watchdog::new(WINDOW, START);
@@ -286,13 +286,13 @@ mod tests {
         dog.was_blind(at(110_000), at(210_000));
         assert_eq!(dog.closes(), at(200_000 + CLOSES));
         assert_eq!(dog.check(just_after(200_000 + CLOSES)), Err(Late));
-        // After the next service the window is as long as ever.
+        // After the next service the window has its normal length.
         assert_eq!(serve(&mut dog, at(215_000)), Ok(()));
         assert_eq!(dog.closes(), at(215_000 + CLOSES));
         assert_eq!(serve(&mut dog, just_after(215_000 + CLOSES)), Err(Late));
     }
 
-    /// The queue keeps the first services of a long time; those after it were lost.
+    /// The queue keeps the first services of a long time; later ones were lost.
     #[test]
     fn services_from_the_time_of_a_supply_that_was_held_up_excuse_nothing() {
         let mut dog = served_once();

@@ -1,11 +1,11 @@
-//! What joins the systems to each other and to the bus, and what a cut of it does.
+//! The connections of the systems to each other and to the bus, and the effect of a cut.
 
 use tandem_board::{Line, SystemId};
 
-/// Datagrams of the link that are under way at most, in each direction.
+/// Largest number of datagrams under way on the link, in each direction.
 pub const LINK_DATAGRAMS: usize = 16;
 
-/// A connection that can be cut to see what happens.
+/// A connection that a test can cut.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Wire {
     /// A line from one system to the other: its edges do not arrive.
@@ -23,7 +23,7 @@ pub enum Wire {
 pub struct Cuts(pub u32);
 
 impl Cuts {
-    /// The bit of a wire that comes from system `from`.
+    /// The bit of a wire that starts at system `from`.
     #[must_use]
     pub const fn bit(wire: Wire, from: SystemId) -> u32 {
         let number = match wire {
@@ -50,8 +50,8 @@ impl Cuts {
         }
     }
 
-    /// What the level line of `system` shows to the other one: high while its supply is on, and
-    /// when it is cut.
+    /// The level of `system`'s line at the other system: high while its supply is on, and when the
+    /// line is cut.
     #[must_use]
     pub const fn level(self, of: SystemId, is_on: bool) -> bool {
         is_on || self.is_cut(Wire::Level, of)

@@ -1,4 +1,4 @@
-//! Where everything lies in the backplane, in words.
+//! The layout of the backplane, in words.
 
 use tandem_board::{CoreAddress, CoreId, Edge, Line, SystemId};
 use tandem_peripherals::codec::{BusFrame, DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS};
@@ -10,7 +10,8 @@ use crate::trace_ring;
 /// A frame on its way to the bus: frame, number of discards before it.
 pub(crate) const TRANSMIT_WORDS: usize = FRAME_WORDS + 1;
 
-/// A frame for the transmit ring. `discards`: how often the sender has discarded what waits.
+/// A frame for the transmit ring. `discards`: how often the sender has discarded its waiting
+/// frames.
 pub(crate) fn encode_transmit(frame: &BusFrame, discards: u32) -> [u32; TRANSMIT_WORDS] {
     let mut words = [discards; TRANSMIT_WORDS];
     words[..FRAME_WORDS].copy_from_slice(&frame.encode());
@@ -23,7 +24,7 @@ pub(crate) fn decode_transmit(words: &[u32; TRANSMIT_WORDS]) -> Option<(BusFrame
     Some((BusFrame::decode(frame)?, words[FRAME_WORDS]))
 }
 
-/// Words of a cache line: what different writers write lies on different lines.
+/// Words of a cache line. Words of different writers are on different lines.
 const LINE: usize = 16;
 /// Writers of a trace: the cores and the supplies.
 const TRACE_WRITERS: usize = CoreAddress::COUNT + 2;
@@ -109,7 +110,7 @@ pub(crate) struct Ring {
     pub(crate) shape: Shape,
 }
 
-/// Where the rings lie.
+/// The positions of the rings.
 #[derive(Debug)]
 pub(crate) struct Rings {
     /// From each core to the bus.
@@ -126,14 +127,14 @@ pub(crate) struct Rings {
 
 /// Frames that wait for the bus, which fetches them every millisecond.
 const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
-/// Frames that a core may be behind: at the load of the vehicle bus some hundred milliseconds.
+/// Frames that a core may be behind: some hundred milliseconds at the load of the vehicle bus.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
 /// Datagrams under way.
 const LINK: Shape = Shape::new(LINK_DATAGRAMS, DATAGRAM_WORDS);
 /// Services that the supply may be behind.
 const SERVICE: Shape = Shape::new(16, SERVICE_WORDS);
 
-/// Where the rings lie.
+/// The positions of the rings.
 pub(crate) const RINGS: Rings = RINGS_AND_END.0;
 /// Words of the backplane.
 pub(super) const WORDS: usize = RINGS_AND_END.1;
@@ -173,7 +174,7 @@ const RINGS_AND_END: (Rings, usize) = {
     let mut trace = [nothing; TRACE_WRITERS];
     let mut n = 0;
     while n < TRACE_WRITERS {
-        // Its slots are the trace ring's own business.
+        // The trace ring defines its own slots.
         trace[n] = Ring {
             at,
             words: trace_ring::WORDS,

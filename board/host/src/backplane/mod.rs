@@ -1,8 +1,8 @@
 //! The backplane of a run: the wires between the systems, the bus, the supplies' registers, the
 //! trace.
 //!
-//! It is what the cores of both systems, their supplies and the vehicle have in common, and so it
-//! is everything that is *not* the LMU: portable code sees it only through the board's traits.
+//! It holds everything that the cores of both systems, their supplies and the vehicle share, except
+//! the LMUs. Portable code sees it only through the board's traits.
 
 mod layout;
 
@@ -21,22 +21,22 @@ pub(crate) use layout::{
     RINGS, Ring, TRANSMIT_WORDS, decode_transmit, encode_transmit, supply_trace_ring,
 };
 
-/// "TDM" and the version of the layout, so that processes of two builds do not meet unnoticed.
+/// "TDM" and the version of the layout, so that processes of two builds refuse each other.
 const MAGIC: u32 = 0x5444_4D03;
 const NAME: &str = "backplane";
 
 /// The processes of a run have different builds of this program.
 #[derive(Debug, thiserror::Error)]
 pub enum BackplaneError {
-    /// The shared memory itself.
+    /// The shared memory failed.
     #[error(transparent)]
     Segment(#[from] SegmentError),
-    /// What lies there was laid out by another build.
+    /// Another build made this backplane.
     #[error("run {0} was started by another version of this program")]
     OtherVersion(RunName),
 }
 
-/// The mapped backplane. Lives as long as the process.
+/// The mapped backplane. It stays mapped until the process ends.
 #[derive(Clone, Copy)]
 pub struct Backplane {
     words: &'static [AtomicU32],
@@ -48,12 +48,12 @@ impl fmt::Debug for Backplane {
     }
 }
 
-/// A word of the backplane that one side writes and others read: a level, a count, a request.
+/// A word of the backplane with one writer and several readers: a level, a count, a request.
 #[derive(Clone, Copy)]
 struct Register(&'static AtomicU32);
 
 /// All accesses are SeqCst and pair with each other: every process sees the changes of all
-/// registers in one order, and with a change all that its writer did before.
+/// registers in one order, and with a change everything that its writer wrote before.
 impl Register {
     fn get(self) -> u32 {
         self.0.load(SeqCst)
@@ -108,7 +108,7 @@ impl Backplane {
         Ok(backplane)
     }
 
-    /// Removes the backplane of a run that a test has made.
+    /// Removes the backplane of a run that a test has created.
     #[cfg(test)]
     pub(crate) fn remove(run: &RunName) {
         Segment::<WORDS>::remove(run, NAME);
@@ -147,7 +147,7 @@ impl Backplane {
 
 /// The run as a whole.
 impl Backplane {
-    /// Tells the processes of the run their ids; they wait for it. Launcher only.
+    /// Publishes the ids of the run's processes, which wait for it. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
             self.system(system, System::SupplyPid)
@@ -202,7 +202,7 @@ impl Backplane {
         self.run(Run::Stop).get() != 0
     }
 
-    /// Cuts or mends a connection that comes from this system; it holds from now on.
+    /// Cuts or mends a connection that comes from this system, with immediate effect.
     pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
         self.run(Run::Cuts)
             .change_bits(Cuts::bit(wire, from), is_cut);
@@ -240,7 +240,7 @@ impl Backplane {
     #[must_use]
     pub fn reset_cause(self, system: SystemId) -> ResetCause {
         let code = self.system(system, System::ResetCause).get();
-        // A code of no cause would be a scribbled register: the cautious reading.
+        // An invalid code means that a register was overwritten: assume the worst.
         ResetCause::from_code(code).unwrap_or(ResetCause::Trap)
     }
 
@@ -253,7 +253,7 @@ impl Backplane {
     pub(crate) fn take_reset_request(self, system: SystemId) -> Option<ResetRequest> {
         let register = self.system(system, System::ResetRequest).replace(0);
         let code = register.checked_sub(1)?;
-        // A code of no request would be a scribbled register: the cautious reading.
+        // An invalid code means that a register was overwritten: assume the worst.
         Some(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend))
     }
 
@@ -266,7 +266,7 @@ impl Backplane {
         self.system(system, System::Booted).get()
     }
 
-    /// Core 0 asks the supply to let a core begin.
+    /// Core 0 requests the start of a core from the supply.
     pub(crate) fn release_core(self, system: SystemId, core: CoreId) {
         self.system(system, System::Released)
             .change_bits(1 << core.index(), true);
@@ -284,7 +284,7 @@ impl Backplane {
         self.system(system, System::Lamp).set(lamp.code());
     }
 
-    /// What the system shows of its role. A system without power shows [`RoleLamp::Starting`].
+    /// The role that the system shows. A system without power shows [`RoleLamp::Starting`].
     #[must_use]
     pub fn role(self, system: SystemId) -> RoleLamp {
         let code = self.system(system, System::Lamp).get();
@@ -323,13 +323,13 @@ impl Backplane {
         self.core(system, core, Core::WakeOnReceive).get() != 0
     }
 
-    /// How often the core has discarded what waits in its transmit ring; wraps around.
+    /// How often the core has discarded the waiting frames in its transmit ring; wraps around.
     pub(crate) fn discards(self, system: SystemId, core: CoreId) -> u32 {
         self.core(system, core, Core::Discards).get()
     }
 
-    /// Counts one discard: the bus drops the frames that carry an older count. The
-    /// ring orders a frame that carries the new count after this.
+    /// Counts one discard: the bus drops the frames that carry an older count. The ring orders a
+    /// frame that carries the new count after this.
     pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
         self.core(system, core, Core::Discards).count();
     }

@@ -1,9 +1,9 @@
-//! Which events are pending: a bit for each, at a fixed place.
+//! The pending events: one bit for each, at a fixed position.
 //!
-//! iceoryx2's own state (`RelocatableBitSet`) keeps a relative pointer and a capacity in the memory
-//! that every notifier maps writable, and follows them: one wrong word, written by a peer, and the
-//! next `notify` of another process ends by SIGSEGV. Here nothing in that memory is an address or
-//! trusted as an index: the place of a bit follows from its number, which is checked against a
+//! iceoryx2's own state (`RelocatableBitSet`) keeps a relative pointer and a capacity in memory
+//! that every notifier maps writable, and follows them: after one wrong word from a peer, the next
+//! `notify` of another process ends with SIGSEGV. Here no word in that memory is an address or a
+//! trusted index: the position of a bit follows from its number, which is checked against a
 //! constant.
 
 use core::ptr::NonNull;
@@ -25,8 +25,7 @@ const BITS: usize = WORDS * u32::BITS as usize;
 #[repr(C)]
 pub struct PendingBits {
     words: [AtomicU32; WORDS],
-    /// How many of the bits may be set. A word that a peer may have written: it limits, and is
-    /// limited by the constant.
+    /// How many of the bits may be set. A peer may have written this word: the constant limits it.
     capacity: AtomicU32,
 }
 
@@ -48,7 +47,8 @@ impl RelocatableContainer for PendingBits {
     }
 
     unsafe fn init<T: Allocate<NonNull<u8>>>(&mut self, _: &T) -> Result<(), AllocationError> {
-        // Reads nothing: a peer may write to this memory already, and a refusal ends the process.
+        // Checks nothing: a peer may already write to this memory, and a refusal would end the
+        // process.
         Ok(())
     }
 
@@ -72,8 +72,8 @@ impl EventState for PendingBits {
             return Err(EventStateActivateError::EventIdOutOfBounds);
         }
         let bit = 1 << (id % u32::BITS as usize);
-        // Release pairs with the Acquire in `drain`: a listener that drains the event sees what
-        // was written before it.
+        // Release pairs with the Acquire in `drain`: a listener that drains the event sees
+        // everything that was written before it.
         self.words[id / u32::BITS as usize].fetch_or(bit, Release);
         Ok(())
     }
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
     use iceoryx2_bb_memory::bump_allocator::BumpAllocator;
 
-    /// Whatever a peer writes over the state, nothing is called that lies outside of it.
+    /// Whatever a peer writes over the state, no event outside of it is reported.
     #[test]
     fn a_scribbled_state_is_no_address_and_no_index() {
         // SAFETY: initialized below, before any other use.
@@ -128,7 +128,7 @@ mod tests {
         }
     }
 
-    /// Also if a peer writes to the memory while the listener initializes it.
+    /// The same if a peer writes to the memory while the listener initializes it.
     #[test]
     fn events_beyond_the_bits_are_refused_when_they_are_rung() {
         // SAFETY: initialized below, before any other use.

@@ -1,4 +1,4 @@
-//! How fast each trigger wakes a sleeper: those of iceoryx2 and ours. Measurements, to be run by
+//! How fast each trigger wakes a sleeper: those of iceoryx2 and this one. Measurements, run by
 //! hand:
 //!
 //! `cargo test --release -p tandem-board-host --lib -- --ignored --nocapture --test-threads 1 bell`
@@ -79,7 +79,7 @@ fn print(what: &str, unit: &str, mut samples: Vec<u64>) {
     );
 }
 
-/// How late waits of 1 ms end, and what share of the CPU the waiting takes.
+/// How late waits of 1 ms end, and the CPU share of the waiting.
 fn lateness(mut wait: impl FnMut(Duration) + Send + 'static) -> (Vec<u64>, u64) {
     const WAITS: u64 = 2_000;
     let cpu_time = || {
@@ -110,7 +110,7 @@ fn print_lateness(wait: impl FnMut(Duration) + Send + 'static) {
     );
 }
 
-/// From the ring on one CPU until the sleeper on the other runs.
+/// Time from a ring on one CPU until the sleeper on the other one runs.
 fn one_way<E: Sendable>() -> Vec<u64> {
     let pair = Pair::<E>::new();
     let notifier = pair.notifier();
@@ -134,7 +134,7 @@ fn one_way<E: Sendable>() -> Vec<u64> {
         while !sleeper.is_finished() {
             thread::sleep(Duration::from_micros(200));
             rung_at.store(clock::now().as_ns(), SeqCst);
-            // Refused when the sleeper has just finished.
+            // Fails when the sleeper has just finished.
             let _ = notifier.notify(EventId::new(0));
         }
         sleeper.join().expect("samples")
@@ -142,7 +142,7 @@ fn one_way<E: Sendable>() -> Vec<u64> {
     ringer.join().expect("samples")
 }
 
-/// How often, of how many rings by two at once, the listener sleeps on although it was rung.
+/// How often the listener stays asleep although two ringers ring at once, and of how many rings.
 fn deafness<E: Sendable>() -> (usize, u64) {
     let end = clock::now() + tandem_board::Duration::from_ms(10_000);
     let pair = Pair::<E>::new();

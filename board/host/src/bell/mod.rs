@@ -2,10 +2,10 @@
 //!
 //! A core has one bell for the whole run, created and reserved before the first process starts
 //! ([`install`]). Each incarnation of the core takes it over with [`Bell::hang`], in the same
-//! memory: a ringer keeps its mapping, finds the core again after a reset, and makes no system call
-//! unless the core sleeps. To ring a dead core has no effect.
+//! memory. So a ringer keeps its mapping, reaches the core again after a reset, and makes a system
+//! call only if the core sleeps. Ringing a dead core has no effect.
 //!
-//! The types are public so that iceoryx2's own suite can test them: `tests/iceoryx2.rs`.
+//! The types are public for iceoryx2's own conformance suite: `tests/iceoryx2.rs`.
 
 mod bits;
 #[cfg(test)]
@@ -38,8 +38,7 @@ use crate::storage::Storage;
 pub use bits::PendingBits;
 pub use trigger::{Futex, FutexHandle, FutexWaiter};
 
-/// An iceoryx2 event with the state `E`, in memory that is reserved, on which the listener sleeps
-/// on a futex.
+/// An iceoryx2 event with the state `E`, in reserved memory; the listener sleeps on a futex.
 pub type FutexEvent<E, const LASTING: bool> =
     EventImpl<E, Futex, Storage<State<E, Futex>, LASTING>, FutexHandle, FutexWaiter>;
 
@@ -48,10 +47,10 @@ type BellState = State<PendingBits, Futex>;
 type BellStorage = Storage<BellState, true>;
 type BellListener = Waiter<PendingBits, Futex, BellStorage, FutexWaiter>;
 
-/// What is pending is in memory that the receiver reads; the bell carries one bit.
+/// The bell carries one bit; its receiver finds the details in other memory.
 const RUNG: EventId = EventId::new(0);
 
-/// The bell of a core could not be hung.
+/// The bell of a core could not be set up.
 #[derive(Debug, thiserror::Error)]
 #[error("doorbell of core {core}: {reason}")]
 pub struct BellError {
@@ -81,7 +80,7 @@ fn listener(run: &RunName, system: SystemId, core: CoreId) -> Result<BellListene
         })
 }
 
-/// The bell of a core, on the side of the core that is woken by it.
+/// The bell of a core: the end of the core that it wakes.
 pub(crate) struct Bell {
     listener: BellListener,
 }
@@ -91,13 +90,13 @@ impl Bell {
     /// sources before it first sleeps.
     pub(crate) fn hang(run: &RunName, of: Identity) -> Result<Self, BellError> {
         let listener = listener(run, of.system, of.core)?;
-        // Pairs with the fence in `Ringers::ring`: the ringer of a ring that was forgotten just now
-        // has written before what this core finds in its first poll.
+        // Pairs with the fence in `Ringers::ring`: if a ring was forgotten here, this core's first
+        // poll sees everything that its ringer wrote before it.
         fence(SeqCst);
         Ok(Self { listener })
     }
 
-    /// Sleeps until rung (`true`) or until the deadline has come (`false`).
+    /// Sleeps until rung (`true`) or until the deadline has passed (`false`).
     pub(crate) fn wait(&self, deadline: Instant) -> bool {
         loop {
             let left = deadline.since(clock::now()).as_ns();
@@ -108,10 +107,10 @@ impl Bell {
             };
             match woken {
                 Ok(0) if clock::now() >= deadline => return false,
-                // Left over from a ring that was taken before, or a signal.
+                // A leftover of a ring that was taken before, or a signal.
                 Ok(0) | Err(ListenerWaitError::InterruptSignal) => {}
                 Ok(_) => return true,
-                // Never seen. The caller looks for itself; at least nothing is lost.
+                // Never observed. The caller polls all sources, so nothing is lost.
                 Err(_) => return true,
             }
         }
@@ -124,14 +123,14 @@ impl fmt::Debug for Bell {
     }
 }
 
-/// The bells of all cores, on the side of the ringers. They ring from any context.
+/// The bells of all cores: the ends of the ringers. They ring from any context.
 pub(crate) struct Ringers {
     run: RunName,
     bells: [[Option<BellStorage>; CoreId::COUNT]; 2],
 }
 
 impl Ringers {
-    /// Maps the bells of the run. To ring a bell that is missing has no effect.
+    /// Maps the bells of the run. Ringing a missing bell has no effect.
     pub(crate) fn new(run: &RunName) -> Self {
         segment::quiet();
         Self {
@@ -152,7 +151,7 @@ impl Ringers {
         fence(SeqCst);
         if let Some(bell) = &self.bells[system.index()][core.index()] {
             let bell: &BellState = bell.get();
-            // The only refusal is that of a bell which a peer has overwritten.
+            // Only a bell that a peer has overwritten refuses.
             let _ = bell.event.activate(RUNG);
             // SAFETY: the listener that created the event has initialized it; any bits are a
             // `Futex`.
@@ -167,7 +166,7 @@ impl fmt::Debug for Ringers {
     }
 }
 
-/// The memory of a bell, named as iceoryx2's event names it.
+/// The memory of a bell, with the name that iceoryx2's event gives it.
 fn storage_of(run: &RunName, system: SystemId, core: CoreId) -> Option<BellStorage> {
     let suffix = FileName::new(b".trigger_mgmt").ok()?;
     let config = crate::storage::Configuration::default()
@@ -185,7 +184,7 @@ fn config(run: &RunName) -> Configuration<PendingBits, Futex, BellStorage> {
 
 fn file(system: SystemId, core: CoreId) -> FileName {
     let name = format!("bell-{system}{core}");
-    // Letters, digits and dashes: always a valid name. The fallback only keeps it total.
+    // Letters, digits and dashes are always a valid name; the fallback is never used.
     FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
 }
 
@@ -202,7 +201,7 @@ mod tests {
         generation: Generation(1),
     };
 
-    /// A run with nothing but its bells; what it has is removed with it.
+    /// A run that has only its bells; dropping it removes its files.
     struct Bells(RunName);
 
     impl Bells {
@@ -221,7 +220,8 @@ mod tests {
         fn drop(&mut self) {
             for system in SystemId::ALL {
                 for core in CoreId::ALL {
-                    // SAFETY: POSIX shared memory keeps its content for all that have it mapped.
+                    // SAFETY: POSIX shared memory keeps its content for every process that has it
+                    // mapped.
                     let removed =
                         unsafe { BellEvent::remove_cfg(&file(system, core), &config(&self.0)) };
                     assert!(removed.unwrap());
@@ -230,7 +230,7 @@ mod tests {
         }
     }
 
-    /// Whether a ring wakes a listener that sleeps; `harm` is done while it does.
+    /// Whether a ring wakes a sleeping listener; `harm` happens while it sleeps.
     fn a_ring_wakes(harm: impl FnOnce(&BellState)) -> bool {
         let bells = Bells::install();
         let bell = Bell::hang(&bells.0, OF).unwrap();
@@ -252,8 +252,8 @@ mod tests {
         })
     }
 
-    /// T-SYNC-3: another notifier is stalled just before it marks the listener as notified, and
-    /// does so when the listener sleeps again. iceoryx2 would not wake it any more; the ring must.
+    /// T-SYNC-3: another notifier stalls just before it marks the listener as notified, and marks
+    /// it when the listener sleeps again. iceoryx2 would never wake it again; the ring must.
     #[test]
     fn a_ring_wakes_whatever_a_stalled_ringer_has_left() {
         const NOTIFIED: u8 = 2;
@@ -262,8 +262,8 @@ mod tests {
             .store(NOTIFIED, SeqCst)));
     }
 
-    /// A peer can write any value to any byte of the bell's memory. It harms neither ringer nor
-    /// sleeper, and the bell of the next incarnation is as good as new.
+    /// A peer can write any value to any byte of the bell's memory. This harms neither ringer nor
+    /// sleeper, and the bell of the next incarnation works.
     #[test]
     fn a_scribbled_bell_harms_nobody_who_rings_it() {
         let bells = Bells::install();
@@ -293,7 +293,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: a ringer keeps its end over the incarnations of the core.
+    /// T-SYNC-3: a ringer keeps its mapping over the incarnations of the core.
     #[test]
     fn the_next_incarnation_is_rung_through_the_same_end() {
         let bells = Bells::install();

@@ -1,13 +1,14 @@
 //! A futex as the trigger of an iceoryx2 event.
 //!
-//! The event itself (its state, its name, its permissions) is iceoryx2's; only what the listener
-//! sleeps on is ours. The triggers that iceoryx2 brings were measured and are described in
-//! `docs/decisions/0002-host-board-over-iceoryx2-building-blocks.md`.
+//! iceoryx2 provides the event itself (its state, its name, its permissions); only the word that
+//! the listener sleeps on is defined here.
+//! `docs/decisions/0002-host-board-over-iceoryx2-building-blocks.md` describes and compares
+//! iceoryx2's own triggers.
 //!
 //! One word in the memory of the event: EMPTY, PENDING (rung) or SLEEPING (the listener sleeps).
-//! The kernel is called only if the listener sleeps. Nothing in it belongs to a process, so a death
-//! at any point leaves no harm; and it is a number that is compared, so a peer that writes nonsense
-//! can wake the listener or leave it asleep until its deadline, and nothing else.
+//! The kernel is called only if the listener sleeps. No process owns the word, so a death at any
+//! point leaves no harm. The word is only compared, so a peer that writes nonsense can only wake
+//! the listener or leave it asleep until its deadline.
 
 use core::mem::MaybeUninit;
 use core::ptr::NonNull;
@@ -44,19 +45,19 @@ pub struct Futex(AtomicU32);
 unsafe impl ZeroCopySend for Futex {}
 
 impl Futex {
-    /// Wakes the listener if it sleeps; else its next sleep ends at once. Never blocks.
+    /// Wakes the listener if it sleeps; otherwise its next sleep ends at once. Never blocks.
     pub(super) fn wake(&self) {
-        // Pairs with the compare-exchange in `sleep`: either that sees PENDING, or this sees
+        // Pairs with the compare-exchange in `sleep`: either `sleep` sees PENDING, or this sees
         // SLEEPING.
         match self.0.swap(PENDING, SeqCst) {
             EMPTY | PENDING => {}
-            // SLEEPING, or a value that no end of the event writes. That no process sleeps is no
+            // SLEEPING, or a value that no end of the event writes. No sleeping process is not an
             // error: the listener may have just died.
             _ => drop(futex::wake(&self.0, futex::Flags::empty(), 1)),
         }
     }
 
-    /// Takes a ring that is pending.
+    /// Takes a pending ring.
     fn take(&self) {
         // Pairs with the swap in `wake`: a later ring finds EMPTY. A swap, not a store:
         // it reads the PENDING that it replaces, so the bits of that ring are seen by the drain.
@@ -73,7 +74,7 @@ impl Futex {
             Ok(_) => {}
             Err(PENDING) => return Ok(()),
             Err(_) => {
-                // No end of the event has left that here. The caller looks, and sleeps again.
+                // No end of the event wrote this value. The caller polls, and sleeps again.
                 self.take();
                 return Ok(());
             }
@@ -146,7 +147,7 @@ where
     const IS_FILE_DESCRIPTOR_BASED: bool = false;
 
     unsafe fn remove(_: &FileName, _: &Configuration) -> Result<bool, NamedConceptRemoveError> {
-        // It goes with the storage of the event.
+        // It is removed with the storage of the event.
         Ok(true)
     }
 

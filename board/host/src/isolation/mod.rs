@@ -1,15 +1,16 @@
-//! Where the files of a run live, so that nothing is left behind whatever happens.
+//! The place of a run's files, so that nothing is left behind in any case.
 //!
-//! If permitted, the run gets a mount namespace with a `/dev/shm` of its own: when its last process
-//! has died, by whatever means, the kernel removes all of it. If not (as in most containers), the
-//! files lie in the machine's `/dev/shm` under the run's name, beside a lock file that all
-//! processes of the run hold open. The run wipes them at its end, and every start sweeps what runs
-//! left whose processes are all dead, which is when their lock is free.
+//! If permitted, the run gets a mount namespace with its own `/dev/shm`: when its last process has
+//! died, in any way, the kernel removes all files. If not (as in most containers), the files are in
+//! the machine's `/dev/shm` under the run's name, beside a lock file that all processes of the run
+//! hold open. The run removes them at its end. Every start also removes the files of runs whose
+//! processes are all dead: their lock is free.
 //!
 //! An ordinary user needs a user namespace as well, and that has two costs:
 //!
-//! - A process that has entered one and is then refused the rest has lost its identity. So a child
-//!   goes all the way first, and only if it arrives does the process itself follow.
+//! - A process that enters a user namespace and is then refused the next step has lost its
+//!   identity. So a child tries all steps first, and the process itself follows only if the child
+//!   succeeds.
 //! - Capabilities do not count outside of it. A process that holds one for real time
 //!   (`CAP_SYS_NICE`, `CAP_IPC_LOCK`) keeps it and uses the machine's `/dev/shm`. A limit on
 //!   priorities (`RLIMIT_RTPRIO`) counts everywhere.
@@ -43,23 +44,23 @@ pub struct IsolationError {
     source: io::Error,
 }
 
-/// The place of a run's files. Held by the launcher.
+/// The place of a run's files. The launcher keeps it.
 #[derive(Debug)]
 pub struct Isolation {
     run: RunName,
     place: Place,
-    /// The machine's `/dev/shm` and `/tmp`, as they are outside.
+    /// The machine's `/dev/shm` and `/tmp`, opened outside the namespace.
     outside: [OwnedFd; 2],
 }
 
 #[derive(Debug)]
 enum Place {
-    /// A `/dev/shm` of the run's own.
+    /// The run's own `/dev/shm`.
     Private,
-    /// The machine's.
+    /// The machine's `/dev/shm`.
     Shared {
-        /// Held open by every process of the run; dropping it here does not free the lock as long
-        /// as one lives.
+        /// Every process of the run holds it open: dropping it here frees the lock only when all of
+        /// them have ended.
         _lock: OwnedFd,
         refused: String,
     },
@@ -71,10 +72,10 @@ enum Mode {
     Shared,
 }
 
-/// Gives the calling process, and all that it starts, a place for the files of a new run: one of
-/// its own if that is permitted.
+/// Gives the calling process, and all that it starts, a place for the files of a new run: its own
+/// `/dev/shm` if that is permitted.
 ///
-/// To be called first thing, before the process has threads.
+/// Call it first, before the process has threads.
 ///
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
@@ -82,7 +83,7 @@ pub fn enter() -> Result<Isolation, IsolationError> {
     enter_with(Mode::Own)
 }
 
-/// As [`enter`], but in the machine's `/dev/shm` even if a place of its own is permitted.
+/// As [`enter`], but in the machine's `/dev/shm` even if an own one is permitted.
 ///
 /// # Errors
 /// [`IsolationError`] if there is no usable `/dev/shm`.
@@ -119,13 +120,13 @@ fn enter_with(mode: Mode) -> Result<Isolation, IsolationError> {
 }
 
 impl Isolation {
-    /// The run that lives here.
+    /// The run of this place.
     #[must_use]
     pub const fn run(&self) -> &RunName {
         &self.run
     }
 
-    /// Whether the kernel removes everything by itself.
+    /// Whether the kernel removes everything at the end.
     #[must_use]
     pub const fn is_private(&self) -> bool {
         matches!(self.place, Place::Private)
@@ -135,7 +136,7 @@ impl Isolation {
     pub fn wipe(&self) {
         match self.place {
             Place::Private => {
-                // They go with the namespace; this only gives the memory back at once.
+                // They disappear with the namespace; this only frees the memory at once.
                 if let Ok(folder) = open_folder(SHM) {
                     remove(&folder, self.run.as_str());
                 }
@@ -149,7 +150,7 @@ impl Isolation {
     pub fn leftovers(&self) -> Vec<String> {
         let mut found = vec![];
         for (folder, path) in self.outside.iter().zip([SHM, TMP]) {
-            // All that a process of the run creates has the run's name in its own.
+            // The names of all files of a run contain the run's name.
             let own = names(folder).filter(|name| name.contains(self.run.as_str()));
             found.extend(own.map(|name| format!("{path}/{name}")));
         }
@@ -204,7 +205,7 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
         let flags = OFlags::CREATE | OFlags::RDWR | OFlags::CLOEXEC;
         let file =
             openat(shm, name.as_str(), flags, FileMode::RUSR | FileMode::WUSR).map_err(failed)?;
-        // A sweep may have locked it in between, and removes it then: that is waited for.
+        // A sweep may have locked the file in between and will remove it: wait for that.
         match flock(&file, FlockOperation::LockExclusive) {
             Err(Errno::INTR) => continue,
             locked => locked.map_err(failed)?,
@@ -212,14 +213,14 @@ fn lock(shm: &OwnedFd, run: &RunName) -> Result<OwnedFd, IsolationError> {
         let mine = fstat(&file).map_err(failed)?;
         let there = statat(shm, name.as_str(), AtFlags::SYMLINK_NOFOLLOW);
         if there.is_ok_and(|there| there.st_ino == mine.st_ino) {
-            // The children inherit it, and with it the lock.
+            // The children inherit the descriptor, and with it the lock.
             fcntl_setfd(&file, FdFlags::empty()).map_err(failed)?;
             return Ok(file);
         }
     }
 }
 
-/// Removes what runs have left whose processes are all dead.
+/// Removes the files of runs whose processes are all dead.
 fn sweep(shm: &OwnedFd) {
     for name in names(shm) {
         let Some(run) = name.strip_suffix(LOCK_SUFFIX) else {
@@ -242,8 +243,7 @@ fn sweep(shm: &OwnedFd) {
     }
 }
 
-/// Removes all files of a run, its lock file last: as long as that is there, a sweep finds the
-/// rest.
+/// Removes all files of a run, its lock file last: while that exists, a sweep finds the rest.
 fn remove(folder: &OwnedFd, run: &str) {
     let lock = format!("{run}{LOCK_SUFFIX}");
     let own = |name: &String| {

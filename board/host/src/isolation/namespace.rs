@@ -1,4 +1,4 @@
-//! Entering a mount namespace with a fresh `/dev/shm`: all the way, or not at all.
+//! Enters a mount namespace with a fresh `/dev/shm`: completely, or not at all.
 
 use core::ffi::CStr;
 use std::ffi::CString;
@@ -13,10 +13,10 @@ use rustix::mount::{MountFlags, MountPropagationFlags, mount, mount_change};
 use rustix::process::{Pid, WaitOptions, getegid, geteuid, waitpid};
 use rustix::thread::{CapabilitySet, UnshareFlags, capabilities, unshare_unsafe};
 
-/// One step of the way, in their order.
+/// The steps, in order.
 #[derive(Clone, Copy, Debug)]
 enum Step {
-    /// Nothing is changed by a refusal of this one.
+    /// If this step is refused, nothing has changed.
     Namespace,
     SetGroups,
     UserMap,
@@ -49,7 +49,7 @@ impl fmt::Display for Step {
     }
 }
 
-/// What the kernel did not permit.
+/// The step that the kernel refused.
 #[derive(Clone, Copy, Debug)]
 struct Refused {
     step: Step,
@@ -62,12 +62,12 @@ impl fmt::Display for Refused {
     }
 }
 
-/// Enters a mount namespace whose `/dev/shm` is fresh. `Some` is what was refused; the calling
-/// process is then as it was before.
+/// Enters a mount namespace whose `/dev/shm` is fresh. `Some` is the refused step; the calling
+/// process is then unchanged.
 ///
 /// # Errors
-/// If a child cannot try it, or the process was refused what its child was granted: it may then be
-/// half in a namespace, and must end.
+/// If a child cannot be started, or the process was refused a step that its child was granted: it
+/// may then be half in a namespace, and must end.
 pub(super) fn enter() -> io::Result<Option<String>> {
     let way = Way::of_this_process();
     match way.rehearse()? {
@@ -79,8 +79,8 @@ pub(super) fn enter() -> io::Result<Option<String>> {
     }
 }
 
-/// What this process needs for the way. Nothing is allocated on it: the child of a process with
-/// threads must not.
+/// The data for all steps, prepared in advance: the child of a process with threads must not
+/// allocate.
 struct Way {
     may_enter_user_namespace: bool,
     users: CString,
@@ -89,7 +89,7 @@ struct Way {
 
 impl Way {
     fn of_this_process() -> Self {
-        // Known only before; and mapped to themselves, so that files keep their owner.
+        // Read before the steps. The ids are mapped to themselves, so that files keep their owner.
         let map = |id: u32| CString::new(format!("{id} {id} 1")).unwrap_or_default();
         let for_realtime = CapabilitySet::SYS_NICE | CapabilitySet::IPC_LOCK;
         let held = capabilities(None).map(|sets| sets.effective);
@@ -100,7 +100,7 @@ impl Way {
         }
     }
 
-    /// Lets a child go the way and end there; says what it was refused.
+    /// Lets a child try all steps and end; returns the step that it was refused.
     fn rehearse(&self) -> io::Result<Option<Refused>> {
         let (mut told, tells) = UnixStream::pair()?;
         // SAFETY: the child allocates nothing and takes no lock: it makes system calls and ends.
@@ -111,7 +111,7 @@ impl Way {
                     let errno = refused.errno.raw_os_error() as u8;
                     let _ = write(tells.as_fd(), &[refused.step as u8, errno]);
                 }
-                // SAFETY: ends the process, without what `exit` would run of its parent's.
+                // SAFETY: ends the process without the parent's exit handlers.
                 unsafe { libc::_exit(0) }
             }
             child => child,
@@ -147,14 +147,14 @@ impl Way {
         let private = MountPropagationFlags::PRIVATE | MountPropagationFlags::REC;
         mount_change(c"/", private).map_err(refused(Step::Private))?;
         let flags = MountFlags::NOSUID | MountFlags::NODEV;
-        // By default it may grow to half of the memory: the logs of a long run need some of that.
+        // The default is half of the memory: the logs of a long run need some of that.
         mount(c"tmpfs", c"/dev/shm", c"tmpfs", flags, c"mode=1777").map_err(refused(Step::Mount))
     }
 }
 
 fn unshare(flags: UnshareFlags) -> rustix::io::Result<()> {
-    // SAFETY: what makes `unshare` unsafe is a file descriptor table that stops being shared
-    // between threads (CLONE_FILES), which is not asked for here.
+    // SAFETY: `unshare` is unsafe because threads may stop sharing a table of file descriptors
+    // (CLONE_FILES); that flag is not set here.
     unsafe { unshare_unsafe(flags) }
 }
 

@@ -1,4 +1,4 @@
-//! What the board connects: LMU, doorbells, lines, link, CAN, flash, trace.
+//! The connections of the board: LMU, doorbells, lines, link, CAN, flash, trace.
 
 use core::ptr::{from_ref, null_mut};
 use core::sync::atomic::AtomicPtr;
@@ -107,7 +107,7 @@ fn incremented(script: &mut Script) {
     }
 }
 
-/// What a signal interrupts, as an interrupt does on a chip.
+/// The board for the handler of a signal, which stands for an interrupt of a chip.
 static INTERRUPTED: AtomicPtr<HostBoard> = AtomicPtr::new(null_mut());
 static HANDLER: Handler = Handler::new();
 
@@ -118,7 +118,7 @@ extern "C" fn on_signal(_: libc::c_int) {
     HANDLER.run(unsafe { &*board });
 }
 
-/// Interrupts this thread and no other at this period in ns; 0 ends it.
+/// Interrupts only this thread, with this period in ns; 0 stops it.
 fn interrupt_every(period_ns: libc::c_long) {
     static TIMER: AtomicPtr<libc::c_void> = AtomicPtr::new(null_mut());
     let handler: extern "C" fn(libc::c_int) = on_signal;
@@ -130,8 +130,8 @@ fn interrupt_every(period_ns: libc::c_long) {
         it_interval: period,
         it_value: period,
     };
-    // SAFETY: the structures are valid for the time of each call. The handler makes calls that are
-    // permitted in any context, and touches atomics.
+    // SAFETY: the structures are valid for the time of each call. The handler only makes calls that
+    // are permitted in any context, and accesses atomics.
     unsafe {
         if period_ns != 0 {
             libc::signal(libc::SIGALRM, handler as libc::sighandler_t);
@@ -148,8 +148,8 @@ fn interrupt_every(period_ns: libc::c_long) {
     }
 }
 
-/// T-SYNC-3: a handler that interrupts this core at any point, also in the midst of a call, calls
-/// what the contract permits in any context.
+/// T-SYNC-3: a handler that interrupts this core at any point, even inside a call, makes the calls
+/// that the contract permits in any context.
 fn interrupted(board: &HostBoard) {
     const RUNS: u32 = 5_000;
     if board.identity().core != PERCEPTION {
@@ -170,8 +170,8 @@ fn interrupted(board: &HostBoard) {
     }
 }
 
-/// Each record of the task and of its handler is in the trace, whole and in its order, or counted
-/// as lost.
+/// Each record of the task and of its handler is in the trace, whole and in order, or counted as
+/// lost.
 fn undisturbed(script: &mut Script) {
     for system in SystemId::ALL {
         let [_, runs, rounds, _] = script.await_trace(system, PERCEPTION, DONE);
@@ -218,7 +218,7 @@ fn ping_pong(board: &HostBoard) {
     idle(board);
 }
 
-/// T-SYNC-3: two cores ring a third at any moment; what either wrote before is seen.
+/// T-SYNC-3: two cores ring a third at any moment; it sees what each of them wrote before.
 fn rung_by_two(board: &HostBoard) {
     const TURNS: u32 = 3_000;
     let lmu = board.lmu();
@@ -251,14 +251,14 @@ fn rung_by_two(board: &HostBoard) {
 }
 
 fn deadlines(board: &HostBoard) {
-    // The first wait looks around.
+    // The first wait returns at once.
     board.wait(board.now());
     for us in [0, 1, 50, 300, 1_000, 20_000] {
         let deadline = board.now() + tandem_board::Duration::from_us(us);
         while board.wait(deadline) == Wake::Interrupt {}
         assert!(board.now() >= deadline, "woke early");
     }
-    // A past deadline is no obstacle to a pending interrupt, and an own ring is one.
+    // A past deadline does not hide a pending interrupt, and a core can ring itself.
     board.ring(board.identity().core);
     assert_eq!(board.wait(Instant::ORIGIN), Wake::Interrupt);
     assert_eq!(board.wait(Instant::ORIGIN), Wake::Deadline);
@@ -298,7 +298,7 @@ fn wires(board: &HostBoard) {
     while board.link().try_receive(&mut words) != Some(0) {
         std::thread::yield_now();
     }
-    // A line that is cut says nothing.
+    // A cut line transmits nothing.
     board.trace([1, 0, 0, 0]);
     let before = lines.received(Line::Heartbeat1, Edge::Rising);
     while board.can().try_receive().is_none() {
@@ -335,13 +335,13 @@ fn frame(id: u16) -> CanFrame {
     CanFrame::new(CanId::Standard(id), true, &[id as u8; 48]).expect("a valid frame")
 }
 
-/// All cores send frames of their own and write down what they hear.
+/// All cores send frames and record the frames that they receive.
 fn listen(board: &HostBoard) {
     let me = board.identity();
     let number = (me.system.index() * 3 + me.core.index()) as u16;
     board.can().wake_on_receive(true);
     board.trace([1, 0, 0, 0]);
-    // The vehicle says when all are there.
+    // The vehicle signals that all cores are ready.
     await_frame(board, 0x700);
     for n in 0..10 {
         board
@@ -365,7 +365,7 @@ fn listen(board: &HostBoard) {
         }
     }
     assert_eq!(board.can().overruns(), 0);
-    // Bus order is one: what is heard is the same but for the own frames.
+    // The bus has one order: all cores receive the same frames, except their own.
     for id in &heard {
         board.trace([2, *id, 0, 0]);
     }
@@ -423,7 +423,7 @@ fn hear(script: &mut Script) {
     unplugged(script);
 }
 
-/// A system that is cut off the bus neither sends nor hears.
+/// A system that is cut off the bus neither sends nor receives.
 fn unplugged(script: &mut Script) {
     script.port.set_cut(Wire::Can, B, true);
     script.port.broadcast(&frame(0x701));
@@ -474,7 +474,7 @@ fn chatter(board: &HostBoard) {
 }
 
 fn overheard(script: &mut Script) {
-    // The trace is not read while they talk.
+    // The trace is not read while they write to it.
     script.until("they have talked", |script| {
         SystemId::ALL
             .iter()

@@ -1,5 +1,5 @@
-//! The contracts of the board, as `tandem-board-conformance` has them: each case a run, each role
-//! in the process of its core.
+//! The contracts of `tandem-board-conformance` on this board: each case is a run, each role runs in
+//! the process of its core.
 //!
 //! A role's result is a file beside the data flash, since the trace may be full and the core reset.
 
@@ -28,7 +28,7 @@ pub(crate) fn cases() -> impl Iterator<Item = Case> {
     })
 }
 
-/// What these cores do is in [`play`]: it needs more than the board.
+/// The action of these cores is in [`play`]: it needs more than the board.
 fn nothing(_: &HostBoard) {}
 
 fn find(name: &str) -> Option<(usize, suite::Case<HostBoard>)> {
@@ -38,7 +38,7 @@ fn find(name: &str) -> Option<(usize, suite::Case<HostBoard>)> {
         .find(|(_, case)| case.name == name)
 }
 
-/// Plays the core's part if this is a case of the suite; whether it is.
+/// Runs the core's part if this is a case of the suite; returns whether it is.
 pub(crate) fn play(name: &str, args: &CoreArgs) -> bool {
     let Some((number, case)) = find(name) else {
         return false;
@@ -82,7 +82,7 @@ fn serve_while(board: &HostBoard, serves: &AtomicBool) {
     }
 }
 
-/// Whole or not at all: the core may be reset while it writes.
+/// Complete or not at all: the core may be reset while it writes.
 fn report(file: &Path, said: &str) {
     let draft = file.with_extension("draft");
     fs::write(&draft, said)

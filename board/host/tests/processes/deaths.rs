@@ -1,4 +1,4 @@
-//! What happens when cores, supplies and watchdogs fail: level lines, resets and their causes.
+//! The failures of cores, supplies and watchdogs: level lines, resets and their causes.
 
 use core::sync::atomic::Ordering::SeqCst;
 use std::time::{Duration as Span, Instant as Clock};
@@ -112,8 +112,8 @@ const CODE_OF: [ResetCause; 4] = [
     ResetCause::Trap,
 ];
 
-/// Core 0 says in which incarnation it is, why, and what it found in a word of the LMU that it then
-/// spoils.
+/// Core 0 reports its incarnation, its reset cause, and the value of a word of the LMU that it then
+/// overwrites.
 fn report(board: &HostBoard) {
     if board.identity().core == CONTROL {
         let cause = board.supply().reset_cause();
@@ -131,7 +131,7 @@ fn report_start(board: &HostBoard) {
     live(board);
 }
 
-/// Waits for the report of this incarnation; returns its reset cause and what it found in the LMU.
+/// Waits for the report of this incarnation; returns its reset cause and the value of the LMU word.
 fn await_start(script: &mut Script, system: SystemId, incarnation: u32) -> (ResetCause, u32) {
     loop {
         let [_, generation, cause, found] = script.await_trace(system, CONTROL, STARTED);
@@ -145,7 +145,8 @@ fn report_power(board: &HostBoard) {
     if board.identity().core != CONTROL {
         return idle(board);
     }
-    // The first wait looks around; the second would show a ring that was not for the level.
+    // The first wait returns at once; the second one would show a ring that the level did not
+    // cause.
     board.wait(board.now());
     board.trace([STARTED, board.identity().generation.0, 0, 0]);
     while board.lines().peer_powered() {
@@ -159,7 +160,7 @@ fn report_power(board: &HostBoard) {
     serve(board);
 }
 
-/// T-CHIP-5, T-CHIP-6: with its supply a system loses all cores, and the other is told.
+/// T-CHIP-5, T-CHIP-6: with its supply a system loses all cores, and the other system is told.
 fn kill_supply(script: &mut Script) {
     await_start(script, A, 1);
     await_start(script, B, 1);
@@ -206,7 +207,7 @@ fn supervise(board: &HostBoard) {
         CONTROL => loop {
             let question = board.supply().watchdog_question();
             board.supply().service_watchdog(watchdog_answer(question));
-            // The vehicle says that it has killed core 1.
+            // The vehicle reports that it has killed core 1.
             if board.can().try_receive().is_some() {
                 board.supply().request_reset(ResetRequest::CoreDead);
             }
@@ -231,15 +232,15 @@ fn kill_core_1(script: &mut Script) {
     script.await_incarnation(A, 2);
 }
 
-/// T-CHIP-6: any core hangs: only the missing service shows it.
+/// T-CHIP-6: a core hangs; only the missing service shows it.
 fn freeze(script: &mut Script) {
     await_start(script, B, 1);
     script.signal(B, CONTROL, Signal::STOP);
     assert_eq!(await_start(script, B, 2).0, ResetCause::Watchdog);
 }
 
-/// T-CHIP-6: while the supply is held up it watches no core. It finds what it has missed, as far as
-/// that was kept, and nothing of the rest: that is not the core's fault.
+/// T-CHIP-6: while the supply is held up it watches no core. Afterwards it judges the services that
+/// the ring kept; the rest is not the core's fault.
 fn freeze_supply(script: &mut Script) {
     script.await_incarnation(A, 1);
     script.rest(50);
@@ -314,7 +315,7 @@ fn suspend(board: &HostBoard) {
     live(board);
 }
 
-/// T-RED-5: a system that has failed is held in reset for good.
+/// T-RED-5: a system that has failed is held in reset until the next power-on.
 fn stays_down(script: &mut Script) {
     script.until("it is down", |script| {
         !script.port.is_powered(A) && CoreId::ALL.iter().all(|core| script.pid(A, *core) == 0)
@@ -337,8 +338,8 @@ fn paced(script: &mut Script) {
     let start = Clock::now();
     script.rest(1_500);
     let incarnations = script.generation(A, CONTROL).0;
-    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s; whatever the machine does, no
-    // more than that in the time that has really passed.
+    // 20 + 40 + 80 + 160 + 320 + 640 ms are seven starts in 1.26 s. On any machine there must not
+    // be more than that in the time that has really passed.
     let (mut allowed, mut pause, mut time) = (1, 20, 0);
     while time < start.elapsed().as_millis() + 100 {
         time += pause;
@@ -368,7 +369,7 @@ fn answer_rings(board: &HostBoard) {
                 }
             }
             board.trace([ANSWER, board.identity().generation.0, 0, 0]);
-            // Rings to a dead core do nothing, in any number.
+            // Any number of rings to a dead core does nothing.
             for _ in 0..10_000 {
                 board.ring(CoreId::PLANNING);
             }
@@ -378,7 +379,7 @@ fn answer_rings(board: &HostBoard) {
             board.wait(clock::now() + tandem_board::Duration::from_ms(10_000));
             answered.store(asked.load(SeqCst), SeqCst);
         },
-        // Dead, but its bell hangs.
+        // Core 1 is dead, but its bell still exists.
         _ => {}
     }
 }
@@ -397,7 +398,7 @@ fn send_always(board: &HostBoard) {
     let id = 0x10 + board.identity().system.index() as u16;
     let frame = CanFrame::new(CanId::Standard(id), false, &[1]).expect("valid");
     for n in 0_u32.. {
-        // Full while the bus sleeps.
+        // Fails when full: the bus is stopped.
         let _ = board.can().try_send(&frame);
         if n.is_multiple_of(10) {
             let question = board.supply().watchdog_question();
@@ -407,7 +408,7 @@ fn send_always(board: &HostBoard) {
     }
 }
 
-/// T-RED-9: what a dead system had in its buffers does not reach the bus.
+/// T-RED-9: frames in the buffers of a dead system do not reach the bus.
 fn silence(script: &mut Script) {
     let mut sent = [0; 2];
     script.until("both send", |script| {
@@ -488,7 +489,7 @@ fn list(script: &mut Script) {
     assert!(all.iter().any(|process| process.pid == std::process::id()));
 }
 
-/// All processes but the launcher have the policy that they were granted, and drive on with it.
+/// All processes but the launcher have the granted policy, and continue with it.
 fn check_policy(script: &mut Script) {
     const FIFO: &str = "1";
     for system in SystemId::ALL {

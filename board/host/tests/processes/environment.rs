@@ -1,6 +1,6 @@
-//! A run in places that have less than a developer's machine: a small or full `/dev/shm`, an
-//! ordinary user, a container, one CPU. Each trial makes the place itself, so most need root; one
-//! that lacks the rights is ignored, and says so.
+//! A run in places that offer less than a developer's machine: a small or full `/dev/shm`, an
+//! ordinary user, a container, one CPU. Each trial creates the place itself, so most need root; a
+//! trial without the rights is ignored, and says so.
 
 use std::ffi::CString;
 use std::fs::{self, File};
@@ -30,7 +30,7 @@ use crate::residue::{LASTING, Outcome, end_in_order, started, until};
 /// The case whose cores must be granted real time.
 pub(crate) const GRANTED_REALTIME: &str = "with_real_time_granted";
 
-/// Not a case of its own: the trials below give it a place.
+/// Not a separate case: the trials below give it a place.
 pub(crate) const GRANTED_CASE: Case = Case {
     name: GRANTED_REALTIME,
     core: live,
@@ -40,7 +40,7 @@ pub(crate) const GRANTED_CASE: Case = Case {
 const LIMIT: &str = "a_limit_on_priorities_gives_real_time";
 /// The highest priority that a process of a run claims.
 const PRIORITIES: u64 = 80;
-/// A user who owns nothing.
+/// A user who owns no file.
 const ORDINARY: u32 = 61_234;
 
 fn check_granted(script: &mut Script) {
@@ -105,7 +105,7 @@ fn lacking_limit() -> Option<String> {
     (!may_raise && !suffices).then(|| "the limit on priorities cannot be raised".to_owned())
 }
 
-/// Why the places below cannot be made here.
+/// Why these places cannot be created here.
 fn lacking_right() -> Option<String> {
     if !geteuid().is_root() {
         return Some("only root can become another user".to_owned());
@@ -119,7 +119,7 @@ fn lacking_right() -> Option<String> {
     })
 }
 
-/// Does `work` on a thread that sees a `/dev/shm` of its own, as do the processes that it starts.
+/// Runs `work` on a thread that sees its own `/dev/shm`, as do the processes that it starts.
 fn in_own_shm(options: &str, work: impl FnOnce() -> Outcome + Send) -> Outcome {
     let options = CString::new(options)?;
     let enter = || -> io::Result<()> {
@@ -147,7 +147,7 @@ fn in_own_shm(options: &str, work: impl FnOnce() -> Outcome + Send) -> Outcome {
     })
 }
 
-/// A folder for a run, and a copy of this program, in reach of an ordinary user.
+/// A folder for a run, and a copy of this program, readable by an ordinary user.
 struct Ground {
     folder: tempfile::TempDir,
 }
@@ -177,13 +177,13 @@ impl Ground {
     }
 }
 
-/// Lets the process that `command` starts do something first.
+/// Lets the process that `command` starts run `setup` first.
 fn first(command: &mut Command, setup: impl FnMut() -> io::Result<()> + Send + Sync + 'static) {
     // SAFETY: the setups below make system calls only: no allocation, no lock.
     unsafe { command.pre_exec(setup) };
 }
 
-/// Makes this process, whose only thread this is, one of an ordinary user.
+/// Makes this process, whose only thread this is, a process of an ordinary user.
 fn become_ordinary() -> io::Result<()> {
     set_thread_groups(&[])?;
     set_thread_gid(Gid::from_raw(ORDINARY))?;
@@ -232,7 +232,7 @@ fn refuse(call: libc::c_long) -> io::Result<()> {
     }
 }
 
-/// A run that lasts and ends in order; `look` is called while it lasts.
+/// A run that lasts and ends in order; `look` is called in between.
 fn lasts(mut launcher: Command, look: impl FnOnce(u32) -> Outcome) -> Outcome {
     let started = started(launcher.spawn()?, 9)?;
     let looked = look(started.launcher.id());
@@ -257,8 +257,8 @@ fn small() -> Outcome {
     Ok(())
 }
 
-/// T-RED-8: when others have filled the place, the death of core 0 is a reset of its
-/// system, and of nothing else.
+/// T-RED-8: when others have filled the place, the death of core 0 resets its system, and only
+/// that.
 fn full() -> Outcome {
     in_own_shm("size=24m", || {
         let ground = Ground::new()?;
@@ -270,7 +270,7 @@ fn full() -> Outcome {
                 .map(|process| process.pid)
                 .collect()
         };
-        // A core that is just being started looks like its supply until it is executed.
+        // A core that is just being started has the name of its supply until it is executed.
         let before = until("two supplies", || {
             Some(supplies()).filter(|found| found.len() == 2)
         })?;
@@ -329,7 +329,7 @@ fn namespace_of(pid: impl std::fmt::Display, kind: &str) -> io::Result<PathBuf> 
     fs::read_link(format!("/proc/{pid}/ns/{kind}"))
 }
 
-/// It is in the machine's `/dev/shm`, and in no namespace that it has half made.
+/// It uses the machine's `/dev/shm`, and is in no half-made namespace.
 fn is_shared(launcher: u32) -> Outcome {
     for kind in ["user", "mnt"] {
         assert_eq!(
@@ -354,8 +354,8 @@ fn without(call: libc::c_long, ordinary: bool) -> Outcome {
     lasts(launcher, is_shared)
 }
 
-/// A user namespace is granted, and its map is not: a program that its user may execute
-/// and not read is not the owner of its own files in `/proc`.
+/// A user namespace is granted, but its map is not: a program that its user may execute but not
+/// read does not own its own files in `/proc`.
 fn no_map() -> Outcome {
     let ground = Ground::new()?;
     fs::set_permissions(ground.program(), fs::Permissions::from_mode(0o711))?;
@@ -384,7 +384,7 @@ fn ambient() -> Outcome {
     fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
-/// An ordinary user with a limit on priorities has real time, in a place of its own.
+/// An ordinary user with a limit on priorities has real time, with an own `/dev/shm`.
 fn limit() -> Outcome {
     let ground = Ground::new()?;
     let mut launcher = ground.launcher(GRANTED_CASE.name, "own");
@@ -399,8 +399,8 @@ fn limit() -> Outcome {
     fixture::finish(launcher.spawn()?).map_err(Failed::from)
 }
 
-/// T-CHIP-6: the kernel unties a process from its parent when it executes a program with a file
-/// capability. A core ties itself again.
+/// T-CHIP-6: the kernel unbinds a process from its parent when it executes a program with a file
+/// capability. A core binds itself again.
 fn file_capability() -> Outcome {
     let ground = Ground::new()?;
     let nice = CapabilitySet::SYS_NICE.bits() as u32;

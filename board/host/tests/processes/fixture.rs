@@ -1,4 +1,4 @@
-//! What a case is, and what each process of its run does.
+//! The definition of a case, and the work of each process of its run.
 
 use std::ffi::OsString;
 use std::process::{Child, ExitCode};
@@ -20,7 +20,7 @@ pub(crate) const PATIENCE: Duration = Duration::from_secs(40);
 /// priority.
 pub(crate) const GRANTED: u32 = 1_000;
 
-/// One case: what every core does, and the script.
+/// One case: the work of every core, and the script.
 #[derive(Clone, Copy)]
 pub(crate) struct Case {
     pub(crate) name: &'static str,
@@ -36,7 +36,7 @@ pub(crate) struct Script {
     pub(crate) folder: OsString,
     /// Trace records that no test has waited for yet.
     traced: Vec<Traced>,
-    /// Records that the cores could not write, as far as [`Script::await_trace`] was told.
+    /// Records that the cores could not write, as counted by [`Script::await_trace`].
     pub(crate) lost: u32,
 }
 
@@ -54,13 +54,13 @@ fn case(name: &str) -> Case {
     all.find(|case| case.name == name).expect("a known case")
 }
 
-/// Runs a case in processes of its own and reports what they said if it failed.
+/// Runs a case in separate processes and returns their messages if it failed.
 pub(crate) fn run_case(case: Case) -> Result<(), String> {
     let folder = tempfile::tempdir().map_err(|error| error.to_string())?;
     finish(start_launcher(case.name, folder.path(), "own"))
 }
 
-/// Waits until a case has ended, and says what went wrong.
+/// Waits until a case has ended, and returns what went wrong.
 pub(crate) fn finish(launcher: Child) -> Result<(), String> {
     launcher::finish(launcher, PATIENCE + Duration::from_secs(10)).map(drop)
 }
@@ -74,7 +74,7 @@ pub(crate) fn claims_realtime(case: &str) -> bool {
     .contains(&case)
 }
 
-/// Is a process of a run.
+/// Runs as a process of a run.
 pub(crate) fn play(args: ProcessArgs) -> ExitCode {
     let name = args.common().extra[0].to_str().expect("name").to_owned();
     let case = case(&name);
@@ -165,7 +165,7 @@ impl Script {
         self.traced.remove(at).record
     }
 
-    /// Takes the records `[code, ..]` of the core that were read so far.
+    /// Takes the records `[code, ..]` of the core that were already read.
     pub(crate) fn take_traced(
         &mut self,
         system: SystemId,
@@ -183,7 +183,7 @@ impl Script {
         self.port.backplane().core_pid(system, core)
     }
 
-    /// Signals a core as soon as its supply has entered it.
+    /// Signals a core as soon as its supply has registered it.
     pub(crate) fn signal(&mut self, system: SystemId, core: CoreId, what: Signal) {
         self.until("the core has a process", |script| {
             script.pid(system, core) != 0
@@ -214,7 +214,7 @@ pub(crate) fn signal(pid: u32, signal: Signal) {
     rustix::process::kill_process(pid, signal).expect("the process is there");
 }
 
-/// Waits for an interrupt, which must come.
+/// Waits for an interrupt and fails if none arrives.
 pub(crate) fn await_interrupt(board: &HostBoard) {
     let deadline = board.now() + tandem_board::Duration::from_ms(15_000);
     assert_eq!(
@@ -231,7 +231,7 @@ pub(crate) fn idle(board: &HostBoard) {
     }
 }
 
-/// Serves the watchdog as it wants to be served, until killed.
+/// Services the watchdog correctly, until killed.
 pub(crate) fn serve(board: &HostBoard) {
     use tandem_board::Supply;
     loop {
@@ -243,7 +243,7 @@ pub(crate) fn serve(board: &HostBoard) {
     }
 }
 
-/// Core 0 serves the watchdog, the others sleep.
+/// Core 0 services the watchdog, the others sleep.
 pub(crate) fn live(board: &HostBoard) {
     if board.identity().core == CoreId::CONTROL {
         serve(board)

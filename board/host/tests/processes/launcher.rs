@@ -1,4 +1,4 @@
-//! A run of a test: the program is started again as the launcher of the run, and the launcher
+//! A run of a test: this program is started again as the launcher of the run, and the launcher
 //! starts it as supplies, cores and vehicle.
 
 use std::ffi::OsString;
@@ -32,10 +32,10 @@ pub(crate) fn launcher(program: &Path, case: &str, folder: &Path, place: &str) -
     command
 }
 
-/// Waits until a run has ended. Returns what its processes said; as an error if it failed, or did
-/// not end within `patience`.
+/// Waits until a run has ended. Returns the messages of its processes; as an error if it failed, or
+/// did not end within `patience`.
 pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, String> {
-    // Read at all times: a full pipe would stop the launcher.
+    // Read all the time: a full pipe would stop the launcher.
     let mut pipe = launcher.stderr.take().expect("a pipe");
     let reader = thread::spawn(move || {
         let mut said = vec![];
@@ -62,7 +62,7 @@ pub(crate) fn finish(mut launcher: Child, patience: Duration) -> Result<String, 
     }
 }
 
-/// Is the launcher of a case.
+/// Runs as the launcher of a case.
 pub(crate) fn launch(argv: &[OsString], claims_realtime: impl Fn(&str) -> bool) -> ExitCode {
     let (name, folder, place) = (&argv[0], Path::new(&argv[1]), &argv[2]);
     let place = if place == "own" {
