@@ -1,12 +1,12 @@
-//! Ends over bare words, whose place and shape are known at run time only: for C, for words that
-//! are no LMU (a board's own rings), and for models.
+//! Ends over plain words whose place and shape are known only at run time: for C, for words outside
+//! an LMU (a board's own rings), and for models.
 //!
-//! Nothing is checked beyond size and alignment. The caller gives each end of an object the same
-//! words, shape and payload, and attaches an end that exists once only once. Code in Rust over a
-//! map uses [`Region`](crate::region::Region), which checks all of this.
+//! Only size and alignment are checked. The caller gives each end of an object the same words,
+//! shape and payload, and attaches a unique end only once. Rust code over a map uses
+//! [`Region`](crate::region::Region), which checks all of this.
 //!
 //! # Errors
-//! Each function returns [`FitError`] if the words are too few or do not begin a cache line.
+//! Each function returns [`FitError`] if the words are too few or do not start at a cache line.
 
 #![allow(clippy::missing_errors_doc, reason = "said once above")]
 
@@ -67,7 +67,7 @@ pub fn broadcast_writer<T>(words: &[AtomicU32], shape: Shape) -> Result<Writer<'
     Ok(Writer::attach(broadcast::ring(words, shape)?))
 }
 
-/// A receiving end of a broadcast ring, for what is published from now on.
+/// A receiving end of a broadcast ring, for values published from now on.
 pub fn broadcast_receiver<T>(
     words: &[AtomicU32],
     shape: Shape,

@@ -1,11 +1,11 @@
 //! The broadcast ring: one sender, any number of receivers, each with a private cursor.
 //!
 //! Value number k lies in slot k mod n, with a stamp `k << 1` while it is written and `k << 1 | 1`
-//! when it is complete. The sender waits for nobody and overwrites the oldest slot; receivers write
-//! nothing. A receiver checks the stamp before and after it reads in place; when the sender has
-//! overtaken it, it is told how many values it lost and goes on half a ring behind the newest, so
-//! that it does not lose the very next one. A sender that dies leaves all complete values, and its
-//! successor goes on with the next number.
+//! when it is complete. The sender never waits and overwrites the oldest slot; receivers write
+//! nothing. A receiver checks the stamp before and after it reads in place. If the sender has
+//! overtaken it, the receiver returns how many values were lost, and continues half a ring behind
+//! the newest, so that the next value is not lost at once. A sender that dies leaves all complete
+//! values, and its successor continues with the next number.
 
 use core::marker::PhantomData;
 
@@ -30,11 +30,10 @@ pub(crate) fn ring(words: &[AtomicU32], shape: Shape) -> Result<Ring<'_>, FitErr
     Ring::attach(words, shape, stride(shape))
 }
 
-/// Values are lost to this receiver: the writer was faster, or a value was none of the payload's
-/// type.
+/// This receiver lost values: the writer was faster, or a value was not one of the payload's type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lost {
-    /// How many; at least 1. Not exact if the ring's words were scribbled on.
+    /// How many; at least 1. Not exact if the ring's words were overwritten with garbage.
     pub count: u32,
 }
 
@@ -50,7 +49,7 @@ pub struct Receiver<'a, T = ()> {
 }
 
 impl<'a, T> Receiver<'a, T> {
-    /// Receives what is sent from now on.
+    /// Receives values that are sent from now on.
     pub(crate) fn attach(ring: Ring<'a>) -> Self {
         let head = ring.head();
         Self {
@@ -64,7 +63,7 @@ impl<'a, T> Receiver<'a, T> {
     /// Moves the cursor back to the oldest value that is still in the ring.
     #[must_use]
     pub fn from_oldest(mut self) -> Self {
-        // The slot before these may be under way already.
+        // The writer may already be filling the slot before these.
         for back in (1..self.ring.slots()).rev() {
             let k = self.head.wrapping_sub(back);
             if self.ring.is_complete(k) {
@@ -75,12 +74,12 @@ impl<'a, T> Receiver<'a, T> {
         self
     }
 
-    /// The next value, to be read in place; `None` if there is none yet. Never blocks. What is read
-    /// counts, and the cursor goes on, only with [`Item::finish`].
+    /// The next value, to be read in place; `None` if there is none yet. Never blocks. Only
+    /// [`Item::finish`] confirms the read and advances the cursor.
     ///
     /// # Errors
-    /// [`Lost`] if values were overwritten before they were received; the next call goes on behind
-    /// them.
+    /// [`Lost`] if values were overwritten before they were received; the next call continues
+    /// behind them.
     #[inline]
     pub fn item(&mut self) -> Result<Option<Item<'_, 'a, T>>, Lost> {
         if !self.is_there() {
@@ -102,13 +101,13 @@ impl<'a, T> Receiver<'a, T> {
         self.cursor != self.head
     }
 
-    /// Puts the cursor where values are to be had again.
+    /// Moves the cursor to values that are available again.
     fn skip(&mut self) -> Lost {
         self.head = self.ring.head();
         let behind = self.head.wrapping_sub(self.cursor);
         let keep = self.ring.slots() / 2;
         let (cursor, count) = if behind == 0 || behind > u32::MAX / 2 {
-            // The head went back: nobody knows what is lost.
+            // The head went back: the number of lost values is unknown.
             (self.head, 1)
         } else if behind <= keep {
             (self.cursor.wrapping_add(1), 1)
@@ -124,7 +123,7 @@ impl<T: Payload> Receiver<'_, T> {
     /// The next value with its number; `None` if there is none yet. Never blocks.
     ///
     /// # Errors
-    /// [`Lost`] as [`Receiver::item`]; also for a value whose words are none of the type.
+    /// [`Lost`] as [`Receiver::item`]; also for a value whose words are not of the type.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<(Stamp, T)>, Lost> {
         let k = self.cursor;
@@ -150,18 +149,18 @@ pub struct Item<'r, 'a, T> {
 }
 
 impl<'a, T> Item<'_, 'a, T> {
-    /// The words; parts of a newer value may appear in them until [`Item::finish`] has said no.
+    /// The words. They may contain parts of a newer value; [`Item::finish`] returns an error then.
     #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
         WordsRef::new(self.receiver.ring.payload(self.receiver.cursor))
     }
 
-    /// Ends the reading and returns the number of the value. Without this the same value comes
-    /// again.
+    /// Ends the reading and returns the number of the value. Without this call the next one returns
+    /// the same value.
     ///
     /// # Errors
-    /// [`Lost`] if the sender overtook: forget what was read.
+    /// [`Lost`] if the sender overtook: discard everything that was read.
     #[inline]
     pub fn finish(self) -> Result<Stamp, Lost> {
         let k = self.receiver.cursor;
@@ -239,7 +238,7 @@ mod tests {
         assert_eq!(receive(&mut receiver), Ok(Some((0, [5, 6]))));
     }
 
-    /// Received and lost values add up to what was sent.
+    /// Received and lost values add up to the number sent.
     #[test]
     fn a_slow_receiver_is_told_how_many_values_it_lost() {
         let (_, mut sender, mut receiver) = ring();
@@ -314,7 +313,7 @@ mod tests {
             words
                 .iter()
                 .for_each(|word| word.store(scribble, Ordering::Relaxed));
-            // Each call takes a value, skips, or says that there is none: it comes to an end.
+            // Each call takes a value, skips, or finds none: the loop ends.
             sender.publish(&[2; 2]);
             let calls = (0..10)
                 .take_while(|_| receive(&mut receiver) != Ok(None))

@@ -1,6 +1,6 @@
 //! Tests only: atomics that count accesses, so that a test can kill or freeze at each step.
 //!
-//! In unit tests they stand on the machine's atomics, in loom models on loom's.
+//! They wrap the machine's atomics in unit tests, and loom's in loom models.
 #![allow(unreachable_pub, reason = "loom models are outside of the crate")]
 
 use core::cell::RefCell;
@@ -12,15 +12,15 @@ use loom::sync::atomic::AtomicU32 as Word;
 use std::boxed::Box;
 use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
 
-/// What happens at the chosen access, just before it.
+/// The action just before the chosen access.
 type Event = Box<dyn FnOnce()>;
 
 enum Mode {
-    /// Every access goes through.
+    /// Every access is performed.
     Free,
-    /// So many accesses go through, then the event.
+    /// This many accesses are performed, then the action runs.
     Armed(usize, Event),
-    /// The running operation was killed: the unwinding destructors reach the memory no more.
+    /// The running operation was killed: its unwinding destructors no longer access the memory.
     Dead,
 }
 
@@ -32,7 +32,7 @@ std::thread_local! {
 std::thread_local! {
     static SWITCHING: core::cell::Cell<bool> = const { core::cell::Cell::new(false) };
 }
-// Of each of the model's threads.
+// One for each of the model's threads.
 #[cfg(loom)]
 loom::thread_local! {
     static MODE: RefCell<Mode> = RefCell::new(Mode::Free);
@@ -45,7 +45,7 @@ fn set_mode(mode: Mode) -> Mode {
 /// Whether this access reaches the memory.
 fn step() -> bool {
     let mode = set_mode(Mode::Free);
-    // Here and nowhere else another core of a random schedule runs. This one's mode lies on its
+    // The only point at which another core of a random schedule runs. This core's mode is on its
     // stack.
     #[cfg(not(any(loom, miri)))]
     if SWITCHING.get() && !matches!(mode, Mode::Dead) {
@@ -72,7 +72,7 @@ fn step() -> bool {
 struct Killed;
 
 /// Runs `operation` and kills it just before its access number `at` (from 0). `None` if it was
-/// killed, `Some` if it ended before.
+/// killed, `Some` if it ended before that access.
 pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     let kill: Event = Box::new(|| {
         set_mode(Mode::Dead);
@@ -88,7 +88,7 @@ pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
     }
 }
 
-/// Runs a model of shuttle's: another of its threads may run before each access.
+/// Runs a shuttle model: another of its threads may run before each access.
 #[cfg(not(any(loom, miri)))]
 pub fn switch_cores(model: impl FnOnce()) {
     SWITCHING.set(true);
@@ -96,8 +96,8 @@ pub fn switch_cores(model: impl FnOnce()) {
     SWITCHING.set(false);
 }
 
-/// Runs `operation`, freezes it just before its access number `at` for as long as `meanwhile`
-/// takes, then thaws it. The flag says whether the operation reached that access.
+/// Runs `operation`, freezes it just before its access number `at` while `meanwhile` runs, then
+/// thaws it. The flag says whether the operation reached that access.
 pub fn freeze_at<T>(
     at: usize,
     meanwhile: impl FnOnce() + 'static,
@@ -126,24 +126,24 @@ impl AtomicU32 {
         Self(Word::new(value))
     }
 
-    /// As the machine's; a dead operation reads 0.
+    /// As the machine's atomic; a dead operation reads 0.
     pub fn load(&self, order: Ordering) -> u32 {
         if step() { self.0.load(order) } else { 0 }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     pub fn store(&self, value: u32, order: Ordering) {
         if step() {
             self.0.store(value, order);
         }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     pub fn swap(&self, value: u32, order: Ordering) -> u32 {
         if step() { self.0.swap(value, order) } else { 0 }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     pub fn fetch_add(&self, value: u32, order: Ordering) -> u32 {
         if step() {
             self.0.fetch_add(value, order)
@@ -152,7 +152,7 @@ impl AtomicU32 {
         }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     pub fn fetch_or(&self, value: u32, order: Ordering) -> u32 {
         if step() {
             self.0.fetch_or(value, order)
@@ -161,7 +161,7 @@ impl AtomicU32 {
         }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     pub fn fetch_and(&self, value: u32, order: Ordering) -> u32 {
         if step() {
             self.0.fetch_and(value, order)
@@ -170,7 +170,7 @@ impl AtomicU32 {
         }
     }
 
-    /// As the machine's.
+    /// As the machine's atomic.
     #[allow(clippy::missing_errors_doc, reason = "as the machine's")]
     pub fn compare_exchange(
         &self,
@@ -198,13 +198,13 @@ mod unit {
     use std::vec::Vec;
 
     /// Zeroed words for a test, from a line boundary on; never freed, so that frozen operations may
-    /// keep them.
+    /// keep using them.
     pub(crate) fn zeroed(words: usize) -> &'static [AtomicU32] {
-        /// Where Miri finds them, so that it sees no leak.
+        /// Keeps them reachable, so that Miri reports no leak.
         static ALL: Mutex<Vec<&'static [AtomicU32]>> = Mutex::new(Vec::new());
         /// Bytes of a cache line.
         const LINE: usize = 64;
-        // A line begins among the first words, at the latest after these.
+        // The first line starts within this many words.
         let spare = LINE / size_of::<AtomicU32>();
         let all: Box<[AtomicU32]> = (0..words + spare).map(|_| AtomicU32::new(0)).collect();
         let all: &'static [AtomicU32] = Box::leak(all);

@@ -1,27 +1,28 @@
 //! The FIFO channel: one producer, one consumer, every value in order, or full.
 //!
 //! Value number k (from 0, wrapping) lies in slot k mod n, followed by its stamp, !k. The stamp
-//! says that the value is complete, so the consumer looks at the slot that comes next and nowhere
-//! else: a small value and the news of it are one cache line that moves (J. Giacomoni et al.,
-//! "FastForward for efficient pipeline parallelism", PPoPP 2008). In the other direction the
-//! consumer publishes how many values it has released; the producer keeps a copy of that index and
-//! looks again only when the copy says full.
+//! says that the value is complete, so the consumer polls only the next slot: a small value and its
+//! stamp share one cache line, and only that line moves (J. Giacomoni et al., "FastForward for
+//! efficient pipeline parallelism", PPoPP 2008). In the other direction the consumer publishes how
+//! many values it has released. The producer keeps a copy of that index and reads it again only
+//! when the copy says full.
 //!
 //! A queue of 64 slots and more publishes releases in groups of 8, and when the consumer finds the
 //! queue empty: so a busy queue moves fewer lines. Until then the producer may find up to 7 free
-//! slots fewer than there are; a protocol must not count on the last 7 if its consumer never looks
-//! at an empty queue. Smaller queues publish every release.
+//! slots fewer than there are; a protocol must not rely on the last 7 slots if its consumer never
+//! polls an empty queue. Smaller queues publish every release.
 //!
-//! Each end trusts only its private copy of its own index. What the other end says is an
-//! allegation: a distance greater than the number of slots is no state of this queue, and the
-//! producer then says full. If words were scribbled on, the ends mend them: a consumer that looks
-//! in vain publishes its index again and doubts one slot in [`LOOKS_PER_DOUBT`] looks, one after
-//! the other; if a complete value lies there that is not the last one of that slot, it goes on with
-//! the nearest such value. The producer of a full queue stamps its oldest value again.
+//! Each end trusts only its private copy of its own index. The other end's words are not trusted: a
+//! distance greater than the number of slots is impossible, and the producer then returns full. If
+//! words were overwritten with garbage, the ends repair them. A consumer that polls an empty queue
+//! publishes its index again, and in every [`LOOKS_PER_DOUBT`] polls checks one further slot, in
+//! turn. If that slot holds a complete value that is not the last one received from it, the
+//! consumer continues with the nearest such value. The producer of a full queue stamps its oldest
+//! value again.
 //!
-//! A producer that dies loses what it had not sent. A consumer that dies leaves what it had not
-//! released, or not yet published as released, to its successor: each value is received at least
-//! once.
+//! A producer that dies loses its unsent values. A consumer that dies leaves the values that it had
+//! not released, or not yet published as released, to its successor: each value is received at
+//! least once.
 
 use core::marker::PhantomData;
 
@@ -31,15 +32,15 @@ use crate::sync::{AtomicU32, Ordering};
 
 /// Line 0, written by the consumer: how many values were released.
 const RELEASED_AT: usize = 0;
-/// The claims of the ends: words of that line which are read by nobody who sends or receives.
+/// The claims of the ends: words of that line that neither sending nor receiving reads.
 pub(crate) const PRODUCER_CLAIM_AT: usize = 1;
 pub(crate) const CONSUMER_CLAIM_AT: usize = 2;
 const SLOTS_AT: usize = LINE_WORDS;
 
-/// Looks in vain after which the consumer doubts another slot.
+/// Empty polls after which the consumer checks another slot.
 #[cfg(not(loom))]
 pub const LOOKS_PER_DOUBT: u32 = 32;
-/// loom looks into the mending, too.
+/// In loom models every poll checks, so that the repair is modelled too.
 #[cfg(loom)]
 pub const LOOKS_PER_DOUBT: u32 = 1;
 
@@ -50,7 +51,7 @@ pub const fn words(shape: Shape) -> usize {
     SLOTS_AT + shape.slots() * stride(shape)
 }
 
-/// Words from one slot to the next: no slot lies across a line without need.
+/// Words from one slot to the next: a slot crosses a line only if it must.
 #[inline]
 const fn stride(shape: Shape) -> usize {
     let slot = shape.slot_words() + 1;
@@ -94,7 +95,7 @@ impl<'a> Queue<'a> {
         self.slot_of(k, self.slot_words)
     }
 
-    /// The same if a slot has `slot_words` words. A constant saves instructions.
+    /// As `slot`, for slots of `slot_words` words. A constant saves instructions.
     #[inline]
     fn slot_of(&self, k: u32, slot_words: usize) -> (&'a [AtomicU32], &'a AtomicU32) {
         let first = (k & self.mask) as usize * self.stride;
@@ -113,8 +114,8 @@ impl<'a> Queue<'a> {
         released.is_multiple_of(8) || self.mask < 63
     }
 
-    /// The number of the first value that does not fit: `tail` if the queue is full, or the
-    /// consumer's index is none of a queue of this size.
+    /// The number of the first value that does not fit: `tail` if the queue is full, or if the
+    /// consumer's index is impossible for a queue of this size.
     #[inline]
     const fn limit(&self, tail: u32, released: u32) -> u32 {
         if self.is_full(tail, released) {
@@ -124,7 +125,7 @@ impl<'a> Queue<'a> {
         }
     }
 
-    /// Mends the stamp of the oldest value of a full queue if it was scribbled on.
+    /// Repairs the stamp of the oldest value of a full queue if it was overwritten.
     #[cold]
     fn mend_oldest(self, tail: u32) {
         let oldest = tail.wrapping_sub(self.mask).wrapping_sub(1);
@@ -135,22 +136,23 @@ impl<'a> Queue<'a> {
         }
     }
 
-    /// How far ahead of `head` the complete value in this slot is, if it is. The slots of an empty
-    /// queue hold the last values that were received, one turn behind.
+    /// How far the complete value in this slot is ahead of `head`; `None` if there is no such
+    /// value. The slots of an empty queue hold the last received values, one turn behind.
     fn ahead(&self, slot: u32, head: u32) -> Option<u32> {
-        // Acquire pairs with the Release in `complete`: who sees a value sees those before it.
+        // Acquire pairs with the Release in `complete`: a core that sees a value sees those before
+        // it.
         let k = complete(self.stamp(slot).load(Ordering::Acquire));
         let ahead = k.wrapping_sub(head);
         let is_ahead = k & self.mask == slot & self.mask && ahead < !self.mask;
         is_ahead.then_some(ahead)
     }
 
-    /// The number of the value at which a consumer goes on that looks for value `head` in vain.
+    /// The number of the value with which a consumer continues that cannot find value `head`.
     #[cold]
     fn nearest(self, head: u32) -> u32 {
         let ahead = (0..=self.mask).filter_map(|slot| self.ahead(slot, head));
         let ahead = ahead.min().unwrap_or(0);
-        // It may have come while the others were looked at.
+        // Value `head` may have arrived while the other slots were checked.
         match self.ahead(head, head) {
             Some(0) => head,
             _ => head.wrapping_add(ahead),
@@ -158,8 +160,8 @@ impl<'a> Queue<'a> {
     }
 }
 
-/// The stamp of value k; and the number of the value that has this stamp. Not k + 1: from that the
-/// compiler would take the next index, and each look would wait for the line of the one before.
+/// The stamp of value k; and the number of the value that has this stamp. Not k + 1: the compiler
+/// would derive the next index from it, and each poll would wait for the line of the one before.
 #[inline]
 const fn complete(k: u32) -> u32 {
     !k
@@ -181,7 +183,8 @@ pub struct Producer<'a, T = ()> {
 }
 
 impl<'a, T> Producer<'a, T> {
-    /// Attaches behind what earlier incarnations have sent. Loads the stamp of each slot once.
+    /// Attaches behind the values that earlier incarnations have sent. Loads the stamp of each slot
+    /// once.
     pub(crate) fn attach(words: &'a [AtomicU32], shape: Shape) -> Result<Self, FitError> {
         let queue = Queue::attach(words, shape)?;
         // Acquire pairs with the Release in `publish`.
@@ -225,7 +228,7 @@ impl<'a, T> Producer<'a, T> {
     #[inline]
     fn make_room(&mut self) -> Result<(), Full> {
         if self.tail == self.limit {
-            // Acquire pairs with the Release in `publish`: the consumer has done with the slot.
+            // Acquire pairs with the Release in `publish`: the consumer has finished with the slot.
             let released = self.queue.released.load(Ordering::Acquire);
             self.limit = self.queue.limit(self.tail, released);
             if self.tail == self.limit {
@@ -357,7 +360,7 @@ impl<T: Payload> Consumer<'_, T> {
     /// The next value, if there is one. Never blocks.
     ///
     /// # Errors
-    /// [`Corrupt`] if it is no value of the type; it is released all the same.
+    /// [`Corrupt`] if it is not a value of the type; it is released nevertheless.
     #[inline]
     pub fn receive(&mut self) -> Result<Option<T>, Corrupt> {
         let (words, stamp) = self.queue.slot_of(self.head, T::WORDS);
@@ -381,7 +384,7 @@ pub struct Item<'c, 'a, T> {
 }
 
 impl<'a, T> Item<'_, 'a, T> {
-    /// The words; the producer does not touch them until the release.
+    /// The words; the producer does not write to them until the release.
     #[inline]
     #[must_use]
     pub const fn words(&self) -> WordsRef<'a> {
@@ -510,7 +513,7 @@ mod tests {
         }
     }
 
-    /// Each value is received at least once also if releases are published in groups.
+    /// Each value is received at least once, even if releases are published in groups.
     #[test]
     fn a_large_queue_publishes_releases_in_groups() {
         let shape = Shape::new(64, 1);
@@ -539,8 +542,8 @@ mod tests {
         (0..64).for_each(|k| producer.send(&[k]).unwrap());
     }
 
-    /// Whatever one word, or all of them, or an index and then an end are scribbled to: never more
-    /// values than slots, and in the end values pass again, in order.
+    /// After garbage in one word, in all words, or in an index and then another word: never more
+    /// values than slots, and later values pass again, in order.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn scribbled_words_are_mended() {

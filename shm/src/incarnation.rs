@@ -6,10 +6,10 @@
 //! incarnation is alive while it is the announced one and not marked. Any core may take over words
 //! in the LMU whose owner is not alive.
 //!
-//! An owner word of a lock or a pool has room for a few bits of a generation only. Beside it
-//! `Attached` keeps, for each core, the whole generation of the last incarnation that attached. The
-//! first attachment of an incarnation disowns what its predecessors left. So no later incarnation
-//! is taken for the owner, however many incarnations lie between them.
+//! An owner word of a lock or a pool has room for only a few bits of a generation. Beside it,
+//! `Attached` keeps for each core the whole generation of the last incarnation that attached. The
+//! first attachment of an incarnation disowns everything that its predecessors left. So no later
+//! incarnation is mistaken for the owner, however many incarnations are between them.
 
 use crate::shape::{FitError, LINE_WORDS, fit};
 use crate::sync::{AtomicU32, Ordering};
@@ -17,13 +17,13 @@ use crate::sync::{AtomicU32, Ordering};
 /// How many cores share an LMU.
 pub const CORES: usize = 3;
 
-/// The largest generation: they are carried in 30 bits. At one reset a second that is 34 years.
+/// The largest generation: 30 bits. At one reset a second that is 34 years.
 pub const MAX_GENERATION: u32 = (1 << 30) - 1;
 
 const DEAD: u32 = 1;
 
 /// How many incarnations a straggler may be behind and still be refused. A word that is further
-/// ahead of a core's generation is scribble: it must not lock the core out.
+/// ahead of a core's generation is garbage: it must not lock the core out.
 const MAX_LIVES_BEHIND: u32 = 7;
 
 /// One incarnation of one core.
@@ -61,10 +61,10 @@ impl Incarnation {
     }
 }
 
-/// A later incarnation of the same core is announced already: this one was given up and must stop.
+/// A later incarnation of the same core is already announced: this one was given up and must stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Outdated {
-    /// The generation that is announced.
+    /// The announced generation.
     pub current: u32,
 }
 
@@ -88,17 +88,17 @@ impl<'a> Incarnations<'a> {
         })
     }
 
-    /// The table in words that a map has laid out.
+    /// The table in words that come from a map.
     pub(crate) const fn new(words: &'a [AtomicU32]) -> Self {
         Self { words }
     }
 
-    /// Announces an incarnation at its start. What earlier incarnations of this core owned may be
-    /// taken over from here on. Announcing the same incarnation again changes nothing, unless it
-    /// was marked dead.
+    /// Announces an incarnation at its start. From here on other cores may take over objects that
+    /// earlier incarnations of this core owned. Announcing the same incarnation again changes
+    /// nothing, unless it was marked dead.
     ///
-    /// A generation that is more than 7 ahead of this one is not of a later incarnation: the word
-    /// was scribbled on, and is overwritten. A smaller scribble costs the core at most 8 resets.
+    /// A generation that is more than 7 ahead of this one does not belong to a later incarnation:
+    /// the word is garbage, and is overwritten. Smaller garbage costs the core at most 8 resets.
     ///
     /// # Errors
     /// [`Outdated`] if this incarnation is not the latest, or was marked dead: it must stop.
@@ -126,8 +126,7 @@ impl<'a> Incarnations<'a> {
     }
 
     /// Marks an incarnation as dead: it was seen to end and will not run again. Returns whether it
-    /// was the announced incarnation (else there is nothing to mark). For the supervisor of the
-    /// cores.
+    /// was the announced incarnation; if not, nothing changes. For the supervisor of the cores.
     pub fn mark_dead(&self, incarnation: Incarnation) -> bool {
         let alive = incarnation.generation << 1;
         // Release pairs with the Acquire in `is_announced`: a core that sees the mark sees what the
@@ -191,7 +190,7 @@ impl<'a> Attached<'a> {
         self.incarnations
     }
 
-    /// What to give to [`Attached::insert`]. `None` if this incarnation has attached, or is not
+    /// The argument for [`Attached::insert`]. `None` if this incarnation has attached, or is not
     /// alive: a later incarnation may have attached, which must not be disowned.
     pub(crate) fn earlier(&self, incarnation: Incarnation) -> Option<u32> {
         // Acquire pairs with the Release in `insert`: a core that sees a later incarnation attached
@@ -201,9 +200,9 @@ impl<'a> Attached<'a> {
             .then_some(generation)
     }
 
-    /// This incarnation attaches, now that what earlier incarnations of its core left in the object
-    /// is disowned. `false` if another incarnation, or the same by another end, came first: look
-    /// again.
+    /// Marks this incarnation as attached, after everything that earlier incarnations of its core
+    /// left in the object is disowned. `false` if another incarnation, or another end of this one,
+    /// was first: then check again.
     #[must_use]
     pub(crate) fn insert(&self, incarnation: Incarnation, earlier: u32) -> bool {
         // Release pairs with the Acquire in `earlier`: a core that sees this incarnation attached
@@ -225,9 +224,9 @@ impl<'a> Attached<'a> {
         self.incarnations.is_announced(core, generation)
     }
 
-    /// Whether an owner word that names `core` and has these bits of a generation is of an
-    /// incarnation that is alive. False for a core that does not exist. The caller has acquired the
-    /// owner word, and its owner has released it after it was announced and had attached.
+    /// Whether an owner word with `core` and these bits of a generation belongs to an incarnation
+    /// that is alive. False for a core that does not exist. The caller has acquired the owner word,
+    /// and its owner has released that word after it was announced and had attached.
     #[inline]
     pub(crate) fn is_alive(&self, core: usize, bits: u32, mask: u32) -> bool {
         let Some(word) = self.generations.get(core) else {
@@ -286,7 +285,7 @@ mod tests {
         assert_eq!(Incarnation::new(0, MAX_GENERATION + 1), None);
     }
 
-    /// Whatever was scribbled on its word, a core is alive again after a few resets.
+    /// After garbage in its word, a core is alive again after a few resets.
     #[test]
     fn a_scribbled_word_locks_no_core_out() {
         let words = zeroed(Incarnations::WORDS);

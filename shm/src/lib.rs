@@ -1,9 +1,9 @@
 //! The LMU: map, lock, sync mailbox, pool, channels (no_std).
 //!
-//! The LMU is a slice of 32-bit atomic words that every core maps, each at an address of its own.
-//! All primitives are built on sub-slices of it by word-wise atomics, so this crate has no `unsafe`
-//! code, needs no atomic wider than 32 bit, and Miri and loom have something to prove. Only indices
-//! with stamps cross between cores, never addresses.
+//! The LMU is a slice of 32-bit atomic words that every core maps, each at its own address. All
+//! primitives use sub-slices of it with word-wise atomics. So this crate has no `unsafe` code and
+//! needs no atomic wider than 32 bit, and Miri and loom can check it. Only indices with stamps
+//! cross between cores, never addresses.
 //!
 //! | module | what it is | who writes |
 //! |---|---|---|
@@ -22,21 +22,21 @@
 //!
 //! - **All zero is a valid initial state**: the LMU is zero at power-on, and [`map::Map::format`]
 //!   zeroes it.
-//! - **Another core may die, freeze or scribble between any two instructions.** Whatever the words
-//!   hold, nothing here panics, indexes out of bounds or loops without bound.
-//! - **A successor attaches where its predecessor stopped**: what an end keeps in private memory is
-//!   a copy of words that it alone writes.
+//! - **Another core may die, freeze or write garbage between any two instructions.** Whatever the
+//!   words hold, nothing here panics, indexes out of bounds or loops without bound.
+//! - **A successor attaches where its predecessor stopped**: the private memory of an end is only a
+//!   copy of words that this end alone writes.
 //! - **Two incarnations of one core do not run at once**: a reset ends an incarnation before the
-//!   next one begins, and what the old incarnation wrote is visible to the new one (a reset drains
-//!   store buffers and, where they are not coherent, caches). [`lock`] and [`pool`] additionally
-//!   bear a *straggler*, an old incarnation that was declared dead and runs on.
-//! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers stand on
+//!   next one begins, and everything that the old incarnation wrote is visible to the new one (a
+//!   reset drains store buffers and, where they are not coherent, caches). [`lock`] and [`pool`]
+//!   also tolerate a *straggler*: an old incarnation that was declared dead and still runs.
+//! - **Cache lines**: a region starts on a line of 64 bytes; words of different writers are on
 //!   different lines.
 //!
-//! A core attaches to a [`region`], a constant that knows kind, shape and payload. An end that
-//! exists once is claimed there, and a second one is refused. [`bare`] is for C and for words that
-//! are no LMU: the ends are the same, so a core in Rust and one in C can share a region, but no end
-//! is claimed, and claims do not see such an end.
+//! A core attaches to a [`region`], a constant that knows kind, shape and payload. A unique end is
+//! claimed there, and a second one is refused. [`bare`] is for C and for words outside an LMU: the
+//! ends are the same, so a core in Rust and one in C can share a region, but such an end is not
+//! claimed, and claims do not see it.
 //!
 //! # Example
 //!

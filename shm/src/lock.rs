@@ -4,16 +4,17 @@
 //! which of its incarnations, in which turn (one more with each acquisition), and which cores wait.
 //! Words 1 to 12 are one *released* word for each core and incarnation (by its generation mod 4):
 //! the owner gives the lock back by storing its token there. So the lock is free if the token's
-//! owner has released that very token, and taking it is one compare-and-swap from that token to
-//! one's own. Words 13 to 15 say which incarnation of each core attached last. T-LOCK-1, T-LOCK-3
+//! owner has released exactly that token, and a core takes it by one compare-and-swap from that
+//! token to its own. Words 13 to 15 say which incarnation of each core attached last. T-LOCK-1,
+//! T-LOCK-3
 //!
 //! - **Release is a plain store, yet a straggler cannot release another's lock**: it stores its old
 //!   token into a word of its own incarnation. The next three incarnations of its core use other
 //!   words.
 //! - **Recovery**: a token that is not released and whose incarnation is not alive is an orphan.
-//!   Any core may take over from it by the same compare-and-swap, and is told so by
-//!   [`Acquired::Recovered`]. The token has 4 bits of the generation; the first attachment of an
-//!   incarnation marks a token of an earlier incarnation with equal bits as an orphan.
+//!   Any core may take over from it by the same compare-and-swap, and gets [`Acquired::Recovered`].
+//!   The token has 4 bits of the generation; the first attachment of an incarnation marks a token
+//!   of an earlier incarnation with equal bits as an orphan.
 //! - **Waiting** is test-and-test-and-set with bounded exponential back-off (T. E. Anderson, "The
 //!   performance of spin lock alternatives", 1990): waiting cores read, and give up after the given
 //!   number of polls.
@@ -26,9 +27,10 @@
 //!   [`PATIENCE`] polls of a free lock, a waiter takes it out of turn and clears the bit of the
 //!   absent one. The bound above holds for cores that poll at least once in that time.
 //!
-//! Limit: the turn has 23 bits. A core that is stopped between its look at the token and its
-//! compare-and-swap, for exactly a multiple of 2^23 turns of which the last is the same owner's,
-//! would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such a core.
+//! Limit: the turn has 23 bits. Suppose a core is stopped between its read of the token and its
+//! compare-and-swap, for exactly a multiple of 2^23 turns, and the last of them has the same owner.
+//! Then it would take a lock that is held. At 100 ns a turn that is 0.8 s; the watchdog resets such
+//! a core.
 
 use crate::incarnation::{Attached, CORES, Incarnation, Incarnations};
 use crate::shape::{FitError, LINE_WORDS, fit_exactly};
@@ -37,21 +39,21 @@ use crate::sync::{AtomicU32, Ordering, fence};
 /// Words of a lock.
 pub const WORDS: usize = LINE_WORDS;
 
-/// How many turns others take at most while a core waits and looks.
+/// How many turns others take at most while a core waits and polls.
 pub const MAX_WAITED_TURNS: u32 = CORES as u32 - 1;
 
-/// Looks at a free lock that is another's turn before a waiting core takes it nevertheless. With
-/// the back-off below some 2000 spins, tens of microseconds; longer than any core in step needs.
+/// Polls of a free lock that is another's turn before a waiting core takes it anyway. With the
+/// back-off below about 2000 spins, tens of microseconds; longer than any polling core needs.
 pub const PATIENCE: u32 = 32;
 
-/// The longest pause between two looks, in spins.
+/// The longest pause between two polls, in spins.
 const MAX_PAUSE: u32 = 64;
-/// How often an attachment tries to replace a token that its core's earlier incarnation left. Then
-/// the token has changed by others so often that it is no longer that one.
+/// How often an attachment tries to replace a token that its core's earlier incarnation left. After
+/// that many failures, others have changed the token so often that it cannot be the old one.
 const DISOWN_ATTEMPTS: u32 = 16;
 
 const TOKEN_AT: usize = 0;
-/// Incarnations of a core that have released words of their own.
+/// How many incarnations of a core have separate released words.
 const RELEASED_LIVES: usize = 4;
 const ATTACHED_AT: usize = 1 + CORES * RELEASED_LIVES;
 
@@ -64,7 +66,7 @@ const WAITING: u32 = 0b111 << WAITING_SHIFT;
 const TURN_SHIFT: u32 = 9;
 const ONE_TURN: u32 = 1 << TURN_SHIFT;
 
-/// Core and generation of a token whose owner is gone for good: no core.
+/// Core and generation of a token whose owner is dead: no core.
 const ORPHAN: u32 = GENERATION_MASK << GENERATION_SHIFT;
 
 const _: () = assert!(CORES == 3 && ATTACHED_AT + CORES == WORDS);
@@ -94,17 +96,18 @@ const fn released_at(core: usize, generation: u32) -> usize {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedOut;
 
-/// Why one look did not take the lock.
+/// Why one poll did not take the lock.
 enum Missed {
-    /// Another core holds it, or was quicker.
+    /// Another core holds it, or was faster.
     Held,
-    /// It is free, and in this turn another core's.
+    /// It is free, but in this turn reserved for another core.
     Passed { turn: u32 },
 }
 
 /// The lock as one incarnation of one core sees it. Several tasks of a core may each attach.
 ///
-/// For tasks; a handler uses [`Lock::try_lock`] only, or it waits for the task that it interrupts.
+/// For tasks; a handler uses only [`Lock::try_lock`], because waiting would wait for the task that
+/// it interrupts.
 #[derive(Debug)]
 pub struct Lock<'a> {
     words: &'a [AtomicU32; WORDS],
@@ -200,15 +203,16 @@ impl<'a> Lock<'a> {
     #[inline]
     fn take(&self, expected: u32, new: u32) -> bool {
         // Release pairs with the Acquire in `look`: a core that sees this token sees that its owner
-        // was announced and had attached. Not Acquire: what the last owner did was acquired by
-        // `is_released`, and since the token is the expected one, no other has had the lock since.
+        // was announced and had attached. Not Acquire: `is_released` acquired everything that the
+        // last owner did, and since the token is the expected one, no other core has had the lock
+        // since.
         self.token()
             .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
             .is_ok()
     }
 
-    /// Takes the lock if it is free and no waiting core comes before this one. Never blocks. `None`
-    /// if not.
+    /// Takes the lock if it is free and no waiting core is before this one; otherwise returns
+    /// `None`. Never blocks.
     #[inline]
     #[must_use]
     pub fn try_lock(&mut self) -> Option<Acquired<'_, 'a>> {
@@ -221,9 +225,9 @@ impl<'a> Lock<'a> {
         self.look(false).ok().map(|orphan| self.acquired(orphan, 0))
     }
 
-    /// Takes the lock, waiting for at most `looks` looks at it. `relax(n)` is called between two
-    /// looks to pass the time of n spins (1 ..= 64): [`spin`](crate::sync::spin) on a core of its
-    /// own, something that gives the CPU away on a shared one. Task context.
+    /// Takes the lock, with at most `looks` polls. `relax(n)` is called between two polls to pass
+    /// the time of n spins (1 ..= 64): use [`spin`](crate::sync::spin) on a core that runs nothing
+    /// else, and a function that yields the CPU on a shared one. Task context.
     ///
     /// # Errors
     /// [`TimedOut`] after `looks` polls.
@@ -253,8 +257,8 @@ impl<'a> Lock<'a> {
         }
     }
 
-    /// The quick way: if the token is still this end's own (or none was ever taken), the lock is
-    /// free.
+    /// The fast path: if the token is still this end's own (or the lock was never taken), the lock
+    /// is free.
     #[inline]
     fn retake(&mut self) -> bool {
         // Another task of this core may hold the lock by the same token, 2^23 turns later.
@@ -274,7 +278,8 @@ impl<'a> Lock<'a> {
         (token & !(ONE_TURN - 1)).wrapping_add(ONE_TURN) | self.identity
     }
 
-    /// Returns whether it took the lock from an orphan, and the turns of others that it waited.
+    /// Returns whether it took the lock from an orphan, and how many turns others took while it
+    /// waited.
     #[cold]
     fn wait(&mut self, looks: u32, mut relax: impl FnMut(u32)) -> Result<(bool, u32), TimedOut> {
         let own_bit = waiting_bit(self.core);
@@ -305,7 +310,7 @@ impl<'a> Lock<'a> {
         Err(TimedOut)
     }
 
-    /// Looks once and takes the lock if that is possible, with `impatient` also out of turn.
+    /// Polls once and takes the lock if that is possible, with `impatient` also out of turn.
     /// Returns whether it was an orphan's.
     fn look(&mut self, impatient: bool) -> Result<bool, Missed> {
         let token = self.token().load(Ordering::Relaxed);
@@ -321,8 +326,8 @@ impl<'a> Lock<'a> {
             {
                 return Err(Missed::Held);
             }
-            // The owner may have released and died after the first look at its released word. Its
-            // end was acquired, so this look sees that.
+            // The owner may have released and died after the first read of its released word. Its
+            // end was acquired, so this read sees the release.
             free = self.is_released(token);
         }
         let before = self.waiting_before(token);
@@ -347,7 +352,7 @@ impl<'a> Lock<'a> {
     fn is_released(&self, token: u32) -> bool {
         let core = core_of(token);
         if core == CORES {
-            // Never taken; anything else without a core is scribble, and an orphan.
+            // Never taken; any other token without a core is garbage, and treated as an orphan.
             return token & !WAITING == 0;
         }
         // Acquire pairs with the Release in `Guard::drop`.
@@ -378,8 +383,8 @@ impl<'a> Lock<'a> {
 pub enum Acquired<'l, 'a> {
     /// From an owner that had released it.
     Clean(Guard<'l, 'a>),
-    /// From an owner that died with it: what the lock guards may be half-changed. Repair it; should
-    /// this core die too, the next taker is told again.
+    /// From an owner that died with it: the data under the lock may be half-changed. Repair it; if
+    /// this core dies too, the next taker is told again.
     Recovered(Guard<'l, 'a>),
 }
 
@@ -416,7 +421,7 @@ impl<'a> Guard<'_, 'a> {
     }
 
     /// Keeps the lock beyond the borrow of this end: for a caller that cannot hold a guard, such as
-    /// C. Until the result is dropped this end gets the lock no second time.
+    /// C. Until the result is dropped, this end cannot take the lock again.
     #[inline]
     pub fn detach(self) -> Held<'a> {
         let guard = core::mem::ManuallyDrop::new(self);

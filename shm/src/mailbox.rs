@@ -1,35 +1,34 @@
 //! The sync mailbox: one core names tasks of another core by id; no signal is lost. T-SYNC-1..3
 //!
-//! One for each ordered pair of cores, so each word has one writer and no operation is a
+//! One mailbox for each ordered pair of cores, so each word has one writer and no operation is a
 //! read-modify-write. For each id (1 ..= 15; 0 is none) the sender counts the signals it has sent
-//! and the receiver those it has handled; the difference is what is open. One word, *posted*, tells
-//! the receiver that something is new and what it was: a number that rises with each signal, and
-//! the signal's id. If the number has risen by one, the receiver looks at that id, otherwise at all
-//! of them. The sender counts first and posts then: what the receiver does not see it finds with a
-//! later post.
+//! and the receiver those it has handled; the difference is the number of open signals. One word,
+//! *posted*, tells the receiver that a signal is new and for which id: it holds a number that rises
+//! with each signal, and the signal's id. If the number has risen by one, the receiver checks that
+//! id, otherwise all of them. The sender counts first and posts then: a signal that the receiver
+//! misses is found with a later post.
 //!
 //! A signal may carry a value of 32 bits, which lies beside its count: [`Sender::signal_with`]. The
 //! task gets the newest one. Count and value of the ids 1 ..= 7 lie in the same cache line as the
-//! posted word, so such a signal with its value is *one* line that moves from core to core, which
-//! is as little as the hardware can do.
+//! posted word, so for such a signal with its value only *one* line moves from core to core, the
+//! minimum on this hardware.
 //!
 //! Order: signals with the same id are handled together, with their number. Of different ids that
-//! are open at one look the lower is handled first: the id is a priority; the order of sending is
+//! are open at one poll the lower is handled first: the id is a priority; the order of sending is
 //! not kept.
 //!
-//! The doorbell need be rung only when the receiver may be asleep. Sender: post, fence, look at
-//! `asleep`. Receiver: set `asleep`, fence, look at what is posted. With sequentially consistent
-//! fences at least one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes",
-//! 1965, section 2.1). While the receiver is awake its flag does not change, so the sender's look
-//! stays in its own cache.
+//! The doorbell is rung only when the receiver may be asleep. Sender: post, fence, read `asleep`.
+//! Receiver: set `asleep`, fence, read what is posted. With sequentially consistent fences at least
+//! one of them sees the other (E. W. Dijkstra, "Cooperating sequential processes", 1965, section
+//! 2.1). While the receiver is awake its flag does not change, so the sender's read stays in its
+//! own cache.
 //!
-//! A successor of either end goes on with the counters: a signal that was sent and whose handler
-//! had not returned when the receiver died is handled by its successor, so handlers run at least
-//! once a signal.
+//! A successor of either end continues with the counters: a signal whose handler had not returned
+//! when the receiver died is handled by its successor, so handlers run at least once a signal.
 //!
 //! Limit: a sender keeps private copies of its counters and only stores. If an incarnation that was
-//! declared dead runs on and signals beside its successor, it stores an old count: a signal of the
-//! successor may wait for the next one to that task, or a handler is told a wrong count. A board
+//! declared dead still runs and signals beside its successor, it stores an old count: a signal of
+//! the successor may wait for the next one to that task, or a handler gets a wrong count. A board
 //! must end an incarnation before it starts the next; the host's supply kills it, a chip resets it.
 
 use crate::shape::{FitError, LINE_WORDS, fit_exactly};
@@ -73,7 +72,7 @@ const fn handled_at(id: usize) -> usize {
     HANDLED_AT + id % IDS
 }
 
-/// The posted word: the id in the low bits (0: look at all of them), above it the number.
+/// The posted word: the id in the low bits (0: check all of them), above it the number.
 const ID_MASK: u32 = 0xF;
 
 /// The posted word after this one, with the id 0.
@@ -94,7 +93,7 @@ const LOOKS_UNTIL_SURE: u32 = 1 << 16;
 #[cfg(loom)]
 const LOOKS_UNTIL_SURE: u32 = 1 << 31;
 
-/// The post numbers at which the receiver does so have none of these bits.
+/// Post numbers without these bits are those at which the receiver compares all counts.
 const POSTS_UNTIL_SURE: u32 = 0xFFFF << ID_MASK.count_ones();
 
 /// A task of the receiving core: 1 ..= 15. T-SYNC-1
@@ -102,7 +101,7 @@ const POSTS_UNTIL_SURE: u32 = 0xFFFF << ID_MASK.count_ones();
 pub struct TaskId(u8);
 
 impl TaskId {
-    /// Task 1, which comes before all others.
+    /// Task 1, which has priority over all others.
     pub const FIRST: Self = Self(1);
 
     /// The task with this number; `None` for 0 and above [`MAX_TASK`].
@@ -128,25 +127,25 @@ impl TaskId {
 pub enum Ring {
     /// The receiver may be asleep.
     Needed,
-    /// The receiver is awake and will look before it sleeps.
+    /// The receiver is awake and will poll before it sleeps.
     NotNeeded,
 }
 
-/// The sending end. There is one at a time; tasks and handlers that share it take turns, for
-/// example in a critical section of their kernel.
+/// The sending end. There is one at a time; tasks and handlers that share it must exclude each
+/// other, for example by a critical section of their kernel.
 #[derive(Debug)]
 pub struct Sender<'a> {
     words: &'a [AtomicU32; WORDS],
-    /// Copies of what this end alone writes. On Intel a core that reads its own words from a line
-    /// that the receiver has just taken waits for the line; a core that only stores does not.
+    /// Copies of the words that only this end writes. On Intel, a core that reads its own words
+    /// waits if the receiver has just taken the line; a core that only stores does not.
     posted: u32,
     sent: [u32; IDS],
 }
 
 impl<'a> Sender<'a> {
-    /// Attaches to the mailbox. What an earlier incarnation of the sending core had counted but not
-    /// yet posted is posted; ring the receiver's doorbell once afterwards, that incarnation may not
-    /// have come so far.
+    /// Attaches to the mailbox. Posts the signals that an earlier incarnation of the sending core
+    /// had counted but not posted. Ring the receiver's doorbell once afterwards: that incarnation
+    /// may have died before it did.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -165,19 +164,19 @@ impl<'a> Sender<'a> {
         Ok(sender)
     }
 
-    /// Signals a task of the receiving core (`task_sync`). What was written to the LMU before is
-    /// visible to the task. Never blocks; task or handler context.
+    /// Signals a task of the receiving core (`task_sync`). Earlier writes to the LMU are visible to
+    /// the task. Never blocks; task or handler context.
     #[inline]
     pub fn signal(&mut self, task: TaskId) -> Ring {
         self.count(task.index());
         self.look_for_sleeper()
     }
 
-    /// Signals a task and hands it a value. Of several values the task gets the newest. Never
+    /// Signals a task and passes it a value. Of several values the task gets the newest. Never
     /// blocks; task or handler context.
     #[inline]
     pub fn signal_with(&mut self, task: TaskId, value: u32) -> Ring {
-        // Before the count: who sees this count sees this value or a newer one.
+        // Before the count: a core that sees this count sees this value or a newer one.
         self.words[value_at(task.index())].store(value, Ordering::Relaxed);
         self.count(task.index());
         self.look_for_sleeper()
@@ -212,8 +211,8 @@ impl<'a> Sender<'a> {
         }
     }
 
-    /// How many signals to this task are not handled yet. At 0 its handler has returned, and what
-    /// it did to the LMU is visible.
+    /// How many signals to this task are not yet handled. At 0 its handler has returned, and its
+    /// writes to the LMU are visible.
     #[must_use]
     pub fn open(&self, task: TaskId) -> u32 {
         let sent = self.sent[task.index()];
@@ -222,7 +221,7 @@ impl<'a> Sender<'a> {
     }
 }
 
-/// What is open of one task.
+/// The open signals of one task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Signals {
     /// The task.
@@ -237,19 +236,19 @@ pub struct Signals {
 #[derive(Debug)]
 pub struct Receiver<'a> {
     words: &'a [AtomicU32; WORDS],
-    /// The posted word when it was last looked at.
+    /// The posted word at the last poll.
     posted: u32,
-    /// Looks that found nothing posted.
+    /// Polls that found nothing posted.
     in_vain: u32,
-    /// Tasks to look at whatever is posted.
+    /// Tasks to check, whatever is posted.
     look: u32,
     /// How many signals to each task were handled.
     handled: [u32; IDS],
 }
 
 impl<'a> Receiver<'a> {
-    /// Attaches to the mailbox (`init_sync_mailbox`). Signals that an earlier incarnation of the
-    /// receiving core left open come with the first [`Receiver::poll`].
+    /// Attaches to the mailbox (`init_sync_mailbox`). The first [`Receiver::poll`] returns the
+    /// signals that an earlier incarnation of the receiving core left open.
     ///
     /// # Errors
     /// [`FitError`] if the words are too few or not at a line boundary.
@@ -269,9 +268,9 @@ impl<'a> Receiver<'a> {
         })
     }
 
-    /// Hands the open signals of each task to `handle`, the lowest id first, and counts them as
-    /// handled when it returns. Returns how many signals there were (wrapping). Polls once and
-    /// is bounded: a signal that arrives during the call is left to the next one. Never blocks.
+    /// Passes the open signals of each task to `handle`, the lowest id first, and counts them as
+    /// handled when it returns. Returns how many signals there were (wrapping). Bounded: a signal
+    /// that arrives during the call is left to the next one. Never blocks.
     #[inline]
     pub fn poll(&mut self, mut handle: impl FnMut(Signals)) -> u32 {
         // Acquire pairs with the Release in `post`.
@@ -288,7 +287,7 @@ impl<'a> Receiver<'a> {
             let id = posted.wrapping_sub(next_post(self.posted));
             let is_sure = posted & POSTS_UNTIL_SURE != 0;
             if self.look == 0 && is_sure && matches!(id, 1..=ID_MASK) {
-                // Exactly one signal since the last look.
+                // Exactly one signal since the last poll.
                 let signals = self.handle_task(id as usize, &mut handle);
                 self.posted = posted;
                 return signals;
@@ -323,8 +322,8 @@ impl<'a> Receiver<'a> {
         count
     }
 
-    /// Says that this core is going to sleep: from now on signals want the doorbell. `false` if
-    /// signals are there already: do not sleep, poll. After the sleep call [`Receiver::awake`].
+    /// Announces that this core is going to sleep: from now on a signal needs the doorbell. `false`
+    /// if signals are already there: do not sleep, poll. After the sleep call [`Receiver::awake`].
     #[inline]
     #[must_use = "if signals are there, sleeping would miss them"]
     pub fn prepare_sleep(&mut self) -> bool {
@@ -333,7 +332,7 @@ impl<'a> Receiver<'a> {
         fence(Ordering::SeqCst);
         let posted = self.words[POSTED_AT].load(Ordering::Relaxed);
         if self.look == 0 && posted == self.posted {
-            // A sleep may last: compare all counts, as above. Disabled under loom as well.
+            // A sleep may be long: compare all counts, as above. Disabled under loom as well.
             if cfg!(loom) || !self.is_any_open() {
                 return true;
             }
@@ -348,19 +347,19 @@ impl<'a> Receiver<'a> {
         (1..IDS).any(|id| sent(id) != self.handled[id])
     }
 
-    /// Says that this core is awake: signals need no doorbell.
+    /// Announces that this core is awake: signals need no doorbell.
     #[inline]
     pub fn awake(&mut self) {
         self.words[ASLEEP_AT].store(0, Ordering::Relaxed);
     }
 }
 
-/// What a task is called with.
+/// The arguments of a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Call {
     /// The task.
     pub task: TaskId,
-    /// The argument that it was added with.
+    /// The argument given to [`TaskTable::add`].
     pub arg: u32,
     /// How many signals this call handles; at least 1.
     pub count: u32,
@@ -371,12 +370,12 @@ pub struct Call {
 /// A task: runs to completion in the receiver's context `C`.
 pub type Task<C> = fn(&mut C, Call);
 
-/// The id has a task already.
+/// The id already has a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Taken;
 
-/// The receiver's table of tasks. It holds function pointers, so it lives in private memory; only
-/// ids cross the LMU. T-SYNC-3
+/// The receiver's table of tasks. It holds function pointers, so it is in private memory; only ids
+/// cross the LMU. T-SYNC-3
 #[derive(Debug)]
 pub struct TaskTable<C> {
     tasks: [Option<(Task<C>, u32)>; IDS],
@@ -402,7 +401,7 @@ impl<C> TaskTable<C> {
     /// Gives the id a task and its argument, for example a handle of the pool (`sync_task_add`).
     ///
     /// # Errors
-    /// [`Taken`] if it has one.
+    /// [`Taken`] if the id has one.
     pub fn add(&mut self, id: TaskId, task: Task<C>, arg: u32) -> Result<(), Taken> {
         match &mut self.tasks[id.index()] {
             Some(_) => Err(Taken),
@@ -553,8 +552,8 @@ mod tests {
         assert_eq!(values(&mut successor, &[(15, Some(7))]), [(15, 1, 7)]);
     }
 
-    /// T-SYNC-3: a receiver that was stopped for exactly 2^28 signals finds the posted word as it
-    /// was.
+    /// T-SYNC-3: a receiver that was stopped for exactly 2^28 signals finds the posted word
+    /// unchanged.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_before_a_sleep_and_by_looking_on() {
@@ -582,7 +581,7 @@ mod tests {
         assert!((1..LOOKS_UNTIL_SURE).contains(&looks));
     }
 
-    /// T-SYNC-3: the same if from then on there is always exactly one signal between two looks.
+    /// T-SYNC-3: the same if after that there is always exactly one signal between two polls.
     #[cfg_attr(miri, ignore = "too long; one thread, no unsafe code")]
     #[test]
     fn signals_behind_an_unchanged_post_are_found_among_others() {
@@ -600,8 +599,8 @@ mod tests {
         assert!(found);
     }
 
-    /// T-SYNC-3: killed at any step, what `signal` has counted is handled when the successor is
-    /// there.
+    /// T-SYNC-3: the sender is killed at any step; its successor delivers every signal that it had
+    /// counted.
     #[test]
     fn a_sender_killed_at_every_step_loses_nothing_that_it_has_counted() {
         for at in 0.. {
@@ -621,7 +620,7 @@ mod tests {
         }
     }
 
-    /// T-SYNC-3: killed at any step, the receiver's successor handles what it left open.
+    /// T-SYNC-3: the receiver is killed at any step; its successor handles the open signals.
     #[test]
     fn a_receiver_killed_at_every_step_leaves_the_open_signals_to_its_successor() {
         for at in 0.. {

@@ -1,4 +1,4 @@
-//! The map of the LMU: a header that says what lies where, and the regions.
+//! The map of the LMU: a header that describes the layout, and the regions.
 //!
 //! Words 0 ..= 15: magic, version, layout hash, ready. Words 16 ..= 31: the [incarnation
 //! table](crate::incarnation). Then the regions in the order of the [`Layout`], each from a line
@@ -19,13 +19,13 @@ const HEADER_WORDS: usize = INCARNATIONS_AT + Incarnations::WORDS;
 
 /// "TLMU"
 const MAGIC: u32 = 0x544C_4D55;
-/// Goes up whenever a primitive's words change their meaning.
+/// Increased whenever the meaning of a primitive's words changes.
 const VERSION: u32 = 2;
-/// No value that zeroed or erased memory has.
+/// A value that zeroed or erased memory does not have.
 const READY: u32 = 0x5EAD_1E55;
 
-/// What lies in an LMU, in order: the same in every image of a system. A chain of
-/// [regions](crate::region) makes it in a constant; C makes it at run time.
+/// The regions of an LMU, in order: the same in every image of a system. In Rust a constant made by
+/// a chain of [regions](crate::region); C makes it at run time.
 #[derive(Clone, Copy, Debug)]
 pub struct Layout {
     words: usize,
@@ -39,8 +39,8 @@ impl Layout {
         hash: 0x811C_9DC5,
     };
 
-    /// This layout with one more region of `words` words, which begins where the layout ended.
-    /// FNV-1a over names and sizes: images with different layouts must not meet in one LMU.
+    /// This layout with one more region of `words` words, which begins where the layout ended. The
+    /// hash is FNV-1a over names and sizes: images with different layouts must not share an LMU.
     #[must_use]
     pub const fn with(self, name: &str, words: usize) -> Self {
         let mut hash = self.hash;
@@ -50,7 +50,7 @@ impl Layout {
             hash = fnv(hash, name[j]);
             j += 1;
         }
-        // 0xFF ends the name: it is no byte of UTF-8.
+        // 0xFF ends the name: UTF-8 never contains it.
         hash = fnv(hash, 0xFF);
         let size = (words as u32).to_le_bytes();
         let mut j = 0;
@@ -70,7 +70,7 @@ impl Layout {
         self.words
     }
 
-    /// Differs, most likely, between layouts with other names, sizes or order.
+    /// Very probably differs between layouts with other names, sizes or order.
     #[must_use]
     pub const fn hash(&self) -> u32 {
         self.hash
@@ -90,7 +90,7 @@ pub enum AttachError {
     Misaligned,
     /// Not formatted yet: try again later.
     NotReady,
-    /// It says that it is ready, but it is no LMU of this project.
+    /// The ready word is set, but this is not an LMU of this project.
     WrongMagic,
     /// It was formatted by another version of this crate.
     WrongVersion,
@@ -130,7 +130,7 @@ impl<'a> Map<'a> {
         words[MAGIC_AT].store(MAGIC, Ordering::Relaxed);
         words[VERSION_AT].store(VERSION, Ordering::Relaxed);
         words[LAYOUT_AT].store(layout.hash(), Ordering::Relaxed);
-        // Release pairs with the Acquire in `attach`: who sees ready sees all the rest.
+        // Release pairs with the Acquire in `attach`: a core that sees ready sees all the rest.
         words[READY_AT].store(READY, Ordering::Release);
         Ok(Self { words, layout })
     }
@@ -138,7 +138,7 @@ impl<'a> Map<'a> {
     /// Attaches to an LMU that was formatted with the same layout. Never blocks.
     ///
     /// # Errors
-    /// [`AttachError`]; only [`AttachError::NotReady`] can pass by itself.
+    /// [`AttachError`]; only [`AttachError::NotReady`] can end without a change of the images.
     pub fn attach(words: &'a [AtomicU32], layout: Layout) -> Result<Self, AttachError> {
         let words = fit(words, layout.total_words())?;
         // Acquire pairs with the Release in `format`.
@@ -162,7 +162,7 @@ impl<'a> Map<'a> {
     /// knows both.
     ///
     /// # Errors
-    /// [`FitError`] if the layout ends before.
+    /// [`FitError`] if the layout ends before this region does.
     pub fn words(&self, begin: usize, count: usize) -> Result<&'a [AtomicU32], FitError> {
         let words = &self.words[..self.layout.total_words()];
         let end = begin.saturating_add(whole_lines(count));
@@ -247,7 +247,7 @@ mod tests {
 
     #[test]
     fn killed_at_every_step_of_format_nobody_attaches_and_the_successor_formats() {
-        // Miri takes long for each step: it gets some of those that zero.
+        // Miri takes long for each step: it runs only some of those that zero the memory.
         for at in (0..).step_by(if cfg!(miri) { 17 } else { 1 }) {
             let words = zeroed(WORDS);
             for word in words {

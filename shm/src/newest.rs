@@ -1,11 +1,11 @@
 //! The newest-value channel: one writer, any number of readers, in place, never torn.
 //!
-//! A ring of stamped slots (the stamps are those of [`broadcast`](crate::broadcast)). The writer
-//! fills the slot after the newest one and then publishes it; it waits for nobody, its cost does
-//! not depend on readers, and readers write nothing, so a dead reader leaves no trace. A reader
-//! reads the newest slot in place and checks afterwards that it was not overwritten meanwhile: with
-//! n slots that takes n - 1 new values during one read. A writer that dies while it fills a slot
-//! leaves the newest value as it was; its successor goes on with the next number.
+//! A ring of stamped slots (with the stamps of [`broadcast`](crate::broadcast)). The writer fills
+//! the slot after the newest one and then publishes it. It never waits, and its cost does not
+//! depend on readers; readers write nothing, so a dead reader leaves no trace. A reader reads the
+//! newest slot in place and then checks that it was not overwritten during the read: with n slots
+//! that takes n - 1 new values. A writer that dies while it fills a slot leaves the newest value
+//! unchanged; its successor continues with the next number.
 
 use core::marker::PhantomData;
 
@@ -15,7 +15,7 @@ pub use crate::ring::{Loan, Stamp, Writer};
 use crate::shape::{FitError, Shape, whole_lines};
 use crate::sync::AtomicU32;
 
-/// How often [`Reader::read`] begins again when the writer overtakes it.
+/// How often [`Reader::read`] retries when the writer overtakes it.
 const ATTEMPTS: u32 = 4;
 
 /// Words of a channel of this shape. A small channel, as 4 slots of 2 words, is one cache line;
@@ -35,16 +35,16 @@ const fn stride(shape: Shape) -> usize {
     }
 }
 
-/// Why there was nothing to read.
+/// Why there was no value to read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReadError {
-    /// Nothing was ever published. (Also said, once in 2^32 values, of the very first value of the
-    /// next round while it is overwritten.)
+    /// No value was ever published. (Also returned, once in 2^32 values, while the very first value
+    /// of the next round is overwritten.)
     Empty,
-    /// The writer overtook the reader every time, or the channel's words were scribbled on: what
-    /// was read is void. The next read may succeed.
+    /// The writer overtook the reader every time, or the channel's words hold garbage: discard
+    /// everything that was read. The next read may succeed.
     Overrun,
-    /// The words hold no value of the payload's type.
+    /// The words are not a value of the payload's type.
     Corrupt,
 }
 
@@ -75,8 +75,8 @@ impl<'a, T> Reader<'a, T> {
         }
     }
 
-    /// The stamp of the newest value; `None` if there is none yet. For a look whether something is
-    /// new.
+    /// The stamp of the newest value; `None` if there is none yet. To check whether there is a new
+    /// value.
     #[inline]
     #[must_use]
     pub fn newest(&self) -> Option<Stamp> {
@@ -84,7 +84,7 @@ impl<'a, T> Reader<'a, T> {
         self.ring.is_complete(k).then_some(Stamp(k))
     }
 
-    /// The newest value, to be read in place; what is read counts only after [`View::finish`].
+    /// The newest value, to be read in place; the read is valid only after [`View::finish`].
     ///
     /// # Errors
     /// [`ReadError`]
@@ -101,9 +101,9 @@ impl<'a, T> Reader<'a, T> {
         }
     }
 
-    /// Reads the newest value in place by `f`. Its result is returned only if what it saw was one
-    /// whole value; `f` may run up to four times and, in a run that does not count, see parts of
-    /// different values. Bounded.
+    /// Reads the newest value in place by `f`. The result is returned only if `f` saw one whole
+    /// value. `f` may run up to four times and, in a discarded run, see parts of different values.
+    /// Bounded.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -133,7 +133,7 @@ impl<'a, T> Reader<'a, T> {
 }
 
 impl<T: Payload> Reader<'_, T> {
-    /// The newest value, also if it was read before. Never blocks.
+    /// The newest value, even if it was read before. Never blocks.
     ///
     /// # Errors
     /// [`ReadError`]
@@ -146,7 +146,7 @@ impl<T: Payload> Reader<'_, T> {
     /// The newest value, if there is one that was not fetched before. Never blocks.
     ///
     /// # Errors
-    /// [`Corrupt`] if the channel's words hold no such value.
+    /// [`Corrupt`] if the words are not a value of the type.
     #[inline]
     pub fn fetch(&mut self) -> Result<Option<T>, Corrupt> {
         if self.newest() == self.fetched {
@@ -171,7 +171,7 @@ pub struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    /// The words; parts of a newer value may appear in them until [`View::finish`] has said no.
+    /// The words. They may contain parts of a newer value; [`View::finish`] returns an error then.
     #[inline]
     #[must_use]
     pub fn words(&self) -> WordsRef<'a> {
@@ -181,7 +181,7 @@ impl<'a> View<'a> {
     /// Whether everything that was read through this view belonged to one value.
     ///
     /// # Errors
-    /// [`ReadError::Overrun`] if the writer overtook: forget what was read.
+    /// [`ReadError::Overrun`] if the writer overtook: discard everything that was read.
     #[inline]
     pub fn finish(self) -> Result<Stamp, ReadError> {
         if self.ring.is_intact(self.k) {
@@ -271,7 +271,7 @@ mod tests {
         }
     }
 
-    /// The writer runs to its end, whatever it overtakes, and a view says that it was overtaken.
+    /// The writer never waits for a view; an overtaken view returns an error.
     #[test]
     fn a_view_that_was_overtaken_is_void() {
         let (_, mut writer, reader) = channel();
@@ -313,7 +313,7 @@ mod tests {
         }
     }
 
-    /// A writer killed at any step leaves the old or the new value, and its successor goes on.
+    /// A writer killed at any step leaves the old or the new value, and its successor continues.
     #[test]
     fn a_writer_killed_at_every_step_leaves_a_whole_value_and_a_channel_that_goes_on() {
         for at in 0.. {

@@ -1,8 +1,8 @@
-//! What crosses the LMU: the words of a slot, to be worked on in place, and the codec of a payload.
+//! Payloads in the LMU: the words of a slot, for access in place, and the codec of a payload.
 
 use crate::sync::{AtomicU32, Ordering};
 
-/// A word has a value that its writer cannot have written: the whole value is refused.
+/// A word has a value that its writer cannot have written, so the whole value is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Corrupt;
 
@@ -14,8 +14,8 @@ pub trait Payload: Sized {
     /// Writes all words, in order, by `put`.
     fn store(&self, put: &mut impl FnMut(u32));
 
-    /// Reads the words, in order, by `take`. They are an allegation of another core: each value
-    /// that is not of the type is refused.
+    /// Reads the words, in order, by `take`. Another core wrote them and they may be garbage:
+    /// refuse each value that is not of the type.
     ///
     /// # Errors
     /// [`Corrupt`] if a word has an impossible value.
@@ -50,7 +50,7 @@ impl<const N: usize> Payload for [u32; N] {
     }
 }
 
-/// Words of a slot to read in place. What they hold may be an allegation of another core.
+/// Words of a slot to read in place. Another core wrote them; they may be garbage.
 #[derive(Clone, Copy, Debug)]
 pub struct WordsRef<'a>(&'a [AtomicU32]);
 
@@ -79,7 +79,7 @@ impl<'a> WordsRef<'a> {
     }
 
     /// The words themselves, for a caller that cannot keep a view, such as C. They stay mapped, but
-    /// what is in them is this value only as long as the view says so.
+    /// they are this value only while the view is valid.
     #[inline]
     #[must_use]
     pub const fn as_slice(&self) -> &'a [AtomicU32] {
@@ -101,8 +101,8 @@ impl<'a> WordsMut<'a> {
         self.0[index].store(value, Ordering::Relaxed);
     }
 
-    /// The words themselves, for a caller that cannot keep a view, such as C. They are the caller's
-    /// to write only until the value is sent.
+    /// The words themselves, for a caller that cannot keep a view, such as C. The caller may write
+    /// to them only until the value is sent.
     #[inline]
     #[must_use]
     pub const fn as_slice(&self) -> &'a [AtomicU32] {

@@ -14,19 +14,19 @@
 //! 2. the further blocks,
 //! 3. the head again, to clear the mark.
 //!
-//! If one of them fails, the core frees the head, and with it what it had taken, and begins again.
-//! Another core has been quicker then; so one of the cores always gets ahead, and a core that is
-//! pre-empted, frozen or dead keeps no other waiting.
+//! If one of them fails, the core frees the head, and with it all blocks of the run, and begins
+//! again. A failure means that another core was faster. So one core always makes progress, and a
+//! core that is pre-empted, frozen or dead delays no other.
 //!
-//! **Stragglers**: an incarnation that was declared dead and runs on takes nothing from the living.
-//! A block that it has seen free and that was borrowed since has another state; if it took blocks
-//! before, they became free by a change of its head, and step 3 fails.
+//! **Stragglers**: an incarnation that was declared dead and still runs takes nothing from the
+//! living. A block that it saw free and that was borrowed since has another state. Blocks that it
+//! took before became free by a change of its head, so step 3 fails.
 //!
-//! **Deaths**: what a dead incarnation owns is free. The next walk that needs it takes it, or
-//! [`Pool::reclaim_dead`]; the first attachment of an incarnation frees what earlier incarnations
-//! of its core own.
+//! **Deaths**: blocks of a dead incarnation are free. The next walk that needs them takes them, or
+//! [`Pool::reclaim_dead`] does; the first attachment of an incarnation frees the blocks of earlier
+//! incarnations of its core.
 //!
-//! First fit; neighbouring free blocks are one free space by themselves.
+//! First fit; neighbouring free blocks form one free space without further work.
 //!
 //! Limit: a stamp has 16 bits. A stale handle is accepted, or a straggler's compare-and-swap
 //! succeeds, if exactly a multiple of 2^16 allocations of the pool lie between and the block is in
@@ -39,22 +39,22 @@ use crate::sync::{AtomicU32, Ordering};
 /// Words of a block, the unit of allocation: a cache line.
 pub const BLOCK_WORDS: usize = LINE_WORDS;
 
-/// The largest number of blocks: they are counted in 9 bits. One less than the LMU of a TC297 has.
+/// The largest number of blocks, which are counted in 9 bits. One less than the LMU of a TC297 has.
 pub const MAX_BLOCKS: usize = 511;
 
-/// How often [`Pool::get`] begins again after another core took a block that it had found free, and
+/// How often [`Pool::get`] retries after another core took a block that it had found free, and
 /// [`Pool::attach`] after another incarnation attached.
 const ATTEMPTS: u32 = 4;
 
-/// How many allocations were begun.
+/// How many allocations were started.
 const ALLOCATIONS_AT: usize = 0;
 const ATTACHED_AT: usize = 1;
 const STATES_AT: usize = LINE_WORDS;
 
 // The state of a block, from the lowest bit: core + 1 of the owner (0: no head), a mark, generation
-// of the owner, number, stamp. Of a head the mark says that the run is being gathered, and the
-// number is its blocks. Otherwise the mark says that the block belongs to the run whose first block
-// is the number; without the mark the block is free.
+// of the owner, number, stamp. In a head the mark says that the run is being gathered, and the
+// number is its number of blocks. Otherwise the mark says that the block belongs to a run, and the
+// number is the first block of that run; without the mark the block is free.
 const CORE_MASK: u32 = 0x3;
 const MARK: u32 = 0x4;
 const GENERATION_SHIFT: u32 = 3;
@@ -111,8 +111,8 @@ const fn number_of(state: u32) -> usize {
     (state >> NUMBER_SHIFT & NUMBER_MASK) as usize
 }
 
-/// Names an allocation. It is plain data and may cross the LMU. Every use checks it, for it may be
-/// stale or forged.
+/// Names an allocation. It is plain data and may cross the LMU. Every use checks it, because it may
+/// be stale or forged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Handle {
     block: u16,
@@ -122,8 +122,7 @@ pub struct Handle {
 
 #[allow(clippy::len_without_is_empty, reason = "an allocation is never empty")]
 impl Handle {
-    /// How many words were asked for, 1 or more; of a handle that came from elsewhere an
-    /// allegation.
+    /// How many words were requested, 1 or more. Not trusted in a handle from another core.
     #[must_use]
     pub const fn len(self) -> usize {
         self.words as usize
@@ -138,7 +137,7 @@ impl Handle {
         ]
     }
 
-    /// The inverse of [`Handle::to_words`]. Checks nothing: that is done where the handle is used.
+    /// The inverse of [`Handle::to_words`]. Checks nothing: each use of the handle does.
     #[must_use]
     pub const fn from_words([place, stamp]: [u32; 2]) -> Self {
         Self {
@@ -149,32 +148,32 @@ impl Handle {
     }
 }
 
-/// Why [`Pool::get`] gave nothing.
+/// Why [`Pool::get`] failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GetError {
-    /// No free run of blocks is long enough, or zero words were asked for.
+    /// No free run of blocks is long enough, or zero words were requested.
     Full,
-    /// Other cores took what this one had found free, or hold blocks while they gather a run: try
-    /// again later.
+    /// Other cores took the blocks that this one had found free, or hold blocks while they gather a
+    /// run: try again later.
     Busy,
 }
 
-/// What is wrong with a handle. Of the length only the number of blocks is checked: the owner of a
+/// Why a handle is refused. Of the length only the number of blocks is checked: the owner of a
 /// block owns all of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandleError {
-    /// It names no allocation that this pool ever made: forged or scribbled on.
+    /// This pool never made such an allocation: the handle is forged or garbage.
     Invalid,
-    /// The words were given back, or reclaimed from a dead owner, since.
+    /// The words were already given back, or reclaimed from a dead owner.
     Stale,
     /// They belong to another core, or to an earlier incarnation of this one.
     NotOwner,
 }
 
-/// Why words could not be handed over; they stay where they are.
+/// Why words could not be handed over; their owner is unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HandOverError {
-    /// The handle is no good.
+    /// The handle is refused.
     Handle(HandleError),
     /// The other core is not alive.
     ReceiverDead,
@@ -197,8 +196,8 @@ pub struct Pool<'a> {
 }
 
 impl<'a> Pool<'a> {
-    /// Attaches to a pool of `blocks` blocks, and at the first attachment of an incarnation frees
-    /// what earlier incarnations of its core own. `incarnation` must have been
+    /// Attaches to a pool of `blocks` blocks. The first attachment of an incarnation frees the
+    /// blocks of earlier incarnations of its core. `incarnation` must have been
     /// [announced](Incarnations::announce). Never blocks.
     ///
     /// # Errors
@@ -227,12 +226,11 @@ impl<'a> Pool<'a> {
         Ok(pool)
     }
 
-    /// Frees what earlier incarnations of a core own, unless `incarnation` has attached already or
-    /// is not alive.
+    /// Frees the blocks of earlier incarnations of a core, unless `incarnation` has already
+    /// attached or is not alive.
     #[cold]
     fn disown_earlier_incarnations(&self, incarnation: Incarnation) {
-        // Another attempt only if another core, or an earlier incarnation, attached the core in
-        // between.
+        // Retries only if another core, or an earlier incarnation, attached the core in between.
         for _ in 0..ATTEMPTS {
             let Some(earlier) = self.attached.earlier(incarnation) else {
                 return;
@@ -254,8 +252,8 @@ impl<'a> Pool<'a> {
         }
     }
 
-    /// Borrows `n_words` words (`shdmem_get`). They hold what an earlier owner left. Never blocks;
-    /// any context. Bounded: at most four walks over the blocks.
+    /// Borrows `n_words` words (`shdmem_get`). They hold the values of an earlier owner. Never
+    /// blocks; any context. Bounded: at most four walks over the blocks.
     ///
     /// # Errors
     /// [`GetError`]
@@ -266,8 +264,8 @@ impl<'a> Pool<'a> {
         }
         for _ in 0..ATTEMPTS {
             let (first, state) = self.find_free(need)?;
-            // Relaxed: only the number matters. Each attempt has its own, so that nothing that a
-            // failed one left belongs to a later one.
+            // Relaxed: only the number matters. Each attempt has its own, so that leftovers of a
+            // failed attempt never belong to a later one.
             let stamp = self.allocations.fetch_add(1, Ordering::Relaxed) as u16;
             let stamp = stamp.wrapping_add(1);
             if self.gather(first, state, need, stamp) {
@@ -281,8 +279,8 @@ impl<'a> Pool<'a> {
         Err(GetError::Busy)
     }
 
-    /// The words of an allocation that this incarnation owns. The slice outlives the ownership, but
-    /// what is in it is one's own only until it is given back or handed over.
+    /// The words of an allocation that this incarnation owns. The slice outlives the ownership: its
+    /// content belongs to this incarnation only until it is given back or handed over.
     ///
     /// # Errors
     /// [`HandleError`]
@@ -295,14 +293,15 @@ impl<'a> Pool<'a> {
     /// Gives words back. T-SHM-2
     ///
     /// # Errors
-    /// [`HandleError`]; also when they were given back before.
+    /// [`HandleError`]; also when they were already given back.
     pub fn give_back(&self, handle: Handle) -> Result<(), HandleError> {
         let head = self.checked(handle)?;
         self.change(handle, head, free(handle.stamp))
     }
 
     /// Makes another core the owner. That core [opens](Pool::open) the words with the same handle
-    /// and sees what this core wrote. The caller sends the handle there. Any context. T-SHM-3
+    /// and sees everything that this core wrote. The caller sends the handle there. Any context.
+    /// T-SHM-3
     ///
     /// # Errors
     /// [`HandOverError`]
@@ -313,14 +312,14 @@ impl<'a> Pool<'a> {
         let head = self.checked(handle)?;
         let receiver = self.attached.incarnations().current(to);
         let receiver = receiver.ok_or(HandOverError::ReceiverDead)?;
-        // The receiver may not have attached yet; then this core does it in its place.
+        // The receiver may not have attached yet; then this core does it for the receiver.
         self.disown_earlier_incarnations(receiver);
         let new = owned(receiver, number_of(head), handle.stamp);
         Ok(self.change(handle, head, new)?)
     }
 
-    /// Frees everything that lives which are not alive own, and returns how many words that were.
-    /// [`Pool::get`] does the same where it needs the words. Any context; bounded.
+    /// Frees everything owned by incarnations that are not alive, and returns how many words that
+    /// were. [`Pool::get`] does the same where it needs the words. Any context; bounded.
     pub fn reclaim_dead(&self) -> usize {
         let mut reclaimed = 0;
         for block in 0..self.states.len() {
@@ -336,7 +335,8 @@ impl<'a> Pool<'a> {
         reclaimed * BLOCK_WORDS
     }
 
-    /// How many words are free, in whole blocks, as far as one look tells (`size_remain`).
+    /// How many words are free, in whole blocks, according to one pass over the blocks
+    /// (`size_remain`).
     #[must_use]
     pub fn free_words(&self) -> usize {
         let is_free = |block: usize| {
@@ -357,7 +357,8 @@ impl<'a> Pool<'a> {
         if handle.words == 0 || block + need > self.states.len() {
             return Err(HandleError::Invalid);
         }
-        // Acquire pairs with the Release in `replace`: what the last owner wrote is seen.
+        // Acquire pairs with the Release in `replace`: everything that the last owner wrote is
+        // visible.
         let head = self.states[block].load(Ordering::Acquire);
         if !is_head(head) || stamp_of(head) != handle.stamp {
             Err(HandleError::Stale)
@@ -382,16 +383,16 @@ impl<'a> Pool<'a> {
     /// Replaces the state of a block, if it is still the expected one.
     #[inline]
     fn replace(&self, block: usize, expected: u32, new: u32) -> bool {
-        // Release pairs with the Acquire of each load of a state: what this incarnation did to the
-        // words comes before what the next owner does, and a core that sees a run sees that its
+        // Release pairs with the Acquire of each load of a state: this incarnation's accesses to
+        // the words come before those of the next owner, and a core that sees a run sees that its
         // owner was announced and had attached.
         self.states[block]
             .compare_exchange(expected, new, Ordering::Release, Ordering::Relaxed)
             .is_ok()
     }
 
-    /// The first of `need` free blocks in a row, and its state, after taking from the dead what is
-    /// in the way.
+    /// The first of `need` free blocks in a row, and its state, after freeing blocks of dead owners
+    /// that are in the way.
     fn find_free(&self, need: usize) -> Result<(usize, u32), GetError> {
         let mut error = GetError::Full;
         let mut block = 0;
@@ -420,7 +421,7 @@ impl<'a> Pool<'a> {
     }
 
     /// Takes `need` blocks that were free, from `first` on, whose state was `state`. On `false` it
-    /// has taken none: another core was quicker, or this incarnation was declared dead.
+    /// has taken none: another core was faster, or this incarnation was declared dead.
     #[inline]
     fn gather(&self, first: usize, state: u32, need: usize, stamp: u16) -> bool {
         let head = owned(self.incarnation, need, stamp);
@@ -442,7 +443,7 @@ impl<'a> Pool<'a> {
         false
     }
 
-    /// Looks at one block, and frees the run in which it lies if its owner is dead.
+    /// Checks one block, and frees the run in which it lies if its owner is dead.
     #[inline]
     fn look(&self, block: usize) -> Look {
         // Acquire pairs with the Release in `replace`.
@@ -486,7 +487,8 @@ impl<'a> Pool<'a> {
             return None;
         }
         let first = number_of(state);
-        // Acquire pairs with the Release in `replace`: the last owner of the run has done with it.
+        // Acquire pairs with the Release in `replace`: the last owner of the run has finished with
+        // it.
         let head = self.states.get(first)?.load(Ordering::Acquire);
         let is_there = is_head(head)
             && stamp_of(head) == stamp_of(state)
@@ -495,7 +497,7 @@ impl<'a> Pool<'a> {
     }
 
     /// The block after the run that begins at `first`. While the run is being gathered, its further
-    /// blocks may be others', so it ends after its first block.
+    /// blocks may belong to others, so it ends after its first block.
     fn end_of(&self, first: usize, head: u32) -> usize {
         let blocks = if is_marked(head) { 1 } else { number_of(head) };
         first + blocks.clamp(1, self.states.len() - first)
@@ -508,7 +510,7 @@ impl<'a> Pool<'a> {
     }
 }
 
-/// What lies at a block.
+/// The state of a block in a walk.
 enum Look {
     /// It is free; this is its state.
     Free(u32),
@@ -517,7 +519,7 @@ enum Look {
         /// The block after the run; not below this block.
         end: usize,
     },
-    /// Another core is changing it at this moment.
+    /// Another core is just changing it.
     Moving,
 }
 

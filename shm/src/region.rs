@@ -1,13 +1,12 @@
-//! Typed regions: one `const` map says what lies where, and each region gives only its own ends.
+//! Typed regions: one `const` map of the LMU, and each region gives only its own ends.
 //!
-//! A [`Region`] knows its place and, by its type, its kind, shape and payload, so that a mailbox
-//! cannot be attached to a scene, nor one end be given another shape. The map is a chain of
+//! A [`Region`] knows its place and, by its type, its kind, shape and payload. So a mailbox cannot
+//! be attached to a scene, and all ends of a region have the same shape. The map is a chain of
 //! constants; its end is the [`Layout`] by which images recognise each other.
 //!
-//! An end that exists once (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a
-//! word of the region, which no other use has, names the incarnation that attached it. A second
-//! attachment is refused as long as that incarnation is alive; a successor of a dead incarnation
-//! may attach.
+//! A unique end (a sender, a receiver, a writer, a producer, a consumer) is *claimed*: a word of
+//! the region, which has no other use, names the incarnation that attached it. A second attachment
+//! is refused while that incarnation is alive; a successor of a dead incarnation may attach.
 //!
 //! ```
 //! use core::sync::atomic::AtomicU32;
@@ -54,7 +53,7 @@ use crate::shape::{FitError, Shape};
 use crate::sync::{AtomicU32, Ordering};
 use crate::{broadcast, fifo, mailbox, newest, ring};
 
-/// What can lie in a region.
+/// The kind of a region.
 pub trait Kind {
     /// How many words it takes.
     const WORDS: usize;
@@ -77,7 +76,7 @@ pub enum SharedPool<const BLOCKS: usize> {}
 pub enum Words<const COUNT: usize> {}
 
 /// A newest-value channel: see [`newest`]. With 4 slots a reader that has begun with the newest
-/// value has three further values' time to finish.
+/// value can finish while three further values are written.
 #[derive(Debug)]
 pub struct Newest<T, const SLOTS: usize = 4>(PhantomData<fn() -> T>);
 
@@ -129,7 +128,7 @@ impl<T: Payload, const SLOTS: usize> Kind for Broadcast<T, SLOTS> {
     const WORDS: usize = broadcast::words(Self::SHAPE);
 }
 
-/// One region of a map: a place in the LMU, and by its type what lies there.
+/// One region of a map: a place in the LMU, and its kind by its type.
 #[derive(Debug)]
 pub struct Region<K> {
     /// First word in the LMU.
@@ -150,7 +149,7 @@ impl<K> Copy for Region<K> {}
 /// Why an end of a region cannot be attached.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EndError {
-    /// This end exists once, and this incarnation, which is alive, has it.
+    /// This end is unique, and this incarnation, which is alive, has it.
     Claimed(Incarnation),
     /// The region is not of this map's layout.
     Fit(FitError),
@@ -163,7 +162,7 @@ impl From<FitError> for EndError {
 }
 
 impl<K: Kind> Region<K> {
-    /// The first region of a map. The name takes part in the layout's hash.
+    /// The first region of a map. The name is part of the layout's hash.
     #[must_use]
     pub const fn first(name: &'static str) -> Self {
         Self::after(Layout::EMPTY, name)
@@ -193,7 +192,7 @@ impl<K: Kind> Region<K> {
         map.words(self.begin, K::WORDS)
     }
 
-    /// The words, when the end whose claim stands in word `at` is claimed.
+    /// The words, after the end whose claim is in word `at` is claimed.
     fn claimed<'a>(
         &self,
         map: &Map<'a>,
@@ -206,7 +205,7 @@ impl<K: Kind> Region<K> {
     }
 }
 
-/// Claims the end whose claim stands in `word` for this incarnation.
+/// Claims the end whose claim is in `word` for this incarnation.
 fn claim(
     word: &AtomicU32,
     incarnation: Incarnation,
@@ -214,7 +213,7 @@ fn claim(
 ) -> Result<(), EndError> {
     // Core + 1 in the low bits: a zeroed region has no claims.
     let own = incarnation.generation() << 2 | (incarnation.core() as u32 + 1);
-    // A core that claims at the same time makes this one look again: they are three.
+    // A core that claims at the same time makes this one retry: there are three cores.
     for _ in 0..4 {
         // Acquire pairs with the Release below: the holder's announcement is seen with its claim.
         let seen = word.load(Ordering::Acquire);
@@ -222,7 +221,7 @@ fn claim(
         if let Some(holder) = holder.filter(|&holder| incarnations.is_alive(holder)) {
             return Err(EndError::Claimed(holder));
         }
-        // Not Acquire: what the last holder did to the region was seen with its end, by `is_alive`.
+        // Not Acquire: `is_alive` made everything that the last holder did to the region visible.
         let claimed = word.compare_exchange(seen, own, Ordering::Release, Ordering::Relaxed);
         if claimed.is_ok() {
             return Ok(());
@@ -284,7 +283,7 @@ impl Region<Mailbox> {
         Ok(mailbox::Sender::attach(words)?)
     }
 
-    /// The receiving end. It handles first what earlier incarnations left open.
+    /// The receiving end. It first handles the open signals of earlier incarnations.
     ///
     /// # Errors
     /// [`EndError`]
@@ -373,7 +372,7 @@ impl<T: Payload, const SLOTS: usize> Region<Broadcast<T, SLOTS>> {
         )?))
     }
 
-    /// A receiving end, for what is published from now on; there may be any number of them.
+    /// A receiving end, for values published from now on; there may be any number of them.
     ///
     /// # Errors
     /// [`FitError`] if the region is not of this map's layout.
@@ -444,12 +443,12 @@ mod tests {
         let handle = POOL.attach(&map, one).unwrap().get(48).unwrap();
         assert!(POOL.attach(&map, two).unwrap().open(handle).is_err());
         assert_eq!(GUARDED.attach(&map).unwrap().len(), 2);
-        // The claims, which lie beside the words of each end, still hold.
+        // The claims, which lie beside the words of each end, are still valid.
         assert!(SMALL.writer(&map, two).is_err() && NEWS.sender(&map, two).is_ok());
     }
 
-    /// An end that exists once is refused while its holder is alive, also to the holder itself, and
-    /// given to a successor.
+    /// A unique end is refused while its holder is alive, even to the holder itself, and given to a
+    /// successor.
     #[test]
     fn an_end_exists_once() {
         let map = map();
@@ -478,7 +477,7 @@ mod tests {
         }
     }
 
-    /// Claims take no part in what the ends say to each other.
+    /// Claims do not disturb the communication of the ends.
     #[test]
     fn claims_are_no_signals() {
         let map = map();

@@ -1,4 +1,4 @@
-//! A ring of stamped slots with one writer: what newest-value and broadcast channels stand on.
+//! A ring of stamped slots with one writer: the base of newest-value and broadcast channels.
 //!
 //! Value number k (from 0, wrapping) lies in slot k mod n. The slot's stamp is `k << 1` while the
 //! value is written and `k << 1 | 1` when it is complete; `head` counts the complete values. A
@@ -7,8 +7,8 @@
 //! 2012), fig. 6. In zeroed memory no stamp is one of a complete value.
 //!
 //! Limit: a reader that is stopped between its two checks for exactly a multiple of 2^31 values
-//! would not notice. At one value a microsecond that is 36 minutes; a core that stands still for
-//! that long has been reset by its watchdog.
+//! would not notice. At one value a microsecond that is 36 minutes; the watchdog resets a core that
+//! stands still for so long.
 
 use core::marker::PhantomData;
 
@@ -16,7 +16,7 @@ use crate::payload::{Payload, WordsMut, store};
 use crate::shape::{FitError, LINE_WORDS, Shape, fit};
 use crate::sync::{AtomicU32, Ordering, fence};
 
-/// The claim of the writing end: the last word of the head's line, which slots leave alone. A map
+/// The claim of the writing end: the last word of the head's line, which slots do not use. A map
 /// gives a region whole lines.
 pub(crate) const CLAIM_AT: usize = LINE_WORDS - 1;
 
@@ -35,7 +35,7 @@ impl<'a> Ring<'a> {
         Self::first_slot(shape, stride) + shape.slots() * stride
     }
 
-    /// Slots that fit stand in the line of the head: then a value is one line that moves.
+    /// Small slots share the line of the head, so that only one line moves for each value.
     const fn first_slot(shape: Shape, stride: usize) -> usize {
         if shape.slots() * stride < CLAIM_AT {
             1
@@ -66,7 +66,7 @@ impl<'a> Ring<'a> {
         self.shape.slots() as u32
     }
 
-    /// How many values are complete, as the writer has published it.
+    /// How many values are complete, as published by the writer.
     #[inline]
     pub(crate) fn head(&self) -> u32 {
         // Acquire pairs with the Release in `complete`.
@@ -100,8 +100,8 @@ impl<'a> Ring<'a> {
     #[inline]
     fn begin(&self, k: u32) {
         self.stamp(k).store(k << 1, Ordering::Relaxed);
-        // Release pairs with the Acquire fence in `is_intact`: who sees a word that is stored after
-        // this sees the stamp, too.
+        // Release pairs with the Acquire fence in `is_intact`: a core that sees a word stored after
+        // this also sees the stamp.
         fence(Ordering::Release);
     }
 
@@ -109,12 +109,13 @@ impl<'a> Ring<'a> {
     #[inline]
     fn complete(&self, k: u32) {
         self.stamp(k).store(complete(k), Ordering::Relaxed);
-        // Release pairs with the Acquire in `head`: who sees the head sees the stamp and the words.
+        // Release pairs with the Acquire in `head`: a core that sees the head sees the stamp and
+        // the words.
         self.head.store(k.wrapping_add(1), Ordering::Release);
     }
 
-    /// Reader: what `f` reads of the first `count` words of value k, which is below a head that it
-    /// has seen. `None` if it is not, or no longer, in its slot.
+    /// Reader: the result of `f` for the first `count` words of value k, which is below a head that
+    /// the reader has seen. `None` if the value is not, or no longer, in its slot.
     #[inline]
     pub(crate) fn read<R>(
         &self,
@@ -131,15 +132,15 @@ impl<'a> Ring<'a> {
         self.is_intact(k).then_some(value)
     }
 
-    /// Reader, before it reads: whether value k, which is below a head that it has seen, lies in
-    /// its slot.
+    /// Reader, before the read: whether value k, which is below a head that the reader has seen, is
+    /// in its slot.
     #[inline]
     pub(crate) fn is_complete(&self, k: u32) -> bool {
         // Relaxed: the head was acquired, so the words are those of value k or later ones.
         self.stamp(k).load(Ordering::Relaxed) == complete(k)
     }
 
-    /// Reader, after it has read: whether all that it read was value k.
+    /// Reader, after the read: whether all that was read belongs to value k.
     #[inline]
     pub(crate) fn is_intact(&self, k: u32) -> bool {
         // Acquire pairs with the Release fence in `begin`.
@@ -154,7 +155,7 @@ const fn complete(k: u32) -> u32 {
     k << 1 | 1
 }
 
-/// Which value it was: the writer counts them, wrapping around, over all its incarnations.
+/// The number of a value: the writer counts them, wrapping around, over all its incarnations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stamp(pub u32);
 
@@ -166,7 +167,7 @@ impl Stamp {
     }
 }
 
-/// The writing end. It exists once.
+/// The writing end. It is unique.
 #[derive(Debug)]
 pub struct Writer<'a, T = ()> {
     ring: Ring<'a>,
@@ -176,7 +177,7 @@ pub struct Writer<'a, T = ()> {
 
 impl<'a, T> Writer<'a, T> {
     /// Continues after the values of earlier incarnations. An earlier one may have begun or even
-    /// completed the next value; no reader has seen it as long as the head does not count it.
+    /// completed the next value; no reader has seen that value, because the head does not count it.
     pub(crate) fn attach(ring: Ring<'a>) -> Self {
         Self {
             ring,

@@ -1,7 +1,7 @@
 //! Unit tests only: three cores in random schedules, by shuttle, where loom's search is too large.
 //!
 //! shuttle switches between cores before each access to shared memory. Each access takes effect at
-//! once (sequential consistency): memory orderings are loom's business.
+//! once (sequential consistency): loom checks the memory orderings.
 #![allow(clippy::unwrap_used, reason = "test code")]
 
 use crate::fault::{freeze_at, kill_at, switch_cores, zeroed};
@@ -50,8 +50,8 @@ fn announce(
 
 const OBJECT_AT: usize = Incarnations::WORDS;
 
-/// T-LOCK-1, T-LOCK-3: cores die at any access and come back while others use the lock. One at a
-/// time is inside, and a taker is told of a death exactly when one died inside.
+/// T-LOCK-1, T-LOCK-3: cores die at any access and restart while others use the lock. One at a time
+/// is inside, and a taker is told of a death exactly when a core died inside.
 #[test]
 fn the_lock_in_random_schedules_with_deaths() {
     const INSIDE_AT: usize = OBJECT_AT + lock::WORDS;
@@ -82,7 +82,7 @@ fn the_lock_in_random_schedules_with_deaths() {
     in_random_schedules(INSIDE_AT + 1, core);
 }
 
-/// T-SHM-1, T-SHM-2: cores borrow runs of several blocks, die at any access or run on after they
+/// T-SHM-1, T-SHM-2: cores borrow runs of several blocks, die at any access or still run after they
 /// were declared dead. No block is lent to two living owners, and everything comes back.
 #[test]
 fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
@@ -104,7 +104,7 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
         }
         let _ = pool.give_back(handle);
     }
-    /// As `borrow`, without writing: what a straggler wrote would be its own fault.
+    /// As `borrow`, without writing: a straggler's writes would be its own fault.
     fn straggle(pool: &Pool<'static>) {
         if let Ok(handle) = pool.get((1 + below(3) as usize) * BLOCK_WORDS) {
             let _ = pool.give_back(handle);
@@ -136,8 +136,8 @@ fn the_pool_in_random_schedules_with_deaths_and_stragglers() {
     in_random_schedules(OBJECT_AT + pool::words(BLOCKS) + 1, core);
 }
 
-/// T-SYNC-3: a sender that dies at any access and comes back, and a receiver that does so too. Each
-/// signal that was sent is handled at least once.
+/// T-SYNC-3: sender and receiver die at any access and restart. Each sent signal is handled at
+/// least once.
 #[test]
 fn the_mailbox_in_random_schedules_with_deaths() {
     const SENT_AT: usize = mailbox::WORDS;

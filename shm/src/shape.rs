@@ -11,19 +11,19 @@ pub(crate) const fn whole_lines(words: usize) -> usize {
     words.div_ceil(LINE_WORDS) * LINE_WORDS
 }
 
-/// Why a primitive cannot live in the words that it was given. The caller's layout is wrong.
+/// Why a primitive does not fit the given words. The caller's layout is wrong.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FitError {
-    /// Fewer words than the primitive's `words(...)` says.
+    /// Fewer words than the primitive's `words(...)` returns.
     TooSmall,
-    /// The first word does not begin a cache line of 64 bytes.
+    /// The first word is not at a cache line of 64 bytes.
     Misaligned,
 }
 
-/// The first `needed` words, if they are there and begin a cache line.
+/// The first `needed` words, if there are enough and they start at a cache line.
 #[inline]
 pub(crate) fn fit(words: &[AtomicU32], needed: usize) -> Result<&[AtomicU32], FitError> {
-    // loom's atomics are larger than a word, lines have no meaning for them.
+    // loom's atomics are larger than a word, so lines have no meaning for them.
     if cfg!(not(loom)) && !words.as_ptr().addr().is_multiple_of(4 * LINE_WORDS) {
         return Err(FitError::Misaligned);
     }
@@ -37,8 +37,8 @@ pub(crate) fn fit_exactly<const WORDS: usize>(
     fit(words, WORDS)?.first_chunk().ok_or(FitError::TooSmall)
 }
 
-/// How many slots a channel has and how many words each carries. All ends of a channel must be
-/// given the same shape; it is part of the build, not of the shared memory.
+/// How many slots a channel has and how many words each carries. All ends of a channel must get the
+/// same shape; it is part of the build, not of the shared memory.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     slots: usize,

@@ -20,7 +20,7 @@ pub fn spin(rounds: u32) {
         #[cfg(not(loom))]
         core::hint::spin_loop();
     }
-    // One yield says all there is to say to loom.
+    // For loom one yield is enough.
     #[cfg(loom)]
     loom::thread::yield_now();
 }

@@ -1,49 +1,49 @@
 //! The waiting policy: spin, spin and then sleep, or sleep.
 //!
-//! With a CPU of its own a core waits at the cost of a cache line when it spins; on a shared CPU it
-//! must sleep, or it keeps the one that it waits for from running. The policy decides when to look
-//! and when to sleep; what to look for and how to sleep is the caller's, as an [`Event`].
+//! A core with its own CPU spins and waits only for a cache line. On a shared CPU it must sleep, so
+//! that the core that it waits for can run. The policy decides when to poll and when to sleep; the
+//! caller's [`Event`] defines what to poll and how to sleep.
 
 use crate::sync::spin;
 
-/// What a core waits for, and how it sleeps.
+/// The event that a core waits for, and its way to sleep.
 pub trait Event {
-    /// What has come.
+    /// The result of the wait.
     type Output;
 
-    /// Looks once, without blocking. A caller with a deadline returns here that it has passed: this
-    /// is what ends the waiting.
+    /// Polls once, without blocking. A caller with a deadline also returns here when the deadline
+    /// has passed: this ends the wait.
     fn check(&mut self) -> Option<Self::Output>;
 
-    /// Tells those who may wake this core that it is going to sleep (see
+    /// Announces to the cores that may wake this one that it is going to sleep (see
     /// [`Receiver::prepare_sleep`](crate::mailbox::Receiver::prepare_sleep)). `false` if something
-    /// came meanwhile; then all that was told is taken back.
+    /// has just arrived; then the announcement is undone.
     fn prepare_sleep(&mut self) -> bool;
 
-    /// Sleeps until someone wakes this core or the deadline has passed; may end early.
+    /// Sleeps until another core wakes this one or the deadline has passed; may end early.
     fn sleep(&mut self);
 
-    /// Tells them that it is awake.
+    /// Announces that this core is awake.
     fn awake(&mut self);
 }
 
 /// How to wait.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum WaitPolicy {
-    /// Look again and again; never sleep. Only for a core with a CPU of its own.
+    /// Poll continuously; never sleep. Only for a core with its own CPU.
     Spin,
-    /// Look so many times, then sleep.
+    /// Poll a number of times, then sleep.
     SpinThenSleep {
-        /// Looks before each sleep.
+        /// Polls before each sleep.
         spins: u32,
     },
-    /// Sleep whenever nothing is there.
+    /// Sleep after each poll that finds nothing.
     #[default]
     Sleep,
 }
 
 impl WaitPolicy {
-    /// Waits until [`Event::check`] has something. Task context; blocks.
+    /// Waits until [`Event::check`] returns something. Task context; blocks.
     #[inline]
     pub fn wait<E: Event>(self, event: &mut E) -> E::Output {
         loop {
@@ -75,7 +75,7 @@ impl WaitPolicy {
 mod tests {
     use super::*;
 
-    /// Has something at the look number `after`; the sleep brings it at once.
+    /// `check` succeeds at poll number `after`; a sleep makes it succeed at once.
     struct Script {
         after: u32,
         looks: u32,
@@ -94,7 +94,7 @@ mod tests {
         }
 
         fn prepare_sleep(&mut self) -> bool {
-            // The first time something comes in between.
+            // At the first attempt something arrives in between.
             let first = !core::mem::replace(&mut self.refused, true);
             self.told = !first;
             !first
@@ -123,7 +123,7 @@ mod tests {
     #[test]
     fn each_policy_looks_and_sleeps_as_it_says() {
         assert_eq!(wait(WaitPolicy::Spin, 1000), 0);
-        // The first look, then a refused sleep, then a sleep before each look.
+        // The first poll, then a refused sleep, then a sleep before each poll.
         assert_eq!(wait(WaitPolicy::Sleep, 0), 0);
         assert_eq!(wait(WaitPolicy::Sleep, 1), 0);
         assert_eq!(wait(WaitPolicy::Sleep, 5), 4);

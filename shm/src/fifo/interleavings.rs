@@ -1,4 +1,4 @@
-//! Random interleavings: either end is killed or frozen at any access, or words are scribbled on.
+//! Random interleavings: either end is killed or frozen at any access, or words are overwritten.
 
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
@@ -6,7 +6,7 @@ use std::cell::{Cell, RefCell};
 use std::rc::Rc;
 use std::vec::Vec;
 
-/// A small generator of random numbers that are the same in every run.
+/// A small pseudo-random generator with the same numbers in every run.
 struct Random(Cell<u64>);
 
 impl Random {
@@ -24,27 +24,27 @@ impl Random {
         (x >> 20) as u32 % limit
     }
 
-    /// An access to be killed or frozen at. Most operations have fewer: then they end before.
+    /// The access at which to kill or freeze. Most operations have fewer accesses: they end before.
     fn access(&self) -> usize {
         self.below(14) as usize
     }
 }
 
-/// In whose time an end acts.
+/// When an end acts.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Time {
-    /// In its own.
+    /// In its own turn.
     Own,
     /// While the other end is frozen or dead.
     Others,
 }
 
-/// A value that shows if it is torn.
+/// A value in which tearing is visible.
 const fn whole(first: u32) -> [u32; 2] {
     [first, !first]
 }
 
-/// A queue with both ends, and the values that must come out of it. Numbers count from `base`.
+/// A queue with both ends, and the values that it must deliver. Numbers count from `base`.
 struct Play {
     words: &'static [AtomicU32],
     shape: Shape,
@@ -55,7 +55,7 @@ struct Play {
     consumer: Cell<Option<Consumer<'static, [u32; 2]>>>,
     /// The first words of the values sent, and of the one that is being sent.
     values: RefCell<Vec<u32>>,
-    /// The number of the value that comes next.
+    /// The number of the next value.
     next: Cell<u32>,
     /// How many values were received at least once.
     received: Cell<u32>,
@@ -67,7 +67,7 @@ struct Play {
 }
 
 impl Play {
-    /// A queue in which `base` values, wrapping, have passed.
+    /// A queue through which `base` values, wrapping, have passed.
     fn new(slots: usize, base: u32, seed: u64) -> Rc<Self> {
         let shape = Shape::new(slots, 2);
         let words = zeroed(words(shape));
@@ -98,7 +98,7 @@ impl Play {
         k.wrapping_sub(self.base)
     }
 
-    /// What a frozen end misses: the other one acts fewer than `limit` times.
+    /// The actions during a freeze: the other end acts fewer than `limit` times.
     fn others(self: &Rc<Self>, limit: u32, act: fn(&Rc<Self>, Time)) -> impl FnOnce() + 'static {
         let play = Rc::clone(self);
         move || (0..play.random.below(limit)).for_each(|_| act(&play, Time::Others))
@@ -183,7 +183,7 @@ impl Play {
         self.consumer.set(Some(consumer));
     }
 
-    /// The successor of a killed consumer goes back by what was not yet published as released.
+    /// The successor of a killed consumer goes back to the last value published as released.
     fn next_consumer(self: &Rc<Self>, time: Time) -> Consumer<'static, [u32; 2]> {
         if time == Time::Own {
             self.others(4, Self::produce)();
@@ -197,7 +197,7 @@ impl Play {
         consumer
     }
 
-    /// If a value came, it is the next one, and whole.
+    /// A received value must be the next one, and whole.
     fn check(&self, value: Option<[u32; 2]>) {
         let Some(value) = value else {
             return;
@@ -209,7 +209,7 @@ impl Play {
         self.received.set(self.received.get().max(next + 1));
     }
 
-    /// In the end all that was sent has come, and every slot is free.
+    /// In the end all sent values were received, and every slot is free.
     fn finish(&self) {
         let mut consumer = self.consumer.take().unwrap();
         let mut producer = self.producer.take().unwrap();
@@ -224,9 +224,9 @@ impl Play {
     }
 }
 
-/// Whichever end is killed or frozen at any access while the other goes on, across the wrap of the
-/// numbers too: every value that was sent comes whole and in order, none is left out, and only what
-/// a killed consumer had not published as released comes again.
+/// Either end is killed or frozen at any access while the other continues, also across the wrap of
+/// the numbers: every sent value is received whole and in order, none is left out, and only values
+/// that a killed consumer had not published as released are repeated.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]
 fn values_come_in_order_whatever_end_is_killed_or_frozen() {
@@ -258,13 +258,13 @@ fn values_come_in_order_whatever_end_is_killed_or_frozen() {
     assert!(received > 0 && repeated > 0 && killed > 0);
 }
 
-/// Receives at most so many values.
+/// Receives at most `most` values.
 fn receive(consumer: &mut Consumer<'_, u32>, most: u32) -> Vec<u32> {
     let next = |_| consumer.receive().unwrap();
     (0..most).map_while(next).collect()
 }
 
-/// Scribbles on a word of a queue of `n` slots of one word. Often it is an index or a stamp up to
+/// Overwrites a word of a queue of `n` slots of one word. Often with an index or a stamp up to
 /// three turns from `tail`, or half of all numbers away.
 fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     let near = tail.wrapping_add(random.below(6 * n)).wrapping_sub(3 * n);
@@ -281,9 +281,9 @@ fn scribble(words: &[AtomicU32], n: u32, tail: u32, random: &Random) {
     words[at].store(scribble, Ordering::Relaxed);
 }
 
-/// Whatever up to six words are scribbled to, and whichever end attaches again: never more values
-/// than slots without a send, and in the end the queue takes as many values as it has slots, and
-/// they come in order.
+/// After garbage in up to six words, and whichever end attaches again: never more values than slots
+/// without a send, and in the end the queue takes as many values as it has slots and delivers them
+/// in order.
 #[test]
 #[cfg_attr(miri, ignore = "one thread, no unsafe code: Miri would only take long")]
 fn random_scribbles_heal() {
@@ -310,7 +310,7 @@ fn random_scribbles_heal() {
         if random.below(2) == 0 {
             consumer = Consumer::attach(words, shape).unwrap();
         }
-        // The consumer keeps pace, looks more often, or takes one value for each that is sent.
+        // The consumer keeps pace, polls more often, or takes one value for each one sent.
         let (every, most) = [(1, n + 1), (3, n + 1), (1, 1)][random.below(3) as usize];
         for k in 0..8 * LOOKS_PER_DOUBT * n {
             if k % every == 0 {

@@ -1,4 +1,4 @@
-//! The lock against deaths and freezes at every access, stragglers and scribble.
+//! The lock against deaths and freezes at every access, stragglers and garbage.
 
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
@@ -83,8 +83,8 @@ fn two_ends_of_one_incarnation_exclude_each_other() {
     assert!(one.try_lock().is_some());
 }
 
-/// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so; whoever
-/// takes it from one that died in the middle of the repair is told again.
+/// T-LOCK-3: a lock whose owner died is recovered by the next taker, who is told so. If that taker
+/// dies in the middle of the repair, the next one is told again.
 #[test]
 fn a_dead_owner_is_replaced_and_the_taker_is_told() {
     let bench = Bench::new();
@@ -137,7 +137,7 @@ fn a_incarnation_that_attaches_late_opens_no_lock() {
     }
 }
 
-/// A waiting core that was killed and whose successor has not attached keeps nothing waiting.
+/// The bit of a killed waiter whose successor has not attached delays no other core.
 #[test]
 fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
     let bench = Bench::new();
@@ -152,8 +152,8 @@ fn the_bit_of_a_dead_waiter_does_not_count_as_its_successors() {
     assert!(three.try_lock().is_some(), "its successor does not");
 }
 
-/// An owner that releases and then dies, while another core is frozen at any step of its own
-/// attempt: the taker is told of no death.
+/// An owner releases and then dies, while another core is frozen at any step of its own attempt:
+/// the taker is not told of a death.
 #[test]
 fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() {
     for at in 0.. {
@@ -177,8 +177,8 @@ fn a_release_before_the_death_is_no_recovery_for_a_taker_frozen_at_every_step() 
     }
 }
 
-/// T-LOCK-3: generations that are equal in the bits that a token has do not make the dead
-/// alive, whether the incarnations between them attach to the lock or not.
+/// T-LOCK-3: generations that are equal in the token's bits do not make a dead owner alive, whether
+/// or not the incarnations between them attach to the lock.
 #[test]
 fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
     for incarnations in [1, 3, 4, 15, 16, 17, 32, 64] {
@@ -230,7 +230,7 @@ fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
     }
 }
 
-/// A waiting core killed at any step keeps nobody from the lock.
+/// A waiting core killed at any step keeps no other core from the lock.
 #[test]
 fn a_waiter_killed_at_every_step_keeps_nobody_out() {
     for at in 0.. {
@@ -239,7 +239,7 @@ fn a_waiter_killed_at_every_step_keeps_nobody_out() {
         let guard = a.try_lock().unwrap();
         let done = kill_at(at, || assert_eq!(b.lock(3, |_| ()).unwrap_err(), TimedOut));
         drop(guard);
-        // Before anyone knows of the death: patience.
+        // Before the death is known: patience.
         assert!(c.lock(PATIENCE + 1, |_| ()).is_ok(), "killed at {at}");
         assert!(a.try_lock().is_some());
         assert!(c.try_lock().is_some(), "its bit is struck");
@@ -263,7 +263,7 @@ fn a_waiter_killed_at_every_step_keeps_nobody_out() {
 }
 
 /// A straggler: frozen at any step of its critical section, declared dead, replaced in all its
-/// words by a busy lock, thawed. It releases nothing that another holds.
+/// words by a busy lock, thawed. It cannot release another's lock.
 #[test]
 fn a_straggler_releases_nobody_elses_lock() {
     for incarnations in 1..RELEASED_LIVES as u32 {
@@ -301,8 +301,7 @@ fn a_straggler_releases_nobody_elses_lock() {
     }
 }
 
-/// T-LOCK-3: starvation is bounded. The lock goes round; a waiting core is passed twice at
-/// most.
+/// T-LOCK-3: starvation is bounded. The lock rotates; a waiting core is passed at most twice.
 #[test]
 fn the_lock_goes_round_among_waiting_cores() {
     let bench = Bench::new();
@@ -322,7 +321,7 @@ fn the_lock_goes_round_among_waiting_cores() {
     assert!(cores[1].try_lock().is_some(), "nobody waits any more");
 }
 
-/// T-LOCK-3: waiting is bounded, backs off, and reads.
+/// T-LOCK-3: waiting is bounded, backs off, and only reads.
 #[test]
 fn waiting_backs_off_and_ends() {
     let bench = Bench::new();
@@ -340,14 +339,14 @@ fn waiting_backs_off_and_ends() {
     drop(guard);
 }
 
-/// The number of turns wraps around; a core that comes back exactly then does not hold a lock
-/// that its last release has released already.
+/// The number of turns wraps around; a core whose turn returns to the same number does not hold a
+/// lock that its last release has already released.
 #[test]
 fn turns_wrap_around() {
     let bench = Bench::new();
     let [mut a, mut b] = [0, 1].map(|core| bench.start(core, 1));
     drop(b.try_lock());
-    // All turns of a round but one later.
+    // One turn less than a full round later.
     let before = (b.mine & !(ONE_TURN - 1)).wrapping_sub(ONE_TURN) | a.identity;
     bench.token().store(before, Ordering::Relaxed);
     a.own_released.store(before, Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! The pool against its model, against deaths and freezes at every access, and against scribble.
+//! The pool against its model, against deaths and freezes at every access, and against garbage.
 
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
@@ -34,7 +34,7 @@ impl Bench {
     }
 }
 
-/// T-SHM-1: what does not fit is refused; what fits is as long as was asked for.
+/// T-SHM-1: a request that does not fit is refused; a granted one has the requested length.
 #[test]
 fn words_are_given_until_they_are_gone() {
     let pool = Bench::new().start(0, 1);
@@ -86,7 +86,7 @@ fn stale_and_forged_handles_are_errors() {
     assert!(pool.open(again).is_ok());
 }
 
-/// T-SHM-3: the receiver opens with the same handle what the owner has handed over.
+/// T-SHM-3: the receiver opens the handed-over words with the same handle.
 #[test]
 fn ownership_is_handed_over() {
     let bench = Bench::new();
@@ -101,7 +101,7 @@ fn ownership_is_handed_over() {
     assert_eq!(pool.free_words(), BLOCKS * BLOCK_WORDS);
 }
 
-/// T-SHM-2: what a dead core owned comes back, and nothing else.
+/// T-SHM-2: the words of a dead core come back, and no others.
 #[test]
 fn the_words_of_the_dead_are_reclaimed() {
     let bench = Bench::new();
@@ -120,7 +120,7 @@ fn the_words_of_the_dead_are_reclaimed() {
     let successor = bench.start(0, 2);
     assert_eq!(successor.open(old).unwrap_err(), HandleError::Stale);
     assert!(other.open(kept).is_ok() && other.open(handed).is_ok());
-    // And without an explicit call, where the words are needed.
+    // Also without an explicit call, where the words are needed.
     let _ = bench.start(2, 1).get(48).unwrap();
     assert!(
         bench
@@ -130,8 +130,7 @@ fn the_words_of_the_dead_are_reclaimed() {
     assert!(other.get(48).is_ok());
 }
 
-/// Killed at any step of get, hand over and give back: nothing stays lost, nothing is given
-/// twice.
+/// Killed at any step of get, hand over and give back: no word stays lost, and none is given twice.
 #[test]
 fn killed_at_every_step_everything_comes_back() {
     for at in steps() {
@@ -150,7 +149,7 @@ fn killed_at_every_step_everything_comes_back() {
                 .mark_dead(Incarnation::new(0, 1).unwrap())
         );
         other.reclaim_dead();
-        // What is still owned was handed over to the living.
+        // Words still owned were handed over to the living.
         let lost = (BLOCKS - 1) * BLOCK_WORDS - other.free_words();
         assert!(
             lost == 0 || lost == 3 * BLOCK_WORDS,
@@ -196,7 +195,7 @@ fn a_straggler_takes_nothing_from_the_living() {
     }
 }
 
-/// The same with runs of several blocks, around which the living borrow.
+/// The same with runs of several blocks, between blocks that the living borrow.
 #[test]
 fn a_straggler_gets_no_run_in_the_middle_of_another() {
     for (kept, living) in [(1, 4), (1, 7), (2, 3), (2, 6), (0, 8), (4, 1), (1, 1)] {
@@ -249,7 +248,7 @@ fn a_straggler_gets_no_run_in_the_middle_of_another() {
     }
 }
 
-/// A core that is frozen at any step of its own call keeps no other waiting. T-SHM-1
+/// A core that is frozen at any step of its own call delays no other. T-SHM-1
 #[test]
 fn a_frozen_core_keeps_nobody_waiting() {
     for blocks in [1, 3] {
@@ -275,7 +274,7 @@ fn a_frozen_core_keeps_nobody_waiting() {
     }
 }
 
-/// Generations that are equal in the bits that a head word has do not make the dead alive.
+/// Generations that are equal in a head's bits do not make a dead owner alive.
 #[test]
 fn the_words_of_the_dead_come_back_after_any_number_of_incarnations() {
     for incarnations in [1, 15, 16, 31, 32, 64] {
@@ -319,7 +318,7 @@ fn scribbled_words_are_no_panic() {
     }
 }
 
-/// What a core does with the pool.
+/// An operation of a core on the pool.
 #[derive(Clone, Debug)]
 enum Op {
     Get { core: usize, words: usize },
@@ -342,7 +341,7 @@ fn op() -> impl Strategy<Value = Op> {
     ]
 }
 
-/// One allocation that was ever made.
+/// One allocation of the whole test.
 #[derive(Clone, Copy)]
 struct Known {
     handle: Handle,
@@ -437,7 +436,7 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// T-SHM-1, T-SHM-2, T-SHM-4: the pool does what a plain list of allocations does.
+    /// T-SHM-1, T-SHM-2, T-SHM-4: the pool behaves like a plain list of allocations.
     #[test]
     fn the_pool_does_what_its_model_does(ops in prop::collection::vec(op(), 1..MAX_OPS)) {
         check(&ops);
@@ -460,8 +459,8 @@ fn a_straggler_that_attaches_late_takes_nothing_from_the_living() {
     assert!(living.open(next).is_ok());
 }
 
-/// The same if the late incarnation attaches at any step, and if its attachment is one that a core
-/// makes in its place when it hands over.
+/// The same if the late incarnation attaches at any step, and if another core attaches for it when
+/// it hands over.
 #[test]
 fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     for by_hand_over in [false, true] {
@@ -506,7 +505,7 @@ fn an_attachment_frozen_at_any_step_takes_nothing_from_the_next_incarnation() {
     }
 }
 
-/// To count the free words ends, also while a run is being gathered or its owner was killed there.
+/// Counting the free words ends, even while a run is being gathered or its owner was killed there.
 #[test]
 fn free_words_end_wherever_a_core_is_killed() {
     for at in steps() {
