@@ -1,4 +1,4 @@
-//! What the machine answers: a list of actions, and the time of the next poll.
+//! The output of the machine: a list of actions, and the time of the next poll.
 
 use crate::{Evidence, Phase, SystemState, Term};
 use tandem_board::{Duration, Edge, Instant, Line, ResetRequest};
@@ -23,19 +23,20 @@ pub enum Action {
     /// Send this edge to the other system.
     SendEdge(Line, Edge),
     /// The output has just opened, or a frame was refused until this poll. Send a control frame now
-    /// (ask [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)); do not wait for the
+    /// (check [`Redundancy::may_transmit`](crate::Redundancy::may_transmit)); do not wait for the
     /// next cycle.
     Transmit,
     /// The output has just closed: discard the control frames that wait in the transmit buffer.
     DiscardUnsent,
     /// Dual operation begins now in both systems: align the control cycle to this moment.
     AlignControl,
-    /// Write this state to the flash: hand it to
-    /// [`StateStore::request`](crate::StateStore::request). It replaces a state that was asked for
-    /// earlier and is not yet written.
+    /// Write this state to the flash: pass it to
+    /// [`StateStore::request`](crate::StateStore::request). It replaces an earlier requested state
+    /// that is not yet written.
     Persist(SystemState),
-    /// Ask the supply for this reset as soon as the store is settled: the reason for the reset must
-    /// be in flash before the reset. Comes with every later call too; asking twice does no harm.
+    /// Request this reset from the supply as soon as the store is settled: the reason for the reset
+    /// must be in flash before the reset. Every later call repeats this action; a repeated request
+    /// has no effect.
     Reset(ResetRequest),
     /// Write this event to the trace.
     Record(Event),
@@ -55,14 +56,14 @@ pub struct Takeover {
     pub term: Term,
 }
 
-/// Something worth a line in the trace.
+/// An event for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
     /// The phase changed.
     Phase {
-        /// Before.
+        /// The old phase.
         from: Phase,
-        /// After.
+        /// The new phase.
         to: Phase,
         /// On what evidence.
         on: Evidence,
@@ -73,9 +74,10 @@ pub enum Event {
     LineSilent(u8),
     /// Heartbeat line 1 or 2 carries edges again.
     LineBack(u8),
-    /// Both heartbeat lines are silent, but the other system is seen to live: the lines are cut.
+    /// Both heartbeat lines are silent, but another witness shows that the other system lives: the
+    /// lines are cut.
     LinesSplit,
-    /// The other system is taken for failed (`true`), or no longer.
+    /// The other system now counts as failed (`true`), or no longer does.
     PeerFailed(bool),
     /// A frame arrived that no correct peer sends; it was ignored.
     Implausible,
@@ -84,14 +86,14 @@ pub enum Event {
     /// This system takes a higher term without a change of role, because the other knows a higher
     /// one.
     TermRaised(Term),
-    /// Nothing is heard on CAN (`true`), or something again.
+    /// No frame is received on CAN (`true`), or frames are received again.
     CanSilent(bool),
     /// The state in flash was lost; this system began with the factory state.
     StateLost,
-    /// The power level line was low while the other system lived (`true`): it is not believed. Or
-    /// it has been high for long enough to be believed again.
+    /// The power level line was low while the other system lived (`true`): it is ignored from now
+    /// on. Or it has been high for long enough to be used again (`false`).
     LevelBroken(bool),
-    /// No edge ever came on the start line, though the other system runs: the line is cut.
+    /// No edge ever arrived on the start line, although the other system runs: the line is cut.
     StartLineSilent,
 }
 
@@ -118,8 +120,8 @@ impl Event {
     }
 }
 
-/// The actions of one call, in the order in which they are to be carried out, and the time of the
-/// next poll.
+/// The actions of one call, in the order in which the caller must carry them out, and the time of
+/// the next poll.
 #[must_use = "edges, states and resets that the machine asks for must be carried out"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actions {
@@ -131,8 +133,8 @@ impl Actions {
     /// Room for this many actions: every kind once, heartbeats on both lines, and
     /// [`Actions::EVENTS`] events.
     pub const CAPACITY: usize = 18;
-    /// Room for this many events, which is more than one call causes. What exceeds it is lost; no
-    /// other action ever is.
+    /// Room for this many events, more than one call causes. Further events are lost; other actions
+    /// never are.
     pub const EVENTS: usize = 8;
 
     pub(crate) fn none() -> Self {

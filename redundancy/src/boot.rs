@@ -4,14 +4,14 @@ use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
-/// How to begin the start protocol, as the checks say.
+/// How to begin the start protocol, as the result of the checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Boot {
     pub(crate) kind: StartKind,
-    /// Whether this system claims to be the one that leads.
+    /// Whether this system claims to lead.
     pub(crate) claims_master: bool,
-    /// The fault for which it suspends if the other system drives. If no system does, it starts
-    /// into the safe stop: silence stops no vehicle.
+    /// The fault for which this system suspends if the other system drives. If no system drives, it
+    /// starts into the safe stop, because silence does not stop a vehicle.
     pub(crate) fault: Option<FailureMode>,
 }
 
@@ -42,7 +42,7 @@ pub(crate) fn check(
         state.abn_in_a_row = state.abn_in_a_row.saturating_add(1);
         if state.abn_in_a_row > config.abnormal_limit && !state.sys_failure {
             state.sys_failure = true;
-            // An open circuit is what these resets were to cure.
+            // These resets were made to cure an open circuit.
             if state.failure_mode != FailureMode::CanOpenCircuit {
                 state.failure_mode = FailureMode::AbnormalResets;
             }
@@ -50,16 +50,15 @@ pub(crate) fn check(
     }
     // 2. Own failure flag?
     let fault = state.sys_failure.then_some(state.failure_mode);
-    // 3. The other's failure flag? Then there is nobody to wait for. Neither is there after a
-    //    reset: the
-    // other has taken over and runs. In both cases a running master must be looked for first.
+    // 3. The other's failure flag? Then no system will answer. The same after a reset: the other
+    //    has taken over and runs. In both cases look for a running master first.
     let power_on = cause == ResetCause::PowerOn;
     let kind = if power_on && !state.cpsys_failure {
         StartKind::Handshake
     } else {
         StartKind::Listen
     };
-    // 4. Sync; after a reset as the standby of the other.
+    // 4. Sync; after a reset as the standby of the other system.
     let claims_master = state.is_master && power_on && fault.is_none();
     let boot = Boot {
         kind,

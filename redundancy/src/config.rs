@@ -1,50 +1,48 @@
-//! Thresholds, each with its reason, and the bounds that follow from them.
+//! Thresholds with their reasons, and the bounds that follow from them.
 
 use tandem_board::{Duration, SystemId};
 
-/// While a control frame is overdue, the vehicle tells this often which term it obeys. It begins at
-/// the shortest third witness's limit of any profile.
+/// While a control frame is overdue, the vehicle repeats this often which term it obeys. It starts
+/// at the shortest third witness's limit of all profiles.
 pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 
 /// Periods and limits of the redundancy. Both systems must use the same.
 ///
 /// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`]
-/// says whether changed values still fit together.
+/// checks whether changed values fit together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Config {
     /// Time between two heartbeats on each line.
     pub heartbeat_period: Duration,
     /// How many heartbeats in a row must be missing before a line counts as silent.
     pub heartbeat_misses: u32,
-    /// How much later than due a heartbeat may come on top of that: lateness of the sender's timer
+    /// How much later than due a heartbeat may arrive in addition: lateness of the sender's timer
     /// and of the receiver's poll.
     pub heartbeat_jitter: Duration,
-    /// Longest time between two polls while the system runs as it should.
+    /// Longest time between two polls in normal operation.
     pub poll_interval: Duration,
-    /// After how long a silence of both lines the *master* gives up its standby. Losing the
-    /// standby is not urgent: nothing is missing on the bus. May be longer than
-    /// [`Config::silent_limit`].
+    /// After how long a silence of both lines the *master* gives up its standby. Losing the standby
+    /// is not urgent: the bus has all its frames. May be longer than [`Config::silent_limit`].
     pub standby_limit: Duration,
     /// Period of the control frames.
     pub control_period: Duration,
-    /// How much later than due a control frame may come: lateness of its sender, time on the bus.
+    /// How much later than due a control frame may arrive: lateness of its sender, time on the bus.
     pub control_margin: Duration,
-    /// For how many control periods the vehicle may be unheard before its word is out of date, and
-    /// before this system counts as deaf. Without a vehicle that tells, a master whose control
-    /// frames are missing for as long is mute.
+    /// For how many control periods the vehicle may be silent before its last echo is out of date,
+    /// and before this system counts as deaf. If the vehicle sends no echo, a master whose control
+    /// frames are missing for this long is mute.
     pub mute_periods: u32,
     /// Time between two handshake edges.
     pub handshake_period: Duration,
     /// How long a system waits at power-on for the other's handshake.
     pub start_limit: Duration,
-    /// How much longer B waits than A wherever both might act at once. Long enough to hear the
-    /// other.
+    /// How much longer B waits than A wherever both might act at once. Long enough to hear A.
     pub stagger: Duration,
     /// How much longer B waits before its sync edge, so that A's comes first if both claim to be
     /// master.
     pub sync_stagger: Duration,
-    /// How long a standby that has heard a handshake waits for the sync edge before it takes the
-    /// lead itself. B waits twice as long.
+    /// How long a standby that has heard a handshake waits for the sync edge before it leads
+    /// itself. B waits twice as long.
     pub promote_limit: Duration,
     /// How long heartbeats must have been back before the other system counts as recovered.
     pub recover_after: Duration,
@@ -53,33 +51,32 @@ pub struct Config {
     pub reintegrate: bool,
     /// How many abnormal resets in a row are tolerated.
     pub abnormal_limit: u8,
-    /// Operation without a reset for this long takes one from the count of abnormal resets.
+    /// Each such time without a reset subtracts one from the count of abnormal resets.
     pub healthy_after: Duration,
-    /// Nothing heard on CAN for this long, while the other system reports a live bus, is an open
-    /// circuit.
+    /// No frame received on CAN for this long, while the other system reports a live bus, is an
+    /// open circuit.
     pub can_open_limit: Duration,
     /// Time between two reports over the link.
     pub report_period: Duration,
-    /// How long a report of the other system holds.
+    /// How long a report of the other system is valid.
     pub report_limit: Duration,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
     pub status_limit: Duration,
-    /// After a change of the driver, a system that has become standby takes over only on the
-    /// vehicle's word for this long. Doubles with every further change.
+    /// For this long after a change of the driver, a system that has become standby takes over only
+    /// if the vehicle's echo demands it. Doubles with every further change.
     pub hold_down: Duration,
 }
 
 impl Config {
-    /// For systems whose timers are late by far less than a millisecond: firmware, and processes
+    /// For systems whose timers are late by much less than a millisecond: firmware, and processes
     /// under SCHED_FIFO (p99.9 of lateness 0.2 ms).
     #[must_use]
     pub const fn rt() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(1),
-            // Not a question of lost edges but of stalls: a virtual machine's CPU is taken away for
-            // some milliseconds now and then (seen: up to 6), and that is no failure. As lax as a
-            // takeover within two control periods permits; losing power is told at once by the
-            // level line.
+            // Because of stalls, not lost edges: a virtual machine sometimes loses its CPU for some
+            // milliseconds (seen: up to 6), which is not a failure. As long as a takeover within
+            // two control periods permits; the level line reports a loss of power at once.
             heartbeat_misses: 6,
             heartbeat_jitter: Duration::from_ms(2),
             poll_interval: Duration::from_ms(1),
@@ -90,8 +87,8 @@ impl Config {
             // One frame may be lost to a bit error; two in a row are a fault.
             mute_periods: 2,
             handshake_period: Duration::from_ms(5),
-            // As long as the other may take to bring up its cores 1 and 2 and its sensors (2 s),
-            // before its first handshake. One without power is known at once by its level.
+            // As long as the other may take to start its cores 1 and 2 and its sensors (2 s),
+            // before its first handshake. The level line shows at once a system without power.
             start_limit: Duration::from_ms(2500),
             stagger: Duration::from_ms(20),
             sync_stagger: Duration::from_ms(5),
@@ -99,27 +96,28 @@ impl Config {
             recover_after: Duration::from_ms(1000),
             reintegrate: false,
             abnormal_limit: 3,
-            // A system that crashes once a minute is worth a repair, not a suspension.
+            // A system that crashes once a minute should be repaired, not suspended.
             healthy_after: Duration::from_ms(60_000),
-            // The frames of the vehicle come every 10 ms; a pause of 25 of them is no regular one.
-            // Every failed attempt doubles it: a loose connector gets seconds to come back.
+            // The vehicle's frames arrive every 10 ms; a pause of 25 of them is not normal. Every
+            // failed attempt doubles it: a loose connector gets seconds to recover.
             can_open_limit: Duration::from_ms(250),
             // Once a control cycle.
             report_period: Duration::from_ms(10),
             report_limit: Duration::from_ms(100),
-            // Status frames come every 100 ms, so two may be lost in a row.
+            // Status frames arrive every 100 ms, so two may be lost in a row.
             status_limit: Duration::from_ms(350),
-            // Ten control periods: what led to the change has ended, or the vehicle says so.
+            // Ten control periods: by then the cause of the change has ended, or the vehicle
+            // reports it.
             hold_down: Duration::from_ms(100),
         }
     }
 
-    /// For chips: nothing stalls, and the link tells as often as the heartbeat lines.
+    /// For chips: nothing stalls, and link reports are as frequent as heartbeats.
     #[must_use]
     pub const fn chip() -> Self {
         Self {
-            // 1 ms for the phases of sender and poll. Three wires must end within this time: both
-            // heartbeat lines and the link.
+            // 1 ms for the phases of sender and poll. Three wires must fall silent within this
+            // time: both heartbeat lines and the link.
             heartbeat_misses: 2,
             heartbeat_jitter: Duration::from_ms(1),
             // A frame is at most 0.2 ms late and 0.3 ms on the bus.
@@ -131,17 +129,18 @@ impl Config {
 
     /// For ordinary processes on a desktop, whose timers are late by some milliseconds at p99.9.
     ///
-    /// As lax as a takeover within two control periods permits: a heartbeat limit of 12 ms would be
-    /// calmer, but 10 ms (control period) + 12 ms misses the goal of 20 ms. It is safe all the
-    /// same, because a takeover on silence also needs the control frames to be missing.
+    /// As long as a takeover within two control periods permits: a heartbeat limit of 12 ms would
+    /// cause fewer false alarms, but 10 ms (control period) + 12 ms misses the goal of 20 ms. The
+    /// short limit is safe, because a takeover on silence also needs the control frames to be
+    /// missing.
     #[must_use]
     pub const fn desktop() -> Self {
         Self {
             heartbeat_period: Duration::from_ms(2),
             // The same 8 ms of silence as in real time, at half the cost.
             heartbeat_misses: 3,
-            // Under load a standby process is held up for tens of milliseconds now and then;
-            // degrading for that would be a false alarm, and nothing is lost by waiting.
+            // Under load a standby process is sometimes held up for tens of milliseconds. Degrading
+            // for that would be a false alarm, and waiting loses nothing.
             standby_limit: Duration::from_ms(50),
             handshake_period: Duration::from_ms(10),
             start_limit: Duration::from_ms(4500),
@@ -158,29 +157,29 @@ impl Config {
         self.heartbeat_period.times(self.heartbeat_misses) + self.heartbeat_jitter
     }
 
-    /// A power level that is low for this long, without a heartbeat, says that the other system is
-    /// off. One heartbeat and one poll: a heartbeat of a system that lives would have come. The
-    /// level alone is one wire, and must not overrule two witnesses that say otherwise.
+    /// A power level that is low for this long, without a heartbeat, means that the other system is
+    /// off. One heartbeat and one poll: a live system would have sent a heartbeat. The level alone
+    /// is one wire, and must not overrule two contrary witnesses.
     #[must_use]
     pub fn level_limit(&self) -> Duration {
         self.heartbeat_period + self.poll_interval
     }
 
-    /// A link without a report for longer than this is silent. A witness that the master is dead if
-    /// both heartbeat lines ended with it. Counts where it is shorter than the third witness's
-    /// limit.
+    /// A link without a report for longer than this is silent. It is a witness that the master is
+    /// dead if both heartbeat lines fell silent with it. Used where it is shorter than the third
+    /// witness's limit.
     #[must_use]
     pub fn link_limit(&self) -> Duration {
         self.report_period.times(self.heartbeat_misses) + self.heartbeat_jitter
     }
 
-    /// No control frame for longer than this is the third witness's word that nobody drives.
+    /// After this time without a control frame, the third witness says that no system drives.
     #[must_use]
     pub fn witness_limit(&self) -> Duration {
         self.control_period + self.control_margin
     }
 
-    /// The vehicle's word holds for this long, and so does the silence of all third parties before
+    /// How long the vehicle's echo is valid, and how long all third parties must be silent before
     /// this system counts as deaf.
     #[must_use]
     pub fn mute_limit(&self) -> Duration {
@@ -194,7 +193,7 @@ impl Config {
         self.mute_limit().times(2) + self.stagger_of(system)
     }
 
-    /// How long a system without a handshake to wait for listens for a running master.
+    /// How long a system that expects no handshake listens for a running master.
     #[must_use]
     pub fn listen_limit(&self, system: SystemId) -> Duration {
         let longer = if self.silent_limit() > self.witness_limit() {
@@ -214,8 +213,8 @@ impl Config {
         self.silent_limit() - self.heartbeat_period
     }
 
-    /// The longest time between two polls that still counts as running; beyond it the system was
-    /// held up, and its own absence is no evidence against the other.
+    /// The longest time between two polls that counts as running. After a longer time the system
+    /// was held up, and its own absence is no evidence against the other.
     #[must_use]
     pub fn stall_limit(&self) -> Duration {
         self.poll_interval + self.heartbeat_jitter
@@ -236,9 +235,9 @@ impl Config {
         self.silent_limit().max(third) + self.poll_interval
     }
 
-    /// From the last control frame of a failed master to the first one of its successor, as both
-    /// leave their systems, if the power level did not tell: the master fails just before a frame
-    /// is due.
+    /// From the last control frame of a failed master to the first one of its successor, when each
+    /// leaves its system, if the power level did not show the failure: the master fails just before
+    /// a frame is due.
     #[must_use]
     pub fn gap_bound(&self) -> Duration {
         let third = self
@@ -253,15 +252,15 @@ impl Config {
         self.control_period + self.level_limit() + self.poll_interval
     }
 
-    /// The same if the master is alive but cannot transmit. The vehicle's word decides: the first
-    /// echo that tells of no frame for the third witness's limit. While a frame is overdue, an echo
-    /// comes every millisecond.
+    /// The same if the master is alive but cannot transmit. The vehicle decides: the first echo
+    /// that reports no frame for the third witness's limit. While a frame is overdue, an echo is
+    /// sent every millisecond.
     #[must_use]
     pub fn gap_bound_mute(&self) -> Duration {
         self.witness_limit() + OVERDUE_ECHO + self.poll_interval
     }
 
-    /// Whether the values fit together: what each limit presumes of the others.
+    /// Whether the values fit together: each limit's assumptions about the others.
     #[must_use]
     pub fn check(&self) -> bool {
         let hears_other = self.heartbeat_period.times(4) + self.poll_interval.times(2);

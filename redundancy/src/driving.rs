@@ -1,4 +1,4 @@
-//! The phases that drive, `Master` and `DegradedMaster`, and `Thawed`, which drove.
+//! The driving phases `Master` and `DegradedMaster`, and `Thawed`, which drove.
 
 use crate::witness::Witnesses;
 use crate::{Config, Evidence, SystemState, Term};
@@ -13,7 +13,7 @@ pub(crate) struct Driving {
     last_permit: Instant,
     /// A transmission was refused because the last poll was too long ago.
     refused: bool,
-    /// The vehicle's last word was that it refuses this term, and that no system drives.
+    /// The last echo said that the vehicle refuses this term, and that no system drives.
     refused_by_vehicle: bool,
     /// Since when this system drives.
     since: Instant,
@@ -39,9 +39,9 @@ impl Driving {
         self.refused_by_vehicle = false;
     }
 
-    /// Takes note whether the vehicle refuses this term while no system drives. Returns whether it
-    /// has now said so twice: a master that has just been connected again would have been heard in
-    /// the control period between.
+    /// Records whether the vehicle refuses this term while no system drives. Returns whether two
+    /// echoes in a row said so: the vehicle would have heard a reconnected master in the control
+    /// period between them.
     pub(crate) fn note_refusal(&mut self, refused: bool) -> bool {
         core::mem::replace(&mut self.refused_by_vehicle, refused) && refused
     }
@@ -76,9 +76,8 @@ impl Driving {
         core::mem::take(&mut self.refused)
     }
 
-    /// Whether the other may have taken over since this master last showed a sign of life.
-    /// It cannot have while the third witness was not yet silent for its limit, nor if it is not
-    /// there.
+    /// Whether the other may have taken over since this master's last sign of life. It cannot have
+    /// while the third witness was not yet silent for its limit, nor if the other is not there.
     pub(crate) fn may_be_deposed(
         &self,
         config: &Config,
@@ -113,8 +112,8 @@ impl Driving {
         (!heard).then_some(Evidence::StandbyMute)
     }
 
-    /// Alone: is the other back, and may it be the standby again? `peer_sound_for`: how long ago
-    /// the last evidence of its failure was.
+    /// Alone: has the other recovered, and may it be the standby again? `peer_sound_for`: time
+    /// since the last evidence of its failure.
     pub(crate) fn judge_alone(
         &self,
         config: &Config,
@@ -126,7 +125,7 @@ impl Driving {
         if let gone @ Some(_) = self.judge_dual(config, now, witnesses) {
             return gone;
         }
-        // A backup that is not heard on CAN is none.
+        // A backup that is not heard on CAN could not take over.
         if !witnesses.reports.standby_within(now, config.status_limit) {
             return None;
         }
@@ -139,7 +138,7 @@ impl Driving {
     }
 }
 
-/// The phase `Thawed`: this master was held up, and listens whether the other drives by now.
+/// The phase `Thawed`: this master was held up, and listens whether the other drives now.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Thawed {
     /// The mastership to resume. After a stall no new term is taken: if the other took over
@@ -152,8 +151,9 @@ pub(crate) struct Thawed {
 }
 
 impl Thawed {
-    /// Whether the other has not taken over, and is not about to: the vehicle accepted the last
-    /// frame of this mastership `age` ago. It is too early for a takeover, or would have happened.
+    /// Whether the other has not taken over and is not about to. The vehicle accepted the last
+    /// frame of this mastership `age` ago: either too recently for a takeover, or so long ago that
+    /// a takeover would have happened.
     pub(crate) fn is_kept(&self, config: &Config, age: Duration) -> bool {
         let under_way = config.poll_interval.times(2);
         age + under_way < config.witness_limit() || age > config.gap_bound() + under_way

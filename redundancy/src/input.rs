@@ -1,10 +1,10 @@
-//! What the machine is told.
+//! The input of the machine.
 
 use crate::{FailureMode, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 
-/// The lines and the CAN receiver at one moment. Counts are running counts. They wrap around, and
-/// their first value does not matter.
+/// The state of the lines and the CAN receiver at one moment. Counts run and wrap around; their
+/// first value does not matter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Snapshot {
     /// Rising edges on [`Line::Start`].
@@ -22,9 +22,8 @@ pub struct Snapshot {
 impl Snapshot {
     /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
     /// valid frames received on CAN from third parties.
-    ///
-    /// Fetch everything from the CAN receiver and hand it to the machine *before* this. Otherwise
-    /// the machine is told of silence while evidence waits in a buffer.
+    /// First take all frames from the CAN receiver and pass them to the machine. Otherwise the
+    /// machine sees silence while evidence waits in a buffer.
     #[must_use]
     pub fn new(received: impl Fn(Line, Edge) -> u32, peer_powered: bool, can_frames: u32) -> Self {
         let both = |line| received(line, Edge::Rising).wrapping_add(received(line, Edge::Falling));
@@ -51,7 +50,7 @@ pub struct ControlFrame {
     pub mode: Mode,
 }
 
-/// The vehicle's word which system it obeys.
+/// The vehicle's echo: which system it obeys.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ObeyedTerm {
     /// The term of the last control frame that the vehicle accepted; [`Term::NONE`] before the
@@ -61,10 +60,10 @@ pub struct ObeyedTerm {
     pub age: Duration,
 }
 
-/// What the machine is told.
+/// One input of the machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
-    /// The periodic look at the lines; also at once when an edge or the power level interrupts.
+    /// The periodic poll of the lines; also immediately when an edge or the power level interrupts.
     Poll(Snapshot),
     /// A control frame was received on CAN.
     ControlFrame(ControlFrame),
@@ -73,10 +72,10 @@ pub enum Input {
     /// A report of the other system was received over the link.
     LinkReport(PeerReport),
     /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
-    /// were lost, or its sender has restarted. The vehicle may have accepted it, so its term
-    /// counts, and nothing else of it.
+    /// were lost, or its sender has restarted. The vehicle may have accepted it, so only its term
+    /// is used.
     StaleFrame(ControlFrame),
-    /// The vehicle told which term it obeys. It does so every control period.
+    /// The vehicle reported which term it obeys, as it does every control period.
     VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
@@ -86,7 +85,7 @@ pub enum Input {
     HandOver,
 }
 
-/// What is new at a poll.
+/// The differences at a poll.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Seen {
     pub(crate) handshakes: u32,
@@ -145,7 +144,7 @@ mod tests {
     use super::*;
 
     /// T-RED-3: only differences count, also where a count wraps around; the first snapshot is the
-    /// origin.
+    /// reference.
     #[test]
     fn differences_across_the_wrap_around() {
         let first = Snapshot {

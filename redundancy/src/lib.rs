@@ -1,9 +1,9 @@
 //! Start protocol, heartbeat, roles and faults of a dual system: sans-IO (no_std).
 //!
-//! [`Redundancy`] is told the time and what was seen, and answers with [`Actions`]; it reads no
-//! clock and touches no board. [`StateStore`] keeps the [`SystemState`] in data flash over power
-//! loss; it says which operation to start and touches no flash. Tables, bounds and reasons stand in
-//! `docs/redundancy.md`.
+//! [`Redundancy`] gets the time and the inputs, and returns [`Actions`]; it reads no clock and
+//! accesses no board. [`StateStore`] keeps the [`SystemState`] in data flash over power loss; it
+//! returns the operation to start and accesses no flash. `docs/redundancy.md` has tables, bounds
+//! and reasons.
 //!
 //! One cycle of core 0:
 //!

@@ -1,5 +1,5 @@
-//! The machine: asks the phase what the witnesses add up to, follows the transition table, and says
-//! what to do.
+//! The machine: lets the phase judge the witnesses, follows the transition table, and returns
+//! actions.
 
 mod hear;
 #[cfg(test)]
@@ -18,23 +18,22 @@ use crate::{
 };
 use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
-/// The first term after a start lies this far above the highest known one: more masterships than
-/// can have gone unwritten when the power failed.
+/// The first term after a start is this far above the highest known one: more masterships than can
+/// have gone unwritten when the power failed.
 const TERM_STEP_AT_START: u32 = 8;
-/// The same if nothing was heard of the highest term since power-on: more masterships than the
+/// The same if no system has reported the highest term since power-on: more masterships than the
 /// other is likely to have had while this system was off. If the term were too low, the vehicle
 /// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
-/// From this many changes of the driver on the hold-down does not grow any more: it is 32 times the
-/// first one.
+/// After this many changes of the driver the hold-down stops growing: it is 32 times the first one.
 const MAX_CHANGES: u8 = 6;
 
-/// This system is there.
+/// "This system is ready."
 const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
-/// The other system is to begin now, as standby.
+/// "The other system begins now, as standby."
 const SYNC: Action = Action::SendEdge(Line::Start, Edge::Falling);
 
-/// The phase, with what is known in this phase only.
+/// The phase, with the data of this phase.
 #[derive(Clone, Debug)]
 enum PhaseState {
     Starting(Starting),
@@ -79,7 +78,7 @@ impl PhaseState {
 
 /// The redundancy of one system.
 ///
-/// Any context, never blocks, never panics whatever the inputs are. Times must not go back.
+/// Any context, never blocks, never panics for any input. Times must not go back.
 #[derive(Clone, Debug)]
 pub struct Redundancy {
     config: Config,
@@ -93,16 +92,16 @@ pub struct Redundancy {
     /// Changes of the driver that followed each other, and when the last one was.
     changes: u8,
     changed_at: Instant,
-    /// An edge came on the start line, or its absence is told.
+    /// An edge arrived on the start line, or its absence was reported.
     start_line_tested: bool,
-    /// What was last handed out to be written.
+    /// The last state passed to the store.
     persisted: Option<SystemState>,
-    /// The record was lost, and this is not yet told.
+    /// The record was lost, and this is not yet reported.
     untold_loss: bool,
-    /// The highest term is known well enough: the vehicle or a system that ran has told it since
+    /// The highest term is known well enough: the vehicle or a running system has reported it since
     /// the start, or this system was not off before and its record is whole.
     term_known: bool,
-    /// The last stale term that was told.
+    /// The last stale term that was reported.
     stale_told: Term,
     beats: BeatSender,
     polls: Polls,
@@ -114,8 +113,8 @@ pub struct Redundancy {
 }
 
 impl Redundancy {
-    /// A system after the checks of T-RED-7. `loaded` is what the store found in flash, `now` the
-    /// time of the start.
+    /// A system after the checks of T-RED-7. `loaded` is the store's result, `now` the time of the
+    /// start.
     #[must_use]
     pub fn new(
         config: Config,
@@ -181,14 +180,14 @@ impl Redundancy {
         actions
     }
 
-    /// Whether a control frame may be sent now. Ask right before sending, for every frame, and send
-    /// at once if the answer is yes.
+    /// Whether a control frame may be sent now. Check right before sending, for every frame, and
+    /// send at once if the answer is yes.
     ///
     /// The answer is no unless the output is open and the last poll is within [`Config::lease`]: a
     /// core that was held up must first poll, to learn whether the other system has taken over. If
-    /// it has not, the next poll says [`Action::Transmit`], so the frame that was refused is only
-    /// late. A core that is frozen between the answer and the transmission can still send one stale
-    /// frame. No software can prevent that; the vehicle refuses the frame by its term.
+    /// it has not, the next poll returns [`Action::Transmit`], so the refused frame is only late. A
+    /// core that is frozen between the answer and the transmission can still send one stale frame.
+    /// No software can prevent that; the vehicle refuses the frame by its term.
     #[must_use]
     pub fn may_transmit(&mut self, now: Instant) -> bool {
         let since_poll = now.since(self.polls.last());
@@ -210,7 +209,7 @@ impl Redundancy {
         self.phase().role()
     }
 
-    /// The driving function to run. A standby computes what the master drives.
+    /// The driving function to run. A standby runs the function of the master.
     #[must_use]
     pub const fn mode(&self) -> Mode {
         match &self.phase {
@@ -303,7 +302,7 @@ impl Redundancy {
             .since_last
             .is_none_or(|span| span > self.config.stall_limit());
         if late && self.witnesses.forgive(now) {
-            // Only polled time counts as silence: own absence is no evidence against the other.
+            // Only polled time counts as silence: this system's own absence is no evidence.
             if let PhaseState::Standby(standby) = &mut self.phase {
                 standby.forgive(now);
             }
@@ -330,8 +329,8 @@ impl Redundancy {
                 actions.push(Action::Transmit);
             }
             if seen.handshakes > 0 {
-                // The other starts while this system drives: tell it to follow. Not by a handshake,
-                // which another system that drives would answer in turn.
+                // The other starts while this system drives: make it follow. Not by a handshake,
+                // because another driving system would answer that in turn.
                 actions.push(SYNC);
             }
         }
@@ -342,7 +341,7 @@ impl Redundancy {
         }
     }
 
-    /// What the witnesses add up to in this phase.
+    /// The evidence of the witnesses in this phase.
     fn judge(&mut self, now: Instant, seen: &Seen) -> Option<Evidence> {
         let (config, witnesses) = (&self.config, &self.witnesses);
         if let Some(driving) = self.phase.driving()
@@ -367,9 +366,9 @@ impl Redundancy {
         }
     }
 
-    /// Whether the own CAN connection is open: this system hears no third party, but the other
-    /// does. Nothing heard may also mean that the whole bus is dead; if that counted, both systems
-    /// would suspend. Each reset that did not cure it doubles the limit. T-RED-6
+    /// Whether this system's CAN connection is open: it hears no third party, but the other system
+    /// does. If no system hears any, the whole bus may be dead, and both would suspend. Each reset
+    /// without success doubles the limit. T-RED-6
     fn can_is_open(&self, now: Instant) -> bool {
         let attempts = u32::from(self.state.abn_in_a_row.min(3));
         let limit = self.config.can_open_limit.times(1 << attempts);
@@ -387,7 +386,7 @@ impl Redundancy {
             return;
         }
         let stays = !mode.reset_may_cure();
-        // The first fault counts, and then the first one that stays.
+        // The first fault counts, and after it the first permanent one.
         if self.fault.is_none() || stays && !self.state.sys_failure {
             self.state.failure_mode = mode;
             self.fault = Some(mode);
@@ -396,8 +395,8 @@ impl Redundancy {
         self.obey_fault(now, actions);
     }
 
-    /// What a system with a fault of its own does. It leaves only when the other drives: until then
-    /// it stops the vehicle, or keeps ready for that.
+    /// The reaction to a fault of this system. It leaves only when the other drives: until then it
+    /// stops the vehicle, or stays ready for that.
     fn obey_fault(&mut self, now: Instant, actions: &mut Actions) {
         let Some(fault) = self.fault else {
             return;
@@ -414,7 +413,7 @@ impl Redundancy {
             PhaseState::Master(_) => Evidence::FaultStop,
             PhaseState::Starting(_) if !stays => leave,
             PhaseState::Standby(standby) if standby.master_drives(config, now, witnesses) => {
-                // Two with a fault that stays: the one that drives stops the vehicle, and this one
+                // Both have a permanent fault: the one that drives stops the vehicle, and this one
                 // is its backup.
                 if stays && witnesses.reports.resigns(now, config.report_limit) {
                     return;
@@ -506,7 +505,7 @@ impl Redundancy {
             }
             Phase::DegradedMaster => {
                 self.state.is_master = true;
-                // A system that stops the vehicle for a fault of its own says nothing of the other.
+                // A system that stops the vehicle for its own fault says nothing about the other.
                 if on != Evidence::FaultStop {
                     self.set_peer_failed(now, true, actions);
                 }
@@ -536,13 +535,13 @@ impl Redundancy {
                 since: now,
             }),
             Phase::Resetting => PhaseState::Resetting,
-            // No rule enters it: only a reset starts anew.
+            // No rule enters it: only a reset leads there.
             Phase::Starting | Phase::Suspended => PhaseState::Suspended,
         })
     }
 
-    /// The mastership to drive in: the one that this system has, or a new one in a term above all
-    /// known ones.
+    /// The mastership in which to drive: the current one, or a new one in a term above all known
+    /// ones.
     fn drive(&mut self, now: Instant) -> Result<Driving, NoTermLeft> {
         if let Some(mut driving) = self.phase.mastership() {
             if let PhaseState::Thawed(_) = self.phase {
@@ -559,14 +558,14 @@ impl Redundancy {
         Ok(Driving::new(term, now))
     }
 
-    /// A term `step` masterships above the highest known one; it is the highest from now on.
+    /// A term `step` masterships above the highest known one; it becomes the highest.
     fn next_term(&mut self, step: u32) -> Result<Term, NoTermLeft> {
         let term = self.state.term.above(step, self.system).ok_or(NoTermLeft)?;
         self.state.term = term;
         Ok(term)
     }
 
-    /// Counts changes of the driver that follow each other. The hold-down grows with them.
+    /// Counts consecutive changes of the driver. The hold-down grows with them.
     fn note_change(&mut self, now: Instant, from: Phase, to: Phase) {
         let takes_over = from == Phase::Standby && to.is_driving();
         let deposed = from.is_driving() && to == Phase::Standby;
@@ -581,8 +580,8 @@ impl Redundancy {
         }
     }
 
-    /// The self-test of the start line: an edge of the other must have come since the start. Told
-    /// once, when both have run for long enough.
+    /// The self-test of the start line: an edge of the other must have arrived since the start.
+    /// Reported once, when both have run for long enough.
     fn note_start_line(&mut self, now: Instant, seen: &Seen, actions: &mut Actions) {
         self.start_line_tested |= seen.handshakes > 0 || seen.syncs > 0;
         let alive_for = self.witnesses.beats.alive_for(now);
@@ -592,8 +591,8 @@ impl Redundancy {
         }
     }
 
-    /// A long time without a reset takes one from the count of abnormal ones. A system that crashes
-    /// more often than that suspends in the end, however regularly it does. T-RED-5
+    /// A long time without a reset subtracts one from the count of abnormal resets. A system that
+    /// crashes more often than that suspends in the end, even if it crashes regularly. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since
@@ -605,5 +604,5 @@ impl Redundancy {
     }
 }
 
-/// The terms are used up.
+/// All terms are used up.
 struct NoTermLeft;

@@ -2,7 +2,7 @@
 
 use tandem_board::RoleLamp;
 
-/// The role as it stands in control and status frames.
+/// The role as encoded in control and status frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Role {
@@ -41,9 +41,9 @@ pub enum Mode {
     None = 0,
     /// Automated driving with both systems healthy.
     L3 = 1,
-    /// Lane and distance keeping by the system that is left.
+    /// Lane and distance keeping by the remaining system.
     DegradedL2 = 2,
-    /// Bringing the vehicle to a stop: the system that is left has a fault of its own.
+    /// Stopping the vehicle: the remaining system has a fault of its own.
     SafeStop = 3,
 }
 
@@ -76,10 +76,10 @@ pub enum Phase {
     Master = 2,
     /// Drives alone. Output open, heartbeats.
     DegradedMaster = 3,
-    /// Was master, was held up longer than its lease, and listens whether the other drives by now.
+    /// Was master, was held up longer than its lease, and listens whether the other drives now.
     /// Output closed, no heartbeats.
     Thawed = 4,
-    /// Has asked for a reset that may cure it. Output closed, no heartbeats.
+    /// Has requested a reset that may cure it. Output closed, no heartbeats.
     Resetting = 5,
     /// Has failed. Output closed, no heartbeats.
     Suspended = 6,
@@ -133,44 +133,44 @@ impl Phase {
     }
 }
 
-/// What the inputs add up to. The order is that of the table in the docs.
+/// The evidence of a poll. The order is that of the table in the docs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Evidence {
-    /// A sync edge came: the other system leads.
+    /// A sync edge arrived: the other system leads.
     SyncHeard = 0,
-    /// Heartbeats or control frames of the other came while starting: it is running.
+    /// Heartbeats or control frames of the other arrived while starting: it is running.
     PeerRuns = 1,
-    /// Handshakes went both ways, and this system leads.
+    /// Handshakes were exchanged in both directions, and this system leads.
     HandshakeDone = 2,
-    /// Nobody answered within the time limit.
+    /// No system answered within the time limit.
     NobodyThere = 3,
     /// The other system's power level is low and its heartbeats have ended: it cannot transmit.
     PeerOff = 4,
     /// Both heartbeat lines are silent, or were since the master's last control frame, and no
-    /// control frame has come for the third witness's limit.
+    /// control frame has arrived for the third witness's limit.
     PeerSilent = 5,
     /// Both heartbeat lines are silent, and nothing is known from control frames.
     BeatsSilent = 6,
     /// The vehicle says that no control frame reaches it.
     MasterMute = 7,
-    /// A control frame of the other in a higher term came: it drives.
+    /// A control frame of the other in a higher term arrived: it drives.
     HigherTerm = 8,
-    /// Heartbeats of a failed system came back for long enough.
+    /// Heartbeats of a failed system have been back for long enough.
     BeatsBack = 9,
-    /// The recovered system is also heard on CAN, and the configuration permits to go on as two.
-    /// Or the vehicle still obeys this master, which was held up in dual operation.
+    /// The recovered system is also heard on CAN, and the configuration permits dual operation
+    /// again. Or the vehicle still obeys this master, which was held up in dual operation.
     PeerStable = 10,
     /// This master was held up for so long that the other may have taken over.
     Stalled = 11,
-    /// Listening after a stall is over: the other did not take over.
+    /// The time for listening after a stall is over: the other did not take over.
     ListenOver = 12,
     /// An own fault that a reset may cure, while this system does not drive and the other does.
     FaultReset = 13,
-    /// An own fault while this system drives: it drives on, to stop the vehicle, until the other
-    /// drives.
+    /// An own fault while this system drives: it continues to drive, to stop the vehicle, until the
+    /// other drives.
     FaultStop = 14,
-    /// An own fault that stays, while the other system drives.
+    /// A permanent own fault, while the other system drives.
     FaultSuspend = 15,
     /// The standby is not heard on CAN: it could not take over.
     StandbyMute = 16,

@@ -1,10 +1,10 @@
-//! What a system tells the other about itself, over the link and in its status frame.
+//! A system's report about itself, over the link and in its status frame.
 
 use crate::state::CRC;
 use crate::{Mode, Role, Term};
 
-/// A system's word about itself. The same content goes over the data link (every control cycle)
-/// and, without `can_alive`, in the status frame on CAN.
+/// A system's report about itself. The same content is sent over the data link (every control
+/// cycle) and, without `can_alive`, in the status frame on CAN.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerReport {
     /// Its role.
@@ -40,7 +40,7 @@ impl PeerReport {
         digest.finalize()
     }
 
-    /// The report in a datagram; `None` if it is none.
+    /// The report in a datagram; `None` if the datagram is invalid.
     #[must_use]
     pub fn from_words(words: &[u32]) -> Option<Self> {
         let &[head, term, check] = words else {

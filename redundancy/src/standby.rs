@@ -1,10 +1,10 @@
-//! The phase `Standby`: is the master there? Its control frames are the witness that decides.
+//! The phase `Standby`: is the master there? Its control frames are the deciding witness.
 
 use crate::witness::{GateVerdict, Witnesses};
 use crate::{Config, Evidence, Mode, Role};
 use tandem_board::{Duration, Instant, SystemId};
 
-/// The phase `Standby`: what is known of the master from its control frames.
+/// The phase `Standby`, with the state of the master as seen in its control frames.
 #[derive(Clone, Debug)]
 pub(crate) struct Standby {
     system: SystemId,
@@ -16,9 +16,10 @@ pub(crate) struct Standby {
     suspected: bool,
     /// The lines were silent at the last poll.
     silent: bool,
-    /// What this system computes: the master's function as far as a standby can follow it.
+    /// The function that this system computes: the master's, as far as a standby can follow it.
     mode: Mode,
-    /// The driver has just changed: until then this system takes over only on the vehicle's word.
+    /// The driver has just changed: until then this system takes over only if the vehicle's echo
+    /// demands it.
     hold_until: Instant,
 }
 
@@ -59,8 +60,8 @@ impl Standby {
         };
     }
 
-    /// The vehicle accepted a frame of the master `age` ago. Counts if no frame was heard since
-    /// about then: this system has lost frames, and the master drives.
+    /// The vehicle accepted a frame of the master `age` ago. Used if this system has heard no frame
+    /// since about then: it has lost frames, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
         let unheard = now.since(self.last_control);
         if unheard > age + config.control_margin {
@@ -70,13 +71,13 @@ impl Standby {
         }
     }
 
-    /// This system was held up: its absence is no evidence against the master.
+    /// This system was held up: its own absence is no evidence against the master.
     pub(crate) fn forgive(&mut self, now: Instant) {
         self.last_control = self.last_control.max(now);
     }
 
-    /// Whether the master was heard to drive within the third witness's limit: on CAN by this
-    /// system or by the vehicle, or by its own word over the link.
+    /// Whether the master drove within the third witness's limit: heard on CAN by this system or by
+    /// the vehicle, or reported by itself over the link.
     pub(crate) fn master_drives(
         &self,
         config: &Config,
@@ -119,9 +120,9 @@ impl Standby {
     ) -> Option<Evidence> {
         let silent = witnesses.beats.both_silent();
         let was_silent = core::mem::replace(&mut self.silent, silent);
-        // Remembered until control frames come again: a master that was reset may be back with its
-        // heartbeats, as a standby, before its control frames are missed. A handshake is a sign of
-        // a system that has just started, so it does not drive.
+        // Remembered until control frames arrive again: a master that was reset may send heartbeats
+        // again, as a standby, before its control frames are missed. A handshake shows a system
+        // that has just started, so it does not drive.
         self.suspected |= silent || handshakes > 0;
         // A stray edge made this system a standby. The other is still starting.
         if handshakes > 0 && !self.control_known && self.no_system_drives(config, now, witnesses) {
@@ -141,7 +142,7 @@ impl Standby {
                 return Some(Evidence::MasterMute);
             }
         }
-        // Acts on a report that has just arrived. It was sent in a control cycle, so the master is
+        // Acts on a report that has just arrived. The master sent it in a control cycle, so it is
         // deposed before its next one.
         let resigns = witnesses.reports.resigns(now, config.stall_limit());
         if resigns && sound && now >= self.hold_until && !witnesses.is_deaf(config, now) {
@@ -150,15 +151,15 @@ impl Standby {
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
-    /// Neither the other system nor the vehicle has said for long enough that one drives.
+    /// For long enough, neither the other system nor the vehicle has reported that a system drives.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));
         let listened = now.since(self.last_control) > config.witness_limit();
         listened && !obeys && !witnesses.reports.drives(now, config.report_limit)
     }
 
-    /// Whether the word of the lines is enough: the driver has not changed for long enough, or the
-    /// vehicle does not contradict.
+    /// Whether the evidence of the lines is enough: the driver has not changed for long enough, or
+    /// the vehicle does not contradict.
     fn may_act(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         now >= self.hold_until
             || matches!(
@@ -167,8 +168,8 @@ impl Standby {
             )
     }
 
-    /// The master lives, but no control frame of it reaches the vehicle. The vehicle decides: that
-    /// this system hears none may be its own fault.
+    /// The master lives, but its control frames do not reach the vehicle. The vehicle decides,
+    /// because this system may be the one that does not hear.
     fn master_is_mute(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let age = now.since(self.last_control);
         let verdict = witnesses.gate.verdict(config, now);
@@ -182,7 +183,7 @@ impl Standby {
             GateVerdict::Uncontrolled => {
                 witnesses.can.alive_for(now) > config.control_period + config.poll_interval
             }
-            // A vehicle that does not tell. After an outage of the whole bus the master needs a
+            // A vehicle that sends no echo. After an outage of the whole bus the master needs a
             // control period to be heard again.
             GateVerdict::Unknown => {
                 witnesses.can.alive_for(now) > config.witness_limit()

@@ -1,7 +1,7 @@
 //! The start protocol: handshake, sync, time limits, and which system leads. T-RED-2
 //!
 //! Each system repeats its handshake edge until the start is decided, so the order of switching on
-//! does not matter. The system that leads sends a handshake and the sync edge when it has heard the
+//! does not matter. The leading system sends a handshake and the sync edge when it has heard the
 //! other. The other begins on the sync edge. A master that already runs answers a handshake with
 //! the sync edge, so a late system becomes its standby.
 
@@ -15,9 +15,9 @@ const BEATS_OF_A_RUNNING_SYSTEM: u32 = 3;
 /// How a system begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum StartKind {
-    /// Power-on with both systems taken for healthy: wait for the other's handshake.
+    /// Power-on, and both systems count as healthy: wait for the other's handshake.
     Handshake,
-    /// After a reset, or with the other taken for failed: only listen for a running master.
+    /// After a reset, or if the other counts as failed: only listen for a running master.
     Listen,
 }
 
@@ -67,7 +67,7 @@ impl Starting {
         due
     }
 
-    /// How the start ends, if it does.
+    /// The evidence that ends the start, if there is any.
     pub(crate) fn judge(&mut self, config: &Config, now: Instant, seen: &Seen) -> Option<Evidence> {
         if seen.handshakes > 0 && self.heard_at.is_none() {
             self.heard_at = Some(now);
@@ -86,8 +86,9 @@ impl Starting {
         (now.since(self.since) >= self.alone_after(config)).then_some(Evidence::NobodyThere)
     }
 
-    /// How long after the other's handshake this system takes the lead. A before B among equals, so
-    /// that two that claim (or do not claim) to be master agree: the first sync edge decides.
+    /// How long after the other's handshake this system leads. A before B if both are equal, so
+    /// that two systems that both claim (or both do not claim) to be master agree: the first sync
+    /// edge decides.
     fn lead_after(&self, config: &Config) -> Duration {
         match (self.claims_master, self.system) {
             (true, SystemId::A) => Duration::ZERO,
@@ -97,8 +98,8 @@ impl Starting {
         }
     }
 
-    /// How long this system waits for the other. Staggered, so that with the start line cut the
-    /// first to give up is running, and heard on other lines, before the second gives up.
+    /// How long this system waits for the other. Staggered, so that with a cut start line the first
+    /// system that gives up already runs, and is heard on other lines, before the second gives up.
     fn alone_after(&self, config: &Config) -> Duration {
         match self.kind {
             StartKind::Listen => config.listen_limit(self.system),

@@ -8,7 +8,7 @@ pub(crate) const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
 /// "TSS1": Tandem system state, layout 1.
 const MAGIC: u32 = u32::from_le_bytes(*b"TSS1");
 
-/// Which fault a system found in itself. The number is what stands in flash and in the status
+/// The fault that a system found in itself. Its number is stored in flash and sent in the status
 /// frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[repr(u8)]
@@ -18,7 +18,7 @@ pub enum FailureMode {
     None = 0,
     /// Too many abnormal resets in a row. T-RED-5
     AbnormalResets = 1,
-    /// Nothing is heard on a CAN bus that is alive. T-RED-6
+    /// No frame is received on a CAN bus that is alive. T-RED-6
     CanOpenCircuit = 2,
     /// The output driver's diagnosis register reports a fault. T-RED-6
     IoModule = 3,
@@ -26,19 +26,19 @@ pub enum FailureMode {
     PerceptionCore = 4,
     /// Core 2 does not answer.
     PlanningCore = 5,
-    /// Control cycles are late again and again.
+    /// Control cycles are late repeatedly.
     Deadline = 6,
     /// No mastership term is left.
     TermsExhausted = 7,
-    /// Its command is not the one that its own inputs demand, or not the one that reaches the
-    /// vehicle.
+    /// The system's command is not the one that its own inputs demand, or not the one that reaches
+    /// the vehicle.
     WrongCommand = 8,
     /// A number that this software does not know.
     Unknown = 255,
 }
 
 impl FailureMode {
-    /// All of them, for tables.
+    /// All modes, for tables.
     pub const ALL: [Self; 10] = [
         Self::None,
         Self::AbnormalResets,
@@ -67,7 +67,7 @@ impl FailureMode {
             .unwrap_or(Self::Unknown)
     }
 
-    /// Whether a reset may cure it, so that the system comes back as standby instead of suspending.
+    /// Whether a reset may cure it, so that the system returns as standby instead of suspending.
     #[must_use]
     pub const fn reset_may_cure(self) -> bool {
         matches!(
@@ -80,36 +80,36 @@ impl FailureMode {
         )
     }
 
-    /// Whether a system that has suspended itself for this fault gets one more attempt after a
-    /// power cycle. Faults that a diagnosis has found in the hardware stay until it is mended.
+    /// Whether a system that has suspended for this fault gets one more attempt after a power
+    /// cycle. Faults that a diagnosis has found in the hardware stay until they are repaired.
     #[must_use]
     pub const fn power_cycle_may_cure(self) -> bool {
         self.reset_may_cure() || matches!(self, Self::AbnormalResets)
     }
 }
 
-/// What a system knows about itself and the other beyond its own incarnation. T-RED-1
+/// A system's knowledge about itself and the other that must outlive its incarnation. T-RED-1
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SystemState {
-    /// It was master last, or was initialised as master.
+    /// This system was master last, or was initialised as master.
     pub is_master: bool,
     /// This system has failed and stays suspended.
     pub sys_failure: bool,
-    /// What failed in this system.
+    /// The fault of this system.
     pub failure_mode: FailureMode,
-    /// The other system is taken for failed.
+    /// The other system counts as failed.
     pub cpsys_failure: bool,
     /// Abnormal resets so far; saturates.
     pub abn_resets: u32,
-    /// Starts so far, of whatever cause; saturates.
+    /// Starts so far, for any cause; saturates.
     pub total_resets: u32,
-    /// Abnormal resets since the last time that this system ran well for long enough; saturates.
+    /// Abnormal resets since this system last ran well for long enough; saturates.
     pub abn_in_a_row: u8,
     /// The highest mastership term seen or used.
     pub term: Term,
 }
 
-/// Why bytes from the flash are no state.
+/// Why bytes from the flash are not a valid state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DecodeError {
     /// All ones: erased flash.
@@ -216,7 +216,7 @@ mod tests {
             ..ProptestConfig::default()
         })]
 
-        /// T-RED-1: what is written is what is read.
+        /// T-RED-1: a written state is read back unchanged.
         #[test]
         fn a_record_round_trips(state in any_state(), sequence: u32) {
             prop_assert_eq!(SystemState::decode(&state.encode(sequence)), Ok((state, sequence)));

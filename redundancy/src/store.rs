@@ -2,18 +2,17 @@
 //! T-RED-1
 //!
 //! Records are appended to the active sector until it is full; then the other sector is erased and
-//! becomes the active one. The newest record is never in the range of an operation, so a loss of
-//! power at any moment leaves it readable, and what is read afterwards is the old state or the new
-//! one.
+//! becomes the active one. No operation touches the newest record, so a loss of power at any moment
+//! leaves it readable: afterwards the old state or the new one is read.
 
 use crate::{DecodeError, SystemState};
 use tandem_board::{FlashError, FlashStatus};
 
 const SLOT: u32 = SystemState::BYTES as u32;
-/// Failed operations in a row after which the medium is taken for broken.
+/// After this many failed operations in a row the flash counts as broken.
 const MAX_FAILURES: u8 = 4;
 
-/// Where in the flash the store lies.
+/// The position of the store in the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Geometry {
     /// Bytes of a sector; a multiple of [`SystemState::BYTES`].
@@ -41,14 +40,14 @@ impl Geometry {
     }
 }
 
-/// What was found in the flash.
+/// The result of reading the flash.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Loaded {
     /// The newest state.
     State(SystemState),
     /// The flash was never written.
     Blank,
-    /// There is something, but no valid record.
+    /// The flash is not blank, but has no valid record.
     Lost,
 }
 
@@ -76,15 +75,15 @@ enum Running {
     Program(SystemState),
 }
 
-/// Writes states to the flash, one operation at a time, without ever waiting.
+/// Writes states to the flash, one operation at a time, and never waits.
 ///
-/// Sans-IO: [`StateStore::poll`] is told what the flash does and says which operation to start.
+/// Sans-IO: [`StateStore::poll`] gets the state of the flash and returns the operation to start.
 #[derive(Clone, Debug)]
 pub struct StateStore {
     geometry: Geometry,
-    /// The sector that is written, 0 or 1.
+    /// The active sector, 0 or 1.
     sector: u32,
-    /// The next slot in it that may be blank; equal to the number of slots if it is full.
+    /// The next slot that may be blank; equal to the number of slots if the sector is full.
     slot: u32,
     sequence: u32,
     durable: Option<SystemState>,
@@ -93,17 +92,17 @@ pub struct StateStore {
     failures: u8,
 }
 
-/// What a scan found in one sector.
+/// The result of scanning one sector.
 #[derive(Clone, Copy, Default)]
 struct Sector {
-    /// The first slot after the last one that is not blank.
+    /// The slot after the last one that is not blank.
     free: u32,
     newest: Option<(SystemState, u32)>,
 }
 
 impl StateStore {
-    /// Reads both sectors. `read` copies bytes from an offset of the flash; what cannot be read
-    /// counts as not valid. Takes as long as the reading of two sectors; for the start of a system.
+    /// Reads both sectors. `read` copies bytes from an offset of the flash; a slot that cannot be
+    /// read counts as invalid. Takes as long as reading two sectors; for the start of a system.
     pub fn load(
         geometry: Geometry,
         mut read: impl FnMut(u32, &mut [u8]) -> Result<(), FlashError>,
@@ -143,13 +142,13 @@ impl StateStore {
         (store, loaded)
     }
 
-    /// Asks for `state` to be written. A newer request replaces one that has not begun.
+    /// Requests that `state` be written. A newer request replaces one that has not started.
     pub fn request(&mut self, state: SystemState) {
         self.wanted = Some(state);
     }
 
-    /// The operation to start now, given what the flash does. Start it before the next call, or say
-    /// [`StateStore::refused`].
+    /// The operation to start now, for this state of the flash. Start it before the next call, or
+    /// call [`StateStore::refused`].
     #[must_use = "an operation that is returned counts as started"]
     pub fn poll(&mut self, status: FlashStatus) -> Option<FlashOp> {
         if status == FlashStatus::Busy {
@@ -182,7 +181,8 @@ impl StateStore {
         })
     }
 
-    /// The operation of the last [`StateStore::poll`] was not started; it comes again.
+    /// The operation of the last [`StateStore::poll`] was not started; a later poll returns it
+    /// again.
     pub fn refused(&mut self) {
         match core::mem::replace(&mut self.running, Running::Nothing) {
             Running::Nothing => {}
@@ -191,14 +191,14 @@ impl StateStore {
         }
     }
 
-    /// Whether all that was requested is durable, or never will be.
+    /// Whether every requested state is durable, or never will be.
     #[must_use]
     pub fn is_settled(&self) -> bool {
         self.is_broken() || (self.wanted.is_none() && self.running == Running::Nothing)
     }
 
-    /// Whether the flash failed so often in a row that no more is tried. The system can go on; its
-    /// state will be old after the next start.
+    /// Whether the flash failed so often in a row that the store has given up. The system can
+    /// continue; after the next start its state will be old.
     #[must_use]
     pub fn is_broken(&self) -> bool {
         self.failures >= MAX_FAILURES
@@ -210,7 +210,7 @@ impl StateStore {
         self.durable.as_ref()
     }
 
-    /// Takes note that the running operation has ended.
+    /// Handles the end of the running operation.
     fn finish(&mut self, failed: bool) {
         match core::mem::replace(&mut self.running, Running::Nothing) {
             Running::Nothing => return,

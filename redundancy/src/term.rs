@@ -10,21 +10,21 @@ use tandem_board::SystemId;
 /// (fencing).
 ///
 /// Terms do not wrap around: 2^31 masterships last longer than the data flash that counts them, and
-/// an order that wraps could be turned round by one forged frame.
+/// one forged frame could reverse an order that wraps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Term(u32);
 
 impl Term {
-    /// Below every term that is ever driven in.
+    /// Below every term in which a system drives.
     pub const NONE: Self = Self(0);
 
-    /// The term with this number, as it came from a frame or from the flash.
+    /// The term with this number, from a frame or from the flash.
     #[must_use]
     pub const fn from_bits(bits: u32) -> Self {
         Self(bits)
     }
 
-    /// The number as it goes into a frame.
+    /// The number for a frame.
     #[must_use]
     pub const fn bits(self) -> u32 {
         self.0
@@ -40,8 +40,8 @@ impl Term {
         }
     }
 
-    /// The lowest term of `system` whose count is `step` (at least 1) above that of `self`; higher
-    /// than `self` whichever system that belongs to. `None` when the numbers are used up.
+    /// The lowest term of `system` whose count is `step` (at least 1) above that of `self`; always
+    /// higher than `self`. `None` when the numbers are used up.
     #[must_use]
     pub const fn above(self, step: u32, system: SystemId) -> Option<Self> {
         match (self.0 >> 1).checked_add(if step == 0 { 1 } else { step }) {

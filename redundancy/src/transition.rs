@@ -1,28 +1,28 @@
-//! The transition table: what one piece of evidence does in one phase.
+//! The transition table: the effect of one piece of evidence in one phase.
 
 use crate::{Evidence, Phase};
 
 /// One cell of the table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Rule {
-    /// What is done first.
+    /// The first effect.
     pub(crate) effect: Option<Effect>,
     /// The phase that the system enters; `None` leaves it in its phase.
     pub(crate) enter: Option<Phase>,
 }
 
-/// What a rule does beyond entering a phase.
+/// An effect of a rule other than entering a phase.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effect {
     /// Answers the other's handshake with handshake and sync edge: both begin now.
     LeadStart,
     /// Begins on the other's sync edge.
     FollowStart,
-    /// The other system is taken for failed.
+    /// The other system counts as failed.
     MarkPeerFailed,
-    /// The other system is no longer taken for failed.
+    /// The other system no longer counts as failed.
     MarkPeerRecovered,
-    /// Tells that the heartbeat lines are cut.
+    /// Reports that the heartbeat lines are cut.
     TellLinesSplit,
 }
 
@@ -57,8 +57,8 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
     use Evidence as E;
     use Phase as P;
     match (phase, evidence) {
-        // A system that has failed or waits for its reset does nothing more. Only the worse fault
-        // counts.
+        // A system that has failed or waits for its reset does nothing more, except for a worse
+        // fault.
         (P::Suspended, _) => NOTHING,
         (_, E::FaultSuspend) => enter(P::Suspended),
         (P::Resetting, _) => NOTHING,

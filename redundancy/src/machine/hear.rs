@@ -1,4 +1,4 @@
-//! What the machine does with frames and reports of the other system, and with the vehicle's word.
+//! The reaction to frames and reports of the other system, and to the vehicle's echo.
 
 use super::{PhaseState, Redundancy};
 use crate::witness::GateVerdict;
@@ -44,14 +44,14 @@ impl Redundancy {
         }
     }
 
-    /// Its sender reaches the bus, since it was heard there.
+    /// A received status frame shows that its sender reaches the bus.
     pub(super) fn status_frame(&mut self, now: Instant, report: PeerReport, actions: &mut Actions) {
         self.witnesses.reports.on_status(now, report);
         self.report(now, report, true, actions);
     }
 
-    /// The other's claim to drive counts when it has held for long enough. A system that is cut off
-    /// from the bus believes for a while that the bus is alive, and takes over because it hears no
+    /// The other's claim to drive counts after it has lasted long enough. A system that is cut off
+    /// from the bus assumes for some time that the bus is alive, and takes over because it hears no
     /// master.
     pub(super) fn link_report_of_peer(
         &mut self,
@@ -67,9 +67,9 @@ impl Redundancy {
         self.report(now, report, reaches_bus, actions);
     }
 
-    /// The other's word about itself. `reaches_bus`: what it sends as a master reaches the vehicle.
-    /// A master that closed for one which the vehicle cannot hear would leave the vehicle without
-    /// control.
+    /// A report of the other about itself. `reaches_bus`: its frames as a master would reach the
+    /// vehicle. If this master closed its output for one that the vehicle cannot hear, the vehicle
+    /// would have no control.
     fn report(
         &mut self,
         now: Instant,
@@ -78,7 +78,7 @@ impl Redundancy {
         actions: &mut Actions,
     ) {
         self.witnesses.on_life(&self.config, now, actions);
-        // A system that has just started may have forgotten the newest terms as well.
+        // A system that has just started may not know the newest terms either.
         self.term_known |= matches!(report.role, Role::Master | Role::Standby);
         self.state.term = self.state.term.max(report.term);
         if report.term <= self.term() {
@@ -94,7 +94,7 @@ impl Redundancy {
         }
     }
 
-    /// The other drives in a term that is higher than this system's.
+    /// The other drives in a higher term than this system.
     fn peer_drives(&mut self, now: Instant, actions: &mut Actions) {
         self.witnesses.on_drive(actions);
         self.apply(now, Evidence::HigherTerm, actions);
@@ -113,9 +113,9 @@ impl Redundancy {
         }
     }
 
-    /// The vehicle obeys a term. A master in a lower term is refused: if the other drives, it
-    /// follows; if no system drives in that term any more, it takes a higher one. For a standby the
-    /// vehicle is a witness of the master.
+    /// The vehicle obeys a term. If that is above this master's term, the vehicle refuses this
+    /// master: it follows if the other drives, and takes a higher term if no system drives in that
+    /// term any more. For a standby the vehicle is a witness of the master.
     pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
         let ObeyedTerm { term, age } = obeyed;
         self.term_known = true;

@@ -16,7 +16,7 @@ use tandem_board::Duration;
 
 const CONFIG: Config = Config::rt();
 
-/// A machine of system A and what its lines show.
+/// A machine of system A and the state of its lines.
 struct Bench {
     machine: Redundancy,
     snapshot: Snapshot,
@@ -95,7 +95,7 @@ impl Bench {
     }
 }
 
-/// What following the table once came to.
+/// The result of following one cell of the table.
 struct Cell {
     from: Phase,
     to: Phase,
@@ -193,7 +193,7 @@ fn yes(is: bool) -> &'static str {
     if is { "yes" } else { "no" }
 }
 
-/// What a machine in each phase does and says.
+/// The behaviour of a machine in each phase.
 fn phases() -> String {
     let mut page = String::from(
         "| phase | output open | heartbeats | role in frames | mode | master in record \
@@ -224,15 +224,14 @@ fn phases() -> String {
     page
 }
 
-/// T-RED-9: the tables of the docs are what the machine does; set `UPDATE_DOCS=1` to write them
-/// anew.
+/// T-RED-9: the tables of the docs agree with the machine; `UPDATE_DOCS=1` writes them.
 #[test]
 fn tables_in_the_docs_are_what_the_machine_does() {
     page::check(&[("transitions", transitions()), ("phases", phases())]);
 }
 
-/// T-RED-9: what opens an output is evidence that the other system does not drive, or wants to
-/// leave, and nothing else.
+/// T-RED-9: an output opens only on evidence that the other system does not drive, or wants to
+/// leave.
 #[test]
 fn only_the_absence_of_a_master_opens_an_output() {
     use Evidence as E;
@@ -265,7 +264,8 @@ fn only_the_absence_of_a_master_opens_an_output() {
     }
 }
 
-/// T-RED-9: an output that closes discards what waits, in the same call; nothing else does.
+/// T-RED-9: an output that closes discards the waiting frames, in the same call; no other cell
+/// does.
 #[test]
 fn an_output_that_closes_discards_what_waits() {
     let mut closed = 0;
@@ -287,7 +287,7 @@ fn an_output_that_closes_discards_what_waits() {
 }
 
 /// T-RED-5, T-RED-9: a failed system stays silent; a fault and a higher term work in every phase
-/// that they concern; each change of phase is told, and only that.
+/// that they concern; exactly the changes of phase are reported.
 #[test]
 fn faults_and_higher_terms_work_in_every_phase() {
     use Evidence as E;
@@ -389,8 +389,8 @@ fn every_input() -> Vec<Input> {
 }
 
 /// T-RED-9: every input in every phase, at once and after a stall, twice: the machine does not
-/// panic, tells each change of phase in order, opens and closes its output as it says, and never
-/// has more to say than the list holds.
+/// panic, reports each change of phase in order, opens and closes its output as reported, and never
+/// has more actions than the list holds.
 #[test]
 fn every_input_in_every_phase() {
     for phase in Phase::ALL {
@@ -410,7 +410,7 @@ fn every_input_in_every_phase() {
     }
 }
 
-/// Tells the machine one thing and checks its answer.
+/// Gives the machine one input and checks its answer.
 fn check_step(machine: &mut Redundancy, now: Instant, input: Input) {
     let what = format!("{:?} {input:?}", machine.phase());
     let (from, before) = (machine.phase(), *machine.state());

@@ -1,8 +1,8 @@
-//! The witness of the CAN bus: whether frames of third parties are heard, and since when without a
-//! pause.
+//! The witness of the CAN bus: whether frames of third parties are received, and since when without
+//! a pause.
 //!
-//! Frames of the other system do not count. Two systems that hear only each other know nothing of
-//! the bus: the rest of it may be off, or the fault may lie between them.
+//! Frames of the other system do not count. Two systems that hear only each other know nothing
+//! about the bus: the rest of it may be off, or the fault may be between them.
 
 use tandem_board::{Duration, Instant};
 
@@ -25,7 +25,8 @@ impl CanWatch {
         }
     }
 
-    /// Takes the number of new frames. A pause longer than `pause` begins a new time of traffic.
+    /// Takes the number of new frames. After a pause longer than `pause` a new time of traffic
+    /// begins.
     pub(crate) fn update(&mut self, now: Instant, new: u32, pause: Duration) {
         let paused = now.since(self.last) > pause;
         if new > 0 {
@@ -39,17 +40,17 @@ impl CanWatch {
         }
     }
 
-    /// A stall of the receiver is no silence of the bus.
+    /// A stall of the receiver is not a silence of the bus.
     pub(crate) fn forgive(&mut self, now: Instant) {
         self.last = now;
     }
 
-    /// For how long frames have come without a pause; zero if none come.
+    /// For how long frames have arrived without a pause; zero if none arrive.
     pub(crate) fn alive_for(&self, now: Instant) -> Duration {
         self.since.map_or(Duration::ZERO, |since| now.since(since))
     }
 
-    /// Whether frames come.
+    /// Whether frames arrive.
     pub(crate) fn is_alive(&self) -> bool {
         self.since.is_some()
     }
@@ -59,13 +60,13 @@ impl CanWatch {
         now.since(self.last) > limit
     }
 
-    /// Whether frames came before and have not for `limit`: this system is deaf, or the bus is
+    /// Whether frames arrived before and have not for `limit`: this system is deaf, or the bus is
     /// dead.
     pub(crate) fn is_deaf(&self, now: Instant, limit: Duration) -> bool {
         self.heard && self.is_silent(now, limit)
     }
 
-    /// Whether this differs from what was told last; takes note of it.
+    /// Whether `silent` differs from the last reported value, which it replaces.
     pub(crate) fn is_news(&mut self, silent: bool) -> bool {
         core::mem::replace(&mut self.told_silent, silent) != silent
     }

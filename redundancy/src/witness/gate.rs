@@ -1,14 +1,14 @@
-//! The witness of the vehicle: its word which system it obeys.
+//! The witness of the vehicle: its echo of the system that it obeys.
 
 use crate::{Config, ObeyedTerm, Term};
 use tandem_board::Instant;
 
-/// What the vehicle's last word comes to.
+/// The meaning of the vehicle's last echo.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum GateVerdict {
-    /// The vehicle was never heard: it does not tell, or this system does not hear it.
+    /// The vehicle was never heard: it sends no echo, or this system does not hear it.
     Unknown,
-    /// It was heard before, and is not any more: it is off, or this system is deaf.
+    /// The vehicle was heard before, but no longer: it is off, or this system is deaf.
     Unheard,
     /// No system has reached it for the third witness's limit.
     Uncontrolled,
@@ -16,7 +16,7 @@ pub(crate) enum GateVerdict {
     Obeys(Term),
 }
 
-/// The vehicle's last word.
+/// The vehicle's last echo.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Gate {
     last: Option<(ObeyedTerm, Instant)>,
@@ -30,7 +30,7 @@ impl Gate {
     pub(crate) fn verdict(&self, config: &Config, now: Instant) -> GateVerdict {
         match self.last {
             None => GateVerdict::Unknown,
-            // Two words may be lost.
+            // Two echoes may be lost.
             Some((_, at)) if now.since(at) > config.mute_limit() => GateVerdict::Unheard,
             Some((ObeyedTerm { term, age }, _))
                 if term == Term::NONE || age > config.witness_limit() =>

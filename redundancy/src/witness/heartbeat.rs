@@ -62,7 +62,7 @@ impl BeatSender {
     }
 }
 
-/// What changed on a line at an update.
+/// A change on a line at an update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum LineChange {
     /// The line went silent.
@@ -81,7 +81,7 @@ struct LineState {
 /// The witness of the two heartbeat lines.
 ///
 /// It counts differences, because a reset of the core does not clear the counts of the lines. It
-/// compares times and not counts of sent and received heartbeats: two periods that drift apart must
+/// compares times, not counts of sent and received heartbeats: two periods that drift apart must
 /// not raise a false alarm.
 #[derive(Clone, Debug)]
 pub(crate) struct BeatReceiver {
@@ -105,7 +105,7 @@ impl BeatReceiver {
         }
     }
 
-    /// Takes the numbers of new edges; returns what changed on line 1 and 2.
+    /// Takes the numbers of new edges; returns the changes on line 1 and 2.
     pub(crate) fn update(&mut self, now: Instant, new: [u32; 2]) -> [Option<LineChange>; 2] {
         let limit = self.limit;
         let mut changes = [None; 2];
@@ -128,8 +128,8 @@ impl BeatReceiver {
         changes
     }
 
-    /// Takes both lines for alive with an edge at `from`, which may lie in the future: the other
-    /// system begins now, and has that much time for its first heartbeat.
+    /// Assumes an edge on both lines at `from`, which may be in the future: the other system begins
+    /// now, and has until then for its first heartbeat.
     pub(crate) fn expect(&mut self, from: Instant) {
         for line in &mut self.lines {
             line.silent = false;
@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(sender.poll(at_us(30_000)), None);
     }
 
-    /// Feeds one edge per millisecond on the lines that are whole; returns the receiver after `ms`
+    /// Feeds one edge per millisecond on the whole lines; returns the receiver after `ms`
     /// milliseconds.
     fn fed(whole: [bool; 2], ms: u64) -> BeatReceiver {
         let mut receiver = BeatReceiver::new(LIMIT, at_us(0));
@@ -224,7 +224,8 @@ mod tests {
         receiver
     }
 
-    /// T-RED-3: line 1, and only if it fails line 2; one broken line is no failure but is reported.
+    /// T-RED-3: line 1, and only if it fails line 2; one broken line is not a failure but is
+    /// reported.
     #[test]
     fn one_silent_line_is_no_failure() {
         for (whole, silent, failed) in [
@@ -241,7 +242,8 @@ mod tests {
         }
     }
 
-    /// T-RED-3: silence is what lasts longer than the limit, told once; so is the return.
+    /// T-RED-3: a line is silent after more than the limit; silence and return are each reported
+    /// once.
     #[test]
     fn silence_begins_after_the_limit_and_ends_with_an_edge() {
         let mut receiver = fed([true, true], 10);

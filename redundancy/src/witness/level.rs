@@ -1,4 +1,4 @@
-//! The witness of the power level: what the line says, and whether it is believed.
+//! The witness of the power level: the state of the line, and whether it can be trusted.
 
 use crate::Config;
 use tandem_board::Instant;
@@ -6,17 +6,17 @@ use tandem_board::Instant;
 /// The other system's power level line.
 #[derive(Clone, Debug)]
 pub(crate) struct Level {
-    /// When the line fell. Kept beyond the line's return, until a heartbeat comes: a short reset
-    /// ends before the missing heartbeat is noticed.
+    /// When the line fell. Kept after the line has returned, until a heartbeat arrives: a short
+    /// reset ends before the missing heartbeat is noticed.
     fell: Option<Instant>,
     is_low: bool,
-    /// Heartbeats came until the line fell, so they must end with it.
+    /// Heartbeats arrived until the line fell, so they must end with it.
     beats_at_fall: bool,
     /// The last heartbeat, and the last sign of life of any kind, since the line fell.
     last_beat: Instant,
     last_sign: Instant,
-    /// The line was low while the other system was seen to live. It is not believed until it has
-    /// been high for long enough.
+    /// The line was low while the other system showed life. It is ignored until it has been high
+    /// for long enough.
     broken: bool,
     /// Since when the line is high.
     high_since: Instant,
@@ -64,14 +64,14 @@ impl Level {
             self.beats_at_fall = beats_alive;
             (self.last_beat, self.last_sign) = (now, now);
         } else if let (true, Some(fell)) = (beats, self.fell) {
-            // One that was sent just before the fall may be counted a poll later.
+            // A heartbeat from just before the fall may be counted a poll later.
             self.broken |= now.since(fell) > config.poll_interval;
         }
         (self.broken != was_broken).then_some(self.broken)
     }
 
-    /// The other system was seen to live at `at`, on CAN or over the link. Returns whether that
-    /// shows the line to be broken.
+    /// The other system showed life at `at`, on CAN or over the link. Returns whether that shows
+    /// the line to be broken.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant) -> bool {
         let Some(fell) = self.fell else {
             return false;
@@ -87,15 +87,15 @@ impl Level {
         !core::mem::replace(&mut self.broken, true)
     }
 
-    /// The other system drives in a new term: it cannot do so without power. Returns whether that
-    /// shows the line to be broken.
+    /// The other system drives in a new term, which needs power. Returns whether that shows the
+    /// line to be broken.
     pub(crate) fn on_drive(&mut self) -> bool {
         self.is_low && !core::mem::replace(&mut self.broken, true)
     }
 
-    /// Whether the other system is without power, or was and has not yet begun anew: the line fell,
-    /// and the heartbeats, which came before, have ended with it. Without heartbeats to compare
-    /// with, the line must be low, and all other signs of life must have ended for the third
+    /// Whether the other system is without power, or was and has not restarted yet: the line fell,
+    /// and the heartbeats, which arrived before, have ended with it. If there were no heartbeats
+    /// before, the line must be low, and all other signs of life must have ended for the third
     /// witness's limit.
     pub(crate) fn is_off(&self, config: &Config, now: Instant) -> bool {
         let last_sign = self.last_sign.max(self.last_beat);

@@ -1,4 +1,4 @@
-//! What this system knows of the other one. Each witness is one type; rules combine them.
+//! This system's knowledge of the other one. Each witness is one type; rules combine them.
 
 mod can;
 mod gate;
@@ -17,8 +17,8 @@ use level::Level;
 use reports::Reports;
 use tandem_board::Instant;
 
-/// All witnesses. The control frames of the master are a witness of the phases `Starting` and
-/// `Standby` and stand there.
+/// All witnesses but one: the control frames of the master belong to the phases `Starting` and
+/// `Standby`.
 #[derive(Clone, Debug)]
 pub(crate) struct Witnesses {
     pub(crate) beats: BeatReceiver,
@@ -42,9 +42,9 @@ impl Witnesses {
         }
     }
 
-    /// This system was held up, or has just begun: silence counts from now on. Once between two
-    /// signs of life: a system that always polls late must find a dead one too. Returns
-    /// whether it was done.
+    /// This system was held up, or has just begun: silence counts from now on. Only once between
+    /// two signs of life, because a system that always polls late must also detect a dead one.
+    /// Returns whether it was done.
     pub(crate) fn forgive(&mut self, now: Instant) -> bool {
         if core::mem::replace(&mut self.forgiven, true) {
             return false;
@@ -54,7 +54,7 @@ impl Witnesses {
         true
     }
 
-    /// Takes what a poll has seen.
+    /// Takes the differences of a poll.
     pub(crate) fn update(
         &mut self,
         config: &Config,
@@ -86,7 +86,7 @@ impl Witnesses {
         }
     }
 
-    /// The other system was seen to live at `at`, on CAN or over the link.
+    /// The other system showed life at `at`, on CAN or over the link.
     pub(crate) fn on_life(&mut self, config: &Config, at: Instant, actions: &mut Actions) {
         if self.level.on_life(config, at) {
             actions.record(Event::LevelBroken(true));
@@ -106,9 +106,9 @@ impl Witnesses {
         self.level.is_off(config, now)
     }
 
-    /// Whether the link fell silent together with both heartbeat lines, which are silent: three
-    /// wires that end at one time show a master that has ended, unless a control frame was heard
-    /// since. A link that was cut before is no witness, nor is one that tells too seldom.
+    /// Whether the link and both heartbeat lines fell silent together: three wires that fail at the
+    /// same time show a dead master, unless a control frame was heard since. A link that was cut
+    /// before, or that is too slow, is no witness.
     pub(crate) fn link_ended(&self, config: &Config, now: Instant, last_control: Instant) -> bool {
         let limit = config.link_limit();
         let lines = self.beats.silent_for(now);
@@ -118,23 +118,23 @@ impl Witnesses {
             && now.since(last_control) + limit >= lines
     }
 
-    /// Whether this system heard third parties before, and does not any more: it has nothing to
-    /// drive by, and relieves no master that can still stop the vehicle.
+    /// Whether this system heard third parties before and no longer does: it has no input for
+    /// driving, and must not relieve a master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {
         self.can.is_deaf(now, config.mute_limit())
     }
 
-    /// Nothing was heard on CAN for too long.
+    /// No frame was received on CAN for too long.
     pub(crate) fn can_is_silent(&self, config: &Config, now: Instant) -> bool {
         self.can.is_silent(now, config.can_open_limit)
     }
 
-    /// The other system is powered and its heartbeats come.
+    /// The other system is powered and its heartbeats arrive.
     pub(crate) fn peer_is_there(&self, config: &Config, now: Instant) -> bool {
         !self.peer_is_off(config, now) && !self.beats.both_silent()
     }
 
-    /// Both heartbeat lines are silent for so long that a master gives up its standby.
+    /// Both heartbeat lines have been silent for so long that a master gives up its standby.
     pub(crate) fn standby_is_gone(&self, config: &Config, now: Instant) -> bool {
         self.beats.both_silent() && self.beats.silent_for(now) > config.standby_limit
     }

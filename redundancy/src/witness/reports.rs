@@ -1,19 +1,19 @@
-//! The witness of the reports: what the other system says about itself, over the link and on CAN.
+//! The witness of the reports: the other system's reports about itself, over the link and on CAN.
 
 use crate::{Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Instant};
 
-/// What the other system said last.
+/// The last reports of the other system.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Reports {
-    /// Its last report over the link, and when it came.
+    /// Its last report over the link, and when it arrived.
     link: Option<(PeerReport, Instant)>,
-    /// Its last report on any way.
+    /// Its last report over any path.
     newest: Option<(PeerReport, Instant)>,
-    /// Since when it says over the link, without a pause, that it drives in a higher term than this
-    /// system and hears the bus.
+    /// Since when it reports over the link, without a pause, that it drives in a higher term than
+    /// this system and hears the bus.
     claims_since: Option<Instant>,
-    /// When its status frame last said on CAN that it is standby.
+    /// When its status frame last reported on CAN that it is standby.
     standby_at: Option<Instant>,
 }
 
@@ -52,14 +52,14 @@ impl Reports {
         self.link.map(|(_, at)| now.since(at))
     }
 
-    /// Whether the other said over the link within `limit` that it drives.
+    /// Whether the other reported over the link within `limit` that it drives.
     pub(crate) fn drives(&self, now: Instant, limit: Duration) -> bool {
         self.fresh(now, limit)
             .is_some_and(|report| report.role == Role::Master)
     }
 
-    /// Whether the other drives with a fault of its own, by its last word, and that is no older
-    /// than `limit`.
+    /// Whether the other's last report, if not older than `limit`, says that it drives with its own
+    /// fault.
     pub(crate) fn resigns(&self, now: Instant, limit: Duration) -> bool {
         self.newest.is_some_and(|(report, at)| {
             now.since(at) <= limit && report.role == Role::Master && report.mode == Mode::SafeStop
