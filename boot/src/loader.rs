@@ -461,7 +461,7 @@ fn raise(environment: &mut Environment, manifest: &Manifest) {
 /// The running application approves itself, and the configuration that it runs with: from now on
 /// they boot, and older versions are refused. Does nothing if nothing is on trial. U-3
 ///
-/// Task context of core 0, once the application has proved itself; blocks while the flash works.
+/// Task context of one core, once the application has proved itself; blocks while the flash works.
 ///
 /// # Errors
 /// [`FlashFault`] if the flash cannot be read or written; try again.

@@ -1,7 +1,7 @@
 //! The first program of each core of a run: the bootloader on core 0, a jump to its slot on the
 //! others. And the program flashes that they start from. T-BOOT-1, T-BOOT-2
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{Read as _, Write as _};
 use std::os::unix::fs::OpenOptionsExt as _;
 use std::path::{Path, PathBuf};
@@ -244,12 +244,4 @@ pub(crate) fn approve_later(
         .spawn(approval)
         .map(drop)
         .context("the thread of the approval")
-}
-
-/// Writes the records of an update where the vehicle finds them.
-///
-/// # Errors
-/// If the file cannot be written.
-pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
-    fs::write(path, lines.concat()).with_context(|| path.display().to_string())
 }

@@ -18,7 +18,7 @@ use crate::boot::{self, ProgramFlash};
 use crate::emulated;
 use crate::files::RunFiles;
 use crate::run::this_program;
-use crate::run_config::{Profile, RunConfig};
+use crate::run_config::{Profile, RunConfig, write_lines};
 use crate::three_frames::NAME;
 
 /// The controller under test; the other one has an empty flash and waits.
@@ -87,7 +87,7 @@ fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
     let files = RunFiles::of(launcher.isolation().run());
     let lines = records(NAME, &[&boot::application(NAME, Slot::A, 1, key)]);
     let demo = [files.update(SYSTEM), files.updated()];
-    boot::write_lines(&demo[0], &lines)?;
+    write_lines(&demo[0], &lines)?;
     let flashes = SystemId::ALL.map(|system| files.program_flash(system));
     let config = RunConfig {
         scenario: String::new(),

@@ -7,7 +7,7 @@ use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::SystemId;
 use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout};
-use tandem_boot_host::FlashFile;
+use tandem_boot_host::{FlashFile, records};
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, RunArgs};
@@ -15,7 +15,7 @@ use crate::boot;
 use crate::files::RunFiles;
 use crate::live::Progress;
 use crate::recorder::Recorder;
-use crate::run_config::RunConfig;
+use crate::run_config::{RunConfig, UpdateFiles};
 use crate::vehicle::{self, Ended};
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
@@ -53,7 +53,8 @@ pub(crate) enum Images {
     /// One in the slot of each system, which the bootloader starts.
     Booting {
         bootloader: PathBuf,
-        application: PathBuf,
+        /// By slot: the factory image, and the update.
+        applications: [PathBuf; 2],
     },
 }
 
@@ -69,46 +70,65 @@ impl Images {
         }
         Ok(Self::Booting {
             bootloader: image("bootloader", None)?,
-            application: image("slot-controller", None)?,
+            applications: [
+                image("slot-controller", None)?,
+                image("slot-controller-b", None)?,
+            ],
         })
     }
 
-    /// Starts the machines; the program flashes are made in `folder`.
+    /// Starts the machines; the program flashes are made in `folder`. Also returns the update that
+    /// the systems are to get.
     fn start(
         &self,
         layout: Layout,
-        reintegrate: bool,
+        args: &RunArgs,
+        files: &RunFiles,
         folder: &Path,
-    ) -> anyhow::Result<EmulatedWorld> {
-        match self {
-            Self::Alone(image) => Ok(EmulatedWorld::start(image, layout, reintegrate)?),
+    ) -> anyhow::Result<(EmulatedWorld, Option<UpdateFiles>)> {
+        let (bootloader, [first, second]) = match self {
+            Self::Alone(image) => {
+                ensure!(
+                    args.update.is_none(),
+                    "--update: the systems must start through their bootloaders; use --board qemu \
+                     without --firmware"
+                );
+                let world = EmulatedWorld::start(image, layout, args.reintegrate)?;
+                return Ok((world, None));
+            }
             Self::Booting {
                 bootloader,
-                application,
-            } => {
-                let key = boot::new_key()?;
-                let elf = std::fs::read(application)
-                    .with_context(|| application.display().to_string())?;
-                let image = boot::of_elf(&elf, 1, &key)?;
-                let from = SystemId::ALL.map(|system| {
-                    let from = BootFrom {
-                        flash: folder.join(format!("{system}.pflash")),
-                        public: key.public(),
-                    };
-                    (system, from)
-                });
-                for (_, from) in &from {
-                    let flash = FlashFile::open(&from.flash)
-                        .and_then(|flash| flash.load(image.place(), &image.bytes));
-                    flash.with_context(|| from.flash.display().to_string())?;
-                }
-                Ok(EmulatedWorld::start_booting(
-                    bootloader,
-                    reintegrate,
-                    &from,
-                )?)
-            }
+                applications,
+            } => (bootloader, applications),
+        };
+        let key = boot::new_key()?;
+        let signed = |application: &Path, release| {
+            let elf = std::fs::read(application);
+            let elf = elf.with_context(|| application.display().to_string())?;
+            boot::of_elf(&elf, release, &key)
+        };
+        let image = signed(first, 1)?;
+        let from = SystemId::ALL.map(|system| {
+            let from = BootFrom {
+                flash: folder.join(format!("{system}.pflash")),
+                public: key.public(),
+            };
+            (system, from)
+        });
+        for (_, from) in &from {
+            let flash = FlashFile::open(&from.flash)
+                .and_then(|flash| flash.load(image.place(), &image.bytes));
+            flash.with_context(|| from.flash.display().to_string())?;
         }
+        let update = match args.update {
+            Some(release) => {
+                let lines = records(boot::CONTROLLER, &[&signed(second, release)?]);
+                Some(UpdateFiles::write(files, [&lines, &lines])?)
+            }
+            None => None,
+        };
+        let world = EmulatedWorld::start_booting(bootloader, args.reintegrate, &from)?;
+        Ok((world, update))
     }
 }
 
@@ -128,7 +148,11 @@ pub(crate) fn drive(
     let scenario = Scenario::load(&config.scenario)?;
     let images = Images::of(args)?;
     let folder = tempfile::tempdir().context("a folder for the program flashes")?;
-    let world = images.start(layout, config.reintegrate, folder.path())?;
+    let (mut world, update) = images.start(layout, args, files, folder.path())?;
+    let config = RunConfig {
+        update,
+        ..config.clone()
+    };
     if !args.quiet {
         for (pid, systems) in world.processes() {
             let names: Vec<_> = systems.iter().map(ToString::to_string).collect();
@@ -141,12 +165,18 @@ pub(crate) fn drive(
     for signal in [SIGINT, SIGTERM] {
         signal_hook::flag::register(signal, world.stop_flag()).context("watching for Ctrl-C")?;
     }
-    let ended = vehicle::drive(config, &scenario, world, recorder);
+    let ended = vehicle::drive(&config, &scenario, &mut world, recorder);
     if let Some(progress) = progress {
         progress.end();
     }
     if ended? == Ended::Stopped {
         return Ok(None);
+    }
+    if !args.quiet && args.update.is_some() {
+        // Which slot each system has started, and that it has approved it.
+        let log = world.log();
+        let of_slots = log.lines().filter(|line| line.contains(" slot"));
+        of_slots.for_each(|line| eprintln!("{line}"));
     }
     Ok(Some(format!(
         "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \

@@ -67,17 +67,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
     };
-    if args.update.is_some() && !args.quiet {
-        let ended = fs::read_to_string(files.updated()).unwrap_or_default();
-        eprint!(
-            "{}",
-            if ended.is_empty() {
-                "no system was updated\n"
-            } else {
-                &ended
-            }
-        );
-    }
+    tell_updates(args, &files);
     let collected = Collected::new(&checked.out, &files, &because);
     let around = Surroundings {
         leftovers: leftovers(&launcher.finish()),
@@ -108,11 +98,18 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
     let Some(told) = emulated::drive(args, &config, &files).map_err(Failure::Run)? else {
         return Err(Failure::Interrupted);
     };
+    tell_updates(args, &files);
     if !args.quiet {
         eprintln!("{told}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     conclude(args, checked, collected, &surroundings(&config, told))
+}
+
+fn tell_updates(args: &RunArgs, files: &RunFiles) {
+    if args.update.is_some() && !args.quiet {
+        eprint!("{}", UpdateFiles::told(files));
+    }
 }
 
 /// The run with its program flashes and its update.
@@ -128,17 +125,13 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
         ),
     };
     let flash = ProgramFlash::of(paths, &key)?;
-    let mut update = None;
-    if let Some(release) = args.update {
-        let lines = SystemId::ALL.map(|system| files.update(system));
-        for (system, path) in SystemId::ALL.into_iter().zip(&lines) {
-            boot::write_lines(path, &flash.update(system, release, &key)?)?;
+    let update = match args.update {
+        Some(release) => {
+            let [a, b] = SystemId::ALL.map(|system| flash.update(system, release, &key));
+            Some(UpdateFiles::write(files, [&a?, &b?])?)
         }
-        update = Some(UpdateFiles {
-            lines,
-            ended: files.updated(),
-        });
-    }
+        None => None,
+    };
     Ok(RunConfig {
         program_flash: Some(flash),
         update,

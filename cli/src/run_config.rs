@@ -1,12 +1,16 @@
 //! What a run is to do, as its processes are told.
 
 use std::ffi::OsString;
-use std::path::PathBuf;
+use std::fs;
+use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 
-use crate::boot::ProgramFlash;
 use serde::{Deserialize, Serialize};
+use tandem_board::SystemId;
+
+use crate::boot::ProgramFlash;
+use crate::files::RunFiles;
 
 /// The time limits of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -56,6 +60,40 @@ pub(crate) struct UpdateFiles {
     pub(crate) lines: [PathBuf; 2],
     /// How the updates ended: a line each.
     pub(crate) ended: PathBuf,
+}
+
+impl UpdateFiles {
+    /// Writes the records for each system where the vehicle finds them.
+    ///
+    /// # Errors
+    /// If a file cannot be written.
+    pub(crate) fn write(files: &RunFiles, lines: [&[String]; 2]) -> anyhow::Result<Self> {
+        let places = SystemId::ALL.map(|system| files.update(system));
+        for (path, lines) in places.iter().zip(lines) {
+            write_lines(path, lines)?;
+        }
+        Ok(Self {
+            lines: places,
+            ended: files.updated(),
+        })
+    }
+
+    /// How the updates ended, to print.
+    pub(crate) fn told(files: &RunFiles) -> String {
+        let ended = fs::read_to_string(files.updated()).unwrap_or_default();
+        if ended.is_empty() {
+            return "no system was updated\n".to_owned();
+        }
+        ended
+    }
+}
+
+/// Writes the records of a download where the vehicle finds them.
+///
+/// # Errors
+/// If the file cannot be written.
+pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
+    fs::write(path, lines.concat()).with_context(|| path.display().to_string())
 }
 
 impl RunConfig {

@@ -37,8 +37,9 @@ pub(crate) fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
     let _ = args.claim();
-    let port = HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
-    drive(run, &scenario, port, recorder).map(drop)
+    let mut port =
+        HostVehiclePort::attach(args).context("the vehicle cannot connect to the run")?;
+    drive(run, &scenario, &mut port, recorder).map(drop)
 }
 
 /// Drives the scenario to its end, with a controller on any board.
@@ -48,7 +49,7 @@ pub(crate) fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
 pub(crate) fn drive<P>(
     run: &RunConfig,
     scenario: &Scenario,
-    port: P,
+    port: &mut P,
     recorder: Recorder,
 ) -> anyhow::Result<Ended>
 where
@@ -69,10 +70,10 @@ pub(crate) enum Ended {
     Stopped,
 }
 
-struct Drive<P> {
+struct Drive<'p, P> {
     world: World,
     update: Option<Update>,
-    port: P,
+    port: &'p mut P,
     recorder: Recorder,
     duration_s: f64,
     /// Ticks since the ignition.
@@ -85,14 +86,14 @@ struct Drive<P> {
     held_up_ns: u64,
 }
 
-impl<P> Drive<P>
+impl<'p, P> Drive<'p, P>
 where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
 {
     fn new(
         run: &RunConfig,
         scenario: &Scenario,
-        port: P,
+        port: &'p mut P,
         mut recorder: Recorder,
     ) -> anyhow::Result<Self> {
         let now_us = port.now().as_ns() / 1_000;
@@ -136,7 +137,7 @@ where
                 update,
                 ..
             } = self;
-            world.run_period(due, port, &mut |logged| {
+            world.run_period(due, *port, &mut |logged| {
                 if let Some(update) = update {
                     update.on_frame(logged.at, &logged.frame);
                 }

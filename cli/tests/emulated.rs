@@ -143,7 +143,51 @@ fn emulators_end_when_the_run_is_killed() {
     }
 }
 
-/// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
+/// U-1, U-3, U-5, T-BOOT-1: each emulated system gets release 2 over CAN while the other drives,
+/// starts it from slot B and approves it. The master hands over for that: in the emulator's time no
+/// control frame is missing, by the vehicle's log.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn both_emulated_systems_are_updated_while_they_drive() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("report");
+    let scenario = [
+        "--board",
+        "qemu",
+        "--scenario",
+        "free-lane",
+        "--duration",
+        "88",
+    ];
+    let mut command = tandem(&scenario, &out);
+    let run = command.args(["--reintegrate", "--update", "2"]).output();
+    let run = run.unwrap();
+    let said = String::from_utf8(run.stderr).unwrap();
+    assert!(run.status.success(), "{said}");
+    for system in ["A", "B"] {
+        for what in [
+            format!("{system} has taken the update"),
+            format!("{system}: Software: slot B, version 2"),
+        ] {
+            assert!(said.contains(&what), "{what}: {said}");
+        }
+        let approved = format!("{system}: the image in the slot is approved");
+        assert_eq!(said.matches(&approved).count(), 2, "{system}: {said}");
+    }
+    let metrics = metrics(&out);
+    assert_eq!(metrics["complete"], true);
+    assert_eq!(metrics["collisions"], 0);
+    assert_eq!(metrics["two_masters_ms"], 0.0);
+    let takeovers = metrics["takeovers"].as_array().unwrap();
+    let [takeover] = &takeovers[..] else {
+        panic!("one exchange of roles: {takeovers:?}");
+    };
+    assert_eq!(takeover["is_false"], false);
+    // A control period, and the emulator's millisecond.
+    let gap = metrics["control_gap_max_ms"].as_f64().unwrap();
+    assert!(gap <= 11.0, "{gap} ms");
+}
+
 /// T-BOOT-8, on an emulated machine: the application is a file of its own, and the jump a real one.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
@@ -158,6 +202,7 @@ fn three_cores_of_the_firmware_send_what_was_downloaded() {
     }
 }
 
+/// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_of_the_firmware_are_drawn() {

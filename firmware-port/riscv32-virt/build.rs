@@ -1,7 +1,11 @@
 //! Hands each image's linker script to the linker.
 
-/// Images that a bootloader starts from a slot.
-const IN_SLOTS: [&str; 2] = ["slot-controller", "slot-frames"];
+/// Images that a bootloader starts from a slot, and where they are linked.
+const IN_SLOTS: [(&str, &str); 3] = [
+    ("slot-controller", "slot-a.x"),
+    ("slot-controller-b", "slot-b.x"),
+    ("slot-frames", "slot-a.x"),
+];
 
 fn main() {
     let folder = env!("CARGO_MANIFEST_DIR");
@@ -10,13 +14,19 @@ fn main() {
         .flatten();
     for bin in bins.flatten() {
         let name = bin.file_name().to_string_lossy().replace(".rs", "");
-        let script = match IN_SLOTS.contains(&name.as_str()) {
-            true => "link-slot.x",
-            false => "link.x",
-        };
+        let slot = IN_SLOTS.iter().find(|(image, _)| *image == name);
+        let script = slot.map_or("link.x", |(_, script)| script);
+        println!("cargo:rustc-link-arg-bin={name}=-L{folder}");
         println!("cargo:rustc-link-arg-bin={name}=-T{folder}/{script}");
     }
-    for file in ["link.x", "link-slot.x", "src/start.S", "src/bin"] {
+    for file in [
+        "link.x",
+        "link-slot.x",
+        "slot-a.x",
+        "slot-b.x",
+        "src/start.S",
+        "src/bin",
+    ] {
         println!("cargo:rerun-if-changed={file}");
     }
 }

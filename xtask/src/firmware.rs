@@ -82,8 +82,10 @@ pub(crate) enum Image {
     Controller,
     /// The driving functions over recorded frames; `test` gives it some
     GoldenReplay,
-    /// The whole controller for a slot
+    /// The whole controller for slot A
     SlotController,
+    /// The same for slot B: an update
+    SlotControllerB,
     /// Three cores that each send a frame, for a slot
     SlotFrames,
     /// Tasks of FreeRTOS that toggle outputs; `tandem rtos-demo --board qemu` draws them

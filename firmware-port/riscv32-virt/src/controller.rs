@@ -10,11 +10,12 @@
 
 use crate::board::VirtBoard;
 use crate::memory::{Strap, strap};
+use crate::program_flash::ProgramFlash;
 use crate::{doorbell, heap, log, trap};
 use alloc::boxed::Box;
 use core::sync::atomic::AtomicU32;
 use core::time::Duration;
-use tandem_board::{Board, CoreId};
+use tandem_board::{Board, CoreId, RoleLamp};
 use tandem_cores::core0::{Core0, TaskId};
 use tandem_cores::core1::Core1;
 use tandem_cores::core2::Core2;
@@ -42,6 +43,38 @@ pub fn core(board: &VirtBoard) {
         CoreId::CONTROL => under_kernel(board),
         CoreId::PERCEPTION => go(board, Core1::new(board)),
         _ => go(board, Core2::new(board)),
+    }
+}
+
+/// An image that has had a role for so long has proved itself.
+const PROVES_ITSELF: tandem_board::Duration = tandem_board::Duration::from_ms(1_000);
+
+/// One incarnation of one core of an image in a slot: core 2 approves the image. Programming the
+/// flash takes less time than its cycle. U-3
+pub fn core_in_slot(board: &VirtBoard) {
+    if board.identity().core != CoreId::PLANNING {
+        return core(board);
+    }
+    let mut planning = Core2::new(board);
+    let (mut has_role_since, mut approved) = (None, false);
+    loop {
+        let deadline = planning.poll();
+        let now = board.now();
+        has_role_since = match board.lamp() {
+            RoleLamp::Starting | RoleLamp::Suspended => None,
+            _ => has_role_since.or(Some(now)),
+        };
+        let proved = has_role_since.is_some_and(|since| now.since(since) >= PROVES_ITSELF);
+        if proved && !approved {
+            approved = tandem_boot::approve(&mut ProgramFlash).is_ok();
+            if approved {
+                log!(
+                    "{}: the image in the slot is approved",
+                    board.identity().system
+                );
+            }
+        }
+        board.wait(deadline);
     }
 }
 

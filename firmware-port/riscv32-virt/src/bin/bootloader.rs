@@ -30,7 +30,8 @@ fn core(board: &VirtBoard) {
         let begin = board.now();
         let launch = boot(board);
         log!(
-            "{:?}: slot {:?}, version {}, after {} us",
+            "{}: {:?}: slot {:?}, version {}, after {} us",
+            board.identity().system,
             board.supply().reset_cause(),
             launch.application,
             launch.version,

@@ -11,5 +11,5 @@ use tandem_board_riscv32_virt::entry;
 entry!(main);
 
 fn main(hart: usize) -> ! {
-    run_in_slot(hart, SLICE_TICKS, controller::core)
+    run_in_slot(hart, SLICE_TICKS, controller::core_in_slot)
 }

@@ -11,7 +11,9 @@ use crate::peripherals::{self, Peripherals, system};
 use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Relaxed, Release};
-use tandem_board::{Board, CoreAddress, CoreId, Generation, Identity, Instant, TraceRecord, Wake};
+use tandem_board::{
+    Board, CoreAddress, CoreId, Generation, Identity, Instant, RoleLamp, TraceRecord, Wake,
+};
 use tandem_peripherals::codec::encode_trace;
 
 /// QEMU's `virt` machine as a core of one of the systems.
@@ -159,6 +161,15 @@ fn begin(address: CoreAddress, slice: u32, core: fn(&VirtBoard)) -> ! {
     core(&VirtBoard::new(address));
     loop {
         doorbell::wait(None);
+    }
+}
+
+impl VirtBoard {
+    /// The role that this system shows.
+    #[must_use]
+    pub fn lamp(&self) -> RoleLamp {
+        let lamp = &system(self.identity.system).lamp;
+        RoleLamp::from_code(lamp.load(Relaxed)).unwrap_or(RoleLamp::Starting)
     }
 }
 

@@ -1,0 +1,15 @@
+//! The whole controller for slot B of a system that is alone in its machine: the bootloader's image
+//! starts it. The straps are those of [`controller`].
+#![no_std]
+#![no_main]
+#![deny(unsafe_code)]
+
+use tandem_board_riscv32_virt::board::run_in_slot;
+use tandem_board_riscv32_virt::controller::{self, SLICE_TICKS};
+use tandem_board_riscv32_virt::entry;
+
+entry!(main);
+
+fn main(hart: usize) -> ! {
+    run_in_slot(hart, SLICE_TICKS, controller::core_in_slot)
+}
