@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
+mod broken;
 mod figures;
 mod firmware;
 mod requirements;
@@ -90,6 +91,16 @@ enum Task {
         /// What a task switch, and the entry of an interrupt, cost, in µs: `tandem bench rtos`
         #[arg(long, value_name = "US")]
         overhead_us: f64,
+    },
+    /// Build broken variants of the product (tests/broken/*.patch) and demand that the test that
+    /// each names fails
+    Broken {
+        /// Only variants whose name contains this
+        #[arg(default_value = "")]
+        name: String,
+        /// Only say whether all patches apply
+        #[arg(long)]
+        check: bool,
     },
     /// Write docs/figures.md from the measurements in docs/figures and firmware-port/baseline.json
     Figures {
@@ -183,6 +194,7 @@ fn execute() -> Result<()> {
         Task::Test => test(root),
         Task::Tidy => tidy::run(root),
         Task::Requirements { require } => requirements::run(root, &require),
+        Task::Broken { name, check } => broken::run(root, &name, check),
         Task::BareMetal => bare_metal(root),
         Task::CHeader { check } => c_header(root, check),
         Task::Loom {

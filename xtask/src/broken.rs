@@ -1,0 +1,169 @@
+//! Broken variants of the product, kept as patches: each must be caught by the test that it names.
+//!
+//! A patch begins with two lines: `Broken: what is wrong`, and `Caught by: arguments of cargo nextest
+//! run`. A person starts the tests, because each variant is a build of its own. The gate only checks
+//! that each patch still applies.
+
+use anyhow::{Context, Result, bail, ensure};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+const FOLDER: &str = "tests/broken";
+
+/// One variant.
+struct Variant {
+    name: String,
+    patch: PathBuf,
+    broken: String,
+    caught_by: Vec<String>,
+}
+
+impl Variant {
+    fn read(patch: PathBuf) -> Result<Self> {
+        let shown = patch.display().to_string();
+        let text = fs::read_to_string(&patch).with_context(|| shown.clone())?;
+        let mut lines = text.lines();
+        let mut head = |word: &str| {
+            let line = lines.next().and_then(|line| line.strip_prefix(word));
+            let line = line.with_context(|| format!("{shown}: a line `{word}…` is missing"))?;
+            Ok::<_, anyhow::Error>(line.trim().to_owned())
+        };
+        let broken = head("Broken:")?;
+        let caught_by = head("Caught by:")?;
+        let name = patch.file_stem().unwrap_or_default();
+        Ok(Self {
+            name: name.to_string_lossy().into_owned(),
+            broken,
+            caught_by: caught_by.split_whitespace().map(str::to_owned).collect(),
+            patch,
+        })
+    }
+
+    /// `git apply` in this folder, which need not be a repository.
+    fn apply(&self, folder: &Path, further: &[&str]) -> Result<bool> {
+        let status = Command::new("git")
+            .arg("apply")
+            .args(further)
+            .arg(&self.patch)
+            .current_dir(folder)
+            .env("GIT_CEILING_DIRECTORIES", folder.parent().unwrap_or(folder))
+            .status()
+            .context("git apply")?;
+        Ok(status.success())
+    }
+}
+
+/// Tests the variants whose name contains `filter`, or only checks that all patches apply.
+pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
+    let mut variants = Vec::new();
+    for entry in fs::read_dir(root.join(FOLDER)).context(FOLDER)? {
+        let path = entry.context(FOLDER)?.path();
+        if path
+            .extension()
+            .is_some_and(|extension| extension == "patch")
+        {
+            variants.push(Variant::read(path)?);
+        }
+    }
+    variants.retain(|variant| variant.name.contains(filter));
+    variants.sort_by(|a, b| a.name.cmp(&b.name));
+    ensure!(!variants.is_empty(), "no broken variant is called {filter}");
+    let mut wrong = Vec::new();
+    for variant in &variants {
+        let found = if only_check {
+            variant.apply(root, &["--check"])?
+        } else {
+            println!("{}: {}", variant.name, variant.broken);
+            is_caught(root, variant)?
+        };
+        if !found {
+            wrong.push(variant.name.as_str());
+        }
+    }
+    if !wrong.is_empty() {
+        let what = if only_check {
+            "do not apply"
+        } else {
+            "are not caught"
+        };
+        bail!("{what}: {}", wrong.join(", "));
+    }
+    let what = if only_check { "apply" } else { "are caught" };
+    println!("{} broken variants {what}", variants.len());
+    Ok(())
+}
+
+/// Builds the variant and runs its test. The test must fail; a variant that does not compile, or
+/// whose test does not exist, is not caught.
+fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
+    let copy = root.join("target/broken/tree");
+    copy_tree(root, &copy)?;
+    ensure!(
+        variant.apply(&copy, &[])?,
+        "{} does not apply",
+        variant.patch.display()
+    );
+    let nextest = |further: &[&str]| {
+        let mut command = Command::new("cargo");
+        command
+            .args(["nextest"])
+            .args(further)
+            .args(&variant.caught_by)
+            .current_dir(&copy)
+            // Not the developer's: a broken command must not lie there.
+            .env("CARGO_TARGET_DIR", root.join("target/broken/build"));
+        command
+    };
+    let listed = nextest(&["list"])
+        .stderr(Stdio::inherit())
+        .output()
+        .context("cargo nextest list")?;
+    ensure!(listed.status.success(), "{} does not compile", variant.name);
+    let count = String::from_utf8_lossy(&listed.stdout).lines().count();
+    ensure!(count > 0, "{} names no test", variant.name);
+    let passed = nextest(&["run"]).status().context("cargo nextest run")?;
+    let told = if passed.success() {
+        "NOT CAUGHT"
+    } else {
+        "caught"
+    };
+    println!(
+        "{}: {told} by {}",
+        variant.name,
+        variant.caught_by.join(" ")
+    );
+    Ok(!passed.success())
+}
+
+/// All files of the repository as they are now. A file keeps its time of change where its content is
+/// the same, so that cargo builds only what differs.
+fn copy_tree(root: &Path, copy: &Path) -> Result<()> {
+    let listed = Command::new("git")
+        .args([
+            "ls-files",
+            "-z",
+            "--cached",
+            "--others",
+            "--exclude-standard",
+        ])
+        .current_dir(root)
+        .output()
+        .context("git ls-files")?;
+    ensure!(listed.status.success(), "git ls-files failed");
+    for name in String::from_utf8_lossy(&listed.stdout).split_terminator('\0') {
+        let Ok(content) = fs::read(root.join(name)) else {
+            // Deleted, and not yet committed.
+            continue;
+        };
+        let to = copy.join(name);
+        if fs::read(&to).is_ok_and(|there| there == content) {
+            continue;
+        }
+        if let Some(folder) = to.parent() {
+            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+        }
+        fs::write(&to, content).with_context(|| to.display().to_string())?;
+    }
+    Ok(())
+}
