@@ -9,10 +9,49 @@ use super::MAX_DETECTIONS;
 /// A list that is still not complete after this time has lost frames; what is there is used.
 const COMPLETION_TIME: Duration = Duration::from_ms(20);
 
+/// A list that was longer under way than the fastest one by more than this was stamped by a clock
+/// that has been set, µs: the clocks' difference is learnt anew.
+const CLOCK_WAS_SET_US: i32 = 500_000;
+/// The clocks may drift apart by 0.1 %: the difference that is taken for the smallest grows by 1 µs
+/// in this time.
+const DRIFT: Duration = Duration::from_ms(1);
+
+/// The sensors' clock as this core sees it. The smallest difference between arrival and measurement
+/// is the clocks' difference and the shortest way; what a list took beyond that is its delay.
+#[derive(Clone, Copy, Debug, Default)]
+struct SensorClock {
+    /// Modulo 2^32 µs; and when it was last as small as this, or was raised for the drift.
+    smallest: Option<(u32, Instant)>,
+}
+
+impl SensorClock {
+    /// When the sensors measured what is stamped `measured_at` and arrives `now`; 0 tells no time.
+    fn time_of(&mut self, now: Instant, measured_at: u32) -> Instant {
+        if measured_at == 0 {
+            return now;
+        }
+        let way = ((now.as_ns() / 1_000) as u32).wrapping_sub(measured_at);
+        let (smallest, since) = self.smallest.get_or_insert((way, now));
+        let drifted = now.since(*since).as_ns() / DRIFT.as_ns();
+        *smallest = smallest.wrapping_add(drifted as u32);
+        *since += Duration::from_ns(drifted * DRIFT.as_ns());
+        let delay_us = way.wrapping_sub(*smallest) as i32;
+        if !(0..=CLOCK_WAS_SET_US).contains(&delay_us) {
+            self.smallest = Some((way, now));
+            return now;
+        }
+        let delay = Duration::from_us(delay_us as u64);
+        Instant::from_ns(now.as_ns().saturating_sub(delay.as_ns()))
+    }
+}
+
 /// The newest object list of one sensor.
 #[derive(Clone, Debug, Default)]
 struct List {
+    /// When the sensor measured.
     at: Instant,
+    /// When it began to come in.
+    begun: Instant,
     /// When the last of what is there came in.
     done: Instant,
     expected: usize,
@@ -24,13 +63,16 @@ struct List {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Lists {
     lists: [List; SensorId::ALL.len()],
+    /// One for all sensors: they share the time of the vehicle.
+    clock: SensorClock,
 }
 
 impl Lists {
     /// Begins the next list of this sensor; the one before it ends, complete or not.
     pub(crate) fn begin(&mut self, now: Instant, sensor: SensorId, header: &SensorHeader) {
+        let at = self.clock.time_of(now, header.measured_at);
         let list = &mut self.lists[sensor.index()];
-        (list.at, list.done) = (now, now);
+        (list.at, list.begun, list.done) = (at, now, now);
         list.expected = usize::from(header.object_count).min(MAX_DETECTIONS);
         list.objects.clear();
         list.fresh = true;
@@ -53,8 +95,8 @@ impl Lists {
         list.fresh && list.objects.len() == list.expected
     }
 
-    /// The oldest list that is ready and was not taken before: its sensor, its time, when its last
-    /// object came in, and its objects.
+    /// The oldest list that is ready and was not taken before: its sensor, when that measured, when
+    /// its last object came in, and its objects.
     pub(crate) fn take(
         &mut self,
         now: Instant,
@@ -66,7 +108,7 @@ impl Lists {
     )> {
         let is_ready = |list: &List| {
             let complete = list.objects.len() == list.expected;
-            list.fresh && (complete || now.since(list.at) > COMPLETION_TIME)
+            list.fresh && (complete || now.since(list.begun) > COMPLETION_TIME)
         };
         let sensor = SensorId::ALL
             .into_iter()
@@ -84,6 +126,29 @@ mod tests {
 
     fn ms(ms: u64) -> Instant {
         Instant::ORIGIN + Duration::from_ms(ms)
+    }
+
+    /// The time of a measurement is the sensor's, not that of its arrival: a list that the bus held
+    /// back is as old as it is. The sensors' clock has an origin of its own, and wraps around.
+    #[test]
+    fn a_list_is_as_old_as_its_measurement() {
+        let mut clock = SensorClock::default();
+        let first = u32::MAX - 70_000;
+        let mut at = |arrival_ms: u64, measured_ms: u32| {
+            let measured_at = first.wrapping_add(measured_ms * 1_000);
+            clock.time_of(ms(arrival_ms), measured_at).as_ns() / 1_000_000
+        };
+        assert_eq!(
+            at(1_005, 0),
+            1_005,
+            "the first one tells the difference of the clocks"
+        );
+        assert_eq!(at(1_055, 50), 1_055);
+        assert_eq!(at(1_140, 100), 1_105, "held back by 35 ms, after the wrap");
+        assert_eq!(at(1_152, 150), 1_152, "a faster way is the new smallest");
+        assert_eq!(at(1_205, 200), 1_202);
+        assert_eq!(at(9_000, 10), 9_000, "a clock that was set tells nothing");
+        assert_eq!(at(9_050, 60), 9_050);
     }
 
     fn header(object_count: u8) -> SensorHeader {

@@ -84,7 +84,8 @@ impl Perception {
 
     /// Takes a frame in that was on the bus at `now`. Frames of the systems themselves are ignored.
     ///
-    /// A measurement counts as made when the frame that begins its list was on the bus.
+    /// Lists count as measured when their sensor says; lanes, which say nothing, when their frame
+    /// was on the bus.
     pub fn on_message(&mut self, now: Instant, message: &Message) {
         match message {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
@@ -128,7 +129,7 @@ impl Perception {
             // The oldest comes first.
             oldest = oldest.or(Some(at));
             self.advance(at);
-            self.fuse(sensor, &objects);
+            self.fuse(sensor, at, &objects);
         }
         if let Some((at, lanes)) = self.camera_lanes.take() {
             self.round.add(LANES, at);
@@ -165,13 +166,17 @@ impl Perception {
         self.time = Some(to);
     }
 
-    /// Takes in the list of one sensor, measured at the time up to which the tracks are predicted.
-    fn fuse(&mut self, sensor: SensorId, objects: &[SensorObject]) {
+    /// Takes in the list of one sensor, measured at the time up to which the tracks are predicted,
+    /// or before: then its objects are carried along to that time.
+    fn fuse(&mut self, sensor: SensorId, at: Instant, objects: &[SensorObject]) {
         let ego = *self.odometry.ego();
+        let to = self.time.unwrap_or(at).max(at);
+        let (lag_s, step) = (to.since(at).as_secs_f32(), self.odometry.between(at, to));
         let mut detections: Vec<Detection, MAX_DETECTIONS> = Vec::new();
         for object in objects {
             // Cannot be full: a list is no longer than this.
-            let _ = detections.push(Detection::new(sensor, object, &ego));
+            let detection = Detection::new(sensor, object, &ego);
+            let _ = detections.push(detection.carried(lag_s, step));
         }
         let mut costs = [[IMPOSSIBLE; MAX_DETECTIONS]; MAX_TRACKS];
         for (t, track) in self.tracks.iter().enumerate() {

@@ -71,6 +71,17 @@ impl Detection {
             width: object.width,
         }
     }
+
+    /// Where the object is after `lag_s` at its speed, seen from where the own vehicle is after
+    /// `step`.
+    pub(crate) fn carried(mut self, lag_s: f32, step: Pose) -> Self {
+        if lag_s > 0.0 {
+            let along = self.x.position + self.x.velocity * lag_s;
+            let across = self.y.position + self.y.velocity * lag_s;
+            (self.x.position, self.y.position) = step.to_local(along, across);
+        }
+        self
+    }
 }
 
 /// Variances of the measured velocities along x and y, (m/s)²: a radar measures the velocity along
