@@ -477,7 +477,7 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
             ..SensorObject::default()
         };
         let (arrives, radar) = (measured_ms + held_back_ms, SensorId::RadarFront);
-        let mut list = |perception: &mut Perception| {
+        let list = |perception: &mut Perception| {
             perception.on_message(at_ms(arrives), &Message::SensorHeader(radar, header));
             perception.on_message(at_ms(arrives), &Message::SensorObject(radar, object));
         };
