@@ -19,6 +19,7 @@ extern crate std;
 
 mod action;
 mod boot;
+mod budget;
 mod config;
 mod driving;
 mod input;
@@ -34,6 +35,7 @@ mod transition;
 mod witness;
 
 pub use action::{Action, Actions, Event, Takeover};
+pub use budget::Budget;
 pub use config::Config;
 pub use input::{ControlFrame, Input, ObeyedTerm, Snapshot};
 pub use machine::Redundancy;

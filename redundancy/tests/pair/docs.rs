@@ -3,7 +3,7 @@
 use crate::{page, truth};
 use std::fmt::Write;
 use tandem_board::Duration;
-use tandem_redundancy::Config;
+use tandem_redundancy::{Budget, Config};
 
 fn bounds() -> String {
     let profiles = [Config::chip(), Config::rt(), Config::desktop()];
@@ -78,9 +78,38 @@ fn bounds() -> String {
     text
 }
 
+fn budget() -> String {
+    let mut text = String::from(
+        "| profile | heartbeats each | polls each | reports each | stall | tolerated | line silent | third witness |\n|---|---|---|---|---|---|---|---|\n",
+    );
+    for (name, budget) in [
+        ("chip", Budget::CHIP),
+        ("rt", Budget::RT),
+        ("desktop", Budget::DESKTOP),
+    ] {
+        let config = budget.config();
+        let [beats, polls, reports, stall, tolerated, silent, witness] = [
+            budget.heartbeat_period,
+            budget.poll_interval,
+            budget.report_period,
+            budget.stall,
+            budget.tolerated_stall(),
+            config.silent_limit(),
+            config.witness_limit(),
+        ]
+        .map(|time| time.as_ms_f64());
+        writeln!(
+            text,
+            "| {name} | {beats} ms | {polls} ms | {reports} ms | {stall} ms | {tolerated} ms | {silent} ms | {witness} ms |"
+        )
+        .unwrap();
+    }
+    text
+}
+
 /// T-RED-9: the bounds and the truth table of the docs are generated; set `UPDATE_DOCS=1` to write
 /// them anew.
 #[test]
 fn tables_in_the_docs_are_those_of_the_code() {
-    page::check(&[("bounds", bounds()), ("truth", truth::table())]);
+    page::check(&[("budget", budget()), ("bounds", bounds()), ("truth", truth::table())]);
 }

@@ -1,0 +1,243 @@
+//! The one budget of time from which the limits of each profile follow.
+//!
+//! A limit is as long as what the machine needs, and no longer than what the goal permits: a
+//! takeover on silence within two control periods.
+
+use crate::config::{Config, OVERDUE_ECHO};
+use tandem_board::Duration;
+
+const MS: Duration = Duration::from_ms(1);
+const CONTROL_PERIOD: Duration = Duration::from_ms(10);
+/// Control frames of a failed master are missing for less than this.
+const GOAL: Duration = CONTROL_PERIOD.times(2);
+/// Losing the standby is not urgent: nothing is missing on the bus.
+const STANDBY_LIMIT: Duration = Duration::from_ms(8);
+/// No order of switching on, and no takeover, shall depend on less than this.
+const STAGGER: Duration = Duration::from_ms(20);
+const SYNC_STAGGER: Duration = Duration::from_ms(5);
+/// A chain of cores 1 and 2 that runs has its first handshake so long after it.
+const AFTER_BOOT: Duration = Duration::from_ms(500);
+
+/// What a machine does to time: its periods, and how long it stalls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Budget {
+    /// Time between two heartbeats on each line.
+    pub heartbeat_period: Duration,
+    /// Longest time between two polls while the system runs as it should.
+    pub poll_interval: Duration,
+    /// Time between two reports over the link.
+    pub report_period: Duration,
+    /// Time between two handshake edges.
+    pub handshake_period: Duration,
+    /// How long cores 1 and 2, and the sensors, may take to start.
+    pub boot_limit: Duration,
+    /// For this long a core may not run at all, though it is due and nothing has failed: timers
+    /// that are late, other processes, a hypervisor.
+    pub stall: Duration,
+}
+
+impl Budget {
+    /// Chips: nothing stalls, and the link tells as often as the heartbeat lines.
+    pub const CHIP: Self = Self {
+        report_period: MS,
+        stall: Duration::ZERO,
+        ..Self::RT
+    };
+
+    /// Processes under SCHED_FIFO, whose timers are late by 0.2 ms at p99.9.
+    pub const RT: Self = Self {
+        heartbeat_period: MS,
+        poll_interval: MS,
+        // Once a control cycle.
+        report_period: CONTROL_PERIOD,
+        handshake_period: Duration::from_ms(5),
+        boot_limit: Duration::from_ms(2_000),
+        // A virtual machine's CPU is taken away for some milliseconds now and then: seen, up to 6.
+        stall: Duration::from_ms(6),
+    };
+
+    /// Ordinary processes on a desktop.
+    pub const DESKTOP: Self = Self {
+        // The same limits of silence as in real time, at half the cost.
+        heartbeat_period: Duration::from_ms(2),
+        handshake_period: Duration::from_ms(10),
+        boot_limit: Duration::from_ms(4_000),
+        // Under load a process is held up for tens of milliseconds now and then.
+        stall: Duration::from_ms(46),
+        ..Self::RT
+    };
+
+    /// The same with a stall that was measured, in whole milliseconds. The longest stall of a short
+    /// measurement is exceeded some time later: it counts four times, and a millisecond on top.
+    #[must_use]
+    pub const fn measured(self, longest: Duration) -> Self {
+        let ms = longest.as_us().div_ceil(250) + 1;
+        Self {
+            stall: Duration::from_ms(ms),
+            ..self
+        }
+    }
+
+    /// Silence of a line that the machine needs: two periods, 1 ms for the phases of sender and
+    /// poll, and the stall.
+    const fn silence_needed(&self) -> Duration {
+        Duration::from_ns(self.heartbeat_period.as_ns() * 2 + MS.as_ns() + self.stall.as_ns())
+    }
+
+    /// Silence of a line that the goal permits: what is left of two control periods after the one
+    /// since the last frame, the poll, and 1 ms to stay below.
+    const fn silence_permitted(&self) -> Duration {
+        let rest = GOAL.as_ns() - CONTROL_PERIOD.as_ns() - MS.as_ns();
+        Duration::from_ns(rest - self.poll_interval.as_ns())
+    }
+
+    /// The longest stall of the master that is not taken for its death. A longer one costs a
+    /// takeover that was not needed, and nothing else.
+    #[must_use]
+    pub const fn tolerated_stall(&self) -> Duration {
+        let used = self.silence_needed().as_ns() - self.stall.as_ns();
+        let permitted = Duration::from_ns(self.silence_permitted().as_ns() - used);
+        shorter(permitted, self.stall)
+    }
+
+    /// The limits that follow.
+    #[must_use]
+    pub const fn config(self) -> Config {
+        let silence = shorter(self.silence_needed(), self.silence_permitted());
+        // At least 1 ms of the silence is lateness: the rest is a number of heartbeats.
+        let jitter = Duration::from_ns(MS.as_ns() + shorter(self.stall, MS).as_ns());
+        let misses = (silence.as_ns() - jitter.as_ns()) / self.heartbeat_period.as_ns();
+        let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
+
+        // A control frame is late by the bus and the poll, 1 ms in all, and by the stall. An echo
+        // and a poll after its limit the standby drives, before the goal.
+        let margin_needed = Duration::from_ns(MS.as_ns() + self.stall.as_ns());
+        let after = self.poll_interval.as_ns() + OVERDUE_ECHO.as_ns() + MS.as_ns();
+        let margin_permitted =
+            Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);
+
+        // A system that waits for the other must hear four of its heartbeats, two polls and a
+        // stall later.
+        let heard = self.heartbeat_period.as_ns() * 4 + self.poll_interval.as_ns() * 2;
+        let tens = (heard + self.stall.as_ns()).div_ceil(10 * MS.as_ns());
+        let stagger = longer(STAGGER, Duration::from_ms(10 * tens));
+        let quarter = Duration::from_ms(stagger.as_us() / 4_000);
+
+        Config {
+            heartbeat_period: self.heartbeat_period,
+            heartbeat_misses: misses as u32,
+            heartbeat_jitter: jitter,
+            poll_interval: self.poll_interval,
+            standby_limit: longer(
+                STANDBY_LIMIT,
+                Duration::from_ns(self.heartbeat_period.as_ns() * 2 + self.stall.as_ns()),
+            ),
+            control_period: CONTROL_PERIOD,
+            control_margin: shorter(margin_needed, margin_permitted),
+            // One frame may be lost to a bit error; two in a row are a fault.
+            mute_periods: 2,
+            handshake_period: self.handshake_period,
+            // As long as the other may take to start, and then to its first handshake. The level
+            // line shows at once a system without power.
+            start_limit: Duration::from_ns(self.boot_limit.as_ns() + AFTER_BOOT.as_ns()),
+            stagger,
+            sync_stagger: longer(SYNC_STAGGER, quarter),
+            promote_limit: stagger,
+            recover_after: Duration::from_ms(1000),
+            reintegrate: false,
+            abnormal_limit: 3,
+            // A system that crashes once a minute should be repaired, not suspended.
+            healthy_after: Duration::from_ms(60_000),
+            // The vehicle's frames arrive every 10 ms; a pause of 25 of them is not normal. Every
+            // failed attempt doubles it: a loose connector gets seconds to recover.
+            can_open_limit: Duration::from_ms(250),
+            report_period: self.report_period,
+            report_limit: Duration::from_ms(100),
+            // Status frames arrive every 100 ms, so two may be lost in a row.
+            status_limit: Duration::from_ms(350),
+            // Ten control periods: by then the cause of the change has ended, or the vehicle
+            // reports it.
+            hold_down: Duration::from_ms(100),
+        }
+    }
+}
+
+impl Config {
+    /// The limits of [`Budget::RT`].
+    #[must_use]
+    pub const fn rt() -> Self {
+        Budget::RT.config()
+    }
+
+    /// The limits of [`Budget::CHIP`].
+    #[must_use]
+    pub const fn chip() -> Self {
+        Budget::CHIP.config()
+    }
+
+    /// The limits of [`Budget::DESKTOP`].
+    ///
+    /// They do not grow with its stalls: a takeover within two control periods permits no longer
+    /// ones. It is safe all the same, because a takeover on silence also needs the control frames
+    /// to be missing.
+    #[must_use]
+    pub const fn desktop() -> Self {
+        Budget::DESKTOP.config()
+    }
+}
+
+const fn shorter(a: Duration, b: Duration) -> Duration {
+    if a.as_ns() < b.as_ns() { a } else { b }
+}
+
+const fn longer(a: Duration, b: Duration) -> Duration {
+    if a.as_ns() < b.as_ns() { b } else { a }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const ALL: [Budget; 3] = [Budget::CHIP, Budget::RT, Budget::DESKTOP];
+
+    /// T-RED-8: whatever stall was measured, the limits fit together, the gap stays below two
+    /// control periods, and no limit is shorter than what the machine needs unless the goal demands
+    /// it.
+    #[test]
+    fn every_measured_stall_gives_limits_that_fit() {
+        for base in ALL {
+            let mut last = Duration::ZERO;
+            for us in (0..200_000).step_by(130) {
+                let budget = base.measured(Duration::from_us(us));
+                let config = budget.config();
+                assert!(config.check(), "{us} us: {config:?}");
+                assert!(config.gap_bound() < GOAL && config.gap_bound_mute() < GOAL);
+                let silent = config.silent_limit();
+                assert!(silent >= last, "{us} us: a longer stall, a shorter limit");
+                last = silent;
+                let tolerated = budget.tolerated_stall();
+                assert!(tolerated <= budget.stall && budget.stall > Duration::from_us(us));
+                let needed = budget.heartbeat_period.times(2) + MS + tolerated;
+                assert_eq!(silent, needed, "{us} us");
+            }
+        }
+    }
+
+    /// T-RED-8: a machine that stalls for less gets shorter bounds, down to those of a chip.
+    #[test]
+    fn a_calm_machine_takes_over_sooner() {
+        let gap = |stall_ms| {
+            let stall = Duration::from_ms(stall_ms);
+            Budget {
+                stall,
+                ..Budget::RT
+            }
+            .config()
+            .gap_bound()
+        };
+        let gaps = [0, 1, 2, 3, 4, 5, 6, 7, 40].map(|ms| gap(ms).as_us() / 1_000);
+        assert_eq!(gaps, [14, 15, 16, 17, 18, 19, 19, 19, 19]);
+        assert_eq!(Budget::RT.tolerated_stall(), Duration::from_ms(5));
+        assert_eq!(Budget::DESKTOP.tolerated_stall(), Duration::from_ms(3));
+    }
+}
