@@ -5,9 +5,10 @@
 //! sleeps until they are expected, and only then asks to be woken by frames. If one is missing, the
 //! cycle begins 5 ms after it was expected, and the next ones no longer wait for it.
 
+use crate::driving::knowledge::Knowledge;
 use crate::driving::perception::Perception;
 use crate::driving::types::Scene;
-use crate::layout::{ControllerMap, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
+use crate::layout::{ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, PLAN, SCENE, age_ns};
 use crate::schedule::Release;
 use crate::task_table::{CORE_1, TaskCode};
 use crate::trace::{Begin, Event, Leaves};
@@ -15,7 +16,7 @@ use crate::{Core, Heard, RETRY, read_can};
 use tandem_board::{Board, Can, CoreId, Duration, Instant};
 use tandem_bus::Receiver;
 use tandem_shm::mailbox::{Ring, Sender};
-use tandem_shm::newest::Writer;
+use tandem_shm::newest::{Reader, Writer};
 
 /// The period of the sensors.
 pub const PERIOD: Duration = CORE_1[0].period;
@@ -37,6 +38,7 @@ struct Attached<'b> {
     map: ControllerMap<'b>,
     to_planning: Sender<'b>,
     scenes: Writer<'b, Scene>,
+    told: Reader<'b, Knowledge>,
 }
 
 /// The perception core.
@@ -75,9 +77,10 @@ impl<'b, B: Board> Core1<'b, B> {
         let Ok(map) = ControllerMap::attach(self.board) else {
             return;
         };
-        let (Ok(to_planning), Ok(scenes)) = (
+        let (Ok(to_planning), Ok(scenes), Ok(told)) = (
             MAILBOX_1_TO_2.sender(&map.map, map.incarnation),
             SCENE.writer(&map.map, map.incarnation),
+            KNOWLEDGE.reader(&map.map),
         ) else {
             return;
         };
@@ -87,6 +90,7 @@ impl<'b, B: Board> Core1<'b, B> {
             map,
             to_planning,
             scenes,
+            told,
         });
     }
 
@@ -139,7 +143,9 @@ impl<'b, B: Board> Core1<'b, B> {
         let Some(attached) = &mut self.attached else {
             return;
         };
-        let scene = self.perception.cycle(self.board.now());
+        let is_young = self.perception.is_young();
+        let told = is_young.then(|| attached.told.fetch().ok()?).flatten();
+        let scene = self.perception.cycle_with(self.board.now(), told.as_ref());
         let flow = scene.cycle;
         attached.scenes.publish(scene);
         attached.map.count_cycle();

@@ -1,10 +1,11 @@
 //! Core 2: woken by core 1, decides and plans, and signals core 0. T-CHIP-3
 
 use crate::driving::control::is_right;
+use crate::driving::knowledge::Knowledge;
 use crate::driving::planning::Planner;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
 use crate::layout::{
-    CONTROL_STEP, ControllerMap, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY,
+    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY,
     TRAJECTORY_READY,
 };
 use crate::task_table::TaskCode;
@@ -26,6 +27,7 @@ struct Planning<'b, B: Board> {
     planner: Planner,
     trajectories: Writer<'b, Trajectory>,
     control_steps: Reader<'b, ControlStep>,
+    told: Reader<'b, Knowledge>,
     to_control: Sender<'b>,
 }
 
@@ -49,6 +51,11 @@ impl<B: Board> Planning<'_, B> {
 
     fn plan(&mut self) {
         self.judge_control();
+        if self.planner.is_young()
+            && let Ok(Some(told)) = self.told.fetch()
+        {
+            self.planner.recall(&told);
+        }
         match self.scenes.fetch() {
             Ok(Some(scene)) => {
                 let flow = scene.cycle;
@@ -115,6 +122,7 @@ impl<'b, B: Board> Core2<'b, B> {
             planner: Planner::new(),
             trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,
             control_steps: CONTROL_STEP.reader(&map).ok()?,
+            told: KNOWLEDGE.reader(&map).ok()?,
             to_control: MAILBOX_2_TO_0.sender(&map, incarnation).ok()?,
         };
         lmu.judge_control(true);

@@ -1,5 +1,6 @@
 //! The controller's layout of the LMU: who talks to whom through which words.
 
+use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
@@ -35,7 +36,10 @@ pub const TRAJECTORY: Region<Newest<Trajectory>> = SCENE.then("trajectory");
 /// Core 0 publishes, core 2 reads and computes again.
 pub const CONTROL_STEP: Region<Newest<ControlStep>> = TRAJECTORY.then("control step");
 
-const LAYOUT: Layout = CONTROL_STEP.end();
+/// Core 0 publishes what another system told; cores 1 and 2 read it while they are young.
+pub const KNOWLEDGE: Region<Newest<Knowledge>> = CONTROL_STEP.then("knowledge");
+
+const LAYOUT: Layout = KNOWLEDGE.end();
 
 const _: () = assert!(
     LAYOUT.total_words() <= 8192,

@@ -3,8 +3,9 @@
 //! What comes out of shared memory is an allegation of another core: decoding checks every count,
 //! tag and number, and refuses the whole if one is impossible. Numbers cross as IEEE 754 bits.
 
+use crate::driving::knowledge::{Knowledge, KnownObject, Line, PLAN_POINTS, Plan};
 use crate::driving::types::{
-    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Object, ObjectClass, Scene,
+    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass, Scene,
     TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
@@ -135,39 +136,34 @@ impl Payload for Object {
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put(self.id);
-        put(self.class as u32 | (self.lane as u8 as u32) << 8 | u32::from(self.cuts_in) << 16);
+        put(self.class as u32
+            | (self.lane as u8 as u32) << 8
+            | u32::from(self.cuts_in) << 16
+            | u32::from(self.approaching) << 24);
         let Self {
             x,
             y,
             vx,
             vy,
             ax,
+            ay,
             length,
             width,
             ..
         } = *self;
-        put_f32s(put, &[x, y, vx, vy, ax, length, width]);
-        put(0);
+        put_f32s(put, &[x, y, vx, vy, ax, length, width, ay]);
     }
 
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
         let id = take();
         let tags = take();
-        let class = match tags & 0xFF {
-            0 => ObjectClass::Unknown,
-            1 => ObjectClass::Car,
-            2 => ObjectClass::Truck,
-            3 => ObjectClass::Motorcycle,
-            4 => ObjectClass::Pedestrian,
-            5 => ObjectClass::Static,
-            _ => return Err(Corrupt),
-        };
-        let cuts_in = match tags >> 16 {
+        let class = ObjectClass::of((tags & 0xFF) as u8).ok_or(Corrupt)?;
+        let cuts_in = match tags >> 16 & 0xFF {
             0 => false,
             1 => true,
             _ => return Err(Corrupt),
         };
-        let object = Self {
+        Ok(Self {
             id,
             class,
             x: finite(take)?,
@@ -179,12 +175,9 @@ impl Payload for Object {
             width: finite(take)?,
             lane: (tags >> 8) as u8 as i8,
             cuts_in,
-        };
-        if take() == 0 {
-            Ok(object)
-        } else {
-            Err(Corrupt)
-        }
+            approaching: (tags >> 24) as u8,
+            ay: finite(take)?,
+        })
     }
 }
 
@@ -269,19 +262,19 @@ impl Payload for Trajectory {
         put_instant(put, self.at);
         put_instant(put, self.measured);
         put(self.cycle);
-        put(self.maneuver as u32);
+        put(self.maneuver as u32 | self.memory.bits() << 2);
         self.points.iter().for_each(|point| point.store(put));
     }
 
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
         let (at, measured) = (instant(take), instant(take));
         let cycle = take();
-        let maneuver = match take() {
+        let decided = take();
+        let maneuver = match decided & 3 {
             0 => Maneuver::Follow,
             1 => Maneuver::ChangeLeft,
             2 => Maneuver::ChangeRight,
-            3 => Maneuver::Brake,
-            _ => return Err(Corrupt),
+            _ => Maneuver::Brake,
         };
         let mut points = [TrajectoryPoint::default(); TRAJECTORY_SAMPLES];
         for point in &mut points {
@@ -292,8 +285,67 @@ impl Payload for Trajectory {
             measured,
             cycle,
             maneuver,
+            memory: Memory::from_bits(decided >> 2).ok_or(Corrupt)?,
             points,
         })
+    }
+}
+
+impl Payload for Knowledge {
+    const WORDS: usize = 2
+        + Ego::WORDS
+        + 6
+        + 2
+        + PLAN_POINTS * TrajectoryPoint::WORDS
+        + 1
+        + MAX_OBJECTS * KnownObject::WORDS;
+
+    fn store(&self, put: &mut impl FnMut(u32)) {
+        put_instant(put, self.at);
+        self.ego.store(put);
+        put(u32::from(self.line.is_some()));
+        let line = self.line.as_ref();
+        put_f32s(put, &line.map_or([0.0; 4], |line| line.c));
+        put_f32s(put, &[line.map_or(0.0, |line| line.view_range)]);
+        put(u32::from(self.plan.is_some()));
+        let plan = self.plan.as_ref();
+        put(plan.map_or(0, |plan| plan.memory.bits()));
+        let points = plan.map_or([TrajectoryPoint::default(); PLAN_POINTS], |it| it.points);
+        points.iter().for_each(|point| point.store(put));
+        put(self.objects.len() as u32);
+        let words = self.objects.iter().flat_map(|object| object.0);
+        words.for_each(&mut *put);
+        let missing = MAX_OBJECTS - self.objects.len();
+        (0..missing * KnownObject::WORDS).for_each(|_| put(0));
+    }
+
+    fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
+        let at = instant(take);
+        let ego = Ego::load(take)?;
+        let is_seen = flag(take)?;
+        let line = Line {
+            c: [finite(take)?, finite(take)?, finite(take)?, finite(take)?],
+            view_range: finite(take)?,
+        };
+        let is_planned = flag(take)?;
+        let memory = Memory::from_bits(take()).ok_or(Corrupt)?;
+        let mut points = [TrajectoryPoint::default(); PLAN_POINTS];
+        for point in &mut points {
+            *point = TrajectoryPoint::load(take)?;
+        }
+        let count = take() as usize;
+        if count > MAX_OBJECTS {
+            return Err(Corrupt);
+        }
+        let object = |_| KnownObject([take(), take(), take(), take()]);
+        let knowledge = Self {
+            at,
+            ego,
+            line: is_seen.then_some(line),
+            plan: is_planned.then_some(Plan { memory, points }),
+            objects: (0..count).map(object).collect(),
+        };
+        knowledge.is_plausible().then_some(knowledge).ok_or(Corrupt)
     }
 }
 
@@ -341,10 +393,12 @@ mod tests {
             vx: 22.0,
             vy: 0.3,
             ax: -1.0,
+            ay: 0.5,
             length: 12.0,
             width: 2.5,
             lane: -1,
             cuts_in: true,
+            approaching: 6,
         };
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],
@@ -398,6 +452,7 @@ mod tests {
             measured: Instant::from_ns(3),
             cycle: 1,
             maneuver: Maneuver::ChangeRight,
+            memory: Memory::from_bits(0x2AAA_AAAA).unwrap(),
             points: core::array::from_fn(|i| TrajectoryPoint {
                 x: i as f32,
                 ..Default::default()

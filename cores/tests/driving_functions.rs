@@ -263,10 +263,12 @@ fn object(x: f32, y: f32, vx: f32) -> Object {
         vx,
         vy: 0.0,
         ax: 0.0,
+        ay: 0.0,
         length: 4.5,
         width: 1.8,
         lane: 0,
         cuts_in: false,
+        approaching: 0,
     }
 }
 
@@ -354,8 +356,10 @@ fn every_scene_gives_a_plan() {
             .map(|_| Object {
                 vy: random(-5.0, 5.0),
                 ax: random(-12.0, 5.0),
+                ay: 0.0,
                 length: random(0.0, 25.0),
                 cuts_in: random(0.0, 1.0) > 0.5,
+                approaching: 0,
                 ..object(
                     random(-300.0, 300.0),
                     random(-40.0, 40.0),

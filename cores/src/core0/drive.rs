@@ -3,6 +3,7 @@
 use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
 use crate::driving::function::{Driver, Function, Inputs, State};
+use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
@@ -76,6 +77,14 @@ impl Drive {
 
     pub(crate) fn on_scene(&mut self, scene: Scene) {
         self.scene = Some(scene);
+    }
+
+    /// What this system knows, for one that joins; `None` before the first scene.
+    pub(crate) fn knowledge(&self) -> Option<Knowledge> {
+        Some(Knowledge::of(
+            self.scene.as_ref()?,
+            self.trajectory.as_ref(),
+        ))
     }
 
     /// What the vehicle obeys, while this system does not drive: a takeover starts from there

@@ -12,6 +12,7 @@ mod agreement;
 mod alive;
 mod drive;
 mod frames;
+mod hand_over;
 mod limits;
 mod peer_link;
 mod read_back;

@@ -18,9 +18,6 @@ pub(super) struct Opinion {
     pub(super) command: Command,
 }
 
-/// Words of the longest datagram.
-pub(super) const MAX_WORDS: usize = 4;
-
 /// Data ids of the protection: above those of CAN, so that no frame passes for a datagram.
 const OPINION: u16 = 0x0801;
 

@@ -5,10 +5,12 @@
 use super::agreement::{self, Agreement, Deviation, Stage};
 use super::drive::Output;
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
-use super::peer_link::{MAX_WORDS, Opinion, PeerLink};
+use super::hand_over::{CHUNKS_PER_CYCLE, Giver, MAX_WORDS, Taker};
+use super::peer_link::{Opinion, PeerLink};
 use super::read_back::ReadBack;
 use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
 use crate::driving::function::Driver;
+use crate::driving::knowledge::Knowledge;
 use crate::driving::perception::ego_of;
 use crate::driving::types::{Command, ControlStep, Ego};
 use crate::schedule::{Grid, Release, TickGrid};
@@ -19,7 +21,7 @@ use tandem_board::{Board, Can, Duration, Instant, Lines, Link, ResetRequest, Sup
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
     Action, Actions, ControlFrame, FailureMode, Input, Loaded, Mode, PeerReport, Phase, Redundancy,
-    Snapshot, StateStore,
+    Snapshot, StateStore, Term,
 };
 use tandem_shm::newest::Writer;
 
@@ -36,6 +38,8 @@ const TRAJECTORY_WAITS: Duration = Duration::from_us(1_500);
 const LATE_TRAJECTORIES: u8 = 2;
 /// By this much: a tick of the kernel, at which all releases lie.
 const GRID_STEP: Duration = Duration::from_ms(1);
+/// For so many control cycles of its redundancy, 300 ms, a system asks what the other knows.
+const YOUNG_CONTROL_CYCLES: u32 = 30;
 /// Motions of the chassis that come between two control cycles: three, and as many again.
 const MOTIONS: usize = 6;
 
@@ -101,6 +105,12 @@ pub struct Shared<'b, B: Board> {
     pub(super) heard: Option<(Command, tandem_bus::Mode)>,
     pub(super) agreement: Agreement,
     pub(super) peer_link: PeerLink,
+    giver: Giver,
+    taker: Taker,
+    /// Control cycles of the redundancy in which this system has asked what the other knows.
+    asks: u32,
+    /// Where cores 1 and 2 find what was told; `None` until the LMU is there.
+    pub(super) told: Option<Writer<'b, Knowledge>>,
     pub(super) read_back: ReadBack,
     /// This system's command was found wrong: it sends none any more.
     pub(super) wrong_command: bool,
@@ -159,6 +169,11 @@ impl<'b, B: Board> Shared<'b, B> {
             heard: None,
             agreement: Agreement::new(),
             peer_link: PeerLink::new(),
+            giver: Giver::new(),
+            // The generation alone begins anew when the power returns.
+            taker: Taker::new((started.as_ns() / 1_000) as u32 ^ generation << 24),
+            asks: 0,
+            told: None,
             read_back: ReadBack::new(),
             wrong_command: false,
             steps: None,
@@ -243,10 +258,58 @@ impl<'b, B: Board> Shared<'b, B> {
                 newest = Some(report);
             } else if let Some(opinion) = self.peer_link.on_datagram(words) {
                 self.hear_opinion(opinion);
+            } else {
+                self.hear_knowledge(words);
             }
         }
         self.floods.link();
         newest
+    }
+
+    /// What the system knows that drives. That of an earlier term is refused, and so is any while
+    /// this system drives.
+    fn hear_knowledge(&mut self, words: &[u32]) {
+        let now = self.board.now();
+        if self.phase().is_some_and(Phase::is_driving) {
+            self.giver.on_datagram(now, words);
+            return;
+        }
+        let Some((term, told)) = self.taker.on_datagram(now, words) else {
+            return;
+        };
+        let term = Term::from_bits(term);
+        let known = self.redundancy.as_ref().map(Redundancy::highest_term);
+        if term.system() == self.system || known.is_some_and(|known| term < known) {
+            return;
+        }
+        if let Some(cells) = &mut self.told {
+            cells.publish(&told);
+        }
+    }
+
+    /// Whether this system is to tell the other one what it knows.
+    pub(super) fn wants_to_tell(&self) -> bool {
+        self.phase().is_some_and(Phase::is_driving) && self.giver.wants(self.board.now())
+    }
+
+    /// Each control cycle: asks while this system is young, and tells if it was asked. Bounded.
+    pub(super) fn hand_over(&mut self, knowledge: Option<&Knowledge>) {
+        let Some(redundancy) = self.redundancy.as_ref().filter(|it| it.phase().is_driving()) else {
+            // Before the redundancy starts, cores 1 and 2 may be long in coming.
+            if self.asks < YOUNG_CONTROL_CYCLES {
+                self.asks += u32::from(self.redundancy.is_some());
+                let _full = self.board.link().try_send(&self.taker.ask());
+            }
+            return;
+        };
+        if let Some(knowledge) = knowledge {
+            let term = redundancy.term().bits();
+            self.giver.begin(self.board.now(), term, knowledge);
+        }
+        for chunk in core::iter::from_fn(|| self.giver.chunk()).take(CHUNKS_PER_CYCLE) {
+            // A lost chunk costs the transfer.
+            let _full = self.board.link().try_send(&chunk);
+        }
     }
 
     /// What the other system would command. For the one that drives this is what to compare with.

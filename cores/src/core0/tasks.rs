@@ -6,7 +6,7 @@ use super::shared::Shared;
 use super::{DOORBELL_DISTANCE, Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
-    CONTROL_STEP, ControllerMap, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns,
+    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns,
 };
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
@@ -203,7 +203,8 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
             }) = &self.map
             {
                 let steps = CONTROL_STEP.writer(map, *incarnation).ok();
-                executor.shared(|shared| shared.steps = steps);
+                let told = KNOWLEDGE.writer(map, *incarnation).ok();
+                executor.shared(|shared| (shared.steps, shared.told) = (steps, told));
             }
         }
         if let Some(release) = self.grid.release(self.board.now()) {
@@ -287,7 +288,12 @@ fn cycle<'b, B: Board>(
         });
         executor.shared(|shared| shared.send_control(&output, begin, release.at));
     }
-    executor.shared(|shared| shared.control_cycles = shared.control_cycles.wrapping_add(1));
+    let tells = executor.shared(|shared| {
+        shared.control_cycles = shared.control_cycles.wrapping_add(1);
+        shared.wants_to_tell()
+    });
+    let knowledge = tells.then(|| executor.drive(|drive| drive.knowledge()));
+    executor.shared(|shared| shared.hand_over(knowledge.flatten().as_ref()));
     executor.ends(task);
 }
 

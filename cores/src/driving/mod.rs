@@ -4,6 +4,7 @@ pub mod control;
 pub mod degraded;
 pub mod function;
 mod idm;
+pub mod knowledge;
 mod math;
 pub mod odometry;
 pub mod perception;

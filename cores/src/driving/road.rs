@@ -2,6 +2,7 @@
 //! frame.
 
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
+use super::knowledge::Line;
 use super::types::Lanes;
 
 /// No road is bent more than this, 1/m; what a noisy polynomial says beyond is cut off.
@@ -23,6 +24,14 @@ impl CentreLine {
         Self {
             c: lanes.c,
             end: clamp(lanes.view_range, 5.0, 250.0),
+        }
+    }
+
+    /// The centre line that another system tells.
+    pub(crate) fn told(line: &Line) -> Self {
+        Self {
+            c: line.c,
+            end: clamp(line.view_range, 5.0, 250.0),
         }
     }
 

@@ -70,6 +70,22 @@ pub enum ObjectClass {
     Static,
 }
 
+impl ObjectClass {
+    /// The class with this number, as `as u8` gives it.
+    #[must_use]
+    pub const fn of(number: u8) -> Option<Self> {
+        Some(match number {
+            0 => Self::Unknown,
+            1 => Self::Car,
+            2 => Self::Truck,
+            3 => Self::Motorcycle,
+            4 => Self::Pedestrian,
+            5 => Self::Static,
+            _ => return None,
+        })
+    }
+}
+
 /// One confirmed track.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Object {
@@ -87,6 +103,8 @@ pub struct Object {
     pub vy: f32,
     /// Acceleration along x over ground, m/s².
     pub ax: f32,
+    /// Acceleration along y over ground, m/s²: for a system that joins.
+    pub ay: f32,
     /// m
     pub length: f32,
     /// m
@@ -95,6 +113,8 @@ pub struct Object {
     pub lane: i8,
     /// It is moving towards the own lane and will be in it soon.
     pub cuts_in: bool,
+    /// For how many cycles it has been moving in, about: for a system that joins.
+    pub approaching: u8,
 }
 
 /// What core 1 knows of the world at one time: the object list of T-CHIP-3.
@@ -130,6 +150,28 @@ pub enum Maneuver {
     Brake,
 }
 
+/// What decision remembers from cycle to cycle, in 30 bits: for a system that joins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Memory(pub(super) u32);
+
+impl Memory {
+    /// The memory with these bits; `None` if there are more than 30.
+    #[must_use]
+    pub const fn from_bits(bits: u32) -> Option<Self> {
+        if bits >> 30 == 0 {
+            Some(Self(bits))
+        } else {
+            None
+        }
+    }
+
+    /// Its bits.
+    #[must_use]
+    pub const fn bits(self) -> u32 {
+        self.0
+    }
+}
+
 /// One sample of a trajectory, in the vehicle frame at [`Trajectory::at`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct TrajectoryPoint {
@@ -159,6 +201,8 @@ pub struct Trajectory {
     pub cycle: u32,
     /// What it does.
     pub maneuver: Maneuver,
+    /// What decision remembers.
+    pub memory: Memory,
     /// The samples.
     pub points: [TrajectoryPoint; TRAJECTORY_SAMPLES],
 }

@@ -56,26 +56,44 @@ fn difference(scenario: &str, at: Duration, age: Duration) -> (f32, f32) {
     (most(|it| it.steering_angle), most(|it| it.acceleration))
 }
 
-/// T-RED-4: a takeover 100 ms after the standby has joined is as smooth as one 5 s after: its first
-/// commands are those that the failed system would have given, also while it brakes hard.
+/// T-RED-4, T-CHIP-5: a takeover 100 ms after the standby has joined is as smooth as one 5 s after:
+/// its commands are those that the failed system would have given. In all these places it knows
+/// less by itself: at 10.5 s of "hard-braking" the vehicle ahead begins to brake, and its commands
+/// would differ by 1.04 m/s².
 #[test]
 fn a_standby_that_has_just_joined_takes_over_without_a_jerk() {
     let places = [
-        ("cut-in", 8_000),
-        ("hard-braking", 11_000),
-        ("hard-braking", 12_000),
-        ("stop-and-go", 9_500),
+        ("hard-braking", 10_500),
+        ("hard-braking", 11_100),
+        ("hard-braking", 11_300),
+        ("hard-braking", 13_100),
+        ("cut-in", 5_600),
+        ("cut-in", 6_900),
+        ("stop-and-go", 9_600),
+        ("slow-leader", 14_000),
     ];
+    let mut worst = (0.0_f32, 0.0_f32);
     for (scenario, at_ms) in places {
         let young = difference(scenario, MS(at_ms), YOUNG);
         let old = difference(scenario, MS(at_ms), OLD);
         println!("{scenario} {at_ms} ms: after 100 ms {young:?}, after 5 s {old:?}");
         for (steering, acceleration) in [young, old] {
-            assert!(steering < 0.002, "{scenario} {at_ms} ms: {steering} rad");
-            assert!(
-                acceleration < 0.4,
-                "{scenario} {at_ms} ms: {acceleration} m/s²"
-            );
+            worst = (worst.0.max(steering), worst.1.max(acceleration));
         }
+    }
+    assert!(worst.0 < 0.000_3, "{} rad", worst.0);
+    assert!(worst.1 < 0.1, "{} m/s²", worst.1);
+}
+
+#[test]
+fn sweep() {
+    let scenes = std::env::var("SCENES").unwrap_or("cut-in:6000:10000:200".into());
+    let parts: Vec<&str> = scenes.split(':').collect();
+    let n = |i: usize| parts[i].parse::<usize>().expect("number");
+    for at in (n(1)..=n(2)).step_by(n(3)) {
+        let at_ms = MS(at as u64);
+        let (ys, ya) = difference(parts[0], at_ms, YOUNG);
+        let (os, oa) = difference(parts[0], at_ms, OLD);
+        println!("SW {} {at} young {ys:.5} {ya:.3} old {os:.5} {oa:.3}", parts[0]);
     }
 }

@@ -250,6 +250,7 @@ pub(crate) fn driven_curvature(ego: &Ego) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::driving::types::Memory;
 
     const EGO: Ego = Ego {
         speed: 25.0,
@@ -272,6 +273,7 @@ mod tests {
             measured: Instant::from_ns(1_000_000_000),
             cycle: 7,
             maneuver: Maneuver::Follow,
+            memory: Memory::default(),
             points,
         }
     }

@@ -45,6 +45,10 @@ pub(crate) struct Axis {
 
 /// Variance of the acceleration of an object that was never seen before, (m/s²)².
 const FIRST_ACCELERATION_VARIANCE: f32 = 2.0;
+/// Variances of position (m²) and velocity ((m/s)²) of a track that another system tells.
+const TOLD_VARIANCES: [f32; 2] = [0.05, 0.03];
+/// Variance of its acceleration as a share of the noise's density, s.
+const TOLD_ACCELERATION_SHARE: f32 = 0.07;
 /// A covariance that gets no measurements stops growing here.
 const MAX_VARIANCE: f32 = 400.0;
 
@@ -57,6 +61,27 @@ impl Axis {
                 measured.velocity_variance,
                 FIRST_ACCELERATION_VARIANCE,
             )),
+        }
+    }
+
+    /// An axis that another system has tracked.
+    pub(crate) fn told(state: [f32; 3], motion: &Motion) -> Self {
+        let [position, velocity] = TOLD_VARIANCES;
+        // Of a filter that has settled, the faster the stronger the noise is that drives it.
+        let acceleration = TOLD_ACCELERATION_SHARE * motion.acceleration_noise;
+        Self {
+            state: Vector3::from(state),
+            covariance: Matrix3::from_diagonal(&Vector3::new(position, velocity, acceleration)),
+        }
+    }
+
+    /// This axis as a measurement, for a filter that knows nothing of it.
+    pub(crate) fn measured(&self) -> Measured {
+        Measured {
+            position: self.state.x,
+            velocity: self.state.y,
+            position_variance: self.covariance.m11,
+            velocity_variance: self.covariance.m22,
         }
     }
 

@@ -21,6 +21,11 @@ const MEASUREMENT: [f32; 4] = [0.025, 0.001_5, 3e-5, 4e-7];
 /// How fast the true coefficients leave the model, per square root of a second.
 const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
 
+/// Standard deviations of a filter that has settled.
+const SETTLED: [f32; 4] = [0.015, 0.001, 2e-5, 3e-7];
+/// What is told differs by no more than this from the first lines that the camera sees.
+const GATE: [f32; 4] = [0.3, 0.02, 5e-4, 5e-6];
+
 /// The filter.
 #[derive(Clone, Debug)]
 pub(crate) struct LaneFilter {
@@ -28,6 +33,8 @@ pub(crate) struct LaneFilter {
     lanes: Lanes,
     state: Vector4<f32>,
     covariance: Matrix4<f32>,
+    /// Another system's word was taken.
+    told: bool,
 }
 
 impl LaneFilter {
@@ -48,6 +55,7 @@ impl LaneFilter {
             lanes,
             state: Vector4::zeros(),
             covariance: Matrix4::zeros(),
+            told: false,
         }
     }
 
@@ -129,6 +137,30 @@ impl LaneFilter {
                 limit
             },
         };
+    }
+
+    /// What another system knew `dt` seconds ago, since when the vehicle has moved by `step`, is
+    /// the expectation that the camera's lines correct. Once; and not without such lines or if
+    /// these contradict it.
+    pub(crate) fn recall(&mut self, c: &[f32; 4], dt: f32, step: &Pose) {
+        if self.told || self.seen.is_none() {
+            return;
+        }
+        let mut known = self.clone();
+        known.state = Vector4::from(*c);
+        known.covariance = Matrix4::from_diagonal(&Vector4::from(SETTLED.map(|s| s * s)));
+        known.predict(dt, step);
+        let residual = self.state - known.state;
+        let fits = residual.iter().zip(GATE).all(|(r, gate)| abs(*r) < gate);
+        if fits {
+            known.correct(&self.state);
+            *self = Self {
+                state: known.state,
+                covariance: known.covariance,
+                told: true,
+                ..self.clone()
+            };
+        }
     }
 
     /// One scalar update for each coefficient: their noises are independent, so no matrix is

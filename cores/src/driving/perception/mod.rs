@@ -19,7 +19,8 @@ use tandem_board::{Duration, Instant};
 use tandem_bus::{CameraLanes, EgoMotion, Message, SensorId, SensorObject};
 
 use super::control::driven_curvature;
-use super::odometry::Odometry;
+use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
+use super::odometry::{Odometry, motion};
 use super::types::{Ego, Object, Scene};
 use assignment::{IMPOSSIBLE, assign};
 use lane::LaneFilter;
@@ -118,6 +119,19 @@ impl Perception {
 
     /// The scene at `now`, from all that came in. To be called every 50 ms; time is bounded.
     pub fn cycle(&mut self, now: Instant) -> &Scene {
+        self.cycle_with(now, None)
+    }
+
+    /// Whether [`Perception::cycle_with`] still takes what it is told.
+    #[must_use]
+    pub const fn is_young(&self) -> bool {
+        self.scene.cycle < YOUNG_CYCLES
+    }
+
+    /// [`Perception::cycle`] with what another system tells. It sharpens what the own sensors see,
+    /// and ends nothing and adds nothing to the scene. Old knowledge is not used, nor any once this
+    /// function is no longer young.
+    pub fn cycle_with(&mut self, now: Instant, told: Option<&Knowledge>) -> &Scene {
         self.round = Round::default();
         let mut oldest: Option<Instant> = None;
         // At most one list of each sensor is pending.
@@ -139,6 +153,11 @@ impl Perception {
         }
         self.scene.measured = oldest.unwrap_or(self.scene.measured);
         self.advance(now);
+        if let Some(told) = told.filter(|told| now.since(told.at) <= KNOWLEDGE_MAX_AGE)
+            && self.is_young()
+        {
+            self.recall(now, told);
+        }
         self.tidy();
         self.lanes.expire(now);
         self.analyse(now);
@@ -197,6 +216,26 @@ impl Perception {
         for (d, detection) in detections.iter().enumerate() {
             if !used[d] {
                 self.begin_track(detection);
+            }
+        }
+    }
+
+    /// Takes what another system knew as what was expected: own detections correct it.
+    fn recall(&mut self, now: Instant, told: &Knowledge) {
+        let dt = now.since(told.at).as_secs_f32();
+        let step = motion(&told.ego, self.odometry.ego(), dt);
+        if let Some(line) = &told.line {
+            self.lanes.recall(&line.c, dt, &step);
+        }
+        for known in told.objects.iter().filter_map(|object| object.unpack()) {
+            let known = Track::told(self.next_id, &known, dt, &step);
+            match self.tracks.iter_mut().find(|own| own.is_same(&known)) {
+                Some(own) => own.recall(&known),
+                // Not confirmed: it stays out of the scene until an own sensor sees it.
+                None => {
+                    self.next_id = self.next_id.wrapping_add(1);
+                    let _full = self.tracks.push(known);
+                }
             }
         }
     }
@@ -268,10 +307,12 @@ impl Perception {
                 vx: track.x.velocity(),
                 vy: track.y.velocity(),
                 ax: track.x.acceleration(),
+                ay: track.y.acceleration(),
                 length: track.length,
                 width: track.width,
                 lane: place.lane,
                 cuts_in: place.cuts_in,
+                approaching: track.approaching,
             };
             if self.scene.objects.push(object).is_err() {
                 break;

@@ -5,6 +5,7 @@ use tandem_bus::{Class, SensorId, SensorObject};
 use super::kalman::{Axis, Innovation, Measured, Motion};
 use crate::driving::math::{abs, clamp, cos, lerp, max, min, sin};
 use crate::driving::odometry::Pose;
+use crate::driving::knowledge::Known;
 use crate::driving::types::{Ego, ObjectClass};
 
 /// Along the road vehicles brake with up to 8 m/s² within half a second.
@@ -131,6 +132,8 @@ pub(crate) struct Track {
     hits: u16,
     sensors: u8,
     unseen_s: f32,
+    /// Another system has tracked it: the first own detection confirms it.
+    told: bool,
 }
 
 impl Track {
@@ -155,9 +158,64 @@ impl Track {
             hits: 0,
             sensors: 0,
             unseen_s: 0.0,
+            told: false,
         };
         track.seen(detection);
         track
+    }
+
+    /// A track that another system told `dt` seconds ago; the vehicle has moved by `step` since.
+    pub(crate) fn told(id: u32, known: &Known, dt: f32, step: &Pose) -> Self {
+        let mut track = Self {
+            id,
+            x: Axis::told(known.x, &ALONG),
+            y: Axis::told(known.y, &ACROSS),
+            class: known.class,
+            length: known.length,
+            width: known.width,
+            confirmed: false,
+            approaching: known.approaching,
+            hits: 0,
+            sensors: 0,
+            unseen_s: 0.0,
+            told: true,
+        };
+        track.predict(dt, step);
+        track.unseen_s = 0.0;
+        track
+    }
+
+    /// Another system has tracked this object for longer: what it knew is the expectation that the
+    /// own detections correct. Once; and not if these contradict it.
+    pub(crate) fn recall(&mut self, known: &Self) {
+        if self.told && self.hits > 0 {
+            return;
+        }
+        let (mut x, mut y) = (known.x, known.y);
+        if self.hits > 0 {
+            let own = (self.x.measured(), self.y.measured());
+            let fit = (x.innovation(&own.0), y.innovation(&own.1));
+            if fit.0.distance + fit.1.distance >= GATE {
+                return;
+            }
+            x.update(&fit.0);
+            y.update(&fit.1);
+            self.confirmed = true;
+        }
+        let class = match self.class {
+            ObjectClass::Unknown => known.class,
+            own => own,
+        };
+        *self = Self {
+            x,
+            y,
+            class,
+            length: known.length,
+            width: known.width,
+            approaching: max_of(self.approaching, known.approaching),
+            told: true,
+            ..*self
+        };
     }
 
     /// Moves the object on by `dt` and into the frame of the vehicle that has meanwhile moved by
@@ -199,7 +257,7 @@ impl Track {
         self.sensors |= 1 << detection.sensor.index();
         self.unseen_s = 0.0;
         self.confirmed |=
-            self.hits >= CONFIRMING_HITS || self.sensors.count_ones() >= CONFIRMING_SENSORS;
+            self.told || self.hits >= CONFIRMING_HITS || self.sensors.count_ones() >= CONFIRMING_SENSORS;
         if detection.class != Class::Unknown {
             self.class = kind(detection.class);
         }
@@ -246,6 +304,10 @@ impl Track {
             self.class = double.class;
         }
     }
+}
+
+const fn max_of(a: u8, b: u8) -> u8 {
+    if a > b { a } else { b }
 }
 
 fn kind(class: Class) -> ObjectClass {

@@ -8,7 +8,7 @@
 use super::prediction::Predicted;
 use crate::driving::idm::{self, Driver, Leader};
 use crate::driving::math::{abs, lerp, max, min};
-use crate::driving::types::Lanes;
+use crate::driving::types::{Lanes, Memory};
 use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
 /// Gain in acceleration that makes a change worth its while, m/s².
@@ -123,6 +123,43 @@ impl Behaviour {
             intent: Intent::Keep,
             wishes: [0; 2],
             rest: 0,
+        }
+    }
+
+    /// What this decision remembers.
+    pub(crate) fn memory(&self) -> Memory {
+        let [left, right] = self.wishes.map(|wish| u32::from(wish.min(31)));
+        let intent = match self.intent {
+            Intent::Keep => 0,
+            Intent::Change {
+                side,
+                crossed,
+                rest_m,
+            } => {
+                let half_metres = min(2.0 * rest_m, 1023.0) as u32;
+                (1 + side as u32) | u32::from(crossed) << 2 | half_metres << 20
+            }
+        };
+        Memory(intent | left << 3 | right << 8 | u32::from(self.rest) << 13)
+    }
+
+    /// A decision that goes on from this memory.
+    pub(crate) fn recall(memory: Memory) -> Self {
+        let bits = memory.bits();
+        let field = |shift: u32, width: u32| (bits >> shift & ((1 << width) - 1)) as u16;
+        let change = |side| Intent::Change {
+            side,
+            crossed: field(2, 1) == 1,
+            rest_m: 0.5 * f32::from(field(20, 10)),
+        };
+        Self {
+            intent: match field(0, 2) {
+                1 => change(Side::Left),
+                2 => change(Side::Right),
+                _ => Intent::Keep,
+            },
+            wishes: [field(3, 5), field(8, 5)],
+            rest: field(13, 7).min(REST_CYCLES),
         }
     }
 

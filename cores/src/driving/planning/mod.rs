@@ -16,6 +16,7 @@ use heapless::Vec;
 
 use super::control::{driven_curvature, sample};
 use super::math::{abs, max, min, sqrt, wrap_angle};
+use super::knowledge::{Knowledge, PLAN_POINTS, YOUNG_CYCLES};
 use super::odometry::{Pose, motion};
 use super::road::{CentreLine, DEFAULT_LANE_WIDTH_M, FrenetFrame};
 use super::types::{
@@ -63,6 +64,8 @@ const KEEP_MIN_M: f32 = 10.0;
 pub struct Planner {
     behaviour: Behaviour,
     last: Option<Last>,
+    /// Plans so far.
+    plans: u32,
 }
 
 #[derive(Clone, Debug)]
@@ -92,7 +95,38 @@ impl Planner {
         Self {
             behaviour: Behaviour::new(),
             last: None,
+            plans: 0,
         }
+    }
+
+    /// Whether [`Planner::recall`] still takes what it is told.
+    #[must_use]
+    pub const fn is_young(&self) -> bool {
+        self.plans < YOUNG_CYCLES
+    }
+
+    /// Goes on from the plan of another system, if this one is young: the next plan joins it. Each
+    /// plan is made for the own scene; what that does not permit is not done.
+    pub fn recall(&mut self, told: &Knowledge) {
+        let Some(plan) = told.plan.as_ref().filter(|_| self.is_young()) else {
+            return;
+        };
+        self.behaviour = Behaviour::recall(plan.memory);
+        // A plan is continued for less time than these samples cover.
+        let points = core::array::from_fn(|index| plan.points[index.min(PLAN_POINTS - 1)]);
+        self.last = Some(Last {
+            trajectory: Trajectory {
+                at: told.at,
+                measured: told.at,
+                // No step of core 0 follows it.
+                cycle: 0,
+                maneuver: Maneuver::Follow,
+                memory: plan.memory,
+                points,
+            },
+            ego: told.ego,
+            line: told.line.as_ref().map(CentreLine::told),
+        });
     }
 
     /// The last plan, and the vehicle's motion at its begin; `None` before the first.
@@ -183,9 +217,11 @@ impl Planner {
             measured: scene.measured,
             cycle: scene.cycle,
             maneuver: self.maneuver(&profile),
+            memory: self.behaviour.memory(),
             points: points(&view.frame, &station, &path, &profile),
         };
         let line = scene.lanes.as_ref().map(CentreLine::new);
+        self.plans = self.plans.saturating_add(1);
         self.last = Some(Last {
             trajectory: trajectory.clone(),
             ego: scene.ego,

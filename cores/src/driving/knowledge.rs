@@ -1,0 +1,162 @@
+//! What a system that drives knows, and one that has just joined cannot know yet. T-CHIP-5
+//!
+//! It is told by another system. So it may only sharpen what the own sensors see (see
+//! `docs/decisions/0021-state-for-a-system-that-joins.md`): it makes no object and no lane, and it
+//! is taken only in the first [`YOUNG_CYCLES`] cycles.
+
+use super::math::{clamp, max, min};
+use super::types::{
+    Ego, MAX_OBJECTS, Memory, Object, ObjectClass, Scene, Trajectory, TrajectoryPoint,
+};
+use heapless::Vec;
+use tandem_board::{Duration, Instant};
+
+/// A core takes what it is told in its first cycles only, 400 ms. Afterwards it computes from its
+/// own sensors alone, well before the commands of both systems are compared.
+pub const YOUNG_CYCLES: u32 = 8;
+/// What is older is not used: the traffic has moved on.
+pub const KNOWLEDGE_MAX_AGE: Duration = Duration::from_ms(200);
+/// Samples of a plan that its continuation needs: 0.3 s, and one more.
+pub const PLAN_POINTS: usize = 5;
+
+/// The begin of a plan, and what decision remembers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// What decision remembers.
+    pub memory: Memory,
+    /// Samples every [`super::types::TRAJECTORY_STEP_S`].
+    pub points: [TrajectoryPoint; PLAN_POINTS],
+}
+
+/// The centre line of the own lane, as in [`super::types::Lanes`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Line {
+    /// Its polynomial.
+    pub c: [f32; 4],
+    /// How far it holds, m.
+    pub view_range: f32,
+}
+
+/// What one system tells another one. All in the vehicle frame at [`Knowledge::at`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Knowledge {
+    /// The time of the scene, on the clock of the system that holds this.
+    pub at: Instant,
+    /// Motion of the own vehicle at `at`.
+    pub ego: Ego,
+    /// The own lane; `None` if none is seen.
+    pub line: Option<Line>,
+    /// The plan for this scene; `None` while there is none.
+    pub plan: Option<Plan>,
+    /// Confirmed tracks, nearest first.
+    pub objects: Vec<KnownObject, MAX_OBJECTS>,
+}
+
+impl Knowledge {
+    /// What a system with this scene and this trajectory knows.
+    #[must_use]
+    pub fn of(scene: &Scene, trajectory: Option<&Trajectory>) -> Self {
+        let plan = trajectory.filter(|trajectory| trajectory.cycle == scene.cycle);
+        Self {
+            at: scene.at,
+            ego: scene.ego,
+            line: scene.lanes.as_ref().map(|lanes| Line {
+                c: lanes.c,
+                view_range: lanes.view_range,
+            }),
+            plan: plan.map(|trajectory| Plan {
+                memory: trajectory.memory,
+                points: core::array::from_fn(|index| trajectory.points[index]),
+            }),
+            objects: scene.objects.iter().map(KnownObject::pack).collect(),
+        }
+    }
+
+    /// Whether all values are such as occur on a road.
+    #[must_use]
+    pub fn is_plausible(&self) -> bool {
+        let within = |value: f32, limit: f32| value.abs() <= limit;
+        let ego = &self.ego;
+        within(ego.speed, 100.0)
+            && within(ego.yaw_rate, 2.0)
+            && within(ego.acceleration, 20.0)
+            && within(ego.steering_angle, 1.0)
+            && within(ego.slip_angle, 0.5)
+            && self.line.is_none_or(|Line { c, view_range }| {
+                let limits = [10.0, 0.5, 0.02, 2e-4];
+                c.iter().zip(limits).all(|(c, limit)| within(*c, limit))
+                    && (0.0..=300.0).contains(&view_range)
+            })
+            && self.plan.as_ref().is_none_or(|plan| {
+                plan.points.iter().all(|point| {
+                    within(point.x, 50.0)
+                        && within(point.y, 10.0)
+                        && within(point.heading, 1.0)
+                        && within(point.curvature, 0.2)
+                        && (0.0..=100.0).contains(&point.speed)
+                        && within(point.acceleration, 12.0)
+                })
+            })
+            && self.objects.iter().all(|object| object.unpack().is_some())
+    }
+}
+
+/// A track in 16 bytes: cm, cm/s, cm/s²; length and width in dm. The range of the numbers bounds what a peer can claim.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct KnownObject(pub [u32; Self::WORDS]);
+
+/// A track as another system tells it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Known {
+    pub(crate) class: ObjectClass,
+    /// Position (m), velocity (m/s) and acceleration (m/s²) along x.
+    pub(crate) x: [f32; 3],
+    /// The same along y.
+    pub(crate) y: [f32; 3],
+    pub(crate) length: f32,
+    pub(crate) width: f32,
+    pub(crate) approaching: u8,
+}
+
+impl KnownObject {
+    /// Words of an object.
+    pub const WORDS: usize = 4;
+
+    fn pack(object: &Object) -> Self {
+        let cm = |value: f32| clamp(value * 100.0, -32_767.0, 32_767.0) as i16 as u16;
+        let pair = |low: f32, high: f32| u32::from(cm(low)) | u32::from(cm(high)) << 16;
+        let dm = |value: f32| clamp(value * 10.0 + 0.5, 0.0, 255.0) as u8;
+        Self([
+            pair(object.x, object.y),
+            pair(object.vx, object.vy),
+            pair(object.ax, object.ay),
+            u32::from_le_bytes([
+                dm(object.length),
+                dm(object.width),
+                object.class as u8,
+                object.approaching,
+            ]),
+        ])
+    }
+
+    /// The track; `None` if no road user is so.
+    pub(crate) fn unpack(self) -> Option<Known> {
+        let m = |word: u32, shift: u32| f32::from((word >> shift) as u16 as i16) / 100.0;
+        let [place, velocity, acceleration, rest] = self.0;
+        let [length, width, class, approaching] = rest.to_le_bytes();
+        let axis = |shift| [m(place, shift), m(velocity, shift), m(acceleration, shift)];
+        let known = Known {
+            class: ObjectClass::of(class)?,
+            x: axis(0),
+            y: axis(16),
+            length: f32::from(length) / 10.0,
+            width: f32::from(width) / 10.0,
+            approaching,
+        };
+        let within = |place: usize, limit: f32| {
+            max(known.x[place].abs(), known.y[place].abs()) <= limit
+        };
+        let is_one = within(1, 100.0) && within(2, 12.0) && min(known.length, known.width) > 0.0;
+        is_one.then_some(known)
+    }
+}
