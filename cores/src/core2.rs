@@ -5,8 +5,8 @@ use crate::driving::knowledge::Knowledge;
 use crate::driving::planning::Planner;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
 use crate::layout::{
-    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE, TRAJECTORY,
-    TRAJECTORY_READY,
+    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE,
+    TRAJECTORY, TRAJECTORY_READY,
 };
 use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};

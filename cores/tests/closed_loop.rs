@@ -5,8 +5,10 @@ mod drive;
 #[path = "../../vehicle/tests/recorded/mod.rs"]
 mod recorded;
 
-use drive::{Drive, Function};
+use drive::{Drive, Function, System};
 use tandem_bus::{CameraLanes, SensorId};
+use tandem_cores::driving::knowledge::Knowledge;
+use tandem_cores::driving::types::{Maneuver, Object};
 use tandem_vehicle::Scenario;
 
 /// How long every scenario is driven, s.
@@ -136,6 +138,95 @@ fn a_takeover_is_not_felt() {
             m.lateral_acceleration_max < other.lateral_acceleration_max + 0.3,
             "{run}"
         );
+    }
+}
+
+/// T-CHIP-5: a system that joins as the vehicle ahead begins to brake knows it from the first cycle
+/// on if it is told. Lies make no object: neither those that the own sensors contradict at once nor
+/// those that they cannot; and a second later, when commands begin to be compared, all know the same.
+#[test]
+fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
+    let mut drive = Drive::new(&Scenario::load("hard-braking").unwrap(), 3, 1);
+    drive.run(11.0, &mut |_, _, _| {});
+    let truth = drive.systems[0].perception.scene().clone();
+    let ghost = Object {
+        x: 9.0,
+        y: 0.0,
+        vx: 0.0,
+        ..truth.objects[0]
+    };
+    let lie = |lie: fn(&mut Object)| {
+        let mut scene = truth.clone();
+        scene.objects.iter_mut().for_each(lie);
+        if scene.objects.push(ghost).is_err() {
+            scene.objects[0] = ghost;
+        }
+        if let Some(lanes) = &mut scene.lanes {
+            lanes.c[0] += 0.2;
+        }
+        Knowledge::of(&scene, None)
+    };
+    let told = [
+        None,
+        Some(drive.systems[0].knowledge()),
+        Some(lie(|object| object.ax = -9.0)),
+        Some(lie(|object| (object.vx, object.y) = (0.0, 0.5))),
+        Some(lie(|object| (object.ax, object.approaching) = (4.0, 255))),
+    ];
+    for told in told {
+        let mut system = System::new();
+        system.told = told;
+        drive.systems.push(system);
+    }
+    let mut worst = vec![[0.0_f32; 2]; drive.systems.len()];
+    for cycle in 0..24 {
+        drive.run(0.05, &mut |_, _, _| {});
+        let known = drive.systems[0].perception.scene();
+        for (system, worst) in drive.systems.iter().zip(&mut worst).skip(1) {
+            let scene = system.perception.scene();
+            for object in &scene.objects {
+                let near = |one: &&Object| (one.x - object.x).abs() < 3.0;
+                let Some(same) = known.objects.iter().find(near) else {
+                    panic!("cycle {cycle}: {object:?} is not there");
+                };
+                let late = usize::from(cycle >= 20);
+                worst[late] = worst[late].max((same.ax - object.ax).abs());
+            }
+            let (ours, theirs) = (scene.lanes.unwrap(), known.lanes.unwrap());
+            assert!((ours.c[0] - theirs.c[0]).abs() < 0.1, "cycle {cycle}");
+        }
+    }
+    println!("difference of accelerations, at first and after 1 s, m/s²: {worst:?}");
+    assert!(worst[1][0] > 3.0 && worst[2][0] < 1.5, "{worst:?}");
+    assert!(worst.iter().all(|[_, late]| *late < 0.3), "{worst:?}");
+}
+
+/// T-CHIP-5: a system that joins amid a change of lanes goes on with it if it is told; by itself it
+/// would plan to stay.
+#[test]
+fn a_plan_is_continued_by_a_system_that_joins() {
+    let mut drive = Drive::new(&Scenario::load("slow-leader").unwrap(), 5, 1);
+    let changes = |drive: &Drive| {
+        let trajectory = drive.systems.last().unwrap().trajectory.as_ref();
+        trajectory.is_some_and(|it| it.maneuver == Maneuver::ChangeLeft)
+    };
+    while !changes(&drive) {
+        drive.run(0.05, &mut |_, _, _| {});
+    }
+    drive.run(1.0, &mut |_, _, _| {});
+    let knowledge = drive.systems[0].knowledge();
+    assert!(knowledge.plan.is_some());
+    for told in [None, Some(knowledge)] {
+        let mut system = System::new();
+        system.told = told;
+        drive.systems.push(system);
+        drive.run(0.2, &mut |_, _, _| {});
+        let aside = |system: &System| system.trajectory.as_ref().unwrap().points[20].y;
+        let difference = (aside(&drive.systems[0]) - aside(drive.systems.last().unwrap())).abs();
+        println!("aside in 2 s: {difference} m");
+        let is_told = drive.systems.len() == 3;
+        assert_eq!(changes(&drive), is_told);
+        assert!((difference < 0.1) == is_told, "{difference} m");
     }
 }
 

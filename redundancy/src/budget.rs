@@ -113,8 +113,7 @@ impl Budget {
         // and a poll after its limit the standby drives, before the goal.
         let margin_needed = Duration::from_ns(MS.as_ns() + self.stall.as_ns());
         let after = self.poll_interval.as_ns() + OVERDUE_ECHO.as_ns() + MS.as_ns();
-        let margin_permitted =
-            Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);
+        let margin_permitted = Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);
 
         // A system that waits for the other must hear four of its heartbeats, two polls and a
         // stall later.

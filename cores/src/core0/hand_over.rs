@@ -109,10 +109,7 @@ impl Giver {
     /// Whether a transfer could begin.
     pub(super) fn wants(&self, now: Instant) -> bool {
         let is_idle = self.next >= self.len;
-        is_idle
-            && self
-                .asked
-                .is_some_and(|(_, at)| now.since(at) <= ASK_HOLDS)
+        is_idle && self.asked.is_some_and(|(_, at)| now.since(at) <= ASK_HOLDS)
     }
 
     /// Begins a transfer, unless this scene was told.
@@ -146,10 +143,7 @@ impl Giver {
         if content.is_empty() {
             return None;
         }
-        let (index, count) = (
-            self.next / CHUNK_CONTENT,
-            self.len.div_ceil(CHUNK_CONTENT),
-        );
+        let (index, count) = (self.next / CHUNK_CONTENT, self.len.div_ceil(CHUNK_CONTENT));
         let place = (index | count << 4) as u32;
         let mut words = heapless::Vec::new();
         let _fits = words.extend_from_slice(&[0, u32::from(self.transfer) | place << 16]);
@@ -345,7 +339,11 @@ mod tests {
             assert_eq!(fed(&mut taker, &sent), [], "without chunk {lost}");
             told.at = at(1_035);
             let next = chunks(&mut taker, &mut giver, &told);
-            assert_eq!(fed(&mut taker, &next).len(), 1, "after chunk {lost} was lost");
+            assert_eq!(
+                fed(&mut taker, &next).len(),
+                1,
+                "after chunk {lost} was lost"
+            );
         }
         for bit in 0..32 * MAX_WORDS {
             let mut wrong = sent.clone();
@@ -356,9 +354,10 @@ mod tests {
         assert_eq!(fed(&mut Taker::new(77), twice()).len(), 1, "repeated");
         assert_eq!(fed(&mut Taker::new(78), &sent), [], "another incarnation");
         let mut slow = Taker::new(77);
-        let late = sent.iter().enumerate().filter_map(|(index, chunk)| {
-            slow.on_datagram(at(9_000 + 50 * index as u64), chunk)
-        });
+        let late = sent
+            .iter()
+            .enumerate()
+            .filter_map(|(index, chunk)| slow.on_datagram(at(9_000 + 50 * index as u64), chunk));
         assert_eq!(late.count(), 0, "too old");
         let other_version = |words: &Vec<u32>| {
             let mut words = words.clone();
@@ -380,7 +379,11 @@ mod tests {
             |it| it.ego.speed = f32::NAN,
             |it| it.ego.speed = 400.0,
             |it| it.line.iter_mut().for_each(|line| line.c[2] = 0.5),
-            |it| it.line.iter_mut().for_each(|line| line.view_range = f32::INFINITY),
+            |it| {
+                it.line
+                    .iter_mut()
+                    .for_each(|line| line.view_range = f32::INFINITY)
+            },
             |it| it.objects[2].0[1] = 0x7FFF_7FFF,
             |it| it.objects[3].0[3] = 0,
         ];

@@ -14,7 +14,8 @@ use tandem_redundancy::Snapshot;
 pub const CAN_FRAMES: u32 = 64;
 
 /// Datagrams that one poll takes from the link, which is as many as a link holds. Of these the
-/// newest valid report counts. The other system sends one in a control cycle.
+/// newest valid report counts. The other system sends one in a control cycle (each millisecond with
+/// the profile of a chip), an opinion, and while one of both joins an ask or two chunks.
 pub const LINK_DATAGRAMS: u32 = 16;
 
 /// Edges in a millisecond beyond which a line is flooded. Edges are counters: a flood costs no time

@@ -4,8 +4,8 @@
 
 use super::agreement::{self, Agreement, Deviation, Stage};
 use super::drive::Output;
-use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::hand_over::{CHUNKS_PER_CYCLE, Giver, MAX_WORDS, Taker};
+use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::peer_link::{Opinion, PeerLink};
 use super::read_back::ReadBack;
 use super::{CONTROL_PERIOD, Drive, TaskId, TaskSet, frames, state_flash};
@@ -294,7 +294,11 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Each control cycle: asks while this system is young, and tells if it was asked. Bounded.
     pub(super) fn hand_over(&mut self, knowledge: Option<&Knowledge>) {
-        let Some(redundancy) = self.redundancy.as_ref().filter(|it| it.phase().is_driving()) else {
+        let Some(redundancy) = self
+            .redundancy
+            .as_ref()
+            .filter(|it| it.phase().is_driving())
+        else {
             // Before the redundancy starts, cores 1 and 2 may be long in coming.
             if self.asks < YOUNG_CONTROL_CYCLES {
                 self.asks += u32::from(self.redundancy.is_some());

@@ -6,7 +6,8 @@ use super::shared::Shared;
 use super::{DOORBELL_DISTANCE, Executor, Task, TaskId, frames};
 use crate::driving::types::{Scene, Trajectory};
 use crate::layout::{
-    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY, age_ns,
+    CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY,
+    age_ns,
 };
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};

@@ -153,9 +153,8 @@ impl KnownObject {
             width: f32::from(width) / 10.0,
             approaching,
         };
-        let within = |place: usize, limit: f32| {
-            max(known.x[place].abs(), known.y[place].abs()) <= limit
-        };
+        let within =
+            |place: usize, limit: f32| max(known.x[place].abs(), known.y[place].abs()) <= limit;
         let is_one = within(1, 100.0) && within(2, 12.0) && min(known.length, known.width) > 0.0;
         is_one.then_some(known)
     }

@@ -1,8 +1,8 @@
 //! The own lane's centre line as a curve: extension beyond the view, curvature, and the Frenet
 //! frame.
 
-use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::knowledge::Line;
+use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
 
 /// No road is bent more than this, 1/m; what a noisy polynomial says beyond is cut off.

@@ -6,6 +6,7 @@ use tandem_board::{CanFrame, CanId, Duration, Instant};
 use tandem_bus::{Control, Message, Mode, Receiver, Role, Transmitter};
 use tandem_cores::driving::control::MotionControl;
 use tandem_cores::driving::degraded::DegradedControl;
+use tandem_cores::driving::knowledge::Knowledge;
 use tandem_cores::driving::perception::{Perception, ego_of};
 use tandem_cores::driving::planning::Planner;
 use tandem_cores::driving::types::{Command, Ego, Scene, Trajectory};
@@ -40,6 +41,8 @@ pub(crate) struct System {
     pub(crate) trajectory: Option<Trajectory>,
     /// Trajectories no longer come, as if core 2 had died.
     pub(crate) planning_is_dead: bool,
+    /// What another system tells it before its next cycle.
+    pub(crate) told: Option<Knowledge>,
 }
 
 impl System {
@@ -55,7 +58,13 @@ impl System {
             pending: None,
             trajectory: None,
             planning_is_dead: false,
+            told: None,
         }
+    }
+
+    /// What this system would tell another one.
+    pub(crate) fn knowledge(&self) -> Knowledge {
+        Knowledge::of(self.perception.scene(), self.trajectory.as_ref())
     }
 
     pub(crate) fn on_frame(&mut self, now: Instant, id: u16, data: &[u8]) {
@@ -71,7 +80,11 @@ impl System {
     /// One millisecond: perception and planning when they are due.
     pub(crate) fn tick(&mut self, now_ms: u64, now: Instant) {
         if now_ms % 50 == PERCEPTION_PHASE_MS {
-            let scene = self.perception.cycle(now).clone();
+            let told = self.told.take();
+            if let Some(told) = &told {
+                self.planner.recall(told);
+            }
+            let scene = self.perception.cycle_with(now, told.as_ref()).clone();
             if !self.planning_is_dead {
                 self.pending = Some((now_ms + CHAIN_MS, self.planner.plan(&scene)));
             }

@@ -111,5 +111,9 @@ fn budget() -> String {
 /// them anew.
 #[test]
 fn tables_in_the_docs_are_those_of_the_code() {
-    page::check(&[("budget", budget()), ("bounds", bounds()), ("truth", truth::table())]);
+    page::check(&[
+        ("budget", budget()),
+        ("bounds", bounds()),
+        ("truth", truth::table()),
+    ]);
 }

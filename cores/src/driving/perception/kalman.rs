@@ -16,6 +16,17 @@ pub(crate) struct Motion {
     pub(crate) fading_s: f32,
 }
 
+/// Variances of a filter that has settled, in SI units, and the covariance of velocity and
+/// acceleration. With noise of density q that drives the acceleration, and measured velocities of
+/// variance r each second, the variances are √2 q^¼ r^¾ and √2 q^¾ r^¼, and the covariance is √(q r).
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settled {
+    pub(crate) position: f32,
+    pub(crate) velocity: f32,
+    pub(crate) acceleration: f32,
+    pub(crate) both: f32,
+}
+
 /// A measurement of position and velocity with their variances.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Measured {
@@ -45,10 +56,6 @@ pub(crate) struct Axis {
 
 /// Variance of the acceleration of an object that was never seen before, (m/s²)².
 const FIRST_ACCELERATION_VARIANCE: f32 = 2.0;
-/// Variances of position (m²) and velocity ((m/s)²) of a track that another system tells.
-const TOLD_VARIANCES: [f32; 2] = [0.05, 0.03];
-/// Variance of its acceleration as a share of the noise's density, s.
-const TOLD_ACCELERATION_SHARE: f32 = 0.07;
 /// A covariance that gets no measurements stops growing here.
 const MAX_VARIANCE: f32 = 400.0;
 
@@ -65,13 +72,22 @@ impl Axis {
     }
 
     /// An axis that another system has tracked.
-    pub(crate) fn told(state: [f32; 3], motion: &Motion) -> Self {
-        let [position, velocity] = TOLD_VARIANCES;
-        // Of a filter that has settled, the faster the stronger the noise is that drives it.
-        let acceleration = TOLD_ACCELERATION_SHARE * motion.acceleration_noise;
+    pub(crate) fn told(state: [f32; 3], settled: &Settled) -> Self {
+        let Settled {
+            position,
+            velocity,
+            acceleration,
+            both,
+        } = *settled;
+        #[rustfmt::skip]
+        let covariance = Matrix3::new(
+            position, 0.0, 0.0,
+            0.0, velocity, both,
+            0.0, both, acceleration,
+        );
         Self {
             state: Vector3::from(state),
-            covariance: Matrix3::from_diagonal(&Vector3::new(position, velocity, acceleration)),
+            covariance,
         }
     }
 

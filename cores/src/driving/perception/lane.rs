@@ -23,8 +23,8 @@ const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
 
 /// Standard deviations of a filter that has settled.
 const SETTLED: [f32; 4] = [0.015, 0.001, 2e-5, 3e-7];
-/// What is told differs by no more than this from the first lines that the camera sees.
-const GATE: [f32; 4] = [0.3, 0.02, 5e-4, 5e-6];
+/// What is told differs by no more than this from the first lines that the camera sees: 5 sigma.
+const GATE: [f32; 4] = [0.12, 0.008, 2e-4, 2.5e-6];
 
 /// The filter.
 #[derive(Clone, Debug)]
@@ -142,10 +142,10 @@ impl LaneFilter {
     /// What another system knew `dt` seconds ago, since when the vehicle has moved by `step`, is
     /// the expectation that the camera's lines correct. Once; and not without such lines or if
     /// these contradict it.
-    pub(crate) fn recall(&mut self, c: &[f32; 4], dt: f32, step: &Pose) {
-        if self.told || self.seen.is_none() {
+    pub(crate) fn recall(&mut self, now: Instant, c: &[f32; 4], dt: f32, step: &Pose) {
+        let Some(seen) = self.seen.filter(|_| !self.told) else {
             return;
-        }
+        };
         let mut known = self.clone();
         known.state = Vector4::from(*c);
         known.covariance = Matrix4::from_diagonal(&Vector4::from(SETTLED.map(|s| s * s)));
@@ -153,7 +153,10 @@ impl LaneFilter {
         let residual = self.state - known.state;
         let fits = residual.iter().zip(GATE).all(|(r, gate)| abs(*r) < gate);
         if fits {
-            known.correct(&self.state);
+            // The other system knew older lines: they do not count twice.
+            if now.since(seen).as_secs_f32() < dt {
+                known.correct(&self.state);
+            }
             *self = Self {
                 state: known.state,
                 covariance: known.covariance,

@@ -225,12 +225,12 @@ impl Perception {
         let dt = now.since(told.at).as_secs_f32();
         let step = motion(&told.ego, self.odometry.ego(), dt);
         if let Some(line) = &told.line {
-            self.lanes.recall(&line.c, dt, &step);
+            self.lanes.recall(now, &line.c, dt, &step);
         }
         for known in told.objects.iter().filter_map(|object| object.unpack()) {
             let known = Track::told(self.next_id, &known, dt, &step);
             match self.tracks.iter_mut().find(|own| own.is_same(&known)) {
-                Some(own) => own.recall(&known),
+                Some(own) => own.recall(&known, dt),
                 // Not confirmed: it stays out of the scene until an own sensor sees it.
                 None => {
                     self.next_id = self.next_id.wrapping_add(1);

@@ -2,10 +2,10 @@
 
 use tandem_bus::{Class, SensorId, SensorObject};
 
-use super::kalman::{Axis, Innovation, Measured, Motion};
+use super::kalman::{Axis, Innovation, Measured, Motion, Settled};
+use crate::driving::knowledge::Known;
 use crate::driving::math::{abs, clamp, cos, lerp, max, min, sin};
 use crate::driving::odometry::Pose;
-use crate::driving::knowledge::Known;
 use crate::driving::types::{Ego, ObjectClass};
 
 /// Along the road vehicles brake with up to 8 m/s² within half a second.
@@ -17,6 +17,19 @@ const ALONG: Motion = Motion {
 const ACROSS: Motion = Motion {
     acceleration_noise: 1.0,
     fading_s: 0.5,
+};
+/// What a track that another system tells is worth.
+const ALONG_SETTLED: Settled = Settled {
+    position: 0.03,
+    velocity: 0.012,
+    acceleration: 1.0,
+    both: 0.08,
+};
+const ACROSS_SETTLED: Settled = Settled {
+    position: 0.03,
+    velocity: 0.03,
+    acceleration: 0.3,
+    both: 0.05,
 };
 /// 99.9 % of the chi-squared distribution with four degrees of freedom.
 const GATE: f32 = 18.5;
@@ -168,8 +181,8 @@ impl Track {
     pub(crate) fn told(id: u32, known: &Known, dt: f32, step: &Pose) -> Self {
         let mut track = Self {
             id,
-            x: Axis::told(known.x, &ALONG),
-            y: Axis::told(known.y, &ACROSS),
+            x: Axis::told(known.x, &ALONG_SETTLED),
+            y: Axis::told(known.y, &ACROSS_SETTLED),
             class: known.class,
             length: known.length,
             width: known.width,
@@ -185,9 +198,9 @@ impl Track {
         track
     }
 
-    /// Another system has tracked this object for longer: what it knew is the expectation that the
-    /// own detections correct. Once; and not if these contradict it.
-    pub(crate) fn recall(&mut self, known: &Self) {
+    /// Another system has tracked this object for longer: what it knew `dt` seconds ago is the
+    /// expectation that newer own detections correct. Once; and not if these contradict it.
+    pub(crate) fn recall(&mut self, known: &Self, dt: f32) {
         if self.told && self.hits > 0 {
             return;
         }
@@ -198,8 +211,11 @@ impl Track {
             if fit.0.distance + fit.1.distance >= GATE {
                 return;
             }
-            x.update(&fit.0);
-            y.update(&fit.1);
+            // The other system knew older detections: they do not count twice.
+            if self.unseen_s < dt {
+                x.update(&fit.0);
+                y.update(&fit.1);
+            }
             self.confirmed = true;
         }
         let class = match self.class {
@@ -256,8 +272,9 @@ impl Track {
         self.hits = self.hits.saturating_add(1);
         self.sensors |= 1 << detection.sensor.index();
         self.unseen_s = 0.0;
-        self.confirmed |=
-            self.told || self.hits >= CONFIRMING_HITS || self.sensors.count_ones() >= CONFIRMING_SENSORS;
+        self.confirmed |= self.told
+            || self.hits >= CONFIRMING_HITS
+            || self.sensors.count_ones() >= CONFIRMING_SENSORS;
         if detection.class != Class::Unknown {
             self.class = kind(detection.class);
         }

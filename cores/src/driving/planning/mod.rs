@@ -15,8 +15,8 @@ mod prediction;
 use heapless::Vec;
 
 use super::control::{driven_curvature, sample};
-use super::math::{abs, max, min, sqrt, wrap_angle};
 use super::knowledge::{Knowledge, PLAN_POINTS, YOUNG_CYCLES};
+use super::math::{abs, max, min, sqrt, wrap_angle};
 use super::odometry::{Pose, motion};
 use super::road::{CentreLine, DEFAULT_LANE_WIDTH_M, FrenetFrame};
 use super::types::{
