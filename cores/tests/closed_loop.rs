@@ -143,7 +143,8 @@ fn a_takeover_is_not_felt() {
 
 /// T-CHIP-5: a system that joins as the vehicle ahead begins to brake knows it from the first cycle
 /// on if it is told. Lies make no object: neither those that the own sensors contradict at once nor
-/// those that they cannot; and a second later, when commands begin to be compared, all know the same.
+/// those that they cannot; and a second later, when commands begin to be compared, all know the
+/// same.
 #[test]
 fn what_is_told_sharpens_the_own_sensors_and_invents_nothing() {
     let mut drive = Drive::new(&Scenario::load("hard-braking").unwrap(), 3, 1);

@@ -325,8 +325,8 @@ mod tests {
         }
     }
 
-    /// T-CHIP-5: a chunk that is lost or damaged costs its transfer and not the next one, a repeated
-    /// one nothing; what is old or meant for another incarnation is refused.
+    /// T-CHIP-5: a chunk that is lost or damaged costs its transfer and not the next one, a
+    /// repeated one nothing; what is old or meant for another incarnation is refused.
     #[test]
     fn what_is_not_whole_and_of_now_is_refused() {
         let fresh = || (Taker::new(77), Giver::new(), knowledge(MAX_OBJECTS));

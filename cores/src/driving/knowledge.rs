@@ -101,7 +101,8 @@ impl Knowledge {
     }
 }
 
-/// A track in 16 bytes: cm, cm/s, cm/s²; length and width in dm. The range of the numbers bounds what a peer can claim.
+/// A track in 16 bytes: cm, cm/s, cm/s²; length and width in dm. The range of the numbers
+/// bounds what a peer can claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct KnownObject(pub [u32; Self::WORDS]);
 

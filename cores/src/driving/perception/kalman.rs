@@ -18,7 +18,8 @@ pub(crate) struct Motion {
 
 /// Variances of a filter that has settled, in SI units, and the covariance of velocity and
 /// acceleration. With noise of density q that drives the acceleration, and measured velocities of
-/// variance r each second, the variances are √2 q^¼ r^¾ and √2 q^¾ r^¼, and the covariance is √(q r).
+/// variance r each second, the variances are √2 q^¼ r^¾ and √2 q^¾ r^¼, and the covariance is
+/// √(q r).
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Settled {
     pub(crate) position: f32,
