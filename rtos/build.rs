@@ -37,9 +37,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         build.file(kernel.join(source));
     }
     build.file("kernel/shim.c");
-    // The kernel's own code; warnings in it are not ours to mend.
+    // The kernel's own code; its warnings are not reported.
     build.warnings(false).opt_level(2).debug(true);
-    // All of it: the handlers of traps in shim.c take the place of weak ones.
+    // The whole archive: the trap handlers in shim.c replace weak ones.
     build.link_lib_modifier("+whole-archive");
     build.try_compile("tandem_freertos")?;
     // For a benchmark that builds the kernel with another port.
@@ -77,7 +77,7 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     ] {
         build.flag(flag);
     }
-    // Headers of a C library that may not be there: the kernel needs four functions of it.
+    // Headers of a C library that may be missing: the kernel needs four functions of it.
     build
         .include("kernel/riscv32/libc")
         .include("kernel/riscv32");

@@ -1,4 +1,4 @@
-//! What a task, a handler of an interrupt and a timer's callback can ask of the kernel.
+//! The kernel calls of a task, a handler of an interrupt and a timer's callback.
 
 use crate::context::{InterruptContext, TaskContext, TimerContext};
 use crate::ffi;
@@ -28,7 +28,7 @@ impl InterruptContext {
 
 impl TaskContext {
     /// Makes a task, with memory from the heap. It may run before this call returns. Other tasks
-    /// wait while its stack is filled with the pattern by which its use is measured.
+    /// wait while its stack is filled with the pattern that measures its use.
     ///
     /// # Errors
     /// [`SpawnError`]
@@ -56,7 +56,7 @@ impl TaskContext {
 
     /// Waits until this task's notification is not zero, and takes all of it.
     ///
-    /// Returns the count, or zero if the time was over first.
+    /// Returns the count, or zero at a time-out.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred.
@@ -66,7 +66,7 @@ impl TaskContext {
 
     /// Waits until this task's notification is not zero, and counts it down by one.
     ///
-    /// Returns whether there was one before the time was over.
+    /// Returns whether there was one before the time-out.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred.
@@ -87,8 +87,8 @@ impl TaskContext {
         sys::task::delay(span.into());
     }
 
-    /// Blocks until `period` after `last_wake`, and moves `last_wake` there: without drift, however
-    /// long the work took. Returns at once with `false` if that point has passed already.
+    /// Blocks until `period` after `last_wake`, and sets `last_wake` to that point: no drift,
+    /// whatever the work takes. Returns `false` at once if that point has already passed.
     ///
     /// # Panics
     /// If the period is zero; in a critical section or with pre-emption deferred.
@@ -96,13 +96,13 @@ impl TaskContext {
         sys::task::delay_until(last_wake, period.into())
     }
 
-    /// Works for a span of this task's own time: while others run it does not pass. In virtual time
-    /// the span passes at once. For tests and models.
+    /// Works for a span of this task's own time, which stands still while others run. In virtual
+    /// time the span passes at once. For tests and models.
     pub fn burn(&self, span: Duration) {
         sys::task::burn(span);
     }
 
-    /// Bytes of this task's stack that it never used. Reads all of them, which takes some
+    /// Bytes of this task's stack that were never used. Reads all of them, which takes some
     /// microseconds; other tasks may run in between.
     #[must_use]
     pub fn unused_stack_bytes(&self) -> usize {
@@ -122,8 +122,8 @@ impl TaskContext {
     }
 
     /// Ends the scheduler: [`Kernel::start`](crate::Kernel::start) returns. The other tasks are
-    /// abandoned where they are: what they own is not dropped. To end without that, let every task
-    /// return.
+    /// abandoned where they are, and nothing that they own is dropped. To drop it, let every task
+    /// return instead.
     #[cfg(target_os = "linux")]
     pub fn stop(&self) -> ! {
         port::host::stop()

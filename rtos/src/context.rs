@@ -4,7 +4,7 @@ use core::marker::PhantomData;
 
 mod sealed {
     pub trait Sealed {
-        /// Whether the kernel's functions for interrupts are to be used.
+        /// Whether to use the kernel's functions for interrupts.
         const IN_INTERRUPT: bool;
         /// A task of higher priority than the interrupted one was woken.
         fn woken(&self, woken: bool);
@@ -12,14 +12,14 @@ mod sealed {
 }
 pub(crate) use sealed::Sealed;
 
-/// A caller of what never blocks: a task, a handler, or the owner of a kernel that does not run
-/// yet.
+/// A caller of functions that never block: a task, a handler, or the owner of a kernel that does
+/// not run yet.
 pub trait Context: Sealed {}
 
 /// A caller that may make objects: a task, or the owner of a kernel that does not run yet.
 pub trait TaskLevel: Context {}
 
-/// Proof that the caller is a task. Not to be sent anywhere: it belongs to its task.
+/// Proof that the caller is a task. Cannot be sent to another one.
 #[derive(Debug)]
 pub struct TaskContext {
     _of_one_task: PhantomData<*mut ()>,
@@ -76,7 +76,7 @@ impl InterruptContext {
         }
     }
 
-    /// T-RTOS-2: what a handler wakes runs when the last interrupt has ended.
+    /// T-RTOS-2: a task that a handler wakes runs when the last interrupt has ended.
     pub(crate) fn has_woken(&self) -> bool {
         self.woken.get()
     }

@@ -1,5 +1,5 @@
-//! Two tests of a kernel's scheduling, seen at digital outputs: what the tasks do, and the lines by
-//! which an image says when its outputs changed. T-RTOS-3, T-RTOS-4
+//! Two tests of a kernel's scheduling, visible at digital outputs: the work of the tasks, and the
+//! log lines in which an image reports when its outputs changed. T-RTOS-3, T-RTOS-4
 //!
 //! ```text
 //! edge T-RTOS-3 0 60000300        test, number of the output, ns since the test began
@@ -15,16 +15,16 @@ pub const SPAN_MS: u32 = 360;
 /// An image prints this after its last edge.
 pub const COMPLETE: &str = "outputs complete";
 
-/// What a task does to its output.
+/// How a task changes its output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Output {
-    /// Of the task and in the picture; at most 15 bytes.
+    /// Name of the task and its curve; at most 15 bytes.
     pub name: &'static str,
-    /// Of the task; more is more urgent.
+    /// Priority of the task; more is more urgent.
     pub priority: u8,
-    /// Of the task, ms.
+    /// Period of the task, ms.
     pub period_ms: u32,
-    /// How long it works in each period, with its output up, ms; without, it toggles once.
+    /// How long it works in each period, with its output high, ms; if `None`, it toggles once.
     pub burn_ms: Option<u32>,
 }
 
@@ -54,7 +54,7 @@ pub fn toggle(ctx: &TaskContext, output: &Output, mut wake: Ticks, change: impl 
 pub struct Test {
     /// As in the requirements.
     pub id: &'static str,
-    /// What is to be seen.
+    /// The expected picture.
     pub title: &'static str,
     /// The tasks.
     pub outputs: [Output; 3],
@@ -103,7 +103,7 @@ pub struct Edge {
     pub test: usize,
     /// Index in the test's outputs.
     pub output: usize,
-    /// Since the test began, ns.
+    /// Time since the test began, ns.
     pub at_ns: u64,
 }
 
@@ -115,7 +115,7 @@ impl fmt::Display for Edge {
 }
 
 impl Edge {
-    /// The edge that a line of a log names, if it names one.
+    /// The edge in a line of a log; `None` if the line has none.
     #[must_use]
     pub fn parse(line: &str) -> Option<Self> {
         let mut words = line.trim_end().strip_prefix("edge ")?.split(' ');

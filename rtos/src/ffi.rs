@@ -1,5 +1,5 @@
 //! Functions and types of the kernel as the C compiler sees them; `kernel/shim.c` checks the
-//! widths. What ports and objects both need of it has a wrapper here.
+//! widths. Those that both ports and objects need have a wrapper here.
 #![allow(unsafe_code)]
 #![allow(dead_code, reason = "each target uses its part")]
 
@@ -24,7 +24,7 @@ pub(crate) struct Tcb {
     _opaque: [u8; 0],
 }
 
-/// What the kernel says about a task; filled by `kernel/shim.c`.
+/// The kernel's data about a task; filled by `kernel/shim.c`.
 #[repr(C)]
 #[derive(Default)]
 pub(crate) struct TaskInfo {
@@ -160,7 +160,7 @@ unsafe extern "C" {
     pub(crate) fn ulTaskGetRunTimeCounter(task: *const Tcb) -> u64;
 }
 
-/// Runs `body` with interrupts masked. Nests. Ends also if `body` unwinds.
+/// Runs `body` with interrupts masked. Nests. Also ends if `body` unwinds.
 pub(crate) fn critical<R>(body: impl FnOnce() -> R) -> R {
     struct End;
     impl Drop for End {

@@ -1,4 +1,4 @@
-//! Interrupts by number and priority, as the interrupt router of the TC297 has them.
+//! Interrupts by number and priority, as in the TC297's interrupt router.
 
 use core::fmt;
 
@@ -32,9 +32,9 @@ impl Interrupt {
 }
 
 /// How urgent an interrupt is: a more urgent one interrupts the handler of a less urgent one. As on
-/// the chip the numbers are 1 to 255; 1 is the reschedule's (T-RTOS-2) and 2 the tick's.
+/// the chip the numbers are 1 to 255; 1 is the reschedule (T-RTOS-2) and 2 the tick.
 ///
-/// On riscv32 handlers do not nest, and the number does not count.
+/// On riscv32 handlers do not nest, and the number has no effect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct InterruptPriority(u8);
 
@@ -67,7 +67,7 @@ impl InterruptPriority {
 /// A handler cannot be registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AttachError {
-    /// The source has a handler already; handlers stay until the scheduler stops.
+    /// The source already has a handler; handlers stay until the scheduler stops.
     HasHandler,
     /// This machine has no such source.
     NoSuchSource,

@@ -14,14 +14,14 @@ use core::marker::PhantomData;
 /// The one kernel of this process or core.
 #[derive(Debug)]
 pub struct Kernel {
-    /// All kernel calls are made by the thread that starts it, until its tasks run.
+    /// Until its tasks run, one thread makes all kernel calls: the one that starts it.
     _of_one_thread: PhantomData<*mut ()>,
 }
 
-/// The kernel cannot be had.
+/// The kernel is not available.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelError {
-    /// It is taken already; it can be taken again when the scheduler has stopped.
+    /// It is already taken; it can be taken again when the scheduler has stopped.
     Taken,
 }
 
@@ -62,8 +62,8 @@ impl Kernel {
         sys::task::spawn(options, Box::new(body))
     }
 
-    /// Gives an interrupt its handler, for as long as the scheduler runs. It is called with less
-    /// urgent interrupts held back; a task that it wakes runs when the last handler has ended.
+    /// Gives an interrupt its handler, for as long as the scheduler runs. During the call, less
+    /// urgent interrupts wait; a task that it wakes runs when the last handler has ended.
     ///
     /// # Errors
     /// [`AttachError`]
@@ -77,7 +77,7 @@ impl Kernel {
         port::attach(interrupt, priority, handler)
     }
 
-    /// Has every event told to a sink, until the scheduler stops.
+    /// Reports every event to a sink, until the scheduler stops.
     pub fn trace(&self, sink: &'static dyn TraceSink) {
         trace::listen(Some(sink));
     }
@@ -86,8 +86,9 @@ impl Kernel {
     /// target for ever.
     ///
     /// On the host all tasks share one thread, which this call starts with the caller's scheduling
-    /// and waits for: they keep the crate's rule about thread-locals. After `TaskContext::stop`
-    /// that thread sleeps for ever: another thread may still use what an abandoned task lent it.
+    /// and waits for: they must keep the crate's rule about thread-locals. After
+    /// `TaskContext::stop` that thread sleeps for ever: another thread may still use memory that an
+    /// abandoned task lent it.
     ///
     /// # Errors
     /// [`StartError`]; the kernel is free again.

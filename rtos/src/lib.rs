@@ -1,4 +1,4 @@
-//! FreeRTOS on the control core: the real kernel, our ports, a safe interface. T-RTOS-1..4
+//! FreeRTOS on the control core: the real kernel, two ports, a safe interface. T-RTOS-1..4
 //!
 //! The kernel is FreeRTOS V11 in C, compiled by the build script with the configuration in
 //! `kernel/FreeRTOSConfig.h`. On Linux it runs on the port of this crate, in one thread of a
@@ -6,12 +6,12 @@
 //! what a task may do.
 //!
 //! [`Kernel::take`] gives the kernel, [`Kernel::spawn`] makes tasks, [`Kernel::start`] runs them. A
-//! task is given a [`TaskContext`], a handler of interrupts an [`InterruptContext`]; what blocks
-//! wants the former, so that a handler cannot call it.
+//! task gets a [`TaskContext`], a handler of interrupts an [`InterruptContext`]; blocking calls
+//! need the former, so that a handler cannot make them.
 //!
 //! On the host this interface is sound under one rule that the compiler does not check: all tasks
-//! are one thread, so a thread-local (`thread_local!`, a library's too) is shared by all of them.
-//! If two touch it, they do so within `host::deferred`, or it is a data race. See the README.
+//! are one thread, so a thread-local (`thread_local!`, also in a library) is shared by all of them.
+//! If two access it, they must do so within `host::deferred`, or it is a data race. See the README.
 #![no_std]
 #![deny(unsafe_code)]
 
@@ -55,7 +55,7 @@ pub mod riscv32 {
     pub use crate::sys::after_reset;
 }
 
-/// The time was over before the wait was fulfilled.
+/// The time-out passed before the wait was over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct TimedOut;
 

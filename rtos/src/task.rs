@@ -1,8 +1,9 @@
-//! What a task is to be: name, priority, stack.
+//! The options of a task: name, priority, stack.
 
 use core::fmt;
 
-/// How urgent a task is; more is more urgent. Equals share the processor tick by tick.
+/// How urgent a task is; more is more urgent. Tasks of equal priority share the processor tick by
+/// tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Priority(u8);
 
@@ -15,8 +16,7 @@ impl Priority {
     /// A priority of 1 to 30.
     ///
     /// # Panics
-    /// At 0, which is the idle task's, and above 30; in a constant that is an error of the
-    /// compiler.
+    /// At 0, which is the idle task's, and above 30; in a constant that is a compile error.
     #[must_use]
     pub const fn new(level: u8) -> Self {
         assert!(
@@ -33,7 +33,7 @@ impl Priority {
     }
 }
 
-/// What a task is to be.
+/// The options of a task.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskOptions<'a> {
     /// 1 to 23 bytes, for messages and traces.
@@ -70,7 +70,7 @@ impl<'a> TaskOptions<'a> {
     }
 }
 
-/// Why there is no task.
+/// Why a task could not be made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SpawnError {
     /// The name is empty, longer than 23 bytes, or contains a zero.

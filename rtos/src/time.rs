@@ -34,8 +34,8 @@ impl Ticks {
     }
 }
 
-/// Rounded up: a wait is never shorter than was asked for but by the part of the tick that has
-/// passed. Too long for 32 bits is the longest wait that ends, some 49 days.
+/// Rounded up: a wait is at most shorter by the part of the current tick that has passed. A span
+/// too long for 32 bits becomes the longest finite wait, about 49 days.
 impl From<Duration> for Ticks {
     fn from(span: Duration) -> Self {
         let ticks = span

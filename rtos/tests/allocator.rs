@@ -1,4 +1,4 @@
-//! A program whose allocator tasks cannot share is told so before any task runs. T-RTOS-1
+//! `start` refuses a program whose allocator tasks cannot share, before any task runs. T-RTOS-1
 
 use tandem_rtos::{Clock, Kernel, StartError};
 

@@ -1,5 +1,5 @@
-//! What tasks can do to each other and to their process: shared allocator and output, overflowed
-//! stacks, panics. What ends a process runs in a child. T-RTOS-1
+//! How tasks could harm each other and their process: shared allocator and output, overflowed
+//! stacks, panics. A test that ends its process runs in a child. T-RTOS-1
 #![allow(clippy::expect_used, clippy::print_stdout, reason = "a test may")]
 
 #[path = "fixture/setup.rs"]
@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 use tandem_rtos::host::{TaskAllocator, deferred, raise};
 use tandem_rtos::{Clock, Interrupt, InterruptContext, Kernel, Mutex, Queue, TaskContext, Ticks};
 
-/// An allocator that two of a thread's tasks must not be in at once, and that notices if they are.
+/// An allocator that detects two tasks of one thread in it at the same time.
 struct Witness {
     busy: AtomicBool,
     overlaps: AtomicU32,
@@ -31,14 +31,14 @@ impl Witness {
     }
 
     fn within<R>(&self, body: impl FnOnce() -> R) -> R {
-        // Other threads are none of its business.
+        // Ignores other threads.
         if !WATCHED.get() {
             return body();
         }
         if self.busy.swap(true, Ordering::Relaxed) {
             self.overlaps.fetch_add(1, Ordering::Relaxed);
         }
-        // Long enough to be hit by a tick sooner or later.
+        // Long enough to be interrupted by a tick sooner or later.
         for _ in 0..200 {
             black_box(());
         }
@@ -77,7 +77,7 @@ fn is_child(of: &str) -> bool {
     std::env::var(CHILD).is_ok_and(|name| name == of)
 }
 
-/// Runs a test of this file as a child; it is killed after a while.
+/// Runs a test of this file as a child, which is killed after some time.
 fn child(test: &str, kind: &str) -> Output {
     let mut command = Command::new(std::env::current_exe().expect("this program"));
     command.args(["--exact", test, "--nocapture", "--test-threads=1"]);
@@ -105,14 +105,14 @@ fn run(clock: Clock, fill: impl FnOnce(&Kernel)) {
     kernel.start(clock).expect("it starts");
 }
 
-/// The child says so and aborts.
+/// The child prints `says` and aborts.
 fn assert_aborted(output: &Output, says: &str) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(text.contains(says), "{text}");
     assert_eq!(output.status.signal(), Some(libc::SIGABRT), "{text}");
 }
 
-/// Tasks that allocate through `allocator` for a while, while another thread interrupts them.
+/// Tasks that allocate through `allocator` for some time, while another thread interrupts them.
 fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
     let _ringer = Ringer::every(Duration::from_micros(50));
     run(Clock::Wall, |kernel| {
@@ -146,8 +146,8 @@ fn torture(allocator: &'static (impl GlobalAlloc + Sync)) {
     });
 }
 
-/// No task comes into the allocator while another is in it. The same allocator without the guard
-/// has overlaps, so that the test can see them.
+/// No task enters the allocator while another is in it. Without the guard the same allocator has
+/// overlaps, so the test can detect them.
 #[test]
 fn tasks_share_the_allocator() {
     const NAME: &str = "tasks_share_the_allocator";
@@ -167,7 +167,7 @@ fn tasks_share_the_allocator() {
             guarded.status.success() && text.contains("overlaps: 0\n"),
             "{guarded:?}"
         );
-        // It sees them, if the system's allocator has not ended the process before.
+        // It detects them, unless the system's allocator has ended the process before.
         let went_well = || {
             let unguarded = child(NAME, "unguarded");
             let text = String::from_utf8_lossy(&unguarded.stdout);
@@ -179,7 +179,7 @@ fn tasks_share_the_allocator() {
 
 /// Lines of two tasks that print while a third interrupts them.
 fn print_from_tasks(print: fn(&str)) {
-    // After what the test's harness prints without an end of line.
+    // After the harness's output without a line end.
     println!();
     run(Clock::Wall, |kernel| {
         for (name, priority, count) in [("a", 1, 3000), ("b", 1, 3000), ("c", 2, 400)] {
@@ -202,8 +202,8 @@ fn print_from_tasks(print: fn(&str)) {
 
 static DONE: AtomicU32 = AtomicU32::new(0);
 
-/// Lines that tasks print with pre-emption deferred come out whole, in order, and none is missing.
-/// Without that the same tasks meet in the lock of the output and the process ends.
+/// Lines that tasks print with pre-emption deferred are whole, in order, and complete. Without
+/// that, the same tasks collide in the lock of the output and the process ends.
 #[test]
 fn tasks_share_the_output() {
     const NAME: &str = "tasks_share_the_output";
@@ -227,7 +227,8 @@ fn tasks_share_the_output() {
                 assert_eq!(*line, format!("line {name} {number:06} {end}"));
             }
         }
-        // The control: a task that is pre-empted in the lock. The first try mostly shows it.
+        // The control: a task that is pre-empted while it holds the lock. Usually the first try
+        // shows it.
         let collides = || !child(NAME, "standard").status.success();
         assert!(
             (0..20).any(|_| collides()),
@@ -257,7 +258,7 @@ fn an_overflowed_stack_is_named() {
 }
 
 /// A task lends a thread-local to another thread, and a second task stops the scheduler. The first
-/// one never returns from the call that lends, so the loan lasts for ever: the kernel's thread must
+/// one never returns from the lending call, so the loan lasts for ever: the kernel's thread must
 /// not end, and the thread-local must stay.
 #[test]
 fn what_an_abandoned_task_has_lent_stays() {
@@ -347,7 +348,7 @@ fn an_overwritten_stack_end_is_named() {
     }
 }
 
-/// A fault that is no overflow ends the process as it would without us.
+/// A fault that is not an overflow ends the process as without this crate.
 #[test]
 fn another_fault_is_what_it_was() {
     const NAME: &str = "another_fault_is_what_it_was";
@@ -381,7 +382,7 @@ fn a_panic_is_named() {
     }
 }
 
-/// What would hang or corrupt the kernel is refused with a message.
+/// A call that would hang or corrupt the kernel is refused with a message.
 #[test]
 fn misuse_is_refused() {
     const NAME: &str = "misuse_is_refused";
@@ -429,7 +430,7 @@ fn misuse_is_refused() {
     }
 }
 
-/// There is one kernel, and it comes back.
+/// There is one kernel, and it can be taken again.
 #[test]
 fn the_kernel_is_taken_once_and_comes_back() {
     const NAME: &str = "the_kernel_is_taken_once_and_comes_back";
@@ -442,7 +443,7 @@ fn the_kernel_is_taken_once_and_comes_back() {
     first.task("never", 1, |_| ());
     drop(first);
     for _ in 0..3 {
-        // Another thread each time: a life of the kernel has one.
+        // Another thread each time: each life of the kernel belongs to one thread.
         let life = std::thread::spawn(|| {
             run(Clock::Wall, |kernel| {
                 kernel.task("stops", 1, |ctx| ctx.stop());

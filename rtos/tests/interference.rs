@@ -1,4 +1,4 @@
-//! What a switch or an interrupt at the wrong moment must not do: tasks that are made,
+//! A switch or an interrupt at the wrong moment must do no harm: to tasks that are being made,
 //! `errno`, the C library's own allocations. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
@@ -50,13 +50,13 @@ fn a_task_is_seen_when_it_is_made() {
     assert_eq!(nameless.load(Ordering::Relaxed), 0, "a half-made task");
 }
 
-/// The tasks run with the real-time priority of who starts the kernel, also if it was claimed such
-/// that new threads do not have it. Needs the permission for real time.
+/// The tasks run with the real-time priority of the thread that starts the kernel, even if it was
+/// claimed such that new threads do not inherit it. Needs the permission for real time.
 #[test]
 fn tasks_have_the_priority_of_the_starting_thread() {
     static FOUND: AtomicU32 = AtomicU32::new(0);
     let policy = libc::SCHED_FIFO | libc::SCHED_RESET_ON_FORK;
-    // On a thread of its own, which ends with its priority.
+    // On a separate thread, whose priority ends with it.
     let starts = std::thread::spawn(move || {
         let param = libc::sched_param { sched_priority: 3 };
         // SAFETY: 0 is the calling thread; the place is read during the call.
@@ -82,7 +82,8 @@ fn tasks_have_the_priority_of_the_starting_thread() {
     starts.join().expect("it is so");
 }
 
-/// T-RTOS-1: a switch at the end of a critical section (an allocation is one) leaves `errno` alone.
+/// T-RTOS-1: a switch at the end of a critical section (an allocation is one) does not change
+/// `errno`.
 #[test]
 fn a_task_keeps_its_errno() {
     static WRONG: AtomicU32 = AtomicU32::new(0);
@@ -118,9 +119,8 @@ fn a_task_keeps_its_errno() {
     assert_eq!(WRONG.load(Ordering::Relaxed), 0);
 }
 
-/// T-RTOS-1: the C library allocates by itself (here in `opendir`), past Rust's allocator, and
-/// holds a lock in that time. A task that is pre-empted there does not stop the allocation of
-/// another one.
+/// T-RTOS-1: the C library allocates without Rust's allocator (here in `opendir`), and holds a lock
+/// in that time. A task that is pre-empted there does not stop the allocation of another one.
 #[test]
 #[cfg(target_env = "gnu")]
 fn tasks_share_the_c_librarys_allocator() {
@@ -152,7 +152,7 @@ fn tasks_share_the_c_librarys_allocator() {
     });
 }
 
-/// T-RTOS-1: what unwinds through a critical section ends it.
+/// T-RTOS-1: an unwinding panic ends a critical section.
 #[test]
 fn an_unwound_critical_section_has_ended() {
     static CAUGHT: AtomicBool = AtomicBool::new(false);

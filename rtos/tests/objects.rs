@@ -1,5 +1,5 @@
-//! Queues, semaphores, mutexes, sets, timers: what the kernel's own standard demos
-//! check, in virtual time. T-RTOS-1
+//! Queues, semaphores, mutexes, sets, timers: the checks of the kernel's own standard demos, in
+//! virtual time. T-RTOS-1
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
@@ -15,8 +15,8 @@ use tandem_rtos::{
     TimedOut, Timer,
 };
 
-/// T-RTOS-1: a queue keeps the order, blocks who sends to a full one and who receives from an empty
-/// one, and gives values back that do not fit in time.
+/// T-RTOS-1: a queue keeps the order, blocks a sender while it is full and a receiver while it is
+/// empty, and gives values back that do not fit in time.
 #[test]
 fn a_queue_passes_values_in_order_and_blocks() {
     let log = Log::new();
@@ -120,8 +120,8 @@ fn semaphores_count_and_wake() {
     assert_eq!(log.take(), ["rings", "woken", "continues"]);
 }
 
-/// T-RTOS-1: who holds a mutex has the priority of who waits for it, so that a task in between
-/// cannot hold up both.
+/// T-RTOS-1: the holder of a mutex has the priority of its waiter, so that a task in between cannot
+/// delay both.
 #[test]
 fn a_mutex_lends_the_priority_of_its_waiter() {
     let log = Log::new();
@@ -210,7 +210,7 @@ fn a_set_names_the_member_that_has_something() {
     assert_eq!(seen, ["x", "1", "signal", "2"]);
 }
 
-/// T-RTOS-1: timers expire at their ticks, once or again and again, and can be stopped and changed.
+/// T-RTOS-1: timers expire at their ticks, once or repeatedly, and can be stopped and changed.
 #[test]
 fn timers_expire_at_their_ticks() {
     let log = Log::new();
@@ -227,7 +227,7 @@ fn timers_expire_at_their_ticks() {
         again.start(kernel).expect("room");
         kernel.task("changes", 2, move |ctx| {
             ctx.delay(Ticks(12));
-            // Anew: the next one is a whole period from here.
+            // Restarted: the next expiry is a whole period from here.
             again.start(ctx).expect("room");
             ctx.delay(Ticks(11));
             again.stop(ctx).expect("room");
@@ -245,7 +245,7 @@ fn timers_expire_at_their_ticks() {
     assert_eq!(log.take(), expected);
 }
 
-/// T-RTOS-1: what interrupts of another thread put into a queue arrives whole and in order.
+/// T-RTOS-1: values that interrupts of another thread put into a queue arrive whole and in order.
 #[test]
 fn an_interrupts_queue_loses_nothing() {
     const COUNT: u32 = 20_000;
@@ -264,7 +264,7 @@ fn an_interrupts_queue_loses_nothing() {
         kernel.task("receives", 2, move |ctx| {
             for expected in 0..COUNT {
                 let value = loop {
-                    // What found no room is asked for again.
+                    // An interrupt that found no room is raised again.
                     match queue.receive(ctx, Ticks(1)) {
                         Some(value) => break value,
                         None => raise(Interrupt::DOORBELL),

@@ -1,4 +1,4 @@
-//! Who runs when: priorities, time slices, yields, the tick. T-RTOS-1, T-RTOS-2
+//! Scheduling: priorities, time slices, yields, the tick. T-RTOS-1, T-RTOS-2
 #![allow(clippy::expect_used, reason = "a test may")]
 
 mod fixture;
@@ -13,7 +13,7 @@ use tandem_rtos::demo::{TESTS, Test, toggle};
 use tandem_rtos::host::{caught_up, deferred, elapsed_ns, raise};
 use tandem_rtos::{Clock, Interrupt, InterruptPriority, TaskContext, Ticks};
 
-/// T-RTOS-2: a yield in a task is an immediate switch; equals take turns.
+/// T-RTOS-2: a yield in a task is an immediate switch; tasks of equal priority alternate.
 #[test]
 fn equals_that_yield_take_turns() {
     let log = Log::new();
@@ -32,8 +32,8 @@ fn equals_that_yield_take_turns() {
     assert_eq!(log.take().concat(), "ababab");
 }
 
-/// T-RTOS-1, T-RTOS-4: a task that never yields is pre-empted by a more urgent one when its time
-/// comes.
+/// T-RTOS-1, T-RTOS-4: a task that never yields is pre-empted by a more urgent one when that one is
+/// due.
 #[test]
 fn a_task_that_never_yields_is_pre_empted() {
     let log = Log::new();
@@ -131,8 +131,8 @@ fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32)> {
     log.take()
 }
 
-/// T-RTOS-3: the measured periods are 60, 40 and 20 ms: in virtual time to the tick. By the
-/// machine's clock a single change may be late, and no period is longer: changes stay on the grid.
+/// T-RTOS-3: the measured periods are 60, 40 and 20 ms. In virtual time they are exact to the tick.
+/// By the machine's clock a single change may be late, but changes stay on the grid.
 #[test]
 fn three_tasks_run_with_their_periods() {
     for clock in [Clock::Virtual, Clock::Wall] {
@@ -175,7 +175,7 @@ fn a_burning_task_keeps_lower_ones_from_running() {
 }
 
 /// T-RTOS-2: a more urgent interrupt interrupts a handler, a less urgent one waits for its end, and
-/// the task that they woke runs when the last of them has ended.
+/// the woken task runs when the last of them has ended.
 #[test]
 fn a_switch_waits_for_the_last_nested_interrupt() {
     const LESS: Interrupt = Interrupt::new(3);
@@ -224,7 +224,8 @@ fn a_switch_waits_for_the_last_nested_interrupt() {
     assert_eq!(log.take(), expected);
 }
 
-/// T-RTOS-2: an interrupt that comes in a critical section runs at its end, and the switch with it.
+/// T-RTOS-2: an interrupt that arrives in a critical section runs at its end, and the switch with
+/// it.
 #[test]
 fn a_critical_section_holds_interrupts_back() {
     let log = Log::new();
@@ -244,7 +245,7 @@ fn a_critical_section_holds_interrupts_back() {
         kernel.task("masking", 2, move |ctx| {
             ctx.critical(|| {
                 raise(Interrupt::DOORBELL);
-                // From another thread it comes as a signal.
+                // From another thread it arrives as a signal.
                 std::thread::scope(|scope| {
                     scope.spawn(|| raise(Interrupt::DOORBELL));
                 });
@@ -255,7 +256,7 @@ fn a_critical_section_holds_interrupts_back() {
     assert_eq!(log.take(), ["still masked", "interrupt", "task"]);
 }
 
-/// How many ticks the count and the clock are apart, at a moment at which no tick came in between.
+/// How many ticks the count and the clock differ, read while no tick arrives.
 fn off_by(ctx: &TaskContext) -> u32 {
     loop {
         let before = ctx.now().0;
@@ -266,8 +267,8 @@ fn off_by(ctx: &TaskContext) -> u32 {
     }
 }
 
-/// T-RTOS-1: ticks that came while interrupts were masked are made up and counted, and the count
-/// stays on absolute time.
+/// T-RTOS-1: ticks that were due while interrupts were masked are made up and counted, and the
+/// count stays on absolute time.
 #[test]
 fn late_ticks_are_made_up() {
     let seen: Arc<[AtomicU32; 3]> = Arc::default();
@@ -321,7 +322,7 @@ fn the_tick_does_not_drift() {
     );
 }
 
-/// The scheduler ends by itself when every task has returned, and has dropped what they owned.
+/// The scheduler ends when every task has returned, and has dropped everything that they owned.
 #[test]
 fn the_scheduler_ends_with_the_last_task() {
     let owned: Arc<()> = Arc::default();
@@ -341,8 +342,8 @@ fn the_scheduler_ends_with_the_last_task() {
     run(Clock::Wall, |_| ());
 }
 
-/// T-RTOS-1: a pre-empted task finds all its registers again. Three tasks compute what a thread
-/// alone computes, in integers and in vectors, while another thread interrupts them.
+/// T-RTOS-1: a pre-empted task keeps all its registers. Three tasks compute the same as a single
+/// thread, in integers and in vectors, while another thread interrupts them.
 #[test]
 fn registers_survive_pre_emption() {
     /// A round of it takes some microseconds, with many values alive at once.
@@ -384,7 +385,7 @@ fn registers_survive_pre_emption() {
             over.store(1, Ordering::Relaxed);
         });
         kernel.on(Interrupt::DOORBELL, move |ctx| {
-            // It has ended when the last ones come.
+            // It has ended when the last ones arrive.
             let _ = urgent.notify(ctx);
         });
     });
@@ -398,8 +399,9 @@ fn registers_survive_pre_emption() {
     assert!(rounds.load(Ordering::Relaxed) > 0);
 }
 
-/// The origin of the ticks is one value, whenever a task asks for it: what waits until a tick on
-/// absolute time would else keep for ever how long it was interrupted between two looks.
+/// The origin of the ticks is the same value at every call. Otherwise a task that waits for a tick
+/// on absolute time would keep an error for ever: the time for which it was interrupted between two
+/// reads.
 #[test]
 fn ticks_have_one_origin() {
     let log = Log::new();
@@ -431,7 +433,7 @@ fn ticks_have_one_origin() {
 mod control {
     use std::arch::asm;
 
-    /// What a new task has: `mxcsr`, and the x87 unit's control word.
+    /// The values of a new task: `mxcsr`, and the x87 unit's control word.
     pub(super) const DEFAULT: (u32, u16) = (0x1F80, 0x037F);
 
     pub(super) fn read() -> (u32, u16) {
@@ -441,7 +443,7 @@ mod control {
             asm!("stmxcsr [{}]", in(reg) &raw mut mxcsr, options(nostack));
             asm!("fnstcw [{}]", in(reg) &raw mut x87, options(nostack));
         }
-        // Of `mxcsr` only what controls: the lowest six bits say what happened.
+        // Only the control bits of `mxcsr`: the lowest six bits are status.
         (mxcsr & !0x3F, x87)
     }
 
@@ -473,7 +475,7 @@ fn control_words_survive_switches() {
     let log = Log::new();
     let ours = log.clone();
     run(Clock::Wall, |kernel| {
-        // Equals that yield, and one more urgent that interrupts them.
+        // Two of equal priority that yield, and a more urgent one that interrupts them.
         for (number, name, priority) in [(0, "a", 1), (1, "b", 1), (2, "c", 2)] {
             let log = ours.clone();
             let body = move |ctx: &TaskContext| {

@@ -1,8 +1,8 @@
 //! Random task sets against a model of their schedule. T-RTOS-1, T-RTOS-2
 //!
-//! The model knows nothing of the kernel: it is fixed-priority pre-emptive scheduling with a ring
-//! for each priority, moved by ticks, completions and yields. The same set runs on the real kernel
-//! in virtual time, with each tick a real signal that pre-empts inside its frame. Order and times
+//! The model does not use the kernel: it is fixed-priority pre-emptive scheduling with a ring for
+//! each priority, driven by ticks, completions and yields. The same set runs on the real kernel in
+//! virtual time, where each tick is a real signal that pre-empts inside its frame. Order and times
 //! of all completions must be the same.
 //!
 //! `TANDEM_RTOS_SOAK_SECONDS` and `TANDEM_RTOS_SOAK_SEED` choose how long and from which seed on;
@@ -28,7 +28,7 @@ const SPAN: u32 = 400;
 /// The task that raises interrupts is more urgent than all that are checked.
 const RAISER: u8 = 20;
 
-/// What starts a job of a task.
+/// The release of a task's jobs.
 #[derive(Clone, Debug)]
 enum Release {
     /// At `offset` and then every `period` ticks; at once if the last job took longer.
@@ -56,7 +56,7 @@ struct Done {
 fn random_set(seed: u64) -> Vec<Spec> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let tasks = random.random_range(2..=7);
-    // Few priorities make many equals.
+    // Few priorities make many tasks of equal priority.
     let priorities = random.random_range(1..=5);
     let load = random.random_range(0.3..1.3) / f64::from(tasks);
     (0..tasks)
@@ -74,7 +74,7 @@ fn random_set(seed: u64) -> Vec<Spec> {
             };
             let work_us = f64::from(period) * 1000.0 * load * random.random_range(0.5..1.5);
             let bursts = random.random_range(1..=3);
-            // Every other set works in whole ticks: its completions fall together with ticks.
+            // Every other set works in whole ticks, so that its completions coincide with ticks.
             let grain_us = if seed.is_multiple_of(2) { 1000.0 } else { 50.0 };
             let burst_us = (work_us / f64::from(bursts) / grain_us).round().max(1.0) * grain_us;
             Spec {
@@ -90,8 +90,8 @@ fn random_set(seed: u64) -> Vec<Spec> {
 mod model {
     use super::{Done, Release, SPAN, Spec, TICK_NS, VecDeque};
 
-    /// The tasks of one priority that are ready, in the order in which they will be served. The one
-    /// that was served last stays at the back as long as it is ready: who arrives comes before it.
+    /// The ready tasks of one priority, in the order in which they will be served. The task that
+    /// was served last stays at the back while it is ready: a new one is inserted before it.
     #[derive(Clone, Default)]
     struct Ring {
         order: VecDeque<usize>,
@@ -122,7 +122,7 @@ mod model {
     enum Waits {
         /// Ready or running.
         No,
-        /// Until a tick; since when decides among those that wake together.
+        /// Until a tick; the time since when it waits orders tasks that wake together.
         ForTick(u32, u64),
         ForInterrupt,
     }
@@ -131,17 +131,17 @@ mod model {
     struct State {
         waits: Waits,
         begun: bool,
-        /// Work that is left of the current burst.
+        /// Remaining work of the current burst.
         left_ns: u64,
         burst: usize,
         job: u32,
         /// Tick of the last release.
         release: u32,
-        /// Interrupts that it has not answered yet.
+        /// Interrupts that it has not served yet.
         asked: u32,
     }
 
-    /// What the running task does.
+    /// The next step of the running task.
     enum Next {
         Works,
         Yields,
@@ -222,7 +222,7 @@ mod model {
             self.pick()
         }
 
-        /// Works until the burst ends or a tick comes, whichever is first.
+        /// Works until the end of the burst or the next tick, whichever is first.
         fn work(&mut self, task: usize) -> Option<usize> {
             let to_tick = TICK_NS - self.now_ns % TICK_NS;
             let step = self.states[task].left_ns.min(to_tick);
@@ -235,7 +235,7 @@ mod model {
             }
         }
 
-        /// A tick comes: who runs then.
+        /// Processes a tick; returns the task that then runs.
         fn tick(&mut self, running: Option<usize>) -> Option<usize> {
             let tick = (self.now_ns / TICK_NS) as u32;
             let mut woken: Vec<(u64, usize)> = vec![];
@@ -265,7 +265,7 @@ mod model {
             }
         }
 
-        /// The interrupts of this tick; whether there were any.
+        /// Raises the interrupts of this tick; returns whether there were any.
         fn raise(&mut self, tick: u32) -> bool {
             let mut any = false;
             for (task, spec) in self.specs.iter().enumerate() {
@@ -318,7 +318,8 @@ mod model {
             next
         }
 
-        /// A task that is late for its next release begins at once, but after its equals.
+        /// A task that is late for its next release starts at once, but after those of equal
+        /// priority.
         fn release(state: &mut State, after: u32, tick: u32) -> Next {
             state.release += after;
             if state.release > tick {
@@ -374,7 +375,7 @@ fn body(ctx: &TaskContext, task: usize, spec: &Spec, log: &Log<Done>, over: &Ato
     }
 }
 
-/// Raises the interrupts of all sporadic tasks when their ticks come.
+/// Raises the interrupts of all sporadic tasks at their ticks.
 fn spawn_raiser(kernel: &Kernel, set: &[Spec]) {
     let mut raises: Vec<(u32, usize)> = vec![];
     for (task, spec) in set.iter().enumerate() {
@@ -423,13 +424,13 @@ fn run_on_kernel(set: &[Spec]) -> Vec<Done> {
             ctx.delay(Ticks(SPAN));
             over.store(true, Ordering::Relaxed);
             while ended.load(Ordering::Relaxed) < handles.len() {
-                // A task whose interrupt will not come again is told, too.
+                // A task whose interrupt will not occur again is also notified.
                 for handle in &handles {
                     let _ = handle.notify(ctx);
                 }
                 ctx.delay(Ticks(1));
             }
-            // The scheduler ends when all have returned: nothing is left of this life.
+            // The scheduler ends when all have returned: nothing remains of this life.
         };
         kernel.task("supervisor", 30, supervisor);
     });
@@ -443,7 +444,7 @@ fn number_of(variable: &str) -> Option<u64> {
 }
 
 /// T-RTOS-1, T-RTOS-2: the kernel completes the jobs of random task sets in the order and at the
-/// times that the model of fixed-priority pre-emptive scheduling says.
+/// times of the model of fixed-priority pre-emptive scheduling.
 #[test]
 fn random_task_sets_complete_as_the_model_says() {
     let span = Duration::from_secs(number_of("TANDEM_RTOS_SOAK_SECONDS").unwrap_or(5));

@@ -1,4 +1,4 @@
-//! What differs between machines: switching, masking, interrupts, the tick.
+//! The differences between machines: switching, masking, interrupts, the tick.
 #![allow(unsafe_code)]
 
 pub(crate) mod trace;
@@ -21,13 +21,13 @@ pub(crate) use riscv32::{
 
 use core::fmt;
 
-/// What drives the tick.
+/// The source of the tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Clock {
     /// The machine's timer: 1 kHz on absolute time.
     Wall,
     /// Work: time passes only in [`burn`](crate::TaskContext::burn) and while all tasks wait. For
-    /// tests that must give the same result each time. Host only.
+    /// tests that must give the same result in each run. Host only.
     #[cfg(target_os = "linux")]
     Virtual,
 }

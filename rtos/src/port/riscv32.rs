@@ -39,7 +39,7 @@ struct Source(UnsafeCell<Option<&'static mut Handler>>);
 unsafe impl Sync for Source {}
 
 static SOURCES: [Source; 2] = [const { Source(UnsafeCell::new(None)) }; 2];
-/// Told of exceptions and of fatal errors; does not return.
+/// Called at exceptions and fatal errors; does not return.
 static ON_FATAL: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 
 unsafe extern "C" {
@@ -107,7 +107,7 @@ impl Drop for Stack {
 /// The hart of the kernel.
 static KERNEL_HART: AtomicUsize = AtomicUsize::new(0);
 
-/// Before the first task is made: the kernel is the calling hart's.
+/// Called before the first task is made: the kernel belongs to the calling hart.
 pub(crate) fn prepare() {
     KERNEL_HART.store(hart(), Ordering::Relaxed);
 }
@@ -126,7 +126,7 @@ pub(crate) fn start(_clock: Clock, _none_left: fn() -> bool) -> Result<(), Start
     Ok(())
 }
 
-/// The kernel was taken and not started: nothing to give back.
+/// The kernel was taken and not started: nothing to release.
 pub(crate) fn tear_down() {}
 
 /// Counts the lives of the kernel.
@@ -157,8 +157,8 @@ pub(crate) unsafe fn reset() {
 
 static IN_INTERRUPT: AtomicBool = AtomicBool::new(false);
 
-/// Whether the caller is a task of the kernel's hart, and no handler. Other harts have no context,
-/// and so no way to an object.
+/// Whether the caller is a task of the kernel's hart, and not a handler. Other harts have no
+/// context, and so cannot reach an object.
 pub(crate) fn in_task() -> bool {
     hart() == KERNEL_HART.load(Ordering::Relaxed) && !IN_INTERRUPT.load(Ordering::Relaxed)
 }
@@ -174,7 +174,7 @@ fn wait() {
     unsafe { core::arch::asm!("wfi") };
 }
 
-/// A fine counter for the time that tasks run: `mtime`.
+/// A fine counter for the run time of tasks: `mtime`.
 pub(crate) fn run_time() -> u64 {
     let low = ptr::with_exposed_provenance::<u32>(MTIME);
     let high = ptr::with_exposed_provenance::<u32>(MTIME + 4);
@@ -206,8 +206,8 @@ pub(crate) fn timestamp_ns() -> u64 {
     run_time() * MTIME_NS
 }
 
-/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock: the timer's register holds when the next
-/// tick is.
+/// Tick 0 in nanoseconds of [`timestamp_ns`]'s clock: the timer's register holds the time of the
+/// next tick.
 pub(crate) fn tick_origin_ns() -> u64 {
     let register = ptr::with_exposed_provenance::<u32>(MTIMECMP + 8 * hart());
     // Neither changes while interrupts are masked: both do in the tick's interrupt.
@@ -227,7 +227,7 @@ pub(crate) fn virtual_work(_span: Duration) -> bool {
     false
 }
 
-/// Nothing but the tasks is shared.
+/// Only the tasks share state here.
 pub(crate) fn without_others<R>(body: impl FnOnce() -> R) -> R {
     body()
 }
@@ -262,7 +262,7 @@ pub(crate) fn attach(
     })
 }
 
-/// Rings the doorbell of a hart. What the caller wrote before is visible to the handler.
+/// Rings the doorbell of a hart. Everything that the caller wrote before is visible to the handler.
 pub fn ring(hart: usize) {
     let register = ptr::with_exposed_provenance_mut::<u32>(MSIP + 4 * hart);
     // SAFETY: a register of the CLINT; the fence orders the caller's writes to memory before it.
@@ -272,7 +272,7 @@ pub fn ring(hart: usize) {
     }
 }
 
-/// Has `report` called for exceptions and fatal errors, instead of halting the hart.
+/// Sets `report` for exceptions and fatal errors, which otherwise halt the hart.
 pub fn on_fatal(report: fn(fmt::Arguments<'_>) -> !) {
     ON_FATAL.store(report as *mut (), Ordering::Relaxed);
 }

@@ -1,4 +1,4 @@
-//! What the kernel did when: switches, wake-ups and interrupts, and where these are told.
+//! The kernel's events with their times: switches, wake-ups and interrupts, and their sink.
 
 use crate::port;
 use core::cell::UnsafeCell;
@@ -6,17 +6,17 @@ use core::ffi::c_void;
 use core::ptr;
 use core::sync::atomic::{AtomicPtr, Ordering};
 
-/// What happened.
+/// The kind of an event.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum KernelEventKind {
-    /// The kernel chose a task, which begins or continues. It may be the one that ran before.
+    /// The kernel chose a task, which starts or continues. It may be the one that ran before.
     SwitchedIn,
-    /// The running task gives way, perhaps to itself.
+    /// The running task is switched out, perhaps in favour of itself.
     SwitchedOut,
     /// A task became ready: it was woken or made, or its wait has ended.
     Ready,
-    /// A handler begins. The subject is the interrupt's number; 63 is the host's tick. The target's
-    /// tick is not told.
+    /// A handler starts. The subject is the interrupt's number; 63 is the host's tick. The target's
+    /// tick is not reported.
     InterruptEntered,
     /// A handler has ended.
     InterruptLeft,
@@ -52,7 +52,7 @@ static SINK: Sink = Sink(UnsafeCell::new(None));
 #[unsafe(no_mangle)]
 static tandem_trace_sink: AtomicPtr<c_void> = AtomicPtr::new(ptr::null_mut());
 
-/// Sets or takes away the sink. The caller holds the kernel, and no scheduler runs.
+/// Sets or removes the sink. The caller holds the kernel, and no scheduler runs.
 pub(crate) fn listen(sink: Option<&'static dyn TraceSink>) {
     let flag = if sink.is_some() {
         SINK.0.get().cast()

@@ -1,4 +1,4 @@
-//! What calls the kernel: its objects, and the claim on it.
+//! The calls of the kernel: its objects, and the claim on it.
 #![allow(unsafe_code)]
 
 pub(crate) mod mutex;
@@ -13,7 +13,7 @@ use core::sync::atomic::{AtomicBool, Ordering};
 
 static TAKEN: AtomicBool = AtomicBool::new(false);
 
-/// Claims the one kernel. Whether it was free.
+/// Claims the one kernel; returns whether it was free.
 pub(crate) fn take() -> bool {
     // Acquire pairs with the Release in `release`: a kernel that was used on another thread is
     // idle.
@@ -27,10 +27,10 @@ pub(crate) fn release() {
     TAKEN.store(false, Ordering::Release);
 }
 
-/// The life of the kernel that an object was made for.
+/// The life of the kernel for which an object was made.
 ///
-/// What the kernel of an earlier life knew (waiting tasks, active timers) is gone: an object of it
-/// is never passed to the kernel again.
+/// The state of an earlier life (waiting tasks, active timers) is gone: its objects are never
+/// passed to the kernel again.
 pub(crate) struct Life(u32);
 
 impl Life {
@@ -53,8 +53,8 @@ impl Life {
     }
 }
 
-/// Makes the kernel as it was at power-on, after a reset of its hart that has kept its memory:
-/// [`Kernel::take`](crate::Kernel::take) gives it again. Tasks, handlers and objects of the earlier
+/// Restores the kernel's state at power-on, after a reset of its hart that has kept its memory:
+/// [`Kernel::take`](crate::Kernel::take) succeeds again. Tasks, handlers and objects of the earlier
 /// life are forgotten and not dropped. Interrupts stay masked until the kernel starts.
 ///
 /// # Safety

@@ -1,4 +1,4 @@
-//! A value that one task at a time may touch; its holder inherits the priority of a waiter.
+//! A value that one task at a time may access; its holder inherits the priority of a waiter.
 
 use super::queue::Raw;
 use super::task;
@@ -22,7 +22,7 @@ unsafe impl<T: Send> Send for Inner<T> {}
 unsafe impl<T: Send> Sync for Inner<T> {}
 
 /// A value behind a mutex with priority inheritance: while a task holds it and a more urgent one
-/// waits, the former has the latter's priority. Not re-entrant, and not for interrupts.
+/// waits, the holder has the priority of the waiter. Not re-entrant, and not for interrupts.
 ///
 /// A handle that outlives its scheduler panics when it is used in the next one: an abandoned task
 /// may still borrow the value.
@@ -63,7 +63,7 @@ impl<T: Send> Mutex<T> {
     /// [`TimedOut`]
     ///
     /// # Panics
-    /// If the task holds it already; in a critical section or with pre-emption deferred; if the
+    /// If the task already holds it; in a critical section or with pre-emption deferred; if the
     /// mutex was made for an earlier life of the kernel.
     pub fn lock<'a>(
         &'a self,

@@ -19,12 +19,12 @@ const TYPE_MUTEX: u8 = 1;
 /// At the back of the queue, as `queueSEND_TO_BACK`.
 const BACK: ffi::Base = 0;
 
-/// The kernel's control block of a queue, a semaphore, a mutex or a set. It is made once, when it
-/// lies where it stays.
+/// The kernel's control block of a queue, a semaphore, a mutex or a set. It is made once, at its
+/// final place.
 pub(crate) struct Raw {
     block: UnsafeCell<[usize; ffi::QUEUE_WORDS]>,
     life: Life,
-    /// Holds the set that this is a member of, which the kernel points to.
+    /// Keeps alive the set that this is a member of: the kernel points to it.
     set: UnsafeCell<Option<Arc<Set>>>,
 }
 
@@ -62,7 +62,7 @@ impl Raw {
         unsafe { ffi::xQueueCreateMutexStatic(TYPE_MUTEX, self.handle()) };
     }
 
-    /// Counts a semaphore up, or unlocks a mutex. Whether it could be counted.
+    /// Counts a semaphore up, or unlocks a mutex. Returns whether it could be counted.
     pub(crate) fn give<C: Context>(&self, ctx: &C) -> bool {
         let handle = self.handle();
         let mut woken = 0;
@@ -90,7 +90,7 @@ impl Raw {
         }
     }
 
-    /// Takes a semaphore if it can be had at once.
+    /// Takes a semaphore if that is possible at once.
     pub(crate) fn try_take<C: Context>(&self, ctx: &C) -> bool {
         if !C::IN_INTERRUPT {
             return self.take(Ticks::NONE).is_ok();
@@ -109,7 +109,7 @@ impl Raw {
         unsafe { ffi::xQueueGetMutexHolder(self.handle()) == ffi::current_tcb() }
     }
 
-    /// Makes this a member of a set. Whether it was empty and in none.
+    /// Makes this a member of a set. Returns whether it was empty and in no other set.
     pub(super) fn join(&self, set: &Arc<Set>) -> bool {
         // SAFETY: both are of this life. The kernel will point from here to the set, which is held
         // below for as long.
@@ -121,7 +121,7 @@ impl Raw {
         joined
     }
 
-    /// What a set says about a member.
+    /// The set's name for a member.
     pub(super) fn address(&self) -> usize {
         self.block.get() as usize
     }
@@ -138,7 +138,7 @@ pub(super) fn may_wait(timeout: Ticks) -> ffi::Tick {
     timeout.0
 }
 
-/// Places for values, which only the kernel touches.
+/// Places for values; only the kernel accesses them.
 pub(super) struct Items<T>(Box<[UnsafeCell<MaybeUninit<T>>]>);
 
 impl<T> Items<T> {
@@ -154,7 +154,7 @@ impl<T> Items<T> {
         self.0.len()
     }
 
-    /// As the kernel wants it: null for items of no bytes.
+    /// The kernel requires null for items of no bytes.
     pub(super) fn place(&self) -> *mut u8 {
         if size_of::<T>() == 0 {
             ptr::null_mut()
@@ -176,8 +176,8 @@ impl<T> fmt::Display for Full<T> {
 
 impl<T: fmt::Debug> core::error::Error for Full<T> {}
 
-/// The kernel copies the bytes of values; a value that was sent is forgotten by the sender, so that
-/// there is one owner at any time.
+/// The kernel copies the bytes of values; the sender forgets a sent value, so that there is one
+/// owner at any time.
 struct Values<T: 'static> {
     raw: Raw,
     items: Items<T>,
@@ -190,9 +190,9 @@ unsafe impl<T: Send> Sync for Values<T> {}
 
 /// A queue: values of one type, first in, first out, from tasks and handlers to tasks and handlers.
 ///
-/// Cloned handles are the same queue. Values that are left in it when the last one is dropped are
-/// dropped in a task, and leaked elsewhere. A handle that outlives its scheduler panics when it is
-/// used in the next one.
+/// Cloned handles are the same queue. Values left in it when the last handle is dropped are dropped
+/// if that happens in a task, and leaked elsewhere. A handle that outlives its scheduler panics
+/// when it is used in the next one.
 pub struct Queue<T: 'static> {
     values: Arc<Values<T>>,
 }
@@ -237,7 +237,7 @@ impl<T: Send> Queue<T> {
     /// Sends a value; waits for room.
     ///
     /// # Errors
-    /// [`Full`] if there was none in time.
+    /// [`Full`] if there was no room in time.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].
@@ -324,7 +324,7 @@ impl<T: Send> Queue<T> {
 
 impl<T: 'static> Drop for Values<T> {
     fn drop(&mut self) {
-        // What is left is dropped if the kernel may be asked for it here, and leaked otherwise.
+        // Remaining values are dropped if the kernel may be called here, and leaked otherwise.
         if !self.raw.life.is_current() || !port::in_task() {
             return;
         }

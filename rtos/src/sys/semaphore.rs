@@ -1,4 +1,4 @@
-//! Semaphores: counting, and binary as those that count to one.
+//! Semaphores: counting, and binary (those that count to one).
 
 use super::queue::Raw;
 use crate::TimedOut;
@@ -89,7 +89,7 @@ impl Semaphore {
         self.raw.take(timeout.into())
     }
 
-    /// Counts down by one if that is possible at once. Whether it was.
+    /// Counts down by one if that is possible at once; returns whether it was.
     pub fn try_take(&self, ctx: &impl Context) -> bool {
         self.raw.try_take(ctx)
     }

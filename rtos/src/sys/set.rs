@@ -9,16 +9,16 @@ use alloc::sync::Arc;
 use core::fmt;
 use core::sync::atomic::{AtomicUsize, Ordering};
 
-/// A member of a set, as [`QueueSet::select`] names it.
+/// A member of a set, as returned by [`QueueSet::select`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Member(usize);
 
 /// A queue or semaphore cannot become a member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AddError {
-    /// The set cannot hold what this member and the others could announce together.
+    /// The set has no room for all items that its members and this one could hold together.
     SetFull,
-    /// It is not empty, or in a set already.
+    /// It is not empty, or is already in a set.
     NotFree,
 }
 
@@ -33,11 +33,11 @@ impl fmt::Display for AddError {
 
 impl core::error::Error for AddError {}
 
-/// A queue of the members that have something.
+/// A queue of the members that have an item.
 pub(crate) struct Inner {
     pub(super) raw: Raw,
     items: Items<usize>,
-    /// How many of them the members could fill.
+    /// How many of its places the members could fill.
     promised: AtomicUsize,
 }
 
@@ -46,10 +46,10 @@ unsafe impl Send for Inner {}
 // SAFETY: as above.
 unsafe impl Sync for Inner {}
 
-/// A set. Members stay in it for as long as they are.
+/// A set. Members stay in it for their whole life.
 ///
-/// Each time [`QueueSet::select`] names a member, the task takes one item from it without waiting.
-/// Items are taken from a member in no other way.
+/// Each time [`QueueSet::select`] returns a member, the task takes one item from it without
+/// waiting. Items of a member must not be taken in any other way.
 #[derive(Clone)]
 pub struct QueueSet {
     set: Arc<Inner>,
@@ -62,7 +62,7 @@ impl fmt::Debug for QueueSet {
 }
 
 impl QueueSet {
-    /// A set for members with together `capacity` items.
+    /// A set for members that together hold `capacity` items.
     ///
     /// # Panics
     /// If the capacity is zero.
@@ -83,7 +83,7 @@ impl QueueSet {
         if promised > self.set.items.count() {
             return Err(AddError::SetFull);
         }
-        // Undivided: the member must not fill between the check and the joining.
+        // Atomic: the member must not fill between the check and the joining.
         if !ffi::critical(|| member.join(&self.set)) {
             return Err(AddError::NotFree);
         }
@@ -115,7 +115,7 @@ impl QueueSet {
         self.add(semaphore.raw(), semaphore.max())
     }
 
-    /// Waits until a member has something. `None` if none had in time.
+    /// Waits until a member has an item. `None` at a time-out.
     ///
     /// # Panics
     /// In a critical section or with pre-emption deferred, unless the time is [`Ticks::NONE`].

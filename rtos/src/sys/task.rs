@@ -15,10 +15,10 @@ use core::time::Duration;
 /// Bytes of a task's name with the closing zero; as configMAX_TASK_NAME_LEN.
 pub(crate) const NAME_BYTES: usize = 24;
 
-/// What a task runs.
+/// The code of a task.
 type Entry = Box<dyn FnOnce(&TaskContext) + Send>;
 
-/// A task's place in memory. The control block comes first: a kernel's handle is a pointer to it.
+/// A task in memory. The control block comes first: a kernel's handle is a pointer to it.
 #[repr(C)]
 pub(crate) struct Record {
     tcb: UnsafeCell<[usize; ffi::TASK_WORDS]>,
@@ -38,8 +38,8 @@ unsafe impl Send for Record {}
 // block, which only the kernel touches, on the core's thread.
 unsafe impl Sync for Record {}
 
-/// All tasks that the kernel knows. Changed with interrupts masked, read also by the handler of
-/// faults.
+/// All tasks that the kernel knows. Changed with interrupts masked; the handler of faults also
+/// reads it.
 static TASKS: AtomicPtr<Record> = AtomicPtr::new(ptr::null_mut());
 
 impl Record {
@@ -95,7 +95,7 @@ impl Record {
     }
 }
 
-/// Names a task to others. Outlives it: calls say [`TaskError::Ended`] then.
+/// A handle of a task, for others. It may outlive the task: calls then return [`TaskError::Ended`].
 #[derive(Clone)]
 pub struct TaskHandle {
     record: Arc<Record>,
@@ -162,8 +162,8 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
     let parameters = Arc::into_raw(Arc::clone(&record)).cast_mut().cast();
     // A switch between these steps would show a half-made task to others.
     let _no_switch = NoSwitch::begin();
-    // SAFETY: the control block and the stack live until the kernel says that the task is gone; the
-    // name is copied.
+    // SAFETY: the control block and the stack live until the kernel reports that the task is gone;
+    // the name is copied.
     let handle = unsafe {
         ffi::xTaskCreateStatic(
             task_main,
@@ -186,11 +186,11 @@ pub(crate) fn spawn(options: &TaskOptions<'_>, entry: Entry) -> Result<TaskHandl
     Ok(TaskHandle { record })
 }
 
-/// As long as this is, no other task runs; interrupts do. Nests. Its end may switch.
+/// While this exists, no other task runs; interrupts do. Nests. Its end may switch.
 struct NoSwitch;
 
 impl NoSwitch {
-    /// By a task, or before the scheduler runs.
+    /// Called by a task, or before the scheduler runs.
     fn begin() -> Self {
         // SAFETY: ended by `drop`. Before the scheduler runs, this only counts.
         unsafe { ffi::vTaskSuspendAll() };
@@ -205,7 +205,7 @@ impl Drop for NoSwitch {
     }
 }
 
-/// Where every task begins, on its own stack.
+/// The start of every task, on its own stack.
 extern "C" fn task_main(parameters: *mut c_void) {
     // SAFETY: `spawn` passed the record, which lives until the task is gone.
     let record = unsafe { &*parameters.cast::<Record>() };
@@ -254,7 +254,8 @@ pub(crate) fn none_left() -> bool {
     TASKS.load(Ordering::Relaxed).is_null()
 }
 
-/// After the scheduler has stopped: no task runs any more. What they had is never freed.
+/// Called after the scheduler has stopped: no task runs any more. What the tasks own is never
+/// freed.
 #[cfg(target_os = "linux")]
 pub(crate) fn abandon_all() {
     loop {
@@ -276,7 +277,7 @@ pub(crate) fn abandon_all() {
     }
 }
 
-/// After a reset of the hart: no task runs any more.
+/// Called after a reset of the hart: no task runs any more.
 #[cfg(target_arch = "riscv32")]
 pub(crate) fn forget_all() {
     TASKS.store(ptr::null_mut(), Ordering::Relaxed);
@@ -371,7 +372,7 @@ extern "C" fn vApplicationIdleHook() {
     port::idle(none_left);
 }
 
-/// The kernel saw at a switch that the end of this task's stack was overwritten.
+/// The kernel found at a switch that the end of this task's stack was overwritten.
 #[unsafe(no_mangle)]
 extern "C" fn vApplicationStackOverflowHook(task: *mut Tcb, _name: *const c_char) {
     port::fatal(format_args!(
@@ -391,21 +392,21 @@ extern "C" fn tandem_assert(file: *const c_char, line: i32) -> ! {
     ))
 }
 
-/// What the kernel knows about a task.
+/// The kernel's data about a task.
 #[derive(Clone, Copy, Debug)]
 pub struct TaskStatistics<'a> {
     /// Its name.
     pub name: &'a str,
-    /// Its number, by which traces call it: the order in which tasks were made, from 1 on.
+    /// Its number in traces: the order in which tasks were made, from 1 on.
     pub number: u32,
-    /// Its priority, with what it inherits from tasks that wait for its mutexes. 0 is the idle
+    /// Its priority, including one inherited from tasks that wait for its mutexes. 0 is the idle
     /// task's, 31 the timers'.
     pub priority: u8,
-    /// How long it has run, with the interrupts in that time.
+    /// How long it has run, including interrupts in that time.
     pub run_time: Duration,
     /// Bytes of its stack.
     pub stack_bytes: usize,
-    /// Bytes of its stack that it never used.
+    /// Bytes of its stack that were never used.
     pub unused_stack_bytes: usize,
 }
 
@@ -430,7 +431,8 @@ fn statistics(record: &Record) -> TaskStatistics<'_> {
     }
 }
 
-/// Shows every task that is alive, the kernel's own ones first, while no other task runs.
+/// Calls `look` for every task that is alive, the kernel's own ones first, while no other task
+/// runs.
 pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
     let _no_switch = NoSwitch::begin();
     look(&statistics(&IDLE));
@@ -445,7 +447,7 @@ pub(crate) fn each(mut look: impl FnMut(&TaskStatistics<'_>)) {
     }
 }
 
-/// Bytes of the running task's stack that it never used.
+/// Bytes of the running task's stack that were never used.
 pub(crate) fn own_unused_stack_bytes() -> usize {
     let mut info = ffi::TaskInfo::default();
     // SAFETY: called by a task, which is the current one and lives; only it uses its stack.
@@ -460,7 +462,7 @@ pub(crate) fn own_run_time() -> u64 {
 }
 
 impl TaskHandle {
-    /// The task's number, by which traces call it.
+    /// The task's number in traces.
     ///
     /// # Errors
     /// [`TaskError::Ended`]

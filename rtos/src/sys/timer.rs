@@ -35,13 +35,14 @@ struct Block {
 // called by the service task alone, and `Send`.
 unsafe impl Sync for Block {}
 
-/// Commands of the service task, as `tmrCOMMAND_…`; in interrupts others that mean the same.
+/// Commands of the service task, as `tmrCOMMAND_…`; interrupts use other numbers for the same
+/// commands.
 const START: ffi::Base = 1;
 const STOP: ffi::Base = 3;
-/// From a command of a task to that of an interrupt.
+/// The difference between the commands of interrupts and those of tasks.
 const FROM_INTERRUPT: ffi::Base = 5;
 
-/// A timer. Copied handles are the same one. Lives as long as the program.
+/// A timer. Copied handles are the same timer. It lives as long as the program.
 ///
 /// Its callback runs in the service task, which is more urgent than all others: keep it short.
 #[derive(Clone, Copy)]
@@ -54,8 +55,8 @@ impl fmt::Debug for Timer {
 }
 
 impl Timer {
-    /// A timer that has not started. Its memory is never given back. `reload` starts it again each
-    /// time, without drift.
+    /// A timer that has not started. Its memory is never freed. With `reload` it restarts at each
+    /// expiry, without drift.
     ///
     /// # Panics
     /// If the period is zero.
@@ -81,7 +82,7 @@ impl Timer {
         Self(timer)
     }
 
-    /// Starts it, or starts it anew: it expires one period from now.
+    /// Starts it, or restarts it: it expires one period from now.
     ///
     /// # Errors
     /// [`CommandsFull`]

@@ -1,10 +1,9 @@
-//! What the tasks' one thread holds for all of them: the allocator, locks of libraries.
+//! Resources that the tasks share through their one thread: the allocator, locks of libraries.
 //!
-//! A lock of the standard library belongs to a thread, and all tasks are one thread: a task that
-//! was pre-empted while it held one would give the next task a lock that cannot be had (a
-//! dead-lock), or, where locks are re-entrant, half-changed data. So a task is not pre-empted
-//! there: an allocation is a critical section, and what may take longer defers the switch and lets
-//! interrupts run.
+//! A lock of the standard library belongs to a thread, and all tasks are one thread. If a task were
+//! pre-empted while it holds one, the next task would wait for ever (a dead-lock) or, where locks
+//! are re-entrant, see half-changed data. So a task is not pre-empted there: an allocation is a
+//! critical section, and a longer operation defers the switch and lets interrupts run.
 
 use super::state;
 use core::alloc::{GlobalAlloc, Layout};
@@ -25,7 +24,7 @@ pub struct TaskAllocator<A> {
     inner: A,
 }
 
-/// Whether `is_installed` asks.
+/// Whether `is_installed` is testing.
 static PROBING: AtomicBool = AtomicBool::new(false);
 static PROBED: AtomicBool = AtomicBool::new(false);
 
@@ -93,8 +92,8 @@ pub(super) fn is_installed() -> bool {
 }
 
 /// Runs `body` while no other task of the core runs; interrupts do, and a task that they wake
-/// waits. For what all tasks share without knowing: locks and thread-locals of libraries. Costs as
-/// much as a critical section. On threads without tasks `body` is just called.
+/// waits. For implicitly shared state: locks and thread-locals of libraries. Costs as much as a
+/// critical section. On threads without tasks `body` is just called.
 ///
 /// # Panics
 /// A call in `body` that may block the task panics.

@@ -8,12 +8,12 @@ use core::ptr;
 use std::boxed::Box;
 use std::sync::Once;
 
-/// The stack of the handler of faults: the task's own has no room.
+/// The size of the fault handler's stack: the task's own has no room.
 const HANDLER_BYTES: usize = 64 << 10;
-/// A frame of a signal did not fit if the stack pointer is closer to the end than this.
+/// If the stack pointer is closer to the end than this, a frame of a signal did not fit.
 const FRAME_BYTES: usize = 16 << 10;
 
-/// What this thread had before.
+/// The previous state of this thread.
 pub(super) struct Before {
     stack: libc::stack_t,
     actions: [(i32, libc::sigaction); 2],
@@ -62,7 +62,7 @@ pub(super) fn begin() -> Result<Before, i32> {
     }
 }
 
-/// Puts back what was there before.
+/// Restores the previous state.
 pub(super) fn end(before: &Before) {
     // SAFETY: the values that `begin` got; the alternate stack is not in use.
     unsafe {
@@ -89,8 +89,8 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
             fatal(format_args!("task '{name}' has overflowed its stack"));
         }
     }
-    // Not ours: as if we were not there. The instruction faults again, or the sender's signal is
-    // lost.
+    // Not a fault of a task: restore the previous handler. The instruction faults again, or the
+    // sender's signal is lost.
     let place = usize::from(signal == libc::SIGBUS);
     // SAFETY: `begin` wrote it before this handler was there.
     unsafe { libc::sigaction(signal, (&raw const PREVIOUS[place]).cast(), ptr::null_mut()) };
@@ -108,7 +108,7 @@ fn current_stack() -> Option<usize> {
     known.then_some(low as usize)
 }
 
-/// Whether a fault's address lies in the stack itself, where no fault is.
+/// Whether a fault's address is in the stack itself, where no access faults.
 fn on_stack(address: usize, low: usize) -> bool {
     (low..low + FRAME_BYTES).contains(&address)
 }
@@ -125,8 +125,8 @@ unsafe fn stack_pointer(context: *mut libc::c_void) -> usize {
     return unsafe { (*context).uc_mcontext.sp as usize };
 }
 
-/// A panic in a task ends the process, with the task's name after the usual message (which a test
-/// may have captured, so it is repeated).
+/// A panic in a task ends the process. The task's name follows the usual message, which is repeated
+/// because a test may have captured it.
 pub(super) fn name_panics() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {

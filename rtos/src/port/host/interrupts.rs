@@ -3,9 +3,9 @@
 //! A source is raised by setting its bit in `PENDING` and, from another thread, sending the core's
 //! thread a signal: at most one is under way. The handler runs on the stack of the task that it
 //! interrupts. The signal mask never changes: no signal blocks another (SA_NODEFER, empty mask), so
-//! that a task which is left inside a handler and one which is not have the same mask, and the
-//! switch need not know. Signals that arrive while interrupts are masked return at once; at most a
-//! few frames lie on a stack.
+//! a task that is left inside a handler has the same mask as any other, and the switch need not
+//! handle it. Signals that arrive while interrupts are masked return at once; at most a few frames
+//! are on a stack.
 
 use super::state::{self, PENDING};
 use super::tick;
@@ -23,7 +23,7 @@ pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
 
 /// The number of the tick.
 pub(super) const TICK: u32 = 63;
-/// T-RTOS-2: 1 is the deferred reschedule, which is no handler here. Everything else is above the
+/// T-RTOS-2: 1 is the deferred reschedule, which has no handler here. Everything else is above the
 /// tick.
 const TICK_PRIORITY: u8 = 2;
 
@@ -44,12 +44,12 @@ static SOURCES: [Source; 63] = [const {
 }; 63];
 
 /// The number of the thread to signal, zero while no scheduler runs; and [`SIGNALLED`]. In one
-/// word, so that a thread that sets the bit knows whose it is.
+/// word, so that a thread that sets the bit knows to which core it belongs.
 static CORE: AtomicU64 = AtomicU64::new(0);
 /// A signal to that thread is under way, or has arrived and `PENDING` was not read since.
 const SIGNALLED: u64 = 1 << 32;
 
-/// The signal has arrived, and `PENDING` was not read since. The core's thread's own.
+/// The signal has arrived, and `PENDING` was not read since. Only for the core's thread.
 static ARRIVED: AtomicBool = AtomicBool::new(false);
 
 /// Carries interrupts of other threads.
@@ -92,10 +92,10 @@ pub(super) fn detach_all() {
 }
 
 /// Raises an interrupt of the core. Callable from any thread of this process, from tasks, and from
-/// handlers of signals. Raising one that is pending already does nothing; one without a handler
-/// waits for it.
+/// handlers of signals. Raising a pending interrupt has no effect; without a handler it stays
+/// pending.
 ///
-/// What the caller wrote before is visible to the handler.
+/// Everything that the caller wrote before is visible to the handler.
 pub fn raise(interrupt: Interrupt) {
     // Release pairs with the Acquire of the core that takes the bit.
     PENDING.fetch_or(1 << interrupt.number(), Ordering::Release);
@@ -103,8 +103,8 @@ pub fn raise(interrupt: Interrupt) {
         state::poll();
         return;
     }
-    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: whichever of two comes second
-    // sees the other. So either the core reads `PENDING` after our bit, or a signal is sent.
+    // AcqRel pairs with the exchanges in `acknowledge` and `begin`: the second of the two sees the
+    // first. So either the core reads `PENDING` after our bit, or a signal is sent.
     let core = CORE.fetch_or(SIGNALLED, Ordering::AcqRel);
     let thread = core as u32;
     if thread != 0 && core & SIGNALLED == 0 {
@@ -112,17 +112,17 @@ pub fn raise(interrupt: Interrupt) {
         let sent =
             unsafe { libc::syscall(libc::SYS_tgkill, libc::getpid(), thread, raise_signal()) };
         if sent != 0 {
-            // The next one tries again, if this life is still that one.
+            // The next one tries again, if this life of the kernel is still the same.
             let _ =
                 CORE.compare_exchange(core | SIGNALLED, core, Ordering::Release, Ordering::Relaxed);
         }
     }
 }
 
-/// Before the core reads `PENDING`: what is raised from now on sends a signal again. As late
-/// as that, so that while interrupts are masked no signals pile up on the stack.
+/// Called before the core reads `PENDING`: later interrupts send a signal again. Not called
+/// earlier, so that no signals pile up on the stack while interrupts are masked.
 pub(super) fn acknowledge() {
-    // One signal at a time: one that is still to come would lie on the next one's frame.
+    // One signal at a time: a signal that is still under way would add a frame to the next one's.
     if ARRIVED.load(Ordering::Relaxed) {
         ARRIVED.store(false, Ordering::Relaxed);
         // AcqRel pairs with the exchange in `raise`.
@@ -168,10 +168,10 @@ pub(super) fn run(number: u32) {
     trace::interrupt_left(number);
 }
 
-/// The handler of both signals. It may interrupt a task anywhere, also in a call of the operating
-/// system, which is then restarted when the task continues (SA_RESTART), or says EINTR.
+/// The handler of both signals. It may interrupt a task anywhere, even in a system call, which is
+/// restarted when the task continues (SA_RESTART) or returns EINTR.
 extern "C" fn on_signal(signal: i32) {
-    // A stray signal for a thread that is no core any more.
+    // A stray signal for a thread that is no longer a core.
     if !state::on_core() {
         return;
     }
@@ -182,7 +182,7 @@ extern "C" fn on_signal(signal: i32) {
     }
     let mut frame = MaybeUninit::<usize>::uninit();
     let frame = core::hint::black_box(frame.as_mut_ptr()).addr();
-    // The interrupted code may be between a failed call and its look at errno.
+    // The interrupted code may be between a failed call and its read of errno.
     super::keeping_errno(|| state::interrupt(frame));
 }
 
@@ -211,13 +211,13 @@ pub(super) fn begin() -> Result<(), i32> {
     // Before the first signal can arrive. Interrupts are masked until the first task runs.
     state::set_on_core(true);
     set_up(handler).inspect_err(|_| state::set_on_core(false))?;
-    // AcqRel pairs with the exchange in `raise`: a bit of `PENDING` that was set before is seen by
-    // the first task, which reads it in any case, and one that is set later sends a signal.
+    // AcqRel pairs with the exchange in `raise`: the first task reads `PENDING` in any case and
+    // sees a bit that was set before; a bit that is set later sends a signal.
     CORE.swap(u64::from(this_thread() as u32), Ordering::AcqRel);
     Ok(())
 }
 
-/// Has `handler` called for both signals, on this thread.
+/// Sets `handler` for both signals, on this thread.
 fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
     let mut unblocked = MaybeUninit::<libc::sigset_t>::uninit();
     // SAFETY: the set and the actions are valid places; the handler is async-signal-safe: it
@@ -242,9 +242,9 @@ fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
     Ok(())
 }
 
-/// This thread is the core no more. The handler stays and ignores what is still under way.
+/// This thread is no longer the core. The handler stays and ignores signals still under way.
 pub(super) fn end() {
-    // Release pairs with the Acquire of who raises: the core has done all that it did before.
+    // Release pairs with the Acquire of a raising thread: the core has finished everything before.
     CORE.store(0, Ordering::Release);
     state::set_on_core(false);
 }
@@ -258,8 +258,8 @@ pub(super) fn this_thread() -> i32 {
 mod tests {
     use super::*;
 
-    /// A doorbell between `begin` and the first task is not lost, and does not silence later ones:
-    /// the core notes that it has something to look at.
+    /// A doorbell between `begin` and the first task is not lost, and does not suppress later ones:
+    /// the core records that there is something to serve.
     #[test]
     fn a_signal_while_the_core_starts_is_noted() {
         assert_eq!(begin(), Ok(()));

@@ -1,8 +1,8 @@
-//! The C library's allocator, for everyone who calls it past Rust's: `opendir`, `getline`, C code.
+//! The C library's allocator, for callers that bypass Rust's: `opendir`, `getline`, C code.
 //!
-//! It has locks, which do not know two tasks apart. So these functions take the places of the C
-//! library's own in every program that this crate is linked into (glibc is made for that), and do
-//! the same work as a critical section if the caller is on the core's thread.
+//! Its locks cannot distinguish two tasks. So these functions replace the C library's own in every
+//! program that links this crate (glibc supports that), and do the same work, as a critical section
+//! if the caller is on the core's thread.
 
 use super::exclusive::guarded;
 use core::ffi::{c_int, c_void};

@@ -25,18 +25,18 @@ use core::fmt::{self, Write};
 use std::sync::mpsc;
 use std::thread;
 
-/// Before the first task is made.
+/// Called before the first task is made.
 pub(crate) fn prepare() {}
 
 /// Bytes of the stack of the kernel's thread, which only starts and ends the scheduler.
 const THREAD_STACK_BYTES: usize = 64 << 10;
 
-/// Runs the scheduler on a thread of its own, until all tasks have returned or one stops it;
-/// `none_left` tells whether all have returned.
+/// Runs the scheduler on a separate thread, until all tasks have returned or one stops it;
+/// `none_left` returns whether all have returned.
 ///
-/// An abandoned task may have lent a thread-local of that thread to another thread, which reads it
-/// as long as the task's call has not returned: for ever. So after a stop the thread never ends,
-/// and its thread-locals stay.
+/// An abandoned task may have lent a thread-local of that thread to another thread. The loan lasts
+/// until the task's call returns, so for ever. Therefore the thread never ends after a stop, and
+/// its thread-locals stay.
 pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartError> {
     if !exclusive::is_installed() {
         return Err(StartError::Allocator);
@@ -62,7 +62,7 @@ pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartEr
         .map_err(|error| StartError::System(error.raw_os_error().unwrap_or(libc::EAGAIN)))?;
     match stop.recv() {
         Ok(()) => Ok(()),
-        // The thread has ended, and its thread-locals are gone when this call returns.
+        // The thread has ended, and its thread-locals are dropped when this call returns.
         Err(mpsc::RecvError) => match thread.join() {
             Ok(ran) => ran.map_err(StartError::System),
             Err(panic) => std::panic::resume_unwind(panic),
@@ -70,8 +70,8 @@ pub(crate) fn start(clock: Clock, none_left: fn() -> bool) -> Result<(), StartEr
     }
 }
 
-/// The scheduling of a thread. A new thread does not have its maker's real-time priority if that
-/// was claimed with SCHED_RESET_ON_FORK.
+/// The scheduling of a thread. A new thread does not inherit real-time priority that was claimed
+/// with SCHED_RESET_ON_FORK.
 #[derive(Clone, Copy)]
 struct Scheduling {
     policy: i32,
@@ -123,7 +123,7 @@ pub(crate) fn stop() -> ! {
     state::leave()
 }
 
-/// After the scheduler, or without one; its tasks are abandoned.
+/// Called after the scheduler, or without one; its tasks are abandoned.
 pub(crate) fn tear_down() {
     interrupts::detach_all();
     state::reset();
@@ -144,10 +144,10 @@ fn errno() -> i32 {
     unsafe { *libc::__errno_location() }
 }
 
-/// Bytes of a message without an allocator, with its line end; more is cut.
+/// Bytes of a message without an allocator, with its line end; the rest is cut.
 const LAST_WORDS: usize = 512;
 
-/// Text without an allocator, for the last words of a process.
+/// Text without an allocator, for the last message of a process.
 struct LastWords {
     text: [u8; LAST_WORDS],
     length: usize,

@@ -3,8 +3,8 @@
 use super::{state, tick};
 use core::ptr;
 
-/// The smallest stack in bytes: frames of signals with all vector registers (3.7 KiB with AVX-512),
-/// of which several lie on each other while interrupts follow each other quickly.
+/// The smallest stack in bytes. A frame of a signal with all vector registers has 3.7 KiB with
+/// AVX-512, and several may be on the stack when interrupts follow each other quickly.
 const MIN_BYTES: usize = 64 << 10;
 /// Bytes of the stacks of the idle task and of the timers' task.
 const SERVICE_BYTES: usize = 64 << 10;
@@ -70,9 +70,9 @@ impl Drop for Stack {
     }
 }
 
-/// The idle task has nothing to do: ends the scheduler if `none_left` says that no task is left, or
-/// sleeps until a signal. A signal before the call has been handled, and if it woke a task, that
-/// task ran first; so no signal is slept through.
+/// The idle task: ends the scheduler if `none_left` returns true, otherwise sleeps until a signal.
+/// A signal before the call has already been handled, and if it woke a task, that task ran first;
+/// so no signal is slept through.
 pub(crate) fn idle(none_left: fn() -> bool) {
     if none_left() {
         state::leave();
@@ -88,8 +88,8 @@ pub(crate) fn idle(none_left: fn() -> bool) {
 mod tests {
     use super::*;
 
-    /// Linux on aarch64 has pages of 4, 16 or 64 KiB. A guard and a stack that are not whole pages
-    /// would share one: the stack's lower part could not be touched.
+    /// Linux on aarch64 has pages of 4, 16 or 64 KiB. If guard and stack were not whole pages, they
+    /// would share one, and the stack's lower part could not be used.
     #[test]
     fn a_stack_and_its_guard_are_whole_pages_of_any_size() {
         for page in [4 << 10, 16 << 10, 64 << 10] {

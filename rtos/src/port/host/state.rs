@@ -1,15 +1,14 @@
 //! The state of the simulated processor: masking, pending interrupts, and when to switch.
 //!
 //! Everything here belongs to the core's thread: its tasks, and the handlers of signals that
-//! interrupt them on the same thread. Between these two the order of the program is enough, so that
-//! loads and stores are relaxed and a fence of the compiler keeps them in place. Other threads
-//! touch [`PENDING`] only.
+//! interrupt them on the same thread. Between these, program order is enough: loads and stores are
+//! relaxed, and a compiler fence keeps them in place. Other threads access only [`PENDING`].
 //!
 //! The one rule: code that finds `masked` at zero may run interrupts, and raises it first. A signal
-//! that arrives while it is above zero notes its interrupt in [`PENDING`] and sets `attention`.
-//! When `masked` returns to zero, `attention` is read *after* that. A signal before this read is
-//! found by it; a signal after it finds zero and serves itself. So none is lost, and no system call
-//! is needed.
+//! that arrives while it is above zero records its interrupt in [`PENDING`] and sets `attention`.
+//! When `masked` returns to zero, `attention` is read *after* that. This read sees any earlier
+//! signal; a later signal finds `masked` at zero and is served at once. So none is lost, and no
+//! system call is needed.
 
 use super::switch::{first_frame, tandem_switch};
 use super::{interrupts, tick};
@@ -24,9 +23,9 @@ use std::cell::Cell;
 /// Same layout as `struct TandemPort` in `kernel/host/portmacro.h`.
 #[repr(C)]
 struct Shared {
-    /// How often interrupts are masked. Above zero always while no scheduler runs.
+    /// How often interrupts are masked. Always above zero while no scheduler runs.
     masked: AtomicU32,
-    /// Something is to be done as soon as interrupts are not masked any more.
+    /// Something must be served as soon as interrupts are unmasked.
     attention: AtomicU32,
 }
 
@@ -36,7 +35,7 @@ static tandem_port: Shared = Shared {
     attention: AtomicU32::new(0),
 };
 
-/// Interrupts that were raised and did not run yet, by number.
+/// Raised interrupts that have not run yet, by number.
 pub(super) static PENDING: AtomicU64 = AtomicU64::new(0);
 /// Priority of the running interrupt; zero in a task.
 static LEVEL: AtomicU32 = AtomicU32::new(0);
@@ -48,12 +47,12 @@ static DEFERRED: AtomicU32 = AtomicU32::new(0);
 static YIELD: AtomicBool = AtomicBool::new(false);
 /// Where the thread was when it started the scheduler.
 static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
-/// Where the handler's variables lie that was left last with signals unblocked. If the running task
-/// is still at that handler's end, this is its address.
+/// Address of the variables of the last handler that was left with signals unblocked. If the
+/// running task is still at the end of that handler, the handler's variables are at this address.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
-/// A handler that interrupts another one's end lies closer to it than this, in bytes.
+/// A handler that interrupts the end of another one is closer to it than this, in bytes.
 static NEAR: AtomicUsize = AtomicUsize::new(0);
-/// Counts the lives of the kernel: what was made for an earlier one is of no use to it.
+/// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
 std::thread_local! {
@@ -93,7 +92,7 @@ pub(super) fn unmask() {
     }
 }
 
-/// Interrupts are not masked, and something asked for attention.
+/// Interrupts are unmasked, and `attention` is set.
 #[unsafe(no_mangle)]
 extern "C" fn tandem_port_attend() {
     tandem_port.masked.store(1, Relaxed);
@@ -101,7 +100,7 @@ extern "C" fn tandem_port_attend() {
     super::keeping_errno(serve_and_unmask);
 }
 
-/// Entered with interrupts masked once; serves what is pending and returns with them unmasked.
+/// Entered with interrupts masked once; serves pending interrupts and returns with them unmasked.
 fn serve_and_unmask() {
     loop {
         compiler_fence(Ordering::SeqCst);
@@ -119,11 +118,11 @@ fn serve_and_unmask() {
     }
 }
 
-/// Runs every pending interrupt above the current level, then switches if that is due and no
+/// Runs every pending interrupt above the current level, then switches if a switch is due and no
 /// interrupt is left. Entered and left with interrupts masked once.
 fn serve() {
     while let Some((number, priority)) = interrupts::most_urgent(LEVEL.load(Relaxed)) {
-        // Acquire pairs with the Release of who raised it.
+        // Acquire pairs with the Release of the raising thread.
         PENDING.fetch_and(!(1 << number), Ordering::Acquire);
         let level = LEVEL.load(Relaxed);
         LEVEL.store(priority, Relaxed);
@@ -140,7 +139,7 @@ fn serve() {
 
 /// Lets more urgent interrupts in while a handler runs.
 pub(super) fn nested<R>(handler: impl FnOnce() -> R) -> R {
-    /// What the handler interrupted cannot continue without the handler's end.
+    /// The interrupted code cannot continue without the handler's end.
     struct Unwound;
     impl Drop for Unwound {
         fn drop(&mut self) {
@@ -204,7 +203,7 @@ extern "C" fn tandem_port_yield_from_interrupt() {
     tandem_port.attention.store(1, Relaxed);
 }
 
-/// Something was made pending on the core's own thread.
+/// An interrupt was made pending on the core's own thread.
 pub(super) fn poll() {
     if tandem_port.masked.load(Relaxed) == 0 {
         tandem_port.masked.store(1, Relaxed);
@@ -214,14 +213,14 @@ pub(super) fn poll() {
     }
 }
 
-/// A signal arrived. Its handler has its variables at the address `frame`, and has
-/// checked that this is the core's thread.
+/// A signal arrived. Its handler has its variables at the address `frame`, and has checked that
+/// this is the core's thread.
 ///
-/// Between the last look at `attention` and the end of the handler a signal is served in a frame of
-/// its own, below this one; and so may be another one at the end of that. So that they do not pile
-/// up as long as interrupts keep coming, a handler that may have interrupted such an end leaves
-/// with both signals blocked. The operating system unblocks them when it takes the frame away, and
-/// delivers what became pending.
+/// A signal that arrives between the last read of `attention` and the end of the handler is served
+/// in its own frame, below this one; and another one may arrive at the end of that. So that frames
+/// do not pile up while interrupts keep arriving, a handler that may have interrupted such an end
+/// returns with both signals blocked. The operating system unblocks them when it removes the frame,
+/// and then delivers the pending ones.
 pub(super) fn interrupt(frame: usize) {
     if tandem_port.masked.load(Relaxed) != 0 {
         tandem_port.attention.store(1, Relaxed);
@@ -238,7 +237,7 @@ pub(super) fn interrupt(frame: usize) {
         serve();
         if at_an_end {
             interrupts::block(true);
-            // What was interrupted is still at its end.
+            // The interrupted code is still at its end.
             LEAVING.store(leaving, Relaxed);
         } else {
             LEAVING.store(frame, Relaxed);
@@ -256,9 +255,9 @@ pub(super) fn interrupt(frame: usize) {
     }
 }
 
-/// Before the first signal: how large the operating system's frames are.
+/// Called before the first signal: reads the size of the operating system's frames.
 pub(super) fn prepare_frames() {
-    /// What handlers put on the stack around a frame.
+    /// Bytes that handlers put on the stack around a frame.
     const AROUND: usize = 4 << 10;
     // SAFETY: asks for a number; zero if it is not known.
     let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
@@ -270,15 +269,15 @@ pub(super) fn yield_from_interrupt() {
     tandem_port_yield_from_interrupt();
 }
 
-/// The process ends: nothing interrupts its last words.
+/// The process ends: nothing may interrupt its last message.
 pub(super) fn mask_for_good() {
     if on_core() {
         mask();
     }
 }
 
-/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads it is
-/// just called.
+/// Runs `body` while no other task of the core runs; interrupts do. Nests. On other threads `body`
+/// is just called.
 pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
     struct End;
     impl Drop for End {
@@ -302,7 +301,7 @@ pub(super) fn deferred<R>(body: impl FnOnce() -> R) -> R {
     body()
 }
 
-/// Whether something is to be done when interrupts are unmasked.
+/// Whether something must be served when interrupts are unmasked.
 #[cfg(test)]
 pub(super) fn needs_attention() -> bool {
     tandem_port.attention.load(Relaxed) != 0
@@ -317,7 +316,7 @@ pub(crate) fn assert_may_block() {
     );
 }
 
-/// Whether the caller is a task: on the core's thread, and no handler.
+/// Whether the caller is a task: on the core's thread, and not a handler.
 pub(crate) fn in_task() -> bool {
     on_core() && !in_interrupt()
 }
@@ -349,7 +348,7 @@ extern "C" fn pxPortInitialiseStack(
 extern "C" fn xPortStartScheduler() -> Base {
     tandem_port.masked.store(1, Relaxed);
     YIELD.store(false, Relaxed);
-    // What was raised before is served by the first task.
+    // The first task serves interrupts that were raised before.
     tandem_port.attention.store(1, Relaxed);
     tick::begin();
     // SAFETY: the first task's context was made by `pxPortInitialiseStack`; this context goes to
@@ -389,6 +388,6 @@ pub(super) fn reset() {
     }
 }
 
-/// The kernel asks for it to be implemented; our way to stop is `leave`.
+/// The kernel requires this function; this port stops by `leave`.
 #[unsafe(no_mangle)]
 extern "C" fn vPortEndScheduler() {}

@@ -1,10 +1,10 @@
-//! The switch between two tasks: what a C function must preserve, and the stack pointer.
+//! The switch between two tasks: saves the registers that a C function must preserve, and the stack
+//! pointer.
 //!
-//! A task that was pre-empted lies in the frame of a signal, which holds its remaining registers,
-//! the vector unit among them; it continues when the handler returns. A task that yielded called a
-//! function, which need not preserve more than is saved here. Nothing lies below the stack pointer:
-//! callers are functions, and the kernel of the operating system leaves the red zone of what it
-//! interrupts alone.
+//! A task that was pre-empted has its remaining registers, including the vector unit, in the frame
+//! of a signal; it continues when the handler returns. A task that yielded called a function, which
+//! need not preserve more than is saved here. Nothing is below the stack pointer: callers are
+//! functions, and the operating system preserves the red zone of interrupted code.
 
 use core::ffi::c_void;
 

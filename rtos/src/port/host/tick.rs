@@ -1,8 +1,8 @@
 //! The tick: 1 kHz on absolute time, or driven by work.
 //!
-//! The expirations of the timers lie on a grid that begins with the scheduler, and how many ticks
-//! are due is computed from the clock at each signal: nothing adds up, and ticks that the machine
-//! was too late for are made up at once and counted.
+//! The expirations of the timers are on a grid that begins with the scheduler, and each signal
+//! computes the number of due ticks from the clock: no error accumulates, and late ticks are made
+//! up at once and counted.
 
 use super::interrupts;
 use super::state;
@@ -19,10 +19,10 @@ use core::time::Duration;
 pub(super) const TICK_NS: u64 = 1_000_000_000 / TICK_RATE_HZ as u64;
 
 static VIRTUAL: AtomicBool = AtomicBool::new(false);
-/// Two timers that take turns. The operating system sets a periodic timer anew when its signal is
-/// delivered, before the handler runs; if that is the next one to expire on this processor, it must
-/// program the hardware there, which costs microseconds on a virtual machine. So the next one is
-/// always the other.
+/// Two timers that alternate. The operating system re-arms a periodic timer when its signal is
+/// delivered, before the handler runs. If that timer is the next one to expire on this processor,
+/// it must program the hardware there, which costs microseconds on a virtual machine. With two
+/// timers, the next one is always the other.
 static TIMERS: [AtomicPtr<libc::c_void>; 2] = [const { AtomicPtr::new(ptr::null_mut()) }; 2];
 /// How many of them there are.
 static MADE: AtomicU32 = AtomicU32::new(0);
@@ -33,18 +33,18 @@ static VIRTUAL_NS: AtomicU64 = AtomicU64::new(0);
 /// Ticks that the kernel was given.
 static DONE: AtomicU64 = AtomicU64::new(0);
 static CAUGHT_UP: AtomicU64 = AtomicU64::new(0);
-/// Given the lateness of each tick interrupt in nanoseconds.
+/// Called with the lateness of each tick interrupt in nanoseconds.
 static OBSERVER: AtomicPtr<()> = AtomicPtr::new(ptr::null_mut());
 
-/// Ticks of this run, or of the last one, that were served together with a later one, because the
+/// Ticks of this run, or of the last one, that were served together with a later one because the
 /// machine was late by more than a tick.
 #[must_use]
 pub fn caught_up() -> u64 {
     CAUGHT_UP.load(Relaxed)
 }
 
-/// Has `observer` called in each tick interrupt with its lateness in nanoseconds, measured when the
-/// handler runs. In interrupt context: it must not allocate, print or block. `None` ends it.
+/// Sets `observer`, which each tick interrupt calls with its lateness in nanoseconds, measured when
+/// the handler runs. In interrupt context: it must not allocate, print or block. `None` ends it.
 pub fn observe(observer: Option<fn(u64)>) {
     let pointer = observer.map_or(ptr::null_mut(), |it| it as *mut ());
     OBSERVER.store(pointer, Relaxed);
@@ -77,7 +77,7 @@ pub fn now_ns() -> u64 {
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
 }
 
-/// Makes the timers; they stand still until `begin`.
+/// Makes the timers; they are stopped until `begin`.
 pub(super) fn prepare(clock: Clock) -> Result<(), i32> {
     VIRTUAL.store(clock == Clock::Virtual, Relaxed);
     origin();
@@ -169,7 +169,7 @@ pub(super) fn interrupt() {
     }
 }
 
-/// Lets this much virtual time pass as the caller's work; ticks interrupt it where they fall.
+/// Passes this much virtual time as the caller's work; ticks interrupt it at their times.
 pub(super) fn consume_virtual(mut span_ns: u64) {
     while span_ns > 0 {
         let now = VIRTUAL_NS.load(Relaxed);
@@ -182,7 +182,7 @@ pub(super) fn consume_virtual(mut span_ns: u64) {
     }
 }
 
-/// In virtual time, too, the tick is a real signal: pre-emption works the same way.
+/// Also in virtual time the tick is a real signal: pre-emption works in the same way.
 fn signal_tick() {
     // SAFETY: a signal to the calling thread is handled before the call returns.
     unsafe {
@@ -199,7 +199,7 @@ pub(super) fn is_virtual() -> bool {
     VIRTUAL.load(Relaxed)
 }
 
-/// Lets work pass in virtual time, if time is virtual.
+/// Passes virtual time for work, if time is virtual.
 pub(crate) fn virtual_work(span: Duration) -> bool {
     if is_virtual() {
         consume_virtual(span.as_nanos() as u64);
@@ -216,8 +216,8 @@ pub(crate) fn timestamp_ns() -> u64 {
     }
 }
 
-/// A span of [`run_time`], by how that counter and the clock have moved since the process began to
-/// use them.
+/// A span of [`run_time`], from the progress of that counter and of the clock since the process
+/// began to use them.
 pub(crate) fn run_time_span(counts: u64) -> Duration {
     let (origin_count, origin_ns) = origin();
     let counted = u128::from((run_time() - origin_count).max(1));
@@ -241,7 +241,7 @@ pub(super) fn skip_to_next() {
     consume_virtual(TICK_NS - now % TICK_NS);
 }
 
-/// A fine counter for the time that tasks run: the processor's own, which costs no call.
+/// A fine counter for the run time of tasks: the processor's own, which needs no call.
 pub(crate) fn run_time() -> u64 {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: reads a counter that every x86_64 has.
