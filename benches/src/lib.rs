@@ -35,4 +35,5 @@ mod synthetic;
 pub mod system_calls;
 pub mod table;
 pub mod tandem;
+pub mod thesis;
 pub mod worker;

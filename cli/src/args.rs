@@ -67,6 +67,8 @@ pub(crate) enum Command {
     Bench(BenchArgs),
     /// Try faults on the control cores of both systems, in virtual time
     Sim(SimArgs),
+    /// Run the experiments of the thesis, and print its figures beside those of here
+    Thesis(ThesisArgs),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
     RtosDemo(RtosDemoArgs),
     /// Download the smallest application over CAN to an empty controller, start it, and show the
@@ -76,6 +78,44 @@ pub(crate) enum Command {
     Flash(FlashArgs),
     /// Run the bootloader of one system on a flash file, and say what it would start
     Bootloader(BootloaderArgs),
+}
+
+/// Arguments of `tandem thesis`.
+#[derive(Debug, Args)]
+pub(crate) struct ThesisArgs {
+    /// What the experiments run on
+    #[arg(long, value_enum, default_value_t = ThesisBoard::Host)]
+    pub(crate) board: ThesisBoard,
+
+    /// Write the figures to this file, too
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+
+    /// Draw the outputs of both systems over time into this file
+    #[arg(long, value_name = "FILE")]
+    pub(crate) svg: Option<PathBuf>,
+}
+
+/// Values of `--board` of `tandem thesis`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum ThesisBoard {
+    /// Processes of this machine, in real time
+    Host,
+    /// Both systems in this process, in virtual time
+    Sim,
+    /// Firmware in an emulated RISC-V machine: instructions
+    Qemu,
+}
+
+impl ThesisBoard {
+    /// As the command line writes it.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Host => "host",
+            Self::Sim => "sim",
+            Self::Qemu => "qemu",
+        }
+    }
 }
 
 /// Arguments of `tandem rtos-demo`.
@@ -163,6 +203,10 @@ pub(crate) struct RunArgs {
     /// Let a system that comes back become the standby of the running one
     #[arg(long)]
     pub(crate) reintegrate: bool,
+
+    /// Switch system A on this long after B: 40ms
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(crate) stagger: Option<f64>,
 
     /// Print the contents of metrics.json at the end, and nothing else on stdout
     #[arg(long)]

@@ -132,7 +132,7 @@ impl Images {
     }
 }
 
-/// Drives to the end; a line on how the time went, or `None` if a person ended it.
+/// Drives to the end, or until a person ends it; a line on how the time went.
 ///
 /// # Errors
 /// If the emulator cannot be started, hangs or fails.
@@ -140,7 +140,7 @@ pub(crate) fn drive(
     args: &RunArgs,
     config: &RunConfig,
     files: &RunFiles,
-) -> anyhow::Result<Option<String>> {
+) -> anyhow::Result<(String, Ended)> {
     let layout = match args.board {
         BoardKind::QemuOne => Layout::One,
         BoardKind::Host | BoardKind::Qemu => Layout::Two,
@@ -169,16 +169,14 @@ pub(crate) fn drive(
     if let Some(progress) = progress {
         progress.end();
     }
-    if ended? == Ended::Stopped {
-        return Ok(None);
-    }
+    let ended = ended?;
     if !args.quiet && args.update.is_some() {
         // Which slot each system has started, and that it has approved it.
         let log = world.log();
         let of_slots = log.lines().filter(|line| line.contains(" slot"));
         of_slots.for_each(|line| eprintln!("{line}"));
     }
-    Ok(Some(format!(
+    let told = format!(
         "firmware in {} (QEMU, riscv32): time is the emulator's, an instruction takes 1 ns; the run \
          took {:.0} s of this machine's",
         match layout {
@@ -190,5 +188,6 @@ pub(crate) fn drive(
             },
         },
         begin.elapsed().as_secs_f64()
-    )))
+    );
+    Ok((told, ended))
 }

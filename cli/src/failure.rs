@@ -13,8 +13,10 @@ pub(crate) enum Failure {
     Objections(Vec<String>),
     /// These cases are slower than they were.
     Slower(Vec<String>),
-    /// A person ended it.
+    /// A person ended it before anything was driven.
     Interrupted,
+    /// A person ended the drive after this scenario time, s; the report has what was driven.
+    DrivenUntil(f64),
     /// A person ended it, and what there was until then is shown.
     CutShort,
 }
@@ -27,6 +29,9 @@ impl Failure {
             Self::Objections(objections) => eprintln!("run failed: {}", objections.join("; ")),
             Self::Slower(cases) => eprintln!("slower beyond noise: {}", cases.join(", ")),
             Self::CutShort => eprintln!("interrupted: these are the figures so far"),
+            Self::DrivenUntil(driven_s) => {
+                eprintln!("interrupted after {driven_s:.1} s: the report shows what was driven");
+            }
             Self::Interrupted => {
                 eprintln!(
                     "interrupted: everything is stopped, nothing is left, no report was written"
@@ -40,7 +45,7 @@ impl Failure {
         ExitCode::from(match self {
             Self::Run(_) | Self::Objections(_) | Self::Slower(_) => 1,
             Self::Usage(_) => 2,
-            Self::Interrupted | Self::CutShort => 130,
+            Self::Interrupted | Self::DrivenUntil(_) | Self::CutShort => 130,
         })
     }
 }

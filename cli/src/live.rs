@@ -19,6 +19,8 @@ pub(crate) struct Live {
     pub(crate) time_s: f64,
     /// m/s
     pub(crate) speed: f64,
+    /// Bumper to bumper to the vehicle ahead in the lane, m.
+    pub(crate) lead_gap: Option<f64>,
     /// Roles of A and B as they show them.
     pub(crate) roles: [String; 2],
     /// Longest time between two accepted control frames so far, ms.
@@ -38,6 +40,23 @@ impl Live {
         fs::rename(&next, path)
     }
 
+    /// What the driver sees, in one line of one width: time, speed, distance to the vehicle ahead,
+    /// the roles; then the largest time without control, and the takeovers.
+    fn line(&self, duration_s: f64) -> String {
+        let ahead = match self.lead_gap {
+            Some(gap) if gap < 999.5 => format!("{gap:3.0} m"),
+            _ => "free ".to_owned(),
+        };
+        let [a, b] = &self.roles;
+        format!(
+            "{:5.1}/{duration_s:.0} s {:3.0} km/h ahead {ahead} A {a:<9} B {b:<9} gap {:.0} ms, {} taken",
+            self.time_s,
+            self.speed * 3.6,
+            self.gap_max_ms,
+            self.takeovers,
+        )
+    }
+
     fn read(path: &Path) -> Option<Self> {
         serde_json::from_slice(&fs::read(path).ok()?).ok()
     }
@@ -55,7 +74,7 @@ impl Progress {
         let bar = ProgressBar::new((duration_s * 10.0).ceil() as u64);
         let over = Arc::new(AtomicBool::new(false));
         let thread = (!bar.is_hidden()).then(|| {
-            let style = ProgressStyle::with_template("{bar:24.cyan/dim} {msg}");
+            let style = ProgressStyle::with_template("{bar:10.cyan/dim} {wide_msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
             bar.set_message("starting");
             let over = Arc::clone(&over);
@@ -78,20 +97,45 @@ fn follow(bar: &ProgressBar, path: &Path, duration_s: f64, over: &AtomicBool) {
     while !over.load(Ordering::Relaxed) {
         if let Some(live) = Live::read(path) {
             bar.set_position((live.time_s * 10.0) as u64);
-            let [a, b] = &live.roles;
-            bar.set_message(format!(
-                "{:5.1} / {duration_s:.0} s  {:4.1} m/s  A {a}  B {b}  largest gap {:.1} ms{}",
-                live.time_s,
-                live.speed,
-                live.gap_max_ms,
-                match live.takeovers {
-                    0 => String::new(),
-                    1 => "  1 takeover".to_owned(),
-                    n => format!("  {n} takeovers"),
-                }
-            ));
+            bar.set_message(live.line(duration_s));
         }
         std::thread::sleep(REFRESH);
     }
     bar.finish_and_clear();
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The columns stay where they are while the values change, and all fits beside the bar on a
+    /// terminal of 100 columns.
+    #[test]
+    fn the_line_keeps_its_columns() {
+        let line = |speed, lead_gap, role: &str| {
+            let live = Live {
+                time_s: 7.0,
+                speed,
+                lead_gap,
+                roles: [role.to_owned(), "standby".to_owned()],
+                gap_max_ms: 11.3,
+                takeovers: 1,
+            };
+            live.line(60.0)
+        };
+        let shown = [
+            line(0.0, None, "off"),
+            line(40.0, Some(7.2), "suspended"),
+            line(9.0, Some(5_000.0), "master"),
+        ];
+        assert!(
+            shown[1].contains("144 km/h ahead   7 m A suspended"),
+            "{}",
+            shown[1]
+        );
+        for line in &shown {
+            assert_eq!(line.find(" B "), shown[0].find(" B "), "{line}");
+            assert!(line.len() <= 88, "{line}");
+        }
+    }
 }

@@ -25,6 +25,7 @@ mod stall_watch;
 mod summary;
 #[cfg(test)]
 mod synthetic;
+mod thesis;
 mod three_frames;
 mod timeline;
 mod update;
@@ -84,6 +85,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::Sim(args) => sim::run(&args),
+        Command::Thesis(args) => thesis::run(&args),
         Command::RtosDemo(args) => {
             let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
             print(&shown).map_err(Failure::Run)

@@ -7,7 +7,7 @@ use tandem_record::gap::{self, Bounds, EndedBy};
 use tandem_record::log::{DriveFigures, Sample};
 use tandem_record::reaction::{Reaction, reaction};
 use tandem_record::run_log::{Stall, Stood};
-use tandem_record::{RunLog, Takeover, ms_between, takeovers};
+use tandem_record::{RunLog, Takeover, ms_between, start, takeovers};
 use tandem_vehicle::Verdict;
 
 use crate::percentiles::Spans;
@@ -117,6 +117,8 @@ pub(crate) struct Metrics {
     pub(crate) detection_bound_ms: Option<f64>,
     /// How long the vehicle can be without control at most when a master falls silent, ms.
     pub(crate) gap_bound_ms: Option<f64>,
+    /// How far apart the two systems left the start protocol, µs, if they left it together.
+    pub(crate) start_skew_us: Option<f64>,
     /// Control cycles that a core reported as late.
     pub(crate) deadline_misses: u64,
     /// How often and how long each task of each core ran, and whether in time.
@@ -382,6 +384,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
             .collect(),
         detection_bound_ms: around.detection_bound_ms,
         gap_bound_ms: Some(around.bounds.silent_ms).filter(|ms| ms.is_finite()),
+        start_skew_us: start::skew_ns(log).map(|ns| ns as f64 * 1e-3),
         deadline_misses: deadline_misses(log),
         tasks: timeline.tasks.clone(),
         interrupts: timeline.interrupts(),

@@ -6,6 +6,7 @@
 
 use anyhow::{Context as _, Result, ensure};
 use std::fmt::Write as _;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use tandem_page::chart::{WIDTH, plain, round_ticks};
 use tandem_page::svg::{Anchor, Color, Stroke, Svg};
@@ -25,16 +26,19 @@ const ROW: f64 = 72.0;
 const HEIGHT: f64 = 330.0;
 const TITLE: f64 = 44.0;
 const SIDE: f64 = 24.0;
+/// Between an output's change and the note of it, ms.
+const EDGE_MS: f64 = 0.05;
 /// The image of this demonstration.
 const IMAGE: &str = "rtos-demo";
 const HERE: &str = "this machine's time";
+const VIRTUAL: &str = "virtual time";
 const EMULATED: &str = "the emulator's time (QEMU, riscv32): an instruction takes 1 ns";
 
 /// Times of the changes of each output, ms; all begin low.
 type Changes = Vec<Vec<f64>>;
 
 /// One picture.
-struct Picture {
+pub(crate) struct Picture {
     test: &'static Test,
     /// Whose time it is.
     clock: &'static str,
@@ -43,17 +47,36 @@ struct Picture {
 
 /// Runs both tests and shows them; writes them to a file as well if there is one.
 pub(crate) fn run(args: &RtosDemoArgs) -> Result<String> {
-    let pictures = match args.board {
-        DemoBoard::Host => TESTS.iter().map(here).collect::<Result<Vec<_>>>()?,
-        DemoBoard::Qemu => {
-            let image = emulated::image(IMAGE, args.firmware.as_deref())?;
-            pictures_of(&tandem_board_qemu::run_to_end(&image)?)?
-        }
-    };
+    let pictures = pictures(args.board, args.firmware.as_deref())?;
     if let Some(path) = &args.svg {
         std::fs::write(path, draw(&pictures)).with_context(|| path.display().to_string())?;
     }
     Ok(pictures.iter().map(show).collect())
+}
+
+/// Runs both tests on this board; `firmware` is the image for the emulated one.
+///
+/// # Errors
+/// If the kernel or the emulator does not start, or there is no image.
+pub(crate) fn pictures(board: DemoBoard, firmware: Option<&Path>) -> Result<Vec<Picture>> {
+    match board {
+        DemoBoard::Host => TESTS.iter().map(|test| here(test, Clock::Wall)).collect(),
+        DemoBoard::Qemu => {
+            let image = emulated::image(IMAGE, firmware)?;
+            pictures_of(&tandem_board_qemu::run_to_end(&image)?)
+        }
+    }
+}
+
+/// Runs both tests in this process, in time that passes only while tasks work or all wait.
+///
+/// # Errors
+/// If the kernel does not start.
+pub(crate) fn simulated() -> Result<Vec<Picture>> {
+    TESTS
+        .iter()
+        .map(|test| here(test, Clock::Virtual))
+        .collect()
 }
 
 /// What firmware has logged, as pictures.
@@ -77,7 +100,7 @@ fn pictures_of(log: &str) -> Result<Vec<Picture>> {
 }
 
 /// Runs a test in this process.
-fn here(test: &'static Test) -> Result<Picture> {
+fn here(test: &'static Test, clock: Clock) -> Result<Picture> {
     let notes: Arc<Mutex<Changes>> = Arc::new(Mutex::new(vec![vec![]; test.outputs.len()]));
     let kernel = Kernel::take()?;
     for (number, output) in test.outputs.iter().enumerate() {
@@ -92,14 +115,17 @@ fn here(test: &'static Test) -> Result<Picture> {
         };
         kernel.spawn(&options, move |ctx| toggle(ctx, output, ctx.now(), note))?;
     }
-    kernel.start(Clock::Wall)?;
+    kernel.start(clock)?;
     let mut changes = std::mem::take(&mut *notes.lock().unwrap_or_else(PoisonError::into_inner));
     for output in &mut changes {
         output.retain(|at_ms| *at_ms <= f64::from(SPAN_MS));
     }
     Ok(Picture {
         test,
-        clock: HERE,
+        clock: match clock {
+            Clock::Wall => HERE,
+            Clock::Virtual => VIRTUAL,
+        },
         changes,
     })
 }
@@ -135,6 +161,29 @@ impl Picture {
         })
     }
 
+    /// Largest deviation of an output's mean period from that of its task, ms; not a number if an
+    /// output never changed.
+    pub(crate) fn off_ms(&self) -> f64 {
+        let off = (0..self.test.outputs.len()).map(|channel| {
+            let asked_ms = f64::from(self.test.outputs[channel].period_ms);
+            self.periods(channel)
+                .map_or(f64::NAN, |(_, mean_ms, _)| (mean_ms - asked_ms).abs())
+        });
+        off.fold(0.0, |worst, off| if off <= worst { worst } else { off })
+    }
+
+    /// How often a lower task changed its output while the highest one worked.
+    pub(crate) fn changes_while_burning(&self) -> f64 {
+        let lower = self.changes[1..].iter().flatten();
+        // At the very edge the highest task has just begun, or just ended.
+        let within = |at_ms: &&f64| {
+            [-EDGE_MS, EDGE_MS]
+                .iter()
+                .all(|margin| self.is_up(0, **at_ms + margin))
+        };
+        lower.filter(within).count() as f64
+    }
+
     fn title(&self) -> String {
         format!("{}: {}", self.test.id, self.test.title)
     }
@@ -157,7 +206,7 @@ impl Picture {
 }
 
 /// The picture for a terminal.
-fn show(picture: &Picture) -> String {
+pub(crate) fn show(picture: &Picture) -> String {
     let mut text = format!("{}\n", picture.title());
     for channel in 0..picture.test.outputs.len() {
         let level = |column: usize| {

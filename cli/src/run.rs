@@ -10,7 +10,7 @@ use anyhow::{Context as _, bail};
 use tandem_board::{Duration, SystemId};
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
-    CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
+    Backplane, CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
 use tandem_record::gap::Bounds;
 use tandem_record::{RunLog, file};
@@ -27,7 +27,7 @@ use crate::percentiles::Spans;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{Seen, StallWatch};
 use crate::timeline::{self, Timeline};
-use crate::{core_process, emulated, report, summary};
+use crate::{core_process, emulated, report, summary, vehicle};
 
 /// Drives the scenario and writes the report.
 ///
@@ -43,26 +43,12 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     if !args.quiet {
         eprintln!("{granted}");
     }
-    let config = RunConfig {
-        scenario: args.scenario.clone(),
-        seed: args.seed,
-        duration_s: args.duration,
-        profile,
-        reintegrate: args.reintegrate,
-        program_flash: None,
-        update: None,
-        demo: None,
-    };
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, config).map_err(Failure::Run)?;
+    let config = with_flash(args, &files, RunConfig::of(args, profile)).map_err(Failure::Run)?;
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
     let ended = drive(args, &checked, &config, &files, &mut launcher);
     let machine = watch.end();
     let ended = ended.map_err(Failure::Run)?;
-    if ended.interrupted {
-        launcher.finish();
-        return Err(Failure::Interrupted);
-    }
     let because = || match ended.vehicle {
         Some(status) => format!("the vehicle's process ended with {status}"),
         None => "the vehicle's process ended".to_owned(),
@@ -74,36 +60,55 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
         machine,
         ..surroundings(&config, granted)
     };
-    conclude(args, &checked, collected, &around)
+    conclude(args, &checked, collected, &around, ended.interrupted)
+}
+
+/// Drives as [`run`] does, while `hands` act on a thread of their own, and writes no report: the
+/// recording, and what the hands return.
+///
+/// # Errors
+/// If the run does not start, the hands fail, or there is no recording.
+pub(crate) fn recorded<T: Send>(
+    args: &RunArgs,
+    hands: impl FnOnce(Backplane) -> anyhow::Result<T> + Send,
+) -> anyhow::Result<(RunLog, T)> {
+    let checked = Checked::new(args)?;
+    let mut launcher = Launcher::prepare()?;
+    let (profile, _) = grant(args, &checked, &launcher)?;
+    let files = RunFiles::of(launcher.isolation().run());
+    let config = with_flash(args, &files, RunConfig::of(args, profile))?;
+    let backplane = launcher.backplane();
+    let (ended, done) = std::thread::scope(|scope| {
+        let hands = scope.spawn(move || hands(backplane));
+        let ended = drive(args, &checked, &config, &files, &mut launcher);
+        (ended, hands.join())
+    });
+    ended?;
+    let done = done.map_err(|_| anyhow::anyhow!("the hands panicked"))?;
+    let folder = tempfile::tempdir().context("a folder for the log")?;
+    let log = read(&files.recording(), &folder.path().join(output::CANDUMP));
+    launcher.finish();
+    Ok((log?, done?))
 }
 
 /// The same with a controller in emulated machines.
 fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
-    let config = RunConfig {
-        scenario: args.scenario.clone(),
-        seed: args.seed,
-        duration_s: args.duration,
-        // Virtual time is never late.
-        profile: Profile::Rt,
-        reintegrate: args.reintegrate,
-        program_flash: None,
-        update: None,
-        demo: None,
-    };
+    // Virtual time is never late.
+    let config = RunConfig::of(args, Profile::Rt);
     emulated::Images::of(args).map_err(Failure::Usage)?;
     let folder = tempfile::tempdir()
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
     let files = RunFiles::within(folder.path());
-    let Some(told) = emulated::drive(args, &config, &files).map_err(Failure::Run)? else {
-        return Err(Failure::Interrupted);
-    };
+    let (told, ended) = emulated::drive(args, &config, &files).map_err(Failure::Run)?;
     tell_updates(args, &files);
     if !args.quiet {
         eprintln!("{told}");
     }
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
-    conclude(args, checked, collected, &surroundings(&config, told))
+    let interrupted = ended == vehicle::Ended::Stopped;
+    let around = surroundings(&config, told);
+    conclude(args, checked, collected, &around, interrupted)
 }
 
 fn tell_updates(args: &RunArgs, files: &RunFiles) {
@@ -158,17 +163,26 @@ fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     }
 }
 
-/// Writes the report, tells of it, and judges the run.
+/// Writes the report, tells of it, and judges the run. A run that a person ended early has the
+/// report of what was driven, if anything was.
 fn conclude(
     args: &RunArgs,
     checked: &Checked,
     collected: anyhow::Result<Collected>,
     around: &Surroundings,
+    interrupted: bool,
 ) -> Result<(), Failure> {
+    let driven = |collected: &Collected| collected.log.driven_s() > 0.0;
+    if interrupted && !collected.as_ref().is_ok_and(driven) {
+        return Err(Failure::Interrupted);
+    }
     let metrics = collected
         .and_then(|c| c.write(&checked.out, around))
         .map_err(Failure::Run)?;
     tell(args, &checked.out, &metrics).map_err(Failure::Run)?;
+    if interrupted {
+        return Err(Failure::DrivenUntil(metrics.duration_s));
+    }
     match report::objections(&metrics) {
         objections if objections.is_empty() => Ok(()),
         objections => Err(Failure::Objections(objections)),
@@ -220,6 +234,7 @@ fn check_board(args: &RunArgs) -> anyhow::Result<()> {
         ("--cpus", args.cpus.is_some()),
         ("--dflash", args.dflash.is_some()),
         ("--timing", args.timing != Timing::Auto),
+        ("--stagger", args.stagger.is_some()),
     ];
     match of_host.iter().find(|(_, given)| *given) {
         Some((option, _)) if args.board != BoardKind::Host => {
@@ -358,6 +373,9 @@ fn drive(
         pinning: checked.pinning.clone(),
     };
     let errors = File::create(files.errors()).context("creating the log of errors")?;
+    if let Some(stagger_s) = args.stagger {
+        launcher.stagger(SystemId::A, Duration::from_us((stagger_s * 1e6) as u64));
+    }
     launcher.start(
         &Plan {
             schedule,

@@ -9,6 +9,7 @@ use anyhow::Context as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::SystemId;
 
+use crate::args::RunArgs;
 use crate::boot::ProgramFlash;
 use crate::files::RunFiles;
 
@@ -97,6 +98,20 @@ pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 }
 
 impl RunConfig {
+    /// What the command line asks for, without program flashes.
+    pub(crate) fn of(args: &RunArgs, profile: Profile) -> Self {
+        Self {
+            scenario: args.scenario.clone(),
+            seed: args.seed,
+            duration_s: args.duration,
+            profile,
+            reintegrate: args.reintegrate,
+            program_flash: None,
+            update: None,
+            demo: None,
+        }
+    }
+
     /// The argument.
     ///
     /// # Errors

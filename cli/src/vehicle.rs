@@ -278,6 +278,7 @@ where
         Live {
             time_s: snapshot.time_s,
             speed: snapshot.speed,
+            lead_gap: Some(snapshot.gap).filter(|gap| gap.is_finite()),
             roles: SystemId::ALL.map(|system| {
                 let role = if self.port.is_powered(system) {
                     role_name(self.port.role(system))

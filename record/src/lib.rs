@@ -12,6 +12,7 @@ pub mod log;
 pub mod reaction;
 pub mod roles;
 pub mod run_log;
+pub mod start;
 pub mod takeover;
 
 pub use file::Entry;

@@ -154,6 +154,11 @@ impl Launcher {
         self.backplane
     }
 
+    /// Switches a system on this long after the ignition. To be called before the start.
+    pub fn stagger(&self, system: SystemId, by: tandem_board::Duration) {
+        self.backplane.set_stagger(system, by);
+    }
+
     /// Starts both supplies and the vehicle. `command` makes the command that starts this program
     /// with these arguments; it may set standard streams and environment.
     ///

@@ -77,7 +77,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
     backplane
         .trace_ring(supply_trace_ring(args.system))
         .begin_incarnation();
-    let Some((vehicle, peer)) = wait_for_ignition(args, backplane) else {
+    let Some((vehicle, peer)) = wait_for_ignition(args, backplane, power_on) else {
         return Ok(());
     };
     let services = RINGS.service[args.system.index()];
@@ -109,6 +109,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
 fn wait_for_ignition(
     args: &SupplyArgs,
     backplane: Backplane,
+    power_on: u32,
 ) -> Option<(Watched, Option<Watched>)> {
     let launcher = Watched::new(backplane.launcher_pid());
     while !backplane.is_assembled() {
@@ -124,6 +125,11 @@ fn wait_for_ignition(
             return None;
         }
         clock::sleep_until(clock::now() + PERIOD);
+    }
+    let stagger = backplane.stagger(args.system);
+    if stagger > Duration::ZERO && power_on == 1 {
+        backplane.set_level(args.system, false);
+        clock::sleep_until(clock::now() + stagger);
     }
     let peer = Watched::new(backplane.supply_pid(args.system.peer()));
     if peer.is_none() {
@@ -416,14 +422,14 @@ mod tests {
         let args = args(&run);
         launcher.wait().unwrap();
         assert!(
-            wait_for_ignition(&args, backplane).is_none(),
+            wait_for_ignition(&args, backplane, 1).is_none(),
             "not assembled"
         );
 
         let own = std::process::id();
         backplane.assemble([own; 2], own);
         backplane.set_ignition(true);
-        assert!(wait_for_ignition(&args, backplane).is_some());
+        assert!(wait_for_ignition(&args, backplane, 1).is_some());
         Backplane::remove(&run);
     }
 }

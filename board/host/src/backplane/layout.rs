@@ -49,6 +49,7 @@ pub(super) enum System {
     LevelLow,
     ResetCause,
     Booted,
+    StaggerUs,
     ResetRequest = LINE as isize,
     Lamp,
     Released,

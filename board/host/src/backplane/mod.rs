@@ -10,7 +10,9 @@ use core::fmt;
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
 
-use tandem_board::{CoreId, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId};
+use tandem_board::{
+    CoreId, Duration, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId,
+};
 use tandem_peripherals::wires::{Cuts, Wire};
 
 use crate::name::RunName;
@@ -194,7 +196,7 @@ impl Backplane {
     }
 
     /// Asks the vehicle to end the run.
-    pub(crate) fn request_stop(self) {
+    pub fn request_stop(self) {
         self.run(Run::Stop).set(1);
     }
 
@@ -220,6 +222,16 @@ impl Backplane {
     /// Counts a power-on of the system and returns its number, from 1.
     pub(crate) fn power_on(self, system: SystemId) -> u32 {
         self.system(system, System::PowerOns).count() + 1
+    }
+
+    /// The system is to be switched on this long after the ignition. Launcher only, before the start.
+    pub(crate) fn set_stagger(self, system: SystemId, stagger: Duration) {
+        let us = u32::try_from(stagger.as_us()).unwrap_or(u32::MAX);
+        self.system(system, System::StaggerUs).set(us);
+    }
+
+    pub(crate) fn stagger(self, system: SystemId) -> Duration {
+        Duration::from_us(u64::from(self.system(system, System::StaggerUs).get()))
     }
 
     pub(crate) fn set_level(self, system: SystemId, high: bool) {

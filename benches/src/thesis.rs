@@ -1,0 +1,177 @@
+//! Two experiments of the thesis between two processes on two CPUs: 4 bytes to a woken task, and a
+//! counter with and without the lock. T-SYNC-4, T-LOCK-2
+
+use crate::clock::{from_ns, ticks, to_ps};
+use crate::shared::Shared;
+use crate::worker::{Part, Role, perform};
+use std::io;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::mailbox::{Call, Ring, TaskId, TaskTable};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Mailbox, Region, SharedLock};
+use tandem_shm::sync::spin;
+
+const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
+const LOCK: Region<SharedLock> = MAILBOX.then("lock");
+const LAYOUT: Layout = LOCK.end();
+/// Between two messages, ns: long enough for the receiver to have waited for some time.
+const PAUSE_NS: u64 = 20_000;
+/// A receiver that has heard nothing for this many polls gives the CPU to others.
+const POLLS: u32 = 1 << 16;
+
+/// One message of 4 bytes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Exchange {
+    /// What core 0 sent.
+    pub sent: u32,
+    /// What the task on core 1 received.
+    pub received: u32,
+    /// From the sender's call to the first line of the woken task, ns.
+    pub took_ns: f64,
+}
+
+/// The data of a message: the number in the lowest byte, as in the thesis.
+#[must_use]
+pub fn payload(number: u32) -> u32 {
+    u32::from_le_bytes([number as u8, 1, 2, 3])
+}
+
+fn map(shared: &Shared) -> io::Result<Map<'static>> {
+    Map::format(shared.case(), LAYOUT).map_err(|_| io::Error::other("no room"))
+}
+
+fn announce(map: &Map<'_>, core: usize) -> Incarnation {
+    let incarnation = Incarnation::new(core, 1).expect("an incarnation");
+    let announced = map.incarnations().announce(incarnation);
+    announced.expect("the latest incarnation");
+    incarnation
+}
+
+/// Core 0 sends `count` messages, each with other data, and core 1's task takes each. The cores
+/// are processes on these CPUs and wait by spinning.
+///
+/// # Errors
+/// If the processes or the shared memory cannot be had, or an end failed.
+pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
+    let shared = Shared::new()?;
+    let map = map(&shared)?;
+    let sender = Part::on(cpus[0], |role: &mut Role<'_>| {
+        let mut to = MAILBOX.sender(&map, announce(&map, 0)).expect("it fits");
+        role.shared.meet(2);
+        for number in 1..=count {
+            pause(PAUSE_NS);
+            let data = payload(number);
+            let at = ticks();
+            // The receiver spins: no doorbell is needed.
+            let _: Ring = to.signal_with(TaskId::FIRST, data);
+            role.log.push(0, data);
+            role.log.push(1, at);
+            // Acquire pairs with the receiver's release.
+            while role.shared.flag().load(Ordering::Acquire) != number {
+                spin(1);
+            }
+        }
+        Ok(())
+    });
+    let receiver = Part::on(cpus[1], |role: &mut Role<'_>| {
+        let mut from = MAILBOX.receiver(&map, announce(&map, 1)).expect("it fits");
+        let mut table = TaskTable::new();
+        let task = |log: &mut crate::shared::Log, call: Call| {
+            log.push(1, ticks());
+            log.push(0, call.value);
+        };
+        table.add(TaskId::FIRST, task, 0).expect("it is free");
+        from.awake();
+        role.shared.meet(2);
+        for number in 1..=count {
+            let mut polls = 0;
+            while table.run(&mut from, &mut role.log) == 0 {
+                polls += 1;
+                if polls % POLLS == 0 {
+                    std::thread::yield_now();
+                }
+            }
+            role.shared.flag().store(number, Ordering::Release);
+        }
+        Ok(())
+    });
+    perform(&shared, vec![sender, receiver])?;
+    let of = |part: usize, track: usize| shared.log(part).samples(track).collect::<Vec<_>>();
+    let (sent, received) = (
+        of(0, 0).into_iter().zip(of(0, 1)),
+        of(1, 0).into_iter().zip(of(1, 1)),
+    );
+    Ok(sent
+        .zip(received)
+        .map(|((sent, from), (received, to))| Exchange {
+            sent,
+            received,
+            took_ns: to_ps(to.wrapping_sub(from)) as f64 * 1e-3,
+        })
+        .collect())
+}
+
+fn pause(ns: u64) {
+    let since = ticks();
+    while ticks().wrapping_sub(since) < from_ns(ns) {
+        spin(1);
+    }
+}
+
+/// What two cores saw that increment one counter.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Counted {
+    /// Increments of both cores together.
+    pub increments: u32,
+    /// The counter at the end.
+    pub counter: u32,
+    /// The counter as each core read it after its increments: the first of core 0 and of core 1.
+    pub seen: [Vec<u32>; 2],
+}
+
+impl Counted {
+    /// Increments that are not in the counter.
+    #[must_use]
+    pub const fn lost(&self) -> u32 {
+        self.increments - self.counter
+    }
+}
+
+/// Two cores, processes on these CPUs, increment one counter `each` times, with or without the
+/// lock.
+///
+/// # Errors
+/// If the processes or the shared memory cannot be had, or an end failed.
+pub fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
+    let shared = Shared::new()?;
+    let map = map(&shared)?;
+    let part = |core: usize| {
+        Part::on(cpus[core], move |role: &mut Role<'_>| {
+            let mut lock = LOCK.attach(&map, announce(&map, core)).expect("it fits");
+            let counter = role.shared.guarded();
+            role.shared.meet(2);
+            for _ in 0..each {
+                let guard = locked.then(|| lock.lock(u32::MAX, spin).expect("it waits for ever"));
+                let value = increment(counter);
+                drop(guard);
+                role.log.push(0, value);
+            }
+            Ok(())
+        })
+    };
+    perform(&shared, (0..2).map(part).collect())?;
+    Ok(Counted {
+        increments: 2 * each,
+        counter: shared.guarded().load(Ordering::Relaxed),
+        seen: [0, 1].map(|core| shared.log(core).samples(0).take(10).collect()),
+    })
+}
+
+/// Reads, modifies and writes back, as in the thesis: not one atomic addition.
+fn increment(counter: &AtomicU32) -> u32 {
+    let value = counter.load(Ordering::Relaxed) + 1;
+    spin(8);
+    counter.store(value, Ordering::Relaxed);
+    value
+}

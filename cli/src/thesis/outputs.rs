@@ -1,0 +1,198 @@
+//! Figure 6.21 of the thesis: a digital output of each system over time, and the response times
+//! between their edges.
+//!
+//! The output of a system is high while the system drives. It falls when the system fails, and that
+//! of the other rises when the other has found the failure and taken over.
+
+use tandem_board::{CoreId, SystemId};
+use tandem_bus::Role;
+use tandem_cores::trace::Event;
+use tandem_page::chart::{WIDTH, plain, round_ticks};
+use tandem_page::svg::{Anchor, Color, Stroke, Svg};
+use tandem_record::{RunLog, ms_between};
+
+/// Sizes in the picture: one output, its title, the space at both sides.
+const ROW: f64 = 110.0;
+const TITLE: f64 = 56.0;
+const SIDE: f64 = 24.0;
+const HEIGHT: f64 = TITLE + 2.0 * ROW + 60.0;
+
+/// What was done to the systems, ns on the run's clock.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Done {
+    /// System A, the master, was reset.
+    pub(super) reset_ns: u64,
+    /// System B, the master by then, lost its power.
+    pub(super) off_ns: u64,
+}
+
+/// The outputs of a run in which master A is reset and later master B loses its power.
+#[derive(Clone, Debug)]
+pub(super) struct Outputs {
+    /// Edges of A and of B, ns; all begin low.
+    edges: [Vec<u64>; 2],
+    done: Done,
+    end_ns: u64,
+    begin_ns: u64,
+    clock: &'static str,
+}
+
+/// When core 0 of a system said for the first time that it is master, from `from_ns` on.
+fn leads(log: &RunLog, system: SystemId, from_ns: u64) -> Option<u64> {
+    let of_system = log
+        .events
+        .iter()
+        .filter(|event| event.system == system && event.core == CoreId::CONTROL);
+    of_system
+        .filter(|event| event.at_ns >= from_ns)
+        .find(|event| matches!(event.event, Event::Role { role, .. } if role == Role::Master as u8))
+        .map(|event| event.at_ns)
+}
+
+impl Outputs {
+    /// The outputs; `None` if a system did not take over.
+    pub(super) fn new(log: &RunLog, done: Done, clock: &'static str) -> Option<Self> {
+        let begins = leads(log, SystemId::A, 0)?;
+        let second = leads(log, SystemId::B, done.reset_ns)?;
+        let third = leads(log, SystemId::A, done.off_ns)?;
+        let last = log.events.last().map_or(third, |event| event.at_ns);
+        Some(Self {
+            edges: [
+                vec![begins, done.reset_ns, third],
+                vec![second, done.off_ns],
+            ],
+            done,
+            end_ns: last,
+            begin_ns: begins.saturating_sub(500_000_000),
+            clock,
+        })
+    }
+
+    /// From the reset of A to the takeover by B, ms.
+    pub(super) fn reset_ms(&self) -> f64 {
+        ms_between(self.done.reset_ns, self.edges[1][0])
+    }
+
+    /// From B's loss of power to the takeover by A, ms.
+    pub(super) fn power_ms(&self) -> f64 {
+        ms_between(self.done.off_ns, self.edges[0][2])
+    }
+
+    /// The four events of the experiment, a line each.
+    pub(super) fn events(&self) -> String {
+        let at_s = |ns: u64| (ns as f64 - self.begin_ns as f64) * 1e-9;
+        format!(
+            "  {:8.3} s  A drives, B is its standby\n\
+             \x20 {:8.3} s  A is reset: its output falls\n\
+             \x20 {:8.3} s  B has found it and drives: its output rises, {:.2} ms later\n\
+             \x20 {:8.3} s  B, to which A is standby again, loses its power: its output falls\n\
+             \x20 {:8.3} s  A has found it and drives: its output rises, {:.2} ms later\n",
+            at_s(self.edges[0][0]),
+            at_s(self.done.reset_ns),
+            at_s(self.edges[1][0]),
+            self.reset_ms(),
+            at_s(self.done.off_ns),
+            at_s(self.edges[0][2]),
+            self.power_ms(),
+        )
+    }
+
+    /// The picture.
+    pub(super) fn draw(&self) -> String {
+        let mut svg = Svg::new(WIDTH, HEIGHT);
+        let span_s = (self.end_ns as f64 - self.begin_ns as f64) * 1e-9;
+        let seconds = |ns: u64| (ns as f64 - self.begin_ns as f64) * 1e-9;
+        let x = |at_s: f64| SIDE + at_s / span_s * (WIDTH - 2.0 * SIDE);
+        let bottom = TITLE + 2.0 * ROW;
+        let title = "Digital outputs: high while the system drives";
+        svg.text((SIDE, 28.0), Anchor::Start, Color::INK, title);
+        for tick in round_ticks((0.0, span_s), 12) {
+            let stroke = Stroke::new(Color::GRID, 1.0);
+            svg.line((x(tick), TITLE), (x(tick), bottom), stroke);
+            let place = (x(tick), bottom + 20.0);
+            svg.text(place, Anchor::Middle, Color::MUTED, &plain(tick));
+        }
+        let unit = format!("s of {}", self.clock);
+        svg.text((SIDE, bottom + 44.0), Anchor::Start, Color::MUTED, &unit);
+        let notes = [
+            (
+                "A",
+                Color::A,
+                self.done.off_ns,
+                self.power_ms(),
+                "loss of B's power",
+            ),
+            (
+                "B",
+                Color::B,
+                self.done.reset_ns,
+                self.reset_ms(),
+                "reset of A",
+            ),
+        ];
+        for (row, (name, color, at_ns, took_ms, what)) in notes.into_iter().enumerate() {
+            let low = TITLE + ROW * (row + 1) as f64 - 14.0;
+            let mut y = low;
+            let mut points = vec![(x(0.0), y)];
+            for edge in &self.edges[row] {
+                points.push((x(seconds(*edge)), y));
+                y = 2.0 * low - 40.0 - y;
+                points.push((x(seconds(*edge)), y));
+            }
+            points.push((x(span_s), y));
+            svg.polyline(points.into_iter(), Stroke::new(color, 2.0), "");
+            let place = (SIDE + 4.0, low - 62.0);
+            svg.text(place, Anchor::Start, color, &format!("system {name}"));
+            let text = format!("{took_ms:.2} ms after the {what}");
+            svg.text(
+                (x(seconds(at_ns)), low - 62.0),
+                Anchor::Middle,
+                color,
+                &text,
+            );
+        }
+        svg.into_file()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_record::run_log::CoreEvent;
+
+    #[test]
+    fn responses_are_the_times_between_the_edges() {
+        let role = |at_ms: u64, system, role: Role| CoreEvent {
+            at_ns: at_ms * 1_000_000,
+            system,
+            core: CoreId::CONTROL,
+            event: Event::Role {
+                role: role as u8,
+                mode: 1,
+                term: 2,
+            },
+        };
+        let mut log = RunLog {
+            events: vec![
+                role(1_000, SystemId::A, Role::Master),
+                role(1_001, SystemId::B, Role::Standby),
+                role(4_002, SystemId::B, Role::Master),
+                role(6_000, SystemId::A, Role::Standby),
+                role(9_005, SystemId::A, Role::Master),
+            ],
+            ..RunLog::default()
+        };
+        let done = Done {
+            reset_ns: 4_000_000_000,
+            off_ns: 9_000_000_000,
+        };
+        let outputs = Outputs::new(&log, done, "a test").unwrap();
+        assert_eq!((outputs.reset_ms(), outputs.power_ms()), (2.0, 5.0));
+        let svg = outputs.draw();
+        assert!(roxmltree::Document::parse(&svg).is_ok(), "{svg}");
+        assert!(svg.contains("5.00 ms after the loss"), "{svg}");
+        // A system that does not take over is no result.
+        log.events.pop();
+        assert!(Outputs::new(&log, done, "a test").is_none());
+    }
+}
