@@ -7,6 +7,7 @@ use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;
 use tandem_board::SystemId;
+use tandem_board_host::RunName;
 
 const EXAMPLES: &str = "\
 The three jobs:
@@ -61,6 +62,16 @@ pub(crate) enum Command {
     Run(RunArgs),
     /// List the processes of all runs, so that you can kill one
     Ps(PsArgs),
+    /// Cut a wire of a run while it drives
+    Cut(WireArgs),
+    /// Mend a wire that was cut
+    Mend(WireArgs),
+    /// Switch a system of a run off, or on again, while it drives
+    Power(PowerArgs),
+    /// Do to a running system what no signal to a process can do
+    Fault(FaultArgs),
+    /// Show, initialise or clear the data flashes that `tandem run --dflash` keeps
+    Dflash(DflashArgs),
     /// List the scenarios that are built in
     Scenarios,
     /// Measure the time from one core to another, beside the floor and what else one would use
@@ -217,6 +228,128 @@ pub(crate) struct RunArgs {
     pub(crate) quiet: bool,
 }
 
+/// Arguments of `tandem cut` and `tandem mend`.
+#[derive(Debug, Args)]
+pub(crate) struct WireArgs {
+    /// Which wire
+    #[arg(value_enum, value_name = "WIRE")]
+    pub(crate) wire: WireName,
+
+    /// Only what comes from this system [default: both ways]
+    #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
+    pub(crate) from: Option<SystemId>,
+
+    /// Which run, as `tandem ps` names it [default: the only one]
+    #[arg(long, value_name = "RUN")]
+    pub(crate) run: Option<RunName>,
+}
+
+/// Wires between the systems and to the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum WireName {
+    /// The first heartbeat line
+    #[value(name = "heartbeat-1")]
+    Heartbeat1,
+    /// The second heartbeat line
+    #[value(name = "heartbeat-2")]
+    Heartbeat2,
+    /// The start line
+    Start,
+    /// The power level: it reads as high
+    Level,
+    /// The data link
+    Link,
+    /// The connection to the CAN bus
+    Can,
+}
+
+/// Arguments of `tandem power`.
+#[derive(Debug, Args)]
+pub(crate) struct PowerArgs {
+    /// What to do
+    #[arg(value_enum)]
+    pub(crate) switch: Switch,
+
+    /// The system
+    #[arg(value_name = "SYSTEM", value_parser = parse_system)]
+    pub(crate) system: SystemId,
+
+    /// Which run, as `tandem ps` names it [default: the only one]
+    #[arg(long, value_name = "RUN")]
+    pub(crate) run: Option<RunName>,
+}
+
+/// Off or on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Switch {
+    /// A system that was switched off, or whose supply was killed, starts again
+    On,
+    /// The system loses its power at once
+    Off,
+}
+
+/// Arguments of `tandem fault`.
+#[derive(Debug, Args)]
+pub(crate) struct FaultArgs {
+    /// What happens
+    #[arg(value_enum)]
+    pub(crate) fault: FaultKind,
+
+    /// The system that it comes from
+    #[arg(value_name = "SYSTEM", value_parser = parse_system)]
+    pub(crate) system: SystemId,
+
+    /// Decides on the words
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u32,
+
+    /// Which run, as `tandem ps` names it [default: the only one]
+    #[arg(long, value_name = "RUN")]
+    pub(crate) run: Option<RunName>,
+}
+
+/// Faults that no signal to a process makes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum FaultKind {
+    /// A core scribbles over the whole shared memory of its system
+    Lmu,
+    /// An edge of the start line that is a handshake, and was not sent
+    Handshake,
+    /// An edge of the start line that is a sync, and was not sent
+    Sync,
+}
+
+/// Arguments of `tandem dflash`.
+#[derive(Debug, Args)]
+pub(crate) struct DflashArgs {
+    /// What to do
+    #[command(subcommand)]
+    pub(crate) command: DflashCommand,
+
+    /// The folder of the data flashes, as for `tandem run --dflash`
+    #[arg(long, value_name = "DIR", default_value = ".", global = true)]
+    pub(crate) folder: PathBuf,
+}
+
+/// What `tandem dflash` does.
+#[derive(Clone, Copy, Debug, Subcommand)]
+pub(crate) enum DflashCommand {
+    /// Print the state of both systems
+    Show,
+    /// Write the state of a new controller: one system master, all else zero
+    Init {
+        /// The system that is master
+        #[arg(long, value_name = "SYSTEM", default_value = "A", value_parser = parse_system)]
+        master: SystemId,
+    },
+    /// Erase the data flash of one system or of both
+    Clear {
+        /// The system [default: both]
+        #[arg(value_name = "SYSTEM", value_parser = parse_system)]
+        system: Option<SystemId>,
+    },
+}
+
 /// Arguments of `tandem ps`.
 #[derive(Debug, Args)]
 pub(crate) struct PsArgs {
@@ -289,6 +422,12 @@ fn parse_duration(text: &str) -> Result<f64, String> {
         ));
     }
     Ok(seconds)
+}
+
+fn parse_system(text: &str) -> Result<SystemId, String> {
+    let named = |system: &SystemId| system.to_string().eq_ignore_ascii_case(text);
+    let found = SystemId::ALL.into_iter().find(named);
+    found.ok_or_else(|| "it is A or B".to_owned())
 }
 
 fn parse_cpus(text: &str) -> Result<CpuList, String> {

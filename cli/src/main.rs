@@ -6,10 +6,12 @@ mod boot;
 mod boot_demo;
 mod control_core;
 mod core_process;
+mod dflash;
 mod emulated;
 mod failure;
 mod files;
 mod flash;
+mod hands;
 mod live;
 mod metrics;
 mod output;
@@ -85,6 +87,14 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::Sim(args) => sim::run(&args),
+        Command::Cut(args) => hands::set_cut(&args, true).map_err(Failure::Run),
+        Command::Mend(args) => hands::set_cut(&args, false).map_err(Failure::Run),
+        Command::Power(args) => hands::power(&args).map_err(Failure::Run),
+        Command::Fault(args) => hands::fault(&args).map_err(Failure::Run),
+        Command::Dflash(args) => {
+            let shown = dflash::run(&args).map_err(Failure::Run)?;
+            print(&shown).map_err(Failure::Run)
+        }
         Command::Thesis(args) => thesis::run(&args),
         Command::RtosDemo(args) => {
             let shown = rtos_demo::run(&args).map_err(Failure::Run)?;

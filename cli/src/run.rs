@@ -376,23 +376,22 @@ fn drive(
     if let Some(stagger_s) = args.stagger {
         launcher.stagger(SystemId::A, Duration::from_us((stagger_s * 1e6) as u64));
     }
-    launcher.start(
-        &Plan {
-            schedule,
-            flash,
-            extra: config.to_extra()?,
-        },
-        &|args| {
-            let mut command = this_program(args);
-            match errors.try_clone() {
-                Ok(errors) => command.stderr(errors),
-                Err(_) => command.stderr(Stdio::null()),
-            };
-            command
-        },
-    )?;
+    let plan = Plan {
+        schedule,
+        flash,
+        extra: config.to_extra()?,
+    };
+    let command = |args: &ProcessArgs| {
+        let mut command = this_program(args);
+        match errors.try_clone() {
+            Ok(errors) => command.stderr(errors),
+            Err(_) => command.stderr(Stdio::null()),
+        };
+        command
+    };
+    launcher.start(&plan, &command)?;
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
-    let ended = launcher.wait();
+    let ended = launcher.wait_and_switch(&plan, &command);
     if let Some(progress) = progress {
         progress.end();
     }

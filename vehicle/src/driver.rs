@@ -2,10 +2,10 @@
 //! drives while the function does not.
 
 use crate::actuators::Request;
+use crate::geometry::Pose;
 use crate::plant::BMW_320I;
-use crate::road::Road;
+use crate::road::{LaneId, Road};
 use crate::traffic::{self, Leader};
-use crate::world::Snapshot;
 use tandem_bus::DriverRequest;
 
 /// How far ahead the driver aims, m, and s of driving.
@@ -56,8 +56,20 @@ impl Driver {
     }
 }
 
+/// What the driver sees.
+pub(crate) struct View {
+    pub(crate) pose: Pose,
+    /// m/s
+    pub(crate) speed: f64,
+    pub(crate) lane: LaneId,
+    /// Arc length in that lane, m.
+    pub(crate) station: f64,
+    /// What is ahead in it.
+    pub(crate) leader: Leader,
+}
+
 /// How the driver drives: keeps the lane, the set speed and the distance.
-pub(crate) fn by_hand(road: &Road, now: &Snapshot, set_speed: f64) -> Request {
+pub(crate) fn by_hand(road: &Road, now: &View, set_speed: f64) -> Request {
     let lane = road.lane(now.lane);
     let ahead = lane.at(now.station + AIM.0 + AIM.1 * now.speed);
     let aim = now.pose.to_local(ahead.centre);
@@ -66,13 +78,8 @@ pub(crate) fn by_hand(road: &Road, now: &Snapshot, set_speed: f64) -> Request {
         desired_speed: set_speed,
         ..traffic::Driver::CAR
     };
-    let leader = Leader {
-        gap: now.gap,
-        speed: now.leader_speed,
-        acceleration: 0.0,
-    };
     Request {
         steering_angle: (2.0 * wheelbase * aim.y / aim.dot(aim).max(1.0)).atan(),
-        acceleration: driver.follow(now.speed, &leader),
+        acceleration: driver.follow(now.speed, &now.leader),
     }
 }

@@ -6,7 +6,7 @@ use tandem_bus::{self as bus, Message, SensorHeader, SensorId, Transmitter};
 
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
 use crate::commonroad::Class;
-use crate::driver::{self, Driver, Habit};
+use crate::driver::{self, Driver, Habit, View};
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::metrics::{Meter, Metrics, Sample};
@@ -14,7 +14,7 @@ use crate::plant::{self, BMW_320I};
 use crate::road::{LaneId, Road};
 use crate::scenario::Scenario;
 use crate::sensors::{EgoTruth, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, Sensors};
-use crate::traffic::{Mode, Participant, Traffic};
+use crate::traffic::{Leader, Mode, Participant, Traffic};
 
 /// One tick of the world, ns.
 const TICK_NS: u64 = 1_000_000;
@@ -247,7 +247,19 @@ impl World {
             .map_or(0, |last| now_ns.saturating_sub(last.at_ns));
         self.snapshot.fallback = silence > FALLBACK_AFTER_NS;
         if self.by_hand {
-            self.request = driver::by_hand(&self.road, &self.snapshot, self.set_speed);
+            let now = &self.snapshot;
+            let view = View {
+                pose: now.pose,
+                speed: now.speed,
+                lane: now.lane,
+                station: now.station,
+                leader: Leader {
+                    gap: now.gap,
+                    speed: now.leader_speed,
+                    acceleration: 0.0,
+                },
+            };
+            self.request = driver::by_hand(&self.road, &view, self.set_speed);
         } else if self.snapshot.fallback {
             self.request.acceleration = -FALLBACK_DECELERATION;
         }

@@ -57,7 +57,7 @@ pub enum FlashFileError {
 /// The data flash of one system, locked while this process or one that it has started lives: two
 /// systems that write one flash would destroy each other's data.
 #[derive(Debug)]
-pub(crate) struct Claimed {
+pub struct Claimed {
     _lock: File,
 }
 
@@ -122,7 +122,7 @@ impl HostFlash {
     ///
     /// # Errors
     /// [`FlashFileError`], also if the file is in use.
-    pub(crate) fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
+    pub fn claim(path: &Path) -> Result<Claimed, FlashFileError> {
         let failed = |source| FlashFileError::Io {
             path: path.to_owned(),
             source,

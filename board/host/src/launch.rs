@@ -20,6 +20,7 @@ use crate::backplane::Backplane;
 use crate::flash::{Claimed, FlashFileError, HostFlash};
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
+use crate::name::RunName;
 use crate::processes::{self, Process};
 use crate::spawn;
 
@@ -173,18 +174,9 @@ impl Launcher {
         for path in &plan.flash {
             self.flash.push(HostFlash::claim(path)?);
         }
-        let common = Common {
-            run: self.isolation.run().clone(),
-            schedule: plan.schedule.clone(),
-            extra: plan.extra.clone(),
-        };
+        let common = common(self.isolation.run(), plan);
         for system in SystemId::ALL {
-            let flash = plan.flash[system.index()].clone();
-            let args = SupplyArgs {
-                common: common.clone(),
-                system,
-                flash,
-            };
+            let args = supply_args(self.isolation.run(), plan, system);
             self.spawn(
                 &format!("supply of system {system}"),
                 ProcessArgs::Supply(args),
@@ -218,8 +210,48 @@ impl Launcher {
 
     /// Waits until the vehicle has ended. The first Ctrl-C asks it to end, the second kills it.
     pub fn wait(&mut self) -> Ended {
+        self.wait_with(&mut |_| {})
+    }
+
+    /// As [`Launcher::wait`]; starts a supply anew that was killed, when a hand asks for it.
+    /// `command` as for [`Launcher::start`]. A supply that does not start is one without power.
+    pub fn wait_and_switch(
+        &mut self,
+        plan: &Plan,
+        command: &dyn Fn(&ProcessArgs) -> Command,
+    ) -> Ended {
+        self.wait_with(&mut |launcher| {
+            for system in SystemId::ALL {
+                if launcher.backplane.take_power_request(system) {
+                    launcher.switch_on(system, plan, command);
+                }
+            }
+        })
+    }
+
+    fn switch_on(
+        &mut self,
+        system: SystemId,
+        plan: &Plan,
+        command: &dyn Fn(&ProcessArgs) -> Command,
+    ) {
+        let Some(supply) = self.children.get_mut(system.index()) else {
+            return;
+        };
+        if matches!(supply.try_wait(), Ok(None)) {
+            return;
+        }
+        let args = ProcessArgs::Supply(supply_args(self.isolation.run(), plan, system));
+        if let Ok(child) = spawn::spawn_free(&mut command(&args)) {
+            self.backplane.set_supply(system, child.id());
+            *supply = child;
+        }
+    }
+
+    fn wait_with(&mut self, look: &mut dyn FnMut(&mut Self)) -> Ended {
         let mut asked: Option<Instant> = None;
         loop {
+            look(self);
             let Some(vehicle) = self.children.get_mut(2) else {
                 return Ended {
                     vehicle: None,
@@ -297,6 +329,22 @@ impl Launcher {
             }
             std::thread::sleep(LOOK_AGAIN);
         }
+    }
+}
+
+fn common(run: &RunName, plan: &Plan) -> Common {
+    Common {
+        run: run.clone(),
+        schedule: plan.schedule.clone(),
+        extra: plan.extra.clone(),
+    }
+}
+
+fn supply_args(run: &RunName, plan: &Plan, system: SystemId) -> SupplyArgs {
+    SupplyArgs {
+        common: common(run, plan),
+        system,
+        flash: plan.flash[system.index()].clone(),
     }
 }
 

@@ -21,6 +21,7 @@ mod board;
 mod can;
 pub mod clock;
 mod flash;
+pub mod hands;
 pub mod isolation;
 pub mod jump;
 mod launch;

@@ -94,6 +94,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         begun: [false; CoreId::COUNT],
         model: Model::new(Config::DESKTOP),
         peer,
+        peer_pid: backplane.supply_pid(args.system.peer()),
     };
     if power_on > 1 {
         // At the first power-on no edge is older than the run, and the other system may already be
@@ -150,7 +151,9 @@ struct Supply<'a> {
     /// Which cores have started in this incarnation of the system.
     begun: [bool; CoreId::COUNT],
     model: Model,
+    /// The other supply, and its process id; `None` if it has died.
     peer: Option<Watched>,
+    peer_pid: u32,
 }
 
 struct PoweredCore {
@@ -203,9 +206,17 @@ impl Supply<'_> {
     }
 
     fn look_at_peer(&mut self) {
+        let system = self.args.system.peer();
+        let pid = self.backplane.supply_pid(system);
         if self.peer.as_ref().is_some_and(Watched::has_ended) {
             self.peer = None;
-            self.set_level(self.args.system.peer(), false);
+            // The supply that was switched on in its place shows its own level.
+            if pid == self.peer_pid {
+                self.set_level(system, false);
+            }
+        }
+        if self.peer.is_none() && pid != self.peer_pid {
+            (self.peer_pid, self.peer) = (pid, Watched::new(pid));
         }
     }
 
@@ -397,6 +408,7 @@ mod tests {
             begun: [false; CoreId::COUNT],
             model: Model::new(Config::DESKTOP),
             peer: None,
+            peer_pid: 0,
         };
         // Its cores are not started here.
         assert!(supply.model.power_on(clock::now()).is_some());

@@ -50,6 +50,7 @@ pub(super) enum System {
     ResetCause,
     Booted,
     StaggerUs,
+    PowerRequest,
     ResetRequest = LINE as isize,
     Lamp,
     Released,

@@ -152,8 +152,7 @@ impl Backplane {
     /// Publishes the ids of the run's processes, which wait for it. Launcher only.
     pub(crate) fn assemble(self, supplies: [u32; 2], vehicle: u32) {
         for system in SystemId::ALL {
-            self.system(system, System::SupplyPid)
-                .set(supplies[system.index()]);
+            self.set_supply(system, supplies[system.index()]);
         }
         self.run(Run::VehiclePid).set(vehicle);
         self.run(Run::Assembled).set(1);
@@ -224,7 +223,8 @@ impl Backplane {
         self.system(system, System::PowerOns).count() + 1
     }
 
-    /// The system is to be switched on this long after the ignition. Launcher only, before the start.
+    /// The system is to be switched on this long after the ignition. Launcher only, before the
+    /// start.
     pub(crate) fn set_stagger(self, system: SystemId, stagger: Duration) {
         let us = u32::try_from(stagger.as_us()).unwrap_or(u32::MAX);
         self.system(system, System::StaggerUs).set(us);
@@ -232,6 +232,21 @@ impl Backplane {
 
     pub(crate) fn stagger(self, system: SystemId) -> Duration {
         Duration::from_us(u64::from(self.system(system, System::StaggerUs).get()))
+    }
+
+    /// Asks the launcher to start a supply for a system whose supply has died.
+    pub(crate) fn request_power(self, system: SystemId) {
+        self.system(system, System::PowerRequest).set(1);
+    }
+
+    /// Takes a pending request for power. Launcher only.
+    pub(crate) fn take_power_request(self, system: SystemId) -> bool {
+        self.system(system, System::PowerRequest).replace(0) != 0
+    }
+
+    /// The launcher has started another supply for the system.
+    pub(crate) fn set_supply(self, system: SystemId, pid: u32) {
+        self.system(system, System::SupplyPid).set(pid);
     }
 
     pub(crate) fn set_level(self, system: SystemId, high: bool) {

@@ -1,0 +1,192 @@
+//! Hands on a run from outside: its wires, its power, its memory.
+//!
+//! A run has a `/dev/shm` of its own. Another process of the same user enters its namespaces for
+//! good, and maps the backplane from there.
+
+use std::fs::{self, File};
+use std::io;
+use std::path::PathBuf;
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::{Duration, Instant};
+
+use rustix::io::Errno;
+use rustix::process::{Pid, Signal, kill_process};
+use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
+use tandem_board::{CoreId, Edge, Line, SystemId};
+use tandem_peripherals::wires::Wire;
+
+use crate::backplane::{Backplane, BackplaneError};
+use crate::bell::Ringers;
+use crate::memory;
+use crate::name::RunName;
+use crate::processes::{self, Process};
+use crate::segment::SegmentError;
+
+/// How long the launcher may take to start a supply.
+const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
+const LOOK_AGAIN: Duration = Duration::from_millis(5);
+
+/// Why a hand cannot reach a run.
+#[derive(Debug, thiserror::Error)]
+pub enum HandsError {
+    /// No run is active.
+    #[error("no run is active; `tandem run` starts one")]
+    NoRun,
+    /// There are several.
+    #[error("several runs are active; name one of them by --run: {0}")]
+    Several(String),
+    /// The place of its files cannot be entered.
+    #[error("cannot enter the place of {run}: {source}")]
+    Place {
+        /// The run.
+        run: RunName,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// Its backplane cannot be mapped.
+    #[error(transparent)]
+    Backplane(#[from] BackplaneError),
+    /// Its LMU cannot be mapped.
+    #[error("LMU: {0}")]
+    Lmu(#[from] SegmentError),
+    /// The system has no power already.
+    #[error("system {0} is off")]
+    IsOff(SystemId),
+    /// The system has power already.
+    #[error("system {0} is on")]
+    IsOn(SystemId),
+    /// The process that starts supplies has ended, or does not answer.
+    #[error("system {0} is not switched on: the `tandem run` of this run has ended or is stopped")]
+    NoLauncher(SystemId),
+    /// A process cannot be killed.
+    #[error("cannot kill the supply: {0}")]
+    Kill(io::Error),
+}
+
+/// A process that has entered a run.
+#[derive(Debug)]
+pub struct Hands {
+    run: RunName,
+    backplane: Backplane,
+}
+
+impl Hands {
+    /// Enters the run of this name; without one, the only run that is active. The calling process
+    /// must have one thread, and stays in the run's namespaces.
+    ///
+    /// # Errors
+    /// [`HandsError`] if there is no such run, there are several, or it cannot be entered.
+    pub fn on(name: Option<&RunName>) -> Result<Self, HandsError> {
+        let mut found = processes::list();
+        found.retain(|process| name.is_none_or(|name| process.run == *name));
+        let process = found.first().ok_or(HandsError::NoRun)?;
+        if found.iter().any(|other| other.run != process.run) {
+            let mut names: Vec<_> = found.iter().map(|it| it.run.to_string()).collect();
+            names.dedup();
+            return Err(HandsError::Several(names.join(", ")));
+        }
+        let run = process.run.clone();
+        enter(process).map_err(|source| HandsError::Place {
+            run: run.clone(),
+            source,
+        })?;
+        let backplane = Backplane::open(&run)?;
+        Ok(Self { run, backplane })
+    }
+
+    /// Cuts or mends what comes from these systems over this wire.
+    pub fn set_cut(&self, wire: Wire, from: &[SystemId], is_cut: bool) {
+        for system in from {
+            self.backplane.set_cut(wire, *system, is_cut);
+            if wire == Wire::Level {
+                // A level that changes interrupts the other system.
+                Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
+            }
+        }
+    }
+
+    /// Takes the power from a system: its supply dies, and its cores with it.
+    ///
+    /// # Errors
+    /// [`HandsError::IsOff`], [`HandsError::Kill`].
+    pub fn power_off(&self, system: SystemId) -> Result<(), HandsError> {
+        let pid = self.supply(system).ok_or(HandsError::IsOff(system))?;
+        kill_process(pid, Signal::KILL).map_err(|errno| HandsError::Kill(errno.into()))
+    }
+
+    /// Switches a system on again that was killed or switched off. Waits until its supply runs.
+    ///
+    /// # Errors
+    /// [`HandsError::IsOn`], [`HandsError::NoLauncher`].
+    pub fn power_on(&self, system: SystemId) -> Result<(), HandsError> {
+        if self.supply(system).is_some() {
+            return Err(HandsError::IsOn(system));
+        }
+        self.backplane.request_power(system);
+        let begin = Instant::now();
+        while self.supply(system).is_none() {
+            if begin.elapsed() > SWITCHED_ON_WITHIN {
+                self.backplane.take_power_request(system);
+                return Err(HandsError::NoLauncher(system));
+            }
+            std::thread::sleep(LOOK_AGAIN);
+        }
+        Ok(())
+    }
+
+    /// The process of a system's supply, if it lives.
+    fn supply(&self, system: SystemId) -> Option<Pid> {
+        let is_supply = |process: &Process| {
+            process.system == Some(system) && process.kind == processes::Kind::Supply
+        };
+        let pid = processes::of_run(&self.run)
+            .into_iter()
+            .find(is_supply)?
+            .pid;
+        i32::try_from(pid).ok().and_then(Pid::from_raw)
+    }
+
+    /// Scribbles over the whole LMU of a system, as a core that has gone wild does. `seed` decides
+    /// on the words.
+    ///
+    /// # Errors
+    /// [`HandsError::Lmu`].
+    pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), HandsError> {
+        let mut word = seed | 1;
+        for place in memory::open_lmu(&self.run, system)? {
+            // Marsaglia's xorshift: any words will do, and the same ones each time.
+            word ^= word << 13;
+            word ^= word >> 17;
+            word ^= word << 5;
+            place.store(word, Relaxed);
+        }
+        Ok(())
+    }
+
+    /// An edge on a line that this system has not sent arrives at the other one.
+    pub fn stray_edge(&self, from: SystemId, line: Line, edge: Edge) {
+        self.backplane.send_edge(from, line, edge);
+        if line.interrupts() {
+            Ringers::new(&self.run).ring(from.peer(), CoreId::CONTROL);
+        }
+    }
+}
+
+/// Enters the namespaces of a process that differ from those of this one.
+fn enter(process: &Process) -> io::Result<()> {
+    let of = |pid: &str, name: &str| PathBuf::from(format!("/proc/{pid}/ns/{name}"));
+    let pid = process.pid.to_string();
+    for (name, kind) in [
+        ("user", LinkNameSpaceType::User),
+        ("mnt", LinkNameSpaceType::Mount),
+    ] {
+        let (own, theirs) = (of("self", name), of(&pid, name));
+        if fs::read_link(own)? == fs::read_link(&theirs)? {
+            continue;
+        }
+        let place = File::open(theirs)?;
+        move_into_link_name_space(rustix::fd::AsFd::as_fd(&place), Some(kind))
+            .map_err(|errno: Errno| io::Error::from(errno))?;
+    }
+    Ok(())
+}

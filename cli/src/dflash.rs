@@ -1,0 +1,195 @@
+//! `tandem dflash`: what lies in the data flashes of a controller, and how they are initialised. It
+//! is the thesis's initialisation tool. T-RED-1
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context as _, ensure};
+use tandem_board::{DataFlash, FlashStatus, SystemId};
+use tandem_board_host::HostFlash;
+use tandem_redundancy::{FlashOp, Geometry, Loaded, StateStore, SystemState};
+
+use crate::args::{DflashArgs, DflashCommand};
+
+/// What is done, and what to print.
+///
+/// # Errors
+/// If a file is no data flash, belongs to a run, or cannot be written.
+pub(crate) fn run(args: &DflashArgs) -> anyhow::Result<String> {
+    match args.command {
+        DflashCommand::Show => {}
+        DflashCommand::Init { master } => {
+            for system in SystemId::ALL {
+                let state = SystemState {
+                    is_master: system == master,
+                    ..SystemState::factory(system)
+                };
+                write(&path(&args.folder, system), Some(state))?;
+            }
+        }
+        DflashCommand::Clear { system } => {
+            for system in system.map_or(SystemId::ALL.to_vec(), |system| vec![system]) {
+                write(&path(&args.folder, system), None)?;
+            }
+        }
+    }
+    let mut text = String::new();
+    for system in SystemId::ALL {
+        show(&mut text, system, &path(&args.folder, system))?;
+    }
+    Ok(text)
+}
+
+fn path(folder: &Path, system: SystemId) -> PathBuf {
+    folder.join(format!("{system}.dflash"))
+}
+
+fn load(flash: &HostFlash) -> (StateStore, Loaded) {
+    let geometry = Geometry::first_sectors(HostFlash::SECTOR_BYTES);
+    StateStore::load(geometry, |offset, into| flash.read(offset, into))
+}
+
+fn wait(flash: &HostFlash) -> FlashStatus {
+    while flash.status() == FlashStatus::Busy {
+        std::thread::yield_now();
+    }
+    flash.status()
+}
+
+/// Erases the flash, and writes this state to it.
+fn write(path: &Path, state: Option<SystemState>) -> anyhow::Result<()> {
+    let _claimed = HostFlash::claim(path)?;
+    let flash = HostFlash::open(path)?;
+    let shown = path.display();
+    for sector in 0..HostFlash::SECTORS {
+        let erased = flash.start_erase(sector).is_ok() && wait(&flash) == FlashStatus::Idle;
+        ensure!(erased, "{shown}: sector {sector} cannot be erased");
+    }
+    let Some(state) = state else { return Ok(()) };
+    let (mut store, _) = load(&flash);
+    store.request(state);
+    while !store.is_settled() {
+        ensure!(!store.is_broken(), "{shown}: it cannot be programmed");
+        let started = match store.poll(wait(&flash)) {
+            None => continue,
+            Some(FlashOp::Erase { sector }) => flash.start_erase(sector),
+            Some(FlashOp::Program { offset, data }) => flash.start_program(offset, &data),
+        };
+        if started.is_err() {
+            store.refused();
+        }
+    }
+    Ok(())
+}
+
+fn show(text: &mut String, system: SystemId, path: &Path) -> anyhow::Result<()> {
+    let shown = path.display();
+    if !path.exists() {
+        let _ = writeln!(text, "{system}  no data flash at {shown}: a run creates it");
+        return Ok(());
+    }
+    let flash = HostFlash::open(path).context("reading")?;
+    let state = match load(&flash).1 {
+        Loaded::State(state) => state,
+        Loaded::Blank => {
+            let _ = writeln!(
+                text,
+                "{system}  blank: the next start makes the factory's state"
+            );
+            return Ok(());
+        }
+        Loaded::Lost => {
+            let _ = writeln!(
+                text,
+                "{system}  no valid record: `tandem dflash init` mends it"
+            );
+            return Ok(());
+        }
+    };
+    let yes = |is: bool| if is { "yes" } else { "no" };
+    let SystemState {
+        is_master,
+        sys_failure,
+        failure_mode,
+        cpsys_failure,
+        abn_resets,
+        total_resets,
+        abn_in_a_row,
+        term,
+    } = state;
+    let _ = writeln!(
+        text,
+        "{system}  master {}, own failure {} ({failure_mode:?}), other's failure {}, \
+         resets {total_resets}, abnormal {abn_resets} ({abn_in_a_row} in a row), term {}",
+        yes(is_master),
+        yes(sys_failure),
+        yes(cpsys_failure),
+        term.bits()
+    );
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_redundancy::FailureMode;
+
+    fn run_on(folder: &Path, command: DflashCommand) -> String {
+        let args = DflashArgs {
+            command,
+            folder: folder.to_owned(),
+        };
+        run(&args).unwrap()
+    }
+
+    fn state(folder: &Path, system: SystemId) -> Loaded {
+        load(&HostFlash::open(&path(folder, system)).unwrap()).1
+    }
+
+    /// T-RED-1: one system is initialised as master, the other as slave, the rest as zero.
+    #[test]
+    fn a_suspended_system_is_revived() {
+        let folder = tempfile::tempdir().unwrap();
+        let suspended = SystemState {
+            sys_failure: true,
+            failure_mode: FailureMode::IoModule,
+            abn_resets: 7,
+            ..SystemState::factory(SystemId::A)
+        };
+        write(&path(folder.path(), SystemId::A), Some(suspended)).unwrap();
+        let shown = run_on(folder.path(), DflashCommand::Show);
+        assert!(shown.contains("own failure yes (IoModule)"), "{shown}");
+        assert!(shown.contains("B  no data flash"), "{shown}");
+
+        let master = SystemId::B;
+        let shown = run_on(folder.path(), DflashCommand::Init { master });
+        for system in SystemId::ALL {
+            let expected = SystemState {
+                is_master: system == master,
+                ..SystemState::factory(system)
+            };
+            assert_eq!(
+                state(folder.path(), system),
+                Loaded::State(expected),
+                "{shown}"
+            );
+        }
+
+        let system = Some(SystemId::A);
+        let shown = run_on(folder.path(), DflashCommand::Clear { system });
+        assert_eq!(state(folder.path(), SystemId::A), Loaded::Blank, "{shown}");
+        assert_ne!(state(folder.path(), SystemId::B), Loaded::Blank);
+    }
+
+    #[test]
+    fn the_flash_of_a_run_is_left_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let _run = HostFlash::claim(&path(folder.path(), SystemId::A)).unwrap();
+        let args = DflashArgs {
+            command: DflashCommand::Clear { system: None },
+            folder: folder.path().to_owned(),
+        };
+        let error = run(&args).unwrap_err().to_string();
+        assert!(error.contains("in use"), "{error}");
+    }
+}
