@@ -1,4 +1,4 @@
-//! The LMU of each system, where the linker script puts it. A module of each board.
+//! The LMU of each system, at the address from the linker script. A module of each board.
 
 use core::ptr::addr_of;
 use core::sync::atomic::AtomicU32;

@@ -1,4 +1,4 @@
-//! Hands the linker script of the board to the linker.
+//! Passes the linker script of the board to the linker.
 
 fn main() {
     let script = concat!(env!("CARGO_MANIFEST_DIR"), "/../riscv32-virt/link.x");

@@ -1,4 +1,4 @@
-//! Hands each image's linker script to the linker.
+//! Passes each image's linker script to the linker.
 
 /// Images that a bootloader starts from a slot, and where they are linked.
 const IN_SLOTS: [(&str, &str); 3] = [

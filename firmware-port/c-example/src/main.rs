@@ -1,8 +1,8 @@
-//! Cores 0 and 1 in Rust; core 2 is an image in C of its own (see c/main.c), linked with the static
-//! library of `tandem-capi`. They share the LMU and nothing else.
+//! Cores 0 and 1 in Rust; core 2 is a separate image in C (see c/main.c), linked with the static
+//! library of `tandem-capi`. They share only the LMU.
 //!
-//! Core 0 asks and checks, core 1 sends work. Prints a line for each step; the status is 0 if all
-//! held.
+//! Core 0 requests and checks, core 1 sends work. Prints a line for each step; the status is 0 if
+//! all checks passed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -42,11 +42,11 @@ const PINGS: u32 = 1_000;
 const WARM_UP: u32 = 5;
 const TURNS: u32 = 300;
 const ITEMS: u32 = 500;
-/// Longer than any step takes, in ticks of 100 ns: 0.2 s, which a machine that only spins takes
-/// some seconds for.
+/// Longer than any step takes, in ticks of 100 ns: 0.2 s. A machine that only spins needs some
+/// seconds of real time for it.
 const PATIENCE: u64 = 2_000_000;
 
-/// What core 1 does: it may begin, and has ended.
+/// State of core 1: it may begin, and has ended.
 static STEP: AtomicU32 = AtomicU32::new(0);
 const SEND: u32 = 1;
 const CONTEND: u32 = 2;
@@ -83,7 +83,7 @@ fn main(hart: usize) -> ! {
     }
 }
 
-/// Looks until there is something, and gives the turn to the others.
+/// Polls until there is a result; yields the turn to the others between polls.
 #[track_caller]
 fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     let limit = hart::time() + PATIENCE;
@@ -96,7 +96,7 @@ fn wait_for<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// Both ends of the talk with the core in C.
+/// Both ends of the connection with the core in C.
 struct Talk {
     to: Sender<'static>,
     from: Receiver<'static>,
@@ -109,7 +109,7 @@ impl Talk {
         }
     }
 
-    /// The value of the next answer. Sleeps until it comes.
+    /// The value of the next answer. Sleeps until it arrives.
     fn hear(&mut self) -> u32 {
         let limit = hart::time() + PATIENCE;
         let mut value = None;
@@ -227,7 +227,7 @@ fn word(item: u32, at: u32) -> u32 {
     (item * 16 + at).wrapping_mul(0x9E37_79B1)
 }
 
-/// The newest result is never torn, and the last one comes.
+/// The newest result is never torn, and the last one arrives.
 fn take_results(map: Map<'static>) {
     let reader = must(RESULT_OF_2.reader(&map));
     STEP.store(SEND, Ordering::Release);
@@ -242,7 +242,7 @@ fn take_results(map: Map<'static>) {
     });
 }
 
-/// Core 1: what core 0 lets it begin.
+/// Core 1: runs each part that core 0 starts.
 fn help(map: Map<'static>) {
     let mut to = must(ONE_TO_2.sender(&map, incarnation(1, 1)));
     let mut producer = must(WORK_1_TO_2.producer(&map, incarnation(1, 1)));

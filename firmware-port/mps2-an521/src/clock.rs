@@ -29,8 +29,8 @@ pub(crate) fn start() {
     }
 }
 
-/// How each processor makes 64 bits of the counter's 32: what it saw last, and how often it had
-/// wrapped around.
+/// How each processor extends the 32-bit counter to 64 bits: the last value that it read, and how
+/// often the counter had wrapped around.
 struct Seen {
     low: AtomicU32,
     wraps: AtomicU32,
@@ -43,15 +43,15 @@ static SEEN: [Seen; CPUS] = [const {
     }
 }; CPUS];
 
-/// The time since the start. Each processor must look at least once in 214 s, in which the counter
-/// wraps around once.
+/// The time since the start. Each processor must read it at least once in 214 s, the period of the
+/// counter.
 #[must_use]
 pub fn now() -> Instant {
     let seen = &SEEN[cpu::number()];
     let ticks = cpu::without_interrupts(|| {
         // SAFETY: reading has no effect.
         let low = !unsafe { read_volatile(TIMER_VALUE as *const u32) };
-        // Private to this processor, and no interrupt comes between.
+        // Private to this processor, and no interrupt occurs in between.
         let mut wraps = seen.wraps.load(Ordering::Relaxed);
         wraps += u32::from(low < seen.low.load(Ordering::Relaxed));
         seen.low.store(low, Ordering::Relaxed);
@@ -61,7 +61,7 @@ pub fn now() -> Instant {
     Instant::from_ns(ticks * NS_PER_TICK)
 }
 
-/// Lets the alarm interrupt this processor at `deadline`, or earlier.
+/// Sets the alarm: it interrupts this processor at `deadline`, or earlier.
 pub(crate) fn set_alarm(deadline: Instant) {
     let ticks = deadline.since(now()).as_ns() / NS_PER_TICK + 1;
     // SAFETY: this processor's own SysTick.
@@ -73,7 +73,7 @@ pub(crate) fn set_alarm(deadline: Instant) {
     }
 }
 
-/// Handler of SysTick: once is enough.
+/// Handler of SysTick: one interrupt is enough.
 pub(crate) extern "C" fn on_alarm() {
     // SAFETY: this processor's own SysTick.
     unsafe { write_volatile(SYSTICK_CONTROL, 0) };
@@ -81,8 +81,8 @@ pub(crate) extern "C" fn on_alarm() {
 
 const SLICER: usize = 0x5000_1000;
 
-/// Lets timer 1 run out every `ticks` of 50 ns, without an interrupt. The emulator ends a
-/// processor's turn whenever a timer runs out, so this makes turns of that length: another schedule
+/// Makes timer 1 expire every `ticks` of 50 ns, without an interrupt. The emulator ends a
+/// processor's turn whenever a timer expires, so this makes turns of that length: another schedule
 /// for each length.
 pub fn set_turns(ticks: u32) {
     // SAFETY: timer 1's registers, which nothing else uses.

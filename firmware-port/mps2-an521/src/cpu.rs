@@ -17,7 +17,7 @@ pub fn number() -> usize {
     unsafe { read_volatile(CPUID as *const u32) as usize % CPUS }
 }
 
-/// Lets interrupt `number` (0 ..= 31) come to this processor.
+/// Enables interrupt `number` (0 ..= 31) on this processor.
 pub fn enable_interrupt(number: u32) {
     // SAFETY: this processor's own interrupt controller; writing ones enables, zeros do nothing.
     unsafe { write_volatile(NVIC_ENABLE as *mut u32, 1 << number) };
@@ -37,8 +37,8 @@ pub fn without_interrupts<R>(f: impl FnOnce() -> R) -> R {
     result
 }
 
-/// Sleeps until an interrupt is pending. With interrupts disabled it ends the sleep and is not yet
-/// taken: nothing can come between a look and the sleep.
+/// Sleeps until an interrupt is pending. If interrupts are disabled, the pending interrupt ends the
+/// sleep but is not taken yet, so none is missed between a poll and the sleep.
 pub fn sleep() {
     // SAFETY: changes nothing but the time.
     unsafe { asm!("dsb", "wfi") };

@@ -1,4 +1,4 @@
-//! The end: semihosting, and what a panic or a fault comes to.
+//! The end of a program: semihosting, and the reaction to a panic or a fault.
 
 use crate::cpu;
 use crate::uart::print_now;
@@ -34,7 +34,7 @@ fn on_panic(info: &PanicInfo<'_>) -> ! {
     exit(PANICKED)
 }
 
-/// Handler of everything that must not come.
+/// Handler of all interrupts that must not occur.
 pub(crate) extern "C" fn on_fault() {
     let exception: u32;
     // SAFETY: reads which exception this is.

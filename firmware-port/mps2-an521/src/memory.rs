@@ -11,8 +11,8 @@ unsafe extern "C" {
     static __straps: u32;
 }
 
-/// Word `index` of what the emulator was told to write before the start, as pins that are tied high
-/// or low. Zero if nothing was.
+/// Word `index` of the words that the emulator writes before the start, as pins that are tied high
+/// or low. Zero if the word was not set.
 ///
 /// # Panics
 /// If there is no such strap: there are 1024.

@@ -26,21 +26,21 @@ const CLEAR: usize = 0x8;
 /// The line of unit 0 at each processor; that of unit 1 follows.
 const FIRST_INTERRUPT: u32 = 6;
 
-/// An interrupt of this processor is not consumed yet.
+/// An interrupt of this processor that is not consumed yet.
 static PENDING: [AtomicBool; CPUS] = [const { AtomicBool::new(false) }; CPUS];
 
 fn register(unit: Unit, cpu: usize, offset: usize) -> *mut u32 {
     (BASE + unit as usize * UNIT_BYTES + cpu * CPU_BYTES + offset) as *mut u32
 }
 
-/// Lets the interrupts of both units come to this processor.
+/// Enables the interrupts of both units on this processor.
 pub fn enable() {
     cpu::enable_interrupt(FIRST_INTERRUPT);
     cpu::enable_interrupt(FIRST_INTERRUPT + 1);
 }
 
-/// Interrupts processor `to`, which may be this one. What was written before is visible to it when
-/// it has taken the interrupt. Never blocks.
+/// Interrupts processor `to`, which may be this one. Everything written before is visible to it
+/// when it has taken the interrupt. Never blocks.
 pub fn interrupt(unit: Unit, to: usize) {
     // SeqCst is a `dmb` before the store to the device: pairs with the fence in `take_pending`.
     core::sync::atomic::fence(Ordering::SeqCst);
@@ -48,14 +48,14 @@ pub fn interrupt(unit: Unit, to: usize) {
     unsafe { write_volatile(register(unit, to % CPUS, SET), 1) };
 }
 
-/// Whether an interrupt came since the last call.
+/// Whether an interrupt arrived since the last call.
 pub fn take_pending() -> bool {
     let came = PENDING[cpu::number()].swap(false, Ordering::Relaxed);
     core::sync::atomic::fence(Ordering::SeqCst);
     came
 }
 
-/// Handler of both units: clears what is set and remembers it.
+/// Handler of both units: clears the set bits and remembers them.
 pub(crate) extern "C" fn on_interrupt() {
     let cpu = cpu::number();
     for unit in [Unit::Doorbell, Unit::Wires] {

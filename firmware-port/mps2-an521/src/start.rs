@@ -1,7 +1,7 @@
 //! From reset to main: a vector table for each processor, and the start of the second one.
 //!
-//! Processor 1 is held at power-on. Processor 0 clears .bss, starts clock and UART, gives
-//! processor 1 its vector table and lets it go.
+//! Processor 1 is held at power-on. Processor 0 clears .bss, starts clock and UART, gives processor
+//! 1 its vector table and releases it.
 
 use crate::{clock, cpu, exit, mhu, uart};
 use core::arch::{asm, global_asm};
@@ -23,7 +23,7 @@ unsafe extern "C" {
     fn tandem_reset_1();
 }
 
-/// A vector table as the processor reads it.
+/// A vector table in the processor's format.
 #[repr(C, align(1024))]
 struct Vectors {
     stack: &'static u32,
@@ -82,7 +82,7 @@ global_asm!(
 );
 
 unsafe extern "C" {
-    /// Of the program: see `entry!`.
+    /// Defined by the program: see `entry!`.
     fn tandem_main(cpu: usize) -> !;
 }
 
@@ -96,7 +96,7 @@ extern "C" fn start_0() -> ! {
     main()
 }
 
-/// Lets the second processor begin; nothing if it runs.
+/// Starts the second processor; no effect if it runs.
 pub(crate) fn release_second() {
     // SAFETY: its vector table is whole and stays; the register holds the processor's reset.
     unsafe {

@@ -32,7 +32,7 @@ impl Write for Uart {
 pub(crate) fn start() {
     // SAFETY: the UART's registers, before anyone writes to it.
     unsafe {
-        // The least that the UART takes: there is no real line to wait for.
+        // The smallest divider that the UART accepts: there is no real line.
         write_volatile(BAUD_DIVIDER, 16);
         write_volatile(CONTROL, TRANSMIT_ENABLE);
     }
@@ -43,7 +43,7 @@ pub fn print(line: fmt::Arguments<'_>) {
     write_line(&mut Uart, core::hint::spin_loop, line);
 }
 
-/// Writes a line although the other processor may be about to: for one that ends everything.
+/// Writes a line without waiting for the other processor: for a message that ends the program.
 pub(crate) fn print_now(line: fmt::Arguments<'_>) {
     let _ = writeln!(Uart, "{line}");
 }

@@ -11,8 +11,8 @@ const MTIME: usize = 0x0200_BFF8;
 /// Nanoseconds of one tick.
 pub const TICK_NS: u64 = 100;
 
-/// Raises the software interrupt of a hart. The hart that takes it sees what this
-/// hart wrote before.
+/// Raises the software interrupt of a hart. The hart that takes it sees everything that this hart
+/// wrote before.
 #[inline]
 pub fn post(hart: usize) {
     // SAFETY: one word a hart; the machine ignores those of harts that it does not have. The fence
@@ -24,7 +24,7 @@ pub fn post(hart: usize) {
     }
 }
 
-/// Takes the software interrupt of this hart back.
+/// Clears the software interrupt of this hart.
 #[inline]
 pub fn clear(hart: usize) {
     // SAFETY: as in `post`, with whose fence this one pairs: the device first, then memory.
@@ -34,7 +34,7 @@ pub fn clear(hart: usize) {
     }
 }
 
-/// Sets when the timer of this hart comes, in ticks of [`time`](crate::hart::time).
+/// Sets the time of the timer interrupt of this hart, in ticks of [`time`](crate::hart::time).
 #[inline]
 pub fn set_timer(hart: usize, ticks: u64) {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *mut u32;
@@ -47,7 +47,7 @@ pub fn set_timer(hart: usize, ticks: u64) {
     }
 }
 
-/// When the timer of a hart comes, or has come.
+/// The time of a hart's timer interrupt, past or future.
 #[must_use]
 pub fn timer(hart: usize) -> u64 {
     let register = (MTIMECMP + 8 * (hart % HARTS)) as *const u32;
@@ -56,10 +56,10 @@ pub fn timer(hart: usize) -> u64 {
     unsafe { u64::from(read_volatile(register.add(1))) << 32 | u64::from(read_volatile(register)) }
 }
 
-/// Lets the clock of all harts jump ahead to `ticks`, below 2^32.
+/// Advances the clock of all harts to `ticks`, below 2^32.
 ///
-/// The emulator's register forgets its upper half when the lower is written, so a clock that has
-/// come beyond 429 s must not be set any more.
+/// The emulator's register loses its upper half when the lower is written, so the clock must not be
+/// set any more after 429 s.
 pub(crate) fn jump_to(ticks: u32) {
     // SAFETY: the lower word of the clock; timers that the jump passes come at once.
     unsafe { write_volatile(MTIME as *mut u32, ticks) };

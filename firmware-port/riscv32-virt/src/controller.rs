@@ -1,8 +1,8 @@
-//! The three cores of the whole controller: for an image that starts alone, and for one in a slot.
+//! The three cores of the whole controller: for a stand-alone image, and for one in a slot.
 //!
-//! Alone in a machine, a system's core 0 runs its tasks under FreeRTOS, in every incarnation. The
-//! kernel's statics exist once in an image, so with both systems in one machine core 0 runs them to
-//! completion. Cores 1 and 2 have no kernel.
+//! Core 0 of a system that is alone in its machine runs its tasks under FreeRTOS, in every
+//! incarnation. The kernel's statics exist once in an image, so with both systems in one machine
+//! core 0 runs the tasks to completion. Cores 1 and 2 have no kernel.
 //!
 //! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both.
 //! Strap `Second`, bit 0: a system that returns becomes the standby of the running one.
@@ -29,7 +29,7 @@ const BOTH_SYSTEMS: u32 = 3;
 const REINTEGRATE: u32 = 1;
 /// Bytes of the stack of each task of core 0.
 const STACK_BYTES: usize = 16 << 10;
-/// Turns of 50 us: the emulator runs one hart at a time, and none must wait long for another.
+/// Turns of 50 us: the emulator runs one hart at a time, and none may wait long for another.
 pub const SLICE_TICKS: u32 = 500;
 /// How many doorbells were held back.
 static HELD_BACK: AtomicU32 = AtomicU32::new(0);
@@ -84,8 +84,8 @@ fn config() -> Config {
     config
 }
 
-/// The overload that strap `Third` asks for: in its bits 0 to 7 the task's place in the table plus
-/// 1, in 8 to 15 how much longer a job takes, ms, in 16 to 31 how many jobs lie between two such.
+/// The overload from strap `Third`: bits 0 to 7 are the task's index in the table plus 1, bits 8 to
+/// 15 how much longer a job takes, ms, bits 16 to 31 the interval between two such jobs, in jobs.
 fn overload() -> Option<Overload> {
     let [task, ms, low, high] = strap(Strap::Third).to_le_bytes();
     Some(Overload {
@@ -121,7 +121,7 @@ fn under_kernel(board: &VirtBoard) -> ! {
         board.identity().generation.0
     );
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
-    // The kernel has the timer.
+    // The kernel uses the timer.
     doorbell::set_slice(0);
     let kernel = kernel();
     let board: &'static VirtBoard = Box::leak(Box::new(board.clone()));

@@ -5,12 +5,12 @@ use crate::hart::{self, HARTS, MSI, MTI};
 use crate::trap::{self, HartState};
 use core::sync::atomic::Ordering::Relaxed;
 
-/// Sleeps until this hart's doorbell has rung or `deadline` (in ticks) has come, and consumes the
-/// ring. Whether it was the doorbell. Task context, interrupts on.
+/// Sleeps until this hart's doorbell has rung or `deadline` (in ticks) has passed, and consumes the
+/// ring. Returns whether it was the doorbell. Task context, interrupts on.
 ///
-/// Interrupts are switched off before it looks, so what comes between the look and the sleep ends
-/// the sleep: `wfi` wakes for what is enabled, switched on or not. A ring that ends the sleep is
-/// consumed right here, which is cheaper than to take the interrupt.
+/// Interrupts are switched off before the poll, so an interrupt between the poll and the sleep ends
+/// the sleep: `wfi` wakes for every enabled interrupt, even while interrupts are off. A ring that
+/// ends the sleep is consumed right here, which is cheaper than to take the interrupt.
 #[inline]
 pub fn wait(deadline: Option<u64>) -> bool {
     let number = hart::number() % HARTS;
@@ -20,7 +20,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
     let rung = loop {
         if hart::pending() & MSI != 0 {
             if clear(number, state) {
-                // The reset is taken here, and does not come back.
+                // The reset is taken here, and does not return.
                 hart::interrupts_on();
             }
             state.rung.store(false, Relaxed);
@@ -36,7 +36,7 @@ pub fn wait(deadline: Option<u64>) -> bool {
                 clint::set_timer(number, deadline);
                 hart::enable(MTI);
             }
-            // A slicing timer need not wake who sleeps.
+            // The slicing timer need not wake a sleeping hart.
             None => hart::disable(MTI),
         }
         hart::sleep();
@@ -56,9 +56,9 @@ pub fn take() -> bool {
     trap::STATES[number].rung.swap(false, Relaxed) || pending
 }
 
-/// Takes the ring back, but not one that is a reset: the carrier's wish is looked at afterwards, so
-/// one that comes in between either is seen, or rings again. Whether it is one; the doorbell has
-/// then rung anew, for the interrupt.
+/// Clears the ring, unless it is a reset. The carrier's request is read afterwards: one that
+/// arrives in between is either seen, or rings again. Returns whether it is a reset; then the
+/// doorbell has been rung again, for the interrupt.
 #[inline]
 fn clear(number: usize, state: &HartState) -> bool {
     clint::clear(number);
@@ -69,7 +69,7 @@ fn clear(number: usize, state: &HartState) -> bool {
     reset
 }
 
-/// The timer is the slicing timer's again, if there is one.
+/// Gives the timer back to the slicing, if there is any.
 #[inline]
 fn rearm(number: usize, state: &HartState) {
     match state.slice.load(Relaxed) {
@@ -81,7 +81,7 @@ fn rearm(number: usize, state: &HartState) {
     }
 }
 
-/// From now on this hart's turn ends after this many ticks wherever it is; 0: no more. See
+/// From now on this hart's turn ends after this many ticks, wherever it is; 0: no limit. See
 /// [`hart::yield_turn`].
 pub fn set_slice(ticks: u32) {
     let number = hart::number() % HARTS;
@@ -92,8 +92,8 @@ pub fn set_slice(ticks: u32) {
     });
 }
 
-/// A hash of the places where the turns of a hart have ended since the last call, which begins a
-/// new one. The hart must not be slicing.
+/// A hash of the places where the turns of a hart ended since the last call, and starts a new one.
+/// The hart must not be slicing.
 pub fn take_places(hart: usize) -> u32 {
     trap::STATES[hart % HARTS].places.swap(0, Relaxed)
 }

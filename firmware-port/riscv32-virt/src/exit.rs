@@ -1,4 +1,4 @@
-//! The end: the emulator's test device, and what a panic or an exception comes to.
+//! The end of a program: the emulator's test device, and the reaction to a panic or an exception.
 
 use crate::uart::print_now;
 use core::panic::PanicInfo;

@@ -1,14 +1,14 @@
-//! One hart: its number, its interrupt switches, its counters, and giving the emulator's turn away.
+//! One hart: its number, its interrupt switches, its counters, and yielding the emulator's turn.
 
 use core::arch::{asm, global_asm};
 
 global_asm!(include_str!("start.S"));
 
-/// Room for the harts of an image: three for each system, the carrier, and one more, so that a
-/// number is brought into range by a mask.
+/// Room for the harts of an image: three for each system, the carrier, and one more, so that a mask
+/// limits a number to the range.
 pub const HARTS: usize = 8;
 
-/// The hart that plays the hardware outside the chips.
+/// The hart that emulates the hardware outside the chips.
 pub const CARRIER: usize = 6;
 
 const MSTATUS_MIE: usize = 1 << 3;
@@ -25,12 +25,12 @@ pub fn number() -> usize {
     hart
 }
 
-/// The cycle counter. Under `-icount shift=0` one cycle is one instruction, of whichever hart.
+/// The cycle counter. Under `-icount shift=0` one cycle is one instruction of any hart.
 #[inline]
 #[must_use]
 pub fn cycles() -> u32 {
     let cycles: u32;
-    // Not `nomem`: what is measured must not move across the reading.
+    // Not `nomem`: measured code must not move across the read.
     // SAFETY: reads a counter.
     unsafe { asm!("csrr {}, mcycle", out(reg) cycles, options(nostack, preserves_flags)) };
     cycles
@@ -58,11 +58,11 @@ pub fn time() -> u64 {
 #[inline]
 pub fn interrupts_on() {
     // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere. Not
-    // `nomem`: what must be seen by a handler is written before.
+    // Not `nomem`: all writes for a handler must come before.
     unsafe { asm!("csrs mstatus, {}", in(reg) MSTATUS_MIE, options(nostack)) };
 }
 
-/// Switches the interrupts of this hart off; whether they were on.
+/// Switches the interrupts of this hart off; returns whether they were on.
 #[inline]
 pub fn interrupts_off() -> bool {
     let before: usize;
@@ -95,14 +95,14 @@ pub(crate) fn leave(hart: usize, entry: u32) -> ! {
     unsafe { tandem_jump(hart, entry) }
 }
 
-/// Lets these interrupts reach this hart.
+/// Enables these interrupts on this hart.
 #[inline]
 pub(crate) fn enable(which: usize) {
     // SAFETY: as `interrupts_on`.
     unsafe { asm!("csrs mie, {}", in(reg) which, options(nostack)) };
 }
 
-/// Keeps these interrupts from this hart.
+/// Disables these interrupts on this hart.
 #[inline]
 pub(crate) fn disable(which: usize) {
     // SAFETY: as `interrupts_off`.
@@ -118,7 +118,7 @@ pub(crate) fn pending() -> usize {
     pending
 }
 
-/// Where this hart was when the interrupt came that is being handled.
+/// The interrupted code address of the interrupt that is being handled.
 #[inline]
 pub(crate) fn interrupted_at() -> usize {
     let at: usize;
@@ -127,19 +127,20 @@ pub(crate) fn interrupted_at() -> usize {
     at
 }
 
-/// Sleeps until an enabled interrupt is pending; whether it is then taken depends on the switch.
+/// Sleeps until an enabled interrupt is pending; it is taken only if interrupts are switched on.
 #[inline]
 pub fn sleep() {
     // SAFETY: stops this hart until an interrupt; memory may have changed in between.
     unsafe { asm!("wfi", options(nostack)) };
 }
 
-/// Gives the emulator's turn to the next hart, and continues when all others had theirs.
+/// Yields the emulator's turn to the next hart, and continues when all others had theirs.
 ///
 /// The emulator runs the harts in turn. Under icount it changes the turn only when a hart sleeps,
-/// when it interrupts another, or when a timer comes, so a hart that spins must say so, or the one
-/// it waits for does not run. This is a sleep that does not last: the supervisor's software
-/// interrupt is always pending (see start.S) and enabled just here. On a chip with real cores it
+/// when it interrupts another, or when a timer expires. So a hart that spins must yield, or the
+/// hart that it waits for does not run. This is a sleep that ends at once: the supervisor's
+/// software interrupt is always pending (see start.S) and enabled just here. On a chip with real
+/// cores it would be `spin_loop`.
 /// would be `spin_loop`.
 #[inline]
 pub fn yield_turn() {

@@ -1,5 +1,5 @@
-//! The heap of the hart that runs a kernel: gives, and takes nothing back. For programs that
-//! allocate only while they start.
+//! The heap of the hart that runs a kernel: it never frees. For programs that allocate only while
+//! they start.
 
 use core::alloc::{GlobalAlloc, Layout};
 use core::cell::UnsafeCell;
@@ -45,10 +45,10 @@ unsafe impl GlobalAlloc for Heap {
     unsafe fn dealloc(&self, _: *mut u8, _: Layout) {}
 }
 
-/// All of the heap is free again, after a reset of the hart that uses it.
+/// Frees the whole heap, after a reset of the hart that uses it.
 ///
 /// # Safety
-/// Nothing that was allocated before is used again.
+/// No earlier allocation is used again.
 pub unsafe fn restart() {
     HEAP.used.store(0, Ordering::Relaxed);
 }

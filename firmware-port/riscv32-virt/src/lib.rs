@@ -2,7 +2,7 @@
 //! the doorbell, and a section at a fixed address is the LMU.
 //!
 //! One image runs on all harts (decision 0008): 0 to 2 are the cores of system A, 3 to 5 those of
-//! system B, 6 is the carrier. A program gives one main, [`entry!`], which every hart calls with
+//! system B, 6 is the carrier. A program defines one main, [`entry!`], which every hart calls with
 //! its number.
 #![no_std]
 
@@ -24,7 +24,7 @@ mod semihosting;
 pub mod trap;
 pub mod uart;
 
-/// The value of a result that is an error only if the program is laid out wrongly.
+/// The value of a result that is an error only if the memory layout is wrong.
 ///
 /// # Panics
 /// If it is an error.

@@ -16,8 +16,8 @@ unsafe extern "C" {
 /// Bytes of the stack of one hart; as in link.x and start.S.
 const STACK_BYTES: usize = 256 << 10;
 
-/// How many bytes of its stack a hart has used so far, at the deepest. The memory of a machine is
-/// zero at its start, so that is where the zeros end.
+/// The largest number of bytes of its stack that a hart has used so far. The memory of a machine is
+/// zero at its start, so the unused part is the part that is still zero.
 #[must_use]
 pub fn stack_used(hart: usize) -> usize {
     let words = STACK_BYTES / 4;
@@ -34,7 +34,7 @@ pub fn stack_used(hart: usize) -> usize {
 /// Bytes that link.x gives to the recording.
 const RECORDING_BYTES: usize = 64 << 20;
 
-/// The words that the emulator was given to play.
+/// The recorded frames from the emulator.
 #[must_use]
 pub fn recording() -> &'static [u32] {
     let begin = addr_of!(__recording);
@@ -46,8 +46,8 @@ pub fn recording() -> &'static [u32] {
     }
 }
 
-/// What the emulator was told to write before the start, as pins that are tied high or low on a
-/// carrier board. Zero if nothing was.
+/// The words that the emulator writes before the start, as pins that are tied high or low on a
+/// carrier board. Zero if a word was not set.
 #[must_use]
 pub fn strap(strap: Strap) -> u32 {
     // SAFETY: link.x reserves 4 KiB there; nothing writes them after the start.
@@ -57,7 +57,7 @@ pub fn strap(strap: Strap) -> u32 {
 /// Words of straps before those of the public key.
 const KEY_AT: usize = 16;
 
-/// The public key that the bootloader of this machine believes, as fuses of a chip hold it.
+/// The public key that the bootloader of this machine trusts, as if in fuses of a chip.
 #[must_use]
 pub fn public_key() -> [u8; 32] {
     let mut key = [0; 32];
@@ -73,7 +73,7 @@ pub fn public_key() -> [u8; 32] {
 /// The straps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Strap {
-    /// How the program is to run; each says what its modes are.
+    /// Mode of the program; each program documents its modes.
     Mode = 0,
     /// First parameter of the program.
     First = 1,

@@ -1,5 +1,5 @@
-//! The program flash of the system in this machine: RAM that behaves as NOR flash does. The
-//! emulator is given its content at the start.
+//! The program flash of the system in this machine: RAM with the behaviour of NOR flash. The
+//! emulator loads its content at the start.
 
 use core::ptr::addr_of;
 use core::sync::atomic::{AtomicU8, Ordering::Relaxed};
@@ -8,7 +8,7 @@ use embedded_storage::nor_flash::{
 };
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR};
 
-/// Where it lies; as in link.x.
+/// Its address; as in link.x.
 pub const BEGIN: u32 = 0x8500_0000;
 const ERASED: u8 = 0xFF;
 

@@ -1,8 +1,7 @@
 //! Files of the host: the emulator's semihosting calls.
 //!
-//! A call is answered before the next instruction, however long the host takes: the whole machine
-//! and its clock stand still in that time. ("Semihosting for AArch32 and AArch64", and the RISC-V
-//! supplement.)
+//! A call is answered before the next instruction: the whole machine and its clock stand still
+//! until the host has finished. ("Semihosting for AArch32 and AArch64", and the RISC-V supplement.)
 
 use core::arch::asm;
 use core::sync::atomic::AtomicU32;

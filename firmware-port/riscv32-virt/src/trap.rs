@@ -1,5 +1,5 @@
-//! What interrupts do: a doorbell becomes a flag, or calls the handler that a program gave; a timer
-//! ends the hart's turn.
+//! The interrupt handlers: a doorbell sets a flag, or calls the program's handler; a timer ends the
+//! hart's turn.
 
 use crate::hart::{HARTS, MSI, MTI};
 use crate::{clint, hart};
@@ -8,10 +8,10 @@ use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 /// A handler: runs in interrupt context and never blocks.
 pub type Handler = fn();
 
-/// What the handlers of one hart know. On a cache line of its own.
+/// The state of one hart's handlers. On its own cache line.
 #[repr(C, align(64))]
 pub(crate) struct HartState {
-    /// A doorbell came while this hart was awake.
+    /// A doorbell arrived while this hart was awake.
     pub(crate) rung: AtomicBool,
     /// Length of a turn in ticks; 0: no limit.
     pub(crate) slice: AtomicU32,
@@ -20,7 +20,7 @@ pub(crate) struct HartState {
     /// Where the last turn ended, and how many turns in a row have ended there.
     ended_at: AtomicU32,
     repeats: AtomicU32,
-    /// The carrier wants this hart to stand still.
+    /// The carrier requests that this hart stand still.
     pub(crate) held: AtomicBool,
     /// Between two incarnations: one of the four below.
     incarnation: AtomicU32,
@@ -28,12 +28,12 @@ pub(crate) struct HartState {
     on_turn: AtomicPtr<()>,
 }
 
-// Before its first incarnation begins to stand still: 0.
+// Its first incarnation has not yet begun to stand still: 0.
 /// Its last incarnation is over, and nothing of it runs.
 const STANDS: u32 = 1;
-/// The carrier lets it go. The carrier may take that back; the first to change the word has it.
+/// The carrier releases it. The carrier may revoke that; the first to change the word succeeds.
 const GOES: u32 = 2;
-/// It lives.
+/// It runs.
 const RUNS: u32 = 3;
 
 impl HartState {
@@ -44,7 +44,7 @@ impl HartState {
     }
 }
 
-/// Of each hart. The carrier's, because it outlives the image that a hart runs.
+/// For each hart. It belongs to the carrier, because it outlives the image that a hart runs.
 #[unsafe(link_section = ".bss.carrier.harts")]
 pub(crate) static STATES: [HartState; HARTS] = [const {
     HartState {
@@ -64,7 +64,7 @@ unsafe extern "C" {
     fn tandem_restart_hart(hart: usize) -> !;
 }
 
-/// What this hart does at its doorbell, beside noting that it has rung.
+/// This hart's function at its doorbell, in addition to recording the ring.
 pub fn on_doorbell(handler: Handler) {
     STATES[hart::number() % HARTS]
         .on_doorbell
@@ -72,7 +72,7 @@ pub fn on_doorbell(handler: Handler) {
     hart::enable(MSI);
 }
 
-/// What a hart does at the end of each of its turns.
+/// A hart's function at the end of each of its turns.
 pub(crate) fn on_turn(hart: usize, handler: Option<Handler>) {
     let handler = handler.map_or(core::ptr::null_mut(), |handler| handler as *mut ());
     STATES[hart % HARTS]
@@ -86,7 +86,7 @@ pub(crate) fn hold(hart: usize) {
     let state = &STATES[hart % HARTS];
     // Release pairs with the Acquire in `is_held`.
     state.held.store(true, Ordering::Release);
-    // One that was let go and has not gone yet stands on.
+    // A hart that was released and has not started yet stays where it is.
     let taken_back =
         state
             .incarnation
@@ -102,11 +102,11 @@ pub(crate) fn stands(hart: usize) -> bool {
     STATES[hart % HARTS].incarnation.load(Ordering::Acquire) == STANDS
 }
 
-/// Lets a hart go that stands.
+/// Releases a hart that stands still.
 pub(crate) fn release(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.held.store(false, Ordering::Relaxed);
-    // Release pairs with the Acquire in `sleep_while_held`: it sees all that was prepared.
+    // Release pairs with the Acquire in `sleep_while_held`: it sees all preparations.
     state.incarnation.store(GOES, Ordering::Release);
     clint::post(hart);
 }
@@ -121,7 +121,7 @@ pub(crate) fn begin_held(hart: usize) {
     }
     hart::disable(MTI);
     hart::enable(MSI);
-    // Release pairs with the Acquire in `stands`: the carrier does nothing to a hart that lives.
+    // Release pairs with the Acquire in `stands`: the carrier never touches a running hart.
     state.incarnation.store(STANDS, Ordering::Release);
 }
 
@@ -139,7 +139,7 @@ pub(crate) fn sleep_while_held(hart: usize) {
     }
 }
 
-/// This hart leaves its image: no handler of it runs any more. Interrupts are off.
+/// This hart leaves its image: its handlers no longer run. Interrupts are off.
 pub(crate) fn forget_handler(hart: usize) {
     let state = &STATES[hart % HARTS];
     state.slice.store(0, Ordering::Relaxed);
@@ -148,8 +148,8 @@ pub(crate) fn forget_handler(hart: usize) {
     }
 }
 
-/// Ends this incarnation if the carrier wants that. For a doorbell's handler under an operating
-/// system that has a trap vector of its own.
+/// Ends this incarnation if the carrier has requested that. For a doorbell's handler under an
+/// operating system that has its own trap vector.
 pub fn end_if_held() {
     let number = hart::number() % HARTS;
     end_if(number, &STATES[number]);
@@ -188,7 +188,7 @@ fn call(handler: &AtomicPtr<()>) {
 extern "C" fn tandem_on_timer() {
     let number = hart::number() % HARTS;
     match STATES[number].slice.load(Ordering::Relaxed) {
-        // It was only to end a sleep.
+        // The interrupt only had to end a sleep.
         0 => hart::disable(MTI),
         ticks => {
             let HartState {
@@ -203,9 +203,9 @@ extern "C" fn tandem_on_timer() {
             places.store(hash.wrapping_mul(0x0100_0193), Ordering::Relaxed);
             hart::yield_turn();
             call(&STATES[number].on_turn);
-            // The timer of another hart may end this turn, and this hart's timer then runs out
-            // while the others run: short turns in step with each other get nowhere. A hart that
-            // stays where it is gets longer ones.
+            // The timer of another hart may end this turn, and this hart's timer then expires while
+            // the others run: short turns that keep step with each other make no progress. So a
+            // hart that stays where it is gets longer turns.
             let stays = ended_at.load(Ordering::Relaxed) == place;
             let times = match stays {
                 true => (repeats.load(Ordering::Relaxed) + 1).min(6),

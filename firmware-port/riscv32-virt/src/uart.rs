@@ -26,11 +26,11 @@ impl Write for Uart {
 
 /// Writes a line. Blocks; task context.
 pub fn print(line: fmt::Arguments<'_>) {
-    // Off: a reset must not come while this hart has the UART.
+    // Off: a reset must not interrupt this hart while it has the UART.
     crate::hart::without_interrupts(|| write_line(&mut Uart, crate::hart::yield_turn, line));
 }
 
-/// Writes a line although another hart may be about to: for a hart that ends everything.
+/// Writes a line without waiting for another hart: for a message that ends the program.
 pub(crate) fn print_now(line: fmt::Arguments<'_>) {
     let _ = writeln!(Uart, "{line}");
 }

@@ -1,8 +1,9 @@
-//! The conformance suite as far as two processors carry it: one case for each start of the machine.
+//! The cases of the conformance suite that two processors can run: one case for each start of the
+//! machine.
 //!
-//! Strap 0 is the number of the case. The status is 0 if it passed, 1 if a role failed,
-//! [`SKIPPED`] if this machine cannot play it, and [`NO_SUCH_CASE`] behind the last one; the log
-//! says what and why.
+//! Strap 0 is the number of the case. The status is 0 if it passed, 1 if a role failed, [`SKIPPED`]
+//! if this machine cannot run it, and [`NO_SUCH_CASE`] after the last one; the log gives the
+//! reason.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -14,15 +15,15 @@ use tandem_board_mps2_an521::{cpu, entry, exit, log, memory};
 
 entry!(main);
 
-/// The status for a case that two processors of this machine cannot play.
+/// The status for a case that two processors of this machine cannot run.
 const SKIPPED: u8 = 2;
 /// The status if there is no case with this number.
 const NO_SUCH_CASE: u8 = 3;
 
-/// How many roles have ended, all of them well.
+/// How many roles have passed.
 static PASSED: AtomicU32 = AtomicU32::new(0);
 
-/// Why this machine cannot play the case; `None` if it can.
+/// Why this machine cannot run the case; `None` if it can.
 fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
     if case.parts.len() > cpu::CPUS {
         return Some("needs more than two cores");
@@ -65,7 +66,7 @@ fn main(own: usize) -> ! {
         );
         exit::exit(1);
     }
-    // AcqRel: the last processor has seen all that the other did.
+    // AcqRel: the last processor sees everything that the other did.
     let passed = 1 + PASSED.fetch_add(1, Ordering::AcqRel);
     if passed as usize == case.parts.len() {
         log!("passed  {}", case.name);
@@ -74,7 +75,7 @@ fn main(own: usize) -> ! {
     rest()
 }
 
-/// This processor has nothing to do any more.
+/// This processor has no more work.
 fn rest() -> ! {
     loop {
         cpu::sleep();

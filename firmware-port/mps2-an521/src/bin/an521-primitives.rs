@@ -1,7 +1,7 @@
 //! The primitives of `shm` between the two processors: lock, mailbox, channels, pool.
 //!
 //! Strap 0: the length of a turn in ticks of 50 ns; strap 1: not 0 breaks the lock, and the program
-//! must see it. The status is 0 if all held.
+//! must detect it. The status is 0 if all checks passed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -34,10 +34,10 @@ const POOL: Region<SharedPool<BLOCKS>> = BROADCAST.then("pool");
 const LAYOUT: Layout = POOL.end();
 
 const ROUNDS: u32 = 500;
-/// More looks than any waiting here takes.
+/// More polls than any wait here needs.
 const LOOKS: u32 = 1_000_000;
 
-/// Both processors have come so far.
+/// Waits until both processors have reached this step.
 static STEP: [AtomicU32; 2] = [const { AtomicU32::new(0) }; 2];
 
 fn meet(own: usize, step: u32) {
@@ -79,7 +79,7 @@ fn main(own: usize) -> ! {
 }
 
 type Checked = Result<(), &'static str>;
-/// What each processor does in a test: its number, its board, the LMU, its incarnation.
+/// The arguments of a test on one processor: its number, its board, the LMU, its incarnation.
 type Role = fn(usize, &An521Board, Map<'_>, Incarnation) -> Checked;
 
 fn check(holds: bool, what: &'static str) -> Checked {
@@ -101,7 +101,7 @@ fn run(own: usize, board: &An521Board, map: Map<'_>) -> Checked {
     Ok(())
 }
 
-/// What the lock guards is never seen in the middle of a change.
+/// No processor sees the locked data in the middle of a change.
 fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let mut lock = LOCK.attach(&map, incarnation).map_err(|_| fit)?;
@@ -129,7 +129,7 @@ fn exclude(_: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     Ok(())
 }
 
-/// To and fro, with sleeps: no signal is lost, each comes with its value.
+/// Signals in both directions, with sleeps: none is lost, each arrives with its value.
 fn signal(own: usize, board: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let [to, from] = if own == 0 { [TO_1, TO_0] } else { [TO_0, TO_1] };
@@ -194,7 +194,7 @@ fn queue(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> 
     Ok(())
 }
 
-/// The newest value is never torn; what the ring loses it counts.
+/// The newest value is never torn; the ring counts the values that it loses.
 fn look(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     if own == 0 {
@@ -232,7 +232,7 @@ fn look(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> C
     Ok(())
 }
 
-/// Words are handed over and given back by whoever got them.
+/// Words are handed over, and their receiver gives them back.
 fn lend(own: usize, _: &An521Board, map: Map<'_>, incarnation: Incarnation) -> Checked {
     let fit = "the regions fit";
     let pool = POOL.attach(&map, incarnation).map_err(|_| fit)?;

@@ -15,10 +15,10 @@ use tandem_board::{
     ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TraceRecord, Wake,
 };
 
-/// Which core each processor plays; `None` if it plays none.
+/// The core of each processor; `None` if it has none.
 pub type Cast = [Option<CoreAddress>; CPUS];
 
-/// Which processor plays this core.
+/// The processor of this core.
 fn player(cast: &Cast, system: SystemId, core: CoreId) -> Option<usize> {
     cast.iter()
         .position(|part| *part == Some(CoreAddress { system, core }))
@@ -40,7 +40,7 @@ pub struct An521Board {
 const TRACED: usize = 16;
 
 impl An521Board {
-    /// The core that this processor plays; `None` if it plays none. Task context, once.
+    /// The core of this processor; `None` if it has none. Task context, once.
     #[must_use]
     pub fn new(cast: Cast) -> Option<Self> {
         let own = cpu::number();
@@ -48,14 +48,14 @@ impl An521Board {
         let CoreAddress { system, core } = of;
         let second = cast[1].filter(|_| own == 0);
         if second.is_some_and(|second| second.core == CoreId::CONTROL) {
-            // Nothing holds a core 0 that has power.
+            // Core 0 of a powered system is never held.
             crate::start::release_second();
         }
         Some(Self {
             identity: Identity {
                 system,
                 core,
-                // Nothing here resets a core: the machine only resets as a whole.
+                // No effect: the machine only resets as a whole.
                 generation: Generation(1),
             },
             cast,
@@ -68,7 +68,7 @@ impl An521Board {
         })
     }
 
-    /// How many records the trace was given.
+    /// How many records were written to the trace.
     #[must_use]
     pub fn traced(&self) -> usize {
         self.traced.get()
@@ -117,7 +117,8 @@ impl Board for An521Board {
                 }
                 clock::set_alarm(deadline);
                 cpu::sleep();
-                // What ended the sleep is taken when interrupts are enabled, before the next look.
+                // The interrupt that ended the sleep is taken when interrupts are enabled, before
+                // the next poll.
                 None
             });
             if let Some(wake) = ended {
@@ -147,7 +148,7 @@ impl Board for An521Board {
     }
 
     fn trace(&self, record: TraceRecord) {
-        // A handler must not write to the slot that a task is writing to.
+        // A handler must not write to the slot to which a task is writing.
         cpu::without_interrupts(|| {
             let count = self.traced.get();
             self.trace[count % TRACED].set(record);
@@ -156,8 +157,8 @@ impl Board for An521Board {
     }
 }
 
-/// What this machine does not have: data flash, and a supply with a window watchdog. Programs that
-/// need them are not run on it.
+/// The parts that this machine lacks: data flash, and a supply with a window watchdog. Programs
+/// that need them do not run on it.
 #[derive(Debug)]
 pub struct Absent;
 
@@ -187,7 +188,7 @@ impl Supply for Absent {
     const WINDOW_CLOSES_US: u32 = u32::MAX;
     const FIRST_SERVICE_US: u32 = u32::MAX;
 
-    /// The machine knows no other.
+    /// The machine has only this reset cause.
     fn reset_cause(&self) -> ResetCause {
         ResetCause::PowerOn
     }
@@ -198,7 +199,7 @@ impl Supply for Absent {
 
     fn service_watchdog(&self, _: u8) {}
 
-    /// There is no reset generator; the core just stops acting.
+    /// There is no reset generator; the core just stops.
     fn request_reset(&self, _: ResetRequest) {}
 
     fn show_role(&self, lamp: RoleLamp) {

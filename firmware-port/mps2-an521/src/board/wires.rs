@@ -1,5 +1,5 @@
-//! What joins the two systems: lines, link, CAN bus. The machine has none of them, so that words in
-//! a bank of the SRAM, which is no part of an LMU, stand for the wires.
+//! The connections of the two systems: lines, link, CAN bus. The machine has none of them, so words
+//! in a bank of the SRAM, outside of the LMUs, stand for the wires.
 
 use super::{Cast, player};
 use crate::clock;
@@ -57,7 +57,7 @@ static WIRES: Wires = Wires {
     wakes: [const { AtomicU32::new(0) }; CPUS],
 };
 
-/// Words that link.x and the types make large enough and aligned.
+/// Memory for the wires; link.x and the types ensure its size and alignment.
 fn fits<T, E>(end: Result<T, E>) -> T {
     match end {
         Ok(end) => end,
@@ -85,7 +85,7 @@ impl An521Lines {
 impl Lines for An521Lines {
     fn send(&self, line: Line, edge: Edge) {
         let edges = &WIRES.edges[self.own.peer().index()][line.index()];
-        // Release pairs with the Acquire in `received`: not demanded, but edges do not overtake.
+        // Release pairs with the Acquire in `received`: not required, but edges do not overtake.
         edges[edge as usize].fetch_add(1, Ordering::Release);
         if let (true, Some(cpu)) = (line.interrupts(), self.peer_core_0) {
             mhu::interrupt(Unit::Wires, cpu);
@@ -97,7 +97,7 @@ impl Lines for An521Lines {
         WIRES.edges[self.own.index()][line.index()][edge as usize].load(Ordering::Acquire)
     }
 
-    /// Both systems have power as long as the one machine has.
+    /// Both systems have power while the one machine has.
     fn peer_powered(&self) -> bool {
         true
     }
@@ -185,7 +185,7 @@ impl Can for An521Can {
         Ok(())
     }
 
-    /// Nothing waits here: a frame is on the bus when it is handed over.
+    /// Nothing to discard: a frame is on the bus as soon as it is handed over.
     fn discard_unsent(&self) {}
 
     fn try_receive(&self) -> Option<Received> {

@@ -2,7 +2,7 @@
 //!
 //! Hart 0 runs the kernel, hart 1 is bare. The task signals core 1 through a mailbox and waits for
 //! a notification; core 1's handler signals back; core 0's doorbell interrupt notifies the task.
-//! Each round begins right after a tick, so that none comes in between.
+//! Each round begins right after a tick, so that no tick occurs within it.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -25,7 +25,7 @@ const WARM_UP: u32 = 5;
 
 /// The LMU is formatted, and hart 1 may attach.
 static READY: AtomicBool = AtomicBool::new(false);
-/// Signals that came back.
+/// Signals that were returned.
 static BACK: AtomicU32 = AtomicU32::new(0);
 
 fn main(hart: usize) -> ! {
@@ -59,7 +59,7 @@ fn task() -> TaskId {
     }
 }
 
-/// Hart 0: the kernel with one task of ours.
+/// Hart 0: the kernel with one task.
 fn control() -> ! {
     tandem_rtos::riscv32::on_fatal(|message| panic!("{message}"));
     let kernel = must(Kernel::take());
@@ -68,7 +68,7 @@ fn control() -> ! {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
     let (map, own) = attach(0);
     let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
-    // Core 0 wants its doorbell whenever it is signalled.
+    // Core 0 requests its doorbell for every signal.
     back.poll(|_| ());
     let _nothing_there = back.prepare_sleep();
     let on_doorbell = move |ctx: &_| {
@@ -90,7 +90,7 @@ fn measure(ctx: &TaskContext) {
     let (map, own) = attach(0);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
-        // No other task is ready: into the kernel and back.
+        // No other task is ready: a call of the kernel and back.
         ctx.yield_now();
     });
     bench(ctx, "rtos/round-trip", || {

@@ -1,7 +1,7 @@
-//! What the paths between cores cost, counted in instructions.
+//! The costs of the paths between cores, counted in instructions.
 //!
-//! Hart 0 measures, hart 1 answers, hart 2 contends. Under `-icount shift=0` the cycle counter is
-//! one for all harts and counts the instructions of whichever runs, so a span from one hart to
+//! Hart 0 measures, hart 1 answers, hart 2 contends. Under `-icount shift=0` all harts share one
+//! cycle counter, which counts the instructions of the running hart. So a span from one hart to
 //! another is the length of the path between them. Prints `bench NAME MIN MAX` for each.
 #![no_std]
 #![no_main]
@@ -40,10 +40,10 @@ const fn task(number: u8) -> TaskId {
     }
 }
 
-/// When the answering side was reached, and how often.
+/// When the answering side was reached, and how many times.
 static SEEN_AT: AtomicU32 = AtomicU32::new(0);
 static SEEN: AtomicU32 = AtomicU32::new(0);
-/// What hart 1 and 2 do.
+/// The current work of harts 1 and 2.
 static PART: AtomicU32 = AtomicU32::new(0);
 const MAILBOX: u32 = 1;
 const CONTEND: u32 = 2;
@@ -76,7 +76,7 @@ fn incarnation(core: usize) -> Incarnation {
     }
 }
 
-/// The LMU as this hart sees it, when hart 0 has formatted it.
+/// The LMU as seen from this hart, after hart 0 has formatted it.
 fn attach(core: usize) -> Map<'static> {
     loop {
         if let Ok(map) = Map::attach(memory::lmu(SystemId::A), LAYOUT) {
@@ -87,7 +87,7 @@ fn attach(core: usize) -> Map<'static> {
     }
 }
 
-/// Lets everyone else come to rest.
+/// Waits until all other harts are idle.
 fn settle() {
     (0..8).for_each(|_| hart::yield_turn());
 }
@@ -113,7 +113,7 @@ fn bench(name: &str, mut round: impl FnMut(u32) -> u32) {
     log!("bench {name} {min} {max}");
 }
 
-/// How long until hart 1 was reached, when `act` reaches for it.
+/// How long `act` takes to reach hart 1.
 fn reach(act: impl FnOnce()) -> u32 {
     let before = SEEN.load(Ordering::Relaxed);
     let begin = hart::cycles();
@@ -170,7 +170,7 @@ fn measure() {
             signal(&mut to, NEWEST);
         })
     });
-    // Not always the same: each end looks at the other's index only when its copy says so.
+    // Varies: each end reads the other's index only when its copy requires it.
     bench("fifo/4-bytes", |number| {
         reach(|| {
             must(queue.send(&number));
@@ -202,7 +202,7 @@ fn measure() {
     });
 }
 
-/// Takes the lock, lets the others find it taken, and gives it back.
+/// Takes the lock, lets the others find it taken, and releases it.
 fn take(lock: &mut Lock<'_>) {
     let guard = must(lock.lock(10_000, |_| hart::yield_turn()));
     hart::yield_turn();
@@ -240,7 +240,7 @@ fn answer() {
     contend(1);
 }
 
-/// The receiving ends of the channels; their tasks are reached when they have the value.
+/// The receiving ends of the channels; their tasks have been reached when they have the value.
 struct Values {
     queue: fifo::Consumer<'static, u32>,
     newest: newest::Reader<'static, u32>,

@@ -1,7 +1,7 @@
 //! The first program of a machine with one system: boot ROM, bootloader on core 0, and the carrier.
 //!
-//! Strap `First`: which system, 1 A, 2 B. The emulator is given the program flash and the public
-//! key (see `memory`). Core 0 jumps to what its slot holds; cores 1 and 2 follow when they are
+//! Strap `First`: which system, 1 A, 2 B. The emulator loads the program flash and the public key
+//! (see `memory`). Core 0 jumps to the image in its slot; cores 1 and 2 follow when they are
 //! released.
 #![no_std]
 #![no_main]
@@ -49,7 +49,7 @@ fn boot(board: &VirtBoard) -> tandem_boot::Launch {
         mode: TrustMode::Strict,
     };
     let keeper = ByTimer::new(board);
-    // A flash without a bootloader has this program in its place.
+    // In a flash without a bootloader, this program replaces it.
     let mut bank = rom_choice(&mut ProgramFlash).unwrap_or(Bank::Primary);
     loop {
         match start(board, ProgramFlash, trust, bank, &keeper) {

@@ -17,12 +17,12 @@ use tandem_peripherals::supply::Change;
 
 entry!(main);
 
-/// Turns of 100 us: roles that spin must not keep the others from their turn.
+/// Turns of 100 us: roles that spin must not starve the others.
 const SLICE_TICKS: u32 = 1_000;
 /// After this time a case hangs: longer than a role's patience.
 const HANGS_AFTER_TICKS: u64 = 60 * 10_000_000;
 
-/// The case that is played.
+/// The current case.
 static CASE: AtomicU32 = AtomicU32::new(0);
 /// How the role of each hart ended.
 static RESULTS: [AtomicU32; CoreAddress::COUNT] = [const { AtomicU32::new(0) }; CoreAddress::COUNT];
@@ -38,7 +38,7 @@ fn result_of(place: CoreAddress) -> &'static AtomicU32 {
     &RESULTS[place.index()]
 }
 
-/// What each core does in each of its incarnations.
+/// The program of each core in each of its incarnations.
 fn play_role(board: &VirtBoard) {
     let case = CASE.load(Ordering::Relaxed) as usize;
     let place = board.identity().address();
@@ -57,7 +57,7 @@ fn play_role(board: &VirtBoard) {
     result_of(place).store(result, Ordering::Release);
 }
 
-/// How a case did not pass; what its role saw is in the log above.
+/// Why a case did not pass; the log above has the observation of its role.
 enum Fault {
     Failed(CoreAddress),
     Hung,
@@ -90,7 +90,7 @@ impl VirtRig<'_> {
             if let Some(part) = case.parts.iter().find(|part| failed(part.place)) {
                 return Err(Fault::Failed(part.place));
             }
-            // It looks at least every millisecond.
+            // The carrier polls at least every millisecond.
             match self.peripherals.step(hart::time() + 10_000) {
                 Some((system, Change::Reset(_)))
                     if !case.setting.restarts()

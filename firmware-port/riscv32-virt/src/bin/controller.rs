@@ -1,5 +1,5 @@
 //! The whole controller without a bootloader: the three cores of each system, and the carrier,
-//! which exchanges with a vehicle on the host. The straps are those of [`controller`].
+//! which exchanges messages with a vehicle on the host. The straps are those of [`controller`].
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

@@ -1,5 +1,5 @@
-//! The driving functions over frames that the emulator was given, and the digest of their outputs:
-//! a host prints the same. Strap `First`: for how many milliseconds.
+//! The driving functions over frames from the emulator's memory, and the digest of their outputs: a
+//! host prints the same digest. Strap `First`: duration in milliseconds.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

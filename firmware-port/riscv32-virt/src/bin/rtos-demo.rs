@@ -1,8 +1,8 @@
-//! Tasks of FreeRTOS that change digital outputs, as the thesis has them before an oscilloscope.
+//! Tasks of FreeRTOS that change digital outputs, as in the thesis before an oscilloscope.
 //! T-RTOS-3, T-RTOS-4
 //!
-//! Hart 0 runs the kernel. Each change of an output is noted with the time of the CLINT, 100 ns to
-//! the tick; when both tests are over, all changes are printed.
+//! Hart 0 runs the kernel. Each change of an output is recorded with the time of the CLINT, in
+//! ticks of 100 ns; when both tests are over, all changes are printed.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -14,10 +14,10 @@ use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks};
 
 entry!(main);
 
-/// Room for the changes of one output: 360 ms at 10 ms, and some.
+/// Room for the changes of one output: 360 ms at 10 ms, plus some.
 const ROOM: usize = 64;
 
-/// What an oscilloscope has seen at one output. One task writes, another reads when that has ended.
+/// The changes of one output. One task writes; another reads after that has ended.
 struct Probe {
     count: AtomicU32,
     /// In ticks of the CLINT since the test began.
@@ -40,11 +40,11 @@ impl Probe {
     }
 }
 
-/// When the present test began; it and its tasks are of one hart.
+/// When the current test began; the test and its tasks run on one hart.
 static BEGIN: AtomicU32 = AtomicU32::new(0);
 static PROBES: [[Probe; 3]; 2] = [const { [const { Probe::new() }; 3] }; 2];
 
-/// The time in ticks of the CLINT, which does not come to its upper half here.
+/// The time in ticks of the CLINT; the upper half stays zero here.
 fn now() -> u32 {
     hart::time() as u32
 }
@@ -70,10 +70,10 @@ fn control() -> ! {
 /// The task that starts both tests and sleeps while they run.
 fn run(ctx: &TaskContext) {
     let mut wake = ctx.now();
-    // From here on the work between two sleeps begins with a tick.
+    // From here on the work between two sleeps starts with a tick.
     ctx.delay_until(&mut wake, Ticks(1));
     for test in 0..TESTS.len() {
-        // The tasks are there before the tick with which they all begin.
+        // The tasks exist before the tick with which they all start.
         let before = wake;
         for (output, probe) in TESTS[test].outputs.iter().zip(&PROBES[test]) {
             let options = TaskOptions::new(output.name, Priority::new(output.priority));

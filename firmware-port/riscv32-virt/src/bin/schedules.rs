@@ -1,13 +1,13 @@
 //! The primitives of the LMU under hundreds of schedules: each a pattern of turns of three harts.
 //!
-//! Under icount a timer that ends a hart's turn every so many instructions makes one particular
-//! interleaving, the same in each run. Hart 6 sweeps the length of the turns and the offset between
-//! the harts, and has them pass the tests of lock, mailbox, pool and channels in each. Schedules
-//! are told apart by the places in the code where the turns of each hart ended, and by the order in
-//! which the harts got the lock.
+//! Under icount, a timer that ends a hart's turn after a fixed number of instructions makes one
+//! particular interleaving, the same in each run. Hart 6 sweeps the length of the turns and the
+//! offset between the harts, and makes them run the tests of lock, mailbox, pool and channels in
+//! each. Schedules are distinguished by the places in the code where the turns of each hart ended,
+//! and by the order in which the harts got the lock.
 //!
-//! Strap `Mode`: 0, the tests must pass in every schedule; 1, a lock that is broken on purpose must
-//! be caught by at least one. Strap `First`: how many lengths of turns.
+//! Strap `Mode`: 0, the tests must pass in every schedule; 1, at least one schedule must detect a
+//! deliberately broken lock. Strap `First`: how many lengths of turns.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -29,11 +29,11 @@ entry!(main);
 
 /// The shortest turn, in ticks: shorter ones end before the handler has returned.
 const SHORTEST: u32 = 8;
-/// Lengths of turns, if no strap says how many.
+/// Number of lengths of turns, unless a strap sets it.
 const LENGTHS: u32 = 100;
-/// Offsets of hart 1 and 2, in spins; prime to each other, so that no two harts keep step.
+/// Offsets of harts 1 and 2, in spins; coprime, so that no two harts keep step.
 const OFFSETS: [[u32; 2]; 4] = [[0, 0], [7, 0], [3, 11], [13, 5]];
-/// After so many ticks a test hangs: a wake-up was lost, or the lock.
+/// After this many ticks a test hangs: a wake-up or the lock was lost.
 const HANGS_AFTER: u64 = 2_000_000;
 
 const CORES: usize = 3;
@@ -50,7 +50,7 @@ const FIFO: Region<Fifo<[u32; 2], 4>> = POOL.then("queue 2 to 0");
 const NEWEST: Region<Newest<Value>> = FIFO.then("newest value 1 to 0 and 2");
 const LAYOUT: Layout = NEWEST.end();
 
-/// Rounds of each test: several turns long, so that turns end in all its places.
+/// Rounds of each test: several turns long, so that turns end at all places of a test.
 const ROUNDS: u32 = 40;
 
 /// The schedule: its number (0: none yet), the length of turns, the offsets.
@@ -61,9 +61,9 @@ static OFFSET: [AtomicU32; CORES] = [const { AtomicU32::new(0) }; CORES];
 static PASSED: AtomicU32 = AtomicU32::new(0);
 /// A test failed: its number.
 static FAILED: AtomicU32 = AtomicU32::new(0);
-/// Harts that have come to a test.
+/// Harts that have reached a test.
 static ARRIVED: AtomicU32 = AtomicU32::new(0);
-/// The newest value's writer is done.
+/// The writer of the newest value has finished.
 static WRITTEN: AtomicBool = AtomicBool::new(false);
 
 const TESTS: [&str; 5] = ["", "lock", "mailbox", "pool", "channels"];
@@ -133,7 +133,7 @@ fn sweep() -> ! {
     exit::exit(0)
 }
 
-/// One schedule: the order in which the harts got the lock, or the test that failed.
+/// One schedule: returns the order in which the harts got the lock, or the test that failed.
 fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     let Ok(map) = Map::format(memory::lmu(SystemId::A), LAYOUT) else {
         return Err(0);
@@ -152,7 +152,7 @@ fn play(number: u32, length: u32, offsets: [u32; 2]) -> Result<u32, u32> {
     while PASSED.load(Acquire) < CORES as u32 {
         let failed = FAILED.load(Relaxed);
         if failed != 0 {
-            // The others may wait for the one that failed: they are told to give up.
+            // The others may wait for the one that failed: tell them to give up.
             let limit = hart::time() + HANGS_AFTER;
             while PASSED.load(Acquire) < CORES as u32 && hart::time() < limit {
                 doorbell::wait(Some(hart::time() + 100));
@@ -191,7 +191,7 @@ impl Distinct {
     }
 }
 
-/// Hart 0 to 2: every schedule when it is set.
+/// Harts 0 to 2: run every schedule when it is set.
 fn player(hart: usize) -> ! {
     hart::interrupts_on();
     let mut number = 0;
@@ -206,7 +206,7 @@ fn player(hart: usize) -> ! {
         doorbell::set_slice(LENGTH.load(Relaxed) + hart as u32);
         match all_tests(hart, number) {
             Ok(()) => {}
-            // Another one has failed.
+            // Another hart has failed.
             Err(0) => {}
             Err(test) => FAILED.store(test, Relaxed),
         }
@@ -216,7 +216,7 @@ fn player(hart: usize) -> ! {
     }
 }
 
-/// The harts meet for the time number `time`, from 1 on; `Err` if another one has failed.
+/// Barrier number `time`, from 1 on; `Err` if another hart has failed.
 fn meet(time: u32) -> Checked {
     ARRIVED.fetch_add(1, Release);
     until(|| ARRIVED.load(Acquire) >= time * CORES as u32)
@@ -256,7 +256,7 @@ fn counter(map: &Map<'static>) -> &'static [AtomicU32] {
     }
 }
 
-/// A read, and a write of what follows from it: whoever comes between loses an increment.
+/// A read, then a write that depends on it: if another hart runs in between, an increment is lost.
 fn count(map: &Map<'static>, hart: usize) {
     let [counter, order] = [0, 1].map(|index: usize| &counter(map)[index]);
     let (count, hash) = (counter.load(Relaxed), order.load(Relaxed));
@@ -282,8 +282,7 @@ fn test_lock(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
     Ok(())
 }
 
-/// The same with a lock that looks and then takes, in two steps: the mistake that the schedules
-/// must find.
+/// The same with a lock that tests and takes in two steps: the defect that the schedules must find.
 fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
     let word = &counter(map)[2];
     for _ in 0..ROUNDS {
@@ -297,7 +296,7 @@ fn test_broken_lock(map: &Map<'static>, hart: usize) -> Checked {
     check(counted == CORES as u32 * ROUNDS, 1)
 }
 
-/// T-SYNC-3: hart 0 and 2 signal hart 1, which sleeps whenever it may; every signal comes.
+/// T-SYNC-3: harts 0 and 2 signal hart 1, which sleeps whenever it may; every signal arrives.
 fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     let task = |number| TaskId::new(number).ok_or(2u32);
     if hart != 1 {
@@ -333,13 +332,13 @@ fn test_mailbox(map: &Map<'static>, hart: usize, own: Incarnation) -> Checked {
     Ok(())
 }
 
-/// T-SHM-1: nobody gets words that another one has, and all come back.
+/// T-SHM-1: no hart gets words that another one has, and all come back.
 fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Checked {
     let pool = POOL.attach(map, incarnation).map_err(|_| 3u32)?;
     for round in 0..ROUNDS {
         let words = 1 + (round as usize * 7 + hart * 5) % 40;
         let Ok(handle) = pool.get(words) else {
-            // Two others may have all that is left.
+            // The two others may have the remaining words.
             continue;
         };
         let mine = pool.open(handle).map_err(|_| 3u32)?;
@@ -350,7 +349,7 @@ fn test_pool(map: &Map<'static>, hart: usize, incarnation: Incarnation) -> Check
         pool.give_back(handle).map_err(|_| 3u32)?;
         check(pool.give_back(handle).is_err(), 3)?;
     }
-    // Everyone has given back before anyone looks.
+    // All harts have given back their words before any hart counts.
     meet(4)?;
     check(pool.free_words() == POOL_BLOCKS * pool::BLOCK_WORDS, 3)?;
     Ok(())

@@ -1,5 +1,5 @@
-//! One core sends messages to another, which is called for them: mailbox and FIFO, both ends, and
-//! nothing else. As much as a message library such as RPMsg-Lite does.
+//! One core sends messages to another, which handles them when called: only mailbox and FIFO, both
+//! ends. The same function as a message library such as RPMsg-Lite.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

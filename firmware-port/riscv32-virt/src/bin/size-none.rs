@@ -1,4 +1,4 @@
-//! Nothing but the start-up: what `cargo xtask firmware size` takes off the other images.
+//! Only the start-up: `cargo xtask firmware size` subtracts it from the other images.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]

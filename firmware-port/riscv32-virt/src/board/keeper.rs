@@ -1,5 +1,5 @@
-//! The watchdog while a bootloader computes: served from the timer that ends the turns of its hart.
-//! A signature takes longer than the window is open.
+//! Services the watchdog while a bootloader computes, from the timer that ends the turns of its
+//! hart: checking a signature takes longer than the window.
 
 use super::{VirtBoard, VirtSupply};
 use crate::peripherals::now;
@@ -8,16 +8,16 @@ use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use tandem_board::{Board, CoreAddress, Duration, Instant, Supply, watchdog_answer};
 use tandem_boot::{Keeper, first_service, next_service};
 
-/// When the next service is due, in microseconds; the low word. Of the one bootloader in a machine.
+/// When the next service is due, in microseconds (low word), for the machine's one bootloader.
 static DUE_US: AtomicU32 = AtomicU32::new(0);
-/// How often it was served.
+/// How often it was serviced.
 static SERVED: AtomicU32 = AtomicU32::new(0);
 
 fn now_us() -> u32 {
     (now().as_ns() / 1_000) as u32
 }
 
-/// Serves from an interrupt. The hart must have turns: see [`run`](super::run).
+/// Services from an interrupt. The hart must have turns: see [`run`](super::run).
 #[derive(Debug)]
 pub struct ByTimer(());
 
@@ -55,20 +55,20 @@ fn serve() {
 }
 
 impl Keeper for ByTimer {
-    /// A hart that sleeps has no turns.
+    /// A sleeping hart has no turns.
     fn keep(&self) -> Instant {
         hart::without_interrupts(serve);
         let left = DUE_US.load(Relaxed).wrapping_sub(now_us());
         now() + Duration::from_us(left.into())
     }
 
-    /// The application serves at once when it begins: not before the window has opened.
+    /// The application services the watchdog at once when it starts: wait until the window is open.
     fn hand_over(&self) -> bool {
         hart::without_interrupts(|| trap::on_turn(hart::number(), None));
         let served = SERVED.load(Relaxed) > 0;
         let next = next_service::<VirtSupply>().as_ns() / 1_000;
         let last = DUE_US.load(Relaxed).wrapping_sub(next as u32);
-        // The clock of the supply may run slower.
+        // The supply's clock may be slower.
         while served && now_us().wrapping_sub(last) < VirtSupply::WINDOW_OPENS_US + 1_000 {
             hart::yield_turn();
         }

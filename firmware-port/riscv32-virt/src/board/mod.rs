@@ -1,4 +1,4 @@
-//! The board as one core sees it, for one incarnation of the core.
+//! The board of one core, for one incarnation of the core.
 
 mod keeper;
 mod parts;
@@ -16,10 +16,10 @@ use tandem_board::{
 };
 use tandem_peripherals::codec::encode_trace;
 
-/// QEMU's `virt` machine as a core of one of the systems.
+/// QEMU's `virt` machine, seen as a core of one of the systems.
 ///
-/// Made by [`run`] at the beginning of each incarnation. Programming the flash and serving the
-/// watchdog is core 0's; on another core they panic.
+/// Made by [`run`] at the start of each incarnation. Programming the flash and servicing the
+/// watchdog are for core 0 only; on another core they panic.
 #[derive(Clone, Debug)]
 pub struct VirtBoard {
     identity: Identity,
@@ -47,7 +47,7 @@ impl VirtBoard {
     }
 }
 
-/// Ticks of the clock at an instant, rounded up; `None` for one that never comes.
+/// Ticks of the clock at an instant, rounded up; `None` if the clock never reaches it.
 fn ticks(at: Instant) -> Option<u64> {
     (at != Instant::NEVER).then(|| at.as_ns().div_ceil(clint::TICK_NS))
 }
@@ -78,7 +78,7 @@ impl Board for VirtBoard {
     fn release_core(&self, core: CoreId) {
         let of = self.identity;
         assert!(of.core == CoreId::CONTROL, "only core 0 releases cores");
-        // Release pairs with the Acquire of the carrier, which lets the core go.
+        // Release pairs with the Acquire of the carrier, which releases the core.
         system(of.system)
             .released
             .fetch_or(1 << core.index(), Release);
@@ -114,7 +114,7 @@ impl Board for VirtBoard {
 
     fn trace(&self, record: TraceRecord) {
         let registers = peripherals::core(self.identity.address());
-        // Tasks and handlers of a core interrupt each other, and the ring has one writer.
+        // Tasks and handlers of a core interrupt each other, but the ring has only one writer.
         hart::without_interrupts(|| {
             if !registers.trace.put(&encode_trace(self.now(), record)) {
                 registers.trace_lost.fetch_add(1, Relaxed);
@@ -126,8 +126,8 @@ impl Board for VirtBoard {
 /// Runs a program on all harts: `core` for each incarnation of each core, `outside` once on the
 /// carrier. Every hart's main calls it.
 ///
-/// Core 0 begins when the carrier switches its system on, another core when core 0 releases it;
-/// when `core` returns it stays asleep until a reset. `slice` is the length of its turns in ticks
+/// Core 0 starts when the carrier switches its system on, another core when core 0 releases it;
+/// when `core` returns, the core sleeps until a reset. `slice` is the length of its turns in ticks
 /// (see [`hart::yield_turn`]).
 pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Peripherals) -> !) -> ! {
     if hart == CARRIER {
@@ -143,8 +143,8 @@ pub fn run(hart: usize, slice: u32, core: fn(&VirtBoard), outside: fn(&mut Perip
     begin(address, slice, core)
 }
 
-/// Runs `core` on the core of this hart, which a bootloader has brought to this image. The main of
-/// an image in a slot calls it; see [`run`] for `slice`.
+/// Runs `core` on the core of this hart, after a bootloader has started this image. The main of an
+/// image in a slot calls it; see [`run`] for `slice`.
 pub fn run_in_slot(hart: usize, slice: u32, core: fn(&VirtBoard)) -> ! {
     match CoreAddress::from_index(hart) {
         Some(address) => begin(address, slice, core),
@@ -175,7 +175,7 @@ impl VirtBoard {
 
 /// Leaving this image for one in a slot. T-BOOT-7
 impl VirtBoard {
-    /// Says where each core of this system begins, as addresses; `None` for one that does not.
+    /// Sets the start addresses of this system's cores; `None` for a core that does not start.
     pub fn set_entries(&self, entries: [Option<u32>; CoreId::COUNT]) {
         let registers = system(self.identity.system);
         for (register, entry) in registers.entries.iter().zip(entries) {
@@ -183,7 +183,7 @@ impl VirtBoard {
         }
     }
 
-    /// Jumps to where this core begins, after the clean-up; returns if it does not.
+    /// Cleans up and jumps to this core's start address; returns if it has none.
     pub fn jump(&self) {
         let place = self.identity.address();
         let entry = system(place.system).entries[place.core.index()].load(Relaxed);
@@ -191,7 +191,8 @@ impl VirtBoard {
             return;
         }
         hart::interrupts_off();
-        // The CAN module: what was sent is gone, and what came is not the application's.
+        // The CAN module: discard unsent frames, and received ones that are not for the
+        // application.
         let registers = peripherals::core(place);
         registers.wake_on_receive.store(false, Relaxed);
         registers.transmit.discard();

@@ -1,4 +1,4 @@
-//! The parts of the board: each a window on the carrier's registers.
+//! The parts of the board: each gives access to some of the carrier's registers.
 
 use crate::peripherals::{self, SystemRegisters};
 use crate::{clint, hart};
@@ -43,7 +43,7 @@ impl Can for VirtCan {
         let frame = BusFrame {
             received: Received {
                 frame: *frame,
-                // The bus fills in the time.
+                // The bus sets the time.
                 at: Instant::ORIGIN,
             },
             sender: Sender::Core(self.0),
@@ -160,7 +160,7 @@ impl Supply for VirtSupply {
     fn service_watchdog(&self, answer: u8) {
         must_be_control(self.0, "serves the watchdog");
         let registers = system(self.0);
-        // Full: the supply is behind, and the next service will do.
+        // Full: the supply is behind, and the next service will be enough.
         if registers
             .services
             .put(&encode_service(peripherals::now(), answer))
@@ -171,7 +171,7 @@ impl Supply for VirtSupply {
     }
 
     fn request_reset(&self, request: ResetRequest) {
-        // Release pairs with the Acquire of the carrier: what came before is done.
+        // Release pairs with the Acquire of the carrier: everything before the request is done.
         let register = &system(self.0).request;
         register.store(1 + request.code(), Release);
         peripherals::call();

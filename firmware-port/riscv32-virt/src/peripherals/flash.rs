@@ -1,4 +1,4 @@
-//! The data flash of a system: RAM that behaves as NOR flash does, for as long as the machine runs.
+//! The data flash of a system: RAM with the behaviour of NOR flash, while the machine runs.
 
 use crate::clint::TICK_NS;
 use core::sync::atomic::{AtomicU8, AtomicU32, Ordering::Relaxed};
@@ -7,8 +7,8 @@ use tandem_peripherals::flash::{ERASED, Operation, SIZE, range};
 
 /// The cells, and when the operation under way ends (low word of the clock).
 ///
-/// Only core 0 of the system uses it, and the carrier when that core stands still. An operation
-/// changes the cells at its begin; until its end the flash is busy.
+/// Only core 0 of the system uses it, and the carrier while that core stands still. An operation
+/// changes the cells at its start; until its end the flash is busy.
 pub(crate) struct Registers {
     cells: [AtomicU8; SIZE],
     begun: AtomicU32,
@@ -24,7 +24,7 @@ impl Registers {
         }
     }
 
-    /// As it comes from the factory.
+    /// As delivered: erased.
     pub(crate) fn erase_all(&self) {
         self.cells
             .iter()

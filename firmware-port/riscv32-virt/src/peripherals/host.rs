@@ -15,7 +15,7 @@ use tandem_cosim::{
 use tandem_peripherals::codec::FRAME_WORDS;
 
 const PERIOD_TICKS: u64 = PERIOD_NS / clint::TICK_NS;
-/// The status of a machine whose world has gone.
+/// The status of a machine whose world has ended.
 const ABANDONED: u16 = 3;
 
 type Buffer = [AtomicU32; MAX_WORDS];
@@ -59,7 +59,7 @@ impl Host {
 
     /// A frame was on the bus.
     pub(super) fn on_bus(&mut self, frame: &[u32; FRAME_WORDS]) {
-        // No CAN bus carries more than 128 in a millisecond; the world does not hear of them.
+        // No CAN bus carries more than 128 in a millisecond; the world does not get further ones.
         let _ = FRAMES.put(frame);
     }
 
@@ -76,7 +76,7 @@ impl Host {
         self.len + ITEM_WORDS <= MAX_WORDS
     }
 
-    /// Tells the world what happened in the systems `here`, and gives what it answers to `act`.
+    /// Reports to the world what happened in the systems `here`, and passes its answer to `act`.
     pub(super) fn exchange(&mut self, here: [bool; 2], act: &mut dyn FnMut(Item)) {
         self.due = (time() / PERIOD_TICKS + 1) * PERIOD_TICKS;
         self.write(here)
@@ -142,7 +142,7 @@ impl Host {
         }
     }
 
-    /// What was sent over lines and link to a system that is not here.
+    /// Edges and datagrams sent to a system that is not in this machine.
     fn put_signals(&mut self, to: SystemId) {
         let registers = system(to);
         for line in Line::ALL {
@@ -166,7 +166,7 @@ impl Host {
         }
     }
 
-    /// Reads an answer: its head says how long it is.
+    /// Reads an answer: its head gives its length.
     fn read(&self) -> Result<&'static [AtomicU32], HostError> {
         self.from.read(&IN[..ANSWER_WORDS])?;
         let len = IN[1].load(Relaxed) as usize;
@@ -178,7 +178,7 @@ impl Host {
     }
 }
 
-/// What a system shows of its role.
+/// The role that a system shows.
 fn lamp(system: &SystemRegisters) -> RoleLamp {
     RoleLamp::from_code(system.lamp.load(Relaxed)).unwrap_or(RoleLamp::Starting)
 }

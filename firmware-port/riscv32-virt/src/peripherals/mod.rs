@@ -1,14 +1,14 @@
 //! The emulated peripherals: CAN bus, lines, link, data flash, and the two supplies.
 //!
-//! The machine has none of it, so a hart of its own plays it: the *carrier*, as the carrier board
-//! of a TC297 does. Cores see registers, which are atomics in memory of the carrier's, and are
-//! interrupted by their doorbell. What needs no time of its own (edges, flash) happens where the
-//! core touches the register. What needs a third party (the bus, the supplies) happens on the
-//! carrier's hart. The models of `tandem-peripherals` decide what happens.
+//! The machine has none of these, so a separate hart emulates them: the *carrier*, named after the
+//! carrier board of a TC297. Cores see registers, which are atomics in the carrier's memory, and
+//! are interrupted by their doorbell. Instant effects (edges, flash) happen where the core accesses
+//! the register. Effects that need a third party (the bus, the supplies) happen on the carrier's
+//! hart. The models of `tandem-peripherals` decide what happens.
 //!
-//! With a world outside, the carrier exchanges with it once a millisecond of virtual time: see
-//! [`Peripherals::connect`]. A system that is not in this machine then has the same registers here:
-//! what is sent to it collects there, and goes out with the next exchange.
+//! With a world outside, the carrier exchanges messages with it once a millisecond of virtual time:
+//! see [`Peripherals::connect`]. A system that is not in this machine then has the same registers
+//! here: edges and datagrams to it collect there, and are sent with the next exchange.
 
 pub(crate) mod flash;
 mod host;
@@ -25,12 +25,12 @@ use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
 use tandem_peripherals::wires::LINK_DATAGRAMS;
 
-/// What the carrier has for one core.
+/// The carrier's registers for one core.
 #[repr(C)]
 pub(crate) struct CoreRegisters {
     /// Frames on their way to the bus.
     pub(crate) transmit: Ring<32, FRAME_WORDS>,
-    /// Frames that came over the bus.
+    /// Frames received from the bus.
     pub(crate) receive: Ring<256, FRAME_WORDS>,
     pub(crate) overruns: AtomicU32,
     pub(crate) wake_on_receive: AtomicBool,
@@ -39,13 +39,13 @@ pub(crate) struct CoreRegisters {
     pub(crate) trace_lost: AtomicU32,
 }
 
-/// What the carrier has for one system.
+/// The carrier's registers for one system.
 #[repr(C)]
 pub(crate) struct SystemRegisters {
     pub(crate) cores: [CoreRegisters; CoreId::COUNT],
-    /// Edges that came, by line and kind.
+    /// Received edges, by line and kind.
     pub(crate) edges: [[AtomicU32; 2]; Line::ALL.len()],
-    /// Datagrams that came over the link, each with its length.
+    /// Datagrams received over the link, each with its length.
     pub(crate) link: Ring<LINK_DATAGRAMS, DATAGRAM_WORDS>,
     pub(crate) flash: flash::Registers,
     /// Services of the watchdog on their way to the supply.
@@ -56,12 +56,12 @@ pub(crate) struct SystemRegisters {
     pub(crate) powered: AtomicBool,
     pub(crate) generation: AtomicU32,
     pub(crate) cause: AtomicU32,
-    /// What the system asks of its reset generator.
+    /// The system's request to its reset generator.
     pub(crate) request: AtomicU32,
     pub(crate) lamp: AtomicU32,
-    /// The cores that core 0 has released and that have not gone yet, by bits.
+    /// The cores that core 0 has released and that have not started yet, by bits.
     pub(crate) released: AtomicU32,
-    /// Where each core begins in the slot that booted; 0 for a core that is not started.
+    /// Start address of each core in the slot that booted; 0 for a core that does not start.
     pub(crate) entries: [AtomicU32; CoreId::COUNT],
 }
 
@@ -125,7 +125,7 @@ pub(crate) fn now() -> Instant {
     Instant::from_ns(hart::time() * clint::TICK_NS)
 }
 
-/// Tells the carrier that there is something to do.
+/// Notifies the carrier of new work.
 pub(crate) fn call() {
     clint::post(CARRIER);
 }

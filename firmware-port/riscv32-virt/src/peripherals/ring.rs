@@ -24,7 +24,7 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         }
     }
 
-    /// Puts a record of at most `WORDS` words; whether there was room.
+    /// Puts a record of at most `WORDS` words; returns whether there was room.
     pub(crate) fn put(&self, record: &[u32]) -> bool {
         let put = self.put.load(Ordering::Relaxed);
         // Acquire pairs with the Release in `take`: the slot has been read.
@@ -39,14 +39,14 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
         true
     }
 
-    /// Discards what was put and not yet taken. For the putting hart.
+    /// Discards the records that were put and not yet taken. For the putting hart.
     pub(crate) fn discard(&self) {
         // Relaxed: `put` orders a record that is put later after this.
         self.discarded
             .store(self.put.load(Ordering::Relaxed), Ordering::Relaxed);
     }
 
-    /// The number of the next record to take. What was discarded counts as taken.
+    /// The number of the next record to take. Discarded records count as taken.
     fn first_wanted(&self) -> u32 {
         let taken = self.taken.load(Ordering::Relaxed);
         let discarded = self.discarded.load(Ordering::Relaxed);

@@ -1,4 +1,4 @@
-//! The carrier's hart: it moves frames, watches the watchdogs, and switches systems on and off.
+//! The carrier's hart: it moves frames, checks the watchdogs, and switches systems on and off.
 
 use super::host::Host;
 use super::{core, interrupt, now, system};
@@ -12,8 +12,8 @@ use tandem_cosim::Item;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
-/// Cycles from reading to reading of a turn that was given away and not used: four, and
-/// fewer than any hart takes that does something.
+/// Cycles between two reads when a yielded turn was not used by any hart: four, and fewer than any
+/// working hart takes.
 const YIELD_CYCLES: u32 = 6;
 
 /// The carrier, on its own hart.
@@ -34,14 +34,14 @@ impl Peripherals {
         }
     }
 
-    /// From now on exchanges with the world outside, which is the host's, through two pipes in the
+    /// From now on exchanges messages with the world outside, on the host, through two pipes in the
     /// emulator's folder. Only the systems `here` are in this machine.
     pub fn connect(&mut self, here: [bool; 2]) {
         self.here = here;
         self.host = Some(Host::open());
     }
 
-    /// Whether the watchdogs reset their systems. All must be off.
+    /// Sets whether the watchdogs reset their systems. All systems must be off.
     pub const fn set_watchdogs(&mut self, watches: bool) {
         let config = Config {
             watches,
@@ -50,7 +50,8 @@ impl Peripherals {
         self.supplies = [Supply::new(config); 2];
     }
 
-    /// Switches those systems on, at the same time, that are off: LMU zero, no edges, generation 1.
+    /// Switches on, at the same time, those of the systems that are off: LMU zero, no edges,
+    /// generation 1.
     pub fn power_on(&mut self, all: &[SystemId]) {
         let off = |supplies: &[Supply; 2], which: &SystemId| {
             supplies[which.index()].power() == Power::Off
@@ -66,27 +67,27 @@ impl Peripherals {
             registers.link.clear();
             registers.generation.store(0, Relaxed);
         }
-        // What the first one sends is not wiped by the start of the second.
+        // Frames of the first system must not be lost when the second one starts.
         for which in all {
             let change = self.supplies[which.index()].power_on(now());
             self.carry_out(*which, change);
         }
     }
 
-    /// Switches a system off, wherever it is.
+    /// Switches a system off, in any state.
     pub fn power_off(&mut self, which: SystemId) {
         let change = self.supplies[which.index()].power_off();
-        // Also at the start of the machine, when no core has begun to stand still.
+        // Also at the start of the machine, before any core stands still.
         self.carry_out(which, change.or(Some(Change::PowerOff)));
     }
 
-    /// Makes the data flash of a system as it comes from the factory. The system must be off.
+    /// Erases the data flash of a system, as delivered. The system must be off.
     pub fn new_flash(&mut self, which: SystemId) {
         system(which).flash.erase_all();
     }
 
-    /// Plays the hardware around these systems, which are without power at first, for the world
-    /// outside: that connects the battery, and ends the machine.
+    /// Emulates the hardware around these systems, which are without power at first, for the world
+    /// outside: the world connects the battery, and ends the machine.
     pub fn play_for_world(&mut self, here: [bool; 2]) -> ! {
         self.connect(here);
         self.set_watchdogs(true);
@@ -99,8 +100,8 @@ impl Peripherals {
         }
     }
 
-    /// Does what there is to do, and sleeps until there is more, at most until `deadline` (in
-    /// ticks). Returns early with what a supply has changed, if one has.
+    /// Does all pending work, and sleeps until there is more, at most until `deadline` (in ticks).
+    /// Returns early with the change of a supply, if there is one.
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
         self.exchange();
@@ -122,13 +123,12 @@ impl Peripherals {
         None
     }
 
-    /// Rests until it is called or `deadline` has come. When no hart has anything to do, the
-    /// clock jumps to where one has.
+    /// Rests until it is called or `deadline` has passed. When no hart has any work, the clock
+    /// jumps to the next time at which one has.
     ///
-    /// The emulator could do that: with all harts asleep its main loop moves the virtual clock.
-    /// But then two of its threads look after the timers, and on a busy host they do so in varying
-    /// order, and the harts take varying turns. So the carrier never sleeps, and the timers are the
-    /// business of one thread.
+    /// The emulator could do that: with all harts asleep its main loop moves the virtual clock. But
+    /// then two of its threads serve the timers, on a busy host in varying order, and the harts get
+    /// varying turns. So the carrier never sleeps, and one thread serves the timers.
     fn rest(&self, deadline: u64) {
         while !doorbell::take() {
             let now = time();
@@ -143,7 +143,7 @@ impl Peripherals {
             let timers = (0..CARRIER).map(clint::timer).filter(|timer| *timer > now);
             match u32::try_from(timers.fold(deadline, u64::min)) {
                 Ok(next) => clint::jump_to(next),
-                // After 429 s it is the emulator's turn.
+                // After 429 s the emulator must do it.
                 Err(_) => {
                     doorbell::wait(Some(deadline));
                     return;
@@ -160,9 +160,9 @@ impl Peripherals {
             .filter(move |system| here[system.index()])
     }
 
-    /// Tells the world what happened, and does what it answers, if the time has come.
+    /// If it is time, reports to the world what happened, and carries out its answer.
     fn exchange(&mut self) {
-        // Taken out for as long as it works on the rest.
+        // Taken out while it works on the rest.
         if let Some(mut host) = self.host.take() {
             if time() >= host.due() {
                 host.exchange(self.here, &mut |item| self.act(item));
@@ -171,12 +171,12 @@ impl Peripherals {
         }
     }
 
-    /// Does what the world answers.
+    /// Carries out the world's answer.
     fn act(&mut self, item: Item) {
         match item {
             Item::Frame(mut words) => {
                 set_time(&mut words, now());
-                // No core here sent it.
+                // Not sent by a core of this machine.
                 self.broadcast(None, &words);
             }
             Item::Edges {
@@ -194,7 +194,7 @@ impl Peripherals {
                 }
             }
             Item::Datagram { to, words } => {
-                // A core that does not fetch loses what comes.
+                // A core that does not receive in time loses frames.
                 let _ = system(to).link.put(&words);
             }
             Item::Level { of, high } => self.set_power(of, high),
@@ -208,7 +208,7 @@ impl Peripherals {
         }
     }
 
-    /// Gives a supply what its registers hold, and asks it.
+    /// Passes a supply the content of its registers, and polls it.
     fn look_after(&mut self, which: SystemId) -> Option<Change> {
         let registers = system(which);
         // Acquire pairs with the Release of core 0.
@@ -278,7 +278,7 @@ impl Peripherals {
         registers.services.clear();
         registers.service_count.store(0, Relaxed);
         self.set_power(which, true);
-        // It releases the others. T-BOOT-2
+        // Core 0 releases the others. T-BOOT-2
         trap::release(CoreAddress::new(which, CoreId::CONTROL).index());
     }
 
@@ -290,7 +290,7 @@ impl Peripherals {
                 if let Some(mut frame) = core(sender).transmit.take() {
                     moved = true;
                     set_time(&mut frame, now());
-                    // The ring says who sent it, not the words.
+                    // The ring identifies the sender, not the words.
                     set_sender(&mut frame, Sender::Core(sender));
                     self.broadcast(Some(sender), &frame);
                     if let Some(host) = &mut self.host {
