@@ -1,5 +1,5 @@
-//! Times without control, each against the bound of its cause and beside what was seen to stand
-//! still then; and the times in which both systems transmitted.
+//! Times without control, each compared with the bound of its cause, together with what stood still
+//! then; and the times in which both systems transmitted.
 
 use tandem_board::SystemId;
 use tandem_redundancy::Evidence;
@@ -12,18 +12,18 @@ use crate::{RunLog, Takeover, ms_between};
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
-/// A refused frame belongs to a takeover if it arrives within this time after it, ns: all that was
-/// under way then has arrived.
+/// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
+/// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
-/// A new master whose predecessor still lives is heard by it within one control period and one
-/// move of the bus, ms.
+/// A new master hears a predecessor that still lives within one control period and one move of the
+/// bus, ms.
 const HAND_OVER_MS: f64 = 11.0;
 
-/// How long the vehicle may be without control, ms, by the sign of the takeover that ends it.
+/// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounds {
-    /// The old master fell silent, by any sign but the following two. Also without a takeover: a
-    /// master that is late for longer is replaced.
+    /// The old master fell silent, on any evidence but the following two. Also without a takeover:
+    /// a master that is late for longer is replaced.
     pub silent_ms: f64,
     /// The power level of the old master fell.
     pub power_ms: f64,
@@ -43,7 +43,7 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// The bound of a takeover on this sign.
+    /// The bound of a takeover on this evidence.
     #[must_use]
     pub const fn of(&self, cause: Option<Evidence>) -> f64 {
         match cause {
@@ -54,12 +54,12 @@ impl Bounds {
     }
 }
 
-/// What ended a gap.
+/// The end of a gap.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum EndedBy {
     /// The system that had driven before, in the same or a later term.
     SameSystem,
-    /// The other system, on this sign.
+    /// The other system, on this evidence.
     Takeover(Option<Evidence>),
     /// The end of the run: no system drove any more.
     Nothing,
@@ -72,7 +72,7 @@ pub struct Gap {
     pub from_ns: u64,
     /// The first one after, or the end of the run, ns.
     pub to_ns: u64,
-    /// What ended it.
+    /// The end of it.
     pub ended_by: EndedBy,
     /// How long it may be, ms.
     pub bound_ms: f64,
@@ -87,7 +87,7 @@ impl Gap {
         ms_between(self.from_ns, self.to_ns)
     }
 
-    /// Without what stood still it would have kept its bound.
+    /// Whether it would have kept its bound without the times that stood still.
     #[must_use]
     pub fn is_explained(&self) -> bool {
         self.ms() - self.stalled_ms <= self.bound_ms
@@ -128,7 +128,7 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
         .collect()
 }
 
-/// How much of this time something stood still, ms. What several saw counts once.
+/// How much of this time something stood still, ms. Overlapping times count once.
 fn stalled_ms(stalls: &[Stall], from_ns: u64, to_ns: u64) -> f64 {
     let within = stalls
         .iter()
@@ -157,7 +157,7 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
         .map(|frame| (frame.sent_ns, frame.system))
         .collect();
     sent.sort_unstable();
-    // Each row of frames without a silence is a mastership of its own.
+    // Each row of frames without a silence is a separate mastership.
     let (mut both, mut row) = (Mastership::default(), 0);
     let mut last: [Option<(u64, u32)>; 2] = [None; 2];
     for (at_ns, system) in sent {
@@ -183,8 +183,8 @@ pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     takeovers.iter().filter(lived).count() as f64 * HAND_OVER_MS
 }
 
-/// Control frames that arrived within a second after a takeover and rested on data, or had been
-/// made, too long ago to act.
+/// Control frames that arrived within a second after a takeover, but were made, or rest on data
+/// from, too long ago.
 #[must_use]
 pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
     let follows = |frame: &&ControlFrame| {
@@ -247,7 +247,7 @@ mod tests {
         gaps(log, &takeovers(log), &BOUNDS, stalls)
     }
 
-    /// T-RED-8: each gap is held against the bound of its cause.
+    /// T-RED-8: each gap is compared with the bound of its cause.
     #[test]
     fn a_gap_is_judged_by_the_bound_of_the_sign_that_ended_it() {
         for (cause, to_ms, is_beyond) in [
@@ -299,7 +299,7 @@ mod tests {
         assert!(explained(&[stall(cpu, 0, 20), stall(Stood::Bus, 10, 30)]));
     }
 
-    /// T-CHIP-7, T-RED-9: counted before the vehicle fences anything off.
+    /// T-CHIP-7, T-RED-9: counted before the vehicle fences off any frame.
     #[test]
     fn both_systems_transmitting_is_counted_though_the_vehicle_refuses_one() {
         let both = |frames: &[ControlFrame]| {

@@ -9,13 +9,13 @@ use tandem_vehicle::{LoggedFrame, Verdict};
 use crate::file::Entry;
 use crate::log::{DriveFigures, Header, RoadPiece, Sample, VehicleRecord};
 
-/// What stood still.
+/// A part of the run that stood still.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stood {
-    /// A CPU of the machine: a thread that does nothing else and goes before all of the run did not
-    /// get it.
+    /// A CPU of the machine: a thread that has priority over the whole run and does nothing else
+    /// did not get it.
     Cpu(usize),
-    /// The vehicle's process, and with it the bus: it was stopped, or it got no CPU.
+    /// The vehicle's process, and with it the bus: it was stopped, or got no CPU.
     Bus,
 }
 

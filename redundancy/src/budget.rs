@@ -1,29 +1,29 @@
 //! The one budget of time from which the limits of each profile follow.
 //!
-//! A limit is as long as what the machine needs, and no longer than what the goal permits: a
-//! takeover on silence within two control periods.
+//! A limit is as long as the machine needs, and no longer than the goal permits: a takeover on
+//! silence within two control periods.
 
 use crate::config::{Config, OVERDUE_ECHO};
 use tandem_board::Duration;
 
 const MS: Duration = Duration::from_ms(1);
 const CONTROL_PERIOD: Duration = Duration::from_ms(10);
-/// Control frames of a failed master are missing for less than this.
+/// The gap after a failed master's last control frame is shorter than this.
 const GOAL: Duration = CONTROL_PERIOD.times(2);
-/// Losing the standby is not urgent: nothing is missing on the bus.
+/// Losing the standby is not urgent: the bus has all its frames.
 const STANDBY_LIMIT: Duration = Duration::from_ms(8);
-/// No order of switching on, and no takeover, shall depend on less than this.
+/// No order of switching on, and no takeover, may depend on less than this.
 const STAGGER: Duration = Duration::from_ms(20);
 const SYNC_STAGGER: Duration = Duration::from_ms(5);
-/// A chain of cores 1 and 2 that runs has its first handshake so long after it.
+/// How long after its start a running chain of cores 1 and 2 sends its first handshake.
 const AFTER_BOOT: Duration = Duration::from_ms(500);
 
-/// What a machine does to time: its periods, and how long it stalls.
+/// The timing of a machine: its periods, and how long it stalls.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Budget {
     /// Time between two heartbeats on each line.
     pub heartbeat_period: Duration,
-    /// Longest time between two polls while the system runs as it should.
+    /// Longest time between two polls in normal operation.
     pub poll_interval: Duration,
     /// Time between two reports over the link.
     pub report_period: Duration,
@@ -31,13 +31,13 @@ pub struct Budget {
     pub handshake_period: Duration,
     /// How long cores 1 and 2, and the sensors, may take to start.
     pub boot_limit: Duration,
-    /// For this long a core may not run at all, though it is due and nothing has failed: timers
-    /// that are late, other processes, a hypervisor.
+    /// For this long a core may not run, although it is due and nothing has failed: late timers,
+    /// other processes, a hypervisor.
     pub stall: Duration,
 }
 
 impl Budget {
-    /// Chips: nothing stalls, and the link tells as often as the heartbeat lines.
+    /// Chips: nothing stalls, and link reports are as frequent as heartbeats.
     pub const CHIP: Self = Self {
         report_period: MS,
         stall: Duration::ZERO,
@@ -52,7 +52,7 @@ impl Budget {
         report_period: CONTROL_PERIOD,
         handshake_period: Duration::from_ms(5),
         boot_limit: Duration::from_ms(2_000),
-        // A virtual machine's CPU is taken away for some milliseconds now and then: seen, up to 6.
+        // A virtual machine sometimes loses its CPU for some milliseconds: seen, up to 6.
         stall: Duration::from_ms(6),
     };
 
@@ -62,13 +62,13 @@ impl Budget {
         heartbeat_period: Duration::from_ms(2),
         handshake_period: Duration::from_ms(10),
         boot_limit: Duration::from_ms(4_000),
-        // Under load a process is held up for tens of milliseconds now and then.
+        // Under load a process is sometimes held up for tens of milliseconds.
         stall: Duration::from_ms(46),
         ..Self::RT
     };
 
-    /// The same with a stall that was measured, in whole milliseconds. The longest stall of a short
-    /// measurement is exceeded some time later: it counts four times, and a millisecond on top.
+    /// The same with a measured stall, in whole milliseconds. The longest stall of a short
+    /// measurement is exceeded some time later: it counts four times, plus a millisecond.
     #[must_use]
     pub const fn measured(self, longest: Duration) -> Self {
         let ms = longest.as_us().div_ceil(250) + 1;
@@ -84,15 +84,15 @@ impl Budget {
         Duration::from_ns(self.heartbeat_period.as_ns() * 2 + MS.as_ns() + self.stall.as_ns())
     }
 
-    /// Silence of a line that the goal permits: what is left of two control periods after the one
-    /// since the last frame, the poll, and 1 ms to stay below.
+    /// Silence of a line that the goal permits: two control periods, less the one since the last
+    /// frame, the poll, and 1 ms of margin.
     const fn silence_permitted(&self) -> Duration {
         let rest = GOAL.as_ns() - CONTROL_PERIOD.as_ns() - MS.as_ns();
         Duration::from_ns(rest - self.poll_interval.as_ns())
     }
 
-    /// The longest stall of the master that is not taken for its death. A longer one costs a
-    /// takeover that was not needed, and nothing else.
+    /// The longest stall of the master that does not count as its death. A longer one only costs an
+    /// unnecessary takeover.
     #[must_use]
     pub const fn tolerated_stall(&self) -> Duration {
         let used = self.silence_needed().as_ns() - self.stall.as_ns();
@@ -109,14 +109,14 @@ impl Budget {
         let misses = (silence.as_ns() - jitter.as_ns()) / self.heartbeat_period.as_ns();
         let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
 
-        // A control frame is late by the bus and the poll, 1 ms in all, and by the stall. An echo
-        // and a poll after its limit the standby drives, before the goal.
+        // A control frame is late by the bus and the poll, 1 ms together, and by the stall. The
+        // standby drives one echo and one poll after its limit, before the goal.
         let margin_needed = Duration::from_ns(MS.as_ns() + self.stall.as_ns());
         let after = self.poll_interval.as_ns() + OVERDUE_ECHO.as_ns() + MS.as_ns();
         let margin_permitted = Duration::from_ns(GOAL.as_ns() - CONTROL_PERIOD.as_ns() - after);
 
-        // A system that waits for the other must hear four of its heartbeats, two polls and a
-        // stall later.
+        // A system that waits for the other must have time to hear four of its heartbeats, two
+        // polls and a stall later.
         let heard = self.heartbeat_period.as_ns() * 4 + self.poll_interval.as_ns() * 2;
         let tens = (heard + self.stall.as_ns()).div_ceil(10 * MS.as_ns());
         let stagger = longer(STAGGER, Duration::from_ms(10 * tens));
@@ -176,9 +176,9 @@ impl Config {
 
     /// The limits of [`Budget::DESKTOP`].
     ///
-    /// They do not grow with its stalls: a takeover within two control periods permits no longer
-    /// ones. It is safe all the same, because a takeover on silence also needs the control frames
-    /// to be missing.
+    /// They do not grow with its stalls, because a takeover within two control periods permits no
+    /// longer ones. It is safe nevertheless, because a takeover on silence also needs the control
+    /// frames to be missing.
     #[must_use]
     pub const fn desktop() -> Self {
         Budget::DESKTOP.config()
@@ -199,9 +199,8 @@ mod tests {
 
     const ALL: [Budget; 3] = [Budget::CHIP, Budget::RT, Budget::DESKTOP];
 
-    /// T-RED-8: whatever stall was measured, the limits fit together, the gap stays below two
-    /// control periods, and no limit is shorter than what the machine needs unless the goal demands
-    /// it.
+    /// T-RED-8: for any measured stall, the limits fit together, the gap stays below two control
+    /// periods, and no limit is shorter than the machine needs unless the goal demands it.
     #[test]
     fn every_measured_stall_gives_limits_that_fit() {
         for base in ALL {

@@ -22,6 +22,7 @@ pub struct Snapshot {
 impl Snapshot {
     /// `received`: the count of edges of one type on one line. `can_frames`: running count of the
     /// valid frames received on CAN from third parties.
+    ///
     /// First take all frames from the CAN receiver and pass them to the machine. Otherwise the
     /// machine sees silence while evidence waits in a buffer.
     #[must_use]
@@ -79,9 +80,10 @@ pub enum Input {
     VehicleTerm(ObeyedTerm),
     /// This system found a fault in itself. Repeat it while the fault lasts.
     OwnFault(FailureMode),
-    /// This system is asked to let the other one drive. In dual operation it resigns for
+    /// This system is requested to let the other one drive. In dual operation it resigns for
     /// [`Config::report_limit`](crate::Config::report_limit), without a fault and without stopping
-    /// the vehicle; in every other phase it does nothing. Repeat it while the wish lasts.
+    /// the vehicle; in every other phase the request has no effect. Repeat it while the request
+    /// lasts.
     HandOver,
 }
 

@@ -265,8 +265,9 @@ impl Redundancy {
             if standby.is_dispensable(config, now, witnesses))
     }
 
-    /// What to tell the other system over the link every control cycle. Ask after
-    /// [`Redundancy::may_transmit`]: a master whose frame was refused does not say that it drives.
+    /// The report to send to the other system over the link every control cycle. Call it after
+    /// [`Redundancy::may_transmit`]: a master whose frame was refused does not report that it
+    /// drives.
     #[must_use]
     pub fn link_report(&self) -> PeerReport {
         let drives = |driving: Driving| !driving.is_refused();

@@ -89,7 +89,7 @@ impl Standby {
     }
 
     /// Whether the master drives without a fault, and has not just begun to: by its heartbeats, its
-    /// control frames, its word over the link, and the vehicle's. Nothing may be late.
+    /// control frames, its report over the link, and the vehicle's echo. None of them may be late.
     pub(crate) fn is_dispensable(
         &self,
         config: &Config,
@@ -108,7 +108,7 @@ impl Standby {
         now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
     }
 
-    /// What the witnesses say about the master. `handshakes`: new ones. `sound`: this system has no
+    /// The evidence about the master. `handshakes`: number of new ones. `sound`: this system has no
     /// fault of its own.
     pub(crate) fn judge(
         &mut self,

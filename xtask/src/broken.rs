@@ -1,8 +1,8 @@
 //! Broken variants of the product, kept as patches: each must be caught by the test that it names.
 //!
 //! A patch begins with two lines: `Broken: what is wrong`, and `Caught by: arguments of cargo
-//! nextest run`. A person starts the tests, because each variant is a build of its own. The gate
-//! only checks that each patch still applies.
+//! nextest run`. A person starts the tests, because each variant is a separate build. The gate only
+//! checks that each patch still applies.
 
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
@@ -136,8 +136,8 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
     Ok(!passed.success())
 }
 
-/// All files of the repository as they are now. A file keeps its time of change where its content
-/// is the same, so that cargo builds only what differs.
+/// All files of the repository as they are now. A file with unchanged content keeps its time of
+/// change, so that cargo builds only the differences.
 fn copy_tree(root: &Path, copy: &Path) -> Result<()> {
     let listed = Command::new("git")
         .args([

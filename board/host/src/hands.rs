@@ -1,7 +1,7 @@
-//! Hands on a run from outside: its wires, its power, its memory.
+//! Access to a run from outside: its wires, its power, its memory.
 //!
-//! A run has a `/dev/shm` of its own. Another process of the same user enters its namespaces for
-//! good, and maps the backplane from there.
+//! A run has its own `/dev/shm`. Another process of the same user enters the run's namespaces
+//! permanently, and maps the backplane from there.
 
 use std::fs::{self, File};
 use std::io;
@@ -26,16 +26,16 @@ use crate::segment::SegmentError;
 const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 
-/// Why a hand cannot reach a run.
+/// Why a run cannot be reached.
 #[derive(Debug, thiserror::Error)]
 pub enum HandsError {
     /// No run is active.
     #[error("no run is active; `tandem run` starts one")]
     NoRun,
-    /// There are several.
+    /// Several runs are active.
     #[error("several runs are active; name one of them by --run: {0}")]
     Several(String),
-    /// The place of its files cannot be entered.
+    /// The place of the run's files cannot be entered.
     #[error("cannot enter the place of {run}: {source}")]
     Place {
         /// The run.
@@ -49,10 +49,10 @@ pub enum HandsError {
     /// Its LMU cannot be mapped.
     #[error("LMU: {0}")]
     Lmu(#[from] SegmentError),
-    /// The system has no power already.
+    /// The system is already without power.
     #[error("system {0} is off")]
     IsOff(SystemId),
-    /// The system has power already.
+    /// The system already has power.
     #[error("system {0} is on")]
     IsOn(SystemId),
     /// The process that starts supplies has ended, or does not answer.
@@ -94,12 +94,12 @@ impl Hands {
         Ok(Self { run, backplane })
     }
 
-    /// Cuts or mends what comes from these systems over this wire.
+    /// Cuts or mends the connections of these systems over this wire.
     pub fn set_cut(&self, wire: Wire, from: &[SystemId], is_cut: bool) {
         for system in from {
             self.backplane.set_cut(wire, *system, is_cut);
             if wire == Wire::Level {
-                // A level that changes interrupts the other system.
+                // A change of the level interrupts the other system.
                 Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
             }
         }
@@ -114,7 +114,7 @@ impl Hands {
         kill_process(pid, Signal::KILL).map_err(|errno| HandsError::Kill(errno.into()))
     }
 
-    /// Switches a system on again that was killed or switched off. Waits until its supply runs.
+    /// Switches on a system that was killed or switched off. Waits until its supply runs.
     ///
     /// # Errors
     /// [`HandsError::IsOn`], [`HandsError::NoLauncher`].
@@ -146,15 +146,15 @@ impl Hands {
         i32::try_from(pid).ok().and_then(Pid::from_raw)
     }
 
-    /// Scribbles over the whole LMU of a system, as a core that has gone wild does. `seed` decides
-    /// on the words.
+    /// Overwrites the whole LMU of a system, as a core out of control does. `seed` selects the
+    /// words.
     ///
     /// # Errors
     /// [`HandsError::Lmu`].
     pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), HandsError> {
         let mut word = seed | 1;
         for place in memory::open_lmu(&self.run, system)? {
-            // Marsaglia's xorshift: any words will do, and the same ones each time.
+            // Marsaglia's xorshift: the words are arbitrary, but the same each time.
             word ^= word << 13;
             word ^= word >> 17;
             word ^= word << 5;
@@ -163,7 +163,7 @@ impl Hands {
         Ok(())
     }
 
-    /// An edge on a line that this system has not sent arrives at the other one.
+    /// Sends an edge that this system did not send to the other one.
     pub fn stray_edge(&self, from: SystemId, line: Line, edge: Edge) {
         self.backplane.send_edge(from, line, edge);
         if line.interrupts() {
