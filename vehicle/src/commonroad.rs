@@ -1,20 +1,51 @@
 //! Reads CommonRoad XML, versions 2018b and 2020a, into plain data.
 //!
-//! Format: <https://commonroad.in.tum.de>. An interval stands for its midpoint, an area for its
-//! centre. Not read: goal states, intersections, traffic lights, occupancy sets, phantom and
+//! Format: <https://commonroad.in.tum.de>. In a state, an interval stands for its midpoint and an
+//! area for its centre. Not read: intersections, traffic lights, occupancy sets, phantom and
 //! environment obstacles (they are no traffic).
+//!
+//! **Limits.** A file is an input, and no input may cost more than seconds and some 100 MB: each
+//! limit below is far above every published scenario. What can be left out without a lie is left
+//! out with a warning ([`Map::warnings`]); the rest of the file is used.
 
-use roxmltree::{Document, Node};
+use std::cell::RefCell;
+use std::collections::HashMap;
+
+use roxmltree::{Document, Node, ParsingOptions};
 
 use crate::error::ScenarioError;
 use crate::geometry::{Vec2, wrap_angle};
 
+mod goal;
+
+pub use goal::{Area, Goal};
+
+/// A larger file is refused, bytes: the largest published scenarios have 10 MB.
+pub const FILE_MAX: usize = 32 << 20;
+/// A file with more XML nodes is refused: they take some 100 bytes each.
+const NODES_MAX: u32 = 2_000_000;
+/// An XML element with more attributes is refused: the parser compares all pairs.
+const ATTRIBUTES_MAX: usize = 100;
+/// A file with more lanelets is refused.
+const LANELETS_MAX: usize = 5_000;
+/// A lanelet with more predecessors or more successors is refused.
+const BRANCHES_MAX: usize = 50;
+/// A file with more obstacles is refused: all pairs of vehicles are looked at while they drive.
+const OBSTACLES_MAX: usize = 1_000;
 /// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
 /// A longer lanelet is refused, m: it is a slip of the keyboard, and would fill the memory.
 const LANELET_MAX: f64 = 1e5;
 /// No vehicle is faster, m/s.
 const SPEED_MAX: f64 = 150.0;
+/// Limits of the time step, s.
+const STEP_RANGE: core::ops::RangeInclusive<f64> = 1e-3..=60.0;
+/// Times beyond this are refused, s: a day.
+const TIME_MAX: f64 = 86_400.0;
+/// States of an obstacle that are closer in time than this are one state, s.
+const STATE_APART: f64 = 1e-3;
+/// So many warnings are kept; one more tells how many there were.
+const WARNINGS_MAX: usize = 20;
 
 /// A piece of lane between two bounds.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +126,12 @@ pub struct Map {
     pub obstacles: Vec<Obstacle>,
     /// Where the ego starts, from the first planning problem, at t = 0.
     pub ego: TimedState,
+    /// Where the first planning problem ends: one of these is to be reached. Empty if it has none.
+    pub goals: Vec<Goal>,
+    /// Time between two steps of the file, s.
+    pub step_s: f64,
+    /// What of the file is not used, and why.
+    pub warnings: Vec<String>,
 }
 
 /// Size of an obstacle and the place of its centre in the obstacle's own frame.
@@ -109,22 +146,64 @@ struct Shape {
 /// # Errors
 /// Names the file, the line, the element, and what to do.
 pub fn parse(text: &str, file: &str) -> Result<Map, ScenarioError> {
-    let document = Document::parse(text).map_err(|error| ScenarioError::Xml {
+    let refused = |line, problem: String| ScenarioError::Xml {
         file: file.to_owned(),
-        line: error.pos().row,
-        problem: error.to_string(),
-    })?;
+        line,
+        problem,
+    };
+    if text.len() > FILE_MAX {
+        return Err(ScenarioError::TooLarge {
+            file: file.to_owned(),
+        });
+    }
+    if let Some(line) = tag_with_many_attributes(text) {
+        let problem = format!("an element has more than {ATTRIBUTES_MAX} attributes");
+        return Err(refused(line, problem));
+    }
+    let options = ParsingOptions {
+        nodes_limit: NODES_MAX,
+        ..ParsingOptions::default()
+    };
+    let document = Document::parse_with_options(text, options)
+        .map_err(|error| refused(error.pos().row, error.to_string()))?;
     Reader {
         document: &document,
         file,
+        warnings: RefCell::default(),
     }
     .map()
+}
+
+/// The line of the first tag with so many attributes that the XML parser would take long.
+fn tag_with_many_attributes(text: &str) -> Option<u32> {
+    let (mut line, mut signs, mut in_tag) = (1, 0, false);
+    let bytes = text.as_bytes();
+    for (index, byte) in bytes.iter().enumerate() {
+        match byte {
+            b'\n' => line += 1,
+            b'<' => {
+                let next = bytes.get(index + 1).copied().unwrap_or_default();
+                (in_tag, signs) = (!b"!?/".contains(&next), 0);
+            }
+            b'>' => in_tag = false,
+            b'=' if in_tag => {
+                signs += 1;
+                if signs > ATTRIBUTES_MAX {
+                    return Some(line);
+                }
+            }
+            _ => {}
+        }
+    }
+    None
 }
 
 /// A document with the name that its errors carry.
 struct Reader<'a, 'input> {
     document: &'a Document<'input>,
     file: &'a str,
+    /// What was left out, and how often in all.
+    warnings: RefCell<(Vec<String>, usize)>,
 }
 
 type Element<'a, 'input> = Node<'a, 'input>;
@@ -146,17 +225,16 @@ impl<'a, 'input> Reader<'a, 'input> {
             return Err(self.error(root, &problem, advice));
         }
         let step_s = self.parsed(root, self.attribute(root, "timeStepSize")?)?;
-        if step_s <= 0.0 {
-            return Err(self.error(
-                root,
-                "has a timeStepSize that is not positive",
-                "give seconds > 0",
-            ));
+        if !STEP_RANGE.contains(&step_s) {
+            let problem = format!("has the timeStepSize {step_s:e}");
+            return Err(self.error(root, &problem, "give seconds, 0.001 to 60"));
         }
         let limits = self.speed_signs(root)?;
-        let lanelets: Vec<_> = elements(root, "lanelet")
-            .map(|node| self.lanelet(node, &limits))
-            .collect::<Result<_, _>>()?;
+        self.at_most(root, "lanelet", LANELETS_MAX)?;
+        let mut lanelets = Vec::new();
+        for node in elements(root, "lanelet") {
+            lanelets.extend(self.lanelet(node, &limits)?);
+        }
         if lanelets.is_empty() {
             return Err(self.error(
                 root,
@@ -166,6 +244,10 @@ impl<'a, 'input> Reader<'a, 'input> {
         }
         let problem = self.child(root, "planningProblem")?;
         let ego = self.state(self.child(problem, "initialState")?, step_s, None)?;
+        if ego.t.abs() > TIME_MAX {
+            return Err(self.error(problem, "starts later than a day", "give time steps"));
+        }
+        let goals = self.goals(problem, step_s, ego.t, &lanelets);
         let mut obstacles = Vec::new();
         for node in root.children().filter(Node::is_element) {
             let is_static = match node.tag_name().name() {
@@ -182,6 +264,10 @@ impl<'a, 'input> Reader<'a, 'input> {
                 _ => continue,
             };
             obstacles.push(self.obstacle(node, is_static, step_s)?);
+            if obstacles.len() > OBSTACLES_MAX {
+                let problem = format!("has more than {OBSTACLES_MAX} obstacles");
+                return Err(self.error(root, &problem, "keep those near the ego"));
+            }
         }
         for state in obstacles
             .iter_mut()
@@ -198,43 +284,83 @@ impl<'a, 'input> Reader<'a, 'input> {
             lanelets,
             obstacles,
             ego: TimedState { t: 0.0, ..ego },
+            goals,
+            step_s,
+            warnings: self.take_warnings(),
         })
     }
 
+    /// Notes that a part of the file is not used.
+    fn warn(&self, node: Element<'_, '_>, problem: &str) {
+        let (kept, count) = &mut *self.warnings.borrow_mut();
+        *count += 1;
+        if *count <= WARNINGS_MAX {
+            kept.push(self.error(node, problem, "it is left out").to_string());
+        }
+    }
+
+    fn take_warnings(&self) -> Vec<String> {
+        let (mut kept, count) = self.warnings.take();
+        if count > WARNINGS_MAX {
+            let more = count - WARNINGS_MAX;
+            kept.push(format!("{}: and {more} more of the kind", self.file));
+        }
+        kept
+    }
+
+    /// # Errors
+    /// `node` has more than `most` children of this name.
+    fn at_most(&self, node: Element<'_, '_>, name: &str, most: usize) -> Result<(), ScenarioError> {
+        if elements(node, name).count() > most {
+            let problem = format!("has more than {most} <{name}>");
+            return Err(self.error(node, &problem, "give the part of the map that is driven"));
+        }
+        Ok(())
+    }
+
     /// Ids and values (m/s) of the speed limit signs: version 2020a keeps them apart from lanelets.
-    fn speed_signs(&self, root: Element<'_, '_>) -> Result<Vec<(i64, f64)>, ScenarioError> {
-        let mut limits = Vec::new();
+    fn speed_signs(&self, root: Element<'_, '_>) -> Result<HashMap<i64, f64>, ScenarioError> {
+        let mut limits = HashMap::new();
         for sign in elements(root, "trafficSign") {
             let id = self.id(sign)?;
             for element in elements(sign, "trafficSignElement") {
                 let kind = self.text(self.child(element, "trafficSignID")?);
                 // Maximum speed in Germany and the fictitious Zamunda, and in the USA.
                 if ["274", "R2-1"].contains(&kind) {
-                    limits.push((id, self.number(self.child(element, "additionalValue")?)?));
+                    let value = self.number(self.child(element, "additionalValue")?)?;
+                    limits.entry(id).or_insert(value);
                 }
             }
         }
         Ok(limits)
     }
 
+    /// `None`, with a warning, if a bound has no length.
     fn lanelet(
         &self,
         node: Element<'_, '_>,
-        limits: &[(i64, f64)],
-    ) -> Result<Lanelet, ScenarioError> {
-        let bound = |name| -> Result<Vec<Vec2>, ScenarioError> {
+        limits: &HashMap<i64, f64>,
+    ) -> Result<Option<Lanelet>, ScenarioError> {
+        let bound = |name| -> Result<Option<Vec<Vec2>>, ScenarioError> {
             let bound = self.child(node, name)?;
             let points = elements(bound, "point").map(|p| self.point(p));
             let mut points = points.collect::<Result<Vec<_>, _>>()?;
-            points.dedup_by(|a, b| (*a - *b).norm() < 1e-3);
             if points.len() < 2 {
                 return Err(self.error(bound, "has fewer than two points", "give the whole bound"));
             }
+            points.dedup_by(|a, b| (*a - *b).norm() < 1e-3);
             if points.windows(2).map(|w| (w[1] - w[0]).norm()).sum::<f64>() > LANELET_MAX {
                 return Err(self.error(bound, "is longer than 100 km", "check its coordinates"));
             }
-            Ok(points)
+            Ok((points.len() > 1).then_some(points))
         };
+        let (Some(left), Some(right)) = (bound("leftBound")?, bound("rightBound")?) else {
+            self.warn(node, "has a bound without length");
+            return Ok(None);
+        };
+        for name in ["predecessor", "successor"] {
+            self.at_most(node, name, BRANCHES_MAX)?;
+        }
         let references = |name| -> Result<Vec<i64>, ScenarioError> {
             elements(node, name)
                 .map(|n| self.parsed_id(n, self.attribute(n, "ref")?))
@@ -248,24 +374,21 @@ impl<'a, 'input> Reader<'a, 'input> {
                 .transpose()
         };
         let signs = references("trafficSignRef")?;
-        let signed = limits
-            .iter()
-            .find(|(id, _)| signs.contains(id))
-            .map(|(_, value)| *value);
+        let signed = signs.iter().find_map(|id| limits.get(id).copied());
         let own = elements(node, "speedLimit")
             .next()
             .map(|n| self.number(n))
             .transpose()?;
-        Ok(Lanelet {
+        Ok(Some(Lanelet {
             id: self.id(node)?,
-            left: bound("leftBound")?,
-            right: bound("rightBound")?,
+            left,
+            right,
             predecessors: references("predecessor")?,
             successors: references("successor")?,
             left_neighbour: neighbour("adjacentLeft")?,
             right_neighbour: neighbour("adjacentRight")?,
             speed_limit: own.or(signed).filter(|limit| *limit > 0.0),
-        })
+        }))
     }
 
     fn obstacle(
@@ -279,9 +402,21 @@ impl<'a, 'input> Reader<'a, 'input> {
         if let Some(trajectory) = elements(node, "trajectory").next() {
             for state in elements(trajectory, "state") {
                 let next = self.state(state, step_s, None)?;
-                if states.last().is_some_and(|last| next.t <= last.t) {
-                    let advice = "list the states with ascending times, after the initial state's";
-                    return Err(self.error(state, "is not later than the state before it", advice));
+                let last = &states[states.len() - 1];
+                let passed = next.t - last.t;
+                if passed < STATE_APART {
+                    // Some files repeat the initial state as the first of the trajectory.
+                    if next.position != last.position || passed < 0.0 {
+                        self.warn(state, "is not later than the state before it");
+                    }
+                    continue;
+                }
+                if (next.position - last.position).norm() > 2.0 * SPEED_MAX * passed + 10.0 {
+                    self.warn(
+                        state,
+                        "jumps; the vehicle drives on by itself from there: it",
+                    );
+                    break;
                 }
                 states.push(next);
             }
@@ -384,15 +519,111 @@ impl<'a, 'input> Reader<'a, 'input> {
         };
         let time = elements(node, "time")
             .next()
-            .map_or(Ok(0.0), |n| self.value(n))?;
+            .map_or(Ok(0.0), |n| self.value(n))?
+            * step_s;
+        if time.abs() > TIME_MAX {
+            return Err(self.error(node, "is more than a day away", "give time steps"));
+        }
         Ok(TimedState {
-            t: time * step_s,
+            t: time,
             position: self.place(self.child(node, "position")?)?,
             yaw,
             speed: elements(node, "velocity")
                 .next()
                 .map(|n| self.speed(n))
                 .transpose()?,
+        })
+    }
+
+    /// The goals of a planning problem. A goal that cannot be read is left out with a warning.
+    fn goals(
+        &self,
+        problem: Element<'_, '_>,
+        step_s: f64,
+        start: f64,
+        lanelets: &[Lanelet],
+    ) -> Vec<Goal> {
+        let goal = |node| -> Result<Goal, ScenarioError> {
+            let range = |name| -> Result<Option<(f64, f64)>, ScenarioError> {
+                elements(node, name)
+                    .next()
+                    .map(|n| self.range(n))
+                    .transpose()
+            };
+            let mut areas = Vec::new();
+            if let Some(position) = elements(node, "position").next() {
+                for area in position.children().filter(Node::is_element) {
+                    areas.extend(self.area(area, lanelets)?);
+                }
+                if areas.is_empty() {
+                    return Err(self.error(position, "names no known place", "name a lanelet"));
+                }
+            }
+            let time = range("time")?;
+            Ok(Goal {
+                areas,
+                time: time.map(|(from, to)| (from * step_s - start, to * step_s - start)),
+                yaw: range("orientation")?,
+                speed: range("velocity")?,
+            })
+        };
+        let mut goals = Vec::new();
+        for node in elements(problem, "goalState").take(BRANCHES_MAX) {
+            match goal(node) {
+                Ok(goal) => goals.push(goal),
+                Err(error) => self.warn(node, &format!("cannot be understood ({error})")),
+            }
+        }
+        goals
+    }
+
+    /// A part of the plane; `None` for a lanelet that is not in the file.
+    fn area(
+        &self,
+        node: Element<'_, '_>,
+        lanelets: &[Lanelet],
+    ) -> Result<Option<Area>, ScenarioError> {
+        let centre = || {
+            elements(node, "center")
+                .next()
+                .map_or(Ok(Vec2::default()), |n| self.point(n))
+        };
+        Ok(match node.tag_name().name() {
+            "laneletref" | "laneletRef" => {
+                let id = self.parsed_id(node, self.attribute(node, "ref")?)?;
+                let lanelet = lanelets.iter().find(|lanelet| lanelet.id == id);
+                lanelet.map(|lanelet| {
+                    let back = lanelet.right.iter().rev();
+                    Area::Polygon(lanelet.left.iter().chain(back).copied().collect())
+                })
+            }
+            "circle" => Some(Area::Circle {
+                centre: centre()?,
+                radius: self.extent(node, "radius")?,
+            }),
+            "rectangle" => {
+                let yaw = elements(node, "orientation")
+                    .next()
+                    .map_or(Ok(0.0), |n| self.number(n))?;
+                let along = Vec2::from_angle(yaw) * (self.extent(node, "length")? / 2.0);
+                let across = Vec2::from_angle(yaw).left() * (self.extent(node, "width")? / 2.0);
+                let corners = [
+                    along + across,
+                    along - across,
+                    -along - across,
+                    across - along,
+                ];
+                let centre = centre()?;
+                Some(Area::Polygon(corners.map(|corner| centre + corner).into()))
+            }
+            "polygon" => {
+                let points = elements(node, "point").map(|n| self.point(n));
+                Some(Area::Polygon(points.collect::<Result<_, _>>()?))
+            }
+            name => {
+                let problem = format!("is the unknown area <{name}>");
+                return Err(self.error(node, &problem, "use a lanelet, rectangle or circle"));
+            }
         })
     }
 
@@ -426,12 +657,19 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     /// `<exact>`, or the middle of `<intervalStart>` and `<intervalEnd>`.
     fn value(&self, node: Element<'_, '_>) -> Result<f64, ScenarioError> {
+        let (start, end) = self.range(node)?;
+        Ok((start + end) / 2.0)
+    }
+
+    /// `<intervalStart>` and `<intervalEnd>`, or twice `<exact>`.
+    fn range(&self, node: Element<'_, '_>) -> Result<(f64, f64), ScenarioError> {
         if let Some(exact) = elements(node, "exact").next() {
-            return self.number(exact);
+            let exact = self.number(exact)?;
+            return Ok((exact, exact));
         }
         let start = self.number(self.child(node, "intervalStart")?)?;
         let end = self.number(self.child(node, "intervalEnd")?)?;
-        Ok((start + end) / 2.0)
+        Ok((start, end))
     }
 
     fn child<'n, 'i>(

@@ -21,12 +21,30 @@ pub enum ScenarioError {
         names: Vec<&'static str>,
     },
     /// The file cannot be read.
-    #[error("cannot read the scenario file {file}: {source}")]
+    #[error("cannot read the scenario file {file}: {problem}")]
     Read {
         /// Path of the file.
         file: String,
         /// What the operating system says.
-        source: std::io::Error,
+        problem: String,
+    },
+    /// The file is larger than any scenario.
+    #[error("{file}: larger than {} MiB; give the part that is driven", crate::commonroad::FILE_MAX >> 20)]
+    TooLarge {
+        /// Path of the file.
+        file: String,
+    },
+    /// The lanes together are longer than any map that is driven.
+    #[error(
+        "{file}: its lanes together are {length_km:.0} km long; give a map with less than {} km, \
+         where every successor begins where its lanelet ends",
+        crate::road::ROAD_MAX / 1e3
+    )]
+    TooLong {
+        /// Path of the file.
+        file: String,
+        /// km
+        length_km: f64,
     },
     /// The file is no well-formed XML.
     #[error("{file}:{line}: no well-formed XML: {problem}")]

@@ -11,7 +11,7 @@
 
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};
-use crate::road::chain::Chain;
+use crate::road::chain::{CentreLine, Chain, Piece};
 
 mod chain;
 mod smooth;
@@ -20,6 +20,9 @@ mod smooth;
 const STEP: f64 = 2.0;
 /// Straight piece that is put before and after the mapped lane and is smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
+/// Lanes that are longer together are refused, m: each metre takes 50 bytes, and each look at the
+/// whole road some nanoseconds.
+pub const ROAD_MAX: f64 = 1e6;
 
 /// Which lane of a road.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -164,21 +167,29 @@ impl Road {
     /// Chains lanelets to lanes. References to lanelets that are not there are ignored: excerpts of
     /// maps have them at their rims.
     ///
+    /// # Errors
+    /// The lanes would be longer than [`ROAD_MAX`] together: their length until there, m.
+    ///
     /// # Panics
     /// If `lanelets` is empty or a bound has fewer than two points; the parser refuses both.
-    #[must_use]
-    pub fn new(lanelets: &[Lanelet]) -> Self {
-        let chains = chain::chains(lanelets);
-        let headings = chain::run_out_headings(lanelets, &chains);
+    pub fn new(lanelets: &[Lanelet]) -> Result<Self, f64> {
+        let pieces: Vec<Piece> = lanelets.iter().map(Piece::new).collect();
+        let chains = chain::chains(lanelets, &pieces)?;
+        let lines: Vec<CentreLine> = chains
+            .iter()
+            .map(|chain| chain::centre_line(&pieces, chain))
+            .collect();
+        let headings = chain::run_out_headings(&lines);
         let by_id = chain::lanes_by_id(lanelets, &chains);
         let lane_of = |id: Option<i64>| id.and_then(|id| by_id.get(&id)).map(|lane| LaneId(*lane));
         let mut lanes: Vec<Lane> = chains
             .iter()
+            .zip(&lines)
             .zip(&headings)
-            .map(|(chain, heading)| lane(lanelets, chain, *heading, &lane_of))
+            .map(|((chain, line), heading)| lane(lanelets, chain, line, *heading, &lane_of))
             .collect();
         join_beyond_the_map(&mut lanes);
-        Self { lanes }
+        Ok(Self { lanes })
     }
 
     /// All lanes, in the order of their ids.
@@ -231,10 +242,10 @@ impl Road {
 fn lane(
     lanelets: &[Lanelet],
     chain: &Chain,
+    raw: &CentreLine,
     run_out: f64,
     lane_of: &impl Fn(Option<i64>) -> Option<LaneId>,
 ) -> Lane {
-    let raw = chain::centre_line(lanelets, chain);
     let mut points = Vec::with_capacity(raw.points.len() + 2);
     let first = raw.points[0];
     points.push(first - Vec2::from_angle(raw.first_heading()) * RUN_OUT);
@@ -405,7 +416,8 @@ mod tests {
             lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2, 3], &[]),
             lanelet(2, [(200.0, 0.0), (400.0, -60.0)], &[], &[1]),
             lanelet(3, [(200.0, 0.0), (400.0, 2.0)], &[], &[1]),
-        ]);
+        ])
+        .unwrap();
         let lanes: Vec<_> = road
             .lanes()
             .iter()

@@ -1,9 +1,10 @@
 //! What a run starts from: road, recorded vehicles, the ego's start. Embedded by name, or a file.
 
+use std::io::Read as _;
 use std::path::Path;
 use std::sync::Arc;
 
-use crate::commonroad::{self, Map, Obstacle};
+use crate::commonroad::{self, Goal, Map, Obstacle};
 use crate::error::ScenarioError;
 use crate::geometry::Pose;
 use crate::road::Road;
@@ -48,6 +49,8 @@ pub struct Scenario {
     pub(crate) name: String,
     pub(crate) road: Arc<Road>,
     pub(crate) obstacles: Arc<[Obstacle]>,
+    pub(crate) goals: Arc<[Goal]>,
+    pub(crate) warnings: Vec<String>,
     pub(crate) start: Pose,
     pub(crate) start_speed: f64,
     pub(crate) set_speed: f64,
@@ -72,11 +75,12 @@ impl Scenario {
     /// There is neither, or the file cannot be read or understood.
     pub fn load(name_or_path: &str) -> Result<Self, ScenarioError> {
         if let Some((name, _, text)) = EMBEDDED.iter().find(|(name, ..)| *name == name_or_path) {
-            let map = commonroad::parse(text, &format!("embedded scenario {name}"))?;
-            return Ok(Self::new(&Map {
+            let file = format!("embedded scenario {name}");
+            let map = Map {
                 name: (*name).to_owned(),
-                ..map
-            }));
+                ..commonroad::parse(text, &file)?
+            };
+            return Self::new(map, file);
         }
         let path = Path::new(name_or_path);
         if !path.exists() && path.components().count() == 1 && path.extension().is_none() {
@@ -96,9 +100,12 @@ impl Scenario {
     /// The file cannot be read or understood.
     pub fn read(path: &Path) -> Result<Self, ScenarioError> {
         let file = path.display().to_string();
-        match std::fs::read_to_string(path) {
+        match read_limited(path) {
             Ok(text) => Self::parse(&text, &file),
-            Err(source) => Err(ScenarioError::Read { file, source }),
+            Err(problem) => {
+                let problem = problem.to_string();
+                Err(ScenarioError::Read { file, problem })
+            }
         }
     }
 
@@ -107,11 +114,14 @@ impl Scenario {
     /// # Errors
     /// The text cannot be understood.
     pub fn parse(text: &str, file: &str) -> Result<Self, ScenarioError> {
-        Ok(Self::new(&commonroad::parse(text, file)?))
+        Self::new(commonroad::parse(text, file)?, file.to_owned())
     }
 
-    fn new(map: &Map) -> Self {
-        let road = Road::new(&map.lanelets);
+    fn new(map: Map, file: String) -> Result<Self, ScenarioError> {
+        let road = Road::new(&map.lanelets).map_err(|length| ScenarioError::TooLong {
+            file,
+            length_km: length / 1e3,
+        })?;
         let start = Pose {
             position: map.ego.position,
             yaw: map.ego.yaw,
@@ -124,14 +134,28 @@ impl Scenario {
         } else {
             fastest(&map.obstacles).max(start_speed)
         };
-        Self {
-            name: map.name.clone(),
+        Ok(Self {
+            name: map.name,
             road: Arc::new(road),
-            obstacles: map.obstacles.clone().into(),
+            obstacles: map.obstacles.into(),
+            goals: map.goals.into(),
+            warnings: map.warnings,
             start,
             start_speed,
             set_speed,
-        }
+        })
+    }
+
+    /// Where the drive is to end: one of these is to be reached. Empty if the file names none.
+    #[must_use]
+    pub fn goals(&self) -> &[Goal] {
+        &self.goals
+    }
+
+    /// What of the file is not used, and why; one line each.
+    #[must_use]
+    pub fn warnings(&self) -> &[String] {
+        &self.warnings
     }
 
     /// Its name: that of the embedded scenario, or the file's benchmark id.
@@ -158,6 +182,19 @@ impl Scenario {
     pub fn obstacle_count(&self) -> usize {
         self.obstacles.len()
     }
+}
+
+/// The text of a regular file, of which no more is read than the parser takes.
+fn read_limited(path: &Path) -> std::io::Result<String> {
+    // To open a pipe would wait for its writer.
+    if !path.metadata()?.is_file() {
+        return Err(std::io::Error::other("not a regular file"));
+    }
+    let file = std::fs::File::open(path)?;
+    let mut text = String::new();
+    file.take(commonroad::FILE_MAX as u64 + 1)
+        .read_to_string(&mut text)?;
+    Ok(text)
 }
 
 fn fastest(obstacles: &[Obstacle]) -> f64 {

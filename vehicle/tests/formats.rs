@@ -90,7 +90,7 @@ fn errors_name_file_line_element_and_a_way_out() {
         (
             "timeStepSize=\"0.2\"",
             "timeStepSize=\"0\"",
-            "timeStepSize that is not positive",
+            "timeStepSize 0e0; give seconds",
         ),
         (
             "timeStepSize=\"0.2\"",
@@ -138,9 +138,14 @@ fn errors_name_file_line_element_and_a_way_out() {
             "faster than",
         ),
         (
+            "timeStepSize=\"0.2\"",
+            "timeStepSize=\"1e-308\"",
+            "timeStepSize 1e-308; give seconds",
+        ),
+        (
             "<intervalStart>6<",
-            "<intervalStart>-9<",
-            "is not later than the state before it",
+            "<intervalStart>1e7<",
+            "<state> is more than a day away",
         ),
         (
             "<circle><radius>0.5</radius></circle>",
@@ -167,6 +172,90 @@ fn errors_name_file_line_element_and_a_way_out() {
             "{error}\nlacks {expected:?}"
         );
         assert!(error.to_string().starts_with("test.xml:"), "{error}");
+    }
+}
+
+/// What one part of a file says wrongly is left out with a word; the rest drives.
+#[test]
+fn what_cannot_be_used_is_left_out_with_a_warning() {
+    let degenerate = "<lanelet id=\"9\"><leftBound><point><x>0</x><y>9</y></point><point><x>0</x>\
+                      <y>9</y></point></leftBound><rightBound><point><x>0</x><y>8</y></point>\
+                      <point><x>5</x><y>8</y></point></rightBound></lanelet><lanelet id=\"2\">";
+    let cases = [
+        (
+            "<intervalStart>6<",
+            "<intervalStart>-9<",
+            "not later than the state before it",
+        ),
+        (
+            "<lanelet id=\"2\">",
+            degenerate,
+            "<lanelet id=\"9\"> has a bound without length",
+        ),
+    ];
+    for (good, bad, expected) in cases {
+        let used = map(&AREAS.replacen(good, bad, 1));
+        let [warning] = &used.warnings[..] else {
+            panic!("one warning: {:?}", used.warnings)
+        };
+        assert!(
+            warning.starts_with("test.xml:") && warning.contains(expected),
+            "{warning}"
+        );
+        assert_eq!(used.lanelets.len(), map(AREAS).lanelets.len());
+    }
+    assert!(map(AREAS).warnings.is_empty() && map(SIGN).warnings.is_empty());
+}
+
+/// Small files that ask for much are refused by name, or cost little: no case takes seconds.
+#[test]
+fn files_that_ask_for_much_are_refused() {
+    let point = |x: f64, y: f64| format!("<point><x>{x}</x><y>{y}</y></point>");
+    let lanelet = |id: usize, x: f64, length: f64, rest: &str| {
+        let bound = |y: f64| point(x, y) + &point(x + length, y);
+        format!(
+            "<lanelet id=\"{id}\"><leftBound>{}</leftBound><rightBound>{}</rightBound>{rest}\
+             </lanelet>",
+            bound(3.5),
+            bound(0.0)
+        )
+    };
+    let next = |id: usize| format!("<successor ref=\"{id}\"/>");
+    let chain = (0..40).map(|i| lanelet(100 + i, 9e4 * i as f64, 9e4, &next(101 + i)));
+    let jumps = (0..40).map(|i| lanelet(100 + i, 1e6 * i as f64, 50.0, &next(101 + i)));
+    let same_place = (0..2_000).map(|i| lanelet(100 + i, 0.0, 50.0, ""));
+    let rows = (0..6_000).map(|i| lanelet(100 + i, 0.0, 50.0, ""));
+    let branches: String = (0..60).map(next).collect();
+    let attributes: String = (0..9_000).map(|i| format!(" a{i}=\"\"")).collect();
+    let with = |added: String| SIGN.replace("<trafficSign id", &(added + "<trafficSign id"));
+    let cases = [
+        (with(chain.collect()), "km long"),
+        (with(rows.collect()), "more than 5000 <lanelet>"),
+        (
+            with(lanelet(100, 0.0, 50.0, &branches)),
+            "more than 50 <successor>",
+        ),
+        (
+            with(format!("<a{attributes}/>")),
+            "more than 100 attributes",
+        ),
+        (" ".repeat(commonroad::FILE_MAX + 1), "larger than 32 MiB"),
+        (with("<a/>".repeat(2_000_001)), "nodes limit"),
+        (with("<obstacle/>".to_owned()), "lacks <role>"),
+    ];
+    for (text, expected) in cases {
+        let error = Scenario::parse(&text, "test.xml").unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}\nlacks {expected:?}");
+    }
+    for text in [with(jumps.collect()), with(same_place.collect())] {
+        let scenario = Scenario::parse(&text, "test.xml").unwrap();
+        let length: usize = scenario
+            .road()
+            .lanes()
+            .iter()
+            .map(|l| l.lanelets.len())
+            .sum();
+        assert!(length < 2_100, "no lane leads over a gap: {length}");
     }
 }
 

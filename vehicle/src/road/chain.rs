@@ -5,6 +5,12 @@ use std::collections::HashMap;
 use crate::commonroad::Lanelet;
 use crate::geometry::{Vec2, wrap_angle};
 
+use super::{ROAD_MAX, RUN_OUT};
+
+/// A successor that begins farther from the end of its lanelet is none, m.
+const JOINT_MAX: f64 = 10.0;
+/// No road has more lanes side by side.
+const BESIDE_MAX: usize = 64;
 /// Over this length the direction of an end of a lane is taken, m: single pieces are noisy.
 const END_PIECE: f64 = 40.0;
 
@@ -27,8 +33,40 @@ pub(super) struct CentreLine {
     ends: Vec<(f64, usize)>,
 }
 
+/// A lanelet's centre line, and what of it others ask for.
+pub(super) struct Piece {
+    points: Vec<(Vec2, f64)>,
+    start_heading: f64,
+    end_heading: f64,
+    length: f64,
+}
+
+impl Piece {
+    pub(super) fn new(lanelet: &Lanelet) -> Self {
+        let points = centre_points(lanelet);
+        let line: Vec<Vec2> = points.iter().map(|(point, _)| *point).collect();
+        Self {
+            start_heading: start_heading(&line),
+            end_heading: end_heading(&line),
+            length: line.windows(2).map(|w| (w[1] - w[0]).norm()).sum(),
+            points,
+        }
+    }
+
+    fn first(&self) -> Vec2 {
+        self.points[0].0
+    }
+
+    fn last(&self) -> Vec2 {
+        self.points[self.points.len() - 1].0
+    }
+}
+
 /// Every lanelet is in at least one chain; after a merge several chains share lanelets.
-pub(super) fn chains(lanelets: &[Lanelet]) -> Vec<Chain> {
+///
+/// # Errors
+/// The chains with their run-outs are longer than [`ROAD_MAX`] together: their length so far, m.
+pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain>, f64> {
     let places: HashMap<i64, usize> = lanelets
         .iter()
         .enumerate()
@@ -36,81 +74,92 @@ pub(super) fn chains(lanelets: &[Lanelet]) -> Vec<Chain> {
         .map(|(index, lanelet)| (lanelet.id, index))
         .collect();
     let index_of = |id: i64| places.get(&id).copied();
-    let known = |ids: &[i64]| {
-        ids.iter()
-            .filter_map(|id| index_of(*id))
-            .collect::<Vec<_>>()
-    };
-    let next: Vec<Option<usize>> = lanelets
-        .iter()
-        .map(|l| straightest(lanelets, l, &known(&l.successors)))
+    // A successor that begins elsewhere is none: the road would lead over the gap.
+    let joined =
+        |from: usize, to: usize| (pieces[to].first() - pieces[from].last()).norm() < JOINT_MAX;
+    let successors: Vec<Vec<usize>> = (0..lanelets.len())
+        .map(|from| {
+            let known = lanelets[from].successors.iter().copied();
+            let known = known.filter_map(index_of);
+            known.filter(|to| joined(from, *to)).collect()
+        })
         .collect();
-    let has_neighbour_that = |lanelet: &Lanelet, test: &dyn Fn(&Lanelet) -> bool| {
-        neighbours(lanelets, &places, lanelet)
-            .into_iter()
-            .any(|index| test(&lanelets[index]))
-    };
-    let follow = |start: usize, seen: &mut [bool]| {
-        let mut pieces = vec![start];
-        seen[start] = true;
-        while let Some(successor) = next[pieces[pieces.len() - 1]] {
-            if pieces.contains(&successor) {
-                break;
-            }
-            seen[successor] = true;
-            pieces.push(successor);
-        }
-        let (first, last) = (&lanelets[start], &lanelets[pieces[pieces.len() - 1]]);
-        let opens = !known(&first.predecessors).is_empty()
-            || has_neighbour_that(first, &|l| !known(&l.predecessors).is_empty());
-        let drops = known(&last.successors).is_empty()
-            && has_neighbour_that(last, &|l| !known(&l.successors).is_empty());
-        Chain {
-            pieces,
-            opens,
-            drops,
-        }
+    let predecessors: Vec<Vec<usize>> = (0..lanelets.len())
+        .map(|to| {
+            let known = lanelets[to].predecessors.iter().copied();
+            let known = known.filter_map(index_of);
+            known.filter(|from| joined(*from, to)).collect()
+        })
+        .collect();
+    let next: Vec<Option<usize>> = (0..lanelets.len())
+        .map(|index| straightest(pieces, index, &successors[index]))
+        .collect();
+    let has_neighbour_that = |index: usize, test: &dyn Fn(usize) -> bool| {
+        neighbours(lanelets, &places, index).into_iter().any(test)
     };
     let mut seen = vec![false; lanelets.len()];
+    let mut in_chain = vec![usize::MAX; lanelets.len()];
+    let mut length = 0.0;
+    let mut follow = |start: usize, number: usize, seen: &mut [bool]| -> Result<Chain, f64> {
+        let mut chain = vec![start];
+        let mut last = start;
+        (seen[start], in_chain[start]) = (true, number);
+        length += 2.0 * RUN_OUT + pieces[start].length;
+        while let Some(successor) = next[last] {
+            if in_chain[successor] == number {
+                break;
+            }
+            (seen[successor], in_chain[successor]) = (true, number);
+            length += pieces[successor].length;
+            chain.push(successor);
+            last = successor;
+        }
+        if length > ROAD_MAX {
+            return Err(length);
+        }
+        let opens = !predecessors[start].is_empty()
+            || has_neighbour_that(start, &|index| !predecessors[index].is_empty());
+        let drops = successors[last].is_empty()
+            && has_neighbour_that(last, &|index| !successors[index].is_empty());
+        Ok(Chain {
+            pieces: chain,
+            opens,
+            drops,
+        })
+    };
     let mut chains = Vec::new();
     let mut is_continued = vec![false; lanelets.len()];
     for successor in next.iter().flatten() {
         is_continued[*successor] = true;
     }
     for start in (0..lanelets.len()).filter(|index| !is_continued[*index]) {
-        chains.push(follow(start, &mut seen));
+        chains.push(follow(start, chains.len(), &mut seen)?);
     }
     // What is left are rings: they begin anywhere.
-    while let Some(start) = seen.iter().position(|seen| !seen) {
-        chains.push(follow(start, &mut seen));
+    for start in 0..lanelets.len() {
+        if !seen[start] {
+            chains.push(follow(start, chains.len(), &mut seen)?);
+        }
     }
-    chains
+    Ok(chains)
 }
 
 /// The successor whose centre line bends least from the lanelet's.
-fn straightest(lanelets: &[Lanelet], from: &Lanelet, candidates: &[usize]) -> Option<usize> {
-    let direction = |lanelet: &Lanelet, end: bool| {
-        let line = centre_points(lanelet);
-        let line: Vec<Vec2> = line.into_iter().map(|(point, _)| point).collect();
-        if end {
-            end_heading(&line)
-        } else {
-            start_heading(&line)
-        }
-    };
-    let heading = direction(from, true);
-    let bend = |index: usize| wrap_angle(direction(&lanelets[index], false) - heading).abs();
+fn straightest(pieces: &[Piece], from: usize, candidates: &[usize]) -> Option<usize> {
+    let heading = pieces[from].end_heading;
+    let bend = |index: usize| wrap_angle(pieces[index].start_heading - heading).abs();
     candidates
         .iter()
         .copied()
         .min_by(|a, b| bend(*a).total_cmp(&bend(*b)))
 }
 
-/// All lanelets beside this one, over any number of lanes, in the same direction.
-fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, lanelet: &Lanelet) -> Vec<usize> {
+/// The lanelets beside this one, over up to [`BESIDE_MAX`] lanes, in the same direction.
+fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, start: usize) -> Vec<usize> {
     let mut found = Vec::new();
-    let mut open = vec![lanelet];
-    while let Some(lanelet) = open.pop() {
+    let mut open = vec![start];
+    while let Some(index) = open.pop() {
+        let lanelet = &lanelets[index];
         for id in [lanelet.left_neighbour, lanelet.right_neighbour]
             .into_iter()
             .flatten()
@@ -118,8 +167,11 @@ fn neighbours(lanelets: &[Lanelet], places: &HashMap<i64, usize>, lanelet: &Lane
             let index = places.get(&id).copied();
             if let Some(index) = index.filter(|index| !found.contains(index)) {
                 found.push(index);
-                open.push(&lanelets[index]);
+                open.push(index);
             }
+        }
+        if found.len() > BESIDE_MAX {
+            break;
         }
     }
     found
@@ -138,15 +190,12 @@ pub(super) fn lanes_by_id(lanelets: &[Lanelet], chains: &[Chain]) -> HashMap<i64
 
 /// The direction in which each lane continues beyond the map: the mean over all lanes that end side
 /// by side, so that they stay side by side.
-pub(super) fn run_out_headings(lanelets: &[Lanelet], chains: &[Chain]) -> Vec<f64> {
-    let ends: Vec<(Vec2, f64)> = chains
+pub(super) fn run_out_headings(lines: &[CentreLine]) -> Vec<f64> {
+    let ends: Vec<(Vec2, f64)> = lines
         .iter()
-        .map(|chain| {
-            let line = centre_line(lanelets, chain);
-            (line.points[line.points.len() - 1], line.last_heading())
-        })
+        .map(|line| (line.points[line.points.len() - 1], line.last_heading()))
         .collect();
-    (0..chains.len())
+    (0..lines.len())
         .map(|index| {
             let heading = ends[index].1;
             let group = side_by_side(&ends, index);
@@ -163,12 +212,12 @@ pub(super) fn run_out_headings(lanelets: &[Lanelet], chains: &[Chain]) -> Vec<f6
 fn side_by_side(ends: &[(Vec2, f64)], start: usize) -> Vec<usize> {
     let mut group = vec![start];
     let mut next = 0;
-    while next < group.len() {
+    while next < group.len() && group.len() < BESIDE_MAX {
         let (point, heading) = ends[group[next]];
         for (index, (other, other_heading)) in ends.iter().enumerate() {
-            let near = (*other - point).norm() < 8.0;
+            let near = (other.x - point.x).abs() < 8.0 && (*other - point).norm() < 8.0;
             let parallel = wrap_angle(other_heading - heading).abs() < 0.2;
-            if near && parallel && !group.contains(&index) {
+            if near && parallel && group.len() < BESIDE_MAX && !group.contains(&index) {
                 group.push(index);
             }
         }
@@ -178,7 +227,7 @@ fn side_by_side(ends: &[(Vec2, f64)], start: usize) -> Vec<usize> {
 }
 
 /// The centre line through all pieces of a chain.
-pub(super) fn centre_line(lanelets: &[Lanelet], chain: &Chain) -> CentreLine {
+pub(super) fn centre_line(pieces: &[Piece], chain: &Chain) -> CentreLine {
     let mut line = CentreLine {
         points: Vec::new(),
         stations: Vec::new(),
@@ -186,7 +235,7 @@ pub(super) fn centre_line(lanelets: &[Lanelet], chain: &Chain) -> CentreLine {
         ends: Vec::new(),
     };
     for piece in &chain.pieces {
-        for (point, width) in centre_points(&lanelets[*piece]) {
+        for &(point, width) in &pieces[*piece].points {
             let step = line
                 .points
                 .last()
@@ -221,8 +270,8 @@ impl CentreLine {
 
     /// The lanelet at this station.
     pub(super) fn piece_at(&self, station: f64) -> usize {
-        let found = self.ends.iter().find(|(end, _)| station < *end);
-        found.unwrap_or(&self.ends[self.ends.len() - 1]).1
+        let found = self.ends.partition_point(|(end, _)| *end <= station);
+        self.ends[found.min(self.ends.len() - 1)].1
     }
 
     pub(super) fn width_at(&self, station: f64) -> f64 {
@@ -246,26 +295,26 @@ fn centre_points(lanelet: &Lanelet) -> Vec<(Vec2, f64)> {
         return pairs.map(middle).collect();
     }
     let count = lanelet.left.len().max(lanelet.right.len()) * 4;
-    (0..=count)
-        .map(|i| {
-            let share = i as f64 / count as f64;
-            middle((along(&lanelet.left, share), along(&lanelet.right, share)))
-        })
-        .collect()
+    let (left, right) = (spread(&lanelet.left, count), spread(&lanelet.right, count));
+    left.into_iter().zip(right).map(middle).collect()
 }
 
-/// The point at this share of the polyline's length.
-fn along(points: &[Vec2], share: f64) -> Vec2 {
+/// `count + 1` points at equal distances along the polyline.
+fn spread(points: &[Vec2], count: usize) -> Vec<Vec2> {
     let length: f64 = points.windows(2).map(|w| (w[1] - w[0]).norm()).sum();
-    let mut left = share * length;
-    for pair in points.windows(2) {
-        let piece = (pair[1] - pair[0]).norm();
-        if left <= piece {
-            return pair[0].lerp(pair[1], left / piece);
-        }
-        left -= piece;
-    }
-    points[points.len() - 1]
+    let (mut index, mut before) = (0, 0.0);
+    let mut piece = (points[1] - points[0]).norm();
+    (0..=count)
+        .map(|sample| {
+            let wanted = sample as f64 / count as f64 * length;
+            while before + piece < wanted && index + 2 < points.len() {
+                before += piece;
+                index += 1;
+                piece = (points[index + 1] - points[index]).norm();
+            }
+            points[index].lerp(points[index + 1], ((wanted - before) / piece).min(1.0))
+        })
+        .collect()
 }
 
 fn start_heading(points: &[Vec2]) -> f64 {

@@ -26,7 +26,7 @@ fn road(drop: Option<f64>) -> Arc<Road> {
         lanelets.push(lanelet(3, 4.0, end, 3_000.0));
         lanelets[2].predecessors = vec![2];
     }
-    Arc::new(Road::new(&lanelets))
+    Arc::new(Road::new(&lanelets).unwrap())
 }
 
 /// A car recorded every 0.1 s until `end`, with x and y by time.

@@ -1,0 +1,110 @@
+//! Where a planning problem ends: a place, a time, a speed, a direction.
+
+use std::f64::consts::TAU;
+
+use crate::geometry::Vec2;
+
+/// Instants of the world and of a file differ by rounding, s; the world looks every 5 ms.
+const TIME_TOLERANCE: f64 = 2.6e-3;
+
+/// A part of the plane.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Area {
+    /// A disc.
+    Circle {
+        /// m
+        centre: Vec2,
+        /// m
+        radius: f64,
+    },
+    /// What these corners enclose, in either direction of rotation.
+    Polygon(Vec<Vec2>),
+}
+
+impl Area {
+    /// Whether the point lies inside.
+    #[must_use]
+    pub fn contains(&self, point: Vec2) -> bool {
+        match self {
+            Self::Circle { centre, radius } => (point - *centre).norm() <= *radius,
+            Self::Polygon(corners) => {
+                // A ray to the right crosses the border an odd number of times.
+                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+                let crossed = edges.filter(|(a, b)| {
+                    let spans = (a.y > point.y) != (b.y > point.y);
+                    spans && point.x < a.x + (point.y - a.y) / (b.y - a.y) * (b.x - a.x)
+                });
+                crossed.count() % 2 == 1
+            }
+        }
+    }
+}
+
+/// What one `<goalState>` asks for. What it does not name is free.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Goal {
+    /// The ego's centre is in one of these; anywhere if there is none.
+    pub areas: Vec<Area>,
+    /// From and to, s since the ego's start.
+    pub time: Option<(f64, f64)>,
+    /// From and to, rad, counter-clockwise.
+    pub yaw: Option<(f64, f64)>,
+    /// From and to, m/s.
+    pub speed: Option<(f64, f64)>,
+}
+
+impl Goal {
+    /// Whether the ego is there in time.
+    #[must_use]
+    pub fn is_reached(&self, t: f64, position: Vec2, yaw: f64, speed: f64) -> bool {
+        let within = |range: Option<(f64, f64)>, value: f64, tolerance: f64| {
+            range.is_none_or(|(from, to)| (from - tolerance..=to + tolerance).contains(&value))
+        };
+        let turned = self
+            .yaw
+            .is_none_or(|(from, to)| (yaw - from).rem_euclid(TAU) <= to - from);
+        within(self.time, t, TIME_TOLERANCE)
+            && within(self.speed, speed, 0.0)
+            && turned
+            && (self.areas.is_empty() || self.areas.iter().any(|area| area.contains(position)))
+    }
+
+    /// When it can be reached no more, s since the ego's start.
+    #[must_use]
+    pub fn deadline(&self) -> Option<f64> {
+        self.time.map(|(_, to)| to)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_goal_is_a_place_a_time_a_speed_and_a_direction() {
+        let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)];
+        let goal = Goal {
+            areas: vec![Area::Polygon(square.map(|(x, y)| Vec2::new(x, y)).into())],
+            time: Some((1.0, 2.0)),
+            yaw: Some((3.0, 3.4)),
+            speed: Some((5.0, 9.0)),
+        };
+        let inside = Vec2::new(1.0, 3.0);
+        // The same direction, once more round.
+        for yaw in [3.1, 3.1 - TAU] {
+            assert!(goal.is_reached(1.5, inside, yaw, 6.0));
+        }
+        for (t, position, yaw, speed) in [
+            (0.9, inside, 3.1, 6.0),
+            (1.5, Vec2::new(5.0, 3.0), 3.1, 6.0),
+            (1.5, inside, 2.9, 6.0),
+            (1.5, inside, 3.1, 9.1),
+        ] {
+            assert!(
+                !goal.is_reached(t, position, yaw, speed),
+                "{t} {yaw} {speed}"
+            );
+        }
+        assert!(Goal::default().is_reached(9.0, inside, 0.0, 0.0));
+    }
+}
