@@ -74,6 +74,8 @@ pub(crate) enum Command {
     Dflash(DflashArgs),
     /// List the scenarios that are built in
     Scenarios,
+    /// Drive a folder of scenarios in virtual time, and say how each went
+    Judge(JudgeArgs),
     /// Measure the time from one core to another, beside the floor and what else one would use
     Bench(BenchArgs),
     /// Try faults on the control cores of both systems, in virtual time
@@ -127,6 +129,34 @@ impl ThesisBoard {
             Self::Qemu => "qemu",
         }
     }
+}
+
+/// Arguments of `tandem judge`.
+#[derive(Debug, Args)]
+pub(crate) struct JudgeArgs {
+    /// The folder: every file *.xml in it is a CommonRoad scenario
+    #[arg(value_name = "DIR")]
+    pub(crate) folder: PathBuf,
+
+    /// How long to drive each, in scenario time: 20, 20s, 1m
+    #[arg(long, value_name = "TIME", default_value = "20s", value_parser = parse_duration)]
+    pub(crate) duration: f64,
+
+    /// Seed of the sensors' noise
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+
+    /// Scenarios at the same time [default: one for each CPU]
+    #[arg(long, value_name = "N")]
+    pub(crate) jobs: Option<std::num::NonZero<usize>>,
+
+    /// Write all figures to this file
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+
+    /// Write an overview page with a picture of each drive to this file
+    #[arg(long, value_name = "FILE")]
+    pub(crate) html: Option<PathBuf>,
 }
 
 /// Arguments of `tandem rtos-demo`.

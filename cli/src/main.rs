@@ -12,6 +12,7 @@ mod failure;
 mod files;
 mod flash;
 mod hands;
+mod judge;
 mod live;
 mod metrics;
 mod output;
@@ -78,6 +79,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Run(args) => run::run(&args),
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
+        Command::Judge(args) => judge::run(&args),
         Command::Bench(args) => bench(&args),
         Command::BootDemo(args) => {
             let shown = boot_demo::experiment(args.board, args.images.as_deref());

@@ -252,7 +252,16 @@ fn check_scenario(scenario: &str) -> anyhow::Result<()> {
     if is_special && !Scenario::names().any(|name| name == scenario) {
         bail!("--scenario {scenario}: it is no regular file; save it as one first");
     }
-    Scenario::load(scenario)?;
+    let loaded = Scenario::load(scenario)?;
+    if let Some(reason) = loaded.outside_domain() {
+        bail!(
+            "--scenario {scenario}: outside the operational design domain: {reason}; \
+             docs/domain.md says what it is"
+        );
+    }
+    for warning in loaded.warnings() {
+        eprintln!("warning: {warning}");
+    }
     fs::canonicalize(path).map_or(Ok(()), |path| outside_shared_memory("--scenario", &path))
 }
 

@@ -154,6 +154,7 @@ pub fn parse(text: &str, file: &str) -> Result<Map, ScenarioError> {
     if text.len() > FILE_MAX {
         return Err(ScenarioError::TooLarge {
             file: file.to_owned(),
+            most_mib: FILE_MAX >> 20,
         });
     }
     if let Some(line) = tag_with_many_attributes(text) {

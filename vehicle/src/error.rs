@@ -29,22 +29,25 @@ pub enum ScenarioError {
         problem: String,
     },
     /// The file is larger than any scenario.
-    #[error("{file}: larger than {} MiB; give the part that is driven", crate::commonroad::FILE_MAX >> 20)]
+    #[error("{file}: larger than {most_mib} MiB; give the part that is driven")]
     TooLarge {
         /// Path of the file.
         file: String,
+        /// MiB
+        most_mib: usize,
     },
     /// The lanes together are longer than any map that is driven.
     #[error(
-        "{file}: its lanes together are {length_km:.0} km long; give a map with less than {} km, \
-         where every successor begins where its lanelet ends",
-        crate::road::ROAD_MAX / 1e3
+        "{file}: its lanes together are {length_km:.0} km long; give a map with less than \
+         {most_km} km, where every successor begins where its lanelet ends"
     )]
     TooLong {
         /// Path of the file.
         file: String,
         /// km
         length_km: f64,
+        /// km
+        most_km: f64,
     },
     /// The file is no well-formed XML.
     #[error("{file}:{line}: no well-formed XML: {problem}")]

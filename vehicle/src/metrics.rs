@@ -1,8 +1,11 @@
 //! Figures of a run, kept up to date in each tick.
 
-use crate::geometry::Footprint;
+use std::sync::Arc;
+
+use crate::commonroad::Goal;
+use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
-use crate::traffic::Vehicle;
+use crate::traffic::{Participant, Vehicle};
 
 /// A collision with the same vehicle counts again after so much time apart, s.
 const COLLISION_APART_S: f64 = 1.0;
@@ -10,23 +13,55 @@ const COLLISION_APART_S: f64 = 1.0;
 const IN_PLACE: f64 = 0.3;
 /// An offset from the lane's centre that lasts longer than this counts as no change of lane, s.
 const LANE_CHANGE_S: f64 = 10.0;
+/// Farther beyond the border of its lane no lane change leads through the middle of nowhere, m.
+const BESIDE_ROAD: f64 = 0.5;
+/// Lanes of different widths may leave a gap between them that is no way beside the road, m.
+const LANE_GAP: f64 = 0.3;
+/// Slower is standing, m/s.
+const STANDING: f64 = 0.1;
+/// Who moves to the side faster than this does so on purpose, m/s.
+const SWERVING: f64 = 0.3;
+/// Stronger braking is named with its reason, m/s².
+const HARD_BRAKING: f64 = 4.0;
+/// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
+const STANDING_S: f64 = 3.0;
+const STANDING_REASON_M: f64 = 15.0;
 /// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;
 /// Time over which the jerk is taken, in milliseconds.
 const JERK_SPAN_MS: usize = 20;
+/// Time over which the largest jerk is taken, in milliseconds: a passenger feels no shorter one.
+const JERK_MAX_SPAN_MS: usize = 100;
 
 /// Figures of a run so far. Time runs only while the world does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Metrics {
     /// Distinct collisions: the ego's rectangle overlapped another vehicle's.
     pub collisions: u32,
+    /// Those of them that the ego caused: it was neither hit while it stood, nor from behind, nor
+    /// from the side while it kept its lane.
+    pub collisions_by_ego: u32,
+    /// Those in which it stood.
+    pub hit_while_standing: u32,
+    /// How far the ego's centre was outside of all lanes of its direction, m; 0 if never.
+    pub excursion_max_m: f64,
+    /// Time with the centre outside of all lanes of its direction, s.
+    pub off_lane_s: f64,
+    /// The part of it on a lane of the other direction, s.
+    pub wrong_way_s: f64,
+    /// Time for which the ego stood, after the first seconds of each stop, though nothing was
+    /// near ahead, s.
+    pub standing_s: f64,
+    /// When one of the scenario's goals was reached first, s; `None` without one.
+    pub goal_reached_s: Option<f64>,
     /// Largest distance to the centre of the own lane, m, while no lane change was under way.
     ///
     /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
     /// ends in the middle of another lane. One that leads back counts in full, as does one that
-    /// lasts longer than 10 s. The way from the start to the centre of the first lane does not
-    /// count.
+    /// lasts longer than 10 s, one that has not ended yet in another lane, and one that leads
+    /// beside the road. The way from the start to the centre of the first lane does not count
+    /// while it is on the road.
     pub lateral_error_max_m: f64,
     /// The same within lane changes, to the nearest lane's centre, m: about half a lane's width.
     pub lane_change_offset_max_m: f64,
@@ -44,8 +79,68 @@ pub struct Metrics {
     pub lateral_acceleration_max: f64,
     /// 99th percentile of the longitudinal jerk's magnitude over 20 ms, m/s³.
     pub jerk_p99: f64,
+    /// Largest longitudinal jerk over 100 ms, m/s³, and when, s.
+    pub jerk_max: (f64, f64),
+    /// The hardest braking above 4 m/s²: when it began to be so hard, and for what.
+    pub hard_braking: Option<HardBraking>,
     /// Distance driven, m.
     pub distance_m: f64,
+}
+
+impl Default for Metrics {
+    /// Those of a drive that has not begun.
+    fn default() -> Self {
+        Self {
+            collisions: 0,
+            collisions_by_ego: 0,
+            hit_while_standing: 0,
+            excursion_max_m: 0.0,
+            off_lane_s: 0.0,
+            wrong_way_s: 0.0,
+            standing_s: 0.0,
+            goal_reached_s: None,
+            lateral_error_max_m: 0.0,
+            lane_change_offset_max_m: 0.0,
+            lane_changes: 0,
+            gap_min_m: f64::INFINITY,
+            ttc_min_s: f64::INFINITY,
+            acceleration_max: 0.0,
+            deceleration_max: 0.0,
+            lateral_acceleration_max: 0.0,
+            jerk_p99: 0.0,
+            jerk_max: (0.0, 0.0),
+            hard_braking: None,
+            distance_m: 0.0,
+        }
+    }
+}
+
+/// Braking that is not comfortable.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HardBraking {
+    /// s
+    pub at_s: f64,
+    /// Time to collision with the leader then, s; infinite if the ego was not closing in.
+    pub ttc_s: f64,
+    /// Distance to the leader then, m; infinite without one.
+    pub gap_m: f64,
+    /// Distance to the end of the lane or of the domain then, m; infinite without one.
+    pub end_m: f64,
+}
+
+impl HardBraking {
+    /// In words.
+    #[must_use]
+    pub fn reason(&self) -> String {
+        match self {
+            Self { ttc_s, gap_m, .. } if *ttc_s < 6.0 => {
+                format!("vehicle {gap_m:.0} m ahead, {ttc_s:.1} s to a collision")
+            }
+            Self { end_m, .. } if *end_m < 150.0 => format!("the lane ends in {end_m:.0} m"),
+            Self { gap_m, .. } if *gap_m < 50.0 => format!("vehicle {gap_m:.0} m ahead"),
+            _ => "nothing seen ahead".to_owned(),
+        }
+    }
 }
 
 /// What [`Meter::step`] is told of the ego.
@@ -57,8 +152,15 @@ pub(crate) struct Sample {
     pub(crate) lat_acceleration: f64,
     pub(crate) lane: LaneId,
     pub(crate) offset: f64,
+    /// Width of the lane there, m; 0 where it does not exist or runs the other way.
+    pub(crate) width: f64,
+    /// The ego is on a lane of the other direction, and on none of its own.
+    pub(crate) wrong_way: bool,
+    pub(crate) pose: Pose,
     pub(crate) gap: f64,
     pub(crate) ttc: f64,
+    /// Distance to the end of the lane, m.
+    pub(crate) end: f64,
 }
 
 /// Collects the figures.
@@ -67,9 +169,13 @@ pub(crate) struct Meter {
     metrics: Metrics,
     /// When the ego last overlapped each vehicle.
     last_overlap: Vec<Option<f64>>,
+    goals: Arc<[Goal]>,
     excursion: Excursion,
     lane: Option<LaneId>,
+    stopped_since: Option<f64>,
     accelerations: [f64; JERK_SPAN_MS],
+    /// Of the last 100 ms, for the largest jerk.
+    smooth: [f64; JERK_MAX_SPAN_MS],
     steps: usize,
     jerks: Vec<u32>,
 }
@@ -84,28 +190,19 @@ struct Excursion {
 }
 
 impl Meter {
-    pub(crate) fn new(vehicles: usize) -> Self {
+    pub(crate) fn new(vehicles: usize, goals: Arc<[Goal]>) -> Self {
         Self {
-            metrics: Metrics {
-                collisions: 0,
-                lateral_error_max_m: 0.0,
-                lane_change_offset_max_m: 0.0,
-                lane_changes: 0,
-                gap_min_m: f64::INFINITY,
-                ttc_min_s: f64::INFINITY,
-                acceleration_max: 0.0,
-                deceleration_max: 0.0,
-                lateral_acceleration_max: 0.0,
-                jerk_p99: 0.0,
-                distance_m: 0.0,
-            },
+            metrics: Metrics::default(),
             last_overlap: vec![None; vehicles],
             excursion: Excursion {
                 since: 0.0,
                 largest: 0.0,
                 excused: true,
             },
+            goals,
             lane: None,
+            stopped_since: None,
+            smooth: [0.0; JERK_MAX_SPAN_MS],
             accelerations: [0.0; JERK_SPAN_MS],
             steps: 0,
             jerks: vec![0; JERK_BINS],
@@ -115,8 +212,26 @@ impl Meter {
     /// One millisecond of the running world.
     pub(crate) fn step(&mut self, sample: &Sample) {
         self.lateral(sample);
+        self.largest_jerk(sample);
         self.jerk(sample.long_acceleration);
+        self.standing(sample);
         let m = &mut self.metrics;
+        if sample.long_acceleration < -HARD_BRAKING
+            && -sample.long_acceleration > m.deceleration_max
+            && m.hard_braking.is_none_or(|h| sample.time_s - h.at_s > 2.0)
+        {
+            m.hard_braking = Some(HardBraking {
+                at_s: sample.time_s,
+                ttc_s: sample.ttc,
+                gap_m: sample.gap,
+                end_m: sample.end,
+            });
+        }
+        let Sample { pose, speed, .. } = *sample;
+        let reached = |goal: &Goal| goal.is_reached(sample.time_s, pose.position, pose.yaw, speed);
+        if m.goal_reached_s.is_none() && self.goals.iter().any(reached) {
+            m.goal_reached_s = Some(sample.time_s);
+        }
         m.gap_min_m = m.gap_min_m.min(sample.gap);
         m.ttc_min_s = m.ttc_min_s.min(sample.ttc);
         m.acceleration_max = m.acceleration_max.max(sample.long_acceleration);
@@ -127,24 +242,64 @@ impl Meter {
         m.distance_m += sample.speed * 1e-3;
     }
 
-    /// Looks for overlaps; whether there is one now.
-    pub(crate) fn collide(&mut self, time_s: f64, ego: &Footprint, vehicles: &[Vehicle]) -> bool {
+    /// Looks for overlaps; whether there is one now. `keeps_lane`: the ego's body is in its lane.
+    pub(crate) fn collide(
+        &mut self,
+        time_s: f64,
+        ego: &Participant,
+        keeps_lane: bool,
+        vehicles: &[Vehicle],
+    ) -> bool {
         let mut collides = false;
         for (vehicle, last) in vehicles.iter().zip(&mut self.last_overlap) {
-            if !vehicle.is_present() || !ego.overlaps(&vehicle.participant.footprint) {
+            let other = &vehicle.participant;
+            if !vehicle.is_present() || !ego.footprint.overlaps(&other.footprint) {
                 continue;
             }
             collides = true;
             if last.is_none_or(|last| time_s - last > COLLISION_APART_S) {
-                self.metrics.collisions += 1;
+                let m = &mut self.metrics;
+                m.collisions += 1;
+                let stands = ego.speed < STANDING;
+                m.hit_while_standing += u32::from(stands);
+                m.collisions_by_ego += u32::from(!stands && is_cause(ego, other, keeps_lane));
             }
             *last = Some(time_s);
         }
         collides
     }
 
+    fn standing(&mut self, sample: &Sample) {
+        let excused = sample.gap.min(sample.end) < STANDING_REASON_M;
+        if sample.speed >= STANDING || excused {
+            self.stopped_since = None;
+        } else if sample.time_s - *self.stopped_since.get_or_insert(sample.time_s) > STANDING_S {
+            self.metrics.standing_s += 1e-3;
+        }
+    }
+
+    fn largest_jerk(&mut self, sample: &Sample) {
+        let slot = self.steps % JERK_MAX_SPAN_MS;
+        let change = (sample.long_acceleration - self.smooth[slot]).abs();
+        self.smooth[slot] = sample.long_acceleration;
+        let jerk = change / (JERK_MAX_SPAN_MS as f64 * 1e-3);
+        if self.steps >= JERK_MAX_SPAN_MS && jerk > self.metrics.jerk_max.0 {
+            self.metrics.jerk_max = (jerk, sample.time_s);
+        }
+    }
+
     fn lateral(&mut self, sample: &Sample) {
         let offset = sample.offset.abs();
+        let m = &mut self.metrics;
+        let beyond = offset - sample.width / 2.0;
+        if beyond > LANE_GAP {
+            m.off_lane_s += 1e-3;
+            m.wrong_way_s += if sample.wrong_way { 1e-3 } else { 0.0 };
+            m.excursion_max_m = m.excursion_max_m.max(beyond);
+        }
+        if beyond > BESIDE_ROAD {
+            m.lateral_error_max_m = m.lateral_error_max_m.max(offset);
+        }
         let changed = self.lane.is_some_and(|lane| lane != sample.lane);
         self.lane = Some(sample.lane);
         let excursion = &mut self.excursion;
@@ -194,20 +349,53 @@ impl Meter {
             left == 0 && total > 0
         });
         let jerk_p99 = bin.map_or(0.0, |bin| (bin as f64 + 0.5) * JERK_BIN);
+        let open = if self.excursion.excused {
+            0.0
+        } else {
+            self.excursion.largest
+        };
         Metrics {
             jerk_p99,
+            lateral_error_max_m: self.metrics.lateral_error_max_m.max(open),
             ..self.metrics
         }
     }
 }
 
+/// Whether the moving ego caused that it touches `other`.
+///
+/// Who is hit from behind did not, and who is hit in the side did not while it kept its lane.
+fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
+    let apart = ego.footprint.pose.to_local(other.footprint.pose.position);
+    let own_half = ego.footprint.length / 2.0;
+    let nearest = other
+        .footprint
+        .corners()
+        .map(|c| ego.footprint.pose.to_local(c).x);
+    let foremost = nearest.into_iter().fold(f64::NEG_INFINITY, f64::max);
+    let rearmost = nearest.into_iter().fold(f64::INFINITY, f64::min);
+    let velocity = ego
+        .footprint
+        .pose
+        .unrotate(Vec2::from_angle(other.footprint.pose.yaw) * other.speed);
+    // From behind: only its front reaches the ego's rear, and it is faster.
+    if apart.x < 0.0 && foremost < own_half && velocity.x > ego.speed {
+        return false;
+    }
+    // Into the ego's side: it is beside, or its front meets the flank, and it is who closes in.
+    let beside = rearmost < own_half - 0.5;
+    let closes_in = velocity.y * apart.y < 0.0 && velocity.y.abs() > SWERVING;
+    !(beside && keeps_lane && closes_in)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Footprint;
 
     /// Feeds (offset, lane) every 100 ms, each for 100 steps of a millisecond.
     fn lateral(samples: &[(f64, usize)]) -> Metrics {
-        let mut meter = Meter::new(0);
+        let mut meter = Meter::new(0, Arc::new([]));
         for (index, (offset, lane)) in samples.iter().enumerate() {
             for ms in 0..100 {
                 meter.step(&Sample {
@@ -217,8 +405,12 @@ mod tests {
                     lat_acceleration: 0.0,
                     lane: LaneId(*lane),
                     offset: *offset,
+                    width: 3.5,
+                    wrong_way: false,
+                    pose: Pose::default(),
                     gap: f64::INFINITY,
                     ttc: f64::INFINITY,
+                    end: f64::INFINITY,
                 });
             }
         }
@@ -250,9 +442,61 @@ mod tests {
         assert_eq!(lateral(&start).lateral_error_max_m, 0.1);
     }
 
+    /// An excursion counts though the run ends before it does, and beside the road though lanes
+    /// are passed on the way.
+    #[test]
+    fn an_excursion_that_is_open_at_the_end_counts() {
+        let open = [(0.1, 0), (0.9, 0), (1.4, 0)];
+        assert_eq!(lateral(&open).lateral_error_max_m, 1.4);
+        let away = lateral(&[(0.1, 0), (1.7, 0), (-1.7, 1), (-4.0, 1), (9.0, 0), (8.0, 1)]);
+        assert_eq!(away.lateral_error_max_m, 9.0);
+        assert_eq!(away.excursion_max_m, 9.0 - 1.75);
+        assert!((away.off_lane_s - 0.3).abs() < 2e-3, "{}", away.off_lane_s);
+    }
+
+    /// Who runs into another is the cause, who is hit while standing, from behind or in the side
+    /// is not.
+    #[test]
+    fn a_collision_is_the_egos_only_if_it_caused_it() {
+        let at = |x: f64, y: f64, yaw: f64, speed: f64| Participant {
+            footprint: Footprint {
+                pose: Pose {
+                    position: Vec2::new(x, y),
+                    yaw,
+                },
+                length: 4.5,
+                width: 1.8,
+            },
+            speed,
+            acceleration: 0.0,
+        };
+        let ego = at(0.0, 0.0, 0.0, 10.0);
+        let cases = [
+            ("into a leader", at(4.4, 0.2, 0.0, 5.0), true, true),
+            ("from behind", at(-4.4, 0.2, 0.0, 15.0), true, false),
+            (
+                "it drives in from the side",
+                at(0.5, 1.7, -0.2, 10.0),
+                true,
+                false,
+            ),
+            (
+                "the ego changes lanes",
+                at(0.5, 1.7, 0.0, 10.0),
+                false,
+                true,
+            ),
+            ("across, in front", at(3.0, 0.5, 1.5, 8.0), true, true),
+        ];
+        for (name, other, keeps_lane, expected) in cases {
+            assert!(ego.footprint.overlaps(&other.footprint), "{name}");
+            assert_eq!(is_cause(&ego, &other, keeps_lane), expected, "{name}");
+        }
+    }
+
     #[test]
     fn the_jerk_percentile_comes_from_steps_of_twenty_milliseconds() {
-        let mut meter = Meter::new(0);
+        let mut meter = Meter::new(0, Arc::new([]));
         for step in 0..20_000 {
             // 1 m/s³ for ever, in a saw tooth without edges inside a span.
             meter.jerk(f64::from(step) * 1e-3);

@@ -14,7 +14,10 @@ use crate::geometry::{Vec2, wrap_angle};
 use crate::road::chain::{CentreLine, Chain, Piece};
 
 mod chain;
+pub(crate) mod domain;
 mod smooth;
+
+pub use domain::Exit;
 
 /// Distance between two samples of a centre line, m.
 const STEP: f64 = 2.0;
@@ -23,6 +26,10 @@ const RUN_OUT: f64 = 120.0;
 /// Lanes that are longer together are refused, m: each metre takes 50 bytes, and each look at the
 /// whole road some nanoseconds.
 pub const ROAD_MAX: f64 = 1e6;
+/// An end of the domain is behind the vehicle when it is this far behind its centre, m.
+const EXIT_PASSED: f64 = 4.0;
+/// What a difference of direction weighs at the start, m/rad.
+const HEADING_WEIGHT: f64 = 8.0;
 
 /// Which lane of a road.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -67,6 +74,8 @@ pub struct Lane {
     pub end: Option<f64>,
     /// Every [`STEP`] metres; beyond them it continues straight.
     sections: Vec<Section>,
+    /// Where the operational design domain ends on it, by arc length.
+    exits: Vec<(f64, Exit)>,
 }
 
 impl Lane {
@@ -91,6 +100,16 @@ impl Lane {
             width: a.width + (b.width - a.width) * t,
             ..if t < 0.5 { *a } else { *b }
         }
+    }
+
+    /// The sections inside of the map, with their arc lengths.
+    pub(crate) fn mapped(&self) -> impl Iterator<Item = (f64, &Section)> {
+        let run_out = (RUN_OUT / STEP) as usize + 1;
+        let sections = self.sections.iter().enumerate().skip(run_out);
+        let count = self.sections.len().saturating_sub(2 * run_out);
+        sections
+            .take(count)
+            .map(|(index, section)| (index as f64 * STEP, section))
     }
 
     /// Whether the lane exists at arc length `s`.
@@ -189,6 +208,10 @@ impl Road {
             .map(|((chain, line), heading)| lane(lanelets, chain, line, *heading, &lane_of))
             .collect();
         join_beyond_the_map(&mut lanes);
+        let exits = domain::exits(&lanes);
+        for (lane, exits) in lanes.iter_mut().zip(exits) {
+            lane.exits = exits;
+        }
         Ok(Self { lanes })
     }
 
@@ -224,6 +247,62 @@ impl Road {
             let cost = (point - lane.at(place.s).centre).norm() + penalty;
             if cost < best_cost - 1e-6 {
                 (best, best_cost) = ((LaneId(index), place), cost);
+            }
+        }
+        best
+    }
+
+    /// Whether the point is on a lane that runs against `yaw`.
+    #[must_use]
+    pub fn is_oncoming(&self, point: Vec2, yaw: f64) -> bool {
+        self.lanes.iter().any(|lane| {
+            let place = lane.project(point);
+            let section = lane.at(place.s);
+            place.d.abs() < section.width / 2.0
+                && (point - section.centre).norm() < section.width
+                && lane.exists_at(place.s)
+                && wrap_angle(section.heading - yaw).abs() > 2.0
+        })
+    }
+
+    /// Metres to the end of the operational design domain on this lane from arc length `s`, and
+    /// what ends it; `None` if nothing does.
+    #[must_use]
+    pub fn domain_end(&self, lane: LaneId, s: f64) -> Option<(f64, Exit)> {
+        let exits = &self.lane(lane).exits;
+        // An exit that was just passed is still under the vehicle.
+        let next = exits.partition_point(|(at, _)| *at < s - EXIT_PASSED);
+        let (at, exit) = exits.get(next)?;
+        Some(((at - s).max(0.0), *exit))
+    }
+
+    /// Metres from arc length `s` to where the lane or the domain on it ends; infinite if it
+    /// continues.
+    #[must_use]
+    pub fn drivable(&self, lane: LaneId, s: f64) -> f64 {
+        let end = self.distance_to_end(lane, s);
+        self.domain_end(lane, s)
+            .map_or(end, |(exit, _)| end.min(exit))
+    }
+
+    /// The lane in which a drive starts: as [`Road::locate`], but where lanes lie on each other,
+    /// as behind a fork, the one along `yaw`.
+    #[must_use]
+    pub fn locate_start(&self, point: Vec2, yaw: f64) -> (LaneId, Frenet) {
+        let (nearest, place) = self.locate(point, yaw);
+        let cost = |lane: &Lane, place: Frenet| {
+            let turn = wrap_angle(lane.at(place.s).heading - yaw).abs();
+            place.d.abs() + HEADING_WEIGHT * turn
+        };
+        let mut best = (nearest, place);
+        let mut least = cost(self.lane(nearest), place) - 1e-6;
+        for (index, lane) in self.lanes.iter().enumerate() {
+            let place = lane.project(point);
+            let section = lane.at(place.s);
+            let is_on = (point - section.centre).norm() < section.width / 2.0;
+            let cost = cost(lane, place);
+            if is_on && lane.exists_at(place.s) && cost < least {
+                (best, least) = ((LaneId(index), place), cost);
             }
         }
         best
@@ -291,6 +370,7 @@ fn lane(
         begin: chain.opens.then_some(start),
         end: chain.drops.then_some(end),
         sections,
+        exits: Vec::new(),
     }
 }
 

@@ -6,8 +6,13 @@ use std::sync::Arc;
 
 use crate::commonroad::{self, Goal, Map, Obstacle};
 use crate::error::ScenarioError;
-use crate::geometry::Pose;
-use crate::road::Road;
+use crate::geometry::{Footprint, Pose};
+use crate::plant::BMW_320I;
+use crate::road::{ROAD_MAX, Road, domain};
+use crate::traffic::recording;
+
+/// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
+const SET_SPEED_MIN: f64 = 13.9;
 
 /// The scenarios that the program brings along: name, one line about it, CommonRoad XML.
 const EMBEDDED: [(&str, &str, &str); 6] = [
@@ -51,6 +56,7 @@ pub struct Scenario {
     pub(crate) obstacles: Arc<[Obstacle]>,
     pub(crate) goals: Arc<[Goal]>,
     pub(crate) warnings: Vec<String>,
+    outside: Option<String>,
     pub(crate) start: Pose,
     pub(crate) start_speed: f64,
     pub(crate) set_speed: f64,
@@ -121,25 +127,52 @@ impl Scenario {
         let road = Road::new(&map.lanelets).map_err(|length| ScenarioError::TooLong {
             file,
             length_km: length / 1e3,
+            most_km: ROAD_MAX / 1e3,
         })?;
         let start = Pose {
             position: map.ego.position,
             yaw: map.ego.yaw,
         };
         let start_speed = map.ego.speed.unwrap_or(0.0).max(0.0);
-        let (lane, place) = road.locate(start.position, start.yaw);
+        let (lane, place) = road.locate_start(start.position, start.yaw);
         let limit = road.lane(lane).at(place.s).speed_limit;
         let set_speed = if limit.is_finite() {
             limit
         } else {
-            fastest(&map.obstacles).max(start_speed)
+            fastest(&map.obstacles).max(start_speed).max(SET_SPEED_MIN)
         };
+        let outside = domain::refusal(&road, lane, place.s, place.d, start.yaw, start_speed);
+        let mut warnings = map.warnings;
+        if let (None, Some((distance, exit))) = (&outside, road.domain_end(lane, place.s)) {
+            warnings.push(format!(
+                "{}: the operational design domain ends {distance:.0} m ahead: {exit}",
+                map.name
+            ));
+        }
+        let ego = Footprint {
+            pose: start,
+            length: BMW_320I.length,
+            width: BMW_320I.width,
+        };
+        let mut obstacles = map.obstacles;
+        obstacles.retain(|obstacle| {
+            let overlaps = ego.overlaps(&footprint_at_start(obstacle));
+            if overlaps {
+                let id = obstacle.id;
+                warnings.push(format!(
+                    "{}: obstacle {id} overlaps the ego: left out",
+                    map.name
+                ));
+            }
+            !overlaps
+        });
         Ok(Self {
             name: map.name,
             road: Arc::new(road),
-            obstacles: map.obstacles.into(),
+            obstacles: obstacles.into(),
             goals: map.goals.into(),
-            warnings: map.warnings,
+            warnings,
+            outside,
             start,
             start_speed,
             set_speed,
@@ -152,7 +185,14 @@ impl Scenario {
         &self.goals
     }
 
-    /// What of the file is not used, and why; one line each.
+    /// Why this is no scenario for the driving functions: it starts outside of their operational
+    /// design domain. `None` if it starts inside.
+    #[must_use]
+    pub fn outside_domain(&self) -> Option<&str> {
+        self.outside.as_deref()
+    }
+
+    /// What of the file is not used, and why, and where the domain ends; one line each.
     #[must_use]
     pub fn warnings(&self) -> &[String] {
         &self.warnings
@@ -195,6 +235,20 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
     file.take(commonroad::FILE_MAX as u64 + 1)
         .read_to_string(&mut text)?;
     Ok(text)
+}
+
+/// What an obstacle covers when the ego starts; nothing if it is not there then.
+fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
+    let begins = obstacle.is_static || obstacle.states[0].t <= 0.0;
+    let over = obstacle.states.len() > 1 && obstacle.states[obstacle.states.len() - 1].t < 0.0;
+    let present = begins && !(over && !obstacle.is_static);
+    let motion = recording::motion(&obstacle.states, 0.0);
+    let size = if present { 1.0 } else { 0.0 };
+    Footprint {
+        pose: motion.pose,
+        length: obstacle.length * size,
+        width: obstacle.width * size,
+    }
 }
 
 fn fastest(obstacles: &[Obstacle]) -> f64 {

@@ -35,6 +35,9 @@ const STALL_NS: u64 = 200_000_000;
 /// So far over the line between two lanes the ego must be to count as being in the other one, m.
 const LANE_HYSTERESIS: f64 = 0.1;
 
+/// A lane that runs in another direction than the ego by more than this is not its lane, rad.
+const ALONG: f64 = 1.0;
+
 /// How a world runs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Config {
@@ -63,6 +66,18 @@ pub struct VehicleSnapshot {
     pub lane: LaneId,
     /// By its recording, by itself, or not at all.
     pub mode: Mode,
+}
+
+impl VehicleSnapshot {
+    /// What it covers of the road.
+    #[must_use]
+    pub fn footprint(&self) -> Footprint {
+        Footprint {
+            pose: self.pose,
+            length: self.length,
+            width: self.width,
+        }
+    }
 }
 
 /// The world at one moment.
@@ -123,6 +138,10 @@ pub struct World {
     traffic: Traffic,
     sensors: Sensors,
     gate: Gate,
+    /// Width of the lane that the ego is in or nearest to; 0 if that is not one of its direction.
+    lane_width: f64,
+    /// It is on a lane of the other direction.
+    wrong_way: bool,
     meter: Meter,
     transmitter: Transmitter,
     snapshot: Snapshot,
@@ -148,7 +167,7 @@ impl World {
             ..plant::State::default()
         };
         let road = Arc::clone(&scenario.road);
-        let (lane, place) = road.locate(scenario.start.position, scenario.start.yaw);
+        let (lane, place) = road.locate_start(scenario.start.position, scenario.start.yaw);
         let ego = EgoTruth {
             pose: scenario.start,
             speed: state.speed,
@@ -162,10 +181,12 @@ impl World {
             &participant(&ego),
         );
         let mut world = Self {
-            meter: Meter::new(traffic.vehicles().len()),
+            meter: Meter::new(traffic.vehicles().len(), Arc::clone(&scenario.goals)),
             snapshot: empty_snapshot(&ego),
             sensors: Sensors::new(config.seed),
             gate: Gate::new(),
+            lane_width: 0.0,
+            wrong_way: false,
             transmitter: Transmitter::new(),
             set_speed: scenario.set_speed,
             driver: Driver::default(),
@@ -294,8 +315,12 @@ impl World {
             lat_acceleration: self.ego.lat_acceleration,
             lane: self.ego.lane,
             offset: self.ego.place.d,
+            width: self.lane_width,
+            wrong_way: self.wrong_way,
+            pose: self.ego.pose,
             gap: self.snapshot.gap,
             ttc: self.snapshot.ttc,
+            end: self.road.drivable(self.ego.lane, self.ego.place.s),
         });
     }
 
@@ -316,16 +341,29 @@ impl World {
         if outside || !lane.exists_at(ego.place.s) {
             (ego.lane, ego.place) = self.road.locate(pose.position, pose.yaw);
         }
+        let lane = self.road.lane(ego.lane);
+        let section = lane.at(ego.place.s);
+        let along = wrap_angle(section.heading - pose.yaw).abs() < ALONG;
+        let is_own = along && lane.exists_at(ego.place.s);
+        self.lane_width = if is_own { section.width } else { 0.0 };
+        let off_lane = ego.place.d.abs() > self.lane_width / 2.0;
+        if !off_lane {
+            self.wrong_way = false;
+        } else if self.world_ticks.is_multiple_of(TRAFFIC_TICKS) {
+            self.wrong_way = self.road.is_oncoming(pose.position, pose.yaw);
+        }
     }
 
     /// Brings the snapshot up to date.
     fn observe(&mut self, traffic_moved: bool) {
-        let footprint = participant(&self.ego).footprint;
+        let ego = participant(&self.ego);
         self.snapshot.time_s = self.world_ticks as f64 * TICK_S;
         if traffic_moved {
             let vehicles = self.traffic.vehicles();
             let time = self.snapshot.time_s;
-            self.snapshot.collides = self.meter.collide(time, &footprint, vehicles);
+            let reach = self.ego.place.d.abs() + BMW_320I.width / 2.0;
+            let keeps_lane = reach < self.lane_width / 2.0;
+            self.snapshot.collides = self.meter.collide(time, &ego, keeps_lane, vehicles);
             self.snapshot.vehicles.clear();
             let present = vehicles.iter().filter(|vehicle| vehicle.is_present());
             self.snapshot

@@ -5,8 +5,9 @@ use super::knowledge::Line;
 use super::math::{abs, atan, bound, clamp, cos, max, min, sin, sqrt};
 use super::types::Lanes;
 
-/// No road is bent more than this, 1/m; what a noisy polynomial says beyond is cut off.
-const MAX_BEND: f32 = 0.02;
+/// No road of the operational design domain is bent more than this, 1/m; what a noisy polynomial
+/// says beyond is cut off.
+const MAX_BEND: f32 = 0.05;
 /// Width of a lane where nothing is known of it, m.
 pub(crate) const DEFAULT_LANE_WIDTH_M: f32 = 3.5;
 

@@ -1,18 +1,29 @@
 //! The camera's lanes: a cubic polynomial through the own lane's centre line, neighbours, ends.
+//!
+//! The cubic holds as far as it follows the lane, and no farther: [`RANGES`] are tried from the
+//! longest. An end of a lane, or of the operational design domain on it, is known from the map.
 
 use tandem_bus::CameraLanes;
 
 use super::{EgoTruth, Noise};
+use crate::geometry::Vec2;
 use crate::road::{LaneId, Road};
 
-/// The polynomial reaches so far ahead, m: with a cubic over more, curves of motorway junctions
-/// leave residuals of decimetres.
+/// The polynomial reaches so far ahead at most, m: with a cubic over more, curves of motorway
+/// junctions leave residuals of decimetres.
 const VIEW_RANGE: f64 = 80.0;
+/// Ranges that are tried, m.
+const RANGES: [f64; 10] = [
+    VIEW_RANGE, 64.0, 50.0, 40.0, 32.0, 25.0, 20.0, 16.0, 12.0, 8.0,
+];
+/// The cubic follows the lane if it is nowhere farther away, m.
+const RESIDUAL: f64 = 0.15;
 /// An end of a lane is in sight from so far, m: signs and markings announce it.
 const END_IN_SIGHT: f64 = 300.0;
-/// Distance between the points that are fitted, m.
-const STEP: f64 = 4.0;
-/// Standard deviations of the coefficients' errors; at 60 m they make 8 cm each.
+/// How many points are fitted.
+const POINTS: usize = 20;
+/// Standard deviations of the coefficients' errors; at 60 m they make 8 cm each, and at the same
+/// share of a shorter range as much.
 const NOISE: [f64; 4] = [0.02, 0.001_2, 2e-5, 3e-7];
 /// Standard deviations of width (m) and of the distance to an end (share of it).
 const WIDTH_NOISE: f64 = 0.05;
@@ -38,10 +49,11 @@ impl LaneCamera {
         if ego.place.d.abs() > OFF_ROAD || wrong_way {
             return CameraLanes::default();
         }
-        let fitted = fit(ego, road);
+        let (fitted, range) = farthest_fit(ego, road);
         let mut c = [0.0; 4];
         for (index, c) in c.iter_mut().enumerate() {
-            *c = (fitted[index] + self.noise.normal(NOISE[index])) as f32;
+            let deviation = NOISE[index] * (VIEW_RANGE / range).powi(index as i32);
+            *c = (fitted[index] + self.noise.normal(deviation)) as f32;
         }
         let (left, right) = (here.left, here.right);
         CameraLanes {
@@ -52,11 +64,11 @@ impl LaneCamera {
             c1: c[1],
             c2: c[2],
             c3: c[3],
-            view_range: VIEW_RANGE as u8,
+            view_range: range as u8,
             width: self.width(here.width),
             left_width: self.neighbour_width(road, ego, left),
             right_width: self.neighbour_width(road, ego, right),
-            own_end: self.end(road.distance_to_end(ego.lane, ego.place.s)),
+            own_end: self.end(road.drivable(ego.lane, ego.place.s)),
             left_end: self.neighbour_end(road, ego, left),
             right_end: self.neighbour_end(road, ego, right),
             speed_limit: if here.speed_limit.is_finite() {
@@ -88,21 +100,34 @@ impl LaneCamera {
     fn neighbour_end(&mut self, road: &Road, ego: &EgoTruth, lane: Option<LaneId>) -> f32 {
         lane.map_or(CameraLanes::NO_END, |lane| {
             let s = road.lane(lane).project(ego.pose.position).s;
-            self.end(road.distance_to_end(lane, s))
+            self.end(road.drivable(lane, s))
         })
     }
 }
 
-/// Least squares fit of y(x) to the centre line for 0 ≤ x ≤ [`VIEW_RANGE`] in the vehicle frame.
-fn fit(ego: &EgoTruth, road: &Road) -> [f64; 4] {
+/// The cubic over the longest range in which it follows the lane, and that range, m.
+fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
+    let last = RANGES[RANGES.len() - 1];
+    let follows = |range: f64| {
+        let (c, residual) = fit(ego, road, range);
+        (residual < RESIDUAL || range <= last).then_some((c, range))
+    };
+    RANGES.into_iter().find_map(follows).unwrap_or_default()
+}
+
+/// Least squares fit of y(x) to the centre line over `range` metres of it in the vehicle frame, and
+/// the largest distance between the two, m.
+fn fit(ego: &EgoTruth, road: &Road, range: f64) -> ([f64; 4], f64) {
     let lane = road.lane(ego.lane);
-    // Normal equations in x / VIEW_RANGE, which keeps them well conditioned.
+    let step = range / POINTS as f64;
+    // Normal equations in x / range, which keeps them well conditioned.
     let mut matrix = [[0.0; 5]; 4];
-    let count = (VIEW_RANGE / STEP) as usize;
-    for sample in 0..=count {
-        let section = lane.at(ego.place.s + sample as f64 * STEP);
+    let mut points = [Vec2::default(); POINTS + 1];
+    for (sample, kept) in points.iter_mut().enumerate() {
+        let section = lane.at(ego.place.s + sample as f64 * step);
         let point = ego.pose.to_local(section.centre);
-        let x = point.x / VIEW_RANGE;
+        *kept = point;
+        let x = point.x / range;
         // What is near matters more to the control, and a camera sees it better.
         let weight = 1.0 / (1.0 + 2.0 * x.max(0.0));
         let powers = [1.0, x, x * x, x * x * x];
@@ -114,7 +139,14 @@ fn fit(ego: &EgoTruth, road: &Road) -> [f64; 4] {
         }
     }
     let scaled = solve(matrix);
-    [0, 1, 2, 3].map(|power| scaled[power] / VIEW_RANGE.powi(power as i32))
+    let residual = |point: &Vec2| {
+        let x = point.x / range;
+        let y = scaled[0] + x * (scaled[1] + x * (scaled[2] + x * scaled[3]));
+        (y - point.y).abs()
+    };
+    let largest = points.iter().map(residual).fold(0.0, f64::max);
+    let c = [0, 1, 2, 3].map(|power| scaled[power] / range.powi(power as i32));
+    (c, largest)
 }
 
 /// Solves four linear equations, the right-hand side in the last column, by elimination with
@@ -173,7 +205,8 @@ mod tests {
                         place,
                         ..EgoTruth::default()
                     };
-                    let c = fit(&ego, road);
+                    let (c, range) = farthest_fit(&ego, road);
+                    assert_eq!(range, VIEW_RANGE);
                     for ahead in [0.0, 20.0, 40.0, 60.0, 78.0] {
                         let point = pose.to_local(lane.at(station + ahead).centre);
                         let x = point.x;

@@ -14,7 +14,7 @@
 //! down for curves, stops at the end of a lane, and lets in who has to leave a lane that ends.
 
 mod idm;
-mod recording;
+pub(crate) mod recording;
 mod sight;
 
 use std::sync::Arc;

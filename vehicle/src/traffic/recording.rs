@@ -5,16 +5,16 @@ use crate::geometry::{Pose, Vec2, lerp_angle};
 
 /// Where a vehicle is and how fast.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Motion {
-    pub(super) pose: Pose,
+pub(crate) struct Motion {
+    pub(crate) pose: Pose,
     /// m/s along the heading.
-    pub(super) speed: f64,
+    pub(crate) speed: f64,
     /// m/s²
-    pub(super) acceleration: f64,
+    pub(crate) acceleration: f64,
 }
 
 /// The times that a recording covers, s.
-pub(super) fn span(states: &[TimedState]) -> (f64, f64) {
+pub(crate) fn span(states: &[TimedState]) -> (f64, f64) {
     (states[0].t, states[states.len() - 1].t)
 }
 
@@ -22,7 +22,7 @@ pub(super) fn span(states: &[TimedState]) -> (f64, f64) {
 ///
 /// Positions are cubic between the states (Hermite, tangents from the neighbouring states), so that
 /// they have no corners; speeds are linear between those of the file.
-pub(super) fn motion(states: &[TimedState], t: f64) -> Motion {
+pub(crate) fn motion(states: &[TimedState], t: f64) -> Motion {
     let after = states.partition_point(|state| state.t <= t);
     let (from, to) = (after.saturating_sub(1), after.min(states.len() - 1));
     let (a, b) = (&states[from], &states[to]);

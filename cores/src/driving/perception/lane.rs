@@ -16,7 +16,10 @@ use crate::driving::types::Lanes;
 /// Lanes are carried along without the camera for this long.
 const COAST: Duration = Duration::from_ms(300);
 
-/// Standard deviations of the camera's coefficients: m, 1, 1/m, 1/m².
+/// The camera's longest range, m. A shorter one has coefficients that are as uncertain at the same
+/// share of it.
+const LONGEST_RANGE_M: f32 = 80.0;
+/// Standard deviations of the camera's coefficients at that range: m, 1, 1/m, 1/m².
 const MEASUREMENT: [f32; 4] = [0.025, 0.001_5, 3e-5, 4e-7];
 /// How fast the true coefficients leave the model, per square root of a second.
 const DRIFT: [f32; 4] = [0.05, 0.006, 3e-4, 4e-6];
@@ -77,7 +80,7 @@ impl LaneFilter {
         self.state.x -= step.y;
         self.state.y -= step.heading * (1.0 + slope * slope);
         self.covariance = shift * self.covariance * shift.transpose();
-        for (index, drift) in DRIFT.iter().enumerate() {
+        for (index, drift) in scaled(&DRIFT, self.lanes.view_range).iter().enumerate() {
             self.covariance[(index, index)] += drift * drift * dt;
         }
         for end in [
@@ -97,14 +100,15 @@ impl LaneFilter {
         let measured = Vector4::new(camera.c0, camera.c1, camera.c2, camera.c3);
         if self.seen.is_none() {
             self.state = measured;
-            self.covariance = Matrix4::from_diagonal(&Vector4::from(MEASUREMENT.map(|s| s * s)));
+            let deviations = scaled(&MEASUREMENT, f32::from(camera.view_range));
+            self.covariance = Matrix4::from_diagonal(&Vector4::from(deviations.map(|s| s * s)));
         } else {
             // When the vehicle crosses a line, its own lane is another one: the same shape aside.
             let aside = measured.x - self.state.x;
             if abs(aside) > 0.4 * self.lanes.width {
                 self.state.x = measured.x;
             }
-            self.correct(&measured);
+            self.correct(&measured, f32::from(camera.view_range));
         }
         self.seen = Some(at);
         let end = |end: f32| {
@@ -168,8 +172,8 @@ impl LaneFilter {
 
     /// One scalar update for each coefficient: their noises are independent, so no matrix is
     /// inverted.
-    fn correct(&mut self, measured: &Vector4<f32>) {
-        for (index, deviation) in MEASUREMENT.iter().enumerate() {
+    fn correct(&mut self, measured: &Vector4<f32>, range_m: f32) {
+        for (index, deviation) in scaled(&MEASUREMENT, range_m).iter().enumerate() {
             let column = self.covariance.column(index).into_owned();
             let variance = column[index] + deviation * deviation;
             let residual = measured[index] - self.state[index];
@@ -187,7 +191,7 @@ impl LaneFilter {
         }
         let s = &self.state;
         Some(Lanes {
-            c: [s.x, s.y, clamp(s.z, -0.02, 0.02), clamp(s.w, -2e-4, 2e-4)],
+            c: [s.x, s.y, clamp(s.z, -0.03, 0.03), clamp(s.w, -3e-4, 3e-4)],
             ..self.lanes
         })
     }
@@ -198,4 +202,16 @@ impl LaneFilter {
             self.seen = None;
         }
     }
+}
+
+/// Deviations of the coefficients over `range_m` instead of the longest range.
+fn scaled(deviations: &[f32; 4], range_m: f32) -> [f32; 4] {
+    let factor = LONGEST_RANGE_M / clamp(range_m, 8.0, LONGEST_RANGE_M);
+    let [a, b, c, d] = *deviations;
+    [
+        a,
+        b * factor,
+        c * factor * factor,
+        d * factor * factor * factor,
+    ]
 }

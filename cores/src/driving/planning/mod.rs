@@ -41,8 +41,17 @@ const MAX_SPEED_ERROR: f32 = 2.5;
 const DRAW: f32 = 0.04;
 /// Lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f32 = 2.2;
+/// The camera's view counts as full from here on, m: the road is as even as it looks.
+const FULL_VIEW_M: f32 = 78.0;
+/// Where the view ends, the vehicle must be able to be as slow as this, m/s, with this braking,
+/// m/s², this far before, m.
+const UNSEEN_BEND_SPEED: f32 = 7.0;
+const UNSEEN_BRAKING: f32 = 1.5;
+const UNSEEN_MARGIN_M: f32 = 4.0;
 /// Distance kept to the end of a lane: room to steer into the next one, m.
 const END_MARGIN_M: f32 = 15.0;
+/// The same where more could only be had by hard braking, m.
+const END_LEAST_M: f32 = 1.0;
 /// While a gap is sought, the end of the lane is met by braking as late and as hard as this, s,
 /// m/s².
 const SEEKING_S: f32 = 2.0;
@@ -314,7 +323,29 @@ fn desired_speed(scene: &Scene, frame: &FrenetFrame, s: f32) -> f32 {
     let set = scene.set_speed.unwrap_or(max(scene.ego.speed, 0.0));
     let curvature = frame.max_curvature(s, s + 15.0 + 3.0 * max(scene.ego.speed, 0.0));
     let curve = sqrt(CURVE_ACCELERATION / max(curvature, 1e-5));
-    max(min(min(set, lanes.speed_limit), curve), 0.0)
+    let known = min(min(set, lanes.speed_limit), curve);
+    max(min(known, unseen_speed(lanes.view_range)), 0.0)
+}
+
+/// The speed that leaves room for what is not seen, m/s: where the camera can follow the lane over
+/// a part of its range only, the lane bends, and beyond it may bend as much as the domain has.
+fn unseen_speed(view_range_m: f32) -> f32 {
+    if view_range_m >= FULL_VIEW_M {
+        return f32::INFINITY;
+    }
+    let room = max(view_range_m - UNSEEN_MARGIN_M, 0.0);
+    sqrt(UNSEEN_BEND_SPEED * UNSEEN_BEND_SPEED + 2.0 * UNSEEN_BRAKING * room)
+}
+
+/// Where to stand at the latest for a lane that ends in `end` m, as a way from here: with room to
+/// steer into the next lane, but not at the price of hard braking.
+fn stop_before(end: f32, speed: f32) -> f32 {
+    let nearest = end - END_LEAST_M - 0.5 * LENGTH_M;
+    let comfortable = speed * speed / (2.0 * SEEKING_BRAKING) + 0.5 * speed;
+    max(
+        end - END_MARGIN_M - 0.5 * LENGTH_M,
+        min(comfortable, nearest),
+    )
 }
 
 /// The cheapest path to the goal.
@@ -357,7 +388,7 @@ fn choose_profile(
         let end = if in_goal_lane { goal.end } else { own_end };
         // While a gap in the next lane is sought, the own lane is used as long as it lasts.
         if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
-            corridor.stop[step] = end - END_MARGIN_M - 0.5 * LENGTH_M - station.s;
+            corridor.stop[step] = stop_before(end - station.s, start.first);
         }
     }
     let sought = goal.sought.and_then(|centre| {

@@ -1,0 +1,245 @@
+//! One scenario, driven by both systems in virtual time.
+
+use std::cell::RefCell;
+use std::path::Path;
+use std::rc::Rc;
+
+use serde::Serialize;
+use tandem_board::{Board as _, CoreId, Duration, Instant, SystemId};
+use tandem_board_sim::{Config, Poller, SimBoard, SimPair};
+use tandem_cores::Core as _;
+use tandem_cores::core0::Core0;
+use tandem_cores::core1::Core1;
+use tandem_cores::core2::Core2;
+use tandem_vehicle::geometry::Vec2;
+use tandem_vehicle::road::{Frenet, Lane, Road};
+use tandem_vehicle::{Metrics, Scenario, World};
+
+/// The picture has a point of the ego's path this often, and the road one this often, m.
+const PATH_STEP: Duration = Duration::from_ms(200);
+const ROAD_STEP_M: f64 = 4.0;
+/// The road in the picture reaches so far around the path, m.
+const ROAD_AROUND_M: f64 = 40.0;
+/// If no control frame was accepted by then, none will be.
+const GIVE_UP: Duration = Duration::from_ms(15_000);
+
+/// Slower is standing, m/s.
+const STANDING: f64 = 0.1;
+/// The domain ends no farther ahead of a vehicle that stopped for it, m.
+const STOPPED_BEFORE_M: f64 = 50.0;
+
+/// What became of a scenario.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub(crate) enum Verdict {
+    /// To the end of the asked time.
+    Driven,
+    /// It stopped where its domain ended.
+    Stopped,
+    /// It was not begun.
+    Refused,
+}
+
+/// The judgement of one file. Scripts rely on the names.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct Judgement {
+    /// Name of the file in its folder.
+    pub(crate) file: String,
+    pub(crate) verdict: Verdict,
+    /// Why it was refused or stopped; empty if driven.
+    pub(crate) reason: String,
+    /// The ego touched another.
+    pub(crate) collision: bool,
+    /// In one of the collisions it was the cause.
+    pub(crate) collision_by_ego: bool,
+    /// It was hit while it stood.
+    pub(crate) hit_while_standing: bool,
+    /// How far its centre was outside of all lanes of its direction, m.
+    pub(crate) excursion_m: f64,
+    /// Whether a goal of the file was reached in time; `null` if it names none.
+    pub(crate) goal_reached: Option<bool>,
+    /// Time on lanes of the other direction, s.
+    pub(crate) wrong_way_s: f64,
+    /// Time that it stood without a reason ahead, s.
+    pub(crate) standing_s: f64,
+    pub(crate) lateral_error_max_m: f64,
+    pub(crate) brake_max: f64,
+    /// Why it braked with more than 4 m/s²; empty if it did not.
+    pub(crate) brake_reason: String,
+    /// Largest jerk over 100 ms, m/s³.
+    pub(crate) jerk_max: f64,
+    pub(crate) lat_accel_max: f64,
+    pub(crate) lane_changes: u32,
+    /// Scenario time and way that were driven, s and m.
+    pub(crate) driven_s: f64,
+    pub(crate) distance_m: f64,
+    /// What of the file is not used.
+    pub(crate) warnings: Vec<String>,
+    #[serde(skip)]
+    pub(crate) picture: Picture,
+}
+
+/// What the page draws of a drive, m.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Picture {
+    /// Left and right borders of lanes.
+    pub(crate) lanes: Vec<[Vec<Vec2>; 2]>,
+    pub(crate) path: Vec<Vec2>,
+    /// Where the others are at the end, as corners.
+    pub(crate) others: Vec<[Vec2; 4]>,
+    pub(crate) hit_at: Option<Vec2>,
+}
+
+/// Drives the file for `duration_s` at most.
+pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Judgement {
+    let path = folder.join(file);
+    let scenario = match Scenario::read(&path) {
+        Ok(scenario) => scenario,
+        Err(error) => return refused(file, error.to_string()),
+    };
+    if let Some(reason) = scenario.outside_domain() {
+        return refused(
+            file,
+            format!("outside the operational design domain: {reason}"),
+        );
+    }
+    let world = World::new(&scenario, tandem_vehicle::Config { seed });
+    let (world, mut picture) = drive(world, duration_s, seed);
+    picture.lanes = lanes(world.road(), &picture.path);
+    let now = world.snapshot();
+    let corners = |v: &tandem_vehicle::VehicleSnapshot| v.footprint().corners();
+    picture.others = now.vehicles.iter().map(corners).collect();
+    let metrics = world.metrics();
+    let exit = world.road().domain_end(now.lane, now.station);
+    let (verdict, reason) = match exit {
+        Some((distance, exit)) if now.speed < STANDING && distance < STOPPED_BEFORE_M => {
+            (Verdict::Stopped, format!("{exit} {distance:.0} m ahead"))
+        }
+        _ => (Verdict::Driven, String::new()),
+    };
+    let goals = scenario.goals();
+    Judgement {
+        verdict,
+        reason,
+        goal_reached: (!goals.is_empty()).then_some(metrics.goal_reached_s.is_some()),
+        driven_s: now.time_s,
+        warnings: scenario.warnings().to_vec(),
+        picture,
+        ..figures(file, &metrics)
+    }
+}
+
+fn refused(file: &str, reason: String) -> Judgement {
+    Judgement {
+        reason,
+        ..figures(file, &Metrics::default())
+    }
+}
+
+fn figures(file: &str, metrics: &Metrics) -> Judgement {
+    Judgement {
+        file: file.to_owned(),
+        verdict: Verdict::Refused,
+        reason: String::new(),
+        collision: metrics.collisions > 0,
+        collision_by_ego: metrics.collisions_by_ego > 0,
+        hit_while_standing: metrics.hit_while_standing > 0,
+        excursion_m: metrics.excursion_max_m,
+        goal_reached: None,
+        wrong_way_s: metrics.wrong_way_s,
+        standing_s: metrics.standing_s,
+        lateral_error_max_m: metrics.lateral_error_max_m,
+        brake_max: metrics.deceleration_max,
+        brake_reason: metrics.hard_braking.map_or(String::new(), |it| it.reason()),
+        jerk_max: metrics.jerk_max.0,
+        lat_accel_max: metrics.lateral_acceleration_max,
+        lane_changes: metrics.lane_changes,
+        driven_s: 0.0,
+        distance_m: metrics.distance_m,
+        warnings: vec![],
+        picture: Picture::default(),
+    }
+}
+
+/// The code of a core, in a new incarnation.
+fn poller(board: &SimBoard) -> Poller {
+    // A core borrows its board for as long as it runs; a reset makes another.
+    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+    match board.identity().core {
+        CoreId::CONTROL => {
+            let mut core = Core0::new(board, tandem_cores::Config::rt());
+            Box::new(move |_| core.poll())
+        }
+        CoreId::PERCEPTION => {
+            let mut core = Core1::new(board);
+            Box::new(move |_| core.poll())
+        }
+        _ => {
+            let mut core = Core2::new(board);
+            Box::new(move |_| core.poll())
+        }
+    }
+}
+
+/// Both systems drive in the world until `duration_s` have passed in it.
+fn drive(world: World, duration_s: f64, seed: u64) -> (World, Picture) {
+    let config = Config {
+        seed,
+        ..Config::default()
+    };
+    let shared = Rc::new(RefCell::new(world));
+    let mut pair = SimPair::new(config, poller);
+    let ticked = Rc::clone(&shared);
+    pair.set_world(move |tick| {
+        let at = tick.at;
+        ticked.borrow_mut().run_period(at, tick, &mut |_| {});
+    });
+    for system in SystemId::ALL {
+        pair.power_on(system);
+    }
+    let mut picture = Picture::default();
+    loop {
+        pair.run_for(PATH_STEP);
+        // Nothing here reads what a machine keeps for its observers.
+        pair.take_trace();
+        pair.take_bus_log();
+        let world = shared.borrow();
+        let now = world.snapshot();
+        picture.path.push(now.pose.position);
+        if now.collides && picture.hit_at.is_none() {
+            picture.hit_at = Some(now.pose.position);
+        }
+        let gives_up = !now.running && pair.now() > Instant::ORIGIN + GIVE_UP;
+        if now.time_s >= duration_s || gives_up {
+            break;
+        }
+    }
+    drop(pair);
+    let world = Rc::into_inner(shared).expect("the machine is gone, and with it its share");
+    (world.into_inner(), picture)
+}
+
+/// The lanes around the path.
+fn lanes(road: &Road, path: &[Vec2]) -> Vec<[Vec<Vec2>; 2]> {
+    let around = |lane: &Lane| {
+        let stations = path.iter().step_by(5).map(|point| lane.project(*point).s);
+        let (from, to) = stations.fold((f64::INFINITY, f64::NEG_INFINITY), |(from, to), s| {
+            (from.min(s), to.max(s))
+        });
+        let mut borders = [vec![], vec![]];
+        let mut s = from - ROAD_AROUND_M;
+        while s < to + ROAD_AROUND_M {
+            let section = lane.at(s);
+            let near = |point: &&Vec2| (**point - section.centre).norm() < ROAD_AROUND_M;
+            if lane.exists_at(s) && path.iter().any(|point| near(&point)) {
+                for (border, side) in borders.iter_mut().zip([0.5, -0.5]) {
+                    let d = side * section.width;
+                    border.push(lane.point(Frenet { s, d }));
+                }
+            }
+            s += ROAD_STEP_M;
+        }
+        (borders[0].len() > 1).then_some(borders)
+    };
+    road.lanes().iter().filter_map(around).collect()
+}

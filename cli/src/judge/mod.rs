@@ -1,0 +1,199 @@
+//! `tandem judge`: drives a folder of scenarios in virtual time, and says how each went.
+
+mod drive;
+mod page;
+
+use std::fmt::Write as _;
+use std::num::NonZero;
+use std::path::Path;
+use std::sync::Mutex;
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow, bail};
+use drive::{Judgement, Verdict};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::args::JudgeArgs;
+use crate::failure::Failure;
+
+/// Judges all scenarios of the folder.
+///
+/// # Errors
+/// The folder cannot be read or has no scenario, a result cannot be written, or the ego caused a
+/// collision.
+pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
+    let files = scenarios(&args.folder).map_err(Failure::Usage)?;
+    let judged = all(args, &files).map_err(Failure::Run)?;
+    crate::print(&table(&judged)).map_err(Failure::Run)?;
+    let write = |path: &Path, text: String| {
+        std::fs::write(path, text)
+            .with_context(|| path.display().to_string())
+            .map_err(Failure::Run)
+    };
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&judged).map_err(|e| Failure::Run(e.into()))?;
+        write(path, json + "\n")?;
+    }
+    if let Some(path) = &args.html {
+        write(path, page::page(&args.folder, &judged))?;
+    }
+    let caused: Vec<String> = judged
+        .iter()
+        .filter(|it| it.collision_by_ego)
+        .map(|it| format!("{}: a collision that the vehicle caused", it.file))
+        .collect();
+    if caused.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Objections(caused))
+    }
+}
+
+/// Names of the CommonRoad files in the folder, sorted.
+fn scenarios(folder: &Path) -> anyhow::Result<Vec<String>> {
+    let named = || folder.display().to_string();
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(named)? {
+        let name = entry.with_context(named)?.file_name();
+        let name = name.into_string();
+        files.extend(name.ok().filter(|name| name.ends_with(".xml")));
+    }
+    if files.is_empty() {
+        bail!("{}: there is no scenario, a file *.xml", folder.display());
+    }
+    files.sort_unstable();
+    Ok(files)
+}
+
+/// Judges on several threads; the order of the result is that of `files`.
+fn all(args: &JudgeArgs, files: &[String]) -> anyhow::Result<Vec<Judgement>> {
+    let jobs = args
+        .jobs
+        .or_else(|| std::thread::available_parallelism().ok());
+    let jobs = jobs.map_or(1, NonZero::get).min(files.len());
+    let bar = ProgressBar::new(files.len() as u64);
+    if let Ok(style) = ProgressStyle::with_template("{bar:30} {pos}/{len} {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let next = Mutex::new(files.iter().enumerate());
+    let done = Mutex::new(Vec::new());
+    let work = || {
+        loop {
+            let taken = next.lock().ok().and_then(|mut next| next.next());
+            let Some((index, file)) = taken else { return };
+            bar.set_message(file.clone());
+            let judgement = drive::judge(&args.folder, file, args.duration, args.seed);
+            bar.inc(1);
+            if let Ok(mut done) = done.lock() {
+                done.push((index, judgement));
+            }
+        }
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..jobs).map(|_| scope.spawn(work)).collect();
+        workers
+            .into_iter()
+            .try_for_each(|worker| worker.join().map_err(|_| anyhow!("a drive panicked")))
+    })?;
+    bar.finish_and_clear();
+    let mut done = done.into_inner().unwrap_or_default();
+    done.sort_by_key(|(index, _)| *index);
+    Ok(done.into_iter().map(|(_, judgement)| judgement).collect())
+}
+
+/// One line for each file, and sums.
+fn table(judged: &[Judgement]) -> String {
+    let longest = judged.iter().map(|it| it.file.len()).max().unwrap_or(0);
+    let mut text = format!(
+        "{:longest$}  verdict  collision  excursion  goal  brake   jerk  remark\n",
+        "file"
+    );
+    for it in judged {
+        let collision = match (it.collision_by_ego, it.collision) {
+            (true, _) => "caused",
+            (_, true) => "hit",
+            _ => "–",
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:longest$}  {:7}  {collision:9}  {:>7.2} m  {:4}  {:>5.1}  {:>5.1}  {}",
+            it.file,
+            name(it.verdict),
+            it.excursion_m,
+            goal(it),
+            it.brake_max,
+            it.jerk_max,
+            it.remark(),
+        );
+    }
+    text + &sums(judged) + "\n"
+}
+
+fn sums(judged: &[Judgement]) -> String {
+    let count = |test: &dyn Fn(&Judgement) -> bool| judged.iter().filter(|it| test(it)).count();
+    let of = |verdict| count(&|it| it.verdict == verdict);
+    format!(
+        "{} files: {} driven, {} stopped, {} refused; {} collisions, {} caused; {} excursions; \
+         {} of {} goals reached",
+        judged.len(),
+        of(Verdict::Driven),
+        of(Verdict::Stopped),
+        of(Verdict::Refused),
+        count(&|it| it.collision),
+        count(&|it| it.collision_by_ego),
+        count(&|it| it.excursion_m > 0.0),
+        count(&|it| it.goal_reached == Some(true)),
+        count(&|it| it.goal_reached.is_some()),
+    )
+}
+
+fn name(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Driven => "driven",
+        Verdict::Stopped => "stopped",
+        Verdict::Refused => "refused",
+    }
+}
+
+fn goal(judgement: &Judgement) -> &'static str {
+    match judgement.goal_reached {
+        Some(true) => "yes",
+        Some(false) => "no",
+        None => "–",
+    }
+}
+
+impl Judgement {
+    /// What else there is to say, in one line.
+    fn remark(&self) -> String {
+        let mut remarks = vec![];
+        if !self.reason.is_empty() {
+            remarks.push(self.reason.clone());
+        }
+        let mut remark = |said: bool, text: String| {
+            if said {
+                remarks.push(text);
+            }
+        };
+        remark(self.hit_while_standing, "hit while it stood".to_owned());
+        remark(
+            self.wrong_way_s > 0.0,
+            format!("wrong way for {:.1} s", self.wrong_way_s),
+        );
+        remark(
+            self.standing_s > 0.0,
+            format!("stood {:.1} s without a reason ahead", self.standing_s),
+        );
+        remark(
+            !self.brake_reason.is_empty(),
+            format!("braked {:.1} m/s²: {}", self.brake_max, self.brake_reason),
+        );
+        remark(
+            !self.warnings.is_empty(),
+            format!("{} warning(s)", self.warnings.len()),
+        );
+        remarks.join("; ")
+    }
+}

@@ -1,0 +1,134 @@
+//! The operational design domain: the roads that the driving functions are made for. The whole
+//! statement is `docs/domain.md`.
+//!
+//! It is checked twice. Before the start, [`crate::Scenario::outside_domain`] says why a scenario
+//! cannot be begun. While driving, the camera reports where the domain ends on a lane like the end
+//! of that lane, so that the functions change lanes or stop before it.
+
+use std::collections::HashMap;
+use std::f64::consts::PI;
+use std::fmt;
+
+use super::{Lane, LaneId, Road, Section};
+use crate::geometry::wrap_angle;
+
+/// Width of a lane, m.
+const WIDTH: std::ops::RangeInclusive<f64> = 2.3..=7.0;
+/// Smallest radius of a bend, m.
+const RADIUS_MIN: f64 = 20.0;
+/// Where the ego starts: the largest angle to its lane, rad, and the highest speed, m/s.
+const START_ANGLE: f64 = 0.7;
+const START_SPEED_MAX: f64 = 60.0;
+/// Deceleration, m/s², and time to react, s, with which a stop before the end of the domain must
+/// be possible from the start on, and the distance that is left then, m.
+const STOP_BRAKING: f64 = 3.0;
+const STOP_DELAY_S: f64 = 0.7;
+const STOP_MARGIN: f64 = 8.0;
+/// Lanes whose centre lines are this near, m, under an angle between these, rad, cross.
+const CROSSING_NEAR: f64 = 2.0;
+const CROSSING_ANGLE: std::ops::Range<f64> = 0.35..PI - 0.35;
+/// Those that are this near and run against each other are one lane for both directions, m.
+const SHARED_NEAR: f64 = 1.0;
+
+/// What ends the domain on a lane.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Exit {
+    /// Another lane crosses, or turns off as at a junction.
+    Crossing,
+    /// The lane is used in both directions.
+    Shared,
+    /// The lane is this wide, m.
+    Width(f64),
+    /// The bend has this radius, m.
+    Radius(f64),
+}
+
+impl fmt::Display for Exit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Crossing => f.write_str("a junction"),
+            Self::Shared => f.write_str("a lane for both directions"),
+            Self::Width(width) => write!(f, "a lane {width:.1} m wide"),
+            Self::Radius(radius) => write!(f, "a bend of {radius:.0} m radius"),
+        }
+    }
+}
+
+/// The ends of the domain on each lane, by arc length.
+pub(crate) fn exits(lanes: &[Lane]) -> Vec<Vec<(f64, Exit)>> {
+    // Sections by squares of the plane, so that only near ones are compared.
+    let square = |x: f64| (x / CROSSING_NEAR).floor() as i64;
+    let mut squares: HashMap<(i64, i64), Vec<(usize, f64)>> = HashMap::new();
+    for (index, lane) in lanes.iter().enumerate() {
+        for (s, section) in lane.mapped() {
+            let key = (square(section.centre.x), square(section.centre.y));
+            squares.entry(key).or_default().push((index, s));
+        }
+    }
+    let crossed = |own: usize, s: f64| {
+        let section = lanes[own].at(s);
+        let (x, y) = (square(section.centre.x), square(section.centre.y));
+        let around = (-1..=1).flat_map(|dx| (-1..=1).map(move |dy| (x + dx, y + dy)));
+        let near = around.filter_map(|key| squares.get(&key)).flatten();
+        // Many lanes at one place are no road; the first ones tell enough.
+        near.take(256)
+            .filter(|(lane, _)| *lane != own)
+            .find_map(|(lane, other)| {
+                let other = lanes[*lane].at(*other);
+                let apart = (other.centre - section.centre).norm();
+                let angle = wrap_angle(other.heading - section.heading).abs();
+                if apart < CROSSING_NEAR && CROSSING_ANGLE.contains(&angle) {
+                    return Some(Exit::Crossing);
+                }
+                (apart < SHARED_NEAR && angle >= CROSSING_ANGLE.end).then_some(Exit::Shared)
+            })
+    };
+    let exit = |index: usize, s: f64, section: &Section| {
+        let bend = section.curvature.abs();
+        if !WIDTH.contains(&section.width) {
+            return Some(Exit::Width(section.width));
+        }
+        if bend > 1.0 / RADIUS_MIN {
+            return Some(Exit::Radius(1.0 / bend));
+        }
+        crossed(index, s)
+    };
+    lanes
+        .iter()
+        .enumerate()
+        .map(|(index, lane)| {
+            let mapped = lane.mapped();
+            mapped
+                .filter_map(|(s, section)| exit(index, s, section).map(|exit| (s, exit)))
+                .collect()
+        })
+        .collect()
+}
+
+/// Why a drive that starts at this place is outside of the domain; `None` if it is inside.
+pub(crate) fn refusal(
+    road: &Road,
+    lane: LaneId,
+    s: f64,
+    d: f64,
+    yaw: f64,
+    speed: f64,
+) -> Option<String> {
+    let section = road.lane(lane).at(s);
+    let angle = wrap_angle(yaw - section.heading).abs();
+    if angle > START_ANGLE {
+        return Some(format!(
+            "the vehicle starts at {:.0}° to its lane",
+            angle.to_degrees()
+        ));
+    }
+    if d.abs() > section.width / 2.0 || !road.lane(lane).exists_at(s) {
+        return Some("the vehicle starts beside the road".to_owned());
+    }
+    if speed > START_SPEED_MAX {
+        return Some(format!("the vehicle starts with {speed:.0} m/s"));
+    }
+    let (distance, exit) = road.domain_end(lane, s)?;
+    let stop = speed * speed / (2.0 * STOP_BRAKING) + STOP_DELAY_S * speed + STOP_MARGIN;
+    (distance < stop).then(|| format!("{exit} {distance:.0} m ahead of the start"))
+}
