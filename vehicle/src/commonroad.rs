@@ -590,7 +590,7 @@ impl<'a, 'input> Reader<'a, 'input> {
                 .map_or(Ok(Vec2::default()), |n| self.point(n))
         };
         Ok(match node.tag_name().name() {
-            "laneletref" | "laneletRef" => {
+            "lanelet" | "laneletref" | "laneletRef" => {
                 let id = self.parsed_id(node, self.attribute(node, "ref")?)?;
                 let lanelet = lanelets.iter().find(|lanelet| lanelet.id == id);
                 lanelet.map(|lanelet| {

@@ -25,7 +25,7 @@ const SWERVING: f64 = 0.3;
 const HARD_BRAKING: f64 = 4.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
-const STANDING_REASON_M: f64 = 15.0;
+const STANDING_REASON_M: f64 = 30.0;
 /// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;

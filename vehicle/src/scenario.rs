@@ -239,9 +239,9 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
 
 /// What an obstacle covers when the ego starts; nothing if it is not there then.
 fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
-    let begins = obstacle.is_static || obstacle.states[0].t <= 0.0;
-    let over = obstacle.states.len() > 1 && obstacle.states[obstacle.states.len() - 1].t < 0.0;
-    let present = begins && !(over && !obstacle.is_static);
+    let (begin, end) = recording::span(&obstacle.states);
+    let over = obstacle.states.len() > 1 && end < 0.0;
+    let present = obstacle.is_static || (begin <= 0.0 && !over);
     let motion = recording::motion(&obstacle.states, 0.0);
     let size = if present { 1.0 } else { 0.0 };
     Footprint {

@@ -5,12 +5,9 @@ use std::path::Path;
 use std::rc::Rc;
 
 use serde::Serialize;
-use tandem_board::{Board as _, CoreId, Duration, Instant, SystemId};
-use tandem_board_sim::{Config, Poller, SimBoard, SimPair};
-use tandem_cores::Core as _;
-use tandem_cores::core0::Core0;
-use tandem_cores::core1::Core1;
-use tandem_cores::core2::Core2;
+use tandem_board::{Duration, Instant, SystemId};
+use tandem_board_sim::{Config, SimPair};
+use tandem_sim::drive::poller;
 use tandem_vehicle::geometry::Vec2;
 use tandem_vehicle::road::{Frenet, Lane, Road};
 use tandem_vehicle::{Metrics, Scenario, World};
@@ -105,6 +102,7 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
     }
     let world = World::new(&scenario, tandem_vehicle::Config { seed });
     let (world, mut picture) = drive(world, duration_s, seed);
+    let world = world.borrow();
     picture.lanes = lanes(world.road(), &picture.path);
     let now = world.snapshot();
     let corners = |v: &tandem_vehicle::VehicleSnapshot| v.footprint().corners();
@@ -161,34 +159,16 @@ fn figures(file: &str, metrics: &Metrics) -> Judgement {
     }
 }
 
-/// The code of a core, in a new incarnation.
-fn poller(board: &SimBoard) -> Poller {
-    // A core borrows its board for as long as it runs; a reset makes another.
-    let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
-    match board.identity().core {
-        CoreId::CONTROL => {
-            let mut core = Core0::new(board, tandem_cores::Config::rt());
-            Box::new(move |_| core.poll())
-        }
-        CoreId::PERCEPTION => {
-            let mut core = Core1::new(board);
-            Box::new(move |_| core.poll())
-        }
-        _ => {
-            let mut core = Core2::new(board);
-            Box::new(move |_| core.poll())
-        }
-    }
-}
-
 /// Both systems drive in the world until `duration_s` have passed in it.
-fn drive(world: World, duration_s: f64, seed: u64) -> (World, Picture) {
+fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Picture) {
     let config = Config {
         seed,
         ..Config::default()
     };
     let shared = Rc::new(RefCell::new(world));
-    let mut pair = SimPair::new(config, poller);
+    let mut pair = SimPair::new(config, |board| {
+        poller(board, tandem_cores::Config::rt())
+    });
     let ticked = Rc::clone(&shared);
     pair.set_world(move |tick| {
         let at = tick.at;
@@ -214,9 +194,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (World, Picture) {
             break;
         }
     }
-    drop(pair);
-    let world = Rc::into_inner(shared).expect("the machine is gone, and with it its share");
-    (world.into_inner(), picture)
+    (shared, picture)
 }
 
 /// The lanes around the path.

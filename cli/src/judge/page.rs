@@ -15,20 +15,23 @@ const SIZE: (f64, f64) = (300.0, 130.0);
 /// Room around the path in a picture, m.
 const ROOM_M: f64 = 12.0;
 
+/// Whether a judgement belongs to a section of the page.
+type Test = fn(&Judgement) -> bool;
+
 /// The page for the scenarios of this folder.
 pub(super) fn page(folder: &Path, judged: &[Judgement]) -> String {
-    let groups: [(&str, &dyn Fn(&Judgement) -> bool); 5] = [
-        ("Collisions that the vehicle caused", &|it| {
+    let groups: [(&str, Test); 5] = [
+        ("Collisions that the vehicle caused", |it| {
             it.collision_by_ego
         }),
-        ("Left its lanes", &|it| {
+        ("Left its lanes", |it| {
             !it.collision_by_ego && it.excursion_m > 0.0
         }),
-        ("Driven", &|it| is_good(it) && it.verdict == Verdict::Driven),
-        ("Stopped", &|it| {
+        ("Driven", |it| is_good(it) && it.verdict == Verdict::Driven),
+        ("Stopped", |it| {
             is_good(it) && it.verdict == Verdict::Stopped
         }),
-        ("Refused", &|it| it.verdict == Verdict::Refused),
+        ("Refused", |it| it.verdict == Verdict::Refused),
     ];
     let content = html! {
         h1 { "Scenarios of " (folder.display()) }

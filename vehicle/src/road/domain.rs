@@ -132,3 +132,103 @@ pub(crate) fn refusal(
     let stop = speed * speed / (2.0 * STOP_BRAKING) + STOP_DELAY_S * speed + STOP_MARGIN;
     (distance < stop).then(|| format!("{exit} {distance:.0} m ahead of the start"))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commonroad::Lanelet;
+    use crate::geometry::Vec2;
+    use crate::road::Frenet;
+
+    /// A lane along these points, this wide.
+    fn lanelet(id: i64, points: &[Vec2], width: f64) -> Lanelet {
+        let aside = |from: Vec2, to: Vec2| {
+            let along = to - from;
+            along.left() * (width / 2.0 / along.norm())
+        };
+        let bound = |side: f64| -> Vec<Vec2> {
+            let last = points.len() - 1;
+            let at = |index: usize| {
+                let from = index.min(last - 1);
+                points[index] + aside(points[from], points[from + 1]) * side
+            };
+            (0..=last).map(at).collect()
+        };
+        Lanelet {
+            id,
+            left: bound(1.0),
+            right: bound(-1.0),
+            predecessors: vec![],
+            successors: vec![],
+            left_neighbour: None,
+            right_neighbour: None,
+            speed_limit: None,
+        }
+    }
+
+    fn line(from: (f64, f64), to: (f64, f64)) -> [Vec2; 2] {
+        [Vec2::new(from.0, from.1), Vec2::new(to.0, to.1)]
+    }
+
+    /// The end of the domain on the first lane, from 10 m behind its begin.
+    fn end(lanelets: &[Lanelet]) -> Option<(f64, Exit)> {
+        let road = Road::new(lanelets).unwrap();
+        let start = road.lane(LaneId(0)).project(Vec2::new(10.0, 0.0)).s;
+        road.domain_end(LaneId(0), start)
+    }
+
+    #[test]
+    fn each_limit_of_the_domain_ends_it() {
+        let straight = || lanelet(1, &line((0.0, 0.0), (300.0, 0.0)), 3.5);
+        assert_eq!(end(&[straight()]), None);
+        let beside = lanelet(2, &line((0.0, 3.5), (300.0, 3.5)), 3.5);
+        let merging = lanelet(3, &line((0.0, -30.0), (300.0, 2.0)), 3.5);
+        assert_eq!(
+            end(&[straight(), beside, merging]),
+            None,
+            "lanes side by side, a merge"
+        );
+        let across = lanelet(2, &line((150.0, -50.0), (150.0, 50.0)), 3.5);
+        let (distance, exit) = end(&[straight(), across]).unwrap();
+        assert!(
+            (distance - 140.0).abs() < 4.0 && exit == Exit::Crossing,
+            "{distance} {exit}"
+        );
+        let against = lanelet(2, &line((200.0, 0.3), (100.0, 0.3)), 3.5);
+        let (distance, exit) = end(&[straight(), against]).unwrap();
+        assert!(
+            (distance - 90.0).abs() < 8.0 && exit == Exit::Shared,
+            "{distance} {exit}"
+        );
+        let narrow = lanelet(1, &line((0.0, 0.0), (300.0, 0.0)), 2.0);
+        assert!(matches!(end(&[narrow]), Some((_, Exit::Width(_)))));
+        let circle = |radius: f64| -> Vec<Vec2> {
+            let bend = (0..40).map(|i| Vec2::from_angle(f64::from(i) * 0.08 - 1.57) * radius);
+            let start = (0..20).map(|i| Vec2::new(f64::from(i) * 5.0, 0.0));
+            let bend = bend.map(|p| p + Vec2::new(100.0, radius));
+            start.chain(bend).collect()
+        };
+        assert_eq!(end(&[lanelet(1, &circle(60.0), 3.5)]), None);
+        let (distance, exit) = end(&[lanelet(1, &circle(15.0), 3.5)]).unwrap();
+        assert!(
+            matches!(exit, Exit::Radius(_)) && distance > 60.0,
+            "{distance} {exit}"
+        );
+    }
+
+    #[test]
+    fn a_start_outside_is_refused_by_name() {
+        let across = lanelet(2, &line((150.0, -50.0), (150.0, 50.0)), 3.5);
+        let road = Road::new(&[lanelet(1, &line((0.0, 0.0), (300.0, 0.0)), 3.5), across]).unwrap();
+        let lane = road.lane(LaneId(0));
+        let at = |x: f64, y: f64| lane.project(Vec2::new(x, y));
+        let why = |Frenet { s, d }, yaw, speed| {
+            refusal(&road, LaneId(0), s, d, yaw, speed).unwrap_or_default()
+        };
+        assert_eq!(why(at(10.0, 0.0), 0.0, 20.0), "");
+        assert!(why(at(10.0, 0.0), 0.9, 20.0).contains("52° to its lane"));
+        assert!(why(at(10.0, 2.0), 0.0, 20.0).contains("beside the road"));
+        assert!(why(at(10.0, 0.0), 0.0, 70.0).contains("with 70 m/s"));
+        assert!(why(at(100.0, 0.0), 0.0, 20.0).contains("a junction"));
+    }
+}
