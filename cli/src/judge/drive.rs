@@ -166,9 +166,7 @@ fn drive(world: World, duration_s: f64, seed: u64) -> (Rc<RefCell<World>>, Pictu
         ..Config::default()
     };
     let shared = Rc::new(RefCell::new(world));
-    let mut pair = SimPair::new(config, |board| {
-        poller(board, tandem_cores::Config::rt())
-    });
+    let mut pair = SimPair::new(config, |board| poller(board, tandem_cores::Config::rt()));
     let ticked = Rc::clone(&shared);
     pair.set_world(move |tick| {
         let at = tick.at;

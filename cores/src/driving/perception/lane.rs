@@ -159,7 +159,7 @@ impl LaneFilter {
         if fits {
             // The other system knew older lines: they do not count twice.
             if now.since(seen).as_secs_f32() < dt {
-                known.correct(&self.state);
+                known.correct(&self.state, self.lanes.view_range);
             }
             *self = Self {
                 state: known.state,
