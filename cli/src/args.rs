@@ -7,7 +7,6 @@ use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;
 use tandem_board::SystemId;
-use tandem_board_host::RunName;
 
 const EXAMPLES: &str = "\
 The three jobs:
@@ -269,9 +268,9 @@ pub(crate) struct WireArgs {
     #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
     pub(crate) from: Option<SystemId>,
 
-    /// Which run, as `tandem ps` names it [default: the only one]
+    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<RunName>,
+    pub(crate) run: Option<String>,
 }
 
 /// Wires between the systems and to the bus.
@@ -304,9 +303,9 @@ pub(crate) struct PowerArgs {
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
     pub(crate) system: SystemId,
 
-    /// Which run, as `tandem ps` names it [default: the only one]
+    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<RunName>,
+    pub(crate) run: Option<String>,
 }
 
 /// Off or on.
@@ -333,9 +332,9 @@ pub(crate) struct FaultArgs {
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u32,
 
-    /// Which run, as `tandem ps` names it [default: the only one]
+    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<RunName>,
+    pub(crate) run: Option<String>,
 }
 
 /// Faults that no signal to a process makes.

@@ -12,7 +12,7 @@ use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
 /// # Errors
 /// If the run cannot be reached.
 pub(crate) fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_ref())?;
+    let hands = Hands::on(args.run.as_deref())?;
     let from = match args.from {
         Some(system) => vec![system],
         None => SystemId::ALL.to_vec(),
@@ -26,7 +26,7 @@ pub(crate) fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
 /// # Errors
 /// If the run cannot be reached, or the system is so already.
 pub(crate) fn power(args: &PowerArgs) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_ref())?;
+    let hands = Hands::on(args.run.as_deref())?;
     match args.switch {
         Switch::On => hands.power_on(args.system)?,
         Switch::Off => hands.power_off(args.system)?,
@@ -39,7 +39,7 @@ pub(crate) fn power(args: &PowerArgs) -> anyhow::Result<()> {
 /// # Errors
 /// If the run cannot be reached.
 pub(crate) fn fault(args: &FaultArgs) -> anyhow::Result<()> {
-    let hands = Hands::on(args.run.as_ref())?;
+    let hands = Hands::on(args.run.as_deref())?;
     match args.fault {
         FaultKind::Lmu => hands.scribble(args.system, args.seed).context("LMU"),
         FaultKind::Handshake => {

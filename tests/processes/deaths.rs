@@ -132,18 +132,22 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     assert_eq!(takeover["cause"], SILENT, "{metrics:#}");
 }
 
+/// The report of what was driven is all that is left.
 #[test]
-fn ctrl_c_stops_everything_and_leaves_nothing() {
+fn ctrl_c_stops_everything_and_leaves_the_report() {
     let fixture = Fixture::new();
     let mut run = fixture.run(&["--duration", "60"]);
     run.until_dual();
     send(run.launcher_pid(), Signal::INT);
     let status = run.end();
     assert_eq!(status.code(), Some(130), "{}", run.said());
-    assert!(run.said().contains("no report"), "{}", run.said());
+    assert!(run.said().contains("what was driven"), "{}", run.said());
     run.until_vanished();
     assert!(run.files().is_empty(), "{:?}", run.files());
-    assert!(fixture.names().is_empty(), "{:?}", fixture.names());
+    assert_eq!(fixture.names(), ["tandem-report"]);
+    let metrics = run.told();
+    assert_eq!(metrics["complete"], false, "{metrics:#}");
+    assert!(metrics["duration_s"].as_f64().unwrap() > 0.0, "{metrics:#}");
 }
 
 #[test]

@@ -188,6 +188,19 @@ impl Run {
     pub(crate) fn metrics(&mut self) -> Value {
         let status = self.end();
         assert!(status.success(), "{status}\n{}", self.said());
+        self.told()
+    }
+
+    /// Ends the run as a person does, and waits; the figures of what was driven.
+    pub(crate) fn interrupt(&mut self) -> Value {
+        send(self.launcher_pid(), Signal::INT);
+        let status = self.end();
+        assert_eq!(status.code(), Some(130), "{}", self.said());
+        self.told()
+    }
+
+    /// The figures on stdout of a run that has ended.
+    pub(crate) fn told(&self) -> Value {
         serde_json::from_str(&fs::read_to_string(&self.stdout).unwrap()).unwrap()
     }
 

@@ -12,5 +12,6 @@ mod deaths;
 mod drive;
 mod errors;
 mod fixture;
+mod hands;
 mod startup;
 mod trace;

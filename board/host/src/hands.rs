@@ -71,14 +71,18 @@ pub struct Hands {
 }
 
 impl Hands {
-    /// Enters the run of this name; without one, the only run that is active. The calling process
-    /// must have one thread, and stays in the run's namespaces.
+    /// Enters the run of this name, or the one that `tandem run` with this process id started;
+    /// without a name, the only run that is active. The calling process must have one thread, and
+    /// stays in the run's namespaces.
     ///
     /// # Errors
     /// [`HandsError`] if there is no such run, there are several, or it cannot be entered.
-    pub fn on(name: Option<&RunName>) -> Result<Self, HandsError> {
+    pub fn on(name: Option<&str>) -> Result<Self, HandsError> {
         let mut found = processes::list();
-        found.retain(|process| name.is_none_or(|name| process.run == *name));
+        found.retain(|process| {
+            let run = process.run.as_str();
+            name.is_none_or(|name| run == name || run.starts_with(&format!("tandem-{name}-")))
+        });
         let process = found.first().ok_or(HandsError::NoRun)?;
         if found.iter().any(|other| other.run != process.run) {
             let mut names: Vec<_> = found.iter().map(|it| it.run.to_string()).collect();
