@@ -7,7 +7,7 @@ use tandem_redundancy::Phase;
 use crate::RunLog;
 
 /// How far apart both systems left the start protocol together, ns: one as master, the other as its
-/// standby, within [`TOGETHER_NS`]. `None` if they did not.
+/// standby, within `TOGETHER_NS`. `None` if they did not.
 #[must_use]
 pub fn skew_ns(log: &RunLog) -> Option<u64> {
     let left = |system: SystemId| {

@@ -28,7 +28,8 @@ impl SimPair {
         self.shared.lock().system(system).flash_bytes_to_live = Some(bytes);
     }
 
-    /// The supply resets a system that is on; it restarts after [`Config::reset_hold`].
+    /// The supply resets a system that is on; it restarts after
+    /// [`Config::reset_hold`](crate::Config::reset_hold).
     pub fn reset(&mut self, system: SystemId, cause: ResetCause) {
         self.shared.lock().reset(system, cause);
         self.follow_incarnations();
