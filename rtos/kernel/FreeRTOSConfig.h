@@ -17,7 +17,7 @@
 #define configUSE_IDLE_HOOK                        1
 #define configUSE_TICK_HOOK                        0
 
-/* What tasks use. */
+/* Functions that tasks use. */
 #define configUSE_COUNTING_SEMAPHORES              1
 #define configUSE_MUTEXES                          1
 #define configUSE_RECURSIVE_MUTEXES                0
@@ -35,7 +35,7 @@
 #define configTIMER_QUEUE_LENGTH                   32
 #define configTIMER_TASK_STACK_DEPTH               configMINIMAL_STACK_SIZE
 
-/* All memory is given by the Rust side. */
+/* The Rust side provides all memory. */
 #define configSUPPORT_STATIC_ALLOCATION            1
 #define configSUPPORT_DYNAMIC_ALLOCATION           0
 
@@ -89,7 +89,7 @@
     #define configMINIMAL_STACK_SIZE      512
 #else
     #define configCPU_CLOCK_HZ            1000000000
-    /* 64 KiB: frames of signals hold the vector registers, and Rust's formatting is not frugal. */
+    /* 64 KiB: frames of signals hold the vector registers, and Rust's formatting uses much stack. */
     #define configMINIMAL_STACK_SIZE      8192
 #endif
 

@@ -19,7 +19,7 @@ _Static_assert( sizeof( configSTACK_DEPTH_TYPE ) == sizeof( void * ), "stack dep
 volatile UBaseType_t tandem_held = 0;
 volatile UBaseType_t tandem_yield_due = 0;
 
-/* The kernel's port: above zero until the first task runs, so that nothing unmasks before. */
+/* The kernel's port: above zero until the first task runs, so that interrupts stay masked. */
 extern size_t xCriticalNesting;
 
 /* As at power-on. */

@@ -1,4 +1,4 @@
-/* What the kernel calls in the Rust side. */
+/* Functions of the Rust side that the kernel calls. */
 #ifndef TANDEM_HOOKS_H
 #define TANDEM_HOOKS_H
 
@@ -13,7 +13,7 @@ extern uint64_t tandem_run_time( void );
 extern void * volatile tandem_trace_sink;
 /* An event of a task. Called with interrupts masked. */
 extern void tandem_trace( uint32_t kind, uint32_t task );
-/* The kernel needs this task's memory no more. */
+/* The kernel no longer needs this task's memory. */
 extern void tandem_task_gone( void * task );
 #define portCLEAN_UP_TCB( pxTCB )    tandem_task_gone( pxTCB )
 #endif

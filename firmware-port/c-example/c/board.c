@@ -92,7 +92,7 @@ void on_trap(uint32_t cause, uint32_t at)
     fail("trap", 0, "no exception");
 }
 
-/* The library found a mistake of its own. */
+/* The library found an internal error. */
 void tandem_on_panic(void)
 {
     fail("libtandem_capi.a", 0, "no panic");

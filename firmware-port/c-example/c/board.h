@@ -1,4 +1,4 @@
-/* What the core in C needs of QEMU's riscv32 virt machine. */
+/* The parts of QEMU's riscv32 virt machine that the core in C uses. */
 #ifndef BOARD_H
 #define BOARD_H
 
@@ -14,17 +14,17 @@ uint64_t now_ns(void);
 /* Rings the doorbell of another core. */
 void ring(uint32_t core);
 
-/* Takes back what rang this core's doorbell. */
+/* Clears the ring of this core's doorbell. */
 void clear_doorbell(void);
 
 /* Sleeps until the doorbell has rung. Interrupts are never enabled on this core: the sleep ends when
- * one is pending, so nothing is missed between a look and the sleep. */
+ * one is pending, so none is missed between a poll and the sleep. */
 void sleep_until_rung(void);
 
-/* Gives the emulator's turn to the next hart: in every loop that spins. */
+/* Yields the emulator's turn to the next hart: call it in every loop that spins. */
 void yield_turn(void);
 
-/* Begins the next incarnation of this core, as a reset does. */
+/* Starts the next incarnation of this core, as a reset does. */
 void reset_core(void);
 
 /* Writes a line and ends the emulator with a status that is not 0. */

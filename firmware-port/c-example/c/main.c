@@ -1,5 +1,5 @@
-/* Core 2, in C: answers signals, works on what core 1 sends, shares a lock, dies once with it, and in
- * its second incarnation leads a system that is alone. The same layout stands in src/main.rs. */
+/* Core 2, in C: answers signals, processes data from core 1, shares a lock, dies once with it, and in
+ * its second incarnation leads a system that is alone. src/main.rs has the same layout. */
 #include "board.h"
 #include "tandem.h"
 
@@ -50,7 +50,7 @@ static void on_ping(void *context, uint32_t task, uint32_t count, uint32_t value
     answer(value * 2 + 1);
 }
 
-/* Sums up what core 1 sent, in its slot, and publishes sum and number: nothing is copied. */
+/* Sums up the words of core 1 in their slot, and publishes sum and number: nothing is copied. */
 static void on_work(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     static uint32_t done;
@@ -82,7 +82,7 @@ static void relax(void *context, uint32_t spins)
     yield_turn();
 }
 
-/* `value` turns with the lock. What it guards is two words that are always equal. */
+/* `value` acquisitions of the lock, which guards two words that are always equal. */
 static void on_count(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     uint32_t turn;
@@ -102,7 +102,7 @@ static void on_count(void *context, uint32_t task, uint32_t count, uint32_t valu
     answer(value);
 }
 
-/* Dies with the lock, in the middle of a change. Core 0 sees to it that it is reset. */
+/* Dies with the lock, in the middle of a change. Core 0 has it reset. */
 static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     (void)context;
@@ -110,7 +110,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
     (void)count;
     (void)value;
     if (generation > 1) {
-        /* The signal that killed the first incarnation comes again: its handler had not returned. */
+        /* The signal that killed the first incarnation is repeated: its handler had not returned. */
         return;
     }
     MUST(tandem_lock_acquire(&lock, 100000, relax, NULL) == TANDEM_STATUS_OK);
@@ -122,7 +122,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
     reset_core();
 }
 
-/* A system B without an A: takes the lead when nobody has answered for long enough. */
+/* A system B without an A: leads when no system has answered for long enough. */
 static void on_lead(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     tandem_config_t config;
@@ -137,7 +137,7 @@ static void on_lead(void *context, uint32_t task, uint32_t count, uint32_t value
     MUST(tandem_config_rt(&config) == TANDEM_STATUS_OK);
     MUST(tandem_redundancy_init(&machine, &config, TANDEM_SYSTEM_B, TANDEM_CAUSE_POWER_ON, &loaded, now)
          == TANDEM_STATUS_OK);
-    /* The machine is told the time, so it can be told one that has not come yet. */
+    /* The machine gets the time as an argument, so it may be a future one. */
     do {
         now += 1000000;
         steps += 1;

@@ -7,7 +7,7 @@ _start:
     csrci mstatus, 8
     la t0, trap
     csrw mtvec, t0
-    # A sleep that does not last, see board.c: always pending, never taken.
+    # A sleep that ends at once, see board.c: always pending, never taken.
     csrsi mideleg, 2
     csrsi mip, 2
     la sp, __stack

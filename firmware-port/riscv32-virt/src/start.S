@@ -1,5 +1,5 @@
-# Start-up and trap entry. All harts begin here at once; hart 0 prepares the memory, and the others
-# sleep until its software interrupt says that it is done.
+# Start-up and trap entry. All harts start here at once; hart 0 prepares the memory, and the others
+# sleep until its software interrupt.
 
     .equ CLINT_MSIP, 0x02000000
     .equ HARTS, 8
@@ -25,7 +25,7 @@ begin:
     la t0, trap_vector
     ori t0, t0, 1            # vectored
     csrw mtvec, t0
-    # The interrupt that never sleeps: always pending, delegated so that machine mode never takes it,
+    # An interrupt that is always pending: delegated so that machine mode never takes it,
     # enabled only in `yield_turn`.
     csrsi mideleg, SSI
     csrsi mip, SSI
@@ -79,7 +79,7 @@ park:
 5:  wfi
     j 5b
 
-# A new life of this hart: a0 = hart. The stack is thrown away.
+# A new incarnation of this hart: a0 = hart. The stack is discarded.
     .globl tandem_restart_hart
 tandem_restart_hart:
     la t0, __begin_again     # of the first image, whichever this one is
@@ -99,8 +99,8 @@ begin_again:
     add sp, sp, t0
     j run
 
-# Leaves this image: a0 = hart, a1 = entry. Nothing of it stays on the stack or in a register, and
-# no instruction of the slot is older than its programming. T-BOOT-7
+# Leaves this image: a0 = hart, a1 = entry. Clears the stack and the registers, and
+# fetches the slot's instructions anew after its programming. T-BOOT-7
     .globl tandem_jump
 tandem_jump:
     csrci mstatus, MIE_BIT
@@ -126,7 +126,7 @@ tandem_jump:
     li t2, 0
     jr a1
 
-# Where an image in a slot begins on each of its cores; core 0 comes first and prepares the memory.
+# Entry of an image in a slot, for each of its cores; core 0 is first and prepares the memory.
     .section .slot, "ax"
     .globl tandem_slot_start
 tandem_slot_start:

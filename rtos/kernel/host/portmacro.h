@@ -20,8 +20,8 @@ typedef uint32_t TickType_t;
 #define portNOP()
 #define portMEMORY_BARRIER()       __asm volatile ( "" ::: "memory" )
 
-/* Touched by the core's thread only: by tasks, and by the signal handlers that interrupt them.
- * Same fields as `State` in src/port/host/state.rs. */
+/* Accessed by the core's thread only: by tasks, and by the signal handlers that interrupt them.
+ * Same fields as `Shared` in src/port/host/state.rs. */
 struct TandemPort {
     volatile uint32_t masked;
     volatile uint32_t attention;

@@ -11,7 +11,7 @@ extern volatile UBaseType_t tandem_held;
 /* A switch is due at the end of the outermost one. */
 extern volatile UBaseType_t tandem_yield_due;
 
-/* The kernel's is an exception, which switches at once, also in a critical section. */
+/* The kernel's own yield is an exception, which switches at once, even in a critical section. */
 #undef portYIELD
 #define portYIELD()                        \
     do {                                   \

@@ -1,4 +1,4 @@
-/* The kernel includes stdlib.h and uses nothing of it in our configuration. */
+/* The kernel includes stdlib.h, but uses nothing of it in this configuration. */
 #ifndef TANDEM_STDLIB_H
 #define TANDEM_STDLIB_H
 #include <stddef.h>

@@ -1,4 +1,4 @@
-/* What the kernel uses of string.h; compiler_builtins of Rust has the functions. */
+/* The functions of string.h that the kernel uses; Rust's compiler_builtins has them. */
 #ifndef TANDEM_STRING_H
 #define TANDEM_STRING_H
 #include <stddef.h>
