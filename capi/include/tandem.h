@@ -139,7 +139,7 @@ extern void tandem_on_panic(void);
 #define TANDEM_MAX_EVENTS 8
 
 // Words of a report on the link.
-#define TANDEM_REPORT_WORDS 3
+#define TANDEM_REPORT_WORDS 4
 
 // System A.
 #define TANDEM_SYSTEM_A 0
@@ -176,6 +176,9 @@ extern void tandem_on_panic(void);
 
 // Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
 #define TANDEM_FAILURE_WRONG_COMMAND 8
+
+// Its clock has drifted away from the vehicle's and the other system's.
+#define TANDEM_FAILURE_CLOCK 9
 
 // A state was found in the flash.
 #define TANDEM_LOADED_STATE 0
@@ -984,11 +987,14 @@ tandem_status_t tandem_redundancy_stale_frame(struct tandem_redundancy_t *machin
                                               struct tandem_actions_t *actions);
 
 // The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
-// ago; 0 if it has accepted none. Any context; does not block.
+// ago; 0 if it has accepted none. It sent this `on_the_way_ns` ago, at `sent_ms` of its own clock,
+// of which the last eight bits count; below 0 if it does not tell. Any context; does not block.
 tandem_status_t tandem_redundancy_vehicle_term(struct tandem_redundancy_t *machine,
                                                uint64_t now_ns,
                                                uint32_t term,
                                                uint64_t age_ns,
+                                               int32_t sent_ms,
+                                               uint64_t on_the_way_ns,
                                                struct tandem_actions_t *actions);
 
 // This system found a fault in itself: a `TANDEM_FAILURE_…`. Repeat it while the fault lasts. Any
@@ -1011,13 +1017,14 @@ uint32_t tandem_redundancy_mode(struct tandem_redundancy_t *machine);
 // The term for control frames; meaningful while the system drives. Any context.
 uint32_t tandem_redundancy_term(struct tandem_redundancy_t *machine);
 
-// What to tell the other system: the datagram for the link goes to `words`
+// What to tell the other system now: the datagram for the link goes to `words`
 // (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
 // null. Any context; does not block.
 //
 // # Safety
 // 1 and 3 of the caller's contract; `words` has room.
 tandem_status_t tandem_redundancy_report(struct tandem_redundancy_t *machine,
+                                         uint64_t now_ns,
                                          uint32_t *words,
                                          struct tandem_report_t *report);
 

@@ -6,8 +6,8 @@ use crate::status::{TandemStatus, TandemStatus as S, status};
 use crate::store::{TandemLoaded, TandemState, failure_mode, system_id};
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, ControlFrame, Event, Input, Mode, ObeyedTerm, PeerReport, Redundancy, Role,
-    Snapshot, Term,
+    Action, Actions, ControlFrame, Event, Input, LinkReport, Mode, ObeyedTerm, PeerReport,
+    Redundancy, Role, Snapshot, Term,
 };
 
 /// Power came on.
@@ -125,9 +125,9 @@ pub struct TandemReport {
 }
 
 /// Words of a report on the link.
-pub const TANDEM_REPORT_WORDS: usize = 3;
+pub const TANDEM_REPORT_WORDS: usize = 4;
 
-const _: () = assert!(TANDEM_REPORT_WORDS == PeerReport::WORDS);
+const _: () = assert!(TANDEM_REPORT_WORDS == LinkReport::WORDS);
 
 /// What the core must do now. Flags are 0 or 1.
 #[repr(C)]
@@ -397,7 +397,7 @@ pub unsafe extern "C" fn tandem_redundancy_link_report(
     status(|| {
         // SAFETY: the caller's contract is passed on.
         unsafe {
-            let report = PeerReport::from_words(cell::words(words, count)?);
+            let report = LinkReport::from_words(cell::words(words, count)?);
             let input = Input::LinkReport(report.ok_or(S::Invalid)?);
             tell(machine, now_ns, input, actions)
         }
@@ -424,18 +424,23 @@ pub unsafe extern "C" fn tandem_redundancy_stale_frame(
 }
 
 /// The vehicle told which term it obeys: that of the last control frame that it accepted, `age_ns`
-/// ago; 0 if it has accepted none. Any context; does not block.
+/// ago; 0 if it has accepted none. It sent this `on_the_way_ns` ago, at `sent_ms` of its own clock,
+/// of which the last eight bits count; below 0 if it does not tell. Any context; does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_vehicle_term(
     machine: *mut TandemRedundancy,
     now_ns: u64,
     term: u32,
     age_ns: u64,
+    sent_ms: i32,
+    on_the_way_ns: u64,
     actions: *mut TandemActions,
 ) -> TandemStatus {
+    let tells = sent_ms >= 0;
     let input = Input::VehicleTerm(ObeyedTerm {
         term: Term::from_bits(term),
         age: Duration::from_ns(age_ns),
+        sent: tells.then_some((sent_ms as u8, Duration::from_ns(on_the_way_ns))),
     });
     // SAFETY: the caller's contract is passed on.
     status(|| unsafe { tell(machine, now_ns, input, actions) })
@@ -491,7 +496,7 @@ pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) 
     unsafe { cell::get(machine) }.map_or(0, |machine| machine.term().bits())
 }
 
-/// What to tell the other system: the datagram for the link goes to `words`
+/// What to tell the other system now: the datagram for the link goes to `words`
 /// (`TANDEM_REPORT_WORDS` of them), its content for the status frame to `report`; either may be
 /// null. Any context; does not block.
 ///
@@ -500,18 +505,19 @@ pub unsafe extern "C" fn tandem_redundancy_term(machine: *mut TandemRedundancy) 
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_report(
     machine: *mut TandemRedundancy,
+    now_ns: u64,
     words: *mut u32,
     report: *mut TandemReport,
 ) -> TandemStatus {
     status(|| {
         // SAFETY: the caller's contract is passed on.
         unsafe {
-            let said = cell::get(machine)?.link_report();
+            let said = cell::get(machine)?.link_report(Instant::from_ns(now_ns));
             if !words.is_null() {
                 cell::write(words.cast::<[u32; TANDEM_REPORT_WORDS]>(), said.to_words())?;
             }
             if !report.is_null() {
-                cell::write(report, said.into())?;
+                cell::write(report, said.report.into())?;
             }
         }
         Ok(S::Ok)

@@ -56,6 +56,8 @@ pub const TANDEM_FAILURE_DEADLINE: u32 = 6;
 pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
 /// Its command is not the one that its own inputs demand, or not the one that reaches the vehicle.
 pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
+/// Its clock has drifted away from the vehicle's and the other system's.
+pub const TANDEM_FAILURE_CLOCK: u32 = 9;
 
 const _: () = {
     use FailureMode as F;
@@ -67,6 +69,7 @@ const _: () = {
     assert!(F::Deadline.code() as u32 == TANDEM_FAILURE_DEADLINE);
     assert!(F::TermsExhausted.code() as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
     assert!(F::WrongCommand.code() as u32 == TANDEM_FAILURE_WRONG_COMMAND);
+    assert!(F::Clock.code() as u32 == TANDEM_FAILURE_CLOCK);
 };
 
 /// A state was found in the flash.

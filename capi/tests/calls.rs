@@ -453,8 +453,8 @@ fn the_state_goes_through_the_flash_of_c() {
             tandem_redundancy_own_fault(m, 2_000_000, 256, a),
             S::OutOfRange
         );
-        let words = [0; 3];
-        let link = tandem_redundancy_link_report(m, 2_000_000, words.as_ptr(), 3, a);
+        let words = [0; 4];
+        let link = tandem_redundancy_link_report(m, 2_000_000, words.as_ptr(), 4, a);
         assert_eq!(link, S::Invalid);
         assert_eq!(tandem_store_request(s, &raw const (*a).state), S::Ok);
         assert_eq!(tandem_store_is_settled(s), 0);

@@ -254,6 +254,11 @@ pub enum Event {
         /// Share of the limit that the difference uses, %.
         percent: u8,
     },
+    /// A clock has drifted away from the two others.
+    ClockWrong {
+        /// 0 this system's: it leaves. 1 the other system's, 2 the vehicle's.
+        of: u8,
+    },
     /// This system found that its command is wrong, and leaves.
     WrongCommand {
         /// 0: the vehicle obeys another one than was sent, or refuses it. 1: core 2 computes
@@ -298,6 +303,7 @@ impl From<tandem_redundancy::Event> for Event {
                 line: 4,
                 silent: true,
             },
+            E::ClockWrong(clock) => Self::ClockWrong { of: clock as u8 },
         }
     }
 }
@@ -383,6 +389,7 @@ impl Event {
             Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
             Self::Agreement { stage, percent } => [head(29, stage, percent, 0), 0, 0, 0],
             Self::WrongCommand { witness } => [head(30, witness, 0, 0), 0, 0, 0],
+            Self::ClockWrong { of } => [head(31, of, 0, 0), 0, 0, 0],
             Self::Flood {
                 source,
                 times,
@@ -484,6 +491,7 @@ impl Event {
                 percent: b,
             },
             30 if a <= 1 => Self::WrongCommand { witness: a },
+            31 if a <= 2 => Self::ClockWrong { of: a },
             28 => Self::Flood {
                 source: *FloodSource::ALL.get(usize::from(a))?,
                 times: x,
@@ -605,6 +613,7 @@ mod tests {
                 percent: 99,
             },
             Event::WrongCommand { witness: 1 },
+            Event::ClockWrong { of: 2 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -619,7 +628,8 @@ mod tests {
             0x051C,
             0x031D,
             0x021E,
-            31,
+            0x031F,
+            32,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }

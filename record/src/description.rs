@@ -66,6 +66,11 @@ pub fn core_event(event: Event) -> Option<String> {
         Event::WrongCommand { .. } => {
             "leaves: core 2 computes another command from the same inputs".to_owned()
         }
+        Event::ClockWrong { of } => match of {
+            0 => "leaves: its clock has drifted from the vehicle's and the other's".to_owned(),
+            1 => "finds that the other system's clock has drifted".to_owned(),
+            _ => "finds that the vehicle's clock has drifted".to_owned(),
+        },
         Event::Flood {
             source,
             times,

@@ -56,6 +56,18 @@ pub struct Takeover {
     pub term: Term,
 }
 
+/// Whose clock is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Clock {
+    /// This system's: it differs from both others alike.
+    Own = 0,
+    /// The other system's.
+    Peer = 1,
+    /// The vehicle's.
+    Vehicle = 2,
+}
+
 /// An event for the trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Event {
@@ -95,6 +107,8 @@ pub enum Event {
     LevelBroken(bool),
     /// No edge ever arrived on the start line, although the other system runs: the line is cut.
     StartLineSilent,
+    /// This clock has drifted away from the two others.
+    ClockWrong(Clock),
 }
 
 impl Event {
@@ -116,6 +130,7 @@ impl Event {
             Self::StateLost => [11, 0, 0],
             Self::LevelBroken(broken) => [12, broken.into(), 0],
             Self::StartLineSilent => [13, 0, 0],
+            Self::ClockWrong(clock) => [14, clock as u32, 0],
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The input of the machine.
 
-use crate::{FailureMode, Mode, PeerReport, Role, Term};
+use crate::{FailureMode, LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Edge, Instant, Line, SystemId};
 
 /// The state of the lines and the CAN receiver at one moment. Counts run and wrap around; their
@@ -59,6 +59,9 @@ pub struct ObeyedTerm {
     pub term: Term,
     /// Time since then.
     pub age: Duration,
+    /// When the vehicle sent this, ms on its own clock, the last eight bits, and how long it was on
+    /// its way to this call; `None` if it does not tell.
+    pub sent: Option<(u8, Duration)>,
 }
 
 /// One input of the machine.
@@ -71,7 +74,7 @@ pub enum Input {
     /// A status frame of the other system was received on CAN.
     StatusFrame(PeerReport),
     /// A report of the other system was received over the link.
-    LinkReport(PeerReport),
+    LinkReport(LinkReport),
     /// A control frame was received on CAN whose CRC is right, but whose counter is wrong: frames
     /// were lost, or its sender has restarted. The vehicle may have accepted it, so only its term
     /// is used.

@@ -34,13 +34,13 @@ mod term;
 mod transition;
 mod witness;
 
-pub use action::{Action, Actions, Event, Takeover};
+pub use action::{Action, Actions, Clock, Event, Takeover};
 pub use budget::Budget;
 pub use config::Config;
 pub use input::{ControlFrame, Input, ObeyedTerm, Snapshot};
 pub use machine::Redundancy;
 pub use phase::{Evidence, Mode, Phase, Role};
-pub use report::PeerReport;
+pub use report::{LinkReport, PeerReport};
 pub use state::{DecodeError, FailureMode, SystemState};
 pub use store::{FlashOp, Geometry, Loaded, StateStore};
 pub use term::Term;

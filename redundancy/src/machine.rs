@@ -13,8 +13,8 @@ use crate::starting::Starting;
 use crate::transition::{Effect, rule};
 use crate::witness::{BeatSender, Witnesses};
 use crate::{
-    Action, Actions, Config, Event, Evidence, FailureMode, Input, Loaded, Mode, PeerReport, Phase,
-    Role, Snapshot, SystemState, Takeover, Term,
+    Action, Actions, Config, Event, Evidence, FailureMode, Input, LinkReport, Loaded, Mode,
+    PeerReport, Phase, Role, Snapshot, SystemState, Takeover, Term,
 };
 use tandem_board::{Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 
@@ -104,6 +104,8 @@ pub struct Redundancy {
     /// The last stale term that was reported.
     stale_told: Term,
     beats: BeatSender,
+    /// When the last report went over the link, µs; wraps around.
+    reported_us: u32,
     polls: Polls,
     witnesses: Witnesses,
     /// When this system was first ready for a role.
@@ -145,6 +147,7 @@ impl Redundancy {
             term_known: cause != ResetCause::PowerOn && matches!(loaded, Loaded::State(_)),
             stale_told: Term::NONE,
             beats: BeatSender::new(config.heartbeat_period),
+            reported_us: (now.as_ns() / 1_000) as u32,
             polls: Polls::new(now),
             witnesses: Witnesses::new(&config, now),
             running_since: None,
@@ -265,11 +268,28 @@ impl Redundancy {
             if standby.is_dispensable(config, now, witnesses))
     }
 
-    /// The report to send to the other system over the link every control cycle. Call it after
+    /// The report to send to the other system over the link now, every control cycle. Call it after
     /// [`Redundancy::may_transmit`]: a master whose frame was refused does not report that it
     /// drives.
     #[must_use]
-    pub fn link_report(&self) -> PeerReport {
+    pub fn link_report(&mut self, now: Instant) -> LinkReport {
+        let now_us = (now.as_ns() / 1_000) as u32;
+        let is_later = now_us.wrapping_sub(self.reported_us) as i32 > 0;
+        self.reported_us = if is_later {
+            now_us
+        } else {
+            self.reported_us.wrapping_add(1)
+        };
+        LinkReport {
+            report: self.report(),
+            start: (self.state.total_resets & 0x7FF) as u16,
+            sent_us: self.reported_us,
+        }
+    }
+
+    /// What this system tells of itself, as in its status frame.
+    #[must_use]
+    pub fn report(&self) -> PeerReport {
         let drives = |driving: Driving| !driving.is_refused();
         let role = match self.role() {
             Role::Master if !self.phase.mastership().is_some_and(drives) => Role::Starting,

@@ -3,8 +3,8 @@
 use crate::state::CRC;
 use crate::{Mode, Role, Term};
 
-/// A system's report about itself. The same content is sent over the data link (every control
-/// cycle) and, without `can_alive`, in the status frame on CAN.
+/// A system's report about itself. The same content is sent over the data link in a
+/// [`LinkReport`] and, without `can_alive`, in the status frame on CAN.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PeerReport {
     /// Its role.
@@ -17,43 +17,68 @@ pub struct PeerReport {
     pub can_alive: bool,
 }
 
-impl PeerReport {
-    /// Length of the datagram in words.
-    pub const WORDS: usize = 3;
-    const MAGIC: u32 = 0x5E90_0000;
+/// A report as it goes over the link. It tells when it was sent, so that one that is repeated, or
+/// was on its way for too long, is no sign of life; and it carries its sender's clock to the other
+/// system.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct LinkReport {
+    /// The content.
+    pub report: PeerReport,
+    /// Which start of its sender this is: the last eleven bits of the count of starts.
+    pub start: u16,
+    /// When it was sent, µs on the sender's clock; wraps around. Of two reports of one start the
+    /// later one has the larger time.
+    pub sent_us: u32,
+}
 
-    /// The datagram for the link: head, term, CRC-32 of both.
+impl LinkReport {
+    /// Length of the datagram in words.
+    pub const WORDS: usize = 4;
+    const MAGIC: u32 = 0x5E90_0000;
+    const STARTS: u16 = 0x7FF;
+
+    /// The datagram for the link: head, term, time, CRC-32 of these.
     #[must_use]
     pub fn to_words(&self) -> [u32; Self::WORDS] {
+        let report = &self.report;
         let head = Self::MAGIC
-            | u32::from(self.role.code())
-            | u32::from(self.mode.code()) << 4
-            | u32::from(self.can_alive) << 8;
-        let term = self.term.bits();
-        [head, term, Self::check(head, term)]
+            | u32::from(report.role.code())
+            | u32::from(report.mode.code()) << 4
+            | u32::from(report.can_alive) << 8
+            | u32::from(self.start & Self::STARTS) << 9;
+        let content = [head, report.term.bits(), self.sent_us];
+        let [head, term, sent_us] = content;
+        [head, term, sent_us, Self::check(content)]
     }
 
-    fn check(head: u32, term: u32) -> u32 {
+    fn check(content: [u32; 3]) -> u32 {
         let mut digest = CRC.digest();
-        digest.update(&head.to_le_bytes());
-        digest.update(&term.to_le_bytes());
+        for word in content {
+            digest.update(&word.to_le_bytes());
+        }
         digest.finalize()
     }
 
     /// The report in a datagram; `None` if the datagram is invalid.
     #[must_use]
     pub fn from_words(words: &[u32]) -> Option<Self> {
-        let &[head, term, check] = words else {
+        let &[head, term, sent_us, check] = words else {
             return None;
         };
-        if check != Self::check(head, term) || head & !0x1FF != Self::MAGIC {
+        if check != Self::check([head, term, sent_us]) || head >> 20 != Self::MAGIC >> 20 {
             return None;
         }
-        Some(Self {
+        let report = PeerReport {
             role: Role::from_code((head & 0xF) as u8)?,
             mode: Mode::from_code((head >> 4 & 0xF) as u8)?,
             term: Term::from_bits(term),
             can_alive: head & 0x100 != 0,
+        };
+        let start = (head >> 9) as u16 & Self::STARTS;
+        Some(Self {
+            report,
+            start,
+            sent_us,
         })
     }
 }
@@ -73,7 +98,14 @@ mod tests {
                         term: Term::from_bits(77),
                         can_alive,
                     };
-                    assert_eq!(PeerReport::from_words(&report.to_words()), Some(report));
+                    for start in [0, 1, 0x7FF] {
+                        let sent = LinkReport {
+                            report,
+                            start,
+                            sent_us: u32::MAX - 4,
+                        };
+                        assert_eq!(LinkReport::from_words(&sent.to_words()), Some(sent));
+                    }
                 }
             }
         }
@@ -87,14 +119,19 @@ mod tests {
             term: Term::from_bits(8),
             can_alive: true,
         };
-        let words = report.to_words();
-        assert_eq!(PeerReport::from_words(&words[..2]), None);
-        for word in 0..3 {
+        let sent = LinkReport {
+            report,
+            start: 3,
+            sent_us: 17,
+        };
+        let words = sent.to_words();
+        assert_eq!(LinkReport::from_words(&words[..3]), None);
+        for word in 0..4 {
             for bit in 0..32 {
                 let mut wrong = words;
                 wrong[word] ^= 1 << bit;
                 assert_eq!(
-                    PeerReport::from_words(&wrong),
+                    LinkReport::from_words(&wrong),
                     None,
                     "word {word} bit {bit}"
                 );

@@ -33,13 +33,15 @@ pub enum FailureMode {
     /// The system's command is not the one that its own inputs demand, or not the one that reaches
     /// the vehicle.
     WrongCommand = 8,
+    /// Its clock has drifted away from the vehicle's and the other system's.
+    Clock = 9,
     /// A number that this software does not know.
     Unknown = 255,
 }
 
 impl FailureMode {
     /// All modes, for tables.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::None,
         Self::AbnormalResets,
         Self::CanOpenCircuit,
@@ -49,6 +51,7 @@ impl FailureMode {
         Self::Deadline,
         Self::TermsExhausted,
         Self::WrongCommand,
+        Self::Clock,
         Self::Unknown,
     ];
 
@@ -77,6 +80,7 @@ impl FailureMode {
                 | Self::Deadline
                 | Self::CanOpenCircuit
                 | Self::WrongCommand
+                | Self::Clock
         )
     }
 

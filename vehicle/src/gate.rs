@@ -210,6 +210,9 @@ impl Gate {
         self.last_ns[system] = Some(now_ns);
         if silence.is_some_and(|silence| silence > COUNTER_FORGOTTEN_NS) {
             check = Check::Initial;
+        }
+        // A sender that starts anew may have another clock.
+        if matches!(check, Check::Initial | Check::WrongSequence) {
             self.offsets[system] = None;
         }
         let message = Message::decode(u32::from(Control::IDS[system]), data);
@@ -304,7 +307,13 @@ impl Gate {
     /// What the vehicle tells both systems, to be sent at `now_ns`: which term it obeys, how old
     /// its last frame is, and what that asked for.
     pub fn echo(&self, now_ns: u64) -> GateEcho {
-        self.accepted.map_or(GateEcho::default(), |last| GateEcho {
+        let sent_at = (now_ns / 1_000_000) as u8;
+        let none = GateEcho {
+            sent_at,
+            ..GateEcho::default()
+        };
+        self.accepted.map_or(none, |last| GateEcho {
+            sent_at,
             term: last.term,
             term_age: now_ns.saturating_sub(last.at_ns) as f32 * 1e-6,
             steering_angle: self.obeyed.0,
@@ -408,7 +417,13 @@ mod tests {
     #[test]
     fn the_echo_tells_the_term_that_is_obeyed() {
         let mut gate = Gate::new();
-        assert_eq!(gate.echo(5 * MS), GateEcho::default());
+        assert_eq!(
+            gate.echo(261 * MS),
+            GateEcho {
+                sent_at: 5,
+                ..GateEcho::default()
+            }
+        );
         verdicts(&mut gate, &[(0, 0, 2), (10, 0, 2), (25, 1, 3), (30, 0, 2)]);
         let echo = gate.echo(32 * MS);
         assert_eq!((echo.term, echo.term_age), (3, 7.0));

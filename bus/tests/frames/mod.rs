@@ -177,15 +177,18 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
                 set_speed,
             }
         });
-    let numbers = any::<(u32, u8, u8)>();
+    let numbers = any::<(u32, u8, u8, u8)>();
     let echo = (numbers, within(7000.0), within(0.7), within(33.0)).prop_map(
-        |((term, obeyed_counter, refused), term_age, steering_angle, acceleration)| GateEcho {
-            refused,
-            term,
-            term_age,
-            obeyed_counter,
-            steering_angle,
-            acceleration,
+        |((term, obeyed_counter, refused, sent_at), term_age, steering_angle, acceleration)| {
+            GateEcho {
+                refused,
+                term,
+                term_age,
+                obeyed_counter,
+                sent_at,
+                steering_angle,
+                acceleration,
+            }
         },
     );
     prop_oneof![

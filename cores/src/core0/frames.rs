@@ -96,6 +96,7 @@ pub(super) fn heard_echo(echo: &GateEcho, on_the_way: Duration) -> ObeyedTerm {
     ObeyedTerm {
         term: Term::from_bits(echo.term),
         age: Duration::from_us((echo.term_age * 1e3) as u64) + on_the_way,
+        sent: Some((echo.sent_at, on_the_way)),
     }
 }
 

@@ -57,7 +57,10 @@ impl ReadBack {
 
     /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
     pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho) -> bool {
-        if echo.term != term || self.term != term {
+        // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
+        // is all that was sent.
+        let in_term = echo.term == term;
+        if echo.term > term || self.term != term {
             (self.wrong, self.refused) = (0, None);
             return false;
         }
@@ -66,7 +69,8 @@ impl ReadBack {
         let ago = self.newest.wrapping_sub(echo.obeyed_counter);
         let (steering_angle, acceleration) =
             self.sent[usize::from(echo.obeyed_counter) % REMEMBERED];
-        let obeyed = ago >= self.count
+        let obeyed = !in_term
+            || ago >= self.count
             || (steering_angle - echo.steering_angle).abs() < STEERING_STEP
                 && (acceleration - echo.acceleration).abs() < ACCELERATION_STEP;
         let before = core::mem::replace(&mut self.obeyed, echo.obeyed_counter);
@@ -107,6 +111,7 @@ mod tests {
             term: control.term,
             term_age: 1.0,
             obeyed_counter: cycle as u8,
+            sent_at: 0,
             // As the bus rounds it.
             steering_angle: libm::roundf(control.steering_angle / 2e-5) * 2e-5,
             acceleration: control.acceleration,

@@ -20,7 +20,7 @@ use heapless::Deque;
 use tandem_board::{Board, Can, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId};
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
-    Action, Actions, ControlFrame, FailureMode, Input, Loaded, Mode, PeerReport, Phase, Redundancy,
+    Action, Actions, ControlFrame, FailureMode, Input, LinkReport, Loaded, Mode, Phase, Redundancy,
     Snapshot, StateStore, Term,
 };
 use tandem_shm::newest::Writer;
@@ -246,7 +246,7 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// The newest report that has arrived over the link. Datagrams that are none do not hide it.
-    fn newest_report(&mut self) -> Option<PeerReport> {
+    fn newest_report(&mut self) -> Option<LinkReport> {
         let mut newest = None;
         let mut words = [0; MAX_WORDS];
         for _ in 0..LINK_DATAGRAMS {
@@ -254,7 +254,7 @@ impl<'b, B: Board> Shared<'b, B> {
                 return newest;
             };
             let words = words.get(..length).unwrap_or_default();
-            if let Some(report) = PeerReport::from_words(words) {
+            if let Some(report) = LinkReport::from_words(words) {
                 newest = Some(report);
             } else if let Some(opinion) = self.peer_link.on_datagram(words) {
                 self.hear_opinion(opinion);
@@ -526,8 +526,8 @@ impl<'b, B: Board> Shared<'b, B> {
 
     /// Tells the other system over the link what this one is.
     pub(super) fn report(&mut self) {
-        if let Some(redundancy) = &self.redundancy {
-            let report = redundancy.link_report();
+        if let Some(redundancy) = &mut self.redundancy {
+            let report = redundancy.link_report(self.board.now());
             // A full link means that the other does not fetch: it will miss this report and get
             // the next.
             let _full = self.board.link().try_send(&report.to_words());

@@ -3,9 +3,10 @@
 use super::{PhaseState, Redundancy};
 use crate::witness::GateVerdict;
 use crate::{
-    Actions, ControlFrame, Event, Evidence, FailureMode, ObeyedTerm, PeerReport, Role, Term,
+    Actions, Clock, ControlFrame, Event, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
+    Role, Term,
 };
-use tandem_board::Instant;
+use tandem_board::{Duration, Instant};
 
 impl Redundancy {
     /// Whether a correct peer can have sent this.
@@ -47,7 +48,7 @@ impl Redundancy {
     /// A received status frame shows that its sender reaches the bus.
     pub(super) fn status_frame(&mut self, now: Instant, report: PeerReport, actions: &mut Actions) {
         self.witnesses.reports.on_status(now, report);
-        self.report(now, report, true, actions);
+        self.report_of_peer(now, report, true, actions);
     }
 
     /// The other's claim to drive counts after it has lasted long enough. A system that is cut off
@@ -56,21 +57,37 @@ impl Redundancy {
     pub(super) fn link_report_of_peer(
         &mut self,
         now: Instant,
-        report: PeerReport,
+        link: LinkReport,
         actions: &mut Actions,
     ) {
+        if !self.witnesses.is_new(&self.config, now, &link) {
+            return;
+        }
+        let LinkReport { report, .. } = link;
         let own = self.term();
         let claimed_for = self.witnesses.reports.on_link(now, report, own);
         let obeyed = self.witnesses.gate.verdict(&self.config, now) == GateVerdict::Obeys(own);
         let reaches_bus =
             !obeyed && claimed_for.is_some_and(|span| span >= self.config.mute_limit());
-        self.report(now, report, reaches_bus, actions);
+        self.report_of_peer(now, report, reaches_bus, actions);
+        self.judge_clocks(now, actions);
+    }
+
+    /// Of three clocks, the one that differs from both others is wrong. A system whose own clock it
+    /// is leaves: each of its limits is wrong by as much.
+    fn judge_clocks(&mut self, now: Instant, actions: &mut Actions) {
+        if let Some(clock) = self.witnesses.clocks.judge(now) {
+            actions.record(Event::ClockWrong(clock));
+            if clock == Clock::Own {
+                self.own_fault(now, FailureMode::Clock, actions);
+            }
+        }
     }
 
     /// A report of the other about itself. `reaches_bus`: its frames as a master would reach the
     /// vehicle. If this master closed its output for one that the vehicle cannot hear, the vehicle
     /// would have no control.
-    fn report(
+    fn report_of_peer(
         &mut self,
         now: Instant,
         report: PeerReport,
@@ -117,15 +134,19 @@ impl Redundancy {
     /// master: it follows if the other drives, and takes a higher term if no system drives in that
     /// term any more. For a standby the vehicle is a witness of the master.
     pub(super) fn vehicle_term(&mut self, now: Instant, obeyed: ObeyedTerm, actions: &mut Actions) {
-        let ObeyedTerm { term, age } = obeyed;
+        let ObeyedTerm { term, age, sent } = obeyed;
+        let ago = |span: Duration| Instant::from_ns(now.as_ns().saturating_sub(span.as_ns()));
+        if let Some((sent_ms, on_the_way)) = sent {
+            self.witnesses.clocks.on_vehicle(ago(on_the_way), sent_ms);
+            self.judge_clocks(now, actions);
+        }
         self.term_known = true;
         self.state.term = self.state.term.max(term);
         self.witnesses.gate.on_echo(now, obeyed);
         let of_peer = term.system() == self.system.peer();
         let drives = of_peer && term != Term::NONE && age <= self.config.witness_limit();
         if drives {
-            let sent = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
-            self.witnesses.on_life(&self.config, sent, actions);
+            self.witnesses.on_life(&self.config, ago(age), actions);
         }
         let higher = term > self.term();
         if let PhaseState::Thawed(thawed) = &self.phase

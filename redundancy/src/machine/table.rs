@@ -360,7 +360,11 @@ fn every_input() -> Vec<Input> {
     }
     for term in [0, 1, 16, 17, 2048, u32::MAX - 1, u32::MAX].map(Term::from_bits) {
         let age = Duration::from_us(u64::from(term.bits()));
-        inputs.push(Input::VehicleTerm(ObeyedTerm { term, age }));
+        inputs.push(Input::VehicleTerm(ObeyedTerm {
+            term,
+            age,
+            sent: Some((term.bits() as u8, Duration::from_ms(1))),
+        }));
         for role in Role::ALL {
             for mode in Mode::ALL {
                 for system in SystemId::ALL {
@@ -379,7 +383,14 @@ fn every_input() -> Vec<Input> {
                         term,
                         can_alive,
                     };
-                    inputs.extend([Input::StatusFrame(report), Input::LinkReport(report)]);
+                    inputs.extend([
+                        Input::StatusFrame(report),
+                        Input::LinkReport(LinkReport {
+                            report,
+                            start: 1,
+                            sent_us: term.bits(),
+                        }),
+                    ]);
                 }
             }
         }

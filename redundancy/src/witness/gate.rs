@@ -32,7 +32,7 @@ impl Gate {
             None => GateVerdict::Unknown,
             // Two echoes may be lost.
             Some((_, at)) if now.since(at) > config.mute_limit() => GateVerdict::Unheard,
-            Some((ObeyedTerm { term, age }, _))
+            Some((ObeyedTerm { term, age, .. }, _))
                 if term == Term::NONE || age > config.witness_limit() =>
             {
                 GateVerdict::Uncontrolled

@@ -1,20 +1,22 @@
 //! This system's knowledge of the other one. Each witness is one type; rules combine them.
 
 mod can;
+mod clock;
 mod gate;
 mod heartbeat;
 mod level;
 mod reports;
 
 use crate::input::Seen;
-use crate::{Actions, Config, Event};
+use crate::{Actions, Config, Event, LinkReport};
 use can::CanWatch;
+use clock::Clocks;
 use gate::Gate;
 pub(crate) use gate::GateVerdict;
 pub(crate) use heartbeat::BeatSender;
 use heartbeat::{BeatReceiver, LineChange};
 use level::Level;
-use reports::Reports;
+use reports::{Next, Reports};
 use tandem_board::Instant;
 
 /// All witnesses but one: the control frames of the master belong to the phases `Starting` and
@@ -26,6 +28,7 @@ pub(crate) struct Witnesses {
     pub(crate) can: CanWatch,
     pub(crate) reports: Reports,
     pub(crate) gate: Gate,
+    pub(crate) clocks: Clocks,
     /// A stall was forgiven since the last sign of life.
     forgiven: bool,
 }
@@ -38,6 +41,7 @@ impl Witnesses {
             can: CanWatch::new(now),
             reports: Reports::default(),
             gate: Gate::default(),
+            clocks: Clocks::default(),
             forgiven: false,
         }
     }
@@ -84,6 +88,26 @@ impl Witnesses {
         if self.can.is_news(silent) {
             actions.record(Event::CanSilent(silent));
         }
+    }
+
+    /// Whether a report over the link is a new one: neither repeated nor too long on its way. What
+    /// comes late without an end is taken for the usual time, after a second without a report.
+    pub(crate) fn is_new(&mut self, config: &Config, now: Instant, link: &LinkReport) -> bool {
+        let clocks = &mut self.clocks;
+        match self.reports.is_next(link) {
+            Next::No => return false,
+            Next::Yes => {}
+            Next::Restarted => clocks.forget_peer(),
+        }
+        let late = clocks.on_peer(now, link.sent_us) > config.report_limit;
+        let silent = self.reports.silent_for(now);
+        if late && silent.is_some_and(|it| it <= config.recover_after) {
+            return false;
+        }
+        if late {
+            clocks.forget_peer();
+        }
+        true
     }
 
     /// The other system showed life at `at`, on CAN or over the link.

@@ -1,6 +1,6 @@
 //! The witness of the reports: the other system's reports about itself, over the link and on CAN.
 
-use crate::{Mode, PeerReport, Role, Term};
+use crate::{LinkReport, Mode, PeerReport, Role, Term};
 use tandem_board::{Duration, Instant};
 
 /// The last reports of the other system.
@@ -8,6 +8,8 @@ use tandem_board::{Duration, Instant};
 pub(crate) struct Reports {
     /// Its last report over the link, and when it arrived.
     link: Option<(PeerReport, Instant)>,
+    /// Start and time of the last datagram, on its sender's clock.
+    last_sent: Option<(u16, u32)>,
     /// Its last report over any path.
     newest: Option<(PeerReport, Instant)>,
     /// Since when it reports over the link, without a pause, that it drives in a higher term than
@@ -17,7 +19,30 @@ pub(crate) struct Reports {
     standby_at: Option<Instant>,
 }
 
+/// Whether a datagram follows the last one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Next {
+    Yes,
+    /// It is the first one since its sender has started.
+    Restarted,
+    /// It is repeated, or older.
+    No,
+}
+
 impl Reports {
+    /// Takes note of a datagram's time.
+    pub(crate) fn is_next(&mut self, link: &LinkReport) -> Next {
+        let next = match self.last_sent {
+            Some((start, _)) if start != link.start => Next::Restarted,
+            Some((_, last_us)) if link.sent_us.wrapping_sub(last_us) as i32 <= 0 => Next::No,
+            _ => Next::Yes,
+        };
+        if next != Next::No {
+            self.last_sent = Some((link.start, link.sent_us));
+        }
+        next
+    }
+
     /// A report over the link. `own`: the term of this system. Returns for how long the other has
     /// claimed to drive in a higher one, if it claims that now.
     pub(crate) fn on_link(

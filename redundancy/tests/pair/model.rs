@@ -4,8 +4,8 @@
 use std::collections::VecDeque;
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, Loaded, ObeyedTerm,
-    PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Takeover, Term,
+    Action, Actions, Config, ControlFrame, Event, FailureMode, Input, LinkReport, Loaded,
+    ObeyedTerm, PeerReport, Phase, Redundancy, Role, Snapshot, SystemState, Takeover, Term,
 };
 
 pub(crate) const STEP_US: u64 = 100;
@@ -61,7 +61,7 @@ pub(crate) struct System {
     edges: [[u32; 2]; 3],
     can_frames: u32,
     inbox: VecDeque<Frame>,
-    link_inbox: VecDeque<PeerReport>,
+    link_inbox: VecDeque<LinkReport>,
     /// Origin of its clock.
     origin_us: u64,
     next_poll: u64,
@@ -338,6 +338,7 @@ impl Pair {
         ObeyedTerm {
             term: last.map_or(Term::NONE, |last| last.term),
             age: Duration::from_us(last.map_or(0, |last| self.now_us - last.at_us)),
+            sent: Some(((self.now_us / 1_000) as u8, Duration::ZERO)),
         }
     }
 
@@ -496,7 +497,7 @@ impl Pair {
             role: machine.role(),
             mode: machine.mode(),
         });
-        let report = machine.link_report();
+        let link = machine.link_report(at);
         let status = now >= system.next_status;
         if status {
             system.next_status = now + 100_000;
@@ -505,11 +506,11 @@ impl Pair {
             self.send(Some(id), Frame::Control(control));
         }
         if status {
-            self.send(Some(id), Frame::Status(report));
+            self.send(Some(id), Frame::Status(link.report));
         }
         let peer = &mut self.systems[id.peer().index()];
         if !self.cuts.link && peer.powered {
-            peer.link_inbox.push_back(report);
+            peer.link_inbox.push_back(link);
         }
     }
 

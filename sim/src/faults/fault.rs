@@ -55,7 +55,7 @@ pub enum Kind {
 
 impl Kind {
     /// All that can fail in one system or on a wire, with the parameters that the campaign tries.
-    pub const OF_ONE_SYSTEM: [Self; 48] = {
+    pub const OF_ONE_SYSTEM: [Self; 50] = {
         use CoreId as C;
         use Kind as K;
         const START: Wire = Wire::Line(Line::Start);
@@ -106,6 +106,8 @@ impl Kind {
             K::Slow(2),
             K::Slow(4),
             K::Clock(1),
+            K::Clock(-50),
+            K::Clock(50),
             K::Clock(-500),
             K::Clock(1000),
             K::FlashHangs,

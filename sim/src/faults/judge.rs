@@ -21,6 +21,8 @@ pub enum Row {
     Silence,
     /// The master lives, and its frames do not arrive.
     Mute,
+    /// Its clock is wrong: the longest control period of a system by its own clock.
+    Clock(Duration),
 }
 
 impl Row {
@@ -35,7 +37,16 @@ impl Row {
             Self::Power => config.gap_bound_power(),
             Self::Silence => config.gap_bound(),
             Self::Mute => config.gap_bound_mute(),
+            Self::Clock(period) => (period + config.poll_interval).max(config.gap_bound()),
         }
+    }
+
+    /// The row of a clock that is wrong by so many parts in a thousand: until that is found, its
+    /// system's control period is as wrong.
+    #[must_use]
+    pub fn of_clock(permille: i16) -> Self {
+        let period_us = 10_000_000 / (1_000 + i64::from(permille.min(0)));
+        Self::Clock(Duration::from_us(period_us as u64))
     }
 }
 
@@ -56,7 +67,8 @@ pub fn row(fault: &Fault) -> Row {
         // Core 0 notices, and resets its system.
         | Kind::CoreDies(CoreId::PERCEPTION | CoreId::PLANNING) => Row::Power,
         // Until the watchdog resets it, the level is high.
-        Kind::CoreDies(_) | Kind::Hang(_) | Kind::Slow(_) | Kind::Clock(_) => Row::Silence,
+        Kind::CoreDies(_) | Kind::Hang(_) | Kind::Slow(_) => Row::Silence,
+        Kind::Clock(permille) => Row::of_clock(permille),
         Kind::Mute
         | Kind::LosesSent(_)
         | Kind::Late(_)

@@ -10,11 +10,7 @@ impl Sequence {
     /// Why this is known to be violated; `None` if it must not be.
     #[must_use]
     pub fn known(&self, violation: Violation) -> Option<&'static str> {
-        let has = |is: fn(Kind) -> bool| self.faults.iter().any(|fault| is(fault.kind));
         match violation {
-            Violation::Gap if has(|kind| matches!(kind, Kind::Clock(..-100 | 101..))) => {
-                Some("a clock that is far too slow or fast goes unnoticed")
-            }
             Violation::Changes if SystemId::ALL.iter().all(|of| self.loses_frames(*of)) => {
                 Some("both systems lose frames, so each relieves the other rightly")
             }

@@ -4,7 +4,7 @@ use tandem_board::{CoreId, Duration, Instant, ResetCause, RoleLamp, SystemId, Tr
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::trace::Event;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Bench, Fault, Group, Kind, Sequence, Verdict, Way};
+use tandem_sim::faults::{Bench, Fault, Group, Kind, Row, Sequence, Verdict, Way};
 
 /// Runs these sequences. Fails on what is not known to be violated.
 fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
@@ -77,6 +77,38 @@ fn frames_of_the_other_system_do_not_make_a_bus_alive() {
     assert!(verdict.gap <= Duration::from_ms(12), "{verdict}");
 }
 
+/// T-RED-9: A's clock is slow, and without the link A cannot find out. B takes over, and loses
+/// power before the gate has forgotten A's clock. A drives in a new term, and the gate refuses each
+/// of its frames as late, from the first one on. A reads that back, leaves, and comes back with a
+/// clock that the gate learns anew.
+#[test]
+fn a_master_that_the_gate_refuses_from_its_first_frame_finds_out() {
+    let fault = |kind, way, at_ms, lasts_ms: Option<u64>| Fault {
+        kind,
+        way,
+        at: Duration::from_ms(at_ms),
+        lasts: lasts_ms.map(Duration::from_ms),
+    };
+    for at_ms in 105..125 {
+        let sequence = Sequence {
+            group: Group::Random,
+            number: at_ms,
+            faults: vec![
+                fault(Kind::Cut(Wire::Link), Way::Both, 0, None),
+                fault(Kind::Clock(-500), Way::From(SystemId::A), 0, Some(150)),
+                fault(Kind::PowerLoss, Way::From(SystemId::B), at_ms, None),
+            ],
+            from_power_on: false,
+            span: Duration::from_ms(1_000),
+        };
+        let (verdict, mut bench) = sequence.run(Config::rt(), true);
+        let mut story = || format!("B off at {at_ms} ms: {verdict} {:#?}", bench.story());
+        assert!(verdict.violations.is_empty(), "{}", story());
+        // Two echoes, the watchdog, and a start: A comes back long before B does.
+        assert!(verdict.gap < Duration::from_ms(350), "{}", story());
+    }
+}
+
 /// What becomes of these faults of A in dual operation, each at `at_us`.
 fn suffer(limits: Config, faults: &[(Kind, Way)], at_us: u64) -> (Verdict, Bench) {
     let fault = |(kind, way): &(Kind, Way)| Fault {
@@ -132,6 +164,67 @@ fn a_chip_keeps_the_times_of_the_thesis() {
             assert!(took <= Duration::from_ms(takes), "{}", story());
             assert!(verdict.gap <= Duration::from_ms(gap), "{}", story());
             assert_eq!(verdict.violations, [], "{}", story());
+        }
+    }
+}
+
+/// T-RED-9: of three clocks, the one that differs from two is wrong. Its system finds that itself,
+/// before the gate would take its frames for late, and leaves without a gap; the other drives. An
+/// error of 0.1 % is permitted for ever.
+#[test]
+fn a_system_whose_clock_is_wrong_leaves() {
+    for (permille, found_ms) in [
+        (-500, 90),
+        (-50, 700),
+        (-10, 3_000),
+        (-1, u64::MAX),
+        (1, u64::MAX),
+        (10, 3_000),
+        (50, 700),
+        (1_000, 300),
+    ] {
+        for of in SystemId::ALL {
+            let mut bench = Bench::dual(Bench::config(Config::rt()), 3, true);
+            bench.pair.run_for(Duration::from_ms(400));
+            let fault = Fault {
+                kind: Kind::Clock(permille),
+                way: Way::From(of),
+                at: Duration::from_us(137),
+                lasts: None,
+            };
+            let begin = bench.pair.now();
+            let span = Duration::from_ms(found_ms.min(20_000) + 100);
+            bench.suffer(&[fault], span);
+            let told: Vec<_> = bench.pair.take_trace().0.into_iter().collect();
+            let told = told
+                .iter()
+                .filter_map(|traced| match Event::decode(traced.record)? {
+                    Event::ClockWrong { of } => Some((traced.at.since(begin), traced.system, of)),
+                    _ => None,
+                });
+            let told: Vec<(Duration, SystemId, u8)> = told.collect();
+            println!("{of} {permille} permille: {told:?}");
+            // Its own system says "mine", and the other one "the other's".
+            let right = |(_, by, clock): &(_, _, u8)| *clock == u8::from(*by != of);
+            assert!(told.iter().all(right), "{of} {permille}: {told:?}");
+            let Some((after, ..)) = told.iter().find(|(_, by, _)| *by == of) else {
+                assert_eq!(found_ms, u64::MAX, "{of} {permille}: not found");
+                continue;
+            };
+            assert!(
+                *after <= Duration::from_ms(found_ms),
+                "{of} {permille}: {after:?}"
+            );
+            let verdict = bench.judge(&[fault], [begin, begin + span], None);
+            let bound = Row::of_clock(permille).bound(&bench.config.redundancy);
+            assert!(verdict.gap <= bound, "{of} {permille}: {verdict}");
+            let obeyed = bench
+                .vehicle
+                .borrow()
+                .accepted
+                .last()
+                .map(|last| last.system);
+            assert_eq!(obeyed, Some(of.peer().index() as u8), "{verdict}");
         }
     }
 }
