@@ -824,7 +824,7 @@ fn a_standby_may_leave_only_a_master_that_drives() {
                 bench.snapshot.beats = bench.snapshot.beats.map(|count| count + u32::from(beats));
                 let _ = bench.poll();
             }
-            let _ = bench.on(Input::LinkReport(report));
+            let _ = bench.linked(report);
             let _ = bench.obeyed(obeyed, age_ms);
         }
         assert_eq!(bench.machine.phase(), Phase::Standby, "{what}");
@@ -838,12 +838,12 @@ fn a_standby_may_leave_only_a_master_that_drives() {
 #[test]
 fn a_master_that_is_asked_offers_its_role() {
     let mut bench = Bench::master();
-    assert_eq!(bench.machine.link_report().mode, Mode::L3);
+    assert_eq!(bench.machine.report().mode, Mode::L3);
     let _ = bench.on(Input::HandOver);
-    assert_eq!(bench.machine.link_report().mode, Mode::SafeStop);
+    assert_eq!(bench.machine.report().mode, Mode::SafeStop);
     assert_eq!(bench.machine.mode(), Mode::L3);
     assert!(bench.machine.may_transmit(bench.now));
     bench.run_with_beats(CONFIG.report_limit.as_ms_f64() as u64 + 1);
-    assert_eq!(bench.machine.link_report().mode, Mode::L3, "not for ever");
+    assert_eq!(bench.machine.report().mode, Mode::L3, "not for ever");
     assert_eq!(bench.machine.phase(), Phase::Master);
 }

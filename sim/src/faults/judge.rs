@@ -23,6 +23,9 @@ pub enum Row {
     Mute,
     /// Its clock is wrong: the longest control period of a system by its own clock.
     Clock(Duration),
+    /// The same, and without the link it cannot find out itself. The gate refuses its frames as
+    /// late; after two of them it falls silent, and then it is as good as mute.
+    Refused(Duration),
 }
 
 impl Row {
@@ -37,6 +40,7 @@ impl Row {
             Self::Power => config.gap_bound_power(),
             Self::Silence => config.gap_bound(),
             Self::Mute => config.gap_bound_mute(),
+            Self::Refused(period) => period.times(2) + config.gap_bound_mute(),
             Self::Clock(period) => (period + config.poll_interval).max(config.gap_bound()),
         }
     }
@@ -45,8 +49,16 @@ impl Row {
     /// system's control period is as wrong.
     #[must_use]
     pub fn of_clock(permille: i16) -> Self {
+        Self::Clock(Self::period_of(permille))
+    }
+
+    pub(super) fn of_refused_clock(permille: i16) -> Self {
+        Self::Refused(Self::period_of(permille))
+    }
+
+    fn period_of(permille: i16) -> Duration {
         let period_us = 10_000_000 / (1_000 + i64::from(permille.min(0)));
-        Self::Clock(Duration::from_us(period_us as u64))
+        Duration::from_us(period_us as u64)
     }
 }
 

@@ -208,7 +208,15 @@ impl Sequence {
                 let row = row(&self.faults[0]);
                 Some((row, row.bound(config)))
             }
-            Group::Pair => Some((Row::Mute, containment_bound(config))),
+            Group::Pair => {
+                let rows = self.faults.iter().map(|fault| match fault.kind {
+                    Kind::Clock(permille @ ..=-2) => Row::of_refused_clock(permille),
+                    _ => Row::Mute,
+                });
+                let bounds =
+                    rows.map(|row| (row, row.bound(config).max(containment_bound(config))));
+                bounds.max_by_key(|(_, bound)| *bound)
+            }
             Group::Random => None,
             Group::File => self.bound_of_a_file(config),
         }
