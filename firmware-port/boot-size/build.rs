@@ -1,4 +1,4 @@
-//! Hands the linker script to the linker.
+//! Passes the linker script to the linker.
 
 fn main() {
     let folder = env!("CARGO_MANIFEST_DIR");

@@ -89,7 +89,7 @@
     #define configMINIMAL_STACK_SIZE      512
 #else
     #define configCPU_CLOCK_HZ            1000000000
-    /* 64 KiB: frames of signals hold the vector registers, and Rust's formatting uses much stack. */
+    /* 64 KiB: frames of signals hold the vector registers, and Rust's formatting needs much. */
     #define configMINIMAL_STACK_SIZE      8192
 #endif
 

@@ -1,5 +1,5 @@
-//! All of `tandem-boot` and nothing of a board: its size is what a bootloader takes before drivers.
-//! A panic stops the processor without a word, as it does in a product.
+//! All of `tandem-boot` without a board: its size is that of a bootloader without drivers.
+//! A panic stops the processor without a message, as in a product.
 #![no_std]
 #![no_main]
 
@@ -19,7 +19,7 @@ fn stop(_: &PanicInfo<'_>) -> ! {
     }
 }
 
-/// A flash of which the compiler knows nothing.
+/// A flash that the compiler cannot optimise away.
 struct Unknown;
 
 impl ErrorType for Unknown {

@@ -1,5 +1,5 @@
-/* Core 2, in C: answers signals, processes data from core 1, shares a lock, dies once with it, and in
- * its second incarnation leads a system that is alone. src/main.rs has the same layout. */
+/* Core 2, in C: answers signals, processes data from core 1, shares a lock, dies once with it, and
+ * in its second incarnation leads a system that is alone. src/main.rs has the same layout. */
 #include "board.h"
 #include "tandem.h"
 
@@ -110,7 +110,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
     (void)count;
     (void)value;
     if (generation > 1) {
-        /* The signal that killed the first incarnation is repeated: its handler had not returned. */
+        /* The signal that killed the first incarnation is repeated: no handler had returned. */
         return;
     }
     MUST(tandem_lock_acquire(&lock, 100000, relax, NULL) == TANDEM_STATUS_OK);
