@@ -26,6 +26,7 @@ pub mod actuators;
 pub mod commonroad;
 mod driver;
 mod error;
+pub mod fuzz;
 pub mod gate;
 pub mod geometry;
 pub mod mastership;

@@ -259,6 +259,19 @@ fn files_that_ask_for_much_are_refused() {
     }
 }
 
+/// Replays the corpus of the fuzz target: whole files, hostile ones, and what a fuzzer found.
+#[test]
+fn every_input_of_the_corpus_holds() {
+    let corpus = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/corpus/scenario");
+    let inputs: Vec<_> = std::fs::read_dir(corpus).unwrap().collect();
+    assert!(inputs.len() >= 6, "{} inputs", inputs.len());
+    for input in inputs {
+        let path = input.unwrap().path();
+        println!("{}", path.display());
+        tandem_vehicle::fuzz::scenario(&std::fs::read(path).unwrap());
+    }
+}
+
 #[test]
 fn unknown_names_and_unreadable_files_say_what_there_is() {
     let error = Scenario::load("cutin").unwrap_err().to_string();

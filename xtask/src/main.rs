@@ -168,6 +168,12 @@ enum Campaign {
         #[arg(long)]
         monitor: bool,
     },
+    /// Damage scenario files in many ways: each is refused or drives, within 5 s and 1 GB
+    Scenarios {
+        /// How many files
+        #[arg(long, default_value_t = 100_000)]
+        count: u64,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -246,6 +252,11 @@ fn execute() -> Result<()> {
             if monitor {
                 command.arg("--monitor");
             }
+            run(command)
+        }
+        Task::Campaign(Campaign::Scenarios { count }) => {
+            let mut command = campaign(root, "tandem-vehicle", "scenarios");
+            command.arg(count.to_string());
             run(command)
         }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
