@@ -244,6 +244,14 @@ pub(crate) struct RunArgs {
     #[arg(long)]
     pub(crate) reintegrate: bool,
 
+    /// The driver overrides the function from the one scenario time to the other, s: 10-15
+    #[arg(long, value_name = "FROM-TO", value_parser = parse_span)]
+    pub(crate) overrides: Option<(f64, f64)>,
+
+    /// The driver answers a takeover request after this time: 4s [default: never]
+    #[arg(long, value_name = "TIME", value_parser = parse_duration)]
+    pub(crate) answers: Option<f64>,
+
     /// Switch system A on this long after B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(crate) stagger: Option<f64>,
@@ -453,6 +461,17 @@ fn parse_duration(text: &str) -> Result<f64, String> {
     Ok(seconds)
 }
 
+fn parse_span(text: &str) -> Result<(f64, f64), String> {
+    let (from, to) = text.split_once('-').ok_or("write it as 10-15")?;
+    let seconds = |text: &str| text.trim_end_matches('s').parse::<f64>().ok();
+    match (seconds(from), seconds(to)) {
+        (Some(from), Some(to)) if (0.0..to).contains(&from) && to <= DURATION_MAX_S => {
+            Ok((from, to))
+        }
+        _ => Err("write it as 10-15: seconds, the first below the second".to_owned()),
+    }
+}
+
 fn parse_system(text: &str) -> Result<SystemId, String> {
     let named = |system: &SystemId| system.to_string().eq_ignore_ascii_case(text);
     let found = SystemId::ALL.into_iter().find(named);
@@ -493,6 +512,17 @@ mod tests {
     fn the_command_line_is_consistent() {
         use clap::CommandFactory as _;
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn spans_are_two_times_in_order() {
+        assert_eq!(parse_span("10-15"), Ok((10.0, 15.0)));
+        assert_eq!(parse_span("0s-2.5s"), Ok((0.0, 2.5)));
+        for text in [
+            "", "5", "5-", "6-5", "5-5", "-1-5", "nan-5", "1-inf", "1-1e9",
+        ] {
+            assert!(parse_span(text).is_err(), "{text}");
+        }
     }
 
     #[test]

@@ -95,6 +95,8 @@ fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
         duration_s: 0.0,
         profile: Profile::Desktop,
         reintegrate: false,
+        overrides_s: None,
+        answers_after_s: None,
         program_flash: Some(ProgramFlash::empty(flashes, key)?),
         update: None,
         demo: Some(demo.clone()),

@@ -46,6 +46,10 @@ pub(crate) struct RunConfig {
     pub(crate) profile: Profile,
     /// Whether a system that comes back may become the standby of a running pair.
     pub(crate) reintegrate: bool,
+    /// The driver overrides the function from the one scenario time to the other, s.
+    pub(crate) overrides_s: Option<(f64, f64)>,
+    /// The driver answers a takeover request after this time, s.
+    pub(crate) answers_after_s: Option<f64>,
     /// The program flashes that the systems boot from; `None` on a board that has its own.
     pub(crate) program_flash: Option<ProgramFlash>,
     /// Records that are sent to each system while the other drives.
@@ -106,6 +110,8 @@ impl RunConfig {
             duration_s: args.duration,
             profile,
             reintegrate: args.reintegrate,
+            overrides_s: args.overrides,
+            answers_after_s: args.answers,
             program_flash: None,
             update: None,
             demo: None,
@@ -150,6 +156,8 @@ mod tests {
             duration_s: 0.5,
             profile: Profile::Desktop,
             reintegrate: true,
+            overrides_s: Some((1.0, 2.5)),
+            answers_after_s: None,
             program_flash: None,
             update: Some(UpdateFiles {
                 lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],

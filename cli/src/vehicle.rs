@@ -7,7 +7,7 @@ use tandem_board::{RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
-use tandem_vehicle::{Config, LoggedFrame, Scenario, Snapshot, World};
+use tandem_vehicle::{Config, Habit, LoggedFrame, Scenario, Snapshot, World};
 
 use crate::files::RunFiles;
 use crate::live::Live;
@@ -106,9 +106,14 @@ where
             duration_s: run.duration_s,
             epoch_us: (today.as_micros() as u64).saturating_sub(now_us),
         }));
+        let mut world = World::new(scenario, Config { seed: run.seed });
+        world.set_driver(Habit {
+            overrides_s: run.overrides_s,
+            answers_after_s: run.answers_after_s,
+        });
         let update = run.update.as_ref().map(Update::read).transpose()?;
         Ok(Self {
-            world: World::new(scenario, Config { seed: run.seed }),
+            world,
             update,
             port,
             recorder,
