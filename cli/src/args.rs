@@ -420,7 +420,7 @@ pub(crate) enum DemoBoard {
 /// Values of `--timing`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Timing {
-    /// Real time if the machine grants it
+    /// Real time if the machine grants it; limits that follow from its stalls, measured for 0.5 s
     Auto,
     /// Real time, or an error
     Rt,

@@ -94,6 +94,7 @@ fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
         seed: 0,
         duration_s: 0.0,
         profile: Profile::Desktop,
+        stall_us: None,
         reintegrate: false,
         overrides_s: None,
         answers_after_s: None,

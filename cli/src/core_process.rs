@@ -45,6 +45,7 @@ pub(crate) fn config(run: &RunConfig) -> Config {
         Profile::Rt => Config::rt(),
         Profile::Desktop => Config::desktop(),
     };
+    config.redundancy = run.budget().config();
     config.redundancy.reintegrate = run.reintegrate;
     config
 }

@@ -14,6 +14,7 @@ use tandem_board_host::{
 };
 use tandem_record::gap::Bounds;
 use tandem_record::{RunLog, file};
+use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, CpuList, RunArgs, Timing};
@@ -25,9 +26,12 @@ use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, Output};
 use crate::percentiles::Spans;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
-use crate::stall_watch::{Seen, StallWatch};
+use crate::stall_watch::{self, Seen, StallWatch};
 use crate::timeline::{self, Timeline};
 use crate::{core_process, emulated, report, summary, vehicle};
+
+/// For how long `--timing auto` measures the stalls of the machine.
+const MEASURED_FOR: Duration = Duration::from_ms(500);
 
 /// Drives the scenario and writes the report.
 ///
@@ -40,11 +44,17 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     }
     let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
+    let longest = (args.timing == Timing::Auto)
+        .then(|| stall_watch::longest(&checked.places, profile == Profile::Rt, MEASURED_FOR));
+    let config = RunConfig {
+        stall_us: longest.map(|it| u32::try_from(it.as_us()).unwrap_or(u32::MAX)),
+        ..RunConfig::of(args, profile)
+    };
     if !args.quiet {
-        eprintln!("{granted}");
+        eprintln!("{granted}\n{}", limits(&config.budget(), longest));
     }
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, RunConfig::of(args, profile)).map_err(Failure::Run)?;
+    let config = with_flash(args, &files, config).map_err(Failure::Run)?;
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
     let ended = drive(args, &checked, &config, &files, &mut launcher);
     let machine = watch.end();
@@ -76,7 +86,7 @@ pub(crate) fn recorded<T: Send>(
     let mut launcher = Launcher::prepare()?;
     let (profile, _) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, RunConfig::of(args, profile))?;
+    let config = with_flash(args, &files, config)?;
     let backplane = launcher.backplane();
     let (ended, done) = std::thread::scope(|scope| {
         let hands = scope.spawn(move || hands(backplane));
@@ -310,6 +320,27 @@ fn check_dflash(folder: &Path) -> anyhow::Result<PathBuf> {
     Ok(folder)
 }
 
+/// The limits of time that this run keeps, in a line.
+fn limits(budget: &Budget, longest: Option<Duration>) -> String {
+    let config = budget.config();
+    let ms = |time: Duration| format!("{} ms", time.as_ms_f64());
+    let measured = longest.map_or_else(String::new, |longest| {
+        format!(
+            "longest stall in {}: {:.1} ms; ",
+            ms(MEASURED_FOR),
+            longest.as_ms_f64()
+        )
+    });
+    format!(
+        "{measured}limits: line silent {}, third witness {}; without control for at most {} at a \
+         takeover, while stalls stay below {}",
+        ms(config.silent_limit()),
+        ms(config.witness_limit()),
+        ms(config.gap_bound().max(config.gap_bound_mute())),
+        ms(budget.tolerated_stall()),
+    )
+}
+
 /// Finds out what the machine grants, and says it in a line.
 fn grant(
     args: &RunArgs,
@@ -510,6 +541,27 @@ fn tell(args: &RunArgs, out: &Output, metrics: &Metrics) -> anyhow::Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// T-RED-8: the limits are printed with the stall that they follow from: a calm machine has
+    /// shorter ones, and those of one that stalls end where the goal ends.
+    #[test]
+    fn limits_are_told_with_the_stall_that_they_follow_from() {
+        let told = |us| {
+            let longest = Duration::from_us(us);
+            limits(&Budget::RT.measured(longest), Some(longest))
+        };
+        assert_eq!(
+            told(500),
+            "longest stall in 500 ms: 0.5 ms; limits: line silent 6 ms, third witness 14 ms; \
+             without control for at most 17 ms at a takeover, while stalls stay below 3 ms"
+        );
+        assert_eq!(
+            told(9_000),
+            "longest stall in 500 ms: 9.0 ms; limits: line silent 8 ms, third witness 17 ms; \
+             without control for at most 19 ms at a takeover, while stalls stay below 5 ms"
+        );
+        assert!(limits(&Budget::RT, None).starts_with("limits: line silent 8 ms"));
+    }
 
     #[test]
     fn cpus_are_named_by_their_numbers() {

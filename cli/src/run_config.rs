@@ -7,7 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 
 use serde::{Deserialize, Serialize};
+use tandem_board::Duration;
 use tandem_board::SystemId;
+use tandem_redundancy::Budget;
 
 use crate::args::RunArgs;
 use crate::boot::ProgramFlash;
@@ -33,6 +35,20 @@ impl Profile {
     }
 }
 
+impl RunConfig {
+    /// What the limits of time follow from.
+    pub(crate) fn budget(&self) -> Budget {
+        let budget = match self.profile {
+            Profile::Rt => Budget::RT,
+            Profile::Desktop => Budget::DESKTOP,
+        };
+        match self.stall_us {
+            Some(us) => budget.measured(Duration::from_us(us.into())),
+            None => budget,
+        }
+    }
+}
+
 /// What all processes of a run are told, as one argument.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RunConfig {
@@ -44,6 +60,8 @@ pub(crate) struct RunConfig {
     pub(crate) duration_s: f64,
     /// The limits of time.
     pub(crate) profile: Profile,
+    /// The longest stall that was measured, us; `None`: that of the profile.
+    pub(crate) stall_us: Option<u32>,
     /// Whether a system that comes back may become the standby of a running pair.
     pub(crate) reintegrate: bool,
     /// The driver overrides the function from the one scenario time to the other, s.
@@ -109,6 +127,7 @@ impl RunConfig {
             seed: args.seed,
             duration_s: args.duration,
             profile,
+            stall_us: None,
             reintegrate: args.reintegrate,
             overrides_s: args.overrides,
             answers_after_s: args.answers,
@@ -155,6 +174,7 @@ mod tests {
             seed: u64::MAX,
             duration_s: 0.5,
             profile: Profile::Desktop,
+            stall_us: Some(1_500),
             reintegrate: true,
             overrides_s: Some((1.0, 2.5)),
             answers_after_s: None,

@@ -88,6 +88,16 @@ impl StallWatch {
     }
 }
 
+/// The longest stall of these CPUs within `span`; of shorter ones than [`LATE`] nothing is known.
+/// Blocks for that long.
+pub(crate) fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
+    let watch = StallWatch::start(cpus, realtime);
+    clock::sleep_until(clock::now() + span);
+    let stalls = watch.end().stalls.into_iter();
+    let longest = stalls.map(|stall| Duration::from_ns(stall.to_ns - stall.from_ns));
+    longest.max().unwrap_or(LATE)
+}
+
 /// Claims the CPU; the priority that was granted.
 fn claim_cpu(place: usize) -> Option<u8> {
     PRIORITIES.into_iter().find_map(|priority| {
