@@ -1,30 +1,36 @@
-//! The redundancy on two processors: core 0 of system A drives and stops dead; that of B takes
-//! over.
+//! The redundancy on two processors, with the limits of a chip: core 0 of system A drives and stops
+//! dead; that of B takes over.
 //!
-//! Lines and CAN join them, through the board. `Redundancy` and the protected frames are those of
-//! the host. The log says how long after the death of A the first control frame of B was sent. The
-//! status is 0 if that is within the bound and B had sent none before.
+//! Lines, link and CAN join them, through the board. `Redundancy` and the protected frames are those
+//! of the host. No level line falls: a processor that hangs keeps its supply. Strap 0: how long
+//! after a second A stops, us. The log says how long after the death of A, and after its last
+//! control frame, the first one of B was sent. The status is 0 if both are within their bounds and
+//! B had sent none before.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreAddress, Duration, Instant, Lines, ResetCause, SystemId,
+    Board, Can, CanFrame, CanId, CoreAddress, Duration, Instant, Lines, Link, ResetCause, SystemId,
 };
 use tandem_board_mps2_an521::board::An521Board;
+use tandem_board_mps2_an521::memory::strap;
 use tandem_board_mps2_an521::{cpu, entry, exit, log};
 use tandem_bus::{Control, Message, Receiver, Transmitter};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, Input, Loaded, Mode, Redundancy, Role, Snapshot,
-    Takeover, Term,
+    Action, Actions, Config, ControlFrame, Event, Input, Loaded, Mode, PeerReport, Redundancy,
+    Role, Snapshot, Takeover, Term,
 };
 
 entry!(main);
 
-const CONFIG: Config = Config::rt();
-/// Time from the start of system A to its sudden end, in the middle of a period.
-const DIES_AFTER: Duration = Duration::from_us(1_000_350);
+const CONFIG: Config = Config::chip();
+/// Time from the start of system A to its sudden end; the strap comes on top.
+const DIES_AFTER: Duration = Duration::from_ms(1_000);
+/// A sign of life of A waits up to a poll until B sees it, and the polls of both have any phases. A
+/// cycle takes some 8,000 instructions of 32 ns.
+const UNALIGNED: Duration = Duration::from_us(1_000 + 500);
 /// Longer than start and takeover take.
 const LIMIT: Duration = Duration::from_ms(3_000);
 
@@ -57,9 +63,10 @@ struct Core<'b> {
     machine: Redundancy,
     transmitter: Transmitter,
     receiver: Receiver,
-    can_frames: u32,
     next_frame: Instant,
     takeover: Option<Takeover>,
+    /// When the newest control frame of the other system was on the bus.
+    heard_at: Option<Instant>,
 }
 
 impl<'b> Core<'b> {
@@ -72,9 +79,9 @@ impl<'b> Core<'b> {
             machine,
             transmitter: Transmitter::new(),
             receiver: Receiver::new(),
-            can_frames: 0,
             next_frame: now,
             takeover: None,
+            heard_at: None,
         }
     }
 
@@ -82,18 +89,31 @@ impl<'b> Core<'b> {
     fn cycle(&mut self) -> (Instant, bool) {
         while let Some(received) = self.board.can().try_receive() {
             if let Some(frame) = self.heard(&received.frame) {
-                self.can_frames += 1;
+                self.heard_at = Some(received.at);
                 let now = self.board.now();
                 let actions = self.machine.on(now, Input::ControlFrame(frame));
+                self.carry_out(&actions);
+            }
+        }
+        let mut words = [0; PeerReport::WORDS];
+        while let Some(length) = self.board.link().try_receive(&mut words) {
+            let words = words.get(..length).unwrap_or_default();
+            if let Some(report) = PeerReport::from_words(words) {
+                let actions = self.machine.on(self.board.now(), Input::LinkReport(report));
                 self.carry_out(&actions);
             }
         }
         let now = self.board.now();
         let lines = self.board.lines();
         let received = |line, edge| lines.received(line, edge);
-        let snapshot = Snapshot::new(received, lines.peer_powered(), self.can_frames);
+        // There are no third parties on this bus.
+        let snapshot = Snapshot::new(received, lines.peer_powered(), 0);
         let actions = self.machine.on(now, Input::Poll(snapshot));
         self.carry_out(&actions);
+        // Each poll, a millisecond: as often as a chip's profile says. A processor that is dead
+        // does not empty the link.
+        let report = self.machine.link_report();
+        let _full = self.board.link().try_send(&report.to_words());
         let due = actions.contains(Action::Transmit) || now >= self.next_frame;
         let sent = due && self.machine.may_transmit(self.board.now());
         if sent {
@@ -170,7 +190,7 @@ fn us(at: Instant) -> u32 {
 
 fn drive_and_die(board: &An521Board) -> ! {
     let mut core = Core::new(board);
-    let end = board.now() + DIES_AFTER;
+    let end = board.now() + DIES_AFTER + Duration::from_us(strap(0).into());
     while board.now() < end {
         let (deadline, _) = core.cycle();
         board.wait(deadline.min(end));
@@ -197,12 +217,15 @@ fn take_over(board: &An521Board) -> Result<(), &'static str> {
         }
         if let (true, Some(takeover)) = (sent, core.takeover) {
             let after = us(now) - died;
-            let bound = CONFIG.takeover_bound().as_us() as u32;
+            let gap = core.heard_at.map_or(u32::MAX, |at| us(now) - us(at));
+            let bounds = [CONFIG.takeover_bound(), CONFIG.gap_bound()];
+            let [bound, gap_bound] = bounds.map(|bound| (bound + UNALIGNED).as_us() as u32);
             log!(
-                "passed  takeover: {:?} {after} us after A died, bound {bound} us",
+                "takeover: {:?} {after} us after A died (bound {bound}), {gap} us after its last \
+                 control frame (bound {gap_bound})",
                 takeover.cause
             );
-            return if after <= bound {
+            return if after <= bound && gap <= gap_bound {
                 Ok(())
             } else {
                 Err("the takeover comes within its bound")
