@@ -86,7 +86,7 @@ pub(crate) fn recorded<T: Send>(
     let mut launcher = Launcher::prepare()?;
     let (profile, _) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
-    let config = with_flash(args, &files, config)?;
+    let config = with_flash(args, &files, RunConfig::of(args, profile))?;
     let backplane = launcher.backplane();
     let (ended, done) = std::thread::scope(|scope| {
         let hands = scope.spawn(move || hands(backplane));
