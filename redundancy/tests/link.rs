@@ -1,0 +1,97 @@
+//! Which datagrams of the link are a sign of life.
+
+use tandem_board::{Duration, Instant, ResetCause, SystemId};
+use tandem_redundancy::{
+    Config, ControlFrame, Input, LinkReport, Loaded, Mode, PeerReport, Phase, Redundancy, Role,
+    Snapshot, SystemState, Term,
+};
+
+const MASTER: PeerReport = PeerReport {
+    role: Role::Master,
+    mode: Mode::L3,
+    term: Term::from_bits(16),
+    can_alive: true,
+};
+
+/// A standby that polls every millisecond.
+struct Standby {
+    machine: Redundancy,
+    snapshot: Snapshot,
+    now: Instant,
+}
+
+impl Standby {
+    /// Its master has driven for 400 ms.
+    fn new() -> Self {
+        let now = Instant::from_ns(5_000_000_000);
+        let loaded = Loaded::State(SystemState::factory(SystemId::B));
+        let power_on = ResetCause::PowerOn;
+        let mut standby = Self {
+            machine: Redundancy::new(Config::rt(), SystemId::B, power_on, loaded, now),
+            snapshot: Snapshot {
+                handshakes: 0,
+                syncs: 0,
+                beats: [0; 2],
+                peer_powered: true,
+                can_frames: 0,
+            },
+            now,
+        };
+        standby.poll(0);
+        standby.snapshot.syncs += 1;
+        for _ in 0..40 {
+            let frame = ControlFrame {
+                system: SystemId::A,
+                term: MASTER.term,
+                role: MASTER.role,
+                mode: MASTER.mode,
+            };
+            let _ = standby.machine.on(standby.now, Input::ControlFrame(frame));
+            standby.report(0);
+            (0..10).for_each(|_| standby.poll(1));
+        }
+        standby
+    }
+
+    fn poll(&mut self, beats: u32) {
+        self.now += Duration::from_ms(1);
+        self.snapshot.beats = self.snapshot.beats.map(|count| count + beats);
+        self.snapshot.can_frames += 1;
+        let _ = self.machine.on(self.now, Input::Poll(self.snapshot));
+    }
+
+    /// A report arrives that was sent some milliseconds ago.
+    fn report(&mut self, ago_ms: u64) {
+        let link = LinkReport {
+            report: MASTER,
+            start: 1,
+            sent_us: (self.now.as_ns() / 1_000 - ago_ms * 1_000) as u32,
+        };
+        let _ = self.machine.on(self.now, Input::LinkReport(link));
+    }
+}
+
+/// T-CHIP-5, T-RED-9: a link that repeats the master's last report, brings an earlier one again, or
+/// brings each far too late, does not keep the standby from taking over from a dead master. A link
+/// that is whole does.
+#[test]
+fn a_link_that_repeats_its_datagrams_is_no_sign_of_life() {
+    // How long ago what arrives was sent, by the time since the master's last report, ms.
+    let cases: [(&str, fn(u64) -> u64, Phase); 4] = [
+        ("whole", |_| 0, Phase::Standby),
+        ("repeats", |since| since, Phase::DegradedMaster),
+        ("earlier", |since| since + 50, Phase::DegradedMaster),
+        ("late", |_| 150, Phase::DegradedMaster),
+    ];
+    for (name, ago_ms, expected) in cases {
+        let mut standby = Standby::new();
+        assert_eq!(standby.machine.phase(), Phase::Standby);
+        for since in 11..=26 {
+            standby.poll(0);
+            if since % 5 == 0 {
+                standby.report(ago_ms(since));
+            }
+        }
+        assert_eq!(standby.machine.phase(), expected, "{name}");
+    }
+}
