@@ -1,9 +1,9 @@
 //! The redundancy on two processors, with the limits of a chip: core 0 of system A drives and stops
 //! dead; that of B takes over.
 //!
-//! Lines, link and CAN join them, through the board. `Redundancy` and the protected frames are those
-//! of the host. No level line falls: a processor that hangs keeps its supply. Strap 0: how long
-//! after a second A stops, us. The log says how long after the death of A, and after its last
+//! Lines, link and CAN join them, through the board. `Redundancy` and the protected frames are
+//! those of the host. No level line falls: a processor that hangs keeps its supply. Strap 0: how
+//! long after a second A stops, us. The log says how long after the death of A, and after its last
 //! control frame, the first one of B was sent. The status is 0 if both are within their bounds and
 //! B had sent none before.
 #![no_std]
