@@ -209,6 +209,10 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "RELEASE")]
     pub(crate) update: Option<u32>,
 
+    /// Start the controller at once, to see what its bootloader takes of the start
+    #[arg(long, conflicts_with_all = ["program_flash", "update"])]
+    pub(crate) no_bootloader: bool,
+
     /// The controller's image for an emulated board
     /// [default: what `cargo xtask firmware build` made]
     #[arg(long, value_name = "FILE")]

@@ -21,10 +21,9 @@ pub(crate) fn run(args: &CoreArgs) -> anyhow::Result<()> {
     let grant = args.claim();
     match (&args.application, &run.program_flash) {
         (None, Some(flash)) => return boot::run(args, flash),
-        (None, None) => bail!("the run has no program flash"),
         (Some(name), _) if name == three_frames::NAME => return three_frames::run(args),
         (Some(name), _) if name != boot::CONTROLLER => bail!("no application {name:?} here"),
-        (Some(_), _) => {}
+        (Some(_), _) | (None, None) => {}
     }
     let config = config(&run);
     let board = HostBoard::attach(args).context("the core cannot attach to its board")?;

@@ -65,7 +65,7 @@ impl Images {
     /// # Errors
     /// If there is none.
     pub(crate) fn of(args: &RunArgs) -> anyhow::Result<Self> {
-        if args.firmware.is_some() || args.board == BoardKind::QemuOne {
+        if args.firmware.is_some() || args.no_bootloader || args.board == BoardKind::QemuOne {
             return Ok(Self::Alone(image("controller", args.firmware.as_deref())?));
         }
         Ok(Self::Booting {

@@ -60,6 +60,8 @@ pub(crate) struct Metrics {
     pub(crate) fenced_frames: usize,
     /// Control frames whose protection or content was wrong.
     pub(crate) invalid_frames: usize,
+    /// From the first system's power-on to the first accepted control frame, ms.
+    pub(crate) first_control_ms: Option<f64>,
     /// Longest time between two accepted control frames, over takeovers and to the end, ms.
     pub(crate) control_gap_max_ms: Option<f64>,
     /// Median of the time between two control frames of one mastership, by the sender's clock, ms.
@@ -239,6 +241,12 @@ pub(crate) fn jerk(log: &RunLog) -> Vec<(f64, f64)> {
     points
 }
 
+fn first_control_ms(log: &RunLog) -> Option<f64> {
+    let on = log.power.iter().find(|change| change.on)?;
+    let first_ns = log.accepted().next()?.at_ns;
+    Some(first_ns.saturating_sub(on.at_ns) as f64 * 1e-6)
+}
+
 /// Longest time without an accepted control frame, ms: between two of them, or from the last one to
 /// the end of the run.
 fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
@@ -333,6 +341,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         control_frames: count(Verdict::Accepted),
         fenced_frames: count(Verdict::Fenced),
         invalid_frames: count(Verdict::Invalid),
+        first_control_ms: first_control_ms(log),
         control_gap_max_ms: control_gap_max_ms(log),
         control_period_p50_ms: period.percentile_ms(50.0),
         control_period_p99_ms: period.percentile_ms(99.0),

@@ -129,6 +129,9 @@ fn tell_updates(args: &RunArgs, files: &RunFiles) {
 
 /// The run with its program flashes and its update.
 fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Result<RunConfig> {
+    if args.no_bootloader {
+        return Ok(run);
+    }
     let (key, paths) = match &args.program_flash {
         Some(folder) => (
             boot::key_in(&folder.join("key.der"))?,

@@ -71,6 +71,10 @@ pub(crate) fn table(metrics: &Metrics, report: &Path) -> String {
         ),
     );
     row(
+        "first control frame",
+        format!("{} ms after power-on", ms(metrics.first_control_ms)),
+    );
+    row(
         "largest gap",
         format!("{} ms", ms(metrics.control_gap_max_ms)),
     );
