@@ -53,8 +53,18 @@ class Run:
         except OSError:
             return False
 
+    def full_name(self):
+        """The run's name, which each of its processes has among its arguments."""
+        for process in self.processes():
+            words = pathlib.Path(f"/proc/{process['pid']}/cmdline").read_text(errors="replace").split("\0")
+            for word in words:
+                if word.startswith(self.name):
+                    return word
+        sys.exit("the run has no process")
+
     def power_on(self, system):
-        done = subprocess.run([self.tandem, "power", "on", system], capture_output=True, text=True)
+        command = [self.tandem, "power", "on", system, "--run", self.full_name()]
+        done = subprocess.run(command, capture_output=True, text=True)
         if done.returncode != 0:
             sys.exit(f"tandem power on {system}: {done.stderr}")
 

@@ -3,6 +3,7 @@
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
 mod broken;
+mod failure_modes;
 mod figures;
 mod firmware;
 mod requirements;

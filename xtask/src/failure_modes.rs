@@ -1,0 +1,68 @@
+//! Each failure mode of the redundancy has a place in the product that produces it.
+
+use crate::tidy::rust_files;
+use anyhow::{Context, Result};
+use std::fs;
+use std::path::Path;
+
+/// Where the modes are named.
+const MODES: &str = "redundancy/src/state.rs";
+/// Where they are produced.
+const PRODUCERS: [&str; 2] = ["redundancy/src/", "cores/src/"];
+/// Not found by a system in itself.
+const NO_FAULTS: [&str; 2] = ["None", "Unknown"];
+
+/// The modes that nothing produces.
+pub(crate) fn findings(root: &Path) -> Result<Vec<String>> {
+    let text = fs::read_to_string(root.join(MODES)).context(MODES)?;
+    let mut sources = Vec::new();
+    for file in rust_files(root)? {
+        let place = file.strip_prefix(root).unwrap_or(&file);
+        let place = place.to_string_lossy();
+        if PRODUCERS.iter().any(|folder| place.starts_with(folder)) && place != MODES {
+            sources.push(fs::read_to_string(&file).with_context(|| place.to_string())?);
+        }
+    }
+    let without = without_producer(&text, &sources);
+    let finding = |mode| format!("{MODES}: nothing produces the failure mode {mode}");
+    Ok(without.into_iter().map(finding).collect())
+}
+
+/// The modes of the list `ALL` that no source names but to compare with it. Tests do not count.
+fn without_producer(modes: &str, sources: &[String]) -> Vec<String> {
+    let list = modes.split("pub const ALL").nth(1).unwrap_or_default();
+    let list = list.split("];").next().unwrap_or_default();
+    let modes = list.split("Self::").skip(1);
+    let names = modes.filter_map(|rest| rest.split(|c: char| !c.is_alphanumeric()).next());
+    let is_produced = |name: &str| {
+        let product = sources
+            .iter()
+            .filter_map(|text| text.split("#[cfg(test)]").next());
+        product.flat_map(str::lines).any(|line| {
+            let compares = line.contains("==") || line.contains("!=");
+            let comment = line.trim_start().starts_with("//");
+            line.contains(&format!("FailureMode::{name}")) && !compares && !comment
+        })
+    };
+    names
+        .filter(|name| !NO_FAULTS.contains(name) && !is_produced(name))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_mode_that_is_only_compared_or_tested_has_no_producer() {
+        let modes =
+            "pub const ALL: [Self; 4] = [\n Self::None,\n Self::A,\n Self::B,\n Self::C,\n];";
+        let sources = [
+            "self.tell(FailureMode::A);\n// FailureMode::C\n".to_owned(),
+            "if mode == FailureMode::B {}\n#[cfg(test)]\nmod tests { x(FailureMode::C) }\n"
+                .to_owned(),
+        ];
+        assert_eq!(without_producer(modes, &sources), ["B", "C"]);
+    }
+}
