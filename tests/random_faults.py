@@ -70,7 +70,7 @@ class Run:
 
     def until_dual(self):
         """Waits until one system drives and the other stands by; its processes then."""
-        suspended = collections.Counter()
+        off, suspended = collections.Counter(), collections.Counter()
         until = time.monotonic() + DUAL_WITHIN_S
         while time.monotonic() < until:
             if self.process.poll() is not None:
@@ -83,12 +83,18 @@ class Run:
                 return processes
             for system in "AB":
                 if system not in supplies:
-                    self.power_on(system)
-                elif roles[system] == "suspended":
+                    # A run that begins has no supplies for a moment, either.
+                    off[system] += 1
+                    if off[system] == 10:
+                        self.power_on(system)
+                elif roles[system] in ("suspended", None):
+                    # Too many resets in a row: held until the next power cycle.
                     suspended[system] += 1
-                    if suspended[system] == 10:
-                        suspended[system] = 0
-                        os.kill(supplies[system]["pid"], signal.SIGKILL)
+                    if suspended[system] == 30:
+                        off[system], suspended[system] = 0, 0
+                        send(supplies[system]["pid"], signal.SIGKILL)
+                else:
+                    suspended[system] = 0
             time.sleep(0.1)
         sys.exit(f"no dual operation within {DUAL_WITHIN_S} s: {processes}")
 

@@ -28,7 +28,7 @@ use crate::percentiles::Spans;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::timeline::{self, Timeline};
-use crate::{core_process, emulated, report, summary, vehicle};
+use crate::{core_process, emulated, report, stall_watch, summary, vehicle};
 
 /// For how long `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
@@ -159,8 +159,9 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
 
 fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let limits = core_process::config(config).redundancy;
-    // The bus moves frames once a millisecond.
-    let on_bus = |bound: Duration| bound.as_ms_f64() + 1.0;
+    // The bus moves frames once a millisecond. The last frame before a gap and the first one after
+    // it may each be late by half a millisecond more: that is no stall yet.
+    let on_bus = |bound: Duration| bound.as_ms_f64() + 1.0 + 2.0 * stall_watch::LATE.as_ms_f64();
     Surroundings {
         granted,
         timing: config.profile.name().to_owned(),

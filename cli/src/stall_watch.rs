@@ -19,7 +19,7 @@ use tandem_record::run_log::{Stall, Stood};
 /// Time between two looks at the clock.
 const PERIOD: Duration = Duration::from_ms(1);
 /// A thread that wakes later than this was held up. Seen without a stall: 0.2 ms at p99.9.
-const LATE: Duration = Duration::from_us(500);
+pub(crate) const LATE: Duration = Duration::from_us(500);
 /// Above the supplies, which have 80; less where no more is permitted.
 const PRIORITIES: [u8; 2] = [90, 80];
 /// More stalls than this are not kept: a machine in this state explains no run.

@@ -74,7 +74,7 @@ fn a_run_of_the_firmware_is_the_same_each_time() {
     assert_eq!(metrics["takeovers"], Value::Array(vec![]));
 }
 
-/// T-RED-1: each system in an emulator of its own; that of the master is killed.
+/// T-CHIP-5, T-RED-4: each system in an emulator of its own; that of the master is killed.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn the_other_emulator_takes_over_from_one_that_is_killed() {

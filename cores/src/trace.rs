@@ -265,6 +265,11 @@ pub enum Event {
         /// another one from the same inputs.
         witness: u8,
     },
+    /// The driver of the outputs has a fault, for as long as it takes to believe it.
+    OutputFault {
+        /// 1 open load, 2 short circuit.
+        found: u8,
+    },
     /// A task never held what all share for longer than this.
     Held {
         /// Which.
@@ -388,6 +393,7 @@ impl Event {
             Self::Held { task, longest_ns } => [head(27, task.0, 0, 0), longest_ns, 0, 0],
             Self::Ring { core } => [head(26, core.index() as u8, 0, 0), 0, 0, 0],
             Self::Agreement { stage, percent } => [head(29, stage, percent, 0), 0, 0, 0],
+            Self::OutputFault { found } => [head(32, found, 0, 0), 0, 0, 0],
             Self::WrongCommand { witness } => [head(30, witness, 0, 0), 0, 0, 0],
             Self::ClockWrong { of } => [head(31, of, 0, 0), 0, 0, 0],
             Self::Flood {
@@ -490,6 +496,7 @@ impl Event {
                 stage: a,
                 percent: b,
             },
+            32 if matches!(a, 1 | 2) => Self::OutputFault { found: a },
             30 if a <= 1 => Self::WrongCommand { witness: a },
             31 if a <= 2 => Self::ClockWrong { of: a },
             28 => Self::Flood {
@@ -614,6 +621,7 @@ mod tests {
             },
             Event::WrongCommand { witness: 1 },
             Event::ClockWrong { of: 2 },
+            Event::OutputFault { found: 2 },
         ];
         for event in events {
             assert_eq!(Event::decode(event.encode()), Some(event));
@@ -629,7 +637,8 @@ mod tests {
             0x031D,
             0x021E,
             0x031F,
-            32,
+            0x0320,
+            33,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }

@@ -71,6 +71,8 @@ pub fn core_event(event: Event) -> Option<String> {
             1 => "finds that the other system's clock has drifted".to_owned(),
             _ => "finds that the vehicle's clock has drifted".to_owned(),
         },
+        Event::OutputFault { found: 1 } => "its output driver finds an open load".to_owned(),
+        Event::OutputFault { .. } => "its output driver finds a short circuit".to_owned(),
         Event::Flood {
             source,
             times,

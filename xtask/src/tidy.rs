@@ -119,7 +119,7 @@ const MAX_COLUMNS: usize = 100;
 pub(crate) fn run(root: &Path) -> Result<()> {
     let mut findings = dependencies(root)?;
     findings.extend(crate::rooms::findings(root)?);
-    findings.extend(crate::failure_modes::findings(root)?);
+    findings.extend(crate::failure_modes::findings(root, &rust_files(root)?)?);
     for file in rust_files(root)? {
         let text = fs::read_to_string(&file).with_context(|| file.display().to_string())?;
         let place = file

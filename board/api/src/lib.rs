@@ -24,6 +24,7 @@ mod can;
 mod flash;
 mod identity;
 mod lines;
+mod outputs;
 mod supply;
 mod time;
 mod trace;
@@ -33,6 +34,7 @@ pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
 pub use flash::{DataFlash, FlashError, FlashStatus};
 pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull};
+pub use outputs::OutputDiagnosis;
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
@@ -117,6 +119,12 @@ pub trait Board {
 
     /// The supply of this system. Any context.
     fn supply(&self) -> &Self::Supply;
+
+    /// What the driver of this system's outputs finds. Any context. A fault stays until it is mended.
+    /// A board without a driver that tells has none.
+    fn output_diagnosis(&self) -> OutputDiagnosis {
+        OutputDiagnosis::Good
+    }
 
     /// Writes one record to the trace. Any context. A full trace loses the record and counts it.
     fn trace(&self, record: TraceRecord);

@@ -4,7 +4,9 @@ use core::sync::atomic::Ordering::Relaxed;
 use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
-use tandem_board::{Board, CoreId, Identity, Instant, SystemId, TraceRecord, Wake};
+use tandem_board::{
+    Board, CoreId, Identity, Instant, OutputDiagnosis, SystemId, TraceRecord, Wake,
+};
 use tandem_shm::FitError;
 
 use crate::args::CoreArgs;
@@ -135,6 +137,10 @@ impl Board for HostBoard {
 
     fn release_core(&self, core: CoreId) {
         self.backplane.release_core(self.of.system, core);
+    }
+
+    fn output_diagnosis(&self) -> OutputDiagnosis {
+        self.backplane.outputs(self.identity().system)
     }
 
     fn wait(&self, deadline: Instant) -> Wake {

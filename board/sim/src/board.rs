@@ -7,8 +7,8 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
     Board, Can, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus,
-    Generation, Identity, Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest,
-    RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
+    Generation, Identity, Instant, Line, Lines, Link, LinkFull, OutputDiagnosis, Received,
+    ResetCause, ResetRequest, RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
@@ -193,6 +193,11 @@ impl Board for SimBoard {
         let system = self.port.place.system;
         self.port
             .alive(|machine| machine.release_core(CoreAddress { system, core }));
+    }
+
+    fn output_diagnosis(&self) -> OutputDiagnosis {
+        let mut machine = self.port.shared.lock();
+        machine.system(self.port.place.system).outputs
     }
 
     fn wait(&self, deadline: Instant) -> Wake {

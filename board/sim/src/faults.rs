@@ -4,7 +4,9 @@ use crate::config::{BusFault, Clock};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
-use tandem_board::{CanFrame, CoreAddress, CoreId, Duration, Edge, Line, ResetCause, SystemId};
+use tandem_board::{
+    CanFrame, CoreAddress, CoreId, Duration, Edge, Line, OutputDiagnosis, ResetCause, SystemId,
+};
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::wires::Wire;
 
@@ -91,6 +93,11 @@ impl SimPair {
     /// Sets the faults of a system's connection to the CAN bus.
     pub fn disturb_bus(&mut self, system: SystemId, fault: BusFault) {
         self.shared.lock().system(system).bus_fault = fault;
+    }
+
+    /// What the output driver of a system finds from now on.
+    pub fn diagnose_outputs(&mut self, system: SystemId, found: OutputDiagnosis) {
+        self.shared.lock().system(system).outputs = found;
     }
 
     /// A core is not due for this span after each poll, so that all its deadlines pass late.

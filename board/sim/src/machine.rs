@@ -8,8 +8,8 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Instant, Received, ResetCause, ResetRequest, RoleLamp,
-    SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Duration, Instant, OutputDiagnosis, Received, ResetCause,
+    ResetRequest, RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::bus::TransmitLimit;
 use tandem_peripherals::codec::Sender;
@@ -150,6 +150,7 @@ pub(crate) struct System {
     pub(crate) edges: [[u32; 2]; 3],
     pub(crate) level_held_low: bool,
     pub(crate) bus_fault: BusFault,
+    pub(crate) outputs: OutputDiagnosis,
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
 
@@ -164,6 +165,7 @@ impl System {
             edges: [[0; 2]; 3],
             level_held_low: false,
             bus_fault: BusFault::default(),
+            outputs: OutputDiagnosis::Good,
             inbox: VecDeque::new(),
         }
     }

@@ -17,7 +17,9 @@ use crate::schedule::{Grid, Release, TickGrid};
 use crate::trace::Event;
 use crate::{Config, Heard, read_can};
 use heapless::Deque;
-use tandem_board::{Board, Can, Duration, Instant, Lines, Link, ResetRequest, Supply, SystemId};
+use tandem_board::{
+    Board, Can, Duration, Instant, Lines, Link, OutputDiagnosis, ResetRequest, Supply, SystemId,
+};
 use tandem_bus::{Message, Transmitter};
 use tandem_redundancy::{
     Action, Actions, ControlFrame, FailureMode, Input, LinkReport, Loaded, Mode, Phase, Redundancy,
@@ -538,6 +540,15 @@ impl<'b, B: Board> Shared<'b, B> {
     /// watchdog resets this system.
     pub(super) fn on_hung_control(&mut self) -> TaskSet {
         self.tell(Input::OwnFault(FailureMode::Deadline))
+    }
+
+    /// The driver of the outputs has a fault. `tells`: for the first time.
+    pub(super) fn on_output_fault(&mut self, found: OutputDiagnosis, tells: bool) -> TaskSet {
+        if tells {
+            let found = found.code() as u8;
+            self.trace(Event::OutputFault { found });
+        }
+        self.tell(Input::OwnFault(FailureMode::IoModule))
     }
 
     /// Core 1 or 2 is dead.

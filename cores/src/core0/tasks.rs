@@ -12,7 +12,9 @@ use crate::layout::{
 use crate::schedule::{Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
-use tandem_board::{Board, CoreId, Duration, Instant, Link, Supply, watchdog_answer};
+use tandem_board::{
+    Board, CoreId, Duration, Instant, Link, OutputDiagnosis, Supply, watchdog_answer,
+};
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
@@ -66,6 +68,8 @@ pub struct Monitoring<'b, B> {
     map: Option<ControllerMap<'b>>,
     alive: Alive,
     /// The core that was last told to be silent: a system that drives on tells it once.
+    /// How many polls in a row found a fault of the outputs.
+    output_faults: u8,
     told_silent: Option<CoreId>,
     control: Progress,
     /// The watchdog gets no service, and resets this system.
@@ -99,6 +103,9 @@ impl Progress {
     }
 }
 
+/// So many polls in a row must find a fault of the outputs.
+const OUTPUT_FAULT_POLLS: u8 = 3;
+
 impl<'b, B: Board> Monitoring<'b, B> {
     pub(super) fn new(board: &'b B, config: Config) -> Self {
         let started = board.now();
@@ -109,6 +116,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
             map: None,
             alive: Alive::new(started, config.boot_limit, |_| 0),
             told_silent: None,
+            output_faults: 0,
             control: Progress::default(),
             withholds: false,
             last_service: None,
@@ -153,6 +161,23 @@ impl<'b, B: Board> Monitoring<'b, B> {
             self.control.is_hung().then(|| shared.on_hung_control())
         });
         if let Some(tasks) = tasks {
+            executor.release(tasks);
+        }
+    }
+
+    /// A fault of the output driver counts when so many polls in a row found it: a switch that just
+    /// opens or closes is none.
+    fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
+        let found = self.board.output_diagnosis();
+        self.output_faults = match found {
+            OutputDiagnosis::Good => 0,
+            OutputDiagnosis::OpenLoad | OutputDiagnosis::ShortCircuit => {
+                self.output_faults.saturating_add(1)
+            }
+        };
+        if self.output_faults >= OUTPUT_FAULT_POLLS {
+            let tells = self.output_faults == OUTPUT_FAULT_POLLS;
+            let tasks = executor.shared(|shared| shared.on_output_fault(found, tells));
             executor.release(tasks);
         }
     }
@@ -211,6 +236,7 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
         if let Some(release) = self.grid.release(self.board.now()) {
             executor.begins(Self::ID, released(self.board, release));
             self.supervise_control(executor);
+            self.supervise_outputs(executor);
             self.service_watchdog();
             self.supervise(executor);
             executor.ends(Self::ID);

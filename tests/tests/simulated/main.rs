@@ -17,13 +17,13 @@ mod stale;
 mod terms;
 mod wrong;
 
-use tandem_board::{CoreId, Duration, Instant, RoleLamp, SystemId};
+use tandem_board::{CoreId, Duration, Instant, OutputDiagnosis, RoleLamp, SystemId};
 use tandem_bus::{Control, Mode, Role, Transmitter};
 use tandem_cores::trace::Event;
 use tandem_record::gap::both_transmitted_ms;
 use tandem_record::run_log::ControlFrame;
 use tandem_record::takeovers;
-use tandem_redundancy::{Evidence, Phase};
+use tandem_redundancy::{Evidence, FailureMode, Phase};
 use tandem_sim::drive::Drive;
 
 type TracedEvent = (Instant, SystemId, CoreId, Event);
@@ -207,6 +207,33 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
     let a = drive.state_in_flash(SystemId::A);
     assert!(a.is_master && a.cpsys_failure && a.term > b.term);
     assert_eq!(drive.collisions(), 0);
+}
+
+/// T-CHIP-6, T-RED-6: the diagnosis register of the master's output driver finds a fault. The other
+/// drives, the master suspends itself, and its flash says why. What lasts for one poll is none.
+#[test]
+fn a_fault_of_the_output_driver_suspends_its_system() {
+    for found in [OutputDiagnosis::OpenLoad, OutputDiagnosis::ShortCircuit] {
+        let mut drive = Drive::new("free-lane", 8);
+        drive.run_for(S(5));
+        drive.pair.diagnose_outputs(SystemId::A, found);
+        drive.run_for(Duration::from_ms(1));
+        drive
+            .pair
+            .diagnose_outputs(SystemId::A, OutputDiagnosis::Good);
+        drive.run_for(S(1));
+        assert_eq!(drive.masters(), [SystemId::A], "{found:?}");
+        drive.pair.diagnose_outputs(SystemId::A, found);
+        drive.run_for(S(2));
+        assert_eq!(drive.masters(), [SystemId::A, SystemId::B], "{found:?}");
+        let causes: Vec<_> = drive.takeovers().iter().map(|of| of.cause).collect();
+        assert_eq!(causes, [Some(Evidence::MasterResigns)], "{found:?}");
+        let state = drive.state_in_flash(SystemId::A);
+        assert!(state.sys_failure, "{found:?}");
+        assert_eq!(state.failure_mode, FailureMode::IoModule, "{found:?}");
+        assert_eq!(drive.gaps_beyond(), [], "{found:?}");
+        assert_eq!(drive.two_masters_ns(), 0);
+    }
 }
 
 /// T-CHIP-6: a frozen master is reset by its watchdog, and thawing makes no second master.

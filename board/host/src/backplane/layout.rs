@@ -54,6 +54,7 @@ pub(super) enum System {
     ResetRequest = LINE as isize,
     Lamp,
     Released,
+    Outputs,
 }
 
 /// Registers of a core, by writer: supply, then the core.

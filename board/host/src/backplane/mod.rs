@@ -11,7 +11,8 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{
-    CoreId, Duration, Edge, Generation, Line, ResetCause, ResetRequest, RoleLamp, SystemId,
+    CoreId, Duration, Edge, Generation, Line, OutputDiagnosis, ResetCause, ResetRequest, RoleLamp,
+    SystemId,
 };
 use tandem_peripherals::wires::{Cuts, Wire};
 
@@ -257,6 +258,18 @@ impl Backplane {
     #[must_use]
     pub fn level(self, system: SystemId) -> bool {
         self.system(system, System::LevelLow).get() == 0
+    }
+
+    /// What the output driver of a system finds from now on.
+    pub fn diagnose_outputs(self, system: SystemId, found: OutputDiagnosis) {
+        self.system(system, System::Outputs).set(found.code());
+    }
+
+    /// What the output driver of a system finds. A register that was overwritten is no diagnosis.
+    #[must_use]
+    pub fn outputs(self, system: SystemId) -> OutputDiagnosis {
+        let code = self.system(system, System::Outputs).get();
+        OutputDiagnosis::from_code(code).unwrap_or_default()
     }
 
     pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
