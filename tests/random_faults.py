@@ -40,6 +40,7 @@ class Run:
         with open(self.stdout, "w") as out, open(self.stderr, "w") as err:
             self.process = subprocess.Popen(command, stdout=out, stderr=err, stdin=subprocess.DEVNULL)
         self.name = f"tandem-{self.process.pid}-"
+        self.began = False
 
     def processes(self):
         """Its processes, as `tandem ps` lists them."""
@@ -80,10 +81,12 @@ class Run:
             roles = {system: p["role"] for system, p in supplies.items()}
             drives = [s for s, role in roles.items() if role in ROLES_THAT_DRIVE]
             if len(processes) == 9 and len(drives) == 1 and "standby" in roles.values():
+                self.began = True
                 return processes
             for system in "AB":
+                if not self.began:
+                    continue
                 if system not in supplies:
-                    # A run that begins has no supplies for a moment, either.
                     off[system] += 1
                     if off[system] == 10:
                         self.power_on(system)

@@ -120,8 +120,8 @@ pub trait Board {
     /// The supply of this system. Any context.
     fn supply(&self) -> &Self::Supply;
 
-    /// What the driver of this system's outputs finds. Any context. A fault stays until it is mended.
-    /// A board without a driver that tells has none.
+    /// What the driver of this system's outputs finds. Any context. A fault stays until it is
+    /// mended. A board without a driver that tells has none.
     fn output_diagnosis(&self) -> OutputDiagnosis {
         OutputDiagnosis::Good
     }
