@@ -87,7 +87,8 @@ fn row(cut: [bool; 5]) {
     let fixture = Fixture::new();
     let mut run = fixture.run(&["--duration", "60", "--scenario", "free-lane"]);
     until_roles(&run, &[("A", "master"), ("B", "standby")]);
-    for (wire, _) in WIRES.iter().zip(cut).filter(|(_, cut)| *cut) {
+    // One after the other: B's CAN before A's, or B would take over in between.
+    for (wire, _) in WIRES.iter().zip(cut).rev().filter(|(_, cut)| *cut) {
         hand(&fixture, &run, &[&["cut"], *wire].concat());
     }
     std::thread::sleep(Duration::from_millis(1_500));
