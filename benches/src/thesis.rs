@@ -77,7 +77,7 @@ pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
     let receiver = Part::on(cpus[1], |role: &mut Role<'_>| {
         let mut from = MAILBOX.receiver(&map, announce(&map, 1)).expect("it fits");
         let mut table = TaskTable::new();
-        let task = |log: &mut crate::shared::Log, call: Call| {
+        let task = |log: &mut crate::shared::Log, _, call: Call| {
             log.push(1, ticks());
             log.push(0, call.value);
         };

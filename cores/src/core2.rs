@@ -32,7 +32,7 @@ struct Planning<'b, B: Board> {
 }
 
 impl<B: Board> Planning<'_, B> {
-    fn run(&mut self, _call: Call) {
+    fn run(&mut self, _arg: u32, _call: Call) {
         let (task, begin, leaves) = (TaskCode::PLANNING, Begin::Goes, Leaves::Done);
         self.trace(Event::TaskIn { task, begin });
         self.plan();

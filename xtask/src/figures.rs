@@ -2,6 +2,7 @@
 //!
 //! Prose links there and repeats no figure: two copies of a figure soon differ.
 
+use crate::firmware::floor_of;
 use anyhow::{Context, Result, bail, ensure};
 use serde_json::Value;
 use std::fmt::Write as _;
@@ -23,6 +24,14 @@ const PATHS: &[(&str, &str)] = &[
     (
         "interrupt/floor",
         "from the store that posts it to the handler, registers saved",
+    ),
+    (
+        "wfi/floor",
+        "the least: `wfi` returns without a trap, the interrupt is cleared",
+    ),
+    (
+        "doorbell/floor",
+        "the board's doorbell alone: which interrupt, no reset, no deadline, cleared",
     ),
     (
         "mailbox/signal-to-handler",
@@ -48,6 +57,11 @@ const PATHS: &[(&str, &str)] = &[
         "rtos/round-trip",
         "FreeRTOS task to bare core 1 and back to the notified task",
     ),
+    (
+        "task/floor",
+        "from a bare core's store that posts the interrupt to the FreeRTOS task that it notifies",
+    ),
+    ("task/signal", "the same by a signal through a mailbox"),
     ("clock/two-readings", "two readings of the clock in a row"),
 ];
 
@@ -122,27 +136,33 @@ fn page(root: &Path) -> Result<String> {
 
 /// Instructions of the paths between cores.
 fn firmware(baseline: &Value) -> Result<String> {
-    let rows = baseline.as_array().context("a list of paths")?;
-    let max = |row: &Value| row["max"].as_f64();
-    let floor = rows.iter().find(|row| row["name"] == "interrupt/floor");
-    let floor = floor.and_then(max).context("no interrupt/floor")?;
+    let rows = baseline["results"].as_array().context("no results")?;
+    let min = |row: &Value| row["min"].as_f64();
+    let named = |name: &str| rows.iter().find(|row| row["name"] == name);
+    let text_of = |value: &Value| value.as_str().unwrap_or("unknown").to_owned();
     let mut text = format!(
         "\n## Instructions between cores, riscv32imac under QEMU\n\n`{FIRMWARE}`: path lengths, no \
-         latencies; the same in each run.\n\n| path | min | max | over the bare interrupt |\n\
-         |---|---:|---:|---:|\n"
+         latencies; the same in each run.\nCompiled by {}, run by {}.\nA floor wakes the core in \
+         the same way and hands nothing over: the ratio is to the floor's minimum.\n\n\
+         | path | min | max | floor | over it |\n|---|---:|---:|---|---:|\n",
+        text_of(&baseline["compiler"]),
+        text_of(&baseline["emulator"]),
     );
     for row in rows {
-        let (name, most) = (row["name"].as_str(), max(row));
-        let (Some(name), Some(most)) = (name, most) else {
-            bail!("a row without name or max")
+        let (Some(name), Some(least)) = (row["name"].as_str(), min(row)) else {
+            bail!("a row without name or min")
         };
         let known = PATHS.iter().find(|(path, _)| *path == name);
         let (_, what) = known.with_context(|| format!("{name} is not described in PATHS"))?;
+        let floor = floor_of(name).map(|floor| (floor, named(floor).and_then(min)));
+        let (floor, over) = match floor {
+            Some((floor, Some(of))) => (format!("`{floor}`"), format!("{:.2}", least / of)),
+            _ => ("–".to_owned(), "–".to_owned()),
+        };
         writeln!(
             text,
-            "| `{name}`: {what} | {} | {most} | {:.2} |",
-            row["min"],
-            most / floor
+            "| `{name}`: {what} | {} | {} | {floor} | {over} |",
+            row["min"], row["max"],
         )?;
     }
     Ok(text)

@@ -47,11 +47,11 @@ struct Inbox {
     received: Option<u32>,
 }
 
-fn handle(inbox: &mut Inbox, call: Call) {
+fn handle(inbox: &mut Inbox, _: u32, call: Call) {
     inbox.received = Some(call.value);
 }
 
-fn handle_channel(inbox: &mut Inbox, _call: Call) {
+fn handle_channel(inbox: &mut Inbox, _: u32, _: Call) {
     let value = inbox.value.read();
     inbox.received = value.ok().map(|(_, value)| value);
 }

@@ -172,7 +172,7 @@ pub(super) fn exchanges(count: u32) -> anyhow::Result<Vec<Exchange>> {
             });
         }
         let mut table = TaskTable::<Vec<u32>>::new();
-        let task = |got: &mut Vec<u32>, call: Call| got.push(call.value);
+        let task = |got: &mut Vec<u32>, _, call: Call| got.push(call.value);
         let added = table.add(TaskId::FIRST, task, 0).is_ok();
         let mut from = attach(board)
             .filter(|_| added)

@@ -59,7 +59,7 @@ pub fn time() -> u64 {
 pub fn interrupts_on() {
     // SAFETY: the handlers of this crate touch nothing but atomics, so they may run anywhere. Not
     // Not `nomem`: all writes for a handler must come before.
-    unsafe { asm!("csrs mstatus, {}", in(reg) MSTATUS_MIE, options(nostack)) };
+    unsafe { asm!("csrsi mstatus, {}", const MSTATUS_MIE, options(nostack)) };
 }
 
 /// Switches the interrupts of this hart off; returns whether they were on.
@@ -68,7 +68,7 @@ pub fn interrupts_off() -> bool {
     let before: usize;
     // SAFETY: no handler runs from here on; see `interrupts_on` for the memory.
     unsafe {
-        asm!("csrrc {}, mstatus, {}", out(reg) before, in(reg) MSTATUS_MIE, options(nostack));
+        asm!("csrrci {}, mstatus, {}", out(reg) before, const MSTATUS_MIE, options(nostack));
     }
     before & MSTATUS_MIE != 0
 }

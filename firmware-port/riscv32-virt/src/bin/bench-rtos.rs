@@ -27,6 +27,15 @@ const WARM_UP: u32 = 5;
 static READY: AtomicBool = AtomicBool::new(false);
 /// Signals that were returned.
 static BACK: AtomicU32 = AtomicU32::new(0);
+/// When hart 1 began to wake the task.
+static BEGAN_AT: AtomicU32 = AtomicU32::new(0);
+/// The next doorbell is one without a signal.
+static BARE: AtomicBool = AtomicBool::new(false);
+
+/// What hart 1 is asked for: a signal at once; a signal, or a bare interrupt, when hart 0 is idle.
+const ANSWER: TaskId = task(1);
+const SIGNAL: TaskId = task(2);
+const INTERRUPT: TaskId = task(3);
 
 fn main(hart: usize) -> ! {
     match hart {
@@ -52,8 +61,8 @@ fn attach(core: usize) -> (Map<'static>, Incarnation) {
     (map, own)
 }
 
-fn task() -> TaskId {
-    match TaskId::new(1) {
+const fn task(number: u8) -> TaskId {
+    match TaskId::new(number) {
         Some(task) => task,
         None => panic!("not a task number"),
     }
@@ -72,6 +81,10 @@ fn control() -> ! {
     back.poll(|_| ());
     let _nothing_there = back.prepare_sleep();
     let on_doorbell = move |ctx: &_| {
+        if BARE.load(Ordering::Relaxed) {
+            must(measuring.notify(ctx));
+            return;
+        }
         back.awake();
         back.poll(|_| {
             BACK.store(BACK.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
@@ -91,27 +104,43 @@ fn measure(ctx: &TaskContext) {
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
         // No other task is ready: a call of the kernel and back.
+        let begin = hart::cycles();
         ctx.yield_now();
+        hart::cycles().wrapping_sub(begin)
     });
     bench(ctx, "rtos/round-trip", || {
         let before = BACK.load(Ordering::Relaxed);
-        if to.signal(task()) == Ring::Needed {
-            clint::post(1);
-        }
+        let begin = hart::cycles();
+        ask(&mut to, ANSWER);
         ctx.take_notifications(Ticks::FOREVER);
+        let took = hart::cycles().wrapping_sub(begin);
         assert!(BACK.load(Ordering::Relaxed) == before + 1);
+        took
     });
+    for (name, what) in [("task/floor", INTERRUPT), ("task/signal", SIGNAL)] {
+        BARE.store(what == INTERRUPT, Ordering::Relaxed);
+        bench(ctx, name, || {
+            ask(&mut to, what);
+            ctx.take_notifications(Ticks::FOREVER);
+            hart::cycles().wrapping_sub(BEGAN_AT.load(Ordering::Relaxed))
+        });
+    }
     exit::exit(0)
 }
 
-/// Repeats a round, each right after a tick, and prints the shortest and the longest.
-fn bench(ctx: &TaskContext, name: &str, mut round: impl FnMut()) {
+fn ask(to: &mut Sender<'_>, what: TaskId) {
+    if to.signal(what) == Ring::Needed {
+        clint::post(1);
+    }
+}
+
+/// Repeats a round that returns how long it took, each right after a tick, and prints the shortest
+/// and the longest.
+fn bench(ctx: &TaskContext, name: &str, mut round: impl FnMut() -> u32) {
     let (mut min, mut max) = (u32::MAX, 0);
     for number in 0..WARM_UP + ROUNDS {
         ctx.delay(Ticks(1));
-        let begin = hart::cycles();
-        round();
-        let took = hart::cycles().wrapping_sub(begin);
+        let took = round();
         if number >= WARM_UP {
             min = min.min(took);
             max = max.max(took);
@@ -130,15 +159,9 @@ fn answer() -> ! {
     let mut from = must(MAILBOX_0_TO_1.receiver(&map, own));
     let mut to = must(MAILBOX_1_TO_0.sender(&map, own));
     let mut tasks = TaskTable::new();
-    must(tasks.add(
-        task(),
-        |to: &mut Sender<'static>, _| {
-            if to.signal(task()) == Ring::Needed {
-                clint::post(0);
-            }
-        },
-        0,
-    ));
+    must(tasks.add(ANSWER, |to, _, _| signal(to), 0));
+    must(tasks.add(SIGNAL, |to, _, _| when_idle(|| signal(to)), 0));
+    must(tasks.add(INTERRUPT, |_, _, _| when_idle(|| clint::post(0)), 0));
     loop {
         tasks.run(&mut from, &mut to);
         if from.prepare_sleep() {
@@ -146,4 +169,17 @@ fn answer() -> ! {
             from.awake();
         }
     }
+}
+
+fn signal(to: &mut Sender<'static>) {
+    if to.signal(task(1)) == Ring::Needed {
+        clint::post(0);
+    }
+}
+
+/// Lets hart 0 come to rest, and wakes it.
+fn when_idle(wake: impl FnOnce()) {
+    (0..8).for_each(|_| hart::yield_turn());
+    BEGAN_AT.store(hart::cycles(), Ordering::Relaxed);
+    wake();
 }

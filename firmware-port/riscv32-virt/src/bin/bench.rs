@@ -12,7 +12,7 @@ use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::lock::Lock;
-use tandem_shm::mailbox::{Call, Ring, Sender, TaskId, TaskTable};
+use tandem_shm::mailbox::{Call, Ring, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::region::{Fifo, Mailbox, Newest, Region, SharedLock, SharedPool};
 use tandem_shm::{fifo, newest};
@@ -32,6 +32,7 @@ const PLAIN: TaskId = task(1);
 const NEWEST: TaskId = task(2);
 const FIFO: TaskId = task(3);
 const VALUE: TaskId = task(4);
+const STOP: TaskId = task(5);
 
 const fn task(number: u8) -> TaskId {
     match TaskId::new(number) {
@@ -45,8 +46,10 @@ static SEEN_AT: AtomicU32 = AtomicU32::new(0);
 static SEEN: AtomicU32 = AtomicU32::new(0);
 /// The current work of harts 1 and 2.
 static PART: AtomicU32 = AtomicU32::new(0);
-const MAILBOX: u32 = 1;
-const CONTEND: u32 = 2;
+const WFI: u32 = 1;
+const DOORBELL: u32 = 2;
+const MAILBOX: u32 = 3;
+const CONTEND: u32 = 4;
 /// Rounds of the contended lock that may begin, and that each hart has ended.
 static GO: AtomicU32 = AtomicU32::new(0);
 static ENDED: AtomicU32 = AtomicU32::new(0);
@@ -130,9 +133,11 @@ fn reached() {
     SEEN.store(SEEN.load(Ordering::Relaxed) + 1, Ordering::Release);
 }
 
-fn signal(to: &mut Sender<'_>, task: TaskId) {
-    if to.signal(task) == Ring::Needed {
-        clint::post(1);
+/// Rings hart 1, which a signal has found asleep.
+fn ring(ring: Ring) {
+    match ring {
+        Ring::Needed => clint::post(1),
+        Ring::NotNeeded => panic!("awake: no figure of a core that sleeps"),
     }
 }
 
@@ -151,30 +156,33 @@ fn measure() {
         hart::cycles().wrapping_sub(begin)
     });
     bench("interrupt/floor", |_| reach(|| clint::post(1)));
+    let part = |part| {
+        PART.store(part, Ordering::Release);
+        clint::post(1);
+    };
+    part(WFI);
+    bench("wfi/floor", |_| reach(|| clint::post(1)));
+    part(DOORBELL);
+    bench("doorbell/floor", |_| reach(|| clint::post(1)));
 
-    PART.store(MAILBOX, Ordering::Release);
-    clint::post(1);
+    part(MAILBOX);
     bench("mailbox/signal-to-handler", |_| {
-        reach(|| signal(&mut to, PLAIN))
+        reach(|| ring(to.signal(PLAIN)))
     });
     bench("mailbox/4-bytes", |number| {
-        reach(|| {
-            if to.signal_with(VALUE, number) == Ring::Needed {
-                clint::post(1);
-            }
-        })
+        reach(|| ring(to.signal_with(VALUE, number)))
     });
     bench("channel/4-bytes", |number| {
         reach(|| {
             newest.publish(&number);
-            signal(&mut to, NEWEST);
+            ring(to.signal(NEWEST));
         })
     });
     // Varies: each end reads the other's index only when its copy requires it.
     bench("fifo/4-bytes", |number| {
         reach(|| {
             must(queue.send(&number));
-            signal(&mut to, FIFO);
+            ring(to.signal(FIFO));
         })
     });
 
@@ -183,8 +191,8 @@ fn measure() {
         drop(must(lock.lock(1, |_| ())));
         hart::cycles().wrapping_sub(begin)
     });
-    PART.store(CONTEND, Ordering::Release);
-    clint::post(1);
+    ring(to.signal(STOP));
+    part(CONTEND);
     clint::post(2);
     bench("lock/contended-3", |number| {
         ENDED.store(0, Ordering::Relaxed);
@@ -211,33 +219,61 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first the bare interrupt, then the mailbox, then it contends.
-fn answer() {
+/// Hart 1: first it does nothing but wake, in three ways, then the mailbox, then it contends.
+fn answer() -> ! {
     let map = attach(1);
     trap::on_doorbell(reached);
     hart::interrupts_on();
-    while PART.load(Ordering::Acquire) != MAILBOX {
+    while PART.load(Ordering::Acquire) != WFI {
         hart::sleep();
     }
     trap::on_doorbell(|| ());
-    let mut from = must(MAILBOX_0_TO_1.receiver(&map, incarnation(1)));
+    wake_by_wfi();
+    wake_by_doorbell();
+    wake_by_mailbox(&map)
+}
+
+/// The least: `wfi` wakes the hart without a trap, and the interrupt is cleared.
+#[inline(never)]
+fn wake_by_wfi() {
+    hart::interrupts_off();
+    while PART.load(Ordering::Acquire) == WFI {
+        hart::sleep();
+        clint::clear(1);
+        reached();
+    }
+    hart::interrupts_on();
+}
+
+/// The same with what the board needs: which interrupt it was, whether it is a reset, the deadline.
+#[inline(never)]
+fn wake_by_doorbell() {
+    while PART.load(Ordering::Acquire) == DOORBELL {
+        doorbell::wait(None);
+        reached();
+    }
+}
+
+#[inline(never)]
+fn wake_by_mailbox(map: &Map<'static>) -> ! {
+    let mut from = must(MAILBOX_0_TO_1.receiver(map, incarnation(1)));
     let mut values = Values {
-        queue: must(FIFO_0_TO_1.consumer(&map, incarnation(1))),
-        newest: must(NEWEST_0_TO_1.reader(&map)),
+        queue: must(FIFO_0_TO_1.consumer(map, incarnation(1))),
+        newest: must(NEWEST_0_TO_1.reader(map)),
     };
     let mut tasks = TaskTable::new();
-    must(tasks.add(PLAIN, |_, _| reached(), 0));
+    must(tasks.add(PLAIN, |_, _, _| reached(), 0));
     must(tasks.add(VALUE, Values::signalled, 0));
     must(tasks.add(NEWEST, Values::newest, 0));
     must(tasks.add(FIFO, Values::first, 0));
-    while PART.load(Ordering::Acquire) == MAILBOX {
+    must(tasks.add(STOP, |_, _, _| contend(1), 0));
+    loop {
         tasks.run(&mut from, &mut values);
         if from.prepare_sleep() {
             doorbell::wait(None);
             from.awake();
         }
     }
-    contend(1);
 }
 
 /// The receiving ends of the channels; their tasks have been reached when they have the value.
@@ -247,18 +283,18 @@ struct Values {
 }
 
 impl Values {
-    fn signalled(&mut self, call: Call) {
+    fn signalled(&mut self, _: u32, call: Call) {
         core::hint::black_box(call.value);
         reached();
     }
 
-    fn newest(&mut self, _: Call) {
+    fn newest(&mut self, _: u32, _: Call) {
         if self.newest.read().is_ok() {
             reached();
         }
     }
 
-    fn first(&mut self, _: Call) {
+    fn first(&mut self, _: u32, _: Call) {
         if let Ok(Some(_)) = self.queue.receive() {
             reached();
         }

@@ -44,7 +44,7 @@ fn receive(mailbox: &'static Words, queue: &'static Words) -> Option<()> {
     let mut from = bare::mailbox_receiver(mailbox).ok()?;
     let mut queue = bare::fifo_consumer(queue, SHAPE).ok()?;
     let mut tasks = TaskTable::new();
-    let take = |queue: &mut fifo::Consumer<'static, [u32; 16]>, _| {
+    let take = |queue: &mut fifo::Consumer<'static, [u32; 16]>, _, _| {
         while let Ok(Some(message)) = queue.receive() {
             black_box(&message);
         }

@@ -71,7 +71,7 @@ fn receive(own: Incarnation) -> Option<()> {
     let mut from = MAILBOX.receiver(&map, own).ok()?;
     let mut tasks = TaskTable::new();
     tasks
-        .add(TaskId::new(1)?, |_, call| _ = black_box(call), 0)
+        .add(TaskId::new(1)?, |_, _, call| _ = black_box(call), 0)
         .ok()?;
     tasks.run(&mut from, &mut ());
     if from.prepare_sleep() {
