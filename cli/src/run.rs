@@ -28,7 +28,7 @@ use crate::percentiles::Spans;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::timeline::{self, Timeline};
-use crate::{core_process, emulated, report, stall_watch, summary, vehicle};
+use crate::{core_process, emulated, report, summary, vehicle};
 
 /// For how long `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
