@@ -17,6 +17,12 @@ pub(crate) fn figures(metrics: &Metrics) -> DriveFigures {
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
     DriveFigures {
         collisions: metrics.collisions,
+        collisions_by_ego: metrics.collisions_by_ego,
+        hit_while_standing: metrics.hit_while_standing,
+        excursion_max_m: metrics.excursion_max_m,
+        wrong_way_s: metrics.wrong_way_s,
+        standing_s: metrics.standing_s,
+        goal_reached_s: metrics.goal_reached_s,
         lateral_error_max_m: metrics.lateral_error_max_m,
         lane_changes: metrics.lane_changes,
         lead_gap_min_m: finite(metrics.gap_min_m),

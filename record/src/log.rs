@@ -85,6 +85,24 @@ pub struct Other {
 pub struct DriveFigures {
     /// Contacts of the own vehicle.
     pub collisions: u32,
+    /// Those of them that the own vehicle caused.
+    #[serde(default)]
+    pub collisions_by_ego: u32,
+    /// Those of them in which the own vehicle stood.
+    #[serde(default)]
+    pub hit_while_standing: u32,
+    /// How far the centre of the vehicle was outside of all lanes of its direction, m.
+    #[serde(default)]
+    pub excursion_max_m: f64,
+    /// Time on lanes of the other direction, s.
+    #[serde(default)]
+    pub wrong_way_s: f64,
+    /// Time that the vehicle stood without a reason ahead, s.
+    #[serde(default)]
+    pub standing_s: f64,
+    /// When a goal of the scenario was reached, s; `None` if none was.
+    #[serde(default)]
+    pub goal_reached_s: Option<f64>,
     /// Largest distance from the centre of the lane outside lane changes, m.
     pub lateral_error_max_m: f64,
     /// How often the vehicle went to another lane.

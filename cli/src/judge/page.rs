@@ -123,5 +123,5 @@ fn picture(picture: &Picture, label: &str) -> Markup {
     if let Some(hit) = &picture.hit_at {
         svg.circle(place(hit), 4.0, Color::BAD, true, "first contact");
     }
-    svg.finish("chart", label)
+    svg.finish("map", label)
 }

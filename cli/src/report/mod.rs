@@ -61,6 +61,10 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
         format!("{} collision(s)", metrics.drive.collisions),
     );
     object(
+        metrics.drive.excursion_max_m > 0.0,
+        format!("{:.2} m beside its lanes", metrics.drive.excursion_max_m),
+    );
+    object(
         metrics.two_masters_ms > 0.0,
         format!("two masters for {:.1} ms", metrics.two_masters_ms),
     );
