@@ -16,19 +16,12 @@
 #![forbid(unsafe_code)]
 
 pub mod candump;
+pub mod dbc;
 pub mod e2e;
 mod endpoint;
 mod message;
 mod sensor;
 mod signal;
-
-/// The structs, enums and ids of `dbc/tandem.dbc`, as the build script made them.
-pub mod dbc {
-    use crate::DecodeError;
-    use crate::signal::{FrameInfo, Signal};
-
-    include!(concat!(env!("OUT_DIR"), "/dbc.rs"));
-}
 
 pub use dbc::{
     Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,

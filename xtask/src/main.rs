@@ -70,6 +70,12 @@ enum Task {
         #[arg(long)]
         check: bool,
     },
+    /// Write the code of `tandem-bus` from `bus/dbc/tandem.dbc`
+    Dbc {
+        /// Only say whether the code is stale
+        #[arg(long)]
+        check: bool,
+    },
     /// Model-check the primitives of shm with loom
     Loom {
         /// Relax each memory ordering in turn: a model must fail (twenty minutes)
@@ -203,7 +209,10 @@ fn execute() -> Result<()> {
         Task::Requirements { require } => requirements::run(root, &require),
         Task::Broken { name, check } => broken::run(root, &name, check),
         Task::BareMetal => bare_metal(root),
-        Task::CHeader { check } => c_header(root, check),
+        Task::CHeader { check } => {
+            generated(root, "tandem-capi", "header", "TANDEM_WRITE_HEADER", check)
+        }
+        Task::Dbc { check } => generated(root, "tandem-bus", "dbc", "TANDEM_WRITE_DBC", check),
         Task::Loom {
             weakened: false, ..
         } => loom(root),
@@ -317,13 +326,11 @@ fn bare_metal(root: &Path) -> Result<()> {
     Ok(())
 }
 
-fn c_header(root: &Path, check: bool) -> Result<()> {
-    let mut command = cargo(
-        root,
-        &["test", "--quiet", "-p", "tandem-capi", "--test", "header"],
-    );
+/// A file that a test makes: it writes the file if the variable is set, else it compares.
+fn generated(root: &Path, package: &str, test: &str, write: &str, check: bool) -> Result<()> {
+    let mut command = cargo(root, &["test", "--quiet", "-p", package, "--test", test]);
     if !check {
-        command.env("TANDEM_WRITE_HEADER", "1");
+        command.env(write, "1");
     }
     run(command)
 }

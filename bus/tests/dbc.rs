@@ -1,12 +1,15 @@
-//! Turns `dbc/tandem.dbc` into Rust: structs for frame layouts, enums for value tables.
+//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: structs for frame layouts, enums for
+//! value tables. `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
 //!
-//! Frames with the same layout share a struct (see [`layout_name`]). The generated code calls
-//! `src/signal.rs`. A DBC feature that this generator does not know fails the build.
+//! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
+//! stands in `src/signal.rs`. The generator fails at anything in the DBC that it does not know.
 
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::fmt::Write as _;
+use std::io::Write as _;
 use std::path::Path;
+use std::process::{Command, Stdio};
 use std::{env, fs};
 
 use can_dbc::{
@@ -14,20 +17,47 @@ use can_dbc::{
     ValDescription, ValueType,
 };
 
-const DBC: &str = "dbc/tandem.dbc";
-
-/// Signals that the message layer fills and checks; the structs have no fields for them.
+/// Signals that the message layer fills and checks; they are no fields of the structs.
 const FRAMING: [&str; 3] = ["Crc", "Counter", "System"];
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
-fn main() -> Result<()> {
-    println!("cargo::rerun-if-changed={DBC}");
-    println!("cargo::rerun-if-changed=build.rs");
-    let text = fs::read_to_string(DBC)?;
-    let dbc = Dbc::try_from(text.as_str()).map_err(|e| format!("{DBC}: {e}"))?;
+#[test]
+fn the_code_is_not_stale() -> Result<()> {
+    let room = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let file = room.join("src/dbc.rs");
+    let code = formatted(&generated(&fs::read_to_string(
+        room.join("dbc/tandem.dbc"),
+    )?)?)?;
+    if env::var_os("TANDEM_WRITE_DBC").is_some() {
+        return Ok(fs::write(&file, code)?);
+    }
+    assert!(
+        fs::read_to_string(&file)? == code,
+        "{} is stale: cargo xtask dbc",
+        file.display()
+    );
+    Ok(())
+}
 
-    // The structs have the order of their first messages in the DBC.
+/// As `cargo fmt` would have it.
+fn formatted(code: &str) -> Result<String> {
+    let mut rustfmt = Command::new("rustfmt")
+        .args(["--edition", "2024"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .map_err(|error| format!("rustfmt: {error}; rustup component add rustfmt"))?;
+    let mut input = rustfmt.stdin.take().ok_or("no pipe to rustfmt")?;
+    input.write_all(code.as_bytes())?;
+    drop(input);
+    Ok(String::from_utf8(rustfmt.wait_with_output()?.stdout)?)
+}
+
+fn generated(text: &str) -> Result<String> {
+    let dbc = Dbc::try_from(text).map_err(|e| format!("tandem.dbc: {e}"))?;
+
+    // Structs appear in the order in which their first message stands in the DBC.
     let mut layouts: Vec<(String, Vec<&Message>)> = Vec::new();
     for message in &dbc.messages {
         check_protection(message)?;
@@ -41,14 +71,15 @@ fn main() -> Result<()> {
         }
     }
 
-    let mut out = String::new();
+    let mut out = "//! The structs, enums and ids of `dbc/tandem.dbc`. Made by `cargo xtask dbc`: not \
+                   to be edited.\n\nuse crate::DecodeError;\nuse crate::signal::{FrameInfo, Signal};\n\n"
+        .to_owned();
     write_enums(&dbc, &mut out)?;
     for (name, messages) in &layouts {
         write_layout(&dbc, name, messages, &mut out)?;
     }
     write_frames(&dbc, &mut out)?;
-    fs::write(Path::new(&env::var("OUT_DIR")?).join("dbc.rs"), out)?;
-    Ok(())
+    Ok(out)
 }
 
 /// The struct that codes a message: `ControlA` of `SystemA` → `Control`, `CameraFrontHeader` of
