@@ -72,7 +72,8 @@ impl Starting {
         if seen.handshakes > 0 && self.heard_at.is_none() {
             self.heard_at = Some(now);
         }
-        self.beats = self.beats.saturating_add(seen.heartbeats());
+        // Edges that arrive together are one heartbeat, or a disturbance.
+        self.beats = self.beats.saturating_add(seen.heartbeats().min(1));
         if seen.syncs > 0 {
             return Some(Evidence::SyncHeard);
         }
