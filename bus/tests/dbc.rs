@@ -1,5 +1,5 @@
-//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: structs for frame layouts, enums for
-//! value tables. `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
+//! `src/dbc.rs` is what this generator makes of `dbc/tandem.dbc`: structs for frame layouts, enums
+//! for value tables. `TANDEM_WRITE_DBC=1` writes it, as `cargo xtask dbc` does.
 //!
 //! Frames with the same layout share a struct (see [`layout_name`]). What the generated code calls
 //! stands in `src/signal.rs`. The generator fails at anything in the DBC that it does not know.

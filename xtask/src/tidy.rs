@@ -169,13 +169,15 @@ fn file_findings(place: &str, text: &str) -> Vec<String> {
             "{place}:1: a file opens with one `//!` line that says what it is"
         ));
     }
+    // A machine wrote it.
+    let is_generated = place == "bus/src/dbc.rs";
     let lines = text.lines().count();
-    if lines > MAX_LINES {
+    if lines > MAX_LINES && !is_generated {
         findings.push(format!("{place}: {lines} lines; split it at {MAX_LINES}"));
     }
     for (number, line) in text.lines().enumerate() {
         // A link, and text in a string, cannot be broken.
-        let breaks = !line.contains("http") && !line.contains('"');
+        let breaks = !is_generated && !line.contains("http") && !line.contains('"');
         if breaks && line.chars().count() > MAX_COLUMNS {
             findings.push(format!(
                 "{place}:{}: wider than {MAX_COLUMNS} columns",
