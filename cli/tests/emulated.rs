@@ -165,14 +165,12 @@ fn both_emulated_systems_are_updated_while_they_drive() {
     let said = String::from_utf8(run.stderr).unwrap();
     assert!(run.status.success(), "{said}");
     for system in ["A", "B"] {
-        for what in [
-            format!("{system} has taken the update"),
-            format!("{system}: Software: slot B, version 2"),
-        ] {
-            assert!(said.contains(&what), "{what}: {said}");
-        }
+        let taken = format!("{system} has taken the update");
+        assert!(said.contains(&taken), "{taken}: {said}");
+        let started = format!("{system}: Software: slot B, version 2");
+        let (_, then) = said.split_once(&started).expect(&said);
         let approved = format!("{system}: the image in the slot is approved");
-        assert_eq!(said.matches(&approved).count(), 2, "{system}: {said}");
+        assert!(then.contains(&approved), "{approved}: {said}");
     }
     let metrics = metrics(&out);
     assert_eq!(metrics["complete"], true);
