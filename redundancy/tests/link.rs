@@ -77,7 +77,8 @@ impl Standby {
 #[test]
 fn a_link_that_repeats_its_datagrams_is_no_sign_of_life() {
     // How long ago what arrives was sent, by the time since the master's last report, ms.
-    let cases: [(&str, fn(u64) -> u64, Phase); 4] = [
+    type Case = (&'static str, fn(u64) -> u64, Phase);
+    let cases: [Case; 4] = [
         ("whole", |_| 0, Phase::Standby),
         ("repeats", |since| since, Phase::DegradedMaster),
         ("earlier", |since| since + 50, Phase::DegradedMaster),
