@@ -56,7 +56,7 @@ fn kept_control(metrics: &Value) {
 
 const POWER: &str = "power level fell and heartbeats ended";
 const SILENT: &str = "heartbeats and control frames silent";
-const RESIGNS: &str = "the master has a fault and resigns";
+const RESIGNS: &str = "the master resigns";
 
 /// T-CHIP-5, T-RED-4, T-RED-9: loss of power.
 #[test]
