@@ -2,11 +2,12 @@
 //! then; and the times in which both systems transmitted.
 
 use tandem_board::SystemId;
-use tandem_redundancy::Evidence;
+use tandem_cores::trace::Event;
+use tandem_redundancy::{Evidence, Phase};
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::{ControlFrame, Stall};
+use crate::run_log::{ControlFrame, CoreEvent, Stall};
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -18,6 +19,8 @@ const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
 /// A new master hears a predecessor that still lives within one control period and one move of the
 /// bus, ms.
 const HAND_OVER_MS: f64 = 11.0;
+/// The hold-down doubles at most so often.
+const MAX_DOUBLINGS: usize = 5;
 
 /// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +32,10 @@ pub struct Bounds {
     pub power_ms: f64,
     /// The old master lived, and its frames did not reach the vehicle.
     pub mute_ms: f64,
+    /// For this long after a system became standby it takes over only if the vehicle says that it
+    /// obeys no system, so that every takeover has the bound of a mute master. Each change of the
+    /// driver doubles it.
+    pub hold_down_ms: f64,
 }
 
 /// No bounds.
@@ -38,6 +45,7 @@ impl Default for Bounds {
             silent_ms: f64::INFINITY,
             power_ms: f64::INFINITY,
             mute_ms: f64::INFINITY,
+            hold_down_ms: 0.0,
         }
     }
 }
@@ -50,6 +58,40 @@ impl Bounds {
             Some(Evidence::PeerOff) => self.power_ms,
             Some(Evidence::MasterMute) => self.mute_ms,
             _ => self.silent_ms,
+        }
+    }
+
+    /// The bound of the takeover by the system `to` on this evidence, if the last frame of the old
+    /// master was accepted at `from_ns`.
+    #[must_use]
+    pub fn of_takeover(
+        &self,
+        log: &RunLog,
+        to: SystemId,
+        from_ns: u64,
+        cause: Option<Evidence>,
+    ) -> f64 {
+        let became_standby = |event: &&CoreEvent| {
+            let into_standby =
+                matches!(event.event, Event::Phase { to, .. } if to == Phase::Standby);
+            event.system == to && event.at_ns <= from_ns && into_standby
+        };
+        let since = log.events.iter().rfind(became_standby);
+        let accepted: Vec<&ControlFrame> = log
+            .accepted()
+            .take_while(|frame| frame.at_ns <= from_ns)
+            .collect();
+        let changes = accepted
+            .windows(2)
+            .filter(|pair| pair[0].system != pair[1].system)
+            .count();
+        let hold_ms = self.hold_down_ms * f64::from(1_u32 << changes.min(MAX_DOUBLINGS));
+        let held = since.is_some_and(|since| ms_between(since.at_ns, from_ns) < hold_ms);
+        let bound_ms = self.of(cause);
+        if held {
+            bound_ms.max(self.mute_ms)
+        } else {
+            bound_ms
         }
     }
 }
@@ -105,15 +147,15 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
         } else {
             EndedBy::Takeover(takeovers.iter().find(of_pair).and_then(|of| of.cause))
         };
-        (pair[0].at_ns, pair[1].at_ns, ended_by)
+        (pair[0].at_ns, pair[1].at_ns, pair[1].system, ended_by)
     });
     let last = accepted.last().zip(log.end_ns);
-    let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, EndedBy::Nothing));
+    let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, last.system, EndedBy::Nothing));
     between
         .chain(open)
-        .filter_map(|(from_ns, to_ns, ended_by)| {
+        .filter_map(|(from_ns, to_ns, system, ended_by)| {
             let bound_ms = match ended_by {
-                EndedBy::Takeover(cause) => bounds.of(cause),
+                EndedBy::Takeover(cause) => bounds.of_takeover(log, system, from_ns, cause),
                 EndedBy::SameSystem | EndedBy::Nothing => bounds.silent_ms,
             };
             let is_beyond = ms_between(from_ns, to_ns) > bound_ms;
@@ -204,7 +246,6 @@ mod tests {
     use crate::run_log::Stood;
     use crate::takeovers;
     use tandem_bus::Mode;
-    use tandem_cores::trace::Event;
 
     const A: SystemId = SystemId::A;
     const B: SystemId = SystemId::B;
@@ -212,6 +253,7 @@ mod tests {
         silent_ms: 20.0,
         power_ms: 16.0,
         mute_ms: 19.0,
+        hold_down_ms: 100.0,
     };
 
     fn frame(at_ms: u64, system: SystemId, verdict: Verdict) -> ControlFrame {
@@ -274,6 +316,47 @@ mod tests {
         }
         let same = log(&[(0, A), (21, A)], 21);
         assert_eq!(found(&same, &[])[0].ended_by, EndedBy::SameSystem);
+    }
+
+    /// A system that has just become standby waits for the vehicle's echo, whatever the lines say.
+    #[test]
+    fn in_the_hold_down_a_takeover_has_the_bound_of_a_mute_master() {
+        for (standby_at_ms, to_ms, is_beyond) in [
+            (950, 1_029, false),
+            (950, 1_030, true),
+            (911, 1_029, false),
+            (909, 1_027, true),
+        ] {
+            let mut log = log(&[(0, A), (1_010, A), (to_ms, B)], to_ms);
+            let event = |at_ms: u64, event| CoreEvent {
+                at_ns: at_ms * 1_000_000,
+                system: B,
+                core: tandem_board::CoreId::CONTROL,
+                event,
+            };
+            log.events = vec![
+                event(
+                    standby_at_ms,
+                    Event::Phase {
+                        from: Phase::Starting,
+                        to: Phase::Standby,
+                        on: Evidence::SyncHeard,
+                    },
+                ),
+                event(
+                    to_ms,
+                    Event::TookOver {
+                        cause: Evidence::PeerOff,
+                        since_heartbeat_us: 0,
+                        since_control_us: 0,
+                        term: 3,
+                    },
+                ),
+            ];
+            let found = found(&log, &[]);
+            let last = found.iter().any(|gap| gap.to_ns == to_ms * 1_000_000);
+            assert_eq!(last, is_beyond, "{standby_at_ms} {to_ms}");
+        }
     }
 
     #[test]

@@ -18,6 +18,7 @@ fn synthetic_page() -> String {
             silent_ms: 20.0,
             power_ms: 14.5,
             mute_ms: 20.0,
+            hold_down_ms: 0.0,
         },
         machine: Seen::default(),
         leftovers: Vec::new(),
@@ -96,6 +97,7 @@ fn nobody_drives(machine: Seen) -> (metrics::Metrics, String) {
         silent_ms: 20.0,
         power_ms: 16.0,
         mute_ms: 19.0,
+        hold_down_ms: 0.0,
     };
     let around = Surroundings {
         bounds,
