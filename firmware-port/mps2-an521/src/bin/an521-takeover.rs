@@ -19,7 +19,7 @@ use tandem_board_mps2_an521::memory::strap;
 use tandem_board_mps2_an521::{cpu, entry, exit, log};
 use tandem_bus::{Control, Message, Receiver, Transmitter};
 use tandem_redundancy::{
-    Action, Actions, Config, ControlFrame, Event, Input, Loaded, Mode, PeerReport, Redundancy,
+    Action, Actions, Config, ControlFrame, Event, Input, LinkReport, Loaded, Mode, Redundancy,
     Role, Snapshot, Takeover, Term,
 };
 
@@ -95,10 +95,10 @@ impl<'b> Core<'b> {
                 self.carry_out(&actions);
             }
         }
-        let mut words = [0; PeerReport::WORDS];
+        let mut words = [0; LinkReport::WORDS];
         while let Some(length) = self.board.link().try_receive(&mut words) {
             let words = words.get(..length).unwrap_or_default();
-            if let Some(report) = PeerReport::from_words(words) {
+            if let Some(report) = LinkReport::from_words(words) {
                 let actions = self.machine.on(self.board.now(), Input::LinkReport(report));
                 self.carry_out(&actions);
             }
@@ -112,7 +112,7 @@ impl<'b> Core<'b> {
         self.carry_out(&actions);
         // Each poll, a millisecond: as often as a chip's profile says. A processor that is dead
         // does not empty the link.
-        let report = self.machine.link_report();
+        let report = self.machine.link_report(now);
         let _full = self.board.link().try_send(&report.to_words());
         let due = actions.contains(Action::Transmit) || now >= self.next_frame;
         let sent = due && self.machine.may_transmit(self.board.now());
