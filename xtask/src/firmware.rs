@@ -52,7 +52,11 @@ pub(crate) enum Firmware {
     /// Build and run the images for two Cortex-M33 (QEMU's mps2-an521)
     An521,
     /// Run the conformance suite on the board, and drive with the whole controller as firmware
-    Test,
+    Test {
+        /// Leave out the update of both systems while they drive, which takes over a minute
+        #[arg(long)]
+        quick: bool,
+    },
     /// Build and run an example in another language beside cores in Rust, and measure its library
     Example {
         /// The language
@@ -135,7 +139,7 @@ pub(crate) fn run(root: &Path, task: Firmware) -> Result<()> {
             print!("{}", run_image(root, image, 0, &[])?);
             Ok(())
         }
-        Firmware::Test => test(root),
+        Firmware::Test { quick } => test(root, quick),
         Firmware::Size => size::run(root),
         Firmware::Explore { lengths } => explore(root, lengths),
         Firmware::Bench { json, save } => bench(root, json.as_deref(), save),
@@ -213,7 +217,7 @@ fn run_image(root: &Path, image: Image, shift: u32, straps: &[u32]) -> Result<St
     finish(&mut command)
 }
 
-fn test(root: &Path) -> Result<()> {
+fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
     // The whole workspace, as in all other tests: for one package alone cargo would rebuild much.
     let mut command = crate::cargo(root, &["test", "--workspace"]);
@@ -221,6 +225,13 @@ fn test(root: &Path) -> Result<()> {
         command.args(["--test", file]);
     }
     command.args(["--", "--ignored", "--test-threads", "1"]);
+    if quick {
+        println!("SKIPPED: the update of both emulated systems (cargo xtask firmware test)");
+        command.args([
+            "--skip",
+            "both_emulated_systems_are_updated_while_they_drive",
+        ]);
+    }
     command.env(
         "TANDEM_IMAGES",
         build_dir(root).join(TARGET).join("release"),

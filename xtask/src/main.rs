@@ -86,7 +86,11 @@ enum Task {
         only: String,
     },
     /// Run the tests of shm under Miri, on 64 and on 32 bit, and those of its interface for C
-    Miri,
+    Miri {
+        /// Only on 32 bit, as firmware is
+        #[arg(long)]
+        quick: bool,
+    },
     /// Build, run and measure the bare-metal images under QEMU
     #[command(subcommand)]
     Firmware(firmware::Firmware),
@@ -217,7 +221,7 @@ fn execute() -> Result<()> {
             weakened: false, ..
         } => loom(root),
         Task::Loom { only, .. } => weakened::run(root, &only),
-        Task::Miri => miri(root),
+        Task::Miri { quick } => miri(root, quick),
         Task::Figures { bench, run, check } => {
             figures::run(root, bench.as_deref(), run.as_deref(), check)
         }
@@ -347,14 +351,15 @@ fn loom(root: &Path) -> Result<()> {
     run(command)
 }
 
-fn miri(root: &Path) -> Result<()> {
+fn miri(root: &Path, quick: bool) -> Result<()> {
     const BITS_64: &str = "x86_64-unknown-linux-gnu";
     const BITS_32: &str = "i686-unknown-linux-gnu";
-    for tests in [
+    let all = [
         &["-p", "tandem-shm", "--target", BITS_64][..],
         &["-p", "tandem-shm", "--target", BITS_32],
         &["-p", "tandem-capi", "--test", "calls", "--target", BITS_32],
-    ] {
+    ];
+    for tests in all.into_iter().skip(usize::from(quick)) {
         // The `cargo` of this process belongs to the stable toolchain; the shim chooses nightly.
         let mut command = Command::new("cargo");
         command
