@@ -133,10 +133,13 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
         return Ok(run);
     }
     let (key, paths) = match &args.program_flash {
-        Some(folder) => (
-            boot::key_in(&folder.join("key.der"))?,
-            SystemId::ALL.map(|system| folder.join(format!("{system}.pflash"))),
-        ),
+        Some(folder) => {
+            fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+            (
+                boot::key_in(&folder.join("key.der"))?,
+                SystemId::ALL.map(|system| folder.join(format!("{system}.pflash"))),
+            )
+        }
         None => (
             boot::new_key()?,
             SystemId::ALL.map(|system| files.program_flash(system)),

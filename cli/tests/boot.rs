@@ -92,7 +92,8 @@ fn both_systems_are_updated_while_they_drive() {
     command
         .args(["run", "--scenario", "free-lane", "--reintegrate", "--quiet"])
         .args(["--update", "2", "--program-flash"])
-        .arg(folder.path())
+        // A folder that is not there yet.
+        .arg(folder.path().join("flash"))
         .arg("--out")
         .arg(folder.path().join("report"))
         .stdout(Stdio::null())
@@ -100,7 +101,7 @@ fn both_systems_are_updated_while_they_drive() {
     let mut run = Run(command.spawn().unwrap());
     let launcher = run.0.id();
     let is_updated = |system: &str| {
-        let flash = folder.path().join(format!("{system}.pflash"));
+        let flash = folder.path().join(format!("flash/{system}.pflash"));
         boots(&flash) == Some((Some(Slot::B), 2, false))
     };
     // From then on the files of the flashes are whole.
