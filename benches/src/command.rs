@@ -3,7 +3,7 @@
 use crate::cases::{self, Case, Group};
 use crate::compare::{self, CompareError, Comparison};
 use crate::measure::{self, Measurement};
-use crate::output::{self, OutputError, OutputFile, OutputFolder};
+use crate::output::{OutputError, OutputFile, OutputFolder};
 use crate::page;
 use crate::result::Results;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -142,21 +142,16 @@ struct Outputs {
 
 impl Outputs {
     fn check(args: &BenchArgs) -> Result<Self, OutputError> {
-        let file = |option, path: &Option<PathBuf>| {
-            let path = path.as_deref();
-            path.map(|path| OutputFile::check(option, path)).transpose()
-        };
+        let files = [
+            ("--json", args.json.as_deref()),
+            ("--html", args.html.as_deref()),
+        ];
+        let [json, html] = OutputFile::check_all(files)?;
         let folder = args.hgrm.as_deref();
-        let outputs = Self {
-            json: file("--json", &args.json)?,
-            html: file("--html", &args.html)?,
-            hgrm: folder
-                .map(|path| OutputFolder::check("--hgrm", path))
-                .transpose()?,
-        };
-        let files: Vec<&OutputFile> = outputs.json.iter().chain(&outputs.html).collect();
-        output::distinct(&files)?;
-        Ok(outputs)
+        let hgrm = folder
+            .map(|path| OutputFolder::check("--hgrm", path))
+            .transpose()?;
+        Ok(Self { json, html, hgrm })
     }
 
     fn write(self, results: &Results, all: &[Measurement]) -> Result<(), BenchError> {

@@ -73,6 +73,22 @@ impl OutputFile {
         })
     }
 
+    /// Checks the files that these options name, if they name one, and changes nothing.
+    ///
+    /// # Errors
+    /// [`OutputError`] says what is in the way, such as two options for one file.
+    pub fn check_all<const N: usize>(
+        options: [(&'static str, Option<&Path>); N],
+    ) -> Result<[Option<Self>; N], OutputError> {
+        let mut places = [const { None }; N];
+        for (place, (option, path)) in places.iter_mut().zip(options) {
+            *place = path.map(|path| Self::check(option, path)).transpose()?;
+        }
+        let named: Vec<&Self> = places.iter().flatten().collect();
+        distinct(&named)?;
+        Ok(places)
+    }
+
     /// Writes the file. One that did not exist is not left half-written.
     ///
     /// # Errors
@@ -142,10 +158,7 @@ impl OutputFolder {
 }
 
 /// Refuses two outputs that would go to the same file.
-///
-/// # Errors
-/// [`OutputError`] names the second.
-pub fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
+fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
     for (i, place) in places.iter().enumerate() {
         let same = |other: &&&OutputFile| same(&other.path, &place.path);
         if let Some(other) = places[..i].iter().find(same) {

@@ -158,7 +158,7 @@ where
         }
     }
 
-    /// Notes a period that begins late: the bus carried nothing meanwhile.
+    /// Notes a period that begins late: the bus carried nothing in that time.
     fn note_lateness(&mut self, due_ns: u64) {
         let to_ns = self.port.now().as_ns();
         let from_ns = due_ns.max(self.held_up_ns);

@@ -385,31 +385,12 @@ mod tests {
     use super::*;
 
     fn scene() -> Scene {
-        let object = Object {
-            id: 7,
-            class: ObjectClass::Truck,
-            x: 31.5,
-            y: -3.4,
-            vx: 22.0,
-            vy: 0.3,
-            ax: -1.0,
-            ay: 0.5,
-            length: 12.0,
-            width: 2.5,
-            lane: -1,
-            cuts_in: true,
-            approaching: 6,
-        };
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],
-            view_range: 100.0,
-            width: 3.5,
             left: Some(3.6),
-            right: None,
-            own_end: f32::INFINITY,
             left_end: 120.0,
-            right_end: f32::INFINITY,
             speed_limit: 33.3,
+            ..Lanes::alone(3.5, 100.0)
         };
         Scene {
             at: Instant::from_ns(0x1_2345_6789),
@@ -421,7 +402,7 @@ mod tests {
             },
             lanes: Some(lanes),
             set_speed: Some(30.0),
-            objects: Vec::from_slice(&[object; 3]).unwrap(),
+            objects: Vec::from_slice(&[Object::truck(); 3]).unwrap(),
         }
     }
 

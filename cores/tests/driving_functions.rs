@@ -227,15 +227,8 @@ fn the_drivers_request_is_passed_on() {
 
 fn lanes() -> Lanes {
     Lanes {
-        c: [0.0; 4],
-        view_range: 80.0,
-        width: 3.5,
         left: Some(3.5),
-        right: None,
-        own_end: f32::INFINITY,
-        left_end: f32::INFINITY,
-        right_end: f32::INFINITY,
-        speed_limit: f32::INFINITY,
+        ..Lanes::alone(3.5, 80.0)
     }
 }
 

@@ -37,6 +37,20 @@ pub struct Drive {
     pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
+/// What a controller that starts finds in this flash.
+pub(crate) fn newest_record(flash: &[u8]) -> Loaded {
+    let read = |offset: u32, into: &mut [u8]| {
+        let from = flash.get(offset as usize..);
+        let from = from.and_then(|from| from.get(..into.len()));
+        into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
+        Ok(())
+    };
+    StateStore::load(Geometry::first_sectors(FLASH_SECTOR_BYTES), read).1
+}
+
+/// Size of a sector of the simulated flash.
+pub(crate) const FLASH_SECTOR_BYTES: u32 = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
+
 /// A new incarnation of the core that this board belongs to.
 #[must_use]
 pub fn poller(board: &SimBoard, config: tandem_cores::Config) -> Poller {
@@ -162,16 +176,7 @@ impl Drive {
     /// If it holds no valid record.
     #[must_use]
     pub fn state_in_flash(&self, system: SystemId) -> SystemState {
-        let bytes = self.pair.flash(system);
-        let read = |offset: u32, into: &mut [u8]| {
-            let from = bytes
-                .get(offset as usize..)
-                .and_then(|from| from.get(..into.len()));
-            into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
-            Ok(())
-        };
-        let sector_bytes = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
-        match StateStore::load(Geometry::first_sectors(sector_bytes), read).1 {
+        match newest_record(&self.pair.flash(system)) {
             Loaded::State(state) => state,
             other => panic!("{other:?}"),
         }

@@ -83,6 +83,25 @@ fn a_folder_that_cannot_take_a_report() {
     );
 }
 
+/// Long work does not begin if its results would be lost.
+#[test]
+fn a_result_that_cannot_be_written() {
+    let fixture = Fixture::new();
+    for command in [
+        &["sim", "--seeds", "1000000", "--json"][..],
+        &["sim", "--only", "random:1", "--save"],
+        &["thesis", "--board", "sim", "--json"],
+        &["thesis", "--board", "sim", "--svg"],
+        &["bench", "--json"],
+    ] {
+        refuses(&fixture, &[command, &["."]].concat(), &["it is a folder"]);
+        let missing = &[command, &["no/such/file"]].concat();
+        refuses(&fixture, missing, &["create it first"]);
+    }
+    let twice = ["thesis", "--board", "sim", "--json", "x", "--svg", "x"];
+    refuses(&fixture, &twice, &["the same file"]);
+}
+
 #[test]
 fn a_machine_that_is_not_there() {
     let fixture = Fixture::new();

@@ -175,7 +175,7 @@ pub fn parse(text: &str, file: &str) -> Result<Map, ScenarioError> {
     .map()
 }
 
-/// The line of the first tag with so many attributes that the XML parser would take long.
+/// The line of the first tag with as many attributes that the XML parser would take long.
 fn tag_with_many_attributes(text: &str) -> Option<u32> {
     let (mut line, mut signs, mut in_tag) = (1, 0, false);
     let bytes = text.as_bytes();

@@ -369,8 +369,9 @@ impl Supply<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RunName;
     use crate::args::{Common, Schedule};
-    use crate::name::RunName;
+    use crate::backplane::ScratchRun;
     use tandem_board::watchdog_answer;
     use tandem_peripherals::codec::encode_service;
     use tandem_peripherals::watchdog::question;
@@ -390,8 +391,7 @@ mod tests {
     /// T-CHIP-6: services that the supply reads together keep the distance at which they were sent.
     #[test]
     fn services_that_are_seen_together_are_not_early() {
-        let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
+        let (run, backplane) = ScratchRun::create();
         let args = args(&run);
         let ring = RINGS.service[args.system.index()];
         let words = backplane.ring(ring);
@@ -420,15 +420,13 @@ mod tests {
         supply.look_at_registers();
         assert!(supply.model.is_on());
         assert_eq!(supply.model.question(), question(3), "all were accepted");
-        Backplane::remove(&run);
     }
 
-    /// T-CHIP-6: a supply starts slowly, and the launcher has meanwhile done its part and died: the
+    /// T-CHIP-6: a supply starts slowly, and the launcher has done its part and died by then: the
     /// vehicle still drives.
     #[test]
     fn a_launcher_that_died_after_the_start_is_not_missed() {
-        let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
+        let (run, backplane) = ScratchRun::create();
         let mut launcher = Command::new("true").spawn().unwrap();
         backplane.set_launcher(launcher.id());
         let args = args(&run);
@@ -442,6 +440,5 @@ mod tests {
         backplane.assemble([own; 2], own);
         backplane.set_ignition(true);
         assert!(wait_for_ignition(&args, backplane, 1).is_some());
-        Backplane::remove(&run);
     }
 }

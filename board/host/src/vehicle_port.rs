@@ -291,20 +291,19 @@ fn wait_until_assembled(backplane: Backplane) -> Result<(), VehiclePortError> {
 mod tests {
     use super::*;
     use crate::args::{Common, Schedule};
+    use crate::backplane::ScratchRun;
     use crate::backplane::encode_transmit;
     use crate::can::HostCan;
-    use crate::name::RunName;
     use tandem_board::{Can, CanId, Generation, Identity};
 
     /// A run without processes, in which this process is launcher and vehicle.
-    fn port() -> (RunName, HostVehiclePort) {
-        let run = RunName::unique();
-        let backplane = Backplane::create(&run).unwrap();
+    fn port() -> (ScratchRun, HostVehiclePort) {
+        let (run, backplane) = ScratchRun::create();
         let own = std::process::id();
         backplane.set_launcher(own);
         backplane.assemble([own; 2], own);
         let common = Common {
-            run: run.clone(),
+            run: (*run).clone(),
             schedule: Schedule::default(),
             extra: vec![],
         };
@@ -317,7 +316,7 @@ mod tests {
     /// time is in the future.
     #[test]
     fn a_frame_is_as_old_as_the_bus_knows_it_to_be() {
-        let (run, mut port) = port();
+        let (_run, mut port) = port();
         let ring = RINGS.transmit[CoreAddress::A0.index()];
         let words = port.backplane.ring(ring);
         let mut transmit = bare::fifo_producer(words, ring.shape).unwrap();
@@ -340,14 +339,13 @@ mod tests {
             panic!("one frame was sent");
         };
         assert!(ahead <= clock::now(), "in the future");
-        Backplane::remove(&run);
     }
 
     /// A log is what was on the bus: frames in the order in which a receiver gets them, each with
     /// the receiver's time, independent of the sender and its time.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
-        let (run, mut port) = port();
+        let (_run, mut port) = port();
         let attach = |system, core| {
             let generation = Generation(1);
             let of = Identity {
@@ -385,13 +383,12 @@ mod tests {
         assert_eq!(stamped.len(), 60);
         assert_eq!(heard, stamped);
         assert!(stamped.is_sorted_by_key(|(_, at)| *at));
-        Backplane::remove(&run);
     }
 
     /// T-RED-9: frames that wait when the output closes are not sent; later frames are.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
-        let (run, mut port) = port();
+        let (_run, mut port) = port();
         let of = Identity {
             system: SystemId::A,
             core: CoreId::CONTROL,
@@ -407,6 +404,5 @@ mod tests {
         let mut seen = vec![];
         port.transmitted(&mut |_, _, received| seen.push(received.frame));
         assert_eq!(seen, [frame(4)]);
-        Backplane::remove(&run);
     }
 }

@@ -12,6 +12,7 @@ use std::time::Duration;
 use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
 use indicatif::{ProgressBar, ProgressStyle};
+use tandem_benches::output::OutputFile;
 
 use crate::args::JudgeArgs;
 use crate::failure::Failure;
@@ -23,19 +24,25 @@ use crate::failure::Failure;
 /// collision.
 pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let files = scenarios(&args.folder).map_err(Failure::Usage)?;
+    let places = [
+        ("--json", args.json.as_deref()),
+        ("--html", args.html.as_deref()),
+    ];
+    let places = OutputFile::check_all(places);
+    let [json_to, html_to] = places.map_err(|error| Failure::Usage(error.into()))?;
     let judged = all(args, &files).map_err(Failure::Run)?;
     crate::print(&table(&judged)).map_err(Failure::Run)?;
-    let write = |path: &Path, text: String| {
-        std::fs::write(path, text)
-            .with_context(|| path.display().to_string())
-            .map_err(Failure::Run)
+    let write = |place: OutputFile, text: String| {
+        place
+            .write(&text)
+            .map_err(|error| Failure::Run(error.into()))
     };
-    if let Some(path) = &args.json {
+    if let Some(place) = json_to {
         let json = serde_json::to_string_pretty(&judged).map_err(|e| Failure::Run(e.into()))?;
-        write(path, json + "\n")?;
+        write(place, json + "\n")?;
     }
-    if let Some(path) = &args.html {
-        write(path, page::page(&args.folder, &judged))?;
+    if let Some(place) = html_to {
+        write(place, page::page(&args.folder, &judged))?;
     }
     let caused: Vec<String> = judged
         .iter()

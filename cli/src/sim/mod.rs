@@ -15,6 +15,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
+use tandem_benches::output::OutputFile;
 use tandem_redundancy::Config;
 use tandem_sim::faults::{Group, Sequence};
 
@@ -206,6 +207,8 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     if let (Some(chunk), [source]) = (&arguments.chunk, &sources[..]) {
         return run_chunk(source, chunk, arguments).map_err(Failure::Run);
     }
+    let [place] = OutputFile::check_all([("--json", arguments.json.as_deref())])
+        .map_err(|error| Failure::Usage(error.into()))?;
     let begin = Instant::now();
     let mut all = Summary::default();
     let mut groups = serde_json::Map::new();
@@ -227,22 +230,19 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         all.sequences, all.violated
     ))
     .map_err(Failure::Run)?;
-    if let Some(path) = &arguments.json {
+    if let Some(place) = place {
         let figures = json!({
             "seeds": all.sequences, "violations": all.violated, "simulated_s": simulated_s,
             "wall_s": wall_s, "ratio": ratio, "groups": groups,
         });
-        write(path, &format!("{figures:#}\n")).map_err(Failure::Run)?;
+        let written = place.write(&format!("{figures:#}\n"));
+        written.map_err(|error| Failure::Run(error.into()))?;
     }
     if all.violated > 0 {
         let objection = format!("{} sequences violate what must be so", all.violated);
         return Err(Failure::Objections(vec![objection]));
     }
     Ok(())
-}
-
-fn write(path: &Path, text: &str) -> Result<()> {
-    fs::write(path, text).with_context(|| path.display().to_string())
 }
 
 fn sources(arguments: &SimArgs) -> Result<Vec<Source<'_>>> {
@@ -273,10 +273,13 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
     };
     let sequence = find().map_err(Failure::Usage)?;
     if let Some(path) = &arguments.save {
-        let text = sequence
-            .to_toml()
+        let place = OutputFile::check("--save", path);
+        let place = place.map_err(|error| Failure::Usage(error.into()))?;
+        let text = sequence.to_toml();
+        let text = text.map_err(|error| Failure::Run(error.into()))?;
+        place
+            .write(&text)
             .map_err(|error| Failure::Run(error.into()))?;
-        write(path, &text).map_err(Failure::Run)?;
     }
     let (verdict, mut bench) = sequence.run(arguments.timing.limits(), true);
     let mut text = format!("{sequence}\n");
@@ -317,7 +320,12 @@ fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
     let (from, to, step) = source.numbers(arguments)?;
     let chunk = CHUNK * step;
     let cpus = thread::available_parallelism();
-    let jobs = arguments.jobs.or(cpus.ok()).map_or(1, NonZero::get);
+    let chunks = usize::try_from((to - from).div_ceil(chunk)).unwrap_or(usize::MAX);
+    let jobs = arguments
+        .jobs
+        .or(cpus.ok())
+        .map_or(1, NonZero::get)
+        .min(chunks);
     let bar = ProgressBar::new((to - from).div_ceil(step));
     let style = "{bar:24.cyan/dim} {pos} of {len} sequences, {per_sec}, {eta} left {msg}";
     bar.set_style(ProgressStyle::with_template(style)?);

@@ -5,10 +5,10 @@ mod outputs;
 mod simulated;
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
 use serde::Serialize;
+use tandem_benches::output::OutputFile;
 use tandem_benches::thesis::{self as cores, Counted, Exchange};
 use tandem_record::{RunLog, start};
 
@@ -100,21 +100,31 @@ struct Json<'a> {
 /// [`Failure::Run`] if an experiment cannot be run, [`Failure::Objections`] if a figure is beyond
 /// its bound.
 pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
+    let places = [
+        ("--svg", args.svg.as_deref()),
+        ("--json", args.json.as_deref()),
+    ];
+    let places = OutputFile::check_all(places);
+    let [svg_to, json_to] = places.map_err(|error| Failure::Usage(error.into()))?;
     let shown = experiments(args).map_err(Failure::Run)?;
+    let write = |place: OutputFile, text: &str| {
+        place
+            .write(text)
+            .map_err(|error| Failure::Run(error.into()))
+    };
     let mut text = shown.text;
     text += &table(&shown.rows);
-    if let (Some(svg), Some(path)) = (&shown.svg, &args.svg) {
-        write(path, svg).map_err(Failure::Run)?;
+    if let (Some(svg), Some(place), Some(path)) = (&shown.svg, svg_to, &args.svg) {
+        write(place, svg)?;
         let _ = writeln!(text, "\npicture of the outputs: {}", path.display());
     }
-    if let Some(path) = &args.json {
+    if let Some(place) = json_to {
         let json = Json {
             board: args.board.name(),
             results: &shown.rows,
         };
-        let json = serde_json::to_string_pretty(&json).context("the results");
-        json.and_then(|json| write(path, &(json + "\n")))
-            .map_err(Failure::Run)?;
+        let json = serde_json::to_string_pretty(&json).map_err(|e| Failure::Run(e.into()))?;
+        write(place, &(json + "\n"))?;
     }
     crate::print(&text).map_err(Failure::Run)?;
     let beyond = shown.rows.iter().filter(|row| !row.ok);
@@ -126,10 +136,6 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
     } else {
         Err(Failure::Objections(beyond))
     }
-}
-
-fn write(path: &PathBuf, content: &str) -> anyhow::Result<()> {
-    std::fs::write(path, content).with_context(|| path.display().to_string())
 }
 
 fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {

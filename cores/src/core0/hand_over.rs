@@ -236,7 +236,7 @@ impl Taker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, ObjectClass, Scene};
+    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, Scene};
     use std::vec::Vec;
 
     fn at(ms: u64) -> Instant {
@@ -245,31 +245,9 @@ mod tests {
 
     /// A full road, at 1 s of the sender's clock.
     fn knowledge(objects: usize) -> Knowledge {
-        let object = Object {
-            id: 7,
-            class: ObjectClass::Truck,
-            x: 31.5,
-            y: -3.4,
-            vx: 22.0,
-            vy: 0.3,
-            ax: -1.0,
-            ay: 0.5,
-            length: 12.0,
-            width: 2.5,
-            lane: -1,
-            cuts_in: true,
-            approaching: 5,
-        };
         let lanes = Lanes {
             c: [0.1, 0.01, 1e-4, 0.0],
-            view_range: 100.0,
-            width: 3.5,
-            left: None,
-            right: None,
-            own_end: f32::INFINITY,
-            left_end: f32::INFINITY,
-            right_end: f32::INFINITY,
-            speed_limit: f32::INFINITY,
+            ..Lanes::alone(3.5, 100.0)
         };
         let ego = Ego {
             speed: 25.0,
@@ -282,7 +260,7 @@ mod tests {
             ego,
             lanes: Some(lanes),
             set_speed: None,
-            objects: (0..objects).map(|_| object).collect(),
+            objects: (0..objects).map(|_| Object::truck()).collect(),
         };
         Knowledge::of(&scene, None)
     }
@@ -372,7 +350,7 @@ mod tests {
         assert_eq!(fed(&mut Taker::new(77), &newer), []);
     }
 
-    /// T-CHIP-5: a valid protection around values that do not occur on a road helps nobody.
+    /// T-CHIP-5: values that do not occur on a road are refused, whatever their protection says.
     #[test]
     fn what_no_road_has_is_refused() {
         let wrong: [fn(&mut Knowledge); 6] = [

@@ -40,7 +40,7 @@ const TRAJECTORY_WAITS: Duration = Duration::from_us(1_500);
 const LATE_TRAJECTORIES: u8 = 2;
 /// By this much: a tick of the kernel, at which all releases lie.
 const GRID_STEP: Duration = Duration::from_ms(1);
-/// For so many control cycles of its redundancy, 300 ms, a system asks what the other knows.
+/// For this many control cycles of its redundancy, 300 ms, a system asks what the other knows.
 const YOUNG_CONTROL_CYCLES: u32 = 30;
 /// Motions of the chassis that come between two control cycles: three, and as many again.
 const MOTIONS: usize = 6;

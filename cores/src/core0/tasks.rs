@@ -165,7 +165,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
         }
     }
 
-    /// A fault of the output driver counts when so many polls in a row found it: a switch that just
+    /// A fault of the output driver counts when this many polls in a row found it: a switch that just
     /// opens or closes is none.
     fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
         let found = self.board.output_diagnosis();

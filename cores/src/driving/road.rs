@@ -268,14 +268,7 @@ mod tests {
     fn wild_polynomials_stay_finite() {
         let lanes = Lanes {
             c: [3.0, 1.5, 0.03, -3e-4],
-            view_range: 255.0,
-            width: 3.5,
-            left: None,
-            right: None,
-            own_end: f32::INFINITY,
-            left_end: f32::INFINITY,
-            right_end: f32::INFINITY,
-            speed_limit: f32::INFINITY,
+            ..Lanes::alone(3.5, 255.0)
         };
         let frame = FrenetFrame::new(CentreLine::new(&lanes));
         for x in [-300.0, 0.0, 10.0, 400.0] {

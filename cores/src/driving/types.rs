@@ -53,6 +53,25 @@ pub struct Lanes {
     pub speed_limit: f32,
 }
 
+impl Lanes {
+    /// A straight lane of this `width` in m, seen for `view_range` m, with neither a neighbour nor
+    /// an end nor a speed limit.
+    #[must_use]
+    pub const fn alone(width: f32, view_range: f32) -> Self {
+        Self {
+            c: [0.0; 4],
+            view_range,
+            width,
+            left: None,
+            right: None,
+            own_end: f32::INFINITY,
+            left_end: f32::INFINITY,
+            right_end: f32::INFINITY,
+            speed_limit: f32::INFINITY,
+        }
+    }
+}
+
 /// Kind of an object.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ObjectClass {
@@ -115,6 +134,28 @@ pub struct Object {
     pub cuts_in: bool,
     /// For how many cycles it has been moving in, about: for a system that joins.
     pub approaching: u8,
+}
+
+#[cfg(test)]
+impl Object {
+    /// A truck that cuts in from the right, each field with a value of its own.
+    pub(crate) const fn truck() -> Self {
+        Self {
+            id: 7,
+            class: ObjectClass::Truck,
+            x: 31.5,
+            y: -3.4,
+            vx: 22.0,
+            vy: 0.3,
+            ax: -1.0,
+            ay: 0.5,
+            length: 12.0,
+            width: 2.5,
+            lane: -1,
+            cuts_in: true,
+            approaching: 5,
+        }
+    }
 }
 
 /// What core 1 knows of the world at one time: the object list of T-CHIP-3.

@@ -2,10 +2,11 @@
 
 use super::bench::Bench;
 use super::fault::{Fault, Kind, Way};
+use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
 use std::fmt;
-use tandem_board::{Board, CoreId, DataFlash, Duration, FlashError, Instant, RoleLamp, SystemId};
-use tandem_board_sim::{Power, SimBoard, Wire};
-use tandem_redundancy::{Config, Geometry, Loaded, StateStore, SystemState};
+use tandem_board::{CoreId, Duration, Instant, RoleLamp, SystemId};
+use tandem_board_sim::{Power, Wire};
+use tandem_redundancy::{Config, Loaded, SystemState};
 use tandem_vehicle::gate::Acceptance;
 
 /// A row of the table of bounds: how the vehicle loses its master.
@@ -45,7 +46,7 @@ impl Row {
         }
     }
 
-    /// The row of a clock that is wrong by so many parts in a thousand: until that is found, its
+    /// The row of a clock that is wrong by this many parts in a thousand: until that is found, its
     /// system's control period is as wrong.
     #[must_use]
     pub fn of_clock(permille: i16) -> Self {
@@ -294,16 +295,8 @@ impl Bench {
     /// The newest record in the flash of a system, and how many it has space used by.
     fn record_of(&self, system: SystemId) -> (Loaded, usize) {
         let bytes = self.pair.flash(system);
-        let read = |offset: u32, into: &mut [u8]| {
-            let from = bytes
-                .get(offset as usize..)
-                .and_then(|from| from.get(..into.len()));
-            into.copy_from_slice(from.ok_or(FlashError::OutOfRange)?);
-            Ok(())
-        };
-        let sector = <<SimBoard as Board>::Flash as DataFlash>::SECTOR_BYTES;
-        let loaded = StateStore::load(Geometry::first_sectors(sector), read).1;
-        let slots = bytes[..2 * sector as usize].chunks(SystemState::BYTES);
+        let loaded = newest_record(&bytes);
+        let slots = bytes[..2 * FLASH_SECTOR_BYTES as usize].chunks(SystemState::BYTES);
         let used = slots.filter(|slot| slot.iter().any(|byte| *byte != 0xFF));
         (loaded, used.count())
     }

@@ -414,3 +414,32 @@ impl Backplane {
         }
     }
 }
+
+/// The backplane of a test, which is gone when the test ends, however it ends.
+#[cfg(test)]
+pub(crate) struct ScratchRun(RunName);
+
+#[cfg(test)]
+impl ScratchRun {
+    pub(crate) fn create() -> (Self, Backplane) {
+        let run = RunName::unique();
+        let backplane = Backplane::create(&run).unwrap();
+        (Self(run), backplane)
+    }
+}
+
+#[cfg(test)]
+impl core::ops::Deref for ScratchRun {
+    type Target = RunName;
+
+    fn deref(&self) -> &RunName {
+        &self.0
+    }
+}
+
+#[cfg(test)]
+impl Drop for ScratchRun {
+    fn drop(&mut self) {
+        Backplane::remove(&self.0);
+    }
+}

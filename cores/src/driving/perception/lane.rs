@@ -42,20 +42,9 @@ pub(crate) struct LaneFilter {
 
 impl LaneFilter {
     pub(crate) fn new() -> Self {
-        let lanes = Lanes {
-            c: [0.0; 4],
-            view_range: 0.0,
-            width: DEFAULT_LANE_WIDTH_M,
-            left: None,
-            right: None,
-            own_end: f32::INFINITY,
-            left_end: f32::INFINITY,
-            right_end: f32::INFINITY,
-            speed_limit: f32::INFINITY,
-        };
         Self {
             seen: None,
-            lanes,
+            lanes: Lanes::alone(DEFAULT_LANE_WIDTH_M, 0.0),
             state: Vector4::zeros(),
             covariance: Matrix4::zeros(),
             told: false,

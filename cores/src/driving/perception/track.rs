@@ -234,7 +234,7 @@ impl Track {
         };
     }
 
-    /// Moves the object on by `dt` and into the frame of the vehicle that has meanwhile moved by
+    /// Moves the object on by `dt` and into the frame of the vehicle, which has moved by
     /// `step`.
     pub(crate) fn predict(&mut self, dt: f32, step: &Pose) {
         self.x.predict(dt, &ALONG);
