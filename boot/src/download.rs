@@ -2,8 +2,8 @@
 //!
 //! The manifest of an image comes first and is checked before anything is erased. It is written
 //! last, when the body has been read back: a slot whose manifest can be read has a firm body, also
-//! if the power fell while the manifest was written. What boots changes with one write of the boot
-//! environment, after everything else. T-BOOT-5, U-3, U-5
+//! if the power fell while the manifest was written. After everything else, one write of the boot
+//! environment changes which slot boots. T-BOOT-5, U-3, U-5
 
 use crate::environment::{EnvironmentStore, LoaderUpdate, Selection, Trial};
 use crate::flash::{FlashFault, body_crc, erase, is_intact, program};
@@ -19,7 +19,7 @@ use embedded_storage::nor_flash::NorFlash;
 /// The most images in one file: application, configuration, bootloader.
 const MAX_IMAGES: usize = 3;
 
-/// What a download stands on.
+/// The state of the controller that a download needs.
 #[derive(Debug)]
 pub(crate) struct Ground<'k> {
     pub(crate) trust: Trust<'k>,

@@ -5,8 +5,8 @@
 //! as erased, as right, or differently each time, so no page is ever programmed in a later life
 //! than the one that erased it. A copy is a record and a confirmation page behind it, which is
 //! programmed when the record has been read back. A confirmation that reads as right, even by
-//! luck, thus proves that its record is firm. Why two copies of these survive any two losses of
-//! power in a row stands in `docs/boot.md`.
+//! luck, proves that its record is firm. `docs/boot.md` says why two copies survive any two losses
+//! of power in a row.
 
 use crate::flash::{FlashFault, erase, program, read};
 use crate::map::{PAGE_BYTES, Region, Slot};

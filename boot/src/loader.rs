@@ -26,7 +26,7 @@ const FAREWELL: Duration = Duration::from_ms(50);
 /// What the bootloader is told about this start.
 #[derive(Clone, Copy, Debug)]
 pub struct Setup<'k> {
-    /// Whom it believes.
+    /// The keys that it trusts.
     pub trust: Trust<'k>,
     /// Which system this is.
     pub system: SystemId,
@@ -401,8 +401,7 @@ fn inspect(flash: &mut impl NorFlash, trust: &Trust<'_>, target: Target) -> Opti
 }
 
 /// Makes a boot environment from what the slots hold: of two whole images the older one is active
-/// and the newer one on trial. So begins a new controller, and so goes on one that lost both
-/// copies.
+/// and the newer one on trial. Used by a new controller, and by one that lost both copies.
 fn rebuild(flash: &mut impl NorFlash, setup: &Setup<'_>) -> Environment {
     let mut environment = Environment::default();
     let mut find = |kind: fn(Slot) -> Target| {

@@ -51,7 +51,7 @@ pub struct Part {
 /// What an image says about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Manifest {
-    /// What it is.
+    /// Its kind.
     pub kind: Kind,
     /// Which key signed it.
     pub key: u8,

@@ -18,7 +18,7 @@ pub const MAX_WINDOW: u8 = 16;
 /// How often in a row a record may be wrong before the file is taken for something else.
 const MAX_ATTEMPTS: u8 = 8;
 
-/// Where a connection stands.
+/// The state of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     /// No host yet, or the host was refused.
@@ -29,7 +29,7 @@ enum State {
     Refused(Refusal),
 }
 
-/// The connection and what has come over it.
+/// The connection and the records received over it.
 #[derive(Clone, Debug)]
 pub(crate) struct Session {
     state: State,
@@ -44,7 +44,7 @@ pub(crate) struct Session {
     /// With a window, after an error: nothing counts until the host goes back.
     waits_for_go_back: bool,
     attempts: u8,
-    /// The last accepted record: if its acknowledgement was lost, it comes again.
+    /// The last accepted record: if its acknowledgement was lost, the host sends it again.
     last: Option<Record>,
     heard: Instant,
 }
@@ -93,7 +93,7 @@ impl Session {
             *self = Self::new();
         }
         (self.state, self.heard) = (State::Open, now);
-        // What was under way when the connection broke comes again.
+        // The host sends again what was under way when the connection broke.
         self.assembler = Assembler::default();
         (self.window, self.unanswered, self.waits_for_go_back) = (0, 0, false);
         Answer::Connected

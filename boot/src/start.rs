@@ -17,15 +17,14 @@ pub enum Leave {
     StartPrimary,
 }
 
-/// Who serves the watchdog while the bootloader runs longer than half the limit of the first
-/// service.
+/// Serves the watchdog while the bootloader runs longer than half the limit of the first service.
 pub trait Keeper {
-    /// Serves the watchdog if it is due. Returns when it is due next; [`Instant::NEVER`] if that
-    /// does not concern the caller.
+    /// Serves the watchdog if it is due. Returns when it is due next; [`Instant::NEVER`] if the
+    /// caller need not call again.
     fn keep(&self) -> Instant;
 
-    /// Serves no more; whether an application may take over from here. If not, the bootloader
-    /// leaves by a reset.
+    /// Stops serving. Returns whether an application may take over from here; if not, the
+    /// bootloader ends with a reset.
     fn hand_over(&self) -> bool;
 }
 

@@ -1,4 +1,4 @@
-//! Whom the bootloader believes: Ed25519 keys, strict and monitor mode. E-4
+//! The Ed25519 keys that the bootloader trusts, strict and monitor mode. E-4
 
 use crate::manifest::{MANIFEST_BYTES, SIGNED_BYTES};
 use salty::{CompressedY, EdwardsPoint, Sha512};

@@ -207,10 +207,10 @@ extern void tandem_on_panic(void);
 // The last operation failed.
 #define TANDEM_FLASH_FAILED 2
 
-// What a call came to. Below 16 it did what its name says; from 16 on it did nothing.
+// The result of a call. Below 16 it did what its name says; from 16 on it did nothing.
 //
-// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are what another core did. 48
-// and above are mistakes of the caller.
+// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
+// 48 and above are mistakes of the caller.
 enum tandem_status_t
 #if defined(__cplusplus) || __STDC_VERSION__ >= 202311L
   : int32_t
@@ -226,9 +226,9 @@ enum tandem_status_t
   TANDEM_STATUS_FULL = 16,
   // There is nothing to receive or to read.
   TANDEM_STATUS_EMPTY = 17,
-  // Another core is at it, or the object is in use by the call that runs this handler.
+  // Another core uses it, or the call that runs this handler does.
   TANDEM_STATUS_BUSY = 18,
-  // The lock was not to be had within so many looks.
+  // The lock was not free in any of the permitted polls.
   TANDEM_STATUS_TIMED_OUT = 19,
   // The LMU is not formatted yet.
   TANDEM_STATUS_NOT_READY = 20,
@@ -236,7 +236,7 @@ enum tandem_status_t
   TANDEM_STATUS_OVERRUN = 21,
   // There is something to handle: do not sleep.
   TANDEM_STATUS_DO_NOT_SLEEP = 22,
-  // This is no LMU of this project.
+  // The words are not an LMU of this library.
   TANDEM_STATUS_WRONG_MAGIC = 32,
   // The LMU was formatted by another version of this library.
   TANDEM_STATUS_WRONG_VERSION = 33,
@@ -248,7 +248,7 @@ enum tandem_status_t
   TANDEM_STATUS_STALE = 36,
   // The words belong to another core, or to an earlier incarnation of this one.
   TANDEM_STATUS_NOT_OWNER = 37,
-  // The handle or the datagram is none: forged or scribbled on.
+  // The handle or the datagram is not valid: forged or overwritten.
   TANDEM_STATUS_INVALID = 38,
   // The other core is not alive.
   TANDEM_STATUS_RECEIVER_DEAD = 39,
@@ -387,7 +387,7 @@ typedef struct tandem_lock_t {
   size_t opaque[13];
 } tandem_lock_t;
 
-// Passes the time of `spins` spins (1 ..= 64) between two looks at a lock: yields or sleeps.
+// Waits about as long as `spins` spins (1 ..= 64) between two polls of a lock: yields or sleeps.
 typedef void (*tandem_relax_t)(void *context, uint32_t spins);
 
 // The sending end of a mailbox. There is one at a time; tasks and handlers of the sending core
@@ -461,7 +461,7 @@ typedef struct tandem_state_t {
   uint32_t term;
 } tandem_state_t;
 
-// What was found in the flash.
+// The record found in the flash.
 typedef struct tandem_loaded_t {
   // A `TANDEM_LOADED_…`.
   uint32_t kind;
@@ -513,7 +513,7 @@ typedef struct tandem_actions_t {
   uint64_t deadline_ns;
 } tandem_actions_t;
 
-// What stands in a control frame that passed its end-to-end protection.
+// The content of a control frame that passed its end-to-end protection.
 typedef struct tandem_control_frame_t {
   // `TANDEM_SYSTEM_A` or `TANDEM_SYSTEM_B`: the sender.
   uint32_t system;
@@ -734,8 +734,8 @@ tandem_status_t tandem_lock_attach(struct tandem_lock_t *lock,
                                    uint32_t core,
                                    uint32_t generation);
 
-// Takes the lock, after at most `looks` looks at it (at least 1). `relax` passes the time between
-// two looks; null spins. Task; blocks for no longer than the looks take.
+// Takes the lock, after at most `looks` polls of it (at least 1). `relax` waits between two polls;
+// NULL spins. Task; blocks no longer than the polls take.
 //
 // `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
 // from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
@@ -748,7 +748,7 @@ tandem_status_t tandem_lock_acquire(struct tandem_lock_t *lock,
 // Takes the lock if it is free and no waiting core comes before this one. Any context; does not
 // block.
 //
-// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if it is not to be had.
+// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if another core holds it.
 tandem_status_t tandem_lock_try_acquire(struct tandem_lock_t *lock);
 
 // Gives the lock back. Any context; does not block.
@@ -930,14 +930,15 @@ tandem_status_t tandem_pool_hand_over(struct tandem_pool_t *pool,
 // `tandem_pool_get` does the same where it needs the words. Any context; bounded.
 size_t tandem_pool_reclaim_dead(struct tandem_pool_t *pool);
 
-// How many words are free, in whole blocks, as far as one look tells. Any context; bounded.
+// How many words are free, in whole blocks, at some moment during the call. Any context; bounded.
 size_t tandem_pool_free_words(struct tandem_pool_t *pool);
 
 // Makes the machine of `system` after the checks at power-on. `cause` is a `TANDEM_CAUSE_…`,
 // `loaded` what the store found in the flash, `now_ns` the time of the start. Task; does not
 // block.
 //
-// `TANDEM_STATUS_OUT_OF_RANGE` if a number is none, or the configuration does not fit together.
+// `TANDEM_STATUS_OUT_OF_RANGE` if a number has no meaning, or the configuration does not fit
+// together.
 tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
                                        const struct tandem_config_t *config,
                                        uint32_t system,
@@ -945,9 +946,9 @@ tandem_status_t tandem_redundancy_init(struct tandem_redundancy_t *machine,
                                        const struct tandem_loaded_t *loaded,
                                        uint64_t now_ns);
 
-// The periodic look at the lines; also at once when an edge or the power level interrupts. Hand
-// over everything from the CAN receiver *before* this. Times must not go back. Any context; does
-// not block. The actions are to be carried out.
+// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
+// Hand over everything from the CAN receiver *before* this. Times must not go back. Any context;
+// does not block. The actions are to be carried out.
 tandem_status_t tandem_redundancy_poll(struct tandem_redundancy_t *machine,
                                        uint64_t now_ns,
                                        const struct tandem_snapshot_t *snapshot,
@@ -1053,7 +1054,7 @@ tandem_status_t tandem_store_poll(struct tandem_store_t *store,
                                   uint32_t flash,
                                   struct tandem_flash_op_t *op);
 
-// The operation of the last poll was not started; it comes again. Does not block.
+// The operation of the last poll was not started; the next poll returns it again. Does not block.
 tandem_status_t tandem_store_refused(struct tandem_store_t *store);
 
 // 1 if all that was requested is durable, or never will be; else 0. Does not block.

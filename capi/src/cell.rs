@@ -225,8 +225,8 @@ pub(crate) unsafe fn write_if_wanted<T>(to: *mut T, value: T) -> Result<(), Tand
     unsafe { write(to, value) }
 }
 
-/// Whether a result could be written there: to be asked before something is done that a bad pointer
-/// must not leave half-done.
+/// Checks that a result can be written there, before a call does what a bad pointer must not leave
+/// half-done.
 pub(crate) fn writable<T>(to: *mut T) -> Result<(), TandemStatus> {
     checked(to).map(|_| ())
 }
@@ -243,7 +243,7 @@ pub(crate) unsafe fn words<'c>(first: *const u32, count: usize) -> Result<&'c [u
         return Err(TandemStatus::OutOfRange);
     }
     let first = checked(first.cast_mut())?;
-    // SAFETY: not null and aligned; so many words by the contract.
+    // SAFETY: not null and aligned; `count` words by the contract.
     Ok(unsafe { core::slice::from_raw_parts(first, count) })
 }
 
@@ -262,7 +262,7 @@ pub(crate) unsafe fn words_mut<'c>(
         return Err(TandemStatus::OutOfRange);
     }
     let first = checked(first)?;
-    // SAFETY: not null and aligned; so many words, ours for the call, by the contract.
+    // SAFETY: not null and aligned; `count` words, ours for the call, by the contract.
     Ok(unsafe { core::slice::from_raw_parts_mut(first, count) })
 }
 

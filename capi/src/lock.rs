@@ -28,7 +28,7 @@ pub(crate) struct End {
 
 opaque!(TandemLock, End, 0x03);
 
-/// Passes the time of `spins` spins (1 ..= 64) between two looks at a lock: yields or sleeps.
+/// Waits about as long as `spins` spins (1 ..= 64) between two polls of a lock: yields or sleeps.
 pub type TandemRelax = Option<unsafe extern "C" fn(context: *mut c_void, spins: u32)>;
 
 /// Attaches to the lock in region `region`, as incarnation `generation` of core `core`, which was
@@ -52,8 +52,8 @@ pub unsafe extern "C" fn tandem_lock_attach(
     }
 }
 
-/// Takes the lock, after at most `looks` looks at it (at least 1). `relax` passes the time between
-/// two looks; null spins. Task; blocks for no longer than the looks take.
+/// Takes the lock, after at most `looks` polls of it (at least 1). `relax` waits between two polls;
+/// NULL spins. Task; blocks no longer than the polls take.
 ///
 /// `TANDEM_STATUS_OK`: taken from an owner that had released it. `TANDEM_STATUS_RECOVERED`: taken
 /// from one that died with it, repair what it guards. `TANDEM_STATUS_TIMED_OUT`: not taken.
@@ -92,7 +92,7 @@ fn keep(held: &mut Option<Held<'static>>, acquired: Acquired<'_, 'static>) -> S 
 /// Takes the lock if it is free and no waiting core comes before this one. Any context; does not
 /// block.
 ///
-/// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if it is not to be had.
+/// As `tandem_lock_acquire`; `TANDEM_STATUS_BUSY` if another core holds it.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_lock_try_acquire(lock: *mut TandemLock) -> TandemStatus {
     // SAFETY: the caller's contract is passed on.

@@ -182,7 +182,7 @@ pub unsafe extern "C" fn tandem_pool_reclaim_dead(pool: *mut TandemPool) -> usiz
     unsafe { cell::get(pool) }.map_or(0, |pool| pool.reclaim_dead())
 }
 
-/// How many words are free, in whole blocks, as far as one look tells. Any context; bounded.
+/// How many words are free, in whole blocks, at some moment during the call. Any context; bounded.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_pool_free_words(pool: *mut TandemPool) -> usize {
     // SAFETY: the caller's contract is passed on.

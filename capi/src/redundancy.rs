@@ -96,7 +96,7 @@ pub struct TandemSnapshot {
     pub can_frames: u32,
 }
 
-/// What stands in a control frame that passed its end-to-end protection.
+/// The content of a control frame that passed its end-to-end protection.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemControlFrame {
@@ -271,7 +271,8 @@ impl From<PeerReport> for TandemReport {
 /// `loaded` what the store found in the flash, `now_ns` the time of the start. Task; does not
 /// block.
 ///
-/// `TANDEM_STATUS_OUT_OF_RANGE` if a number is none, or the configuration does not fit together.
+/// `TANDEM_STATUS_OUT_OF_RANGE` if a number has no meaning, or the configuration does not fit
+/// together.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_init(
     machine: *mut TandemRedundancy,
@@ -320,9 +321,9 @@ unsafe fn tell(
     Ok(S::Ok)
 }
 
-/// The periodic look at the lines; also at once when an edge or the power level interrupts. Hand
-/// over everything from the CAN receiver *before* this. Times must not go back. Any context; does
-/// not block. The actions are to be carried out.
+/// Polls the lines; call it each period, and at once when an edge or the power level interrupts.
+/// Hand over everything from the CAN receiver *before* this. Times must not go back. Any context;
+/// does not block. The actions are to be carried out.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_redundancy_poll(
     machine: *mut TandemRedundancy,

@@ -1,9 +1,9 @@
-//! What a call came to.
+//! The result of a call.
 
-/// What a call came to. Below 16 it did what its name says; from 16 on it did nothing.
+/// The result of a call. Below 16 it did what its name says; from 16 on it did nothing.
 ///
-/// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are what another core did. 48
-/// and above are mistakes of the caller.
+/// 16 ..= 31 are expected: try again, or do something else. 32 ..= 47 are caused by another core.
+/// 48 and above are mistakes of the caller.
 #[repr(i32)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TandemStatus {
@@ -18,9 +18,9 @@ pub enum TandemStatus {
     Full = 16,
     /// There is nothing to receive or to read.
     Empty = 17,
-    /// Another core is at it, or the object is in use by the call that runs this handler.
+    /// Another core uses it, or the call that runs this handler does.
     Busy = 18,
-    /// The lock was not to be had within so many looks.
+    /// The lock was not free in any of the permitted polls.
     TimedOut = 19,
     /// The LMU is not formatted yet.
     NotReady = 20,
@@ -29,7 +29,7 @@ pub enum TandemStatus {
     /// There is something to handle: do not sleep.
     DoNotSleep = 22,
 
-    /// This is no LMU of this project.
+    /// The words are not an LMU of this library.
     WrongMagic = 32,
     /// The LMU was formatted by another version of this library.
     WrongVersion = 33,
@@ -41,7 +41,7 @@ pub enum TandemStatus {
     Stale = 36,
     /// The words belong to another core, or to an earlier incarnation of this one.
     NotOwner = 37,
-    /// The handle or the datagram is none: forged or scribbled on.
+    /// The handle or the datagram is not valid: forged or overwritten.
     Invalid = 38,
     /// The other core is not alive.
     ReceiverDead = 39,

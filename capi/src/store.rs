@@ -79,7 +79,7 @@ pub const TANDEM_LOADED_BLANK: u32 = 1;
 /// There is something in the flash, but no valid record.
 pub const TANDEM_LOADED_LOST: u32 = 2;
 
-/// What was found in the flash.
+/// The record found in the flash.
 #[repr(C)]
 #[derive(Clone, Copy, Debug)]
 pub struct TandemLoaded {
@@ -318,7 +318,7 @@ pub unsafe extern "C" fn tandem_store_poll(
     })
 }
 
-/// The operation of the last poll was not started; it comes again. Does not block.
+/// The operation of the last poll was not started; the next poll returns it again. Does not block.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn tandem_store_refused(store: *mut TandemStore) -> TandemStatus {
     status(|| {

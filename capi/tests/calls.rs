@@ -87,7 +87,7 @@ fn free(objects: *mut Objects) {
 /// What C does with words: reads and writes through the pointer.
 fn fill(words: TandemWords, value: u32) {
     for at in 0..words.count {
-        // SAFETY: the library lent so many words.
+        // SAFETY: the library lent `count` words.
         unsafe { words.first.cast::<u32>().add(at).write_volatile(value) };
     }
 }
@@ -150,7 +150,7 @@ fn a_handler_may_use_everything_but_the_receiver_that_runs_it() {
         let mut signals = 0;
         assert_eq!(tandem_mailbox_poll(receiver, &raw mut signals), S::Ok);
         assert_eq!(signals, 2);
-        // What the handler sent to a task that nobody is.
+        // The handler signalled a task that the receiver does not have.
         assert_eq!(tandem_mailbox_poll(receiver, null_mut()), S::Ok);
         assert_eq!(tandem_mailbox_unknown(receiver), 1);
         assert_eq!(tandem_mailbox_prepare_sleep(receiver), S::Ok);
@@ -167,7 +167,7 @@ fn a_handler_may_use_everything_but_the_receiver_that_runs_it() {
     free(o);
 }
 
-/// Between two looks: gives the lock back, so that the one who waits gets it.
+/// Between two polls: releases the lock, so that the waiter gets it.
 unsafe extern "C" fn give_way(context: *mut c_void, spins: u32) {
     assert!(spins >= 1);
     let o = context.cast::<Objects>();
@@ -408,7 +408,7 @@ unsafe extern "C" fn read(context: *mut c_void, offset: u32, into: *mut u8, coun
     0
 }
 
-/// What the machine wants to be kept is found by its next incarnation.
+/// The next incarnation finds what the machine asked to keep.
 #[test]
 fn the_state_goes_through_the_flash_of_c() {
     let mut flash = Flash([0xFF; 256]);

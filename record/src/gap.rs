@@ -411,7 +411,7 @@ mod tests {
             vec![frame(504, A, fenced)],
         ];
         assert_eq!(both(&thawed.concat()), 9.0);
-        // A clean takeover, and there and back; and a standby that says that it is none.
+        // A clean takeover, and there and back; and a standby whose frames claim no mastership.
         let clean = [
             row(A, accepted, 0, 100).collect(),
             row(B, accepted, 113, 300).collect::<Vec<_>>(),

@@ -1,4 +1,4 @@
-//! What a case is, and what each process of its run does.
+//! A case, and what each process of its run does.
 
 use crate::launcher::{again, finish, start_launcher, watch};
 use crate::{calls, control_core, flood};

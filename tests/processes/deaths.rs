@@ -177,7 +177,7 @@ fn the_systems_drive_on_without_tandem_run_and_then_vanish() {
     run.end();
     run.until_dual();
     run.until_vanished();
-    // What a machine without namespaces keeps goes with the next start.
+    // On a machine without namespaces the next start removes what is left.
     fixture.run(&["--duration", "1"]).metrics();
     assert!(run.files().is_empty(), "{:?}", run.files());
 }

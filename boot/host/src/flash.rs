@@ -19,7 +19,7 @@ pub const PROGRAM_TICKS: u64 = PAGE_BYTES as u64 + 1;
 /// Moments in one erase operation: before it, and after each thirty-second of the sector.
 pub const ERASE_TICKS: u64 = 33;
 
-/// What bits that were on their way read as afterwards.
+/// How the bits of an interrupted operation read afterwards.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Tear {

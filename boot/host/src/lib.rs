@@ -1,8 +1,8 @@
 //! The host's side of a download, and a program flash that loses power.
 //!
-//! [`Image::sign`] and [`records`] make a signed file, [`Sender`] sends it, [`ProgramFlash`] is
-//! what it is written to in tests and simulations, and [`life`](mod@life) is a controller between
-//! two losses of power, [`cuts`] the sweep of all points at which power can be lost.
+//! [`Image::sign`] and [`records`] make a signed file, and [`Sender`] sends it. For tests and
+//! simulations, [`ProgramFlash`] is the flash, [`life`](mod@life) a controller between two losses
+//! of power, and [`cuts`] the sweep of all points at which power can be lost.
 #![forbid(unsafe_code)]
 
 mod bus_time;

@@ -13,7 +13,7 @@ pub enum TransferError {
     /// The wire fails.
     #[error("the CAN bus over UDP fails: {0}; is there a route for multicast?")]
     Wire(#[from] io::Error),
-    /// Nobody answers.
+    /// No loader answers.
     #[error("no bootloader answers within {0} s; reset the controller, or check the bus")]
     NoAnswer(u64),
     /// The bootloader says no.

@@ -1,5 +1,5 @@
-//! What a sweep that cuts power between operations only does not see: a loader that decides by
-//! flags, and the same rollback by Tandem's.
+//! A loader that decides by flags loses its rollback to a torn write, which a sweep that cuts power
+//! only between operations does not find; the same rollback by Tandem's loader.
 //!
 //! The loader here is a small model of a swap by flags: each slot has a trailer with a magic
 //! number and two flags, and a table says which combination does what. A combination that the

@@ -87,7 +87,7 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     bench.set_guarded([1, 1]);
     drop(acquired);
 
-    // Its successor goes on where it stopped: the order that killed it is still the next one.
+    // Its successor continues where it stopped: the order that killed it is still the next one.
     bench.drop_order();
     let child = bench.start(2);
     let answer = bench.ask(&[Order::Echo as u32, 5]);
@@ -95,7 +95,7 @@ fn c_dies_with_the_lock_and_rust_is_told() {
     bench.stop(child);
 }
 
-/// Killed at any moment: whoever takes the lock cleanly finds both words equal.
+/// Killed at any moment: a core that takes the lock from a living owner finds both words equal.
 #[test]
 fn c_is_killed_at_any_moment_and_the_lock_tells() {
     let mut bench = Bench::new();
@@ -202,7 +202,7 @@ fn every_broadcast_value_of_c_comes_or_is_counted_as_lost() {
 fn words_of_the_pool_are_handed_to_c_and_back() {
     let mut bench = Bench::new();
     let child = bench.start(1);
-    // Words go to no core that is not there yet.
+    // Words are handed only to a core that is announced.
     bench.ask(&[Order::Echo as u32]);
     let pool = bench.pool(0, 1);
     let free = pool.free_words();

@@ -71,8 +71,8 @@ fn degraded_mode_ends_with_a_driver_who_answers() {
     );
 }
 
-/// The driver overrides for five seconds and engages again; no system takes the other for failed
-/// meanwhile, and the function begins from what the vehicle does.
+/// The driver overrides for five seconds and engages again. Until then no system takes the other
+/// for failed, and the function begins from what the vehicle does.
 #[test]
 fn a_driver_overrides_and_engages_again() {
     let mut drive = with(Habit {

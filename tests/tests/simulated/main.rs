@@ -210,7 +210,8 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
 }
 
 /// T-CHIP-6, T-RED-6: the diagnosis register of the master's output driver finds a fault. The other
-/// drives, the master suspends itself, and its flash says why. What lasts for one poll is none.
+/// drives, the master suspends itself, and its flash says why. A fault that lasts for one poll does
+/// not count.
 #[test]
 fn a_fault_of_the_output_driver_suspends_its_system() {
     for found in [OutputDiagnosis::OpenLoad, OutputDiagnosis::ShortCircuit] {
