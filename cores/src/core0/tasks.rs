@@ -165,8 +165,8 @@ impl<'b, B: Board> Monitoring<'b, B> {
         }
     }
 
-    /// A fault of the output driver counts when this many polls in a row found it: a switch that just
-    /// opens or closes is none.
+    /// A fault of the output driver counts when this many polls in a row found it: a switch that
+    /// opens or closes just then is sound.
     fn supervise_outputs(&mut self, executor: &impl Executor<'b, B>) {
         let found = self.board.output_diagnosis();
         self.output_faults = match found {
