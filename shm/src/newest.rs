@@ -84,6 +84,14 @@ impl<'a, T> Reader<'a, T> {
         self.ring.is_complete(k).then_some(Stamp(k))
     }
 
+    /// Requests the channel's line and does not use it. A core that spins on the mailbox through
+    /// which the writer's core signals calls this before each poll: both lines then move at the
+    /// same time, not one after the other. It changes no result. Never blocks.
+    #[inline]
+    pub fn prefetch(&self) {
+        self.ring.prefetch();
+    }
+
     /// The newest value, to be read in place; the read is valid only after [`View::finish`].
     ///
     /// # Errors

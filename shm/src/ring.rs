@@ -73,6 +73,13 @@ impl<'a> Ring<'a> {
         self.head.load(Ordering::Acquire)
     }
 
+    /// Reader: requests the head's line.
+    #[inline]
+    pub(crate) fn prefetch(&self) {
+        // Relaxed: the value is not used.
+        core::hint::black_box(self.head.load(Ordering::Relaxed));
+    }
+
     #[inline]
     fn at(&self, k: u32) -> usize {
         (k as usize & (self.shape.slots() - 1)) * self.stride
