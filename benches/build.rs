@@ -1,10 +1,57 @@
-//! Builds the one peer that is a C program: FreeRTOS with its own POSIX port.
+//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and notes what a result
+//! must name: commit, compiler and flags.
 
 use std::env;
 use std::error::Error;
 use std::path::PathBuf;
+use std::process::Command;
+
+/// What a command says in its first line; `None` if it fails.
+fn said(command: &mut Command) -> Option<String> {
+    let output = command
+        .output()
+        .ok()
+        .filter(|output| output.status.success())?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    text.lines().next().map(str::to_owned)
+}
+
+fn git(args: &[&str]) -> Option<String> {
+    said(Command::new("git").args(args))
+}
+
+fn note_build() -> Result<(), env::VarError> {
+    if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]) {
+        println!("cargo::rerun-if-changed={log}");
+    }
+    let commit = git(&[
+        "describe",
+        "--always",
+        "--dirty",
+        "--exclude=*",
+        "--abbrev=12",
+    ]);
+    let compiler = said(Command::new(env::var("RUSTC")?).arg("--version"));
+    let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
+    let flags = format!(
+        "opt-level {}, {} {}",
+        env::var("OPT_LEVEL")?,
+        env::var("TARGET")?,
+        flags.replace('\u{1f}', " ")
+    );
+    for (name, value) in [
+        ("COMMIT", commit),
+        ("COMPILER", compiler),
+        ("FLAGS", Some(flags.trim().to_owned())),
+    ] {
+        let value = value.unwrap_or_else(|| "unknown".to_owned());
+        println!("cargo::rustc-env=TANDEM_BENCH_{name}={value}");
+    }
+    Ok(())
+}
 
 fn main() -> Result<(), Box<dyn Error>> {
+    note_build()?;
     let ours = PathBuf::from("src/peers/freertos_posix");
     println!("cargo::rerun-if-changed=build.rs");
     println!("cargo::rerun-if-changed={}", ours.display());

@@ -4,7 +4,6 @@ use crate::harness::{Batch, Plan};
 use crate::peers::{Death, contended_mutex};
 use crate::tandem::Way::{Channel, Signal};
 use crate::tandem::fifo::messages;
-use crate::tandem::newest::{Pace, write};
 use crate::tandem::size::in_place;
 use crate::tandem::sync;
 use crate::{floor, noise, peers, rtos, tandem};
@@ -26,12 +25,6 @@ pub enum Group {
     Throughput,
     /// Taking and giving back the lock: free, contended, and after the death of its owner.
     Lock,
-    /// Borrowing and giving back words of the pool.
-    Pool,
-    /// A wake-up from core 1 over core 2 to core 0.
-    Chain,
-    /// From power-on until all three cores are in sync.
-    StartUp,
     /// One way at a fixed rate, from the intended time of the sending.
     Rate,
     /// FreeRTOS on the host: lateness of the tick, and switches between tasks.
@@ -51,9 +44,6 @@ impl Group {
             Self::Size => "size",
             Self::Throughput => "throughput",
             Self::Lock => "lock",
-            Self::Pool => "pool",
-            Self::Chain => "chain",
-            Self::StartUp => "start-up",
             Self::Rate => "rate",
             Self::Rtos => "rtos",
             Self::Noise => "noise",
@@ -76,8 +66,6 @@ pub struct Case {
     /// Rounds of one batch: some 10 to 50 ms, so that cases take turns while the machine's mood
     /// lasts.
     pub rounds: usize,
-    /// Runs in every `every`-th turn. 1 unless set-up takes seconds.
-    pub every: usize,
     /// One batch, by a plan whose CPUs fit the group.
     run: Run,
 }
@@ -119,53 +107,59 @@ const ADAPTIVE: WaitPolicy = SpinThenSleep { spins: 2000 };
 const SLEEPERS: &[(&str, &str, Run)] = &[
     ("floor", "futex on a shared word", floor::futex),
     ("tandem", "mailbox signal with its value, doorbell, running handler",
-        |p| sync(p, Sleep, Signal)),
+        |p| sync::<1>(p, Sleep, Signal)),
     ("tandem-adaptive", "the same, polling 2000 times before it sleeps",
-        |p| sync(p, ADAPTIVE, Signal)),
+        |p| sync::<1>(p, ADAPTIVE, Signal)),
+    ("tandem-scene", "as the controller sends: channel of 266 words, signal, doorbell, handler",
+        |p| sync::<266>(p, Sleep, Channel)),
     ("eventfd", "eventfd beside shared memory", floor::eventfd),
     ("iceoryx2-event", "event with default settings", peers::iceoryx2_event),
     ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", peers::iceoryx2_event_tuned),
     ("pipe", "two pipes", peers::pipe),
     ("unix-socket", "a pair of SOCK_SEQPACKET", peers::unix_socket),
-    ("message-queue", "two POSIX message queues", peers::message_queue),
 ];
 
 #[rustfmt::skip]
 const CASES: &[Cases] = &[
     (Group::Spin, 20_000, &[
         ("floor", "a cache line between two processes", floor::cache_line),
-        ("tandem", "mailbox signal with its value, running handler", |p| sync(p, Spin, Signal)),
+        ("tandem", "mailbox signal with its value, running handler", |p| sync::<1>(p, Spin, Signal)),
         ("tandem-channel", "newest-value channel, mailbox signal, running handler",
-            |p| sync(p, Spin, Channel)),
+            |p| sync::<1>(p, Spin, Channel)),
+        ("tandem-scene", "the same with the 266 words of a scene, each written and read",
+            |p| sync::<266>(p, Spin, Channel)),
         ("iceoryx2-pubsub", "publish-subscribe with default settings, polled",
             peers::iceoryx2_pubsub),
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",
             peers::iceoryx2_pubsub_tuned),
-        ("crossbeam", "ArrayQueue between threads", peers::crossbeam_channel),
         ("rtrb", "ring buffer between threads", peers::rtrb),
     ]),
     (Group::Sleep, 250, SLEEPERS),
-    (Group::Sleep, 1, &[
-        (SELDOM, "Cyclone DDS over loopback; its own percentiles", peers::ddsperf),
-    ]),
     (Group::OneCpu, 500, SLEEPERS),
     (Group::OneCpu, 8, &[
         ("tandem-spin", "spinning, which keeps the CPU from the other end",
-            |p| sync(p, Spin, Signal)),
+            |p| sync::<1>(p, Spin, Signal)),
     ]),
-    // Each batch fills the payloads anew before it begins: hence many rounds.
     (Group::Size, 10_000, &[
         ("floor", "a cache line between two processes",
             |p| Ok(floor::cache_line(p)?.without_facts())),
-        ("tandem-4B", "in place in shared memory, the signal says where", |p| in_place(p, 4)),
-        ("tandem-64B", "the same", |p| in_place(p, 64)),
-        ("tandem-4KiB", "the same", |p| in_place(p, 4 * KIB)),
-        ("tandem-1MiB", "the same", |p| in_place(p, MIB)),
-        ("tandem-16MiB", "the same", |p| in_place(p, 16 * MIB)),
-        ("iceoryx2-4B", "lent, published, polled", |p| peers::iceoryx2_size(p, 4)),
+        ("tandem-4B", "each word written to a newest-value channel, signalled, read in place",
+            in_place::<1>),
+        ("tandem-64B", "the same", in_place::<16>),
+        ("tandem-1KiB", "the same: as large as a scene of the controller", in_place::<256>),
+        ("tandem-4KiB", "the same", in_place::<KIB>),
+        ("iceoryx2-4B", "each word written to a lent sample, published, polled, read in place",
+            |p| peers::iceoryx2_size(p, 4)),
         ("iceoryx2-64B", "the same", |p| peers::iceoryx2_size(p, 64)),
+        ("iceoryx2-1KiB", "the same", |p| peers::iceoryx2_size(p, KIB)),
         ("iceoryx2-4KiB", "the same", |p| peers::iceoryx2_size(p, 4 * KIB)),
+    ]),
+    (Group::Size, 60, &[
+        ("tandem-1MiB", "the same", in_place::<{ MIB / 4 }>),
         ("iceoryx2-1MiB", "the same", |p| peers::iceoryx2_size(p, MIB)),
+    ]),
+    (Group::Size, 8, &[
+        ("tandem-16MiB", "the same", in_place::<{ 4 * MIB }>),
         ("iceoryx2-16MiB", "the same", |p| peers::iceoryx2_size(p, 16 * MIB)),
     ]),
     (Group::Throughput, 400, &[
@@ -176,32 +170,14 @@ const CASES: &[Cases] = &[
     (Group::Throughput, 200, &[
         ("fifo-64B", "FIFO, copied in and out", |p| messages::<16, 256, 1>(p, 4096)),
         ("fifo-4KiB", "FIFO, copied in and out", |p| messages::<1024, 32, 1>(p, 64)),
-        ("broadcast-1-to-2", "the sender's time; two receivers share a CPU",
+        ("broadcast-1-to-2", "time per message that a receiver got; the two share a CPU",
             tandem::broadcast::to_two),
         ("fifo-2-to-1", "two FIFOs polled by one; two senders share a CPU",
             |p| messages::<2, 512, 2>(p, 4096)),
     ]),
-    (Group::Throughput, 100, &[
-        ("crossbeam-8B", "ArrayQueue between threads", peers::crossbeam_stream),
-    ]),
     (Group::Throughput, 20, &[
         ("pipe-8B", "one write, one read each", peers::pipe_stream),
         ("iceoryx2-8B", "publish-subscribe that waits when full", peers::iceoryx2_stream),
-    ]),
-    (Group::Throughput, 5_000, &[
-        ("newest-write", "a newest value published, without readers", |p| write(p, 0, Pace::Full)),
-        ("newest-write-1-reader", "the same, read at full speed from another CPU",
-            |p| write(p, 1, Pace::Full)),
-        ("newest-write-2-readers", "the same, two readers sharing the other CPU",
-            |p| write(p, 2, Pace::Full)),
-    ]),
-    (Group::Throughput, 10_000, &[
-        ("newest-paced", "one value each microsecond, the clock's reading included",
-            |p| write(p, 0, Pace::Fixed)),
-        ("newest-paced-1-reader", "the same, read each microsecond from another CPU",
-            |p| write(p, 1, Pace::Fixed)),
-        ("newest-paced-2-readers", "the same, two readers sharing the other CPU",
-            |p| write(p, 2, Pace::Fixed)),
     ]),
     (Group::Lock, 10_000, &[
         ("floor", "CAS and release store", floor::cas::lock),
@@ -224,32 +200,9 @@ const CASES: &[Cases] = &[
     ]),
     // Deaths of an owner.
     (Group::Lock, 20, &[
-        ("recovery", "from the mark of the owner's death to the guard", tandem::lock::recovery),
+        ("recovery", "from the kill of the owner to the guard", tandem::lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",
             peers::mutex_recovery),
-    ]),
-    (Group::Pool, 10_000, &[
-        ("floor", "one CAS", floor::cas::one),
-        ("malloc-free", "64 bytes, within one process", peers::malloc_free),
-    ]),
-    (Group::Pool, 2_000, &[("take-give", "16 words by one core", |p| tandem::pool::take_give(p, 1))]),
-    (Group::Pool, 500, &[
-        ("take-give-contended-2", "16 words by two cores at once",
-            |p| tandem::pool::take_give(p, 2)),
-    ]),
-    (Group::Chain, 250, &[
-        ("floor", "two futex wakes", floor::futex_chain),
-        ("tandem", "two signals, all asleep", |p| tandem::chain(p, [Sleep; 3])),
-        ("iceoryx2-event", "two events with default settings", peers::iceoryx2_chain),
-    ]),
-    (Group::Chain, 100, &[
-        ("tandem-spin", "cores 2 and 0 spin, 1 sleeps: it shares a CPU with 0",
-            |p| tandem::chain(p, [Sleep, Spin, Spin])),
-    ]),
-    (Group::StartUp, 15, &[
-        ("floor", "fork and exit of three processes", tandem::start_up::fork_three),
-        ("tandem", "memory, doorbells, three cores, each has heard of each",
-            tandem::start_up::start_up),
     ]),
     (Group::Rate, 400, &[
         ("floor", "futex on a shared word, 10 kHz", floor::futex_at_rate),
@@ -279,11 +232,6 @@ const CASES: &[Cases] = &[
     (Group::Noise, 60, &[("timer", "how late a sleep of 500 us ends", noise::timer)]),
 ];
 
-/// The case that needs seconds to begin.
-const SELDOM: &str = "ddsperf";
-/// The turns from one of its batches to the next.
-const SELDOM_EVERY: usize = 25;
-
 /// All cases in the order in which they are shown.
 pub fn all() -> impl Iterator<Item = Case> {
     CASES.iter().flat_map(|(group, rounds, cases)| {
@@ -292,7 +240,6 @@ pub fn all() -> impl Iterator<Item = Case> {
             name,
             what,
             rounds: *rounds,
-            every: if *name == SELDOM { SELDOM_EVERY } else { 1 },
             run: *run,
         })
     })

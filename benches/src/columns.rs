@@ -89,9 +89,12 @@ const COLUMNS: [Column; 13] = [
     text("x p50", "median over the floor's median", 0, |row| {
         row.ratio_to_floor_p50.map(format::ratio)
     }),
-    text("x p99.9", "99.9th percentile over the floor's", 0, |row| {
-        row.ratio_to_floor_p99_9.map(format::ratio)
-    }),
+    Column {
+        beyond: Some(0.001),
+        ..text("x p99.9", "99.9th percentile over the floor's", 0, |row| {
+            row.ratio_to_floor_p99_9.map(format::ratio)
+        })
+    },
     time("and back", "median of the round trip", 1, |row| {
         row.round_trip.map(|trip| trip.p50_ns)
     }),

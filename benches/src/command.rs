@@ -6,6 +6,7 @@ use crate::measure::{self, Measurement};
 use crate::output::{OutputError, OutputFile, OutputFolder};
 use crate::page;
 use crate::result::Results;
+use crate::worker;
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -19,22 +20,21 @@ Examples:
 Every group has a floor: the bare mechanism, such as a cache line or a futex, between the same
 CPUs in the same run. Read the ratios to it (x p50 and x p99.9); the times are the machine's.
 Ctrl-C ends the measurement: what was measured so far is shown and written.
-After a change of the code, `tandem bench compare a.json b.json` says what became slower.
+After a change of the code, `tandem bench compare --against OLD` says what became slower.
 
 Exit status: 0 all well; 1 nothing could be measured; 2 the command line was wrong or an output
 cannot be written, and nothing was started; 130 ended by Ctrl-C.";
 
 const COMPARE_EXAMPLES: &str = "\
 Examples:
-  tandem bench --json a.json; git switch my-change; tandem bench --json b.json
-  tandem bench compare a.json b.json          exits with 1 if Tandem became slower
-  tandem bench compare a.json b.json --json - | jq .slower
-A change counts if the times and their ratios to the floor agree on it, and if it is larger than
-what either run drifted by itself. Measure both on the same machine, in full, without other work.
-Floors and peers are shown, and do not count: their code is the same.
+  cp target/release/tandem old; git switch my-change; cargo build --release
+  target/release/tandem bench compare --against ./old spin
+                                              exits with 1 if Tandem became slower
+  tandem bench compare --against ./old --json - | jq .slower
+Both programs measure in turn, in pairs of short runs. A change counts if it is beyond what pairs
+differ by chance, and larger than 2 %. Floors and peers are shown, and do not count.
 
-Exit status: 0 nothing of Tandem became slower; 1 something did; 2 a file is missing or no result,
-or the files have no case in common.";
+Exit status: 0 nothing of Tandem became slower; 1 something did; 2 OLD cannot measure.";
 
 /// Arguments of `tandem bench`.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,8 +45,20 @@ pub struct BenchArgs {
     pub command: Option<BenchCommand>,
 
     /// Take half a minute instead of four: fewer samples, the same cases
-    #[arg(long)]
+    #[arg(long, conflicts_with = "seconds")]
     pub quick: bool,
+
+    /// Take this many seconds, and at least one turn of each case
+    #[arg(long, value_name = "SECONDS", value_parser = clap::value_parser!(u16).range(1..=3600))]
+    pub seconds: Option<u16>,
+
+    /// The CPUs of the two ends [default: the first two that this process may use]
+    #[arg(long, value_name = "NEAR,FAR", value_delimiter = ',')]
+    pub cpus: Vec<usize>,
+
+    /// Let the ends have SCHED_FIFO, as the cores of a run
+    #[arg(long)]
+    pub realtime: bool,
 
     /// Write all figures and a description of the machine to this file
     #[arg(long, value_name = "FILE")]
@@ -76,17 +88,25 @@ pub enum BenchCommand {
 #[derive(Clone, Debug, clap::Args)]
 #[command(after_help = COMPARE_EXAMPLES)]
 pub struct CompareArgs {
-    /// Figures of the run before, by `tandem bench --json`
-    #[arg(value_name = "A.json")]
-    pub a: PathBuf,
+    /// The program before the change: a `tandem` that has `bench --seconds`
+    #[arg(long, value_name = "OLD")]
+    pub against: PathBuf,
 
-    /// Figures of the run after
-    #[arg(value_name = "B.json")]
-    pub b: PathBuf,
+    /// Pairs of runs; fewer than 6 can show no change
+    #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u8).range(2..=16))]
+    pub pairs: u8,
+
+    /// Seconds of a run
+    #[arg(long, default_value_t = 4, value_parser = clap::value_parser!(u16).range(1..=3600))]
+    pub seconds: u16,
 
     /// Write the comparison to this file; `-` is stdout, instead of the table
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,
+
+    /// Which groups to compare [default: all]
+    #[arg(value_enum, value_name = "GROUP")]
+    pub groups: Vec<Group>,
 }
 
 /// Why nothing could be measured, shown or compared.
@@ -101,6 +121,14 @@ pub enum BenchError {
     /// The ends need a CPU each.
     #[error("the benchmark needs two CPUs, and this process may use {0}")]
     TooFewCpus(usize),
+    /// The ends cannot be where they were asked to be.
+    #[error("--cpus: name two of the CPUs that this process may use: {0:?}")]
+    Cpus(Vec<usize>),
+    /// SCHED_FIFO was refused.
+    #[error(
+        "--realtime: SCHED_FIFO was refused; raise RLIMIT_RTPRIO (`ulimit -r 80`) or leave it out"
+    )]
+    Realtime,
     /// An output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -116,7 +144,7 @@ pub enum BenchError {
     /// The figures hold what JSON cannot.
     #[error("the figures cannot be written as JSON: {0}")]
     Json(#[from] serde_json::Error),
-    /// The files cannot be compared.
+    /// The programs cannot be compared.
     #[error(transparent)]
     Compare(#[from] CompareError),
 }
@@ -128,7 +156,11 @@ impl BenchError {
     pub const fn is_usage(&self) -> bool {
         matches!(
             self,
-            Self::TooFewCpus(_) | Self::Output(_) | Self::Compare(_)
+            Self::TooFewCpus(_)
+                | Self::Cpus(_)
+                | Self::Realtime
+                | Self::Output(_)
+                | Self::Compare(_)
         )
     }
 }
@@ -191,11 +223,10 @@ impl Outputs {
 /// [`BenchError`]; nothing is written then, unless it is [`BenchError::NotWritten`].
 pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     let outputs = Outputs::check(args)?;
-    let cpus = core_affinity::get_core_ids().unwrap_or_default();
-    let [near, far, ..] = cpus.as_slice() else {
-        return Err(BenchError::TooFewCpus(cpus.len()));
-    };
-    let cpus = [near.id, far.id];
+    let cpus = ends(&args.cpus)?;
+    if args.realtime && !worker::ask_for_realtime() {
+        return Err(BenchError::Realtime);
+    }
     let isolation = isolation::enter()?;
     // Its processes are forked from this one, and use it to their ends.
     let system = Box::leak(Box::new(UnsupervisedSystem::power_on(&isolation)?));
@@ -209,6 +240,20 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     }
     outputs.write(&results, &all)?;
     Ok(results)
+}
+
+/// The CPUs of the near and the far end.
+fn ends(asked: &[usize]) -> Result<[usize; 2], BenchError> {
+    let usable = core_affinity::get_core_ids().unwrap_or_default();
+    let usable: Vec<usize> = usable.iter().map(|cpu| cpu.id).collect();
+    match (asked, &usable[..]) {
+        ([], [near, far, ..]) => Ok([*near, *far]),
+        ([], _) => Err(BenchError::TooFewCpus(usable.len())),
+        ([near, far], _) if near != far && asked.iter().all(|cpu| usable.contains(cpu)) => {
+            Ok([*near, *far])
+        }
+        _ => Err(BenchError::Cpus(usable)),
+    }
 }
 
 fn nothing(results: &Results) -> BenchError {
@@ -228,10 +273,10 @@ fn measure(
     cpus: [usize; 2],
 ) -> Vec<Measurement> {
     let wanted = |case: &Case| args.groups.is_empty() || args.groups.contains(&case.group);
-    let span = if args.quick {
-        measure::QUICK
-    } else {
-        measure::FULL
+    let span = match args.seconds {
+        Some(seconds) => measure::Span::of_seconds(seconds),
+        None if args.quick => measure::QUICK,
+        None => measure::FULL,
     };
     let bar = progress_bar();
     let all = measure::run(
@@ -277,7 +322,7 @@ pub struct Outcome {
     pub shown: String,
 }
 
-/// Compares two files.
+/// Measures with the program before the change and with this one in turn, and compares.
 ///
 /// # Errors
 /// [`BenchError::Compare`] and [`BenchError::Output`]; nothing is written then.
@@ -290,7 +335,31 @@ pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
     let place = file
         .map(|path| OutputFile::check("--json", path))
         .transpose()?;
-    let comparison = compare::files(&args.a, &args.b)?;
+    let this = std::env::current_exe().map_err(|source| CompareError::Start {
+        program: "/proc/self/exe".into(),
+        source,
+    })?;
+    let programs = [&args.against, &this];
+    let groups = args.groups.iter().map(|group| group.name().to_owned());
+    let options = ["--seconds".to_owned(), args.seconds.to_string()];
+    let options: Vec<String> = options.into_iter().chain(groups).collect();
+    let bar = progress_bar();
+    let mut pairs = Vec::new();
+    for pair in 0..args.pairs {
+        bar.set_position((f64::from(pair) / f64::from(args.pairs) * STEPS) as u64);
+        bar.set_message(format!("pair {} of {}", pair + 1, args.pairs));
+        // Neither build is always the first.
+        let run = |at: usize| compare::figures_of(programs[at], &options);
+        pairs.push(if pair % 2 == 0 {
+            let old = run(0)?;
+            [old, run(1)?]
+        } else {
+            let new = run(1)?;
+            [run(0)?, new]
+        });
+    }
+    bar.finish_and_clear();
+    let comparison = compare::compare(&pairs);
     let json = serde_json::to_string_pretty(&comparison)? + "\n";
     if let Some(place) = place {
         place.write(&json).map_err(BenchError::NotWritten)?;
@@ -322,13 +391,16 @@ mod tests {
     fn groups_and_the_comparison_do_not_get_in_each_others_way() {
         let args = parse("--quick sleep spin").unwrap();
         assert_eq!(args.groups, [Group::Sleep, Group::Spin]);
-        let args = parse("compare a.json b.json").unwrap();
+        let args = parse("compare --against old spin").unwrap();
         let Some(BenchCommand::Compare(args)) = args.command else {
             panic!("{args:?}");
         };
-        assert_eq!((args.a, args.b), ("a.json".into(), "b.json".into()));
-        assert!(parse("--quick compare a.json b.json").is_err());
-        assert!(parse("compare a.json").is_err());
+        assert_eq!(
+            (args.against, args.groups),
+            ("old".into(), vec![Group::Spin])
+        );
+        assert!(parse("--quick compare --against old").is_err());
+        assert!(parse("compare spin").is_err());
     }
 
     #[test]
@@ -336,6 +408,14 @@ mod tests {
         let error = parse("spni").unwrap_err();
         for known in ["spin", "sleep", "noise"] {
             assert!(error.contains(known), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_ends_are_two_cpus_that_there_are() {
+        assert_eq!(parse("--cpus 1,0").unwrap().cpus, [1, 0]);
+        for asked in [&[0, 0][..], &[0], &[0, 70_000]] {
+            assert!(ends(asked).unwrap_err().is_usage());
         }
     }
 

@@ -8,7 +8,6 @@
 )]
 
 pub mod cases;
-pub mod chain;
 pub mod clock;
 mod columns;
 pub mod command;
@@ -28,7 +27,6 @@ pub mod provider;
 pub mod result;
 pub mod rtos;
 pub mod shared;
-pub mod stats;
 pub mod stream;
 #[cfg(test)]
 mod synthetic;

@@ -7,7 +7,7 @@ use std::fs;
 /// The dependencies of this build, by the lock file that it was built with.
 const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.lock"));
 /// The peers that are libraries.
-const PEERS: [&str; 3] = ["iceoryx2", "crossbeam", "rtrb"];
+const PEERS: [&str; 2] = ["iceoryx2", "rtrb"];
 
 /// What was measured on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,6 +22,18 @@ pub struct Machine {
     pub kernel: String,
     /// `release` or `debug`.
     pub build: String,
+    /// Commit of the sources when this crate was built; `-dirty`: with changes.
+    #[serde(default)]
+    pub commit: String,
+    /// Compiler.
+    #[serde(default)]
+    pub compiler: String,
+    /// Optimisation, target, and flags of the compiler.
+    #[serde(default)]
+    pub flags: String,
+    /// Where each CPU that an end is pinned to lies: package, core, and who shares its caches.
+    #[serde(default)]
+    pub topology: Vec<String>,
     /// Whether a hypervisor is below: then other guests take time that this system cannot see.
     pub hypervisor: bool,
     /// What scales the clock of the first CPU; `None` if that is not for this system to say.
@@ -54,6 +66,10 @@ impl Machine {
             pinned_to: pinned_to.to_vec(),
             kernel: read("/proc/sys/kernel/osrelease").trim().to_owned(),
             build: build.to_owned(),
+            commit: env!("TANDEM_BENCH_COMMIT").to_owned(),
+            compiler: env!("TANDEM_BENCH_COMPILER").to_owned(),
+            flags: env!("TANDEM_BENCH_FLAGS").to_owned(),
+            topology: pinned_to.iter().map(|cpu| place(*cpu)).collect(),
             hypervisor: field(&info, "flags")
                 .is_some_and(|flags| flags.split(' ').any(|flag| flag == "hypervisor")),
             governor: Some(read(&governor).trim().to_owned()).filter(|name| !name.is_empty()),
@@ -90,10 +106,50 @@ impl Machine {
                 format!("{}, memory {locked}locked", self.scheduling),
             ),
             ("Huge pages for shared memory", self.huge_pages.clone()),
-            ("Build", self.build.clone()),
+            ("Topology", self.topology.join("; ")),
+            (
+                "Build",
+                format!(
+                    "{} of {}, {}, {}",
+                    self.build, self.commit, self.compiler, self.flags
+                ),
+            ),
             ("Versions", versions.join(", ")),
         ]
     }
+}
+
+/// Where a CPU lies, as the kernel tells it.
+fn place(cpu: usize) -> String {
+    let of = |file: &str| {
+        let text = read(&format!("/sys/devices/system/cpu/cpu{cpu}/{file}"));
+        Some(text.trim().to_owned()).filter(|text| !text.is_empty())
+    };
+    let unknown = || "?".to_owned();
+    let caches = (0..8).filter_map(|index| {
+        let kind = of(&format!("cache/index{index}/type"))?;
+        let level = of(&format!("cache/index{index}/level"))?;
+        let shared = of(&format!("cache/index{index}/shared_cpu_list"))?;
+        (kind != "Instruction").then(|| format!("L{level} shared by {shared}"))
+    });
+    format!(
+        "CPU {cpu}: package {}, core {}, {}",
+        of("topology/physical_package_id").unwrap_or_else(unknown),
+        of("topology/core_id").unwrap_or_else(unknown),
+        caches.collect::<Vec<_>>().join(", ")
+    )
+}
+
+/// Time that the hypervisor gave to others while a CPU of this machine wanted to run, ms, since the
+/// start; in steps of 10 ms.
+pub(crate) fn stolen_ms() -> f64 {
+    stolen(&read("/proc/stat"))
+}
+
+fn stolen(stat: &str) -> f64 {
+    // "cpu", then user, nice, system, idle, iowait, irq, softirq, steal, in hundredths of a second.
+    let steal = stat.split_whitespace().nth(8);
+    10.0 * steal.and_then(|text| text.parse().ok()).unwrap_or(0.0)
 }
 
 fn read(path: &str) -> String {
@@ -147,6 +203,12 @@ mod tests {
         let machine = Machine::this(&[0, 1]);
         assert!(!machine.kernel.is_empty() && machine.cpus > 0);
         assert!(machine.facts().iter().all(|(_, value)| !value.is_empty()));
+    }
+
+    #[test]
+    fn stolen_time_is_the_eighth_figure() {
+        assert_eq!(stolen("cpu  1 2 3 4 5 6 7 89 0 0\ncpu0 1 2 3 4"), 890.0);
+        assert_eq!(stolen(""), 0.0);
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::cases::Case;
 use crate::harness::{Batch, Plan};
+use crate::machine::stolen_ms;
 use hdrhistogram::Histogram;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
@@ -30,6 +31,8 @@ pub struct BatchSummary {
     pub p50_ps: u64,
     /// 99th percentile, picoseconds.
     pub p99_ps: u64,
+    /// Time that the hypervisor took during the batch, all CPUs, ms, in steps of 10.
+    pub steal_ms: f64,
     /// As [`Batch::cpu_ns_per_message`].
     pub cpu_ns_per_message: Option<f64>,
     /// As [`Batch::memory_bytes`].
@@ -57,8 +60,8 @@ impl Measurement {
         }
     }
 
-    /// Adds a batch.
-    pub fn add(&mut self, mut batch: Batch) {
+    /// Adds a batch during which the hypervisor took so much.
+    pub fn add(&mut self, mut batch: Batch, steal_ms: f64) {
         for (into, samples) in [
             (&mut self.times, &batch.samples_ps),
             (&mut self.round_trips, &batch.round_trips_ps),
@@ -78,6 +81,7 @@ impl Measurement {
             samples: samples.len(),
             p50_ps: at(0.5),
             p99_ps: at(0.99),
+            steal_ms,
             cpu_ns_per_message: batch.cpu_ns_per_message,
             memory_bytes: batch.memory_bytes,
             payload_bytes: batch.payload_bytes,
@@ -95,6 +99,18 @@ pub struct Span {
     pub turns: usize,
     /// but never longer than this.
     pub at_most: Duration,
+}
+
+impl Span {
+    /// `tandem bench --seconds`: at least a turn of all cases.
+    pub(crate) fn of_seconds(seconds: u16) -> Self {
+        let at_least = Duration::from_secs(seconds.into());
+        Self {
+            at_least,
+            turns: 1,
+            at_most: 4 * at_least + Duration::from_secs(10),
+        }
+    }
 }
 
 /// `tandem bench --quick`: under 40 seconds in all cases.
@@ -148,10 +164,6 @@ pub fn run(
             if was_interrupted() || begin.elapsed() >= span.at_most {
                 return all;
             }
-            if turns % measurement.case.every != 0 {
-                tried = true;
-                continue;
-            }
             let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
             progress(passed.min(1.0), &measurement.case);
             tried = true;
@@ -168,12 +180,14 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
     let case = measurement.case;
     let plan = Plan {
         rounds: case.rounds,
-        warm_up: case.rounds / 10,
+        // At least each slot of a channel of two is touched.
+        warm_up: (case.rounds / 10).max(2),
         cpus,
         system: Some(system),
     };
+    let before_ms = stolen_ms();
     match case.run_batch(&plan) {
-        Ok(batch) => measurement.add(batch),
+        Ok(batch) => measurement.add(batch, stolen_ms() - before_ms),
         Err(_) if was_interrupted() => {}
         Err(error) => measurement.skipped = Some(error.to_string()),
     }
@@ -188,11 +202,12 @@ mod tests {
     fn a_measurement_keeps_all_samples_and_each_batch() {
         let mut measurement = Measurement::new(cases::all().next().unwrap());
         for k in 1..=3 {
-            measurement.add(Batch {
+            let batch = Batch {
                 samples_ps: (1..=100).rev().map(|sample| k * sample * 1000).collect(),
                 facts: vec![("k", k as f64)],
                 ..Batch::default()
-            });
+            };
+            measurement.add(batch, 10.0);
         }
         assert_eq!(measurement.times.len(), 300);
         let medians: Vec<_> = measurement.batches.iter().map(|b| b.p50_ps).collect();

@@ -15,7 +15,7 @@ pub(crate) struct About {
     pub(crate) note: &'static str,
 }
 
-const ABOUT: [(&str, About); 10] = [
+const ABOUT: [(&str, About); 7] = [
     (
         "spin",
         About {
@@ -71,30 +71,6 @@ const ABOUT: [(&str, About); 10] = [
         },
     ),
     (
-        "pool",
-        About {
-            title: "Memory pool",
-            measures: "time to take and give back",
-            note: "A block of shared memory is taken and given back.",
-        },
-    ),
-    (
-        "chain",
-        About {
-            title: "Wake-up chain",
-            measures: "from core 1 over core 2 to core 0",
-            note: "Each core does nothing but wake the next one.",
-        },
-    ),
-    (
-        "start-up",
-        About {
-            title: "Start-up",
-            measures: "from power-on until all three cores are in sync",
-            note: "Processes are started, shared memory is made, and the mailbox start protocol runs.",
-        },
-    ),
-    (
         "rate",
         About {
             title: "Fixed rate",
@@ -146,9 +122,8 @@ pub(crate) fn explanations(results: &Results) -> Markup {
                     }
                     h3 { "Whether something changed" }
                     p {
-                        code { "tandem bench compare A.json B.json" } " tests two runs against each \
-                         other, batch by batch. Two pages side by side prove nothing: runs differ \
-                         even if the code does not."
+                        code { "tandem bench compare --against OLD" } " runs two builds in turn. Two \
+                         pages side by side prove nothing: runs differ even if the code does not."
                     }
                 }
                 div {

@@ -20,20 +20,13 @@ pub enum Provider {
 }
 
 /// First parts of the names of those that are neither floor nor Tandem.
-const PEERS: [(&str, Provider); 13] = [
+const PEERS: [(&str, Provider); 6] = [
     ("iceoryx2", Provider::Iceoryx2),
-    ("crossbeam", Provider::Threads),
     ("rtrb", Provider::Threads),
-    ("std", Provider::Threads),
     ("pipe", Provider::System),
     ("unix-socket", Provider::System),
-    ("message-queue", Provider::System),
     ("eventfd", Provider::System),
-    ("ddsperf", Provider::System),
     ("pthread", Provider::System),
-    ("malloc", Provider::System),
-    ("fork", Provider::System),
-    ("linux", Provider::System),
 ];
 
 impl Provider {

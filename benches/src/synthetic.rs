@@ -32,6 +32,7 @@ pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
         bytes_per_second: None,
         batch_p50_ns: vec![p50_ns; 20],
         batch_p99_ns: vec![at(2.0); 20],
+        batch_steal_ms: vec![0.0; 20],
         curve: curve.collect(),
         facts: BTreeMap::new(),
     }

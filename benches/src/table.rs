@@ -60,6 +60,7 @@ impl Results {
         }
         text += &self.noise_in_words();
         text += "x: times the floor, the bare mechanism of the same run. And back: both ways.\n";
+        text += "(in brackets): fewer than ten samples lie beyond this percentile.\n";
         text
     }
 
@@ -106,9 +107,10 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
     for row in rows {
         let _ = write!(text, "  {:<indent$}", row.case());
         for column in &columns {
-            let cell = column
-                .cell(row, |ns| unit.show(ns))
-                .unwrap_or_else(|| "-".to_owned());
+            let cell = match column.cell(row, |ns| unit.show(ns)) {
+                Some(cell) if column.is_chance(row) => format!("({cell})"),
+                cell => cell.unwrap_or_else(|| "-".to_owned()),
+            };
             let _ = write!(text, "{cell:>WIDTH$}");
         }
         if with_what {
@@ -202,6 +204,15 @@ mod tests {
             let end = |line: &str, of: &str| line.find(of).map(|at| at + of.len());
             assert_eq!(end(lines[0], head), end(lines[2], cell), "{head}\n{table}");
         }
+    }
+
+    #[test]
+    fn a_percentile_that_rests_on_chance_stands_in_brackets() {
+        let mut run = run();
+        assert!(!run.table(120).contains("(1"));
+        run.results[0].samples = 5_000;
+        let tail = Unit::Ns.show(run.results[0].p99_9_ns);
+        assert!(run.table(120).contains(&format!(" ({tail})")));
     }
 
     #[test]

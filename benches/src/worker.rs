@@ -8,9 +8,8 @@ use crate::clock::{cpu_ns, monotonic_ns};
 use crate::shared::{Log, PARTS, Shared, note};
 use std::fs;
 use std::io;
-use std::os::unix::process::CommandExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::process::Command;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// The longest that a batch may take.
@@ -20,6 +19,26 @@ pub const LIMIT: Duration = Duration::from_secs(20);
 pub struct Part<'a> {
     cpu: usize,
     run: Run<'a>,
+}
+
+/// Whether parts get SCHED_FIFO.
+static REALTIME: AtomicBool = AtomicBool::new(false);
+/// Priorities of this process, which ends a batch that hangs, and of its parts.
+const PRIORITIES: [libc::c_int; 2] = [20, 10];
+
+/// Lets this process and all parts from now on have SCHED_FIFO; `false` if it is refused.
+pub(crate) fn ask_for_realtime() -> bool {
+    let granted = set_fifo(PRIORITIES[0]);
+    REALTIME.store(granted, Ordering::Relaxed);
+    granted
+}
+
+fn set_fifo(priority: libc::c_int) -> bool {
+    let priority = libc::sched_param {
+        sched_priority: priority,
+    };
+    // SAFETY: the calling thread, and a valid parameter.
+    unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &priority) == 0 }
 }
 
 /// What a part does.
@@ -204,6 +223,9 @@ impl Child {
                 }
             }
             pin(cpu);
+            if REALTIME.load(Ordering::Relaxed) {
+                set_fifo(PRIORITIES[1]);
+            }
             let done = catch_unwind(AssertUnwindSafe(body)).unwrap_or(false);
             // SAFETY: ends the child without running the parent's exit handlers.
             unsafe { libc::_exit(i32::from(!done)) };
@@ -269,18 +291,6 @@ impl Drop for Child {
             // SAFETY: the descriptor is ours and not used after this.
             unsafe { libc::close(self.pidfd) };
         }
-    }
-}
-
-/// A program that is started by this command is killed when the benchmark dies.
-pub fn die_with_parent(command: &mut Command) {
-    // SAFETY: between fork and exec only one system call is made: no allocation, no lock.
-    unsafe {
-        command.pre_exec(|| {
-            libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
-            libc::signal(libc::SIGINT, libc::SIG_IGN);
-            Ok(())
-        });
     }
 }
 

@@ -26,25 +26,3 @@ pub fn lock(plan: &Plan) -> io::Result<Batch> {
         },
     )
 }
-
-/// One compare-and-swap.
-///
-/// # Errors
-/// As [`alone`].
-pub fn one(plan: &Plan) -> io::Result<Batch> {
-    alone(
-        plan,
-        CHUNK,
-        64,
-        |shared| Ok((shared.line(0), 0u32)),
-        |(word, value)| {
-            let next = value.wrapping_add(1);
-            let order = (Ordering::AcqRel, Ordering::Relaxed);
-            black_box(
-                word.compare_exchange(*value, next, order.0, order.1)
-                    .is_ok(),
-            );
-            *value = next;
-        },
-    )
-}

@@ -5,7 +5,6 @@ mod lines;
 
 pub use lines::full_lines;
 
-use crate::chain::through_three;
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::open_loop::at_fixed_rate;
 use crate::shared::Shared;
@@ -108,16 +107,6 @@ pub fn futex(plan: &Plan) -> io::Result<Batch> {
 pub fn futex_at_rate(plan: &Plan) -> io::Result<Batch> {
     let end = |ways| move |shared: &Shared| Futex::between(shared, ways);
     at_fixed_rate(plan, LINES, end([0, 1]), end([1, 0]))
-}
-
-/// From core 1 over core 2 to core 0, by a futex each.
-///
-/// # Errors
-/// As [`through_three`].
-pub fn futex_chain(plan: &Plan) -> io::Result<Batch> {
-    through_three(plan, 3 * 64, |part, shared| {
-        Futex::between(shared, [part, (part + 2) % 3])
-    })
 }
 
 /// A pair of file descriptors that carry a wake-up, with the stamp in shared memory beside it.

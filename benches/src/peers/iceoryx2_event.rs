@@ -1,6 +1,5 @@
 //! iceoryx2 events: the receiver sleeps until it is notified.
 
-use crate::chain::{PARTS, through_three};
 use crate::harness::{Batch, End, Plan, between_processes, next_run};
 use crate::open_loop::at_fixed_rate;
 use crate::peers::iceoryx2_semaphore::BySemaphore;
@@ -112,20 +111,6 @@ pub fn iceoryx2_event(plan: &Plan) -> io::Result<Batch> {
 /// As [`between_processes`].
 pub fn iceoryx2_event_tuned(plan: &Plan) -> io::Result<Batch> {
     event::<BySemaphore>(plan, true)
-}
-
-/// A wake-up through three processes by events with default settings.
-///
-/// # Errors
-/// As [`through_three`].
-pub fn iceoryx2_chain(plan: &Plan) -> io::Result<Batch> {
-    const WAYS: [&str; PARTS] = ["1 to 2", "2 to 0", "0 to 1"];
-    let run = next_run();
-    through_three(plan, 3 * 64, |part, shared| {
-        let links = [part, (part + PARTS - 1) % PARTS];
-        let ways = links.map(|link| WAYS[link]);
-        EventEnds::<ipc::Service>::open(run, false, ways, links.map(|link| shared.line(2 * link)))
-    })
 }
 
 /// Events with default settings at a fixed rate.

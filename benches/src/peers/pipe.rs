@@ -1,62 +1,34 @@
-//! What the kernel offers to pass bytes: pipe, Unix socket, POSIX message queue. The receiver
-//! sleeps.
+//! What the kernel offers to pass bytes: pipe, Unix socket. The receiver sleeps.
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::shared::Shared;
 use crate::stream::{self, Sink, Source, Stream};
-use std::ffi::CString;
 use std::io;
 
-/// Two descriptors that pass 4 bytes by `read` and `write`; a message queue's understand these
-/// calls on Linux only with its own functions, hence the kind.
+/// Two descriptors that pass 4 bytes by `read` and `write`.
 struct Descriptors {
     out: i32,
     inward: i32,
-    is_queue: bool,
 }
 
 impl End for Descriptors {
     fn send(&mut self, stamp: u32) {
         let bytes = stamp.to_ne_bytes();
         // SAFETY: sends 4 bytes from a valid buffer to a descriptor that both processes hold.
-        unsafe {
-            if self.is_queue {
-                libc::mq_send(self.out, bytes.as_ptr().cast(), bytes.len(), 0);
-            } else {
-                libc::write(self.out, bytes.as_ptr().cast(), bytes.len());
-            }
-        }
+        unsafe { libc::write(self.out, bytes.as_ptr().cast(), bytes.len()) };
     }
 
     fn receive(&mut self) -> u32 {
         let mut bytes = [0u8; 4];
         // SAFETY: receives up to 4 bytes into a valid buffer from a descriptor that both processes
         // hold.
-        unsafe {
-            if self.is_queue {
-                let priority = std::ptr::null_mut();
-                libc::mq_receive(
-                    self.inward,
-                    bytes.as_mut_ptr().cast(),
-                    bytes.len(),
-                    priority,
-                );
-            } else {
-                libc::read(self.inward, bytes.as_mut_ptr().cast(), bytes.len());
-            }
-        }
+        unsafe { libc::read(self.inward, bytes.as_mut_ptr().cast(), bytes.len()) };
         u32::from_ne_bytes(bytes)
     }
 }
 
-fn run(plan: &Plan, near: [i32; 2], far: [i32; 2], is_queue: bool) -> io::Result<Batch> {
-    let end = |[out, inward]: [i32; 2]| {
-        move |_: &Shared| Descriptors {
-            out,
-            inward,
-            is_queue,
-        }
-    };
+fn run(plan: &Plan, near: [i32; 2], far: [i32; 2]) -> io::Result<Batch> {
+    let end = |[out, inward]: [i32; 2]| move |_: &Shared| Descriptors { out, inward };
     let samples = between_processes(plan, 0, end(near), end(far));
     let mut all = [near, far].concat();
     all.sort_unstable();
@@ -89,12 +61,7 @@ fn new_pipe() -> io::Result<[i32; 2]> {
 pub fn pipe(plan: &Plan) -> io::Result<Batch> {
     let [read_there, write_there] = new_pipe()?;
     let [read_back, write_back] = new_pipe()?;
-    run(
-        plan,
-        [write_there, read_back],
-        [write_back, read_there],
-        false,
-    )
+    run(plan, [write_there, read_back], [write_back, read_there])
 }
 
 /// A pair of Unix sockets that keep the boundaries of messages.
@@ -108,32 +75,7 @@ pub fn unix_socket(plan: &Plan) -> io::Result<Batch> {
     if unsafe { libc::socketpair(libc::AF_UNIX, kind, 0, pair.as_mut_ptr()) } != 0 {
         return Err(io::Error::last_os_error());
     }
-    run(plan, [pair[0]; 2], [pair[1]; 2], false)
-}
-
-/// Two POSIX message queues.
-///
-/// # Errors
-/// As [`between_processes`], and if no queue can be had.
-pub fn message_queue(plan: &Plan) -> io::Result<Batch> {
-    let mut queues = [0i32; 2];
-    for (number, queue) in queues.iter_mut().enumerate() {
-        let name = format!("/tandem-bench-{}-{number}", std::process::id());
-        let name = CString::new(name).map_err(io::Error::other)?;
-        // SAFETY: all-zero is a valid value of this plain C struct.
-        let mut attributes: libc::mq_attr = unsafe { std::mem::zeroed() };
-        (attributes.mq_maxmsg, attributes.mq_msgsize) = (8, 4);
-        let flags = libc::O_RDWR | libc::O_CREAT | libc::O_EXCL;
-        // SAFETY: the name is a C string and the attributes are initialised.
-        *queue = unsafe { libc::mq_open(name.as_ptr(), flags, 0o600, &attributes) };
-        if *queue < 0 {
-            return Err(io::Error::last_os_error());
-        }
-        // SAFETY: the name is a C string; the descriptor keeps the queue alive.
-        unsafe { libc::mq_unlink(name.as_ptr()) };
-    }
-    let [there, back] = queues;
-    run(plan, [there, back], [back, there], true)
+    run(plan, [pair[0]; 2], [pair[1]; 2])
 }
 
 /// One end of a pipe.

@@ -1,49 +1,9 @@
-//! Channels between the threads of one process: crossbeam's and rtrb's.
+//! A channel between the threads of one process: rtrb's.
 
 use crate::harness::{Batch, End, Plan, between_threads};
 use crate::stream::{self, Sink, Source, Stream};
 use std::hint::spin_loop;
 use std::io;
-use std::sync::Arc;
-
-struct Crossbeam {
-    out: Arc<crossbeam::queue::ArrayQueue<u32>>,
-    inward: Arc<crossbeam::queue::ArrayQueue<u32>>,
-}
-
-impl End for Crossbeam {
-    fn send(&mut self, stamp: u32) {
-        self.out.force_push(stamp);
-    }
-
-    fn receive(&mut self) -> u32 {
-        loop {
-            if let Some(stamp) = self.inward.pop() {
-                return stamp;
-            }
-            spin_loop();
-        }
-    }
-}
-
-/// crossbeam's bounded queue, polled.
-///
-/// # Errors
-/// As [`between_threads`].
-pub fn crossbeam_channel(plan: &Plan) -> io::Result<Batch> {
-    between_threads(plan, || {
-        let [there, back] = [0, 0].map(|_| Arc::new(crossbeam::queue::ArrayQueue::new(16)));
-        let near = Crossbeam {
-            out: there.clone(),
-            inward: back.clone(),
-        };
-        let far = Crossbeam {
-            out: back,
-            inward: there,
-        };
-        (near, far)
-    })
-}
 
 struct Rtrb {
     out: rtrb::Producer<u32>,
@@ -94,31 +54,6 @@ const STREAM: Stream = Stream {
     own_bytes: 0,
 };
 const SLOTS: usize = 512;
-
-impl Source for Arc<crossbeam::queue::ArrayQueue<u64>> {
-    #[inline]
-    fn send(&mut self, k: u32) -> bool {
-        self.push(u64::from(k)).is_ok()
-    }
-}
-
-impl Sink for Arc<crossbeam::queue::ArrayQueue<u64>> {
-    #[inline]
-    fn receive(&mut self) -> Option<u32> {
-        self.pop().map(|k| k as u32)
-    }
-}
-
-/// A stream of 8 bytes each through crossbeam's bounded queue.
-///
-/// # Errors
-/// As [`stream::between_threads`].
-pub fn crossbeam_stream(plan: &Plan) -> io::Result<Batch> {
-    stream::between_threads(plan, STREAM, || {
-        let queue = Arc::new(crossbeam::queue::ArrayQueue::<u64>::new(SLOTS));
-        (queue.clone(), queue)
-    })
-}
 
 impl Source for rtrb::Producer<u64> {
     #[inline]

@@ -18,6 +18,8 @@ const FLOOR: &str = "floor";
 pub const NOISE: &str = "noise";
 /// The group that is about messages per second.
 const THROUGHPUT: &str = "throughput";
+/// The group that is about bytes per second.
+const SIZE: &str = "size";
 /// Points of a percentile curve, at most.
 const CURVE_POINTS: usize = 100;
 /// A curve ends where fewer samples than this lie beyond it: less would be chance.
@@ -86,12 +88,15 @@ pub struct Row {
     pub memory_bytes: Option<u64>,
     /// At the median time per message; throughput only.
     pub messages_per_second: Option<f64>,
-    /// Payload at the median time per message; throughput only.
+    /// Payload at the median time per message; throughput and size only.
     pub bytes_per_second: Option<f64>,
     /// Median of each batch, in the order of measuring.
     pub batch_p50_ns: Vec<f64>,
     /// 99th percentile of each batch, in the order of measuring.
     pub batch_p99_ns: Vec<f64>,
+    /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
+    #[serde(default)]
+    pub batch_steal_ms: Vec<f64>,
     /// Points (quantile, ns) of the distribution, up to the last nines that the samples carry.
     pub curve: Vec<(f64, f64)>,
     /// Further facts by name.
@@ -184,7 +189,9 @@ impl Row {
         let group = of.case.group.name();
         let batches = &of.batches;
         let payload_bytes = batches.last().map_or(0, |batch| batch.payload_bytes);
-        let rate = (group == THROUGHPUT && at(0.5) > 0).then(|| 1e12 / at(0.5) as f64);
+        let rate = (at(0.5) > 0).then(|| 1e12 / at(0.5) as f64);
+        let bytes = rate.filter(|_| [THROUGHPUT, SIZE].contains(&group) && payload_bytes > 0);
+        let rate = rate.filter(|_| group == THROUGHPUT);
         let cpu: Vec<f64> = batches
             .iter()
             .filter_map(|b| b.cpu_ns_per_message)
@@ -208,9 +215,10 @@ impl Row {
             cpu_ns_per_message: median(&cpu).map(|cpu| rounded(cpu, 10.0)),
             memory_bytes: batches.iter().filter_map(|batch| batch.memory_bytes).max(),
             messages_per_second: rate.map(f64::round),
-            bytes_per_second: rate.map(|rate| (rate * payload_bytes as f64).round()),
+            bytes_per_second: bytes.map(|rate| (rate * payload_bytes as f64).round()),
             batch_p50_ns: batches.iter().map(|batch| exact(batch.p50_ps)).collect(),
             batch_p99_ns: batches.iter().map(|batch| exact(batch.p99_ps)).collect(),
+            batch_steal_ms: batches.iter().map(|batch| batch.steal_ms).collect(),
             curve: curve(&of.times),
             facts: facts(of),
         }

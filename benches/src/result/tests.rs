@@ -10,13 +10,14 @@ fn measured(name: &str, batches: &[Vec<u64>]) -> Measurement {
     let case = cases::all().find(|case| case.full_name() == name).unwrap();
     let mut measurement = Measurement::new(case);
     for samples_ps in batches {
-        measurement.add(Batch {
+        let batch = Batch {
             samples_ps: samples_ps.clone(),
             payload_bytes: 8,
             cpu_ns_per_message: Some(150.04),
             facts: vec![("longest wait, ns", samples_ps[0] as f64), ("share", 0.5)],
             ..Batch::default()
-        });
+        };
+        measurement.add(batch, 0.0);
     }
     measurement
 }
@@ -66,6 +67,7 @@ fn the_file_has_the_names_that_readers_rely_on() {
         [
             "batch_p50_ns",
             "batch_p99_ns",
+            "batch_steal_ms",
             "bytes_per_second",
             "cpu_ns_per_message",
             "curve",
@@ -87,7 +89,18 @@ fn the_file_has_the_names_that_readers_rely_on() {
             "what"
         ]
     );
-    for name in ["cpu", "cpus", "pinned_to", "kernel", "build", "versions"] {
+    for name in [
+        "cpu",
+        "cpus",
+        "pinned_to",
+        "topology",
+        "kernel",
+        "build",
+        "commit",
+        "compiler",
+        "flags",
+        "versions",
+    ] {
         assert!(!file["machine"][name].is_null(), "{name}");
     }
     assert_eq!(file["schema"], SCHEMA);

@@ -2,7 +2,7 @@
 
 use super::lmu;
 use crate::clock::ticks;
-use crate::harness::{Batch, Plan, give_way, time_chunks};
+use crate::harness::{Batch, Plan, give_way};
 use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::Ordering;
@@ -11,10 +11,13 @@ use tandem_shm::region::{Broadcast, Region};
 
 const RING: Region<Broadcast<[u32; 2], 1024>> = Region::first("ring");
 const LAYOUT: Layout = RING.end();
-const CHUNK: usize = 4096;
+/// Messages of a sample.
+const CHUNK: usize = 256;
+/// Messages of a round.
+const SENT: usize = 4096;
 
-/// Both receivers share the far CPU; the writer never waits. A sample is the writer's time per
-/// message; what the receivers had missed when they were late is a fact.
+/// Both receivers share the far CPU; the writer never waits. A sample is a receiver's time per
+/// message that it received; what it had missed when it was late is a fact.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
@@ -25,16 +28,18 @@ pub fn to_two(plan: &Plan) -> io::Result<Batch> {
         let mut writer = writer.expect("it is free");
         role.shared.meet(3);
         let mut k = 0;
-        time_chunks(plan, CHUNK, role, || {
+        role.begin();
+        for _ in 0..(plan.warm_up + plan.rounds) * SENT {
             k = writer.publish(&[k, !k]).0.wrapping_add(1);
-        });
+        }
+        role.end();
         // Release pairs with the Acquire in `receive`: all values are there.
         role.shared.flag().store(1, Ordering::Release);
         Ok(())
     });
     let receiver = || Part::on(plan.cpus[1], |role| receive(&map, role));
     perform(&shared, vec![writer, receiver(), receiver()])?;
-    let sent = ((plan.warm_up + plan.rounds) * CHUNK) as f64;
+    let sent = ((plan.warm_up + plan.rounds) * SENT) as f64;
     let share = |part| shared.log(part).noted(0) / sent;
     let batch = Batch::collect(&shared, 3, plan.rounds, lmu::bytes(LAYOUT));
     Ok(batch
@@ -50,6 +55,7 @@ fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
     role.begin();
     let mut received = 0u32;
     let mut turn = ticks();
+    let mut begin = turn;
     loop {
         // Read before the ring: what was sent before is then seen.
         let last = role.shared.flag().load(Ordering::Acquire) != 0;
@@ -57,6 +63,11 @@ fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
             Ok(Some((k, value))) => {
                 assert_eq!(value, [k.0, !k.0], "a torn value");
                 received += 1;
+                if received.is_multiple_of(CHUNK as u32) {
+                    let now = ticks();
+                    role.log.push(0, now.wrapping_sub(begin));
+                    begin = now;
+                }
             }
             Ok(None) if last => break,
             Ok(None) => give_way(),

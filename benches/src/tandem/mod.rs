@@ -1,19 +1,16 @@
-//! Tandem itself: 4 bytes with a signal of the sync mailbox, or through a newest-value channel and
-//! a signal, on the host board, from the sender's call to the running handler. T-SYNC-4
+//! Tandem itself: 4 bytes with a signal of the sync mailbox, or a payload through a newest-value
+//! channel and a signal, on the host board, from the sender's call to the running handler. T-SYNC-4
 
 pub mod broadcast;
 pub mod fifo;
 mod lmu;
 pub mod lock;
-pub mod newest;
-pub mod pool;
 pub mod size;
-pub mod start_up;
 
-use crate::chain::through_three;
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::open_loop::at_fixed_rate;
 use crate::shared::Shared;
+use crate::tandem::size::{sum_from, word};
 use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
@@ -25,41 +22,47 @@ use tandem_shm::newest::{Reader, Writer};
 use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Event, WaitPolicy};
 
-/// The mailbox and the channel towards each core.
-type Inward = (Region<Mailbox>, Region<Newest<u32>>);
+/// The mailbox and the channel of so many words towards each core.
+type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
 
-const INWARD: [Inward; CoreId::COUNT] = {
-    const fn after((_, channel): Inward) -> Inward {
+struct Regions<const WORDS: usize>;
+
+impl<const WORDS: usize> Regions<WORDS> {
+    const INWARD: [Inward<WORDS>; CoreId::COUNT] = {
+        let mailbox = Region::first("mailbox");
+        let to_0 = (mailbox, mailbox.then("channel"));
+        let to_1 = Self::after(to_0);
+        [to_0, to_1, Self::after(to_1)]
+    };
+    const LAYOUT: Layout = Self::INWARD[CoreId::COUNT - 1].1.end();
+
+    const fn after((_, channel): Inward<WORDS>) -> Inward<WORDS> {
         let mailbox = channel.then("mailbox");
         (mailbox, mailbox.then("channel"))
     }
-    let mailbox = Region::first("mailbox");
-    let to_0 = (mailbox, mailbox.then("channel"));
-    let to_1 = after(to_0);
-    [to_0, to_1, after(to_1)]
-};
-const LAYOUT: Layout = INWARD[CoreId::COUNT - 1].1.end();
+}
+
 const TASK: TaskId = TaskId::FIRST;
 
 /// What the handler works on.
-struct Inbox {
-    value: Reader<'static, u32>,
+struct Inbox<const WORDS: usize> {
+    payload: Reader<'static, [u32; WORDS]>,
     received: Option<u32>,
 }
 
-fn handle(inbox: &mut Inbox, _: u32, call: Call) {
+fn handle<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, call: Call) {
     inbox.received = Some(call.value);
 }
 
-fn handle_channel(inbox: &mut Inbox, _: u32, _: Call) {
-    let value = inbox.value.read();
-    inbox.received = value.ok().map(|(_, value)| value);
+fn handle_channel<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, _: Call) {
+    let payload = inbox.payload.read();
+    inbox.received = payload.ok().map(|(_, words)| sum_from(words.into_iter()));
 }
 
-/// By which way the 4 bytes go.
+/// By which way the payload goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Way {
-    /// As the value of the signal.
+    /// 4 bytes as the value of the signal.
     Signal,
     /// Through a newest-value channel, with a signal.
     Channel,
@@ -88,19 +91,23 @@ impl How {
 }
 
 /// What a core waits for: a signal that its handler has taken.
-struct Waiting {
+struct Waiting<const WORDS: usize> {
     board: &'static HostBoard,
     signals: Receiver<'static>,
-    tasks: TaskTable<Inbox>,
-    inbox: Inbox,
+    tasks: TaskTable<Inbox<WORDS>>,
+    inbox: Inbox<WORDS>,
+    way: Way,
 }
 
-impl Event for Waiting {
+impl<const WORDS: usize> Event for Waiting<WORDS> {
     type Output = u32;
 
     // The waiting loop is nothing but this; called through a pointer it costs a third more.
     #[inline(always)]
     fn check(&mut self) -> Option<u32> {
+        if self.way == Way::Channel {
+            self.inbox.payload.prefetch();
+        }
         self.tasks.run(&mut self.signals, &mut self.inbox);
         self.inbox.received.take()
     }
@@ -119,16 +126,16 @@ impl Event for Waiting {
 }
 
 /// One core: sends to its peer and waits for what its peer sends.
-pub(crate) struct Core {
+pub(crate) struct Core<const WORDS: usize> {
     board: &'static HostBoard,
     peer: CoreId,
     how: How,
-    value: Writer<'static, u32>,
+    payload: Writer<'static, [u32; WORDS]>,
     signal: Sender<'static>,
-    waiting: Waiting,
+    waiting: Waiting<WORDS>,
 }
 
-impl Core {
+impl<const WORDS: usize> Core<WORDS> {
     /// The planning core, which takes part in each case, formats the LMU.
     pub(crate) fn start(
         system: &UnsupervisedSystem,
@@ -141,12 +148,12 @@ impl Core {
             .expect("the bare system is powered");
         let board: &'static HostBoard = Box::leak(Box::new(board));
         if core == CoreId::PLANNING {
-            Map::format(board.lmu(), LAYOUT).expect("it fits");
+            Map::format(board.lmu(), Regions::<WORDS>::LAYOUT).expect("it fits");
         }
         shared.meet(how.parts);
-        let map = Map::attach(board.lmu(), LAYOUT).expect("it was formatted");
+        let map = Map::attach(board.lmu(), Regions::<WORDS>::LAYOUT).expect("it was formatted");
         let own = lmu::announce(&map, core.index(), how.incarnation);
-        let (out, inward) = (INWARD[peer.index()], INWARD[core.index()]);
+        let [out, inward] = [peer, core].map(|core| Regions::<WORDS>::INWARD[core.index()]);
         let mut tasks = TaskTable::new();
         let handler = match how.way {
             Way::Signal => handle,
@@ -154,7 +161,7 @@ impl Core {
         };
         tasks.add(TASK, handler, 0).expect("the table is empty");
         let inbox = Inbox {
-            value: inward.1.reader(&map).expect("it fits"),
+            payload: inward.1.reader(&map).expect("it fits"),
             received: None,
         };
         let signals = inward.0.receiver(&map, own).expect("it is free");
@@ -162,24 +169,26 @@ impl Core {
             board,
             peer,
             how,
-            value: out.1.writer(&map, own).expect("it is free"),
+            payload: out.1.writer(&map, own).expect("it is free"),
             signal: out.0.sender(&map, own).expect("it is free"),
             waiting: Waiting {
                 board,
                 signals,
                 tasks,
                 inbox,
+                way: how.way,
             },
         }
     }
 }
 
-impl End for Core {
+impl<const WORDS: usize> End for Core<WORDS> {
     fn send(&mut self, stamp: u32) {
         let ring = match self.how.way {
             Way::Signal => self.signal.signal_with(TASK, stamp),
             Way::Channel => {
-                self.value.publish(&stamp);
+                self.payload
+                    .publish(&std::array::from_fn(|at| word(stamp, at)));
                 self.signal.signal(TASK)
             }
         };
@@ -194,7 +203,7 @@ impl End for Core {
 }
 
 /// Core 1 towards core 2, and core 2 towards core 1.
-fn both(plan: &Plan, how: How) -> [impl FnOnce(&Shared) -> Core; 2] {
+fn both<const WORDS: usize>(plan: &Plan, how: How) -> [impl FnOnce(&Shared) -> Core<WORDS>; 2] {
     let system = plan.system();
     let ways = [CoreId::PERCEPTION, CoreId::PLANNING];
     [ways, [ways[1], ways[0]]]
@@ -205,27 +214,13 @@ fn both(plan: &Plan, how: How) -> [impl FnOnce(&Shared) -> Core; 2] {
 ///
 /// # Errors
 /// As [`between_processes`].
-pub fn sync(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
+pub fn sync<const WORDS: usize>(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
     let how = How {
         way,
         ..How::new(policy, 2)
     };
-    let [near, far] = both(plan, how);
-    between_processes(plan, 0, near, far)
-}
-
-/// From core 1 over core 2 to core 0; each waits by its policy.
-///
-/// # Errors
-/// As [`through_three`].
-pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
-    const CHAIN: [CoreId; 3] = [CoreId::PERCEPTION, CoreId::PLANNING, CoreId::CONTROL];
-    let (system, how) = (plan.system(), How::new(WaitPolicy::Sleep, 3));
-    through_three(plan, 0, |part, shared| {
-        let policy = policies[part];
-        let ways = [CHAIN[part], CHAIN[(part + 1) % 3]];
-        Core::start(system, shared, ways, How { policy, ..how })
-    })
+    let [near, far] = both::<WORDS>(plan, how);
+    Ok(between_processes(plan, 0, near, far)?.carrying(4 * WORDS as u64))
 }
 
 /// From core 1 to core 2 at a fixed rate.
@@ -233,7 +228,7 @@ pub fn chain(plan: &Plan, policies: [WaitPolicy; 3]) -> io::Result<Batch> {
 /// # Errors
 /// As [`at_fixed_rate`].
 pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
-    let [near, far] = both(plan, How::new(policy, 2));
+    let [near, far] = both::<1>(plan, How::new(policy, 2));
     at_fixed_rate(plan, 0, near, far)
 }
 

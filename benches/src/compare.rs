@@ -1,0 +1,472 @@
+//! `tandem bench compare --against OLD`: what changed between two builds, beyond noise.
+//!
+//! Both programs measure in pairs of short runs, in changing order. Each run has processes of its
+//! own, whose memory lies elsewhere, so the luck of a run is part of the noise that the test sees.
+//! A pair counts as one number: the logarithm of new over old, of the ratio to the floor of the
+//! same run where the group has a floor, else of the time.
+//!
+//! If nothing changed, each number is as often above 0 as below. So p is the share of all choices
+//! of their signs for which the mean lies at least as far from 0 as the measured one (R. A. Fisher,
+//! "The Design of Experiments", 1935, section 21). It is exact and knows no distribution. A change
+//! counts if p is at most [`ALPHA`] after Holm's correction for the number of cases ("A simple
+//! sequentially rejective multiple test procedure", 1979), and if it is larger than
+//! [`SMALLEST_CHANGE`].
+
+use crate::provider::Provider;
+use crate::result::{Results, Row, SCHEMA};
+use serde::Serialize;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, Read as _, Seek as _};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use tandem_page::format::{Unit, median};
+
+/// First field of the comparison's JSON.
+const COMPARE_SCHEMA: &str = "tandem-bench-compare/2";
+/// How often comparisons of equal builds may show a change.
+pub const ALPHA: f64 = 0.05;
+/// Less than this is not worth acting on, however sure it is.
+pub const SMALLEST_CHANGE: f64 = 0.02;
+
+/// Why two builds cannot be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum CompareError {
+    /// The program does not start.
+    #[error("cannot run {program}: {source}")]
+    Start {
+        /// The program.
+        program: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// The program ends with an error.
+    #[error("`{program} bench` failed: {said}")]
+    Failed {
+        /// The program.
+        program: PathBuf,
+        /// The end of what it wrote to stderr.
+        said: String,
+    },
+    /// The program writes other figures than `tandem bench --json`.
+    #[error("{program} is no `tandem` that can be compared: {why}")]
+    Foreign {
+        /// The program.
+        program: PathBuf,
+        /// What is wrong with its figures.
+        why: String,
+    },
+}
+
+/// What became of a figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Verdict {
+    /// It takes less time.
+    Faster,
+    /// It takes more time.
+    Slower,
+    /// Nothing that could not be noise.
+    NoChange,
+}
+
+/// One percentile of one case in both builds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Change {
+    /// Median of the old build's runs, ns.
+    pub old_ns: f64,
+    /// Median of the new build's runs, ns.
+    pub new_ns: f64,
+    /// New over old minus 1: of the ratio to the floor, or of the time where there is no floor.
+    pub change: f64,
+    /// Ends of the interval that holds the true change in at least 95 of 100 comparisons; `None`
+    /// for fewer than 6 pairs.
+    pub interval: Option<[f64; 2]>,
+    /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
+    pub p: f64,
+    /// What became of it.
+    pub verdict: Verdict,
+}
+
+/// One case in both builds.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Compared {
+    /// Group and case.
+    pub name: String,
+    /// Shown for the machine's sake, without a verdict.
+    pub is_floor: bool,
+    /// Not Tandem's: its verdict does not count.
+    pub is_peer: bool,
+    /// Median.
+    pub p50: Change,
+    /// 99th percentile.
+    pub p99: Change,
+}
+
+/// Two builds side by side.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// `tandem-bench-compare/2`.
+    pub schema: &'static str,
+    /// Pairs of runs.
+    pub pairs: usize,
+    /// Cases of Tandem that are slower in the new build.
+    pub slower: Vec<String>,
+    /// Cases of Tandem that are faster in the new build.
+    pub faster: Vec<String>,
+    /// Peers that are slower or faster, although their code is the same.
+    pub peers_changed: Vec<String>,
+    /// The cases that all runs have.
+    pub cases: Vec<Compared>,
+}
+
+/// Runs `program bench` with these arguments and returns its figures.
+///
+/// # Errors
+/// [`CompareError`]
+pub fn figures_of(program: &Path, args: &[String]) -> Result<Results, CompareError> {
+    let cannot_start = |source| CompareError::Start {
+        program: program.to_owned(),
+        source,
+    };
+    // The file has no name, so nothing is left of it, whatever ends this process.
+    let mut file = tempfile::tempfile().map_err(cannot_start)?;
+    let mut command = Command::new(program);
+    command.args(["bench", "--json", "/dev/stdin"]).args(args);
+    command.stdin(file.try_clone().map(Stdio::from).map_err(cannot_start)?);
+    let output = command.stdout(Stdio::null()).output();
+    let output = output.map_err(cannot_start)?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        return Err(CompareError::Failed {
+            program: program.to_owned(),
+            said: said.trim().to_owned(),
+        });
+    }
+    read(&mut file).map_err(|why| CompareError::Foreign {
+        program: program.to_owned(),
+        why,
+    })
+}
+
+fn read(file: &mut File) -> Result<Results, String> {
+    let mut text = String::new();
+    file.rewind().map_err(|error| error.to_string())?;
+    file.read_to_string(&mut text)
+        .map_err(|error| error.to_string())?;
+    let results: Results = serde_json::from_str(&text).map_err(|error| error.to_string())?;
+    if results.schema != SCHEMA {
+        return Err(format!(
+            "its schema is {:?}, not {SCHEMA:?}",
+            results.schema
+        ));
+    }
+    Ok(results)
+}
+
+/// Compares pairs of runs, the old build's first in each.
+#[must_use]
+pub fn compare(pairs: &[[Results; 2]]) -> Comparison {
+    let first = pairs.first().map_or(&[][..], |pair| &pair[0].results[..]);
+    let mut cases: Vec<Compared> = first.iter().filter_map(|row| case(row, pairs)).collect();
+    judge(&mut cases);
+    let names = |those: &dyn Fn(&Compared) -> bool| {
+        let those = cases.iter().filter(|case| those(case));
+        those.map(|case| case.name.clone()).collect()
+    };
+    let has = |case: &Compared, verdict| {
+        [&case.p50, &case.p99]
+            .iter()
+            .any(|of| of.verdict == verdict)
+    };
+    let (slower, faster) = (Verdict::Slower, Verdict::Faster);
+    Comparison {
+        schema: COMPARE_SCHEMA,
+        pairs: pairs.len(),
+        slower: names(&|case| !case.is_peer && has(case, slower)),
+        faster: names(&|case| !case.is_peer && has(case, faster)),
+        peers_changed: names(&|case| case.is_peer && (has(case, slower) || has(case, faster))),
+        cases,
+    }
+}
+
+/// One case, with p-values that are not yet corrected, and no verdict; `None` if a run has it not.
+fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
+    let is_floor = Provider::of(row) == Provider::Floor;
+    let floor = format!("{}/floor", row.group);
+    let find = |run: &Results, name: &str, of: fn(&Row) -> f64| {
+        let row = run.results.iter().find(|row| row.name == name)?;
+        // A time of 0 counts as a picosecond.
+        Some(of(row).max(1e-3))
+    };
+    let change = |of: fn(&Row) -> f64| {
+        let mut times = [vec![], vec![]];
+        let mut differences = vec![];
+        for pair in pairs {
+            let [old, new] = [
+                find(&pair[0], &row.name, of)?,
+                find(&pair[1], &row.name, of)?,
+            ];
+            let floors = [0, 1].map(|at| find(&pair[at], &floor, of));
+            let machine = match floors {
+                [Some(old), Some(new)] if !is_floor => new / old,
+                _ => 1.0,
+            };
+            times[0].push(old);
+            times[1].push(new);
+            differences.push((new / old / machine).ln());
+        }
+        Some(Change::of(times, &differences))
+    };
+    Some(Compared {
+        name: row.name.clone(),
+        is_floor,
+        is_peer: Provider::of(row).is_peer(),
+        p50: change(|row| row.p50_ns)?,
+        p99: change(|row| row.p99_ns)?,
+    })
+}
+
+impl Change {
+    fn of(times: [Vec<f64>; 2], differences: &[f64]) -> Self {
+        let [old_ns, new_ns] = times.map(|of| median(&of).unwrap_or(0.0));
+        Self {
+            old_ns,
+            new_ns,
+            change: median(differences).unwrap_or(0.0).exp_m1(),
+            interval: interval(differences).map(|ends| ends.map(f64::exp_m1)),
+            p: chance(differences),
+            verdict: Verdict::NoChange,
+        }
+    }
+}
+
+/// The share of all choices of signs whose mean lies at least as far from 0 as that of `differences`
+/// (16 at most).
+fn chance(differences: &[f64]) -> f64 {
+    let choices = 1_u32 << differences.len();
+    let mean_of = |signs: u32| {
+        let signed = differences.iter().enumerate();
+        let signed = signed.map(|(at, of)| if signs & 1 << at == 0 { *of } else { -*of });
+        signed.sum::<f64>().abs()
+    };
+    // Sums of the same numbers in the same order: what is equal may still differ by rounding.
+    let measured = mean_of(0) * (1.0 - 1e-12);
+    let as_far = (0..choices).filter(|signs| mean_of(*signs) >= measured);
+    as_far.count() as f64 / f64::from(choices)
+}
+
+/// An interval for the median by the sign test: between the k-th lowest and the k-th highest.
+fn interval(differences: &[f64]) -> Option<[f64; 2]> {
+    let count = differences.len();
+    let mut sorted = differences.to_vec();
+    sorted.sort_unstable_by(f64::total_cmp);
+    // The probability that fewer than k of the numbers lie below the true median.
+    let (mut below, mut ways, mut k) = (0.0, 1.0, 0);
+    loop {
+        below += ways / 2_f64.powi(count as i32);
+        if 2.0 * below > ALPHA {
+            break;
+        }
+        ways *= (count - k) as f64 / (k + 1) as f64;
+        k += 1;
+    }
+    (k > 0).then(|| [sorted[k - 1], sorted[count - k]])
+}
+
+/// Corrects the p-values for their number, and says what each change is. Medians and 99th
+/// percentiles are a family each, and so are Tandem's cases and the peers.
+fn judge(cases: &mut [Compared]) {
+    let percentiles: [fn(&mut Compared) -> &mut Change; 2] =
+        [|case| &mut case.p50, |case| &mut case.p99];
+    for of in percentiles {
+        for floor in cases.iter_mut().filter(|case| case.is_floor) {
+            of(floor).p = 1.0;
+        }
+        for peers in [false, true] {
+            let family = cases.iter_mut();
+            let family = family.filter(|case| !case.is_floor && case.is_peer == peers);
+            let mut family: Vec<&mut Change> = family.map(of).collect();
+            family.sort_unstable_by(|a, b| a.p.total_cmp(&b.p));
+            let (count, mut largest) = (family.len(), 0.0_f64);
+            for (smaller, change) in family.into_iter().enumerate() {
+                largest = largest.max(change.p * (count - smaller) as f64).min(1.0);
+                change.p = largest;
+                let is_real = change.p <= ALPHA;
+                change.verdict = match change.change.ln_1p() {
+                    by if is_real && by > SMALLEST_CHANGE.ln_1p() => Verdict::Slower,
+                    by if is_real && by < -SMALLEST_CHANGE.ln_1p() => Verdict::Faster,
+                    _ => Verdict::NoChange,
+                };
+            }
+        }
+    }
+}
+
+impl Comparison {
+    /// The table for the terminal, 100 columns wide, and what it comes to.
+    #[must_use]
+    pub fn table(&self) -> String {
+        let group = |case: &Compared| case.name.split('/').next().unwrap_or("").to_owned();
+        let mut text = String::new();
+        for cases in self.cases.chunk_by(|a, b| group(a) == group(b)) {
+            let times: Vec<f64> = cases.iter().map(|case| case.p50.old_ns).collect();
+            let unit = Unit::of(&times);
+            let head = format!("{} ({})", group(&cases[0]), unit.name());
+            // Writing to a string cannot fail.
+            let _ = writeln!(
+                text,
+                "{head:<34} {:>8} {:>8} {:>9} {:>21}  verdict",
+                "old", "new", "change", "95 % interval"
+            );
+            for case in cases {
+                for (percentile, of) in [("p50", &case.p50), ("p99", &case.p99)] {
+                    let name = case.name.split_once('/').map_or("", |(_, name)| name);
+                    let verdict = match of.verdict {
+                        _ if case.is_floor => "(the machine)",
+                        Verdict::Faster => "FASTER",
+                        Verdict::Slower => "SLOWER",
+                        Verdict::NoChange => "no change",
+                    };
+                    let interval = of.interval.map_or("-".to_owned(), |[low, high]| {
+                        format!("{} .. {}", percent(low), percent(high))
+                    });
+                    let _ = writeln!(
+                        text,
+                        "  {:<27} {percentile:>4} {:>8} {:>8} {:>9} {interval:>21}  {verdict}",
+                        if percentile == "p50" { name } else { "" },
+                        unit.show(of.old_ns),
+                        unit.show(of.new_ns),
+                        percent(of.change),
+                    );
+                }
+            }
+            text.push('\n');
+        }
+        for (names, word) in [
+            (&self.slower, "slower"),
+            (&self.faster, "faster"),
+            (
+                &self.peers_changed,
+                "changed by chance: their code is the same",
+            ),
+        ] {
+            if !names.is_empty() {
+                let _ = writeln!(text, "{word}: {}", names.join(", "));
+            }
+        }
+        let _ = writeln!(
+            text,
+            "{} pairs of runs. A change is that of the ratio to the floor. It counts if p <= {ALPHA} \
+             after Holm's\ncorrection and if it exceeds {:.0} %.",
+            self.pairs,
+            SMALLEST_CHANGE * 100.0
+        );
+        text
+    }
+}
+
+/// A relative change with its sign: `+10.2 %`.
+fn percent(change: f64) -> String {
+    let percent = change * 100.0;
+    let decimals = usize::from(percent.abs() < 99.95);
+    // No "-0.0".
+    let percent = if percent.abs() < 0.05 { 0.0 } else { percent };
+    format!("{percent:+.decimals$} %")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::{results, row};
+    use rand_chacha::ChaCha8Rng;
+    use rand_chacha::rand_core::SeedableRng as _;
+    use rand_distr::{Distribution as _, Normal};
+
+    /// Worked by hand.
+    #[test]
+    fn chance_and_interval_are_those_of_the_definitions() {
+        // Of eight choices of signs only +++ and --- have a mean as far from 0.
+        assert_eq!(chance(&[1.0, 2.0, 4.0]), 0.25);
+        // |-1 + 2 + 4| = 5 is reached by +++, -++ and their opposites.
+        assert_eq!(chance(&[-1.0, 2.0, 4.0]), 0.5);
+        assert_eq!(chance(&[0.0; 4]), 1.0);
+        // 2 x P(fewer than 3 of 12 below the median) = 0.039, fewer than 4: 0.146.
+        let twelve: Vec<f64> = (1..=12).rev().map(f64::from).collect();
+        assert_eq!(interval(&twelve), Some([3.0, 10.0]));
+        assert_eq!(interval(&twelve[..6]), Some([7.0, 12.0]));
+        assert_eq!(interval(&twelve[..5]), None);
+    }
+
+    const CASES: [&str; 4] = [
+        "spin/floor",
+        "spin/tandem",
+        "spin/tandem-channel",
+        "spin/pipe",
+    ];
+
+    /// Pairs of runs on a machine like ours. Each run is fast or slow as a whole, and each case of a
+    /// run has an effect of its own, which all of its batches share.
+    fn pairs(random: &mut ChaCha8Rng, count: usize, factor: f64) -> Vec<[Results; 2]> {
+        let mood = Normal::new(0.0, 0.3).unwrap();
+        let effect = Normal::new(0.0, 0.04).unwrap();
+        let mut run = |factor: f64| {
+            let mood: f64 = mood.sample(random);
+            let mut time = |name: &str| {
+                let ours = if name.contains("tandem") { factor } else { 1.0 };
+                row(name, 150.0 * ours * (mood + effect.sample(random)).exp())
+            };
+            results(CASES.map(time).to_vec())
+        };
+        (0..count).map(|_| [run(1.0), run(factor)]).collect()
+    }
+
+    /// The error rate holds although each run has an effect that its batches share.
+    #[test]
+    fn equal_builds_differ_as_rarely_as_promised() {
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        let comparisons = 400;
+        let errors = (0..comparisons).filter(|_| {
+            let found = compare(&pairs(&mut random, 10, 1.0));
+            // Medians and 99th percentiles are the same here: one family.
+            !found.slower.is_empty() || !found.faster.is_empty()
+        });
+        // 20 are expected; 3.5 deviations of the binomial distribution are 15.
+        let errors = errors.count();
+        assert!(errors <= 35, "{errors} of {comparisons}");
+    }
+
+    #[test]
+    fn a_tenth_more_is_found_and_what_is_not_ours_does_not_count() {
+        let mut random = ChaCha8Rng::seed_from_u64(8);
+        let found = compare(&pairs(&mut random, 12, 1.1));
+        assert_eq!(found.slower, ["spin/tandem", "spin/tandem-channel"]);
+        assert!(found.faster.is_empty() && found.peers_changed.is_empty());
+        assert!((0.03..0.2).contains(&found.cases[1].p50.change));
+        let floor = &found.cases[0];
+        assert!(floor.is_floor && floor.p50.p == 1.0 && floor.p50.verdict == Verdict::NoChange);
+        let table = found.table();
+        assert!(
+            table.contains("SLOWER") && table.contains("slower: spin/tandem, "),
+            "{table}"
+        );
+        let faster = compare(&pairs(&mut random, 12, 0.8));
+        assert_eq!(faster.faster, ["spin/tandem", "spin/tandem-channel"]);
+    }
+
+    #[test]
+    fn a_sure_change_of_a_hundredth_is_no_change() {
+        let run = |ns| results(vec![row("lock/free", ns)]);
+        let found = compare(&vec![[run(100.0), run(101.0)]; 10]);
+        assert!(found.cases[0].p50.p < 0.01);
+        assert!(found.slower.is_empty());
+        let missing = compare(&[[run(100.0), results(vec![])]]);
+        assert!(missing.cases.is_empty());
+    }
+
+    #[test]
+    fn changes_are_written_with_their_sign() {
+        let shown = [0.1023, -0.05, -0.0001, 2.5].map(percent);
+        assert_eq!(shown, ["+10.2 %", "-5.0 %", "+0.0 %", "+250 %"]);
+    }
+}
