@@ -11,6 +11,7 @@ mod rooms;
 mod rta;
 mod task_tables;
 mod tidy;
+mod toolchain;
 mod weakened;
 
 use anyhow::{Context, Result, bail};
@@ -317,6 +318,7 @@ fn test(root: &Path) -> Result<()> {
 
 fn bare_metal(root: &Path) -> Result<()> {
     for target in BARE_METAL {
+        toolchain::demand(target)?;
         let rtos = RTOS.iter().filter(|(_, has_port)| *has_port == target);
         let packages: Vec<&str> = PORTABLE
             .into_iter()

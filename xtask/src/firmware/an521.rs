@@ -20,6 +20,7 @@ const NO_SUCH_CASE: i32 = 3;
 const TURNS: [u32; 8] = [97, 131, 179, 211, 307, 397, 499, 997];
 
 pub(super) fn run(root: &Path) -> Result<()> {
+    crate::toolchain::demand(TARGET)?;
     let mut build = crate::cargo(&port(root), &["build", "--quiet", "--release"]);
     build
         .args(["--target", TARGET, "-p", "tandem-board-mps2-an521"])
