@@ -1,5 +1,6 @@
-//! Evidence of what the machine did during a run: a bare thread on each CPU that sleeps for a
-//! millisecond again and again, and notes when it woke late.
+//! Evidence of what the machine did during a run: a bare thread on each CPU that sleeps for two
+//! milliseconds again and again, and notes when it woke late. A stall is noted from the end of the
+//! sleep, so up to two milliseconds too short, never too long.
 //!
 //! Where real time is permitted, the threads go before all of the run (SCHED_FIFO above the
 //! supplies): what holds them up is not Tandem, but the machine below it. They do no work, share
@@ -16,8 +17,10 @@ use tandem_board_host::clock;
 use tandem_board_host::realtime::{Claim, claim};
 use tandem_record::run_log::{Stall, Stood};
 
-/// Time between two looks at the clock.
-const PERIOD: Duration = Duration::from_ms(1);
+/// Time between two looks at the clock during a run: each look is a wake-up of a CPU that drives.
+const PERIOD: Duration = Duration::from_ms(2);
+/// The same before a run, when its limits are chosen.
+const FINE_PERIOD: Duration = Duration::from_ms(1);
 /// A thread that wakes later than this was held up. Seen without a stall: 0.2 ms at p99.9.
 pub(crate) const LATE: Duration = Duration::from_us(500);
 /// Above the supplies, which have 80; less where no more is permitted.
@@ -45,6 +48,10 @@ impl StallWatch {
     /// Starts a thread on each of these CPUs, given by number and by place among those that this
     /// process may use.
     pub(crate) fn start(cpus: &[(usize, usize)], realtime: bool) -> Self {
+        Self::with_period(cpus, realtime, PERIOD)
+    }
+
+    fn with_period(cpus: &[(usize, usize)], realtime: bool, period: Duration) -> Self {
         let over = Arc::new(AtomicBool::new(false));
         let (mut threads, mut signals) = (vec![], vec![]);
         for &(number, place) in cpus {
@@ -54,7 +61,7 @@ impl StallWatch {
             let over = Arc::clone(&over);
             let watch = move || {
                 let fifo = realtime.then(|| claim_cpu(place)).flatten();
-                (fifo, look(number, &over, &continued))
+                (fifo, look(number, period, &over, &continued))
             };
             let named = std::thread::Builder::new().name(format!("stalls of CPU {number}"));
             // A machine without room for a thread gives no evidence; the run goes on.
@@ -91,7 +98,7 @@ impl StallWatch {
 /// The longest stall of these CPUs within `span`; of shorter ones than [`LATE`] nothing is known.
 /// Blocks for that long.
 pub(crate) fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
-    let watch = StallWatch::start(cpus, realtime);
+    let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
     let stalls = watch.end().stalls.into_iter();
     let longest = stalls.map(|stall| Duration::from_ns(stall.to_ns - stall.from_ns));
@@ -110,10 +117,10 @@ fn claim_cpu(place: usize) -> Option<u8> {
     })
 }
 
-fn look(cpu: usize, over: &AtomicBool, continued: &AtomicBool) -> Vec<Stall> {
+fn look(cpu: usize, period: Duration, over: &AtomicBool, continued: &AtomicBool) -> Vec<Stall> {
     let mut stalls = Vec::with_capacity(1_024);
     while !over.load(Ordering::Relaxed) {
-        let due = clock::now() + PERIOD;
+        let due = clock::now() + period;
         clock::sleep_until(due);
         let now = clock::now();
         let was_stopped = continued.swap(false, Ordering::Relaxed);

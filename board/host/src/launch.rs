@@ -31,6 +31,8 @@ const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
 /// How long killed processes may take to disappear.
 const KILL_GRACE: Duration = Duration::from_secs(5);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
+/// The same during the run.
+const LOOK_AGAIN_IN_RUN: Duration = Duration::from_millis(20);
 
 /// Why a run did not start.
 #[derive(Debug, thiserror::Error)]
@@ -277,7 +279,7 @@ impl Launcher {
                 self.backplane.request_stop();
                 asked = Some(Instant::now());
             }
-            std::thread::sleep(LOOK_AGAIN);
+            std::thread::sleep(LOOK_AGAIN_IN_RUN);
         }
     }
 

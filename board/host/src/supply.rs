@@ -32,8 +32,11 @@ use crate::memory;
 use crate::segment::SegmentError;
 use crate::spawn::{self, Watched};
 
-/// How often the supply reads its registers.
+/// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
+/// The same once all cores have started. Deaths of processes and the end of the watchdog's window
+/// wake it at once; a request waits this long at most.
+const CALM_PERIOD: Duration = Duration::from_ms(4);
 /// A supply that polls later than this was held up itself: the process or the machine was stopped.
 const HELD_UP: Duration = Duration::from_ms(50);
 /// Why a supply cannot work.
@@ -173,10 +176,6 @@ impl Supply<'_> {
             if now.since(next) > HELD_UP {
                 self.model.was_blind(next, now);
             }
-            if now >= next {
-                // Missed ticks carry no work.
-                next = now + PERIOD;
-            }
             if !self.backplane.ignition() || vehicle.has_ended() {
                 self.kill_cores();
                 self.reap_all();
@@ -188,7 +187,16 @@ impl Supply<'_> {
             let cores_stand = self.cores.iter().all(Option::is_none);
             let change = self.model.poll(now, cores_stand);
             self.carry_out(change);
+            // Missed ticks carry no work.
+            next = self.next_tick(now);
         }
+    }
+
+    /// When the registers are to be read again.
+    fn next_tick(&self, now: Instant) -> Instant {
+        let is_calm = self.model.is_on() && self.begun == [true; CoreId::COUNT];
+        let period = if is_calm { CALM_PERIOD } else { PERIOD };
+        (now + period).min(self.model.next().max(now + PERIOD))
     }
 
     /// Sleeps until a process ends or the next tick is due.
