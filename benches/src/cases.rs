@@ -132,6 +132,7 @@ const CASES: &[Cases] = &[
             peers::iceoryx2_pubsub),
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",
             peers::iceoryx2_pubsub_tuned),
+        ("iceoryx2-blackboard", "an entry of the blackboard, polled", peers::iceoryx2_blackboard),
         ("rtrb", "ring buffer between threads", peers::rtrb),
     ]),
     (Group::Sleep, 250, SLEEPERS),

@@ -412,7 +412,7 @@ mod tests {
         let effect = Normal::new(0.0, 0.04).unwrap();
         let mut run = |factor: f64| {
             let mood: f64 = mood.sample(random);
-            let mut time = |name: &str| {
+            let time = |name: &str| {
                 let ours = if name.contains("tandem") { factor } else { 1.0 };
                 row(name, 150.0 * ours * (mood + effect.sample(random)).exp())
             };

@@ -112,7 +112,7 @@ pub struct Headline<'a> {
     pub floor: Option<&'a Row>,
     /// Tandem's first case.
     pub tandem: &'a Row,
-    /// The peer with the smallest median. `eventfd` is a bare mechanism and no peer.
+    /// The peer with the smallest median.
     pub peer: Option<&'a Row>,
 }
 
@@ -123,7 +123,7 @@ impl<'a> Headline<'a> {
         let tandem = rows
             .iter()
             .find(|row| Provider::of(row) == Provider::Tandem)?;
-        let is_peer = |row: &&&Row| Provider::of(row).is_peer() && row.case() != "eventfd";
+        let is_peer = |row: &&&Row| Provider::of(row).is_peer();
         // In `rtos` a case has a floor and a peer of its own: `tick-floor`, `tick-posix-port`.
         let own = format!("{}-", tandem.case());
         let is_own = |row: &&&Row| row.case().starts_with(&own);
@@ -175,7 +175,7 @@ mod tests {
         let rows: Vec<&Row> = rows.iter().collect();
         let headline = Headline::of(&rows).unwrap();
         assert_eq!(headline.tandem.name, "sleep/tandem");
-        assert_eq!(headline.peer.unwrap().name, "sleep/iceoryx2-event");
+        assert_eq!(headline.peer.unwrap().name, "sleep/eventfd");
         assert!(Headline::of(&rows[..1]).is_none());
     }
 

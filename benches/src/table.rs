@@ -1,6 +1,7 @@
 //! The results as tables for the terminal, one for each group.
 
 use crate::columns::{self, Column};
+use crate::provider::{Headline, Provider};
 use crate::result::{Results, Row};
 use std::fmt::Write as _;
 use tandem_page::format::{self, Unit};
@@ -119,7 +120,21 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
         text.push('\n');
         text += &facts(row, width);
     }
+    text += &best_peer(rows).unwrap_or_default();
     text
+}
+
+/// Tandem's first case beside the fastest of what one would use instead.
+fn best_peer(rows: &[&Row]) -> Option<String> {
+    let Headline { tandem, peer, .. } = Headline::of(rows)?;
+    let peer = peer?;
+    let factor = format::ratio(peer.p50_ns / tandem.p50_ns.max(1e-3));
+    let provider = Provider::of(peer).name();
+    Some(format!(
+        "  best peer: {} ({provider}), {factor} times {}\n",
+        peer.case(),
+        tandem.case()
+    ))
 }
 
 /// The further facts of a row, as many in a line as fit.
@@ -243,6 +258,17 @@ mod tests {
         ] {
             assert!(table.contains(part), "{part}\n{table}");
         }
+    }
+
+    #[test]
+    fn the_best_peer_is_named_under_its_group() {
+        let mut run = run();
+        assert!(!run.table(120).contains("best peer"));
+        for (name, ns) in [("spin/pipe", 300.0), ("spin/iceoryx2-pubsub", 168.4)] {
+            run.results.insert(2, row(name, ns));
+        }
+        let line = "best peer: iceoryx2-pubsub (iceoryx2), 2.00 times tandem-of";
+        assert!(run.table(80).contains(line), "{}", run.table(80));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! What one would use instead, each as its documentation recommends.
 
+mod iceoryx2_blackboard;
 mod iceoryx2_event;
 mod iceoryx2_pubsub;
 mod iceoryx2_semaphore;
@@ -7,6 +8,7 @@ mod mutex;
 mod pipe;
 mod threads;
 
+pub use iceoryx2_blackboard::iceoryx2_blackboard;
 pub use iceoryx2_event::{iceoryx2_at_rate, iceoryx2_event, iceoryx2_event_tuned};
 pub use iceoryx2_pubsub::{iceoryx2_pubsub, iceoryx2_pubsub_tuned, iceoryx2_size, iceoryx2_stream};
 pub use mutex::{Death, contended_mutex, mutex, mutex_recovery};
