@@ -54,7 +54,11 @@ const fn entry(setup: &Setup<'_>, now: Instant) -> Entry {
     match setup.cause {
         ResetCause::PowerOn => Entry::Until(after(now, CONNECT_WINDOW)),
         ResetCause::Download => Entry::Until(after(now, HOST_SILENCE)),
-        ResetCause::Software | ResetCause::Watchdog | ResetCause::Trap => Entry::Never,
+        ResetCause::Software
+        | ResetCause::Watchdog
+        | ResetCause::Trap
+        | ResetCause::ErrorPin
+        | ResetCause::Undervoltage => Entry::Never,
     }
 }
 

@@ -180,6 +180,9 @@ extern void tandem_on_panic(void);
 // Its clock has drifted away from the vehicle's and the other system's.
 #define TANDEM_FAILURE_CLOCK 9
 
+// Its CAN controller was bus-off.
+#define TANDEM_FAILURE_CAN_BUS_OFF 10
+
 // A state was found in the flash.
 #define TANDEM_LOADED_STATE 0
 

@@ -58,6 +58,8 @@ pub const TANDEM_FAILURE_TERMS_EXHAUSTED: u32 = 7;
 pub const TANDEM_FAILURE_WRONG_COMMAND: u32 = 8;
 /// Its clock has drifted away from the vehicle's and the other system's.
 pub const TANDEM_FAILURE_CLOCK: u32 = 9;
+/// Its CAN controller was bus-off.
+pub const TANDEM_FAILURE_CAN_BUS_OFF: u32 = 10;
 
 const _: () = {
     use FailureMode as F;
@@ -70,6 +72,7 @@ const _: () = {
     assert!(F::TermsExhausted.code() as u32 == TANDEM_FAILURE_TERMS_EXHAUSTED);
     assert!(F::WrongCommand.code() as u32 == TANDEM_FAILURE_WRONG_COMMAND);
     assert!(F::Clock.code() as u32 == TANDEM_FAILURE_CLOCK);
+    assert!(F::CanBusOff.code() as u32 == TANDEM_FAILURE_CAN_BUS_OFF);
 };
 
 /// A state was found in the flash.

@@ -340,6 +340,10 @@ pub(crate) struct FaultArgs {
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
     pub(crate) system: SystemId,
 
+    /// End a fault that lasts
+    #[arg(long)]
+    pub(crate) mend: bool,
+
     /// Decides on the words
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u32,
@@ -358,6 +362,22 @@ pub(crate) enum FaultKind {
     Handshake,
     /// An edge of the start line that is a sync, and was not sent
     Sync,
+    /// The output driver finds an open load, until it is mended
+    OpenLoad,
+    /// The output driver finds a short circuit, until it is mended
+    ShortCircuit,
+    /// The bus destroys each frame that the system sends, until it is mended: its CAN controller
+    /// goes bus-off
+    BusOff,
+    /// The CAN receiver finds an error in each frame, until it is mended
+    CanReceive,
+    /// The chip shows an error on the error pin to its supply, until it is mended
+    ErrorPin,
+    /// A rail of the supply has too little voltage, until it is mended
+    Undervoltage,
+    /// A rail of the supply has too much voltage, until it is mended; then switch the system off
+    /// and on
+    Overvoltage,
 }
 
 /// Arguments of `tandem dflash`.

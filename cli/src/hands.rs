@@ -1,7 +1,7 @@
 //! `tandem cut`, `mend`, `power` and `fault`: hands on a run while it drives.
 
-use anyhow::Context as _;
-use tandem_board::{Edge, Line, SystemId};
+use anyhow::{Context as _, bail};
+use tandem_board::{Edge, HardwareFault, Line, SystemId};
 use tandem_board_host::Wire;
 use tandem_board_host::hands::Hands;
 
@@ -37,20 +37,32 @@ pub(crate) fn power(args: &PowerArgs) -> anyhow::Result<()> {
 /// Does what no signal to a process can do.
 ///
 /// # Errors
-/// If the run cannot be reached.
+/// If the run cannot be reached, or the fault cannot be mended.
 pub(crate) fn fault(args: &FaultArgs) -> anyhow::Result<()> {
     let hands = Hands::on(args.run.as_deref())?;
-    match args.fault {
-        FaultKind::Lmu => hands.scribble(args.system, args.seed).context("LMU"),
+    let hardware = match args.fault {
+        FaultKind::Lmu | FaultKind::Handshake | FaultKind::Sync if args.mend => {
+            bail!("this fault is over at once: there is nothing to mend")
+        }
+        FaultKind::Lmu => return hands.scribble(args.system, args.seed).context("LMU"),
         FaultKind::Handshake => {
             hands.stray_edge(args.system, Line::Start, Edge::Rising);
-            Ok(())
+            return Ok(());
         }
         FaultKind::Sync => {
             hands.stray_edge(args.system, Line::Start, Edge::Falling);
-            Ok(())
+            return Ok(());
         }
-    }
+        FaultKind::OpenLoad => HardwareFault::OpenLoad,
+        FaultKind::ShortCircuit => HardwareFault::ShortCircuit,
+        FaultKind::BusOff => HardwareFault::CanTransmit,
+        FaultKind::CanReceive => HardwareFault::CanReceive,
+        FaultKind::ErrorPin => HardwareFault::ErrorPin,
+        FaultKind::Undervoltage => HardwareFault::Undervoltage,
+        FaultKind::Overvoltage => HardwareFault::Overvoltage,
+    };
+    hands.set_fault(args.system, hardware, !args.mend);
+    Ok(())
 }
 
 impl WireName {

@@ -257,7 +257,7 @@ fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
 
 fn deadline_misses(log: &RunLog) -> u64 {
     let missed = |event: Event| match event {
-        Event::DeadlineMiss { missed } => Some(u64::from(missed)),
+        Event::DeadlineMiss { task, missed } if task.is_control() => Some(u64::from(missed)),
         _ => None,
     };
     log.events

@@ -49,6 +49,8 @@ pub struct Core1<'b, B: Board> {
     perception: Perception,
     /// When the next round of the sensors is expected to be complete.
     expected: Instant,
+    /// Frames that the receiver has lost, at the last cycle.
+    overruns: u32,
 }
 
 impl<'b, B: Board> Core1<'b, B> {
@@ -70,6 +72,7 @@ impl<'b, B: Board> Core1<'b, B> {
             frames: Receiver::new(),
             perception: Perception::new(),
             expected: start + PERIOD,
+            overruns: 0,
         }
     }
 
@@ -97,6 +100,16 @@ impl<'b, B: Board> Core1<'b, B> {
     /// The task of this core.
     fn run(&mut self, release: Release) {
         let task = TaskCode::PERCEPTION;
+        if release.missed > 0 {
+            let missed = release.missed;
+            self.board
+                .trace(Event::DeadlineMiss { task, missed }.encode());
+        }
+        let overruns = self.board.can().overruns();
+        let count = overruns.wrapping_sub(core::mem::replace(&mut self.overruns, overruns));
+        if count > 0 {
+            self.board.trace(Event::FramesLost { count }.encode());
+        }
         let begin = Begin::Released {
             late_ns: age_ns(self.board.now(), release.at),
             missed: release.missed,

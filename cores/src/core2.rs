@@ -8,6 +8,7 @@ use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_1_TO_2, MAILBOX_2_TO_0, PLAN, SCENE,
     TRAJECTORY, TRAJECTORY_READY,
 };
+use crate::schedule::Cycles;
 use crate::task_table::TaskCode;
 use crate::trace::{Begin, Event, Leaves};
 use crate::{Core, RETRY};
@@ -25,6 +26,7 @@ struct Planning<'b, B: Board> {
     map: ControllerMap<'b>,
     scenes: Reader<'b, Scene>,
     planner: Planner,
+    cycles: Cycles,
     trajectories: Writer<'b, Trajectory>,
     control_steps: Reader<'b, ControlStep>,
     told: Reader<'b, Knowledge>,
@@ -59,6 +61,11 @@ impl<B: Board> Planning<'_, B> {
         match self.scenes.fetch() {
             Ok(Some(scene)) => {
                 let flow = scene.cycle;
+                let missed = self.cycles.missed(flow);
+                if missed > 0 {
+                    let task = TaskCode::PLANNING;
+                    self.trace(Event::DeadlineMiss { task, missed });
+                }
                 self.trace(Event::Woken {
                     core: CoreId::PERCEPTION,
                     flow,
@@ -120,6 +127,7 @@ impl<'b, B: Board> Core2<'b, B> {
             map: lmu,
             scenes: SCENE.reader(&map).ok()?,
             planner: Planner::new(),
+            cycles: Cycles::default(),
             trajectories: TRAJECTORY.writer(&map, incarnation).ok()?,
             control_steps: CONTROL_STEP.reader(&map).ok()?,
             told: KNOWLEDGE.reader(&map).ok()?,

@@ -101,6 +101,19 @@ impl Grid {
     }
 }
 
+/// The numbers of the cycles that a task has worked on, of those that another core has published.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Cycles(Option<u32>);
+
+impl Cycles {
+    /// The task works on this cycle; how many before it were replaced before it could. A number
+    /// that goes back is that of a core that has started again.
+    pub fn missed(&mut self, cycle: u32) -> u32 {
+        let last = self.0.replace(cycle);
+        last.map_or(0, |last| cycle.saturating_sub(last).saturating_sub(1))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,6 +123,13 @@ mod tests {
     }
 
     /// T-RTOS-3: three tasks with periods 60, 40 and 20 ms run with periods 60, 40 and 20 ms.
+    #[test]
+    fn cycles_that_were_replaced_are_missed() {
+        let mut cycles = Cycles::default();
+        let missed = [7, 8, 8, 11, 1, 2].map(|cycle| cycles.missed(cycle));
+        assert_eq!(missed, [0, 0, 0, 2, 0, 0]);
+    }
+
     #[test]
     fn releases_keep_their_grid_however_late_the_poll() {
         let periods = [60, 40, 20];

@@ -34,6 +34,12 @@ impl TaskCode {
     /// Core 0: fetches scene and trajectory when core 2 signals.
     pub const TRAJECTORY_INPUT: Self = Self(9);
 
+    /// Whether it does the control cycle.
+    #[must_use]
+    pub const fn is_control(self) -> bool {
+        matches!(self, Self::CONTROL | Self::DEGRADED)
+    }
+
     /// Its name; `None` if it is in no table.
     #[must_use]
     pub fn name(self) -> Option<&'static str> {

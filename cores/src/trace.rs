@@ -11,7 +11,7 @@
 //! that says [`Leaves::Done`].
 
 use crate::task_table::{IrqCode, TaskCode};
-use tandem_board::{CoreId, Duration, TraceRecord};
+use tandem_board::{CanErrors, CoreId, Duration, TraceRecord};
 use tandem_redundancy::{Evidence, Phase};
 
 /// How a task comes to the CPU.
@@ -86,7 +86,7 @@ pub enum Event {
     Started {
         /// Incarnation of the core.
         generation: u32,
-        /// Reset cause: 0 power-on, 1 software, 2 watchdog, 3 trap; 0 on cores 1 and 2.
+        /// Code of the [`ResetCause`](tandem_board::ResetCause); 0 on cores 1 and 2.
         cause: u8,
     },
     /// Role and mode of the system are now these, with their codes in the frames.
@@ -164,10 +164,23 @@ pub enum Event {
         /// 1 or 2.
         core: u8,
     },
-    /// A control cycle was released late by whole periods.
+    /// Jobs of a task did not run, because an earlier one or a more urgent task took their time.
+    /// That of the roles is told with each status frame.
     DeadlineMiss {
-        /// Cycles that did not run.
+        /// Which.
+        task: TaskCode,
+        /// Jobs that did not run, since the last report.
         missed: u32,
+    },
+    /// Received CAN frames were lost: this core did not fetch them in time.
+    FramesLost {
+        /// How many, since the last report.
+        count: u32,
+    },
+    /// The CAN controller changed its state, or was bus-off.
+    CanErrors {
+        /// Its counters now.
+        errors: CanErrors,
     },
     /// A frame or a value in the LMU was refused.
     Refused {
@@ -374,7 +387,9 @@ impl Event {
             ],
             Self::Chain { latency_ns, cycle } => [head(13, 0, 0, 0), latency_ns, cycle, 0],
             Self::CoreSilent { core } => [head(14, core, 0, 0), 0, 0, 0],
-            Self::DeadlineMiss { missed } => [head(15, 0, 0, 0), missed, 0, 0],
+            Self::DeadlineMiss { task, missed } => [head(15, task.0, 0, 0), missed, 0, 0],
+            Self::FramesLost { count } => [head(33, 0, 0, 0), count, 0, 0],
+            Self::CanErrors { errors } => [head(34, 0, 0, 0), errors.to_word(), 0, 0],
             Self::Refused { id } => [head(16, 0, 0, 0), id, 0, 0],
             Self::TaskIn { task, begin } => match begin {
                 Begin::Goes => [head(17, task.0, 0, 0), 0, 0, 0],
@@ -451,7 +466,14 @@ impl Event {
                 cycle: y,
             },
             14 => Self::CoreSilent { core: a },
-            15 => Self::DeadlineMiss { missed: x },
+            15 => Self::DeadlineMiss {
+                task: TaskCode(a),
+                missed: x,
+            },
+            33 => Self::FramesLost { count: x },
+            34 => Self::CanErrors {
+                errors: CanErrors::from_word(x),
+            },
             16 => Self::Refused { id: x },
             17 => Self::TaskIn {
                 task: TaskCode(a),
@@ -566,7 +588,18 @@ mod tests {
                 cycle: 8,
             },
             Event::CoreSilent { core: 2 },
-            Event::DeadlineMiss { missed: 5 },
+            Event::DeadlineMiss {
+                task: TaskCode::CONTROL,
+                missed: 5,
+            },
+            Event::FramesLost { count: 77 },
+            Event::CanErrors {
+                errors: CanErrors {
+                    transmit: 256,
+                    receive: 3,
+                    bus_offs: 1,
+                },
+            },
             Event::Refused { id: 0x110 },
             Event::TaskIn {
                 task: TaskCode::CONTROL,
@@ -638,7 +671,7 @@ mod tests {
             0x021E,
             0x031F,
             0x0320,
-            33,
+            35,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }

@@ -1,7 +1,8 @@
 //! Events in words, for people.
 
-use tandem_board::{ResetCause, SupplyEvent};
+use tandem_board::{CanErrors, CanState, ResetCause, SupplyEvent};
 use tandem_bus::Mode;
+use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
 
@@ -13,8 +14,7 @@ use crate::takeover::{Takeover, detected_ms, is_late};
 pub fn core_event(event: Event) -> Option<String> {
     Some(match event {
         Event::Started { generation, cause } => {
-            let causes = ["power-on", "software", "watchdog", "trap"];
-            let cause = causes.get(usize::from(cause)).unwrap_or(&"unknown cause");
+            let cause = ResetCause::from_code(cause.into()).map_or("unknown cause", reset_cause);
             format!("starts, incarnation {generation}: {cause}")
         }
         Event::Role { role, mode, term } => {
@@ -36,7 +36,29 @@ pub fn core_event(event: Event) -> Option<String> {
             f64::from(lateness_ns) * 1e-6
         ),
         Event::CoreSilent { core } => format!("core {core} of its own system does not answer"),
-        Event::DeadlineMiss { missed } => format!("left out {missed} cycle(s)"),
+        Event::DeadlineMiss { task, missed } if task != TaskCode::ROLES => {
+            let name = task.name().unwrap_or("a task");
+            format!("{name}: left out {missed} cycle(s)")
+        }
+        Event::FramesLost { count } => {
+            format!("lost {count} received CAN frame(s), which it did not fetch in time")
+        }
+        Event::CanErrors { errors } => {
+            let state = match errors.state() {
+                CanState::ErrorActive => "error-active",
+                CanState::ErrorPassive => "error-passive",
+                CanState::BusOff => "bus-off",
+            };
+            let CanErrors {
+                transmit,
+                receive,
+                bus_offs,
+            } = errors;
+            format!(
+                "its CAN controller is {state}: {transmit} transmit, {receive} receive errors, \
+                 bus-off {bus_offs} time(s)"
+            )
+        }
         Event::PeerFailed(true) => "considers the other system failed".to_owned(),
         Event::PeerFailed(false) => "no longer considers the other system failed".to_owned(),
         Event::Line { line, silent } => match (line, silent) {
@@ -112,17 +134,20 @@ pub fn supply_event(event: SupplyEvent) -> String {
         }
         SupplyEvent::CoreDied { core, signal: 0 } => format!("core {core} died"),
         SupplyEvent::CoreDied { core, signal } => format!("core {core} died of signal {signal}"),
-        SupplyEvent::Reset(cause) => format!(
-            "reset: {}",
-            match cause {
-                ResetCause::PowerOn => "power-on",
-                ResetCause::Software => "software",
-                ResetCause::Watchdog => "watchdog",
-                ResetCause::Trap => "trap or dead core",
-                ResetCause::Download => "for a download",
-            }
-        ),
+        SupplyEvent::Reset(cause) => format!("reset: {}", reset_cause(cause)),
         SupplyEvent::Suspended => "suspended".to_owned(),
+    }
+}
+
+const fn reset_cause(cause: ResetCause) -> &'static str {
+    match cause {
+        ResetCause::PowerOn => "power-on",
+        ResetCause::Software => "software",
+        ResetCause::Watchdog => "watchdog",
+        ResetCause::Trap => "trap or dead core",
+        ResetCause::Download => "for a download",
+        ResetCause::ErrorPin => "error pin",
+        ResetCause::Undervoltage => "low rail of the supply",
     }
 }
 
@@ -155,7 +180,6 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
 mod tests {
     use super::*;
     use tandem_board::CoreId;
-    use tandem_cores::task_table::TaskCode;
 
     #[test]
     fn events_are_told_as_people_say_them() {

@@ -125,7 +125,7 @@ fn was_held_up(log: &RunLog, system: SystemId, last_ns: u64) -> bool {
             .take_while(|event| event.at_ns <= given_up.at_ns + SAME_CYCLE_NS)
             .any(|event| match event.event {
                 Event::Phase { to, .. } => to == Phase::Thawed,
-                Event::DeadlineMiss { .. } => true,
+                Event::DeadlineMiss { task, .. } => task.is_control(),
                 event => is_late(event),
             })
     })
@@ -175,6 +175,7 @@ mod tests {
     use super::*;
     use crate::run_log::StatusFrame;
     use tandem_bus::Mode;
+    use tandem_cores::task_table::TaskCode;
 
     const A: SystemId = SystemId::A;
     const B: SystemId = SystemId::B;
@@ -283,7 +284,14 @@ mod tests {
             execution_ns: 0,
             transmitted: false,
         };
-        for found in [thawed, Event::DeadlineMiss { missed: 5 }, late] {
+        for found in [
+            thawed,
+            Event::DeadlineMiss {
+                task: TaskCode::CONTROL,
+                missed: 5,
+            },
+            late,
+        ] {
             log.events = [given_up, found].map(|e| event(23_500_000, A, e)).to_vec();
             let takeover = takeovers(&log)[0];
             assert!(!takeover.is_false && takeover.held_up, "{takeover:?}");

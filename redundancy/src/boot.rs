@@ -42,10 +42,11 @@ pub(crate) fn check(
         state.abn_in_a_row = state.abn_in_a_row.saturating_add(1);
         if state.abn_in_a_row > config.abnormal_limit && !state.sys_failure {
             state.sys_failure = true;
-            // These resets were made to cure an open circuit.
-            if state.failure_mode != FailureMode::CanOpenCircuit {
-                state.failure_mode = FailureMode::AbnormalResets;
-            }
+            // These resets may have been made to cure the connection to the bus.
+            state.failure_mode = match state.failure_mode {
+                mode @ (FailureMode::CanOpenCircuit | FailureMode::CanBusOff) => mode,
+                _ => FailureMode::AbnormalResets,
+            };
         }
     }
     // 2. Own failure flag?

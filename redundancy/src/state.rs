@@ -35,13 +35,15 @@ pub enum FailureMode {
     WrongCommand = 8,
     /// Its clock has drifted away from the vehicle's and the other system's.
     Clock = 9,
+    /// The CAN controller was bus-off: the bus destroyed 32 of its frames in a row. T-RED-6
+    CanBusOff = 10,
     /// A number that this software does not know.
     Unknown = 255,
 }
 
 impl FailureMode {
     /// All modes, for tables.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::None,
         Self::AbnormalResets,
         Self::CanOpenCircuit,
@@ -52,6 +54,7 @@ impl FailureMode {
         Self::TermsExhausted,
         Self::WrongCommand,
         Self::Clock,
+        Self::CanBusOff,
         Self::Unknown,
     ];
 
@@ -81,6 +84,7 @@ impl FailureMode {
                 | Self::CanOpenCircuit
                 | Self::WrongCommand
                 | Self::Clock
+                | Self::CanBusOff
         )
     }
 

@@ -3,8 +3,8 @@
 use std::cell::RefCell;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Identity, Instant, Received, TraceRecord, TransmitFull,
-    Wake,
+    Board, Can, CanErrors, CanFrame, CanId, CoreId, Identity, Instant, Received, TraceRecord,
+    TransmitFull, Wake,
 };
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_bus::Message;
@@ -113,6 +113,10 @@ impl Can for BentCan {
 
     fn overruns(&self) -> u32 {
         self.board.can().overruns()
+    }
+
+    fn errors(&self) -> CanErrors {
+        self.board.can().errors()
     }
 }
 

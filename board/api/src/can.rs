@@ -85,6 +85,65 @@ pub struct Received {
     pub at: Instant,
 }
 
+/// How far a CAN controller takes part in the bus. ISO 11898-1, fault confinement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CanState {
+    /// Both error counters are below 128.
+    ErrorActive,
+    /// An error counter is 128 or more.
+    ErrorPassive,
+    /// The transmit counter has exceeded 255: the controller sends nothing until 11 recessive bits
+    /// have been on the bus 128 times.
+    BusOff,
+}
+
+/// The error counters of a CAN controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct CanErrors {
+    /// Transmit error counter, 0 ..= 256; 256 while the controller is bus-off.
+    pub transmit: u16,
+    /// Receive error counter.
+    pub receive: u8,
+    /// How often the controller became bus-off; wraps around.
+    pub bus_offs: u8,
+}
+
+impl CanErrors {
+    /// The transmit counter of a controller that is bus-off.
+    pub const BUS_OFF: u16 = 256;
+    /// A controller with a counter of this or more is error-passive.
+    pub const PASSIVE: u16 = 128;
+
+    /// The state that the counters mean.
+    #[must_use]
+    pub const fn state(self) -> CanState {
+        if self.transmit >= Self::BUS_OFF {
+            CanState::BusOff
+        } else if self.transmit >= Self::PASSIVE || self.receive as u16 >= Self::PASSIVE {
+            CanState::ErrorPassive
+        } else {
+            CanState::ErrorActive
+        }
+    }
+
+    /// The counters in one word, so that they are read together.
+    #[must_use]
+    pub const fn to_word(self) -> u32 {
+        self.transmit as u32 | (self.receive as u32) << 16 | (self.bus_offs as u32) << 24
+    }
+
+    /// The inverse of [`CanErrors::to_word`].
+    #[must_use]
+    pub const fn from_word(word: u32) -> Self {
+        let [low, high, receive, bus_offs] = word.to_le_bytes();
+        Self {
+            transmit: u16::from_le_bytes([low, high]),
+            receive,
+            bus_offs,
+        }
+    }
+}
+
 /// A CAN controller with its own receive FIFO. Frames arrive in bus order; a core does not receive
 /// its own frames.
 pub trait Can {
@@ -111,4 +170,34 @@ pub trait Can {
     /// How many frames were lost because this core did not fetch them in time; wraps around. Any
     /// context.
     fn overruns(&self) -> u32;
+
+    /// The error counters. Any context. A controller that is bus-off recovers by itself; a reset of
+    /// the system clears its counters.
+    fn errors(&self) -> CanErrors;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counters_mean_a_state_and_survive_their_word() {
+        use CanState::{BusOff, ErrorActive, ErrorPassive};
+        for (transmit, receive, state) in [
+            (0, 0, ErrorActive),
+            (127, 127, ErrorActive),
+            (128, 0, ErrorPassive),
+            (0, 128, ErrorPassive),
+            (255, 255, ErrorPassive),
+            (256, 0, BusOff),
+        ] {
+            let errors = CanErrors {
+                transmit,
+                receive,
+                bus_offs: 9,
+            };
+            assert_eq!(errors.state(), state, "{errors:?}");
+            assert_eq!(CanErrors::from_word(errors.to_word()), errors);
+        }
+    }
 }

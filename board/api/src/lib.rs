@@ -21,20 +21,20 @@
 #![forbid(unsafe_code)]
 
 mod can;
+mod faults;
 mod flash;
 mod identity;
 mod lines;
-mod outputs;
 mod supply;
 mod time;
 mod trace;
 mod vehicle;
 
-pub use can::{Can, CanFrame, CanId, InvalidFrame, Received, TransmitFull};
+pub use can::{Can, CanErrors, CanFrame, CanId, CanState, InvalidFrame, Received, TransmitFull};
+pub use faults::{FaultSource, HardwareFault, HardwareFaults, OutputDiagnosis};
 pub use flash::{DataFlash, FlashError, FlashStatus};
 pub use identity::{CoreAddress, CoreId, Generation, Identity, SystemId};
 pub use lines::{Edge, Line, Lines, Link, LinkFull};
-pub use outputs::OutputDiagnosis;
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};

@@ -13,24 +13,33 @@ pub enum ResetCause {
     Trap,
     /// The software requested it, to receive a download.
     Download,
+    /// The chip's safety unit showed an error on the error pin.
+    ErrorPin,
+    /// A rail of the supply had too little voltage.
+    Undervoltage,
 }
 
 impl ResetCause {
     /// Every cause but power-on and the resets that the software requested. T-RED-5
     #[must_use]
     pub const fn is_abnormal(self) -> bool {
-        matches!(self, Self::Watchdog | Self::Trap)
+        matches!(
+            self,
+            Self::Watchdog | Self::Trap | Self::ErrorPin | Self::Undervoltage
+        )
     }
 }
 
 impl ResetCause {
     /// All causes, in the order of their codes.
-    pub const ALL: [Self; 5] = [
+    pub const ALL: [Self; 7] = [
         Self::PowerOn,
         Self::Software,
         Self::Watchdog,
         Self::Trap,
         Self::Download,
+        Self::ErrorPin,
+        Self::Undervoltage,
     ];
 
     /// The number that encodes the cause.

@@ -41,7 +41,8 @@ pub enum SupplyEvent {
     },
     /// The supply stopped the system and will restart it.
     Reset(ResetCause),
-    /// The supply stopped the system until the next power-on: the system requested it.
+    /// The supply stopped the system until the next power-on: the system requested it, or a rail
+    /// had too much voltage.
     Suspended,
 }
 
@@ -98,7 +99,7 @@ mod tests {
         for event in causes.map(SupplyEvent::Reset).into_iter().chain(others) {
             assert_eq!(SupplyEvent::decode(event.encode()), Some(event));
         }
-        for strange in [[0; 4], [1, 3, 0, 0], [2, 0, 999, 0], [3, 5, 0, 0], [5; 4]] {
+        for strange in [[0; 4], [1, 3, 0, 0], [2, 0, 999, 0], [3, 7, 0, 0], [5; 4]] {
             assert_eq!(SupplyEvent::decode(strange), None);
         }
     }

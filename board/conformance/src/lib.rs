@@ -6,8 +6,9 @@
 //! the board's clock.
 //!
 //! A rig gives each case: both systems freshly powered on (LMU zero, no edges counted, generation
-//! 1), all boards of the case made before or while its roles start, no other node on the bus, and
-//! no watchdog unless [`Case::setting`] says so. Cores without a role in the case are absent.
+//! 1, no fault), all boards of the case made before or while its roles start, no other node on the
+//! bus, and no watchdog unless [`Case::setting`] says so. Cores without a role in the case are
+//! absent.
 //!
 //! Calls from handlers are tested outside the cases, because a portable role cannot be interrupted
 //! on purpose: a rig whose board has handlers runs [`in_task`] in a loop, and [`Handler::run`] from
@@ -27,6 +28,6 @@ mod context;
 mod rig;
 
 pub use case::{Case, Failure, Part, Role, Setting};
-pub use cases::cases;
+pub use cases::{case_of, cases};
 pub use context::{Handler, in_task};
 pub use rig::{Outcome, Rig, Summary, run_all, run_role};

@@ -3,12 +3,12 @@
 use crate::case::{Case, Failure, Part, Setting, fail};
 use crate::cases::cases;
 use core::fmt::Display;
-use tandem_board::{Board, CoreId};
+use tandem_board::{CoreId, FaultSource};
 
 /// Runs cases on one kind of board.
 pub trait Rig {
     /// The board.
-    type Board: Board + 'static;
+    type Board: FaultSource + 'static;
     /// Why a case failed: which role failed, hung or died.
     type Fault: Display;
 
@@ -74,7 +74,11 @@ pub fn run_all<R: Rig>(
 ///
 /// # Errors
 /// The [`Failure`] that the role saw, also if there is no such case or part.
-pub fn run_role<B: Board + 'static>(case: usize, part: usize, board: &B) -> Result<(), Failure> {
+pub fn run_role<B: FaultSource + 'static>(
+    case: usize,
+    part: usize,
+    board: &B,
+) -> Result<(), Failure> {
     let cases = cases::<B>();
     let case = cases.get(case);
     let found = case.and_then(|case| Some((case.setting, case.parts.get(part)?)));

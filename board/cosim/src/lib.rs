@@ -11,7 +11,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
-use tandem_board::{CoreAddress, Instant, RoleLamp, SystemId};
+use tandem_board::{CoreAddress, HardwareFault, HardwareFaults, Instant, RoleLamp, SystemId};
 use tandem_peripherals::codec::{
     DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, TRACE_WORDS, encode_datagram,
 };
@@ -74,6 +74,15 @@ pub enum Item {
         /// Connected.
         on: bool,
     },
+    /// A fault of the hardware of a system in the machine.
+    Fault {
+        /// The system.
+        of: SystemId,
+        /// What fails.
+        fault: HardwareFault,
+        /// Made; otherwise mended.
+        present: bool,
+    },
     /// The run is over: the machine ends.
     End,
 }
@@ -109,6 +118,10 @@ impl Item {
             Self::Level { of, high } => put(head(5, of.index(), usize::from(*high), 0), &[]),
             Self::Feed { of, on } => put(head(6, of.index(), usize::from(*on), 0), &[]),
             Self::End => put(head(7, 0, 0, 0), &[]),
+            Self::Fault { of, fault, present } => {
+                let fault = HardwareFaults::bit(*fault).trailing_zeros() as usize;
+                put(head(8, of.index(), fault, usize::from(*present)), &[])
+            }
         }
     }
 
@@ -151,6 +164,11 @@ impl Item {
                 on: b != 0,
             },
             7 => Self::End,
+            8 => Self::Fault {
+                of: system?,
+                fault: *HardwareFault::ALL.get(b).ok_or(Malformed)?,
+                present: c != 0,
+            },
             _ => return Err(Malformed),
         };
         *words = rest;
@@ -237,6 +255,11 @@ mod tests {
                 of: SystemId::A,
                 on: false,
             },
+            Item::Fault {
+                of: SystemId::B,
+                fault: HardwareFault::Overvoltage,
+                present: true,
+            },
             Item::End,
         ];
         for item in items {
@@ -251,7 +274,15 @@ mod tests {
 
     #[test]
     fn what_is_no_item_is_refused() {
-        for head in [0, 8, 2 | 6 << 8, 3 | 2 << 8, 4 | 2 << 8, 4 | 65 << 16] {
+        for head in [
+            0,
+            9,
+            8 | 7 << 16,
+            2 | 6 << 8,
+            3 | 2 << 8,
+            4 | 2 << 8,
+            4 | 65 << 16,
+        ] {
             let mut words = [0; ITEM_WORDS];
             words[0] = head;
             assert_eq!(Item::decode(&mut &words[..]), Err(Malformed), "{head:#x}");

@@ -5,7 +5,8 @@ use core::sync::atomic::{AtomicBool, AtomicU32};
 use std::sync::Arc;
 
 use tandem_board::{
-    Board, CoreId, Identity, Instant, OutputDiagnosis, SystemId, TraceRecord, Wake,
+    Board, CoreId, FaultSource, HardwareFault, Identity, Instant, OutputDiagnosis, SystemId,
+    TraceRecord, Wake,
 };
 use tandem_shm::FitError;
 
@@ -140,7 +141,7 @@ impl Board for HostBoard {
     }
 
     fn output_diagnosis(&self) -> OutputDiagnosis {
-        self.backplane.outputs(self.identity().system)
+        self.backplane.faults(self.of.system).outputs()
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
@@ -179,6 +180,12 @@ impl Board for HostBoard {
             self.backplane
                 .count_lost_trace(self.of.system, self.of.core);
         }
+    }
+}
+
+impl FaultSource for HostBoard {
+    fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
+        self.backplane.set_fault(of, fault, present);
     }
 }
 

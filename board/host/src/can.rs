@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
-use tandem_board::{Can, CanFrame, Identity, Received, TransmitFull};
+use tandem_board::{Can, CanErrors, CanFrame, Identity, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
@@ -92,5 +92,9 @@ impl Can for HostCan {
 
     fn overruns(&self) -> u32 {
         self.overruns.load(Relaxed)
+    }
+
+    fn errors(&self) -> CanErrors {
+        self.backplane.can_errors(self.of.system, self.of.core)
     }
 }

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
-use tandem_board::{CoreId, Edge, Line, SystemId};
+use tandem_board::{CoreId, Edge, HardwareFault, Line, SystemId};
 use tandem_peripherals::wires::Wire;
 
 use crate::backplane::{Backplane, BackplaneError};
@@ -165,6 +165,11 @@ impl Hands {
             place.store(word, Relaxed);
         }
         Ok(())
+    }
+
+    /// Makes a fault of a system's hardware, or mends it.
+    pub fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
+        self.backplane.set_fault(of, fault, present);
     }
 
     /// Sends an edge that this system did not send to the other one.

@@ -184,6 +184,9 @@ impl Supply<'_> {
             self.look_at_peer();
             self.look_at_cores(now);
             self.look_at_registers();
+            let pins = self.backplane.faults(self.args.system);
+            let change = self.model.observe(now, pins);
+            self.carry_out(change);
             let cores_stand = self.cores.iter().all(Option::is_none);
             let change = self.model.poll(now, cores_stand);
             self.carry_out(change);

@@ -3,10 +3,10 @@
 use core::convert::Infallible;
 
 use tandem_board::{
-    CanFrame, Carried, CoreAddress, CoreId, Duration, Instant, Received, RoleLamp, SupplyEvent,
-    SystemId, Traced, VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreAddress, CoreId, Duration, HardwareFault, Instant, Received, RoleLamp,
+    SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
 };
-use tandem_peripherals::bus::TransmitLimit;
+use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_peripherals::wires::Wire;
 use tandem_shm::{FitError, bare, broadcast, fifo};
@@ -73,6 +73,20 @@ struct Node {
     trace: Reader,
     lost: u32,
     limit: TransmitLimit,
+    confinement: Confinement,
+    /// A frame that the bus did not take.
+    unsent: Option<[u32; TRANSMIT_WORDS]>,
+}
+
+impl Node {
+    /// The next frame for the bus, and the earliest time at which it can have been sent. `emptied`:
+    /// when the transmit buffer was last emptied.
+    fn next(&mut self, emptied: Instant) -> Option<([u32; TRANSMIT_WORDS], Instant)> {
+        match self.unsent.take() {
+            Some(words) => Some((words, Instant::ORIGIN)),
+            None => Some((self.frames.receive().ok()??, emptied)),
+        }
+    }
 }
 
 impl HostVehiclePort {
@@ -93,6 +107,8 @@ impl HostVehiclePort {
                 trace: Reader::new(backplane.trace_ring(index)),
                 lost: backplane.lost_trace(system, core),
                 limit: TransmitLimit::default(),
+                confinement: Confinement::default(),
+                unsent: None,
             });
         }
         let bus = RINGS.receive;
@@ -121,8 +137,37 @@ impl HostVehiclePort {
         self.backplane
     }
 
-    fn reaches(&self) -> [bool; 2] {
-        SystemId::ALL.map(|system| !self.backplane.cuts().is_cut(Wire::Can, system))
+    fn is_connected(&self, system: SystemId) -> bool {
+        !self.backplane.cuts().is_cut(Wire::Can, system)
+    }
+
+    /// Every core of a connected system hears the frame, unless its receiver finds an error in it.
+    fn publish(&mut self, received: Received, sender: Sender) {
+        let connected = SystemId::ALL.map(|system| self.is_connected(system));
+        let faults = SystemId::ALL.map(|system| self.backplane.faults(system));
+        let broken = faults.map(|faults| faults.has(HardwareFault::CanReceive));
+        for node in &mut self.from_cores {
+            let own = sender == Sender::Core(CoreAddress::new(node.system, node.core));
+            if connected[node.system.index()] && !own {
+                node.confinement.hears(broken[node.system.index()]);
+            }
+        }
+        let frame = BusFrame {
+            received,
+            sender,
+            reaches: [0, 1].map(|system| connected[system] && !broken[system]),
+        };
+        self.bus.publish(&frame.encode());
+        self.news = true;
+    }
+
+    /// The cores read their counters when the bus has worked.
+    fn tell_errors(&mut self, now: Instant) {
+        for node in &mut self.from_cores {
+            let errors = node.confinement.errors(now);
+            self.backplane
+                .set_can_errors(node.system, node.core, errors);
+        }
     }
 }
 
@@ -135,25 +180,36 @@ impl VehicleBus for HostVehiclePort {
     /// cut off the bus, sends nothing: the waiting frames of its cores are dropped.
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
         let now = clock::now();
-        let reaches = self.reaches();
+        let connected = SystemId::ALL.map(|system| self.is_connected(system));
         // These frames were not yet there at the last call. A core that was frozen between reading
         // the clock and sending would report an older time, and hide the gap.
         let emptied = core::mem::replace(&mut self.emptied, now);
         for node in &mut self.from_cores {
-            let silent = !self.backplane.level(node.system) || !reaches[node.system.index()];
+            let powered = self.backplane.level(node.system);
+            let silent = !powered || !connected[node.system.index()];
+            let faults = self.backplane.faults(node.system);
+            let destroys = faults.has(HardwareFault::CanTransmit);
+            if !powered {
+                // A reset clears the counters.
+                node.confinement = Confinement::default();
+            }
             for _ in 0..RINGS.transmit[0].shape.slots() {
                 if !silent && !node.limit.allows(now) {
                     break;
                 }
-                let Ok(Some(words)) = node.frames.receive() else {
+                let Some((words, earliest)) = node.next(emptied) else {
                     break;
                 };
                 let discards = self.backplane.discards(node.system, node.core);
                 let wanted = |(_, before): &(BusFrame, u32)| !silent && *before == discards;
                 if let Some((sent, _)) = decode_transmit(&words).filter(wanted) {
+                    if !node.confinement.sends(now, destroys) {
+                        node.unsent = Some(words);
+                        break;
+                    }
                     node.limit.count(now);
                     // Read the clock again: the vehicle itself may have been held up since `now`.
-                    let at = sent.received.at.clamp(emptied, clock::now());
+                    let at = sent.received.at.clamp(earliest, clock::now());
                     let frame = sent.received.frame;
                     // The ring identifies the sender, whatever the words say.
                     let sent = (node.system, node.core, Received { frame, at });
@@ -165,20 +221,14 @@ impl VehicleBus for HostVehiclePort {
         self.sent.sort_by_key(|(_, _, sent)| sent.at);
         // The bus carries them now: the start of this call may be earlier than a sender's time.
         let at = clock::now();
-        for (system, core, Received { frame, at: sent }) in self.sent.drain(..) {
+        let mut all = core::mem::take(&mut self.sent);
+        for (system, core, Received { frame, at: sent }) in all.drain(..) {
             seen(system, core, Carried { frame, sent, at });
             let sender = Sender::Core(CoreAddress::new(system, core));
-            let received = Received { frame, at };
-            self.bus.publish(
-                &BusFrame {
-                    received,
-                    sender,
-                    reaches,
-                }
-                .encode(),
-            );
-            self.news = true;
+            self.publish(Received { frame, at }, sender);
         }
+        self.sent = all;
+        self.tell_errors(at);
         self.ring_receivers();
     }
 
@@ -186,14 +236,7 @@ impl VehicleBus for HostVehiclePort {
     /// [`VehicleBus::ring_receivers`].
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
         let at = clock::now();
-        let received = Received { frame: *frame, at };
-        let frame = BusFrame {
-            received,
-            sender: Sender::Vehicle,
-            reaches: self.reaches(),
-        };
-        self.bus.publish(&frame.encode());
-        self.news = true;
+        self.publish(Received { frame: *frame, at }, Sender::Vehicle);
         at
     }
 

@@ -3,13 +3,14 @@
 //! | state | level line | leaves it when |
 //! |---|---|---|
 //! | off | low | power comes → on |
-//! | on | high | watchdog fault, request of a core, death of core 0 → reset or suspended |
-//! | reset | low | the hold is over and all cores stand still → on |
+//! | on | high | watchdog, request, death of core 0, rail, error pin → reset or suspended |
+//! | reset | low | the hold is over, all cores stand still, rails and error pin are good → on |
 //! | suspended | low | never by itself |
 //!
-//! From every state power can be switched off.
+//! From every state power can be switched off. A rail with too much voltage suspends from each
+//! state with power, so that the chip is not damaged.
 
-use tandem_board::{Duration, Instant, ResetCause, ResetRequest};
+use tandem_board::{Duration, HardwareFault, HardwareFaults, Instant, ResetCause, ResetRequest};
 
 use crate::watchdog::{Watchdog, Window};
 
@@ -76,7 +77,8 @@ pub enum Change {
     Start(ResetCause),
     /// All cores stop. The supply will start them again.
     Reset(ResetCause),
-    /// All cores stop until the next power-on: the system requested it.
+    /// All cores stop until the next power-on: the system requested it, or a rail has too much
+    /// voltage.
     Suspend,
     /// All cores stop: power is lost.
     PowerOff,
@@ -89,6 +91,8 @@ pub struct Supply {
     state: State,
     /// How long the next reset holds the system.
     next_hold: Duration,
+    /// What the rails and the error pin show.
+    pins: HardwareFaults,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -116,6 +120,7 @@ impl Supply {
             config,
             state: State::Off,
             next_hold: config.hold,
+            pins: HardwareFaults(0),
         }
     }
 
@@ -163,12 +168,39 @@ impl Supply {
         }
     }
 
+    /// The cause for which rails and error pin hold the system in reset; `None` if they are good.
+    const fn held_by(&self) -> Option<ResetCause> {
+        if self.pins.has(HardwareFault::Undervoltage) {
+            Some(ResetCause::Undervoltage)
+        } else if self.pins.has(HardwareFault::ErrorPin) {
+            Some(ResetCause::ErrorPin)
+        } else {
+            None
+        }
+    }
+
+    /// The rails and the error pin of the system show this from now on.
+    pub fn observe(&mut self, now: Instant, pins: HardwareFaults) -> Option<Change> {
+        self.pins = pins;
+        match self.state {
+            State::On { .. } | State::Reset { .. } if pins.has(HardwareFault::Overvoltage) => {
+                self.state = State::Suspended;
+                Some(Change::Suspend)
+            }
+            State::On { .. } => self.reset(now, self.held_by()?),
+            _ => None,
+        }
+    }
+
     /// Power is lost. No effect if it was off.
     pub fn power_off(&mut self) -> Option<Change> {
         match self.state {
             State::Off => None,
             _ => {
-                *self = Self::new(self.config);
+                *self = Self {
+                    pins: self.pins,
+                    ..Self::new(self.config)
+                };
                 Some(Change::PowerOff)
             }
         }
@@ -229,7 +261,9 @@ impl Supply {
                 }
                 None => None,
             },
-            State::Reset { until, cause } if now >= until && cores_stand => {
+            State::Reset { until, cause }
+                if now >= until && cores_stand && self.held_by().is_none() =>
+            {
                 Some(self.start(now, cause))
             }
             State::Reset { .. } | State::Off | State::Suspended => None,
@@ -246,8 +280,10 @@ impl Supply {
             State::On { watchdog, .. } if self.config.watches => {
                 watchdog.closes() + Duration::from_ns(1)
             }
-            State::Reset { until, .. } => until,
-            State::On { .. } | State::Off | State::Suspended => Instant::NEVER,
+            State::Reset { until, .. } if self.held_by().is_none() => until,
+            State::Reset { .. } | State::On { .. } | State::Off | State::Suspended => {
+                Instant::NEVER
+            }
         }
     }
 
@@ -265,6 +301,7 @@ impl Supply {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use HardwareFault::{ErrorPin, Overvoltage, Undervoltage};
     use tandem_board::watchdog_answer;
 
     const CONFIG: Config = Config {
@@ -300,7 +337,7 @@ mod tests {
     };
 
     type Input = fn(&mut Supply) -> Option<Change>;
-    const INPUTS: [(&str, Input); 11] = [
+    const INPUTS: [(&str, Input); 15] = [
         ("power on", |s| s.power_on(ms(1))),
         ("power off", Supply::power_off),
         ("right service", |s| {
@@ -314,7 +351,17 @@ mod tests {
         ("asks for a download", |s| asks(s, ResetRequest::Download)),
         ("suspends", |s| asks(s, ResetRequest::Suspend)),
         ("hold is over", |s| s.poll(ms(20), true)),
+        ("rails and pin good", |s| sees(s, &[])),
+        ("low rail", |s| sees(s, &[Undervoltage])),
+        ("high rail", |s| sees(s, &[Undervoltage, Overvoltage])),
+        ("error pin", |s| sees(s, &[ErrorPin])),
     ];
+
+    fn sees(supply: &mut Supply, faults: &[HardwareFault]) -> Option<Change> {
+        let mut pins = HardwareFaults::default();
+        faults.iter().for_each(|fault| pins.set(*fault, true));
+        supply.observe(ms(1), pins)
+    }
 
     fn asks(supply: &mut Supply, request: ResetRequest) -> Option<Change> {
         supply.request(request);
@@ -354,12 +401,23 @@ mod tests {
                     (Some(Reset(Download)), held(21, Download)),
                     (Some(Suspend), Power::Suspended),
                     (None, Power::On),
+                    (None, Power::On),
+                    (
+                        Some(Reset(ResetCause::Undervoltage)),
+                        held(21, ResetCause::Undervoltage),
+                    ),
+                    (Some(Suspend), Power::Suspended),
+                    (
+                        Some(Reset(ResetCause::ErrorPin)),
+                        held(21, ResetCause::ErrorPin),
+                    ),
                 ],
             ),
             (IN_RESET, {
                 let mut row = [(None, trap); INPUTS.len()];
                 row[1] = (Some(PowerOff), Power::Off);
                 row[10] = (Some(Start(Trap)), Power::On);
+                row[13] = (Some(Suspend), Power::Suspended);
                 row
             }),
             (SUSPENDED, {
@@ -391,6 +449,30 @@ mod tests {
             assert_eq!(change.is_some(), starts, "{now} ms, {cores_stand}");
         }
         assert_eq!(IN_RESET().next(), ms(20));
+    }
+
+    /// T-CHIP-6: a low rail and the error pin hold a system in reset for as long as they last. Too
+    /// much voltage switches it off, and only a power-on without it starts it again.
+    #[test]
+    fn rails_and_error_pin_hold_a_system() {
+        for (fault, cause) in [
+            (Undervoltage, ResetCause::Undervoltage),
+            (ErrorPin, ResetCause::ErrorPin),
+        ] {
+            let mut supply = ON();
+            assert_eq!(sees(&mut supply, &[fault]), Some(Change::Reset(cause)));
+            assert_eq!(supply.next(), Instant::NEVER);
+            assert_eq!(supply.poll(ms(500), true), None, "{fault:?} lasts");
+            assert_eq!(sees(&mut supply, &[]), None);
+            assert_eq!(supply.poll(ms(501), true), Some(Change::Start(cause)));
+        }
+        let mut supply = ON();
+        assert_eq!(sees(&mut supply, &[Overvoltage]), Some(Change::Suspend));
+        assert_eq!(sees(&mut supply, &[]), None);
+        assert_eq!(supply.poll(ms(500), true), None, "stays off");
+        assert!(supply.power_off().is_some());
+        assert!(supply.power_on(ms(600)).is_some());
+        assert_eq!(supply.cause(), ResetCause::PowerOn);
     }
 
     /// An incarnation reports its cause, and nothing of an old incarnation reaches the next one.

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tandem_board::{
-    CanFrame, Carried, CoreId, Instant, Received, RoleLamp, SystemId, Traced, VehicleBus,
-    VehiclePort,
+    CanFrame, Carried, CoreId, HardwareFault, Instant, Received, RoleLamp, SystemId, Traced,
+    VehicleBus, VehiclePort,
 };
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
@@ -274,15 +274,24 @@ impl EmulatedWorld {
                 });
             }
             Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
-            Item::Level { .. } | Item::Feed { .. } | Item::End => {}
+            Item::Level { .. } | Item::Feed { .. } | Item::Fault { .. } | Item::End => {}
         }
     }
 
     /// Connects the battery of a system, or disconnects it, at the next step.
     pub fn set_feed(&mut self, of: SystemId, on: bool) {
+        self.tell_machine_of(of, Item::Feed { of, on });
+    }
+
+    /// Makes a fault of a system's hardware, or mends it, at the next step.
+    pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
+        self.tell_machine_of(of, Item::Fault { of, fault, present });
+    }
+
+    fn tell_machine_of(&mut self, system: SystemId, item: Item) {
         for node in &mut self.machines {
-            if node.systems.contains(&of) {
-                node.outgoing.push(Item::Feed { of, on });
+            if node.systems.contains(&system) {
+                node.outgoing.push(item);
             }
         }
     }

@@ -6,9 +6,10 @@ use crate::machine::{Attention, Shared, SystemEventKind};
 use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FlashError, FlashStatus,
-    Generation, Identity, Instant, Line, Lines, Link, LinkFull, OutputDiagnosis, Received,
-    ResetCause, ResetRequest, RoleLamp, Supply, TraceRecord, Traced, TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FaultSource,
+    FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
+    LinkFull, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
+    TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
@@ -197,7 +198,7 @@ impl Board for SimBoard {
 
     fn output_diagnosis(&self) -> OutputDiagnosis {
         let mut machine = self.port.shared.lock();
-        machine.system(self.port.place.system).outputs
+        machine.system(self.port.place.system).faults.outputs()
     }
 
     fn wait(&self, deadline: Instant) -> Wake {
@@ -242,6 +243,13 @@ impl Board for SimBoard {
     }
 }
 
+impl FaultSource for SimBoard {
+    fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
+        let mut machine = self.port.shared.lock();
+        machine.set_fault(of, fault, present);
+    }
+}
+
 impl Can for SimCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         let sent = self
@@ -254,7 +262,6 @@ impl Can for SimCan {
         sent
     }
 
-    /// Nothing to discard: a frame is on the bus as soon as it is handed over.
     fn discard_unsent(&self) {
         self.0.alive(|machine| machine.discard_unsent(self.0.place));
     }
@@ -279,6 +286,15 @@ impl Can for SimCan {
         self.0
             .alive(|machine| machine.core(self.0.place).overruns)
             .unwrap_or(0)
+    }
+
+    fn errors(&self) -> CanErrors {
+        self.0
+            .alive(|machine| {
+                let now = machine.at();
+                machine.core(self.0.place).confinement.errors(now)
+            })
+            .unwrap_or_default()
     }
 }
 

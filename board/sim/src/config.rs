@@ -1,6 +1,6 @@
 //! The configuration of a simulated run.
 
-use tandem_board::Duration;
+use tandem_board::{Duration, HardwareFault};
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
 use tandem_peripherals::wires::LINK_DATAGRAMS;
@@ -245,11 +245,13 @@ pub enum Defect {
     RequestIgnored,
     /// A reset leaves core 2 running.
     PartialReset,
+    /// A fault of the hardware has no effect.
+    FaultWithoutEffect(HardwareFault),
 }
 
 impl Defect {
     /// All defects.
-    pub const ALL: [Self; 50] = [
+    pub const ALL: [Self; 57] = [
         Self::LostRing,
         Self::MisdirectedRing,
         Self::EarlyDeadline,
@@ -300,5 +302,12 @@ impl Defect {
         Self::CauseForgotten,
         Self::RequestIgnored,
         Self::PartialReset,
+        Self::FaultWithoutEffect(HardwareFault::OpenLoad),
+        Self::FaultWithoutEffect(HardwareFault::ShortCircuit),
+        Self::FaultWithoutEffect(HardwareFault::CanTransmit),
+        Self::FaultWithoutEffect(HardwareFault::CanReceive),
+        Self::FaultWithoutEffect(HardwareFault::ErrorPin),
+        Self::FaultWithoutEffect(HardwareFault::Undervoltage),
+        Self::FaultWithoutEffect(HardwareFault::Overvoltage),
     ];
 }

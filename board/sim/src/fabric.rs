@@ -3,11 +3,15 @@
 use crate::config::Defect;
 use crate::machine::{Machine, OnBus};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Edge, Line, LinkFull, Received, SystemId, TransmitFull,
+    CanFrame, CoreAddress, CoreId, Edge, HardwareFault, Line, LinkFull, Received, SystemId,
+    TransmitFull,
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
 use tandem_peripherals::wires::Wire;
+
+/// Frames that wait for the bus in the transmit buffer of a core.
+const TRANSMIT_BUFFER: usize = 32;
 
 impl Machine {
     pub(crate) fn send_edge(&mut self, from: SystemId, line: Line, edge: Edge) {
@@ -78,6 +82,7 @@ impl Machine {
     }
 
     pub(crate) fn discard_unsent(&mut self, from: CoreAddress) {
+        self.core(from).unsent.clear();
         self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
     }
 
@@ -100,9 +105,18 @@ impl Machine {
             return Ok(());
         }
         let lost_out = self.systems[from.system.index()].bus_fault.lost_out;
-        if !self.loses(lost_out) {
-            self.transmit(from, frame);
+        if self.loses(lost_out) {
+            return Ok(());
         }
+        if self.core(from).unsent.is_empty() && self.sends(from) {
+            self.transmit(from, frame);
+            return Ok(());
+        }
+        let unsent = &mut self.core(from).unsent;
+        if unsent.len() >= TRANSMIT_BUFFER {
+            return Err(TransmitFull);
+        }
+        unsent.push_back(*frame);
         Ok(())
     }
 
@@ -150,7 +164,14 @@ impl Machine {
         } else {
             *frame
         };
+        let broken = self.systems[place.system.index()]
+            .faults
+            .has(HardwareFault::CanReceive);
         let core = self.core(place);
+        core.confinement.hears(broken);
+        if broken {
+            return;
+        }
         if core.can_fifo.len() >= depth {
             core.overruns = core.overruns.wrapping_add(u32::from(!uncounted));
         } else {

@@ -1,11 +1,11 @@
 //! Faults: power, cores, wires, the bus, the flash, the clock.
 
-use crate::config::{BusFault, Clock};
+use crate::config::{BusFault, Clock, Defect};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Edge, Line, OutputDiagnosis, ResetCause, SystemId,
+    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, ResetCause, SystemId,
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::wires::Wire;
@@ -95,9 +95,10 @@ impl SimPair {
         self.shared.lock().system(system).bus_fault = fault;
     }
 
-    /// What the output driver of a system finds from now on.
-    pub fn diagnose_outputs(&mut self, system: SystemId, found: OutputDiagnosis) {
-        self.shared.lock().system(system).outputs = found;
+    /// Makes a fault of a system's hardware, or mends it.
+    pub fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
+        self.shared.lock().set_fault(of, fault, present);
+        self.follow_incarnations();
     }
 
     /// A core is not due for this span after each poll, so that all its deadlines pass late.
@@ -121,6 +122,17 @@ impl SimPair {
 }
 
 impl Machine {
+    pub(crate) fn set_fault(&mut self, of: SystemId, fault: HardwareFault, present: bool) {
+        if self.has(Defect::FaultWithoutEffect(fault)) {
+            return;
+        }
+        let now = self.at();
+        let faults = &mut self.system(of).faults;
+        faults.set(fault, present);
+        let faults = *faults;
+        self.with_supply(of, |supply| supply.observe(now, faults));
+    }
+
     fn hold_level_low(&mut self, system: SystemId, held: bool) {
         let before = self.level(system);
         self.system(system).level_held_low = held;
@@ -145,8 +157,27 @@ impl Machine {
         }
     }
 
-    /// Puts the delayed frames on the bus that are due.
+    /// Whether the first of the frames that a core has handed over reaches the bus now.
+    pub(crate) fn sends(&mut self, from: CoreAddress) -> bool {
+        let now = self.at();
+        let fails = self.systems[from.system.index()]
+            .faults
+            .has(HardwareFault::CanTransmit);
+        self.core(from).confinement.sends(now, fails)
+    }
+
+    /// Puts the frames on the bus that waited for it, and the delayed ones that are due.
     pub(crate) fn settle_bus(&mut self) {
+        for from in CoreAddress::ALL {
+            if !self.core(from).alive || self.cuts.is_cut(Wire::Can, from.system) {
+                self.core(from).unsent.clear();
+            }
+            while !self.core(from).unsent.is_empty() && self.sends(from) {
+                if let Some(frame) = self.core(from).unsent.pop_front() {
+                    self.transmit(from, &frame);
+                }
+            }
+        }
         while let Some((at_ns, from, frame)) = self.on_the_way.front().copied()
             && at_ns <= self.now_ns
         {
@@ -155,11 +186,13 @@ impl Machine {
         }
     }
 
-    /// When the next delayed frame reaches the bus.
+    /// When the next frame that waits may reach the bus.
     pub(crate) fn bus_next_ns(&self) -> u64 {
-        self.on_the_way
-            .front()
-            .map_or(u64::MAX, |(at_ns, ..)| *at_ns)
+        let cores = self.systems.iter().flat_map(|system| &system.cores);
+        let waiting = cores.filter(|core| !core.unsent.is_empty());
+        let tried = waiting.map(|core| core.confinement.due().as_ns());
+        let delayed = self.on_the_way.front().map(|(at_ns, ..)| *at_ns);
+        tried.chain(delayed).min().unwrap_or(u64::MAX)
     }
 }
 

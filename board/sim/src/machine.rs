@@ -8,10 +8,10 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Instant, OutputDiagnosis, Received, ResetCause,
+    CanFrame, CoreAddress, CoreId, Duration, HardwareFaults, Instant, Received, ResetCause,
     ResetRequest, RoleLamp, SystemId, Traced,
 };
-use tandem_peripherals::bus::TransmitLimit;
+use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::{self, Power, Supply};
 use tandem_peripherals::wires::Cuts;
@@ -90,6 +90,9 @@ pub(crate) struct Core {
     pub(crate) can_wakes: bool,
     pub(crate) overruns: u32,
     pub(crate) transmit: TransmitLimit,
+    pub(crate) confinement: Confinement,
+    /// Frames that the bus has not taken yet.
+    pub(crate) unsent: VecDeque<CanFrame>,
     /// A defect: the next frame is lost.
     pub(crate) loses_next: bool,
     looks: u32,
@@ -111,6 +114,8 @@ impl Core {
             can_wakes: false,
             overruns: 0,
             transmit: TransmitLimit::default(),
+            confinement: Confinement::default(),
+            unsent: VecDeque::new(),
             loses_next: false,
             looks: 0,
         }
@@ -150,7 +155,7 @@ pub(crate) struct System {
     pub(crate) edges: [[u32; 2]; 3],
     pub(crate) level_held_low: bool,
     pub(crate) bus_fault: BusFault,
-    pub(crate) outputs: OutputDiagnosis,
+    pub(crate) faults: HardwareFaults,
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
 
@@ -165,7 +170,7 @@ impl System {
             edges: [[0; 2]; 3],
             level_held_low: false,
             bus_fault: BusFault::default(),
-            outputs: OutputDiagnosis::Good,
+            faults: HardwareFaults::default(),
             inbox: VecDeque::new(),
         }
     }

@@ -6,7 +6,7 @@ use std::fmt;
 use std::sync::{Arc, Mutex};
 use tandem_board::{Board, CoreAddress, Duration, Identity, Instant, SystemId};
 use tandem_board_conformance::{
-    Case, Failure, Outcome, Part, Rig, Setting, Summary, cases, run_all, run_role,
+    Case, Failure, Outcome, Part, Rig, Setting, Summary, case_of, cases, run_all, run_role,
 };
 use tandem_board_sim::{Config, Defect, Order, SimBoard, SimPair, SystemEventKind, blocking};
 
@@ -156,6 +156,10 @@ fn conformance_catches_defects() {
             ..config()
         });
         assert!(summary.failed > 0, "the suite does not find {defect:?}");
+        if let Defect::FaultWithoutEffect(fault) = defect {
+            let case = case_of(fault);
+            assert!(failed[0].starts_with(case), "{case} does not find it");
+        }
         println!("{defect:?}:\n    {}", failed.join("\n    "));
         fallible.extend(
             failed

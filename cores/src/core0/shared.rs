@@ -128,6 +128,8 @@ pub struct Shared<'b, B: Board> {
     /// The latest scene has lanes.
     pub(super) lanes_seen: bool,
     pub(super) deadline_misses: u32,
+    /// Polls of the roles that did not run since the last status frame.
+    pub(super) missed_polls: u32,
     /// Control cycles that have ended; wraps around.
     pub(super) control_cycles: u32,
     pub(super) tracks: u8,
@@ -185,6 +187,7 @@ impl<'b, B: Board> Shared<'b, B> {
             stands: false,
             lanes_seen: false,
             deadline_misses: 0,
+            missed_polls: 0,
             control_cycles: 0,
             tracks: 0,
         }
@@ -545,10 +548,20 @@ impl<'b, B: Board> Shared<'b, B> {
     /// The driver of the outputs has a fault. `tells`: for the first time.
     pub(super) fn on_output_fault(&mut self, found: OutputDiagnosis, tells: bool) -> TaskSet {
         if tells {
-            let found = found.code() as u8;
+            let found = found as u8;
             self.trace(Event::OutputFault { found });
         }
         self.tell(Input::OwnFault(FailureMode::IoModule))
+    }
+
+    /// The CAN controller was bus-off, and has not been error-active since. `again`: it is bus-off
+    /// once more. The vehicle hears nothing of this system: the other one learns it at once.
+    pub(super) fn on_bus_off(&mut self, again: bool) -> TaskSet {
+        let tasks = self.tell(Input::OwnFault(FailureMode::CanBusOff));
+        if again {
+            self.report();
+        }
+        tasks
     }
 
     /// Core 1 or 2 is dead.

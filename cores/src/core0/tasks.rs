@@ -9,18 +9,24 @@ use crate::layout::{
     CONTROL_STEP, ControllerMap, KNOWLEDGE, MAILBOX_2_TO_0, SCENE, TRAJECTORY, TRAJECTORY_READY,
     age_ns,
 };
-use crate::schedule::{Grid, Release};
+use crate::schedule::{Cycles, Grid, Release};
 use crate::trace::{Begin, Event};
 use crate::{Config, RETRY};
 use tandem_board::{
-    Board, CoreId, Duration, Instant, Link, OutputDiagnosis, Supply, watchdog_answer,
+    Board, Can, CanErrors, CanState, CoreId, Duration, Instant, Link, OutputDiagnosis, Supply,
+    watchdog_answer,
 };
 use tandem_bus::Message;
 use tandem_redundancy::{FailureMode, Mode};
 use tandem_shm::mailbox;
 use tandem_shm::newest::Reader;
 
-fn released(board: &impl Board, release: Release) -> Begin {
+/// A job of a periodic task begins; those before it that did not run are told.
+fn released(board: &impl Board, task: TaskId, release: Release) -> Begin {
+    if release.missed > 0 {
+        let (task, missed) = (task.info().code, release.missed);
+        board.trace(Event::DeadlineMiss { task, missed }.encode());
+    }
     Begin::Released {
         late_ns: age_ns(board.now(), release.at),
         missed: release.missed,
@@ -41,7 +47,9 @@ impl<'b, B: Board> Task<'b, B> for Roles<'b, B> {
                 Begin::Goes
             } else {
                 let late_ns = age_ns(now, due);
-                Begin::Released { late_ns, missed: 0 }
+                let missed = late_ns / Self::ID.info().period.as_ns() as u32;
+                shared.missed_polls = shared.missed_polls.saturating_add(missed);
+                Begin::Released { late_ns, missed }
             };
             executor.begins(Self::ID, begin);
             // Tell everything that has arrived before the lines are judged: otherwise the
@@ -67,9 +75,14 @@ pub struct Monitoring<'b, B> {
     grid: Grid,
     map: Option<ControllerMap<'b>>,
     alive: Alive,
-    /// The core that was last told to be silent: a system that drives on tells it once.
     /// How many polls in a row found a fault of the outputs.
     output_faults: u8,
+    /// Of the CAN controller, at the last poll.
+    can_errors: CanErrors,
+    overruns: u32,
+    /// It was bus-off, and has not been error-active since.
+    was_bus_off: bool,
+    /// The core that was last told to be silent: a system that drives on tells it once.
     told_silent: Option<CoreId>,
     control: Progress,
     /// The watchdog gets no service, and resets this system.
@@ -117,6 +130,9 @@ impl<'b, B: Board> Monitoring<'b, B> {
             alive: Alive::new(started, config.boot_limit, |_| 0),
             told_silent: None,
             output_faults: 0,
+            can_errors: CanErrors::default(),
+            overruns: 0,
+            was_bus_off: false,
             control: Progress::default(),
             withholds: false,
             last_service: None,
@@ -182,6 +198,27 @@ impl<'b, B: Board> Monitoring<'b, B> {
         }
     }
 
+    /// What the CAN controller says of itself. One that was bus-off has sent nothing for some
+    /// control cycles: that is a fault of this system until its counters are good again.
+    fn supervise_can(&mut self, executor: &impl Executor<'b, B>) {
+        let can = self.board.can();
+        let (errors, overruns) = (can.errors(), can.overruns());
+        let count = overruns.wrapping_sub(core::mem::replace(&mut self.overruns, overruns));
+        if count > 0 {
+            self.board.trace(Event::FramesLost { count }.encode());
+        }
+        let before = core::mem::replace(&mut self.can_errors, errors);
+        let was_off = errors.bus_offs != before.bus_offs;
+        if was_off || errors.state() != before.state() {
+            self.board.trace(Event::CanErrors { errors }.encode());
+        }
+        self.was_bus_off = was_off || self.was_bus_off && errors.state() != CanState::ErrorActive;
+        if self.was_bus_off {
+            let tasks = executor.shared(|shared| shared.on_bus_off(was_off));
+            executor.release(tasks);
+        }
+    }
+
     /// Compares the alive counters with their limit.
     fn supervise(&mut self, executor: &impl Executor<'b, B>) {
         let Some(map) = &self.map else { return };
@@ -234,9 +271,10 @@ impl<'b, B: Board> Task<'b, B> for Monitoring<'b, B> {
             }
         }
         if let Some(release) = self.grid.release(self.board.now()) {
-            executor.begins(Self::ID, released(self.board, release));
+            executor.begins(Self::ID, released(self.board, Self::ID, release));
             self.supervise_control(executor);
             self.supervise_outputs(executor);
+            self.supervise_can(executor);
             self.service_watchdog();
             self.supervise(executor);
             executor.ends(Self::ID);
@@ -259,8 +297,10 @@ impl<'b, B: Board> Task<'b, B> for Control<'b, B> {
         let (release, degraded, next) = executor.shared(|shared| {
             let release = shared.release_control(now);
             let degraded = shared.mode() == Some(Mode::DegradedL2);
-            if degraded {
-                shared.handed_over = release.or(shared.handed_over);
+            if degraded && let Some(release) = release {
+                let left_out = shared.handed_over.map_or(0, |before| before.missed + 1);
+                let missed = release.missed.saturating_add(left_out);
+                shared.handed_over = Some(Release { missed, ..release });
             }
             (release, degraded, shared.control.next())
         });
@@ -296,15 +336,10 @@ fn cycle<'b, B: Board>(
     task: TaskId,
     release: Release,
 ) {
-    executor.begins(task, released(board, release));
+    executor.begins(task, released(board, task, release));
     let begin = board.now();
     let inputs = executor.shared(|shared| {
-        if release.missed > 0 {
-            shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
-            shared.trace(Event::DeadlineMiss {
-                missed: release.missed,
-            });
-        }
+        shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
         let mode = shared.mode()?;
         Some((mode, core::mem::take(&mut shared.inbox)))
     });
@@ -391,11 +426,16 @@ impl<'b> Lmu<'b> {
 pub struct TrajectoryInput<'b, B> {
     board: &'b B,
     lmu: Option<Lmu<'b>>,
+    cycles: Cycles,
 }
 
 impl<'b, B: Board> TrajectoryInput<'b, B> {
     pub(super) fn new(board: &'b B) -> Self {
-        Self { board, lmu: None }
+        Self {
+            board,
+            lmu: None,
+            cycles: Cycles::default(),
+        }
     }
 
     fn trace(&self, event: Event) {
@@ -425,6 +465,11 @@ impl<'b, B: Board> Task<'b, B> for TrajectoryInput<'b, B> {
         let now = self.board.now();
         match trajectory {
             Ok(Some(trajectory)) => {
+                let missed = self.cycles.missed(trajectory.cycle);
+                if missed > 0 {
+                    let task = Self::ID.info().code;
+                    self.trace(Event::DeadlineMiss { task, missed });
+                }
                 let latency_ns = age_ns(now, trajectory.at);
                 if signalled {
                     self.trace(Event::Woken {
@@ -489,7 +534,7 @@ impl<'b, B: Board> Task<'b, B> for Status<'b, B> {
 
     fn poll(&mut self, executor: &impl Executor<'b, B>) -> Instant {
         if let Some(release) = self.grid.release(self.board.now()) {
-            executor.begins(Self::ID, released(self.board, release));
+            executor.begins(Self::ID, released(self.board, Self::ID, release));
             executor.shared(|shared| shared.send_status());
             executor.ends(Self::ID);
         }
@@ -502,6 +547,11 @@ impl<B: Board> Shared<'_, B> {
         let Some(redundancy) = &self.redundancy else {
             return;
         };
+        let missed = core::mem::take(&mut self.missed_polls);
+        if missed > 0 {
+            let task = TaskId::Roles.info().code;
+            self.trace(Event::DeadlineMiss { task, missed });
+        }
         // Its mode is the redundancy's: a master that tells of a safe stop there resigns.
         let status = tandem_bus::Status {
             agreement: self.agreement.stage(),

@@ -3,9 +3,9 @@
 use crate::allocator::uncounted;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Identity, Instant,
-    Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TraceRecord,
-    TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CoreId, DataFlash, Edge, FlashError, FlashStatus, Identity,
+    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
+    TraceRecord, TransmitFull, Wake,
 };
 use tandem_board_sim::SimBoard;
 
@@ -96,6 +96,10 @@ impl Can for Counted<'_> {
 
     fn overruns(&self) -> u32 {
         uncounted(|| self.board.can().overruns())
+    }
+
+    fn errors(&self) -> CanErrors {
+        uncounted(|| self.board.can().errors())
     }
 }
 

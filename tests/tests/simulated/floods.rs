@@ -4,8 +4,8 @@ use std::cell::Cell;
 use std::rc::Rc;
 use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Edge, Identity, Instant, Line, Lines, Link,
-    LinkFull, Received, SystemId, TraceRecord, TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CanId, CoreId, Duration, Edge, Identity, Instant, Line, Lines,
+    Link, LinkFull, Received, SystemId, TraceRecord, TransmitFull, Wake,
 };
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
@@ -293,6 +293,10 @@ impl Can for EndlessCan {
 
     fn overruns(&self) -> u32 {
         self.0.can().overruns()
+    }
+
+    fn errors(&self) -> CanErrors {
+        self.0.can().errors()
     }
 }
 

@@ -73,20 +73,26 @@ fn hanging(board: &SimBoard) -> Poller {
     })
 }
 
+/// A drive in which the control task of a system hangs.
+pub(crate) fn drive(of: SystemId) -> Drive {
+    let mut drive = Drive::with("free-lane", 4, move |board| {
+        let id = board.identity();
+        if (id.system, id.core) == (of, CoreId::CONTROL) {
+            hanging(board)
+        } else {
+            poller(board, Config::rt())
+        }
+    });
+    drive.run_for(MS(13_000));
+    drive
+}
+
 /// T-CHIP-6, T-RED-3: a control task that hangs is noticed in the standby as in the master: its
 /// system stops its heartbeats, resets itself and comes back; the other drives.
 #[test]
 fn a_control_task_that_hangs_is_noticed_in_the_standby_too() {
     for of in SystemId::ALL {
-        let mut drive = Drive::with("free-lane", 4, move |board| {
-            let id = board.identity();
-            if (id.system, id.core) == (of, CoreId::CONTROL) {
-                hanging(board)
-            } else {
-                poller(board, Config::rt())
-            }
-        });
-        drive.run_for(MS(13_000));
+        let drive = drive(of);
         crate::print_story(&drive);
         let restarted = drive.events.iter().find(|(_, system, core, event)| {
             let again = matches!(event, Event::Started { generation: 2, .. });

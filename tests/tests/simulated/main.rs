@@ -13,11 +13,12 @@ mod held_up;
 mod hung;
 mod joins;
 mod mailboxes;
+mod sources;
 mod stale;
 mod terms;
 mod wrong;
 
-use tandem_board::{CoreId, Duration, Instant, OutputDiagnosis, RoleLamp, SystemId};
+use tandem_board::{CoreId, Duration, HardwareFault, Instant, RoleLamp, SystemId};
 use tandem_bus::{Control, Mode, Role, Transmitter};
 use tandem_cores::trace::Event;
 use tandem_record::gap::both_transmitted_ms;
@@ -214,17 +215,15 @@ fn a_master_that_was_reset_comes_back_and_takes_over_in_turn() {
 /// not count.
 #[test]
 fn a_fault_of_the_output_driver_suspends_its_system() {
-    for found in [OutputDiagnosis::OpenLoad, OutputDiagnosis::ShortCircuit] {
+    for found in [HardwareFault::OpenLoad, HardwareFault::ShortCircuit] {
         let mut drive = Drive::new("free-lane", 8);
         drive.run_for(S(5));
-        drive.pair.diagnose_outputs(SystemId::A, found);
+        drive.pair.set_fault(SystemId::A, found, true);
         drive.run_for(Duration::from_ms(1));
-        drive
-            .pair
-            .diagnose_outputs(SystemId::A, OutputDiagnosis::Good);
+        drive.pair.set_fault(SystemId::A, found, false);
         drive.run_for(S(1));
         assert_eq!(drive.masters(), [SystemId::A], "{found:?}");
-        drive.pair.diagnose_outputs(SystemId::A, found);
+        drive.pair.set_fault(SystemId::A, found, true);
         drive.run_for(S(2));
         assert_eq!(drive.masters(), [SystemId::A, SystemId::B], "{found:?}");
         let causes: Vec<_> = drive.takeovers().iter().map(|of| of.cause).collect();

@@ -82,6 +82,11 @@ fn bend_steering(angle: Steering) -> (OnSend, OnHear) {
     (Box::new(bent), Box::new(straight))
 }
 
+/// A drive in which the steering angle in A's frames is stuck.
+pub(crate) fn stuck() -> Drive {
+    drive_steering(|_, _| 0.01).0
+}
+
 /// T-RED-9: the steering angle in A's frames is stuck, or drifts, and the protection is valid. A
 /// reads back what the vehicle obeys or refuses, leaves, and B drives on from what is obeyed.
 #[test]

@@ -3,6 +3,7 @@
 mod can;
 mod clock;
 mod doorbell;
+mod fault;
 mod flash;
 mod lines;
 mod link;
@@ -11,12 +12,13 @@ mod release;
 mod supply;
 
 use crate::case::{Case, Part, Setting};
-use tandem_board::{Board, CoreAddress};
+pub use fault::case_of;
+use tandem_board::{CoreAddress, FaultSource};
 
 use Setting::{Plain, Releases, Restarts, Suspends, Watchdog};
 
 /// How many cases the suite has.
-const COUNT: usize = 47;
+const COUNT: usize = 53;
 
 /// Makes the parts of a case live as long as the program.
 macro_rules! case {
@@ -32,7 +34,7 @@ macro_rules! case {
 /// All cases, in a sensible order: a case relies on properties that earlier cases proved.
 #[must_use]
 #[rustfmt::skip]
-pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
+pub fn cases<B: FaultSource + 'static>() -> [Case<B>; COUNT] {
     [
         case!("release-one-by-one", Releases,
             A0: release::releases::<B>, A1: release::released::<B>, A2: release::released::<B>),
@@ -101,6 +103,16 @@ pub fn cases<B: Board + 'static>() -> [Case<B>; COUNT] {
         case!("supply-core-dead", Restarts,
             A0: supply::bystander::<B>, A1: supply::reports_core_dead::<B>),
         case!("supply-suspend", Suspends, A0: supply::suspends::<B>, B0: supply::sees_low::<B>),
+        case!("fault-outputs", Plain, A0: fault::outputs::<B>),
+        case!("fault-can-transmit", Plain,
+            A0: fault::cannot_send::<B>, A1: fault::hears_when_mended::<B>),
+        case!("fault-can-receive", Plain,
+            A0: fault::sends_on::<B>, A1: fault::cannot_receive::<B>),
+        case!("fault-error-pin", Restarts, A0: fault::error_pin::<B>, B0: fault::error_pin::<B>),
+        case!("fault-undervoltage", Restarts,
+            A0: fault::undervoltage::<B>, B0: fault::undervoltage::<B>),
+        case!("fault-overvoltage", Suspends,
+            A0: fault::overvoltage::<B>, B0: fault::overvoltage::<B>),
         case!("trace-and-lamp", Plain, A0: supply::trace_and_lamp::<B>),
     ]
 }

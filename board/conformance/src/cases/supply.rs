@@ -83,7 +83,7 @@ pub(super) fn expect_reset<B: Board>(board: &B, what: &'static str) -> Result<()
 
 /// This is the second incarnation; `cause` was its reset cause.
 #[track_caller]
-fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
+pub(super) fn reset_for<B: Board>(board: &B, cause: ResetCause) -> Result<(), Failure> {
     equal(
         board.identity().generation.0,
         2_u32,

@@ -51,13 +51,13 @@ pub(super) enum System {
     Booted,
     StaggerUs,
     PowerRequest,
+    Faults,
     ResetRequest = LINE as isize,
     Lamp,
     Released,
-    Outputs,
 }
 
-/// Registers of a core, by writer: supply, then the core.
+/// Registers of a core, by writer: supply, then the core, then the vehicle.
 #[derive(Clone, Copy)]
 pub(super) enum Core {
     Pid,
@@ -65,13 +65,14 @@ pub(super) enum Core {
     WakeOnReceive = LINE as isize,
     TraceLost,
     Discards,
+    CanErrors = 2 * LINE as isize,
 }
 
 const RUN_AT: usize = 0;
 const SYSTEMS_AT: usize = RUN_AT + LINE;
 const SYSTEM_WORDS: usize = 2 * LINE;
 const CORES_AT: usize = SYSTEMS_AT + 2 * SYSTEM_WORDS;
-const CORE_WORDS: usize = 2 * LINE;
+const CORE_WORDS: usize = 3 * LINE;
 /// Three lines, two edges: by the sender; then the receiver's baseline.
 const EDGES_AT: usize = CORES_AT + CoreAddress::COUNT * CORE_WORDS;
 const EDGE_WORDS: usize = LINE;
@@ -227,7 +228,12 @@ mod tests {
                 places.push((system(s, register), 1));
             }
             for c in CoreId::ALL {
-                for register in [Core::Pid, Core::Generation, Core::TraceLost] {
+                for register in [
+                    Core::Pid,
+                    Core::Generation,
+                    Core::TraceLost,
+                    Core::CanErrors,
+                ] {
                     places.push((core(s, c, register), 1));
                 }
             }

@@ -11,8 +11,8 @@ use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::SeqCst;
 
 use tandem_board::{
-    CoreId, Duration, Edge, Generation, Line, OutputDiagnosis, ResetCause, ResetRequest, RoleLamp,
-    SystemId,
+    CanErrors, CoreId, Duration, Edge, Generation, HardwareFault, HardwareFaults, Line, ResetCause,
+    ResetRequest, RoleLamp, SystemId,
 };
 use tandem_peripherals::wires::{Cuts, Wire};
 
@@ -25,7 +25,7 @@ pub(crate) use layout::{
 };
 
 /// "TDM" and the version of the layout, so that processes of two builds refuse each other.
-const MAGIC: u32 = 0x5444_4D03;
+const MAGIC: u32 = 0x5444_4D04;
 const NAME: &str = "backplane";
 
 /// The processes of a run have different builds of this program.
@@ -260,16 +260,16 @@ impl Backplane {
         self.system(system, System::LevelLow).get() == 0
     }
 
-    /// What the output driver of a system finds from now on.
-    pub fn diagnose_outputs(self, system: SystemId, found: OutputDiagnosis) {
-        self.system(system, System::Outputs).set(found.code());
+    /// Makes a fault of a system's hardware, or mends it.
+    pub fn set_fault(self, of: SystemId, fault: HardwareFault, present: bool) {
+        self.system(of, System::Faults)
+            .change_bits(HardwareFaults::bit(fault), present);
     }
 
-    /// What the output driver of a system finds. A register that was overwritten is no diagnosis.
+    /// The faults of a system's hardware.
     #[must_use]
-    pub fn outputs(self, system: SystemId) -> OutputDiagnosis {
-        let code = self.system(system, System::Outputs).get();
-        OutputDiagnosis::from_code(code).unwrap_or_default()
+    pub fn faults(self, of: SystemId) -> HardwareFaults {
+        HardwareFaults(self.system(of, System::Faults).get())
     }
 
     pub(crate) fn set_reset_cause(self, system: SystemId, cause: ResetCause) {
@@ -372,6 +372,18 @@ impl Backplane {
     /// frame that carries the new count after this.
     pub(crate) fn count_discard(self, system: SystemId, core: CoreId) {
         self.core(system, core, Core::Discards).count();
+    }
+
+    /// The counters of a core's CAN controller, which is part of the bus. Vehicle only.
+    pub(crate) fn set_can_errors(self, system: SystemId, core: CoreId, errors: CanErrors) {
+        self.core(system, core, Core::CanErrors)
+            .set(errors.to_word());
+    }
+
+    /// The error counters of a core's CAN controller.
+    #[must_use]
+    pub fn can_errors(self, system: SystemId, core: CoreId) -> CanErrors {
+        CanErrors::from_word(self.core(system, core, Core::CanErrors).get())
     }
 
     /// Counts one lost trace record of the core.

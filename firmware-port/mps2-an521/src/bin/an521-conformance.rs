@@ -31,6 +31,9 @@ fn refusal(case: &Case<An521Board>) -> Option<&'static str> {
     if case.name.starts_with("flash-") {
         return Some("the machine has no data flash");
     }
+    if case.name.starts_with("fault-") {
+        return Some("the hardware of the machine has no faults");
+    }
     match case.setting {
         Setting::Plain => None,
         Setting::Watchdog => Some("the machine has no window watchdog"),

@@ -11,8 +11,9 @@ use crate::mhu::{self, Unit};
 use core::cell::Cell;
 use core::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, CoreAddress, CoreId, DataFlash, FlashError, FlashStatus, Generation, Identity, Instant,
-    ResetCause, ResetRequest, RoleLamp, Supply, SystemId, TraceRecord, Wake,
+    Board, CoreAddress, CoreId, DataFlash, FaultSource, FlashError, FlashStatus, Generation,
+    HardwareFault, Identity, Instant, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
+    TraceRecord, Wake,
 };
 
 /// The core of each processor; `None` if it has none.
@@ -73,6 +74,12 @@ impl An521Board {
     pub fn traced(&self) -> usize {
         self.traced.get()
     }
+}
+
+/// The hardware of this machine has no faults: the cases of the suite that need one do not run on
+/// it.
+impl FaultSource for An521Board {
+    fn set_fault(&self, _: SystemId, _: HardwareFault, _: bool) {}
 }
 
 impl Board for An521Board {

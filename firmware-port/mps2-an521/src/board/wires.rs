@@ -8,8 +8,8 @@ use crate::mhu::{self, Unit};
 use core::cell::RefCell;
 use core::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Can, CanFrame, CoreAddress, CoreId, Edge, Line, Lines, Link, LinkFull, Received, SystemId,
-    TransmitFull,
+    Can, CanErrors, CanFrame, CoreAddress, CoreId, Edge, Line, Lines, Link, LinkFull, Received,
+    SystemId, TransmitFull,
 };
 use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, DATAGRAM_WORDS, FRAME_WORDS, Sender, decode_datagram,
@@ -199,5 +199,10 @@ impl Can for An521Can {
 
     fn overruns(&self) -> u32 {
         WIRES.overruns[self.own].load(Ordering::Relaxed)
+    }
+
+    /// This bus destroys no frame.
+    fn errors(&self) -> CanErrors {
+        CanErrors::default()
     }
 }

@@ -121,7 +121,7 @@ impl Rig for VirtRig<'_> {
         }
         self.peripherals.set_watchdogs(case.setting.watches());
         for system in SystemId::ALL {
-            self.peripherals.new_flash(system);
+            self.peripherals.renew(system);
         }
         self.peripherals.power_on(&SystemId::ALL);
         let outcome = self.outcome(case);

@@ -12,7 +12,8 @@ use crate::{clint, doorbell, hart, memory, trap};
 use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::{Relaxed, Release};
 use tandem_board::{
-    Board, CoreAddress, CoreId, Generation, Identity, Instant, RoleLamp, TraceRecord, Wake,
+    Board, CoreAddress, CoreId, FaultSource, Generation, HardwareFault, Identity, Instant,
+    OutputDiagnosis, RoleLamp, SystemId, TraceRecord, Wake,
 };
 use tandem_peripherals::codec::encode_trace;
 
@@ -92,6 +93,10 @@ impl Board for VirtBoard {
         }
     }
 
+    fn output_diagnosis(&self) -> OutputDiagnosis {
+        system(self.identity.system).has_faults().outputs()
+    }
+
     fn can(&self) -> &VirtCan {
         &self.can
     }
@@ -120,6 +125,12 @@ impl Board for VirtBoard {
                 registers.trace_lost.fetch_add(1, Relaxed);
             }
         });
+    }
+}
+
+impl FaultSource for VirtBoard {
+    fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
+        peripherals::set_fault(of, fault, present);
     }
 }
 

@@ -4,8 +4,9 @@ use crate::peripherals::{self, SystemRegisters};
 use crate::{clint, hart};
 use core::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_board::{
-    Can, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus, Instant, Line,
-    Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply, TransmitFull,
+    Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Edge, FlashError, FlashStatus,
+    Instant, Line, Lines, Link, LinkFull, Received, ResetCause, ResetRequest, RoleLamp, Supply,
+    TransmitFull,
 };
 use tandem_peripherals::codec::{
     BusFrame, DATAGRAM_MAX_WORDS, Sender, decode_datagram, encode_datagram, encode_service,
@@ -76,6 +77,10 @@ impl Can for VirtCan {
 
     fn overruns(&self) -> u32 {
         peripherals::core(self.0).overruns.load(Relaxed)
+    }
+
+    fn errors(&self) -> CanErrors {
+        CanErrors::from_word(peripherals::core(self.0).can_errors.load(Relaxed))
     }
 }
 

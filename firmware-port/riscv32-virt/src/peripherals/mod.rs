@@ -21,7 +21,7 @@ use crate::clint;
 use crate::hart::{self, CARRIER};
 use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use ring::Ring;
-use tandem_board::{CoreAddress, CoreId, Instant, Line, SystemId};
+use tandem_board::{CoreAddress, CoreId, HardwareFault, HardwareFaults, Instant, Line, SystemId};
 use tandem_peripherals::codec::{DATAGRAM_WORDS, FRAME_WORDS, SERVICE_WORDS, TRACE_WORDS};
 use tandem_peripherals::wires::LINK_DATAGRAMS;
 
@@ -33,6 +33,8 @@ pub(crate) struct CoreRegisters {
     /// Frames received from the bus.
     pub(crate) receive: Ring<256, FRAME_WORDS>,
     pub(crate) overruns: AtomicU32,
+    /// The error counters of the CAN controller, in their word.
+    pub(crate) can_errors: AtomicU32,
     pub(crate) wake_on_receive: AtomicBool,
     /// Time (2) and record (4).
     pub(crate) trace: Ring<512, TRACE_WORDS>,
@@ -59,6 +61,8 @@ pub(crate) struct SystemRegisters {
     /// The system's request to its reset generator.
     pub(crate) request: AtomicU32,
     pub(crate) lamp: AtomicU32,
+    /// The faults of the system's hardware, by bits.
+    pub(crate) faults: AtomicU32,
     /// The cores that core 0 has released and that have not started yet, by bits.
     pub(crate) released: AtomicU32,
     /// Start address of each core in the slot that booted; 0 for a core that does not start.
@@ -71,6 +75,7 @@ impl CoreRegisters {
             transmit: Ring::new(),
             receive: Ring::new(),
             overruns: AtomicU32::new(0),
+            can_errors: AtomicU32::new(0),
             wake_on_receive: AtomicBool::new(false),
             trace: Ring::new(),
             trace_lost: AtomicU32::new(0),
@@ -100,6 +105,7 @@ impl SystemRegisters {
             cause: AtomicU32::new(0),
             request: AtomicU32::new(0),
             lamp: AtomicU32::new(0),
+            faults: AtomicU32::new(0),
             released: AtomicU32::new(0),
             entries: [const { AtomicU32::new(0) }; CoreId::COUNT],
         }
@@ -118,6 +124,23 @@ pub(crate) fn system(system: SystemId) -> &'static SystemRegisters {
 /// The registers of a core. Its hart has the number of [`CoreAddress::index`].
 pub(crate) fn core(address: CoreAddress) -> &'static CoreRegisters {
     &system(address.system).cores[address.core.index()]
+}
+
+impl SystemRegisters {
+    pub(crate) fn has_faults(&self) -> HardwareFaults {
+        HardwareFaults(self.faults.load(Ordering::Relaxed))
+    }
+}
+
+/// Makes a fault of a system's hardware, or mends it.
+pub(crate) fn set_fault(of: SystemId, fault: HardwareFault, present: bool) {
+    let bit = HardwareFaults::bit(fault);
+    if present {
+        system(of).faults.fetch_or(bit, Ordering::Relaxed);
+    } else {
+        system(of).faults.fetch_and(!bit, Ordering::Relaxed);
+    }
+    call();
 }
 
 /// The time.

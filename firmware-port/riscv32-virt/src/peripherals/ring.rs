@@ -60,8 +60,13 @@ impl<const SLOTS: usize, const WORDS: usize> Ring<SLOTS, WORDS> {
 
     /// Takes the oldest record.
     pub(crate) fn take(&self) -> Option<[u32; WORDS]> {
+        self.take_if(|| true)
+    }
+
+    /// Takes the oldest record, if there is one and `wanted` holds.
+    pub(crate) fn take_if(&self, wanted: impl FnOnce() -> bool) -> Option<[u32; WORDS]> {
         let taken = self.first_wanted();
-        if self.put.load(Ordering::Acquire) == taken {
+        if self.put.load(Ordering::Acquire) == taken || !wanted() {
             return None;
         }
         let slot = &self.slots[taken as usize % SLOTS];

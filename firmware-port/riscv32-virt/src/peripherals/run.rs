@@ -1,14 +1,17 @@
 //! The carrier's hart: it moves frames, checks the watchdogs, and switches systems on and off.
 
 use super::host::Host;
-use super::{core, interrupt, now, system};
+use super::{core, interrupt, now, set_fault, system};
 use crate::exit::exit;
 use crate::hart::{self, CARRIER, time};
 use crate::memory::{self, stack_used};
 use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
-use tandem_board::{CoreAddress, CoreId, Line, ResetCause, ResetRequest, SystemId};
+use tandem_board::{
+    CoreAddress, CoreId, HardwareFault, Instant, Line, ResetCause, ResetRequest, SystemId,
+};
 use tandem_cosim::Item;
+use tandem_peripherals::bus::Confinement;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
@@ -23,6 +26,8 @@ pub struct Peripherals {
     /// The systems in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
+    /// By [`CoreAddress::index`].
+    confinements: [Confinement; CoreAddress::COUNT],
 }
 
 impl Peripherals {
@@ -31,6 +36,7 @@ impl Peripherals {
             supplies: [Supply::new(Config::TARGET); 2],
             here: [true; 2],
             host: None,
+            confinements: [const { Confinement::new() }; CoreAddress::COUNT],
         }
     }
 
@@ -81,9 +87,11 @@ impl Peripherals {
         self.carry_out(which, change.or(Some(Change::PowerOff)));
     }
 
-    /// Erases the data flash of a system, as delivered. The system must be off.
-    pub fn new_flash(&mut self, which: SystemId) {
+    /// Makes a system as delivered: its data flash erased, its hardware without a fault. The system
+    /// must be off.
+    pub fn renew(&mut self, which: SystemId) {
         system(which).flash.erase_all();
+        system(which).faults.store(0, Relaxed);
     }
 
     /// Emulates the hardware around these systems, which are without power at first, for the world
@@ -93,7 +101,7 @@ impl Peripherals {
         self.set_watchdogs(true);
         for system in self.systems() {
             self.power_off(system);
-            self.new_flash(system);
+            self.renew(system);
         }
         loop {
             self.step(u64::MAX);
@@ -116,6 +124,7 @@ impl Peripherals {
             .systems()
             .map(|which| self.supplies[which.index()].next());
         let next = supplies
+            .chain(self.retries())
             .map(|next| next.as_ns().div_ceil(clint::TICK_NS))
             .chain(self.host.as_ref().map(Host::due))
             .fold(deadline, u64::min);
@@ -200,6 +209,7 @@ impl Peripherals {
             Item::Level { of, high } => self.set_power(of, high),
             Item::Feed { of, on: true } => self.power_on(&[of]),
             Item::Feed { of, on: false } => self.power_off(of),
+            Item::Fault { of, fault, present } => set_fault(of, fault, present),
             Item::End => {
                 log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
                 exit(0)
@@ -223,6 +233,10 @@ impl Peripherals {
         // Acquire pairs with the Release of the core that asks. 0: no request.
         if let Some(code) = registers.request.swap(0, Acquire).checked_sub(1) {
             supply.request(ResetRequest::from_code(code).unwrap_or(ResetRequest::Suspend));
+        }
+        let change = supply.observe(now(), registers.has_faults());
+        if change.is_some() {
+            return change;
         }
         while let Some(service) = registers.services.take() {
             let (at, answer) = decode_service(service);
@@ -271,6 +285,10 @@ impl Peripherals {
     fn release(&mut self, which: SystemId, cause: ResetCause) {
         let registers = system(which);
         registers.cores.iter().for_each(super::CoreRegisters::clear);
+        for core in CoreId::ALL {
+            let core = CoreAddress::new(which, core).index();
+            self.confinements[core] = Confinement::default();
+        }
         registers.request.store(0, Relaxed);
         registers.cause.store(cause.code(), Relaxed);
         let generation = registers.generation.load(Relaxed).wrapping_add(1);
@@ -287,7 +305,11 @@ impl Peripherals {
         loop {
             let mut moved = false;
             for sender in CoreAddress::ALL {
-                if let Some(mut frame) = core(sender).transmit.take() {
+                let faults = system(sender.system).has_faults();
+                let destroys = faults.has(HardwareFault::CanTransmit);
+                let confinement = &mut self.confinements[sender.index()];
+                let sends = || confinement.sends(now(), destroys);
+                if let Some(mut frame) = core(sender).transmit.take_if(sends) {
                     moved = true;
                     set_time(&mut frame, now());
                     // The ring identifies the sender, not the words.
@@ -299,17 +321,33 @@ impl Peripherals {
                 }
             }
             if !moved {
-                return;
+                break;
             }
+        }
+        for (address, confinement) in CoreAddress::ALL.iter().zip(&mut self.confinements) {
+            let errors = confinement.errors(now());
+            core(*address).can_errors.store(errors.to_word(), Relaxed);
         }
     }
 
+    /// When a frame that the bus has destroyed is to be tried again.
+    fn retries(&self) -> impl Iterator<Item = Instant> {
+        let waiting = CoreAddress::ALL.into_iter().zip(&self.confinements);
+        let waiting = waiting.filter(|(address, _)| !core(*address).transmit.is_empty());
+        waiting.map(|(_, confinement)| confinement.due())
+    }
+
     /// Gives a frame to all cores but its sender.
-    pub(super) fn broadcast(&self, sender: Option<CoreAddress>, frame: &[u32; FRAME_WORDS]) {
+    pub(super) fn broadcast(&mut self, sender: Option<CoreAddress>, frame: &[u32; FRAME_WORDS]) {
         for receiver in CoreAddress::ALL {
             let to = receiver.system;
             let hears = self.here[to.index()] && system(to).powered.load(Relaxed);
             if !hears || sender == Some(receiver) {
+                continue;
+            }
+            let broken = system(to).has_faults().has(HardwareFault::CanReceive);
+            self.confinements[receiver.index()].hears(broken);
+            if broken {
                 continue;
             }
             let registers = core(receiver);
