@@ -3,6 +3,7 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
+use crate::chaos::ChaosArgs;
 use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;
@@ -79,6 +80,8 @@ pub(crate) enum Command {
     Bench(BenchArgs),
     /// Try faults on the control cores of both systems, in virtual time
     Sim(SimArgs),
+    /// Inject faults into the processes and wires of real runs, and report what each kind cost
+    Chaos(ChaosArgs),
     /// Run the experiments of the thesis, and print its figures beside those of here
     Thesis(ThesisArgs),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting

@@ -4,6 +4,7 @@
 mod args;
 mod boot;
 mod boot_demo;
+mod chaos;
 mod control_core;
 mod core_process;
 mod dflash;
@@ -89,6 +90,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Flash(args) => flash::run(&args),
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::Sim(args) => sim::run(&args),
+        Command::Chaos(args) => chaos::run(&args),
         Command::Cut(args) => hands::set_cut(&args, true).map_err(Failure::Run),
         Command::Mend(args) => hands::set_cut(&args, false).map_err(Failure::Run),
         Command::Power(args) => hands::power(&args).map_err(Failure::Run),

@@ -271,7 +271,8 @@ fn stall_ms(stall: &Stall) -> f64 {
     ms_between(stall.from_ns, stall.to_ns)
 }
 
-fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
+/// The gaps beyond their bounds, with the evidence of what stood still then.
+pub(crate) fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
     let stalls: Vec<Stall> = around
         .machine
         .stalls

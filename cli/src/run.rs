@@ -8,9 +8,10 @@ use std::process::{Command, Stdio};
 
 use anyhow::{Context as _, bail};
 use tandem_board::{Duration, SystemId};
+use tandem_board_host::hands::Hands;
 use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
-    Backplane, CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
+    CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
 use tandem_record::gap::Bounds;
 use tandem_record::{RunLog, file};
@@ -73,32 +74,51 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     conclude(args, &checked, collected, &around, ended.interrupted)
 }
 
-/// Drives as [`run`] does, while `hands` act on a thread of their own, and writes no report: the
-/// recording, and what the hands return.
+/// What [`recorded`] leaves.
+pub(crate) struct Recorded<T> {
+    /// The recording.
+    pub(crate) log: RunLog,
+    /// What the run knows beside it.
+    pub(crate) around: Surroundings,
+    /// What the hands return.
+    pub(crate) done: T,
+}
+
+/// Drives as [`run`] does, while `hands` act on a thread of their own, and writes no report.
 ///
 /// # Errors
 /// If the run does not start, the hands fail, or there is no recording.
 pub(crate) fn recorded<T: Send>(
     args: &RunArgs,
-    hands: impl FnOnce(Backplane) -> anyhow::Result<T> + Send,
-) -> anyhow::Result<(RunLog, T)> {
+    hands: impl FnOnce(Hands, &RunFiles) -> anyhow::Result<T> + Send,
+) -> anyhow::Result<Recorded<T>> {
     let checked = Checked::new(args)?;
     let mut launcher = Launcher::prepare()?;
-    let (profile, _) = grant(args, &checked, &launcher)?;
+    let (profile, granted) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, RunConfig::of(args, profile))?;
-    let backplane = launcher.backplane();
+    let run_hands = launcher.hands();
+    let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
     let (ended, done) = std::thread::scope(|scope| {
-        let hands = scope.spawn(move || hands(backplane));
+        let hands = scope.spawn(|| hands(run_hands, &files));
         let ended = drive(args, &checked, &config, &files, &mut launcher);
         (ended, hands.join())
     });
+    let machine = watch.end();
     ended?;
     let done = done.map_err(|_| anyhow::anyhow!("the hands panicked"))?;
     let folder = tempfile::tempdir().context("a folder for the log")?;
     let log = read(&files.recording(), &folder.path().join(output::CANDUMP));
-    launcher.finish();
-    Ok((log?, done?))
+    let leftovers = leftovers(&launcher.finish());
+    Ok(Recorded {
+        log: log?,
+        around: Surroundings {
+            leftovers,
+            machine,
+            ..surroundings(&config, granted)
+        },
+        done: done?,
+    })
 }
 
 /// The same with a controller in emulated machines.

@@ -107,7 +107,7 @@ pub enum EndedBy {
     Nothing,
 }
 
-/// A time without an accepted control frame that is longer than its cause permits.
+/// A time without an accepted control frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gap {
     /// The last accepted frame before, ns.
@@ -118,7 +118,7 @@ pub struct Gap {
     pub ended_by: EndedBy,
     /// How long it may be, ms.
     pub bound_ms: f64,
-    /// How much of it the machine or the bus stood still, ms.
+    /// If it is longer than that: how much of it the machine or the bus stood still, ms.
     pub stalled_ms: f64,
 }
 
@@ -139,6 +139,21 @@ impl Gap {
 /// The gaps beyond their bounds, in order. `takeovers` are those of the same log.
 #[must_use]
 pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Stall]) -> Vec<Gap> {
+    let mut all = periods(log, takeovers, bounds, stalls, [0, u64::MAX]);
+    all.retain(|gap| gap.ms() > gap.bound_ms);
+    all
+}
+
+/// All times between two accepted frames that overlap these times, ns, and the one from the last
+/// frame to the end of the run, in order. Stalls are looked for only beyond the bound.
+#[must_use]
+pub fn periods(
+    log: &RunLog,
+    takeovers: &[Takeover],
+    bounds: &Bounds,
+    stalls: &[Stall],
+    [after_ns, before_ns]: [u64; 2],
+) -> Vec<Gap> {
     let accepted: Vec<&ControlFrame> = log.accepted().collect();
     let between = accepted.windows(2).map(|pair| {
         let of_pair = |takeover: &&Takeover| takeover.at_ns == pair[1].at_ns;
@@ -153,19 +168,24 @@ pub fn gaps(log: &RunLog, takeovers: &[Takeover], bounds: &Bounds, stalls: &[Sta
     let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, last.system, EndedBy::Nothing));
     between
         .chain(open)
-        .filter_map(|(from_ns, to_ns, system, ended_by)| {
+        .filter(|(from_ns, to_ns, ..)| *to_ns > after_ns && *from_ns < before_ns)
+        .map(|(from_ns, to_ns, system, ended_by)| {
             let bound_ms = match ended_by {
                 EndedBy::Takeover(cause) => bounds.of_takeover(log, system, from_ns, cause),
                 EndedBy::SameSystem | EndedBy::Nothing => bounds.silent_ms,
             };
             let is_beyond = ms_between(from_ns, to_ns) > bound_ms;
-            is_beyond.then(|| Gap {
+            Gap {
                 from_ns,
                 to_ns,
                 ended_by,
                 bound_ms,
-                stalled_ms: stalled_ms(stalls, from_ns, to_ns),
-            })
+                stalled_ms: if is_beyond {
+                    stalled_ms(stalls, from_ns, to_ns)
+                } else {
+                    0.0
+                },
+            }
         })
         .collect()
 }

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
-use tandem_board::{CoreId, Edge, HardwareFault, Line, SystemId};
+use tandem_board::{CoreId, Edge, HardwareFault, Line, ResetRequest, SystemId};
 use tandem_peripherals::wires::Wire;
 
 use crate::backplane::{Backplane, BackplaneError};
@@ -63,8 +63,19 @@ pub enum HandsError {
     Kill(io::Error),
 }
 
+/// A process of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// The supply of a system.
+    Supply(SystemId),
+    /// A core.
+    Core(SystemId, CoreId),
+    /// The vehicle, which is also the bus.
+    Vehicle,
+}
+
 /// A process that has entered a run.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Hands {
     run: RunName,
     backplane: Backplane,
@@ -96,6 +107,44 @@ impl Hands {
         })?;
         let backplane = Backplane::open(&run)?;
         Ok(Self { run, backplane })
+    }
+
+    /// Hands of the process that started the run.
+    pub(crate) const fn of(run: RunName, backplane: Backplane) -> Self {
+        Self { run, backplane }
+    }
+
+    /// The backplane of the run.
+    #[must_use]
+    pub const fn backplane(&self) -> Backplane {
+        self.backplane
+    }
+
+    /// Sends a signal to a process of the run; `false` if there is none.
+    pub fn signal(&self, to: Target, signal: Signal) -> bool {
+        let pid = match to {
+            Target::Supply(system) => self.backplane.supply_pid(system),
+            Target::Core(system, core) => self.backplane.core_pid(system, core),
+            Target::Vehicle => self.backplane.vehicle_pid(),
+        };
+        let pid = i32::try_from(pid).ok().and_then(Pid::from_raw);
+        pid.is_some_and(|pid| kill_process(pid, signal).is_ok())
+    }
+
+    /// The level line of this system reads as low at the other one, though the system is on.
+    pub fn hold_level_low(&self, system: SystemId, held: bool) {
+        self.backplane.hold_low(system, held);
+        Ringers::new(&self.run).ring(system.peer(), CoreId::CONTROL);
+    }
+
+    /// Asks the launcher to switch a system on, and does not wait. No effect if it is on.
+    pub fn request_power(&self, system: SystemId) {
+        self.backplane.request_power(system);
+    }
+
+    /// The supply resets the system, as after an orderly request of its core 0.
+    pub fn reset(&self, system: SystemId) {
+        self.backplane.request_reset(system, ResetRequest::Software);
     }
 
     /// Cuts or mends the connections of these systems over this wire.

@@ -18,6 +18,7 @@ use tandem_board::SystemId;
 use crate::args::{Common, ProcessArgs, Schedule, SupplyArgs, VehicleArgs};
 use crate::backplane::Backplane;
 use crate::flash::{Claimed, FlashFileError, HostFlash};
+use crate::hands::Hands;
 use crate::isolation::{self, Isolation, IsolationError};
 use crate::memory::{self, MemoryError};
 use crate::name::RunName;
@@ -155,6 +156,12 @@ impl Launcher {
     #[must_use]
     pub const fn backplane(&self) -> Backplane {
         self.backplane
+    }
+
+    /// Hands on the run from this process.
+    #[must_use]
+    pub fn hands(&self) -> Hands {
+        Hands::of(self.isolation.run().clone(), self.backplane)
     }
 
     /// Switches a system on this long after the ignition. To be called before the start.

@@ -28,6 +28,7 @@ mod launch;
 mod lines;
 mod memory;
 mod name;
+mod observe;
 pub mod processes;
 pub mod realtime;
 mod segment;
@@ -42,7 +43,7 @@ mod vehicle_port;
 pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
-pub use backplane::{Backplane, BackplaneError};
+pub use backplane::{Backplane, BackplaneError, BusFault};
 pub use bell::BellError;
 pub use board::{AttachError, HostBoard};
 pub use can::HostCan;
@@ -52,6 +53,7 @@ pub use launch::{Ended, LaunchError, Launcher, Leftovers, Plan};
 pub use lines::{HostLines, HostLink};
 pub use memory::{LMU_WORDS, MemoryError};
 pub use name::{InvalidRunName, RunName};
+pub use observe::BusTap;
 pub use segment::SegmentError;
 pub use supply_client::HostSupply;
 pub use tandem_peripherals::wires::Wire;

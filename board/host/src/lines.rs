@@ -47,10 +47,7 @@ impl Lines for HostLines {
     }
 
     fn peer_powered(&self) -> bool {
-        let peer = self.of.system.peer();
-        self.backplane
-            .cuts()
-            .level(peer, self.backplane.level(peer))
+        self.backplane.level_at_peer(self.of.system.peer())
     }
 }
 

@@ -13,7 +13,7 @@ use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::args::VehicleArgs;
 use crate::backplane::{
-    Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
+    Backplane, BackplaneError, BusFault, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
 };
 use crate::bell::Ringers;
 use crate::clock::{self, Ticker};
@@ -57,6 +57,10 @@ pub struct HostVehiclePort {
     bus: broadcast::Writer<'static, [u32; FRAME_WORDS]>,
     /// Empty between calls; kept to avoid allocation.
     sent: Vec<(SystemId, CoreId, Received)>,
+    /// Frames that a slow connection holds back, in the order in which they are due.
+    held_back: Vec<(Instant, SystemId, CoreId, Received)>,
+    /// Decides which frames a disturbed connection loses.
+    dice: u64,
     /// When the transmit buffers were last emptied.
     emptied: Instant,
     /// Frames were put on the bus, and some cores are not yet notified.
@@ -120,6 +124,8 @@ impl HostVehiclePort {
                 .map(|system| Reader::new(backplane.trace_ring(supply_trace_ring(system)))),
             bus: bare::broadcast_writer(backplane.ring(bus), bus.shape)?,
             sent: vec![],
+            held_back: vec![],
+            dice: 1,
             emptied: clock::now(),
             news: false,
             ticker: None,
@@ -141,7 +147,8 @@ impl HostVehiclePort {
         !self.backplane.cuts().is_cut(Wire::Can, system)
     }
 
-    /// Every core of a connected system hears the frame, unless its receiver finds an error in it.
+    /// Every core of a connected system hears the frame, unless its receiver finds an error in it, or
+    /// its connection loses it.
     fn publish(&mut self, received: Received, sender: Sender) {
         let connected = SystemId::ALL.map(|system| self.is_connected(system));
         let faults = SystemId::ALL.map(|system| self.backplane.faults(system));
@@ -152,10 +159,15 @@ impl HostVehiclePort {
                 node.confinement.hears(broken[node.system.index()]);
             }
         }
+        let lost = SystemId::ALL.map(|system| {
+            let permille = self.backplane.bus_fault(system).lost_in;
+            self.loses(permille)
+        });
+        let hears = |system: usize| connected[system] && !broken[system] && !lost[system];
         let frame = BusFrame {
             received,
             sender,
-            reaches: [0, 1].map(|system| connected[system] && !broken[system]),
+            reaches: [0, 1].map(hears),
         };
         self.bus.publish(&frame.encode());
         self.news = true;
@@ -167,6 +179,44 @@ impl HostVehiclePort {
             let errors = node.confinement.errors(now);
             self.backplane
                 .set_can_errors(node.system, node.core, errors);
+        }
+    }
+
+    /// Whether a frame is lost, with a probability of `permille` in a thousand.
+    fn loses(&mut self, permille: u16) -> bool {
+        if permille == 0 {
+            return false;
+        }
+        // Marsaglia's xorshift.
+        self.dice ^= self.dice << 13;
+        self.dice ^= self.dice >> 7;
+        self.dice ^= self.dice << 17;
+        self.dice % 1_000 < u64::from(permille)
+    }
+
+    /// Does to the frames in `sent` what the connections of their senders do to them.
+    fn disturb(&mut self, now: Instant) {
+        let faults = SystemId::ALL.map(|system| self.backplane.bus_fault(system));
+        if faults == [BusFault::default(); 2] && self.held_back.is_empty() {
+            return;
+        }
+        let mut held = core::mem::take(&mut self.held_back);
+        for (system, core, sent) in core::mem::take(&mut self.sent) {
+            let BusFault {
+                lost_out, late_ms, ..
+            } = faults[system.index()];
+            if !self.loses(lost_out) {
+                let due = now + Duration::from_ms(late_ms.into());
+                held.push((due, system, core, sent));
+            }
+        }
+        for (due, system, core, sent) in held {
+            // A connection that is no longer slow delivers at once what it held back.
+            if due <= now || faults[system.index()].late_ms == 0 {
+                self.sent.push((system, core, sent));
+            } else {
+                self.held_back.push((due, system, core, sent));
+            }
         }
     }
 }
@@ -217,6 +267,7 @@ impl VehicleBus for HostVehiclePort {
                 }
             }
         }
+        self.disturb(now);
         // Stable: the frames of one core stay in their order even at equal times.
         self.sent.sort_by_key(|(_, _, sent)| sent.at);
         // The bus carries them now: the start of this call may be earlier than a sender's time.

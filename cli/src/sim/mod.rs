@@ -17,7 +17,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 use tandem_benches::output::OutputFile;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Group, Sequence};
+use tandem_sim::faults::{Fault, Group, Sequence};
 
 use crate::failure::Failure;
 use crate::print;
@@ -157,7 +157,14 @@ impl Source<'_> {
                 Ok(group.sequence(number))
             }
             Self::File { path, text } => {
-                Sequence::from_toml(text, number).with_context(|| path.display().to_string())
+                let sequence = Sequence::from_toml(text, number)
+                    .with_context(|| path.display().to_string())?;
+                let not_here = |it: &&Fault| !it.kind.is_for_simulator();
+                if let Some(fault) = sequence.faults.iter().find(not_here) {
+                    let (path, what) = (path.display(), fault.kind.label());
+                    bail!("{path}: {what}: only processes suffer it, see `tandem chaos`");
+                }
+                Ok(sequence)
             }
         }
     }

@@ -32,11 +32,12 @@ fn arguments() -> anyhow::Result<RunArgs> {
 /// Start one after the other; then core 0 of A is killed, which resets A; A comes back as standby,
 /// and the supply of B is killed.
 pub(super) fn takeovers() -> anyhow::Result<(RunLog, Done)> {
-    run::recorded(&arguments()?, |backplane| {
-        let done = act(backplane);
-        backplane.request_stop();
+    let recorded = run::recorded(&arguments()?, |hands, _| {
+        let done = act(hands.backplane());
+        hands.backplane().request_stop();
         done
-    })
+    })?;
+    Ok((recorded.log, recorded.done))
 }
 
 fn act(backplane: Backplane) -> anyhow::Result<Done> {

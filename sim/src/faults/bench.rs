@@ -240,6 +240,11 @@ impl Bench {
             Act::Power(of, false) => pair.power_off(of),
             Act::Reset(of, cause) => pair.reset(of, cause),
             Act::Freeze(of, ms) => pair.freeze(of, Duration::from_ms(ms.into())),
+            // Longer than any sequence: until the act that ends it.
+            Act::FreezeCore(of, core, true) => {
+                pair.freeze_core(of, core, Duration::from_ms(3_600_000));
+            }
+            Act::FreezeCore(of, core, false) => pair.freeze_core(of, core, Duration::ZERO),
             Act::Kill(of, core) => pair.kill_core(of, core),
             Act::Rest(of, ms) => {
                 pair.rest_core(of, CoreId::CONTROL, Duration::from_ms(ms.into()));
@@ -249,6 +254,10 @@ impl Bench {
             Act::FlashLost(of) => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
             Act::Poison(on) => self.vehicle.borrow_mut().poison = on,
             Act::VehicleSilent(on) => self.vehicle.borrow_mut().silent = on,
+            Act::Scribble(_)
+            | Act::FreezeSupply(..)
+            | Act::FreezeVehicle(_)
+            | Act::FreezeLauncher(_) => unreachable!("Kind::is_for_simulator refused it"),
         }
     }
 

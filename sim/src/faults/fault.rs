@@ -39,6 +39,16 @@ pub enum Kind {
     Hang(u16),
     /// A core dies.
     CoreDies(CoreId),
+    /// A core stands still.
+    CoreHangs(CoreId),
+    /// The process of its supply stands still for this many milliseconds. On a chip a supply cannot.
+    SupplyHangs(u16),
+    /// The vehicle's process, which is the bus, stands still for this many milliseconds.
+    VehicleHangs(u16),
+    /// The process that started the run stands still for this many milliseconds.
+    LauncherHangs(u16),
+    /// A core out of control overwrites the whole LMU.
+    Scribble,
     /// Core 0 is called in each period of this many milliseconds at most.
     Slow(u8),
     /// Its clock is wrong by this many parts in a thousand.
@@ -117,6 +127,33 @@ impl Kind {
     /// What fails for both systems at once.
     pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
 
+    /// Whether the simulator can do it.
+    #[must_use]
+    pub const fn is_for_simulator(self) -> bool {
+        !matches!(
+            self,
+            Self::SupplyHangs(_) | Self::VehicleHangs(_) | Self::LauncherHangs(_) | Self::Scribble
+        )
+    }
+
+    /// Whether real processes can suffer it.
+    #[must_use]
+    pub const fn is_for_processes(self) -> bool {
+        !matches!(
+            self,
+            Self::Slow(_) | Self::Clock(_) | Self::FlashHangs | Self::Poison | Self::VehicleSilent
+        )
+    }
+
+    /// Whether it is a fault of what both systems share.
+    #[must_use]
+    pub const fn is_of_both(self) -> bool {
+        matches!(
+            self,
+            Self::Poison | Self::VehicleSilent | Self::VehicleHangs(_) | Self::LauncherHangs(_)
+        )
+    }
+
     /// Whether it is a fault of a wire between the systems, which has a direction.
     #[must_use]
     pub const fn is_of_wire(self) -> bool {
@@ -174,33 +211,61 @@ impl fmt::Display for Fault {
     }
 }
 
-/// One change of the simulated machine.
-#[derive(Clone, Copy, Debug)]
-pub(super) enum Act {
+/// One change of the machine; `true` begins what `false` ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Act {
+    /// What this system sends on the wire does not arrive.
     Cut(Wire, SystemId, bool),
+    /// The level line of this system reads as low.
     LevelLow(SystemId, bool),
-    /// The system that hears it.
+    /// An edge that no system has sent. The system that hears it.
     Edge(SystemId, Line, Edge),
+    /// Of a thousand frames that it sends, this many are lost from now on.
     LostOut(SystemId, u16),
+    /// Of a thousand frames on the bus, this many do not reach it from now on.
     LostIn(SystemId, u16),
+    /// What it sends is late by this many milliseconds from now on.
     Late(SystemId, u16),
+    /// Its supply has power or not.
     Power(SystemId, bool),
+    /// It is reset.
     Reset(SystemId, ResetCause),
+    /// All its cores stand still for this many milliseconds.
     Freeze(SystemId, u16),
+    /// One core stands still.
+    FreezeCore(SystemId, CoreId, bool),
+    /// A core dies.
     Kill(SystemId, CoreId),
+    /// Core 0 is not called for this many milliseconds after each poll.
     Rest(SystemId, u8),
+    /// Its clock is wrong by this many parts in a thousand from now on.
     Clock(SystemId, i16),
+    /// Operations of its data flash do not end.
     FlashHangs(SystemId, bool),
+    /// Its data flash loses its content.
     FlashLost(SystemId),
+    /// Its LMU is overwritten.
+    Scribble(SystemId),
+    /// The process of its supply stands still.
+    FreezeSupply(SystemId, bool),
+    /// The process of the vehicle stands still.
+    FreezeVehicle(bool),
+    /// The process that started the run stands still for this many milliseconds.
+    FreezeLauncher(u16),
+    /// The frame that ends core 1 is sent.
     Poison(bool),
+    /// The vehicle sends nothing.
     VehicleSilent(bool),
 }
 
 impl Fault {
     /// Its acts with their times after the faults begin, up to `end`, when all is mended anyway.
-    pub(super) fn acts(&self, end: Duration) -> Vec<(Duration, Act)> {
+    #[must_use]
+    pub fn acts(&self, end: Duration) -> Vec<(Duration, Act)> {
         let mut acts = Vec::new();
-        for system in self.way.systems() {
+        // What both systems share fails once.
+        let times = if self.kind.is_of_both() { 1 } else { 2 };
+        for system in self.way.systems().take(times) {
             self.acts_of(system, end, &mut acts);
         }
         acts
@@ -257,6 +322,32 @@ impl Fault {
             Kind::Reset(cause) => acts.push((from, Act::Reset(s, cause))),
             Kind::Hang(span) => acts.push((from, Act::Freeze(s, span))),
             Kind::CoreDies(core) => acts.push((from, Act::Kill(s, core))),
+            Kind::CoreHangs(core) => span(
+                from,
+                until,
+                Act::FreezeCore(s, core, true),
+                Act::FreezeCore(s, core, false),
+            ),
+            Kind::SupplyHangs(span_ms) => {
+                let until = from + ms(span_ms);
+                span(
+                    from,
+                    until,
+                    Act::FreezeSupply(s, true),
+                    Act::FreezeSupply(s, false),
+                );
+            }
+            Kind::VehicleHangs(span_ms) => {
+                let until = from + ms(span_ms);
+                span(
+                    from,
+                    until,
+                    Act::FreezeVehicle(true),
+                    Act::FreezeVehicle(false),
+                );
+            }
+            Kind::LauncherHangs(span) => acts.push((from, Act::FreezeLauncher(span))),
+            Kind::Scribble => acts.push((from, Act::Scribble(s))),
             Kind::Slow(gap) => span(from, until, Act::Rest(s, gap), Act::Rest(s, 0)),
             Kind::Clock(rate) => span(from, until, Act::Clock(s, rate), Act::Clock(s, 0)),
             Kind::FlashHangs => {

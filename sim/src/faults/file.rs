@@ -91,6 +91,16 @@ enum What {
     Hang,
     /// The core, 0 to 2.
     CoreDies,
+    /// The core, 0 to 2.
+    CoreHangs,
+    /// ms, 1 to 60000. Processes only.
+    SupplyHangs,
+    /// ms, 1 to 60000. Processes only.
+    VehicleHangs,
+    /// ms, 1 to 60000. Processes only.
+    LauncherHangs,
+    /// Processes only.
+    Scribble,
     /// ms, 1 to 255.
     Slow,
     /// Parts in a thousand, -900 to 5000.
@@ -158,10 +168,12 @@ impl Entry {
             What::ResetBySoftware => Kind::Reset(ResetCause::Software),
             What::ResetByTrap => Kind::Reset(ResetCause::Trap),
             What::Hang => Kind::Hang(self.amount(1..=60_000, "ms")?),
-            What::CoreDies => {
-                let core = CoreId::new(self.amount(0..=2, "the core")?);
-                Kind::CoreDies(core.ok_or("no such core")?)
-            }
+            What::CoreDies => Kind::CoreDies(self.core()?),
+            What::CoreHangs => Kind::CoreHangs(self.core()?),
+            What::SupplyHangs => Kind::SupplyHangs(self.amount(1..=60_000, "ms")?),
+            What::VehicleHangs => Kind::VehicleHangs(self.amount(1..=60_000, "ms")?),
+            What::LauncherHangs => Kind::LauncherHangs(self.amount(1..=60_000, "ms")?),
+            What::Scribble => Kind::Scribble,
             What::Slow => Kind::Slow(self.amount(1..=255, "ms")?),
             What::Clock => Kind::Clock(self.amount(-900..=5_000, "parts in a thousand")?),
             What::FlashHangs => Kind::FlashHangs,
@@ -169,6 +181,10 @@ impl Entry {
             What::Poison => Kind::Poison,
             What::VehicleSilent => Kind::VehicleSilent,
         })
+    }
+
+    fn core(&self) -> Result<CoreId, String> {
+        CoreId::new(self.amount(0..=2, "the core")?).ok_or_else(|| "no such core".into())
     }
 
     fn wire(&self) -> Result<Wire, String> {
@@ -227,6 +243,11 @@ impl Entry {
             Kind::Reset(_) => (What::ResetBySoftware, None),
             Kind::Hang(_) => (What::Hang, None),
             Kind::CoreDies(_) => (What::CoreDies, None),
+            Kind::CoreHangs(_) => (What::CoreHangs, None),
+            Kind::SupplyHangs(_) => (What::SupplyHangs, None),
+            Kind::VehicleHangs(_) => (What::VehicleHangs, None),
+            Kind::LauncherHangs(_) => (What::LauncherHangs, None),
+            Kind::Scribble => (What::Scribble, None),
             Kind::Slow(_) => (What::Slow, None),
             Kind::Clock(_) => (What::Clock, None),
             Kind::FlashHangs => (What::FlashHangs, None),
@@ -253,14 +274,43 @@ const fn amount_of(kind: Kind) -> Option<i64> {
         | Kind::LevelGlitch(amount)
         | Kind::Late(amount)
         | Kind::BrownOut(amount)
+        | Kind::SupplyHangs(amount)
+        | Kind::VehicleHangs(amount)
+        | Kind::LauncherHangs(amount)
         | Kind::Hang(amount) => Some(amount as i64),
         Kind::StrayBeats(amount)
         | Kind::LosesSent(amount)
         | Kind::LosesHeard(amount)
         | Kind::Slow(amount) => Some(amount as i64),
         Kind::Clock(amount) => Some(amount as i64),
-        Kind::CoreDies(core) => Some(core.index() as i64),
+        Kind::CoreDies(core) | Kind::CoreHangs(core) => Some(core.index() as i64),
         _ => None,
+    }
+}
+
+/// A word of the file as it is written there.
+fn word(value: impl Serialize) -> String {
+    let value = toml::Value::try_from(value).ok();
+    let text = value.as_ref().and_then(toml::Value::as_str);
+    text.unwrap_or_default().to_owned()
+}
+
+impl Kind {
+    /// What fails, by the words of a file; `core-dies 0` and `cut can`, and no other amounts.
+    #[must_use]
+    pub fn label(self) -> String {
+        let entry = Entry::of(&Fault {
+            kind: self,
+            way: Way::Both,
+            at: Duration::ZERO,
+            lasts: None,
+        });
+        let what = word(entry.what);
+        match (self, entry.wire) {
+            (Self::CoreDies(core) | Self::CoreHangs(core), _) => format!("{what} {}", core.index()),
+            (_, Some(wire)) => format!("{what} {}", word(wire)),
+            _ => what,
+        }
     }
 }
 

@@ -71,6 +71,8 @@ pub fn row(fault: &Fault) -> Row {
     }
     let of_master = fault.way.systems().any(|system| system == SystemId::A);
     match fault.kind {
+        // Nothing of them reaches the bus, whichever system drives.
+        Kind::VehicleHangs(ms) => Row::Stall(Duration::from_ms(ms.into())),
         _ if !of_master && !matches!(fault.kind, Kind::Poison) => Row::None,
         Kind::PowerLoss
         | Kind::BrownOut(_)
@@ -78,9 +80,14 @@ pub fn row(fault: &Fault) -> Row {
         | Kind::FlashLost
         | Kind::Poison
         // Core 0 notices, and resets its system.
-        | Kind::CoreDies(CoreId::PERCEPTION | CoreId::PLANNING) => Row::Power,
+        | Kind::CoreDies(CoreId::PERCEPTION | CoreId::PLANNING)
+        | Kind::CoreHangs(CoreId::PERCEPTION | CoreId::PLANNING) => Row::Power,
         // Until the watchdog resets it, the level is high.
-        Kind::CoreDies(_) | Kind::Hang(_) | Kind::Slow(_) => Row::Silence,
+        Kind::CoreDies(_)
+        | Kind::CoreHangs(_)
+        | Kind::Hang(_)
+        | Kind::Slow(_)
+        | Kind::Scribble => Row::Silence,
         Kind::Clock(permille) => Row::of_clock(permille),
         Kind::Mute
         | Kind::LosesSent(_)

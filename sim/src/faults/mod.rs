@@ -1,7 +1,8 @@
 //! Faults as data, what they may cost, and the campaign that tries them on the real control core.
 //!
 //! Core 0, its state store and the vehicle's gate are the real ones; cores 1 and 2 only count
-//! cycles. Wires, bus, flash, supplies and clocks are those of the simulator.
+//! cycles. Wires, bus, flash, supplies and clocks are those of the simulator. Real processes suffer
+//! the same faults (`processes.rs` draws them, `tandem chaos` injects them).
 
 mod bench;
 mod fault;
@@ -9,9 +10,11 @@ mod file;
 mod judge;
 mod known;
 mod plan;
+mod processes;
 
 pub use bench::{Bench, Vehicle};
-pub use fault::{Fault, Kind, Way};
+pub use fault::{Act, Fault, Kind, Way};
 pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
 pub use plan::{DISTANCES, Group, PHASES, Sequence};
+pub use processes::{MATRIX, cell_of_matrix, drawn};

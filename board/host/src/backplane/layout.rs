@@ -55,6 +55,10 @@ pub(super) enum System {
     ResetRequest = LINE as isize,
     Lamp,
     Released,
+    HeldLow,
+    LostOut,
+    LostIn,
+    LateMs,
 }
 
 /// Registers of a core, by writer: supply, then the core, then the vehicle.

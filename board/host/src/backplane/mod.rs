@@ -51,6 +51,17 @@ impl fmt::Debug for Backplane {
     }
 }
 
+/// What is wrong with a system's connection to the CAN bus; by default nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusFault {
+    /// Of a thousand frames that it sends, this many are lost.
+    pub lost_out: u16,
+    /// Of a thousand frames on the bus, this many do not reach it.
+    pub lost_in: u16,
+    /// What it sends reaches the bus this many milliseconds later.
+    pub late_ms: u16,
+}
+
 /// A word of the backplane with one writer and several readers: a level, a count, a request.
 #[derive(Clone, Copy)]
 struct Register(&'static AtomicU32);
@@ -200,7 +211,9 @@ impl Backplane {
         self.run(Run::Stop).set(1);
     }
 
-    pub(crate) fn stop_requested(self) -> bool {
+    /// Whether the run is to end.
+    #[must_use]
+    pub fn stop_requested(self) -> bool {
         self.run(Run::Stop).get() != 0
     }
 
@@ -208,6 +221,36 @@ impl Backplane {
     pub fn set_cut(self, wire: Wire, from: SystemId, is_cut: bool) {
         self.run(Run::Cuts)
             .change_bits(Cuts::bit(wire, from), is_cut);
+    }
+
+    /// The level line of this system reads as low at the other one, though the system is on.
+    pub(crate) fn hold_low(self, system: SystemId, held: bool) {
+        self.system(system, System::HeldLow).set(u32::from(held));
+    }
+
+    /// The level of `system`'s line as the other system reads it.
+    pub(crate) fn level_at_peer(self, system: SystemId) -> bool {
+        let is_high = self.level(system) && self.system(system, System::HeldLow).get() == 0;
+        self.cuts().level(system, is_high)
+    }
+
+    /// Sets the faults of a system's connection to the CAN bus, with immediate effect.
+    pub fn disturb_bus(self, system: SystemId, fault: BusFault) {
+        self.system(system, System::LostOut)
+            .set(fault.lost_out.into());
+        self.system(system, System::LostIn)
+            .set(fault.lost_in.into());
+        self.system(system, System::LateMs)
+            .set(fault.late_ms.into());
+    }
+
+    pub(crate) fn bus_fault(self, system: SystemId) -> BusFault {
+        let of = |register| self.system(system, register).get() as u16;
+        BusFault {
+            lost_out: of(System::LostOut),
+            lost_in: of(System::LostIn),
+            late_ms: of(System::LateMs),
+        }
     }
 
     /// Which connections are cut.

@@ -1,0 +1,44 @@
+//! A look at the bus that no process of the run notices.
+
+use tandem_board::Received;
+use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
+use tandem_shm::{FitError, bare, broadcast};
+
+use crate::backplane::{Backplane, RINGS};
+
+/// Reads the frames on the bus from a run's backplane. The bus does not wait for it: what it misses
+/// is lost to it alone.
+#[derive(Debug)]
+pub struct BusTap {
+    frames: broadcast::Receiver<'static, [u32; FRAME_WORDS]>,
+}
+
+impl BusTap {
+    /// Begins with the next frame.
+    ///
+    /// # Errors
+    /// If the backplane has another layout than this build.
+    pub fn new(backplane: Backplane) -> Result<Self, FitError> {
+        let ring = RINGS.receive;
+        let frames = bare::broadcast_receiver(backplane.ring(ring), ring.shape)?;
+        Ok(Self { frames })
+    }
+
+    /// The next frame that was on the bus, with its sender; `None` if there is none yet. Never
+    /// blocks.
+    pub fn try_next(&mut self) -> Option<(Sender, Received)> {
+        // The bus may send while this reads: one call skips at most the slots of the ring.
+        for _ in 0..RINGS.receive.shape.slots() {
+            match self.frames.receive() {
+                Ok(None) => return None,
+                Ok(Some((_, words))) => {
+                    if let Some(frame) = BusFrame::decode(&words) {
+                        return Some((frame.sender, frame.received));
+                    }
+                }
+                Err(_lost) => {}
+            }
+        }
+        None
+    }
+}

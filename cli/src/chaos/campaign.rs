@@ -1,0 +1,203 @@
+//! A campaign: its runs one after the other, each in a process of its own.
+
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context as _, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+use rustix::process::{Pid, Signal, kill_process};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use super::judge::Outcome;
+use super::leg::Line;
+use super::{ChaosArgs, Source, report};
+use crate::failure::Failure;
+use crate::print;
+
+/// Faults of one run. A longer one would fill memory with its recording.
+const FAULTS_OF_A_RUN: usize = 100;
+
+/// What became of a campaign.
+#[derive(Default)]
+pub(super) struct Found {
+    pub(super) outcomes: Vec<Outcome>,
+    /// What was wrong with runs as a whole, each with the command that repeats it.
+    pub(super) wrong: Vec<String>,
+}
+
+/// Injects the faults of these numbers, and reports.
+///
+/// # Errors
+/// [`Failure`] with the exit status that the command documents.
+pub(super) fn run(source: &Source<'_>, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&interrupted))
+            .context("listening to signals")
+            .map_err(Failure::Run)?;
+    }
+    let found = inject(source, numbers, args, &interrupted).map_err(Failure::Run)?;
+    print(&report::text(source, &found)).map_err(Failure::Run)?;
+    if let Some(path) = &args.json {
+        let figures = report::json(source, &found);
+        std::fs::write(path, format!("{figures:#}\n"))
+            .with_context(|| path.display().to_string())
+            .map_err(Failure::Run)?;
+    }
+    let violated = report::violated(&found);
+    if violated > 0 {
+        let objection = format!("{violated} faults violate what must be so");
+        return Err(Failure::Objections(vec![objection]));
+    }
+    if interrupted.load(Ordering::Relaxed) {
+        return Err(match found.outcomes.len() {
+            0 => Failure::Interrupted,
+            _ => Failure::CutShort,
+        });
+    }
+    Ok(())
+}
+
+fn inject(
+    source: &Source<'_>,
+    numbers: &[u64],
+    args: &ChaosArgs,
+    interrupted: &AtomicBool,
+) -> anyhow::Result<Found> {
+    let bar = ProgressBar::new(numbers.len() as u64);
+    let style = "{bar:24.cyan/dim} {pos} of {len} faults, {per_sec}, {eta} left {msg}";
+    bar.set_style(ProgressStyle::with_template(style)?);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let mut found = Found::default();
+    let mut left = numbers;
+    while let Some(first) = left.first()
+        && !interrupted.load(Ordering::Relaxed)
+    {
+        let leg = &left[..left.len().min(FAULTS_OF_A_RUN)];
+        let done = found.outcomes.len() as u64;
+        let ended = one_leg(source, leg, args, interrupted, &|count| {
+            bar.set_position(done + count);
+        });
+        let (outcomes, wrong) = match ended {
+            Ok(ended) => ended,
+            // What the other runs found is worth its report.
+            Err(error) if done > 0 => {
+                found.wrong.push(format!("faults from {first}: {error:#}"));
+                break;
+            }
+            Err(error) => return Err(error),
+        };
+        left = &left[outcomes.len()..];
+        let repeats = source.repeats(*first);
+        found
+            .wrong
+            .extend(wrong.into_iter().map(|it| format!("{it}: from {repeats}")));
+        if outcomes.is_empty() && !interrupted.load(Ordering::Relaxed) {
+            let never = "never master and standby: no fault was injected";
+            found.wrong.push(format!("{never}: {repeats}"));
+            break;
+        }
+        found.outcomes.extend(outcomes);
+        let violated = report::violated(&found);
+        if violated > 0 {
+            bar.set_message(format!("{violated} violated"));
+        }
+    }
+    bar.finish_and_clear();
+    Ok(found)
+}
+
+/// One run, to its end.
+fn one_leg(
+    source: &Source<'_>,
+    numbers: &[u64],
+    args: &ChaosArgs,
+    interrupted: &AtomicBool,
+    done: &dyn Fn(u64),
+) -> anyhow::Result<(Vec<Outcome>, Vec<String>)> {
+    let (Some(first), Some(last)) = (numbers.first(), numbers.last()) else {
+        bail!("no fault");
+    };
+    let mut child = Command::new(std::env::current_exe()?)
+        .arg("chaos")
+        .args(source.arguments())
+        .args(["--leg", &first.to_string(), &(last + 1).to_string()])
+        .args(args.every_arguments())
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .context("starting a run")?;
+    let ended = follow(&mut child, interrupted, done);
+    if !matches!(ended, Ok(Some(_))) {
+        // It ends its run by itself.
+        signal(&child, Signal::TERM);
+    }
+    let mut said = String::new();
+    if let Some(stderr) = &mut child.stderr {
+        let _ = stderr.read_to_string(&mut said);
+    }
+    let status = child.wait().context("a run")?;
+    let said = said.trim();
+    match ended? {
+        Some(ended) if status.success() => {
+            if !said.is_empty() {
+                eprintln!("{said}");
+            }
+            Ok(ended)
+        }
+        _ => bail!("a run ended with {status}: {said}"),
+    }
+}
+
+/// Reads what a leg tells, until its end.
+fn follow(
+    child: &mut Child,
+    interrupted: &AtomicBool,
+    done: &dyn Fn(u64),
+) -> anyhow::Result<Option<(Vec<Outcome>, Vec<String>)>> {
+    let stdout = child.stdout.take().context("a pipe")?;
+    let (lines, told) = std::sync::mpsc::channel();
+    let reader = std::thread::spawn(move || {
+        for line in BufReader::new(stdout).lines().map_while(Result::ok) {
+            if lines.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    let mut asked = false;
+    let ended = loop {
+        if interrupted.load(Ordering::Relaxed) && !asked {
+            asked = true;
+            // Ctrl-C in a terminal reaches it too; once is enough, the second kills the vehicle.
+            signal(child, Signal::TERM);
+        }
+        let line = match told.recv_timeout(Duration::from_millis(50)) {
+            Ok(line) => line,
+            Err(std::sync::mpsc::RecvTimeoutError::Timeout) => continue,
+            Err(std::sync::mpsc::RecvTimeoutError::Disconnected) => break None,
+        };
+        match serde_json::from_str(&line).with_context(|| line.clone())? {
+            Line::Done(count) => done(count),
+            Line::Hold(ms) => {
+                signal(child, Signal::STOP);
+                std::thread::sleep(Duration::from_millis(ms.into()));
+                signal(child, Signal::CONT);
+            }
+            Line::Ended(outcomes, wrong) => break Some((outcomes, wrong)),
+        }
+    };
+    drop(told);
+    let _ = reader.join();
+    Ok(ended)
+}
+
+fn signal(child: &Child, signal: Signal) {
+    if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
+        // Fails if it has ended.
+        let _ = kill_process(pid, signal);
+    }
+}

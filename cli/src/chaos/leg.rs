@@ -1,0 +1,212 @@
+//! One run of a campaign: a process of its own, which tells the campaign what became of each fault.
+
+use std::io::Write as _;
+use std::num::NonZero;
+use std::ops::Range;
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::Parser as _;
+use rustix::process::{Signal, set_parent_process_death_signal};
+use serde::{Deserialize, Serialize};
+use tandem_board::{CanId, Duration, RoleLamp, SystemId};
+use tandem_board_host::hands::{Hands, Target};
+use tandem_board_host::{Backplane, BusTap, clock};
+use tandem_bus::Control;
+
+use super::Source;
+use super::inject::Injector;
+use super::judge::{self, Outcome};
+use crate::args::{Cli, Command, RunArgs};
+use crate::files::RunFiles;
+use crate::run;
+
+/// After the last fault was mended, the systems must be master and standby again within this time.
+const HEALED_WITHIN: std::time::Duration = std::time::Duration::from_secs(60);
+/// A system that has suspended itself for this long is switched off and on.
+const SUSPENDED_FOR: std::time::Duration = std::time::Duration::from_secs(3);
+const LOOK_AGAIN: Duration = Duration::from_ms(10);
+/// The systems have been master and standby for at least this long before a fault, ms.
+const SETTLED_MS: u64 = 300;
+/// A fault lasts and is mended within this time; the run is made long enough for all.
+const LONGEST_FAULT_S: f64 = 12.0;
+
+/// A line that a leg tells its campaign.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) enum Line {
+    /// So many faults are done.
+    Done(u64),
+    /// Let this process stand still for so many milliseconds.
+    Hold(u16),
+    /// The run has ended: what became of each fault, and what was wrong with the run as a whole.
+    Ended(Vec<Outcome>, Vec<String>),
+}
+
+/// One sequence of faults that was injected.
+#[derive(Clone, Debug)]
+pub(super) struct Injected {
+    pub(super) number: u64,
+    /// The system that drove.
+    pub(super) driver: SystemId,
+    /// When, ns.
+    pub(super) at_ns: u64,
+    /// When the systems were master and standby again, ns.
+    pub(super) healed_ns: Option<u64>,
+    /// How often a system that had suspended itself was switched off and on.
+    pub(super) power_cycles: u32,
+    /// The roles when the wait was over, for a message.
+    pub(super) roles: [RoleLamp; 2],
+}
+
+fn tell(line: &Line) -> anyhow::Result<()> {
+    let text = serde_json::to_string(line).context("a line")?;
+    let mut stdout = std::io::stdout().lock();
+    writeln!(stdout, "{text}").context("stdout")?;
+    stdout.flush().context("stdout")
+}
+
+fn arguments(faults: u64, out: &std::path::Path) -> anyhow::Result<RunArgs> {
+    let duration_s = (faults as f64 * LONGEST_FAULT_S + 60.0).min(3_600.0);
+    let line = format!(
+        "tandem run --scenario free-lane --duration {duration_s}s --reintegrate --quiet --out"
+    );
+    let words = line.split(' ').map(Into::into).chain([out.into()]);
+    match Cli::try_parse_from::<_, std::ffi::OsString>(words)?.command {
+        Command::Run(args) => Ok(args),
+        _ => anyhow::bail!("`{line}` is no run"),
+    }
+}
+
+/// Injects the faults of these numbers in one run.
+///
+/// # Errors
+/// If the run does not start or leaves no recording.
+pub(super) fn run(
+    source: &Source<'_>,
+    numbers: Range<u64>,
+    every: NonZero<u64>,
+) -> anyhow::Result<()> {
+    // The campaign may be killed: its run then ends as by Ctrl-C.
+    set_parent_process_death_signal(Some(Signal::TERM))?;
+    let every = usize::try_from(every.get())?;
+    let numbers: Vec<u64> = numbers.step_by(every).collect();
+    let folder = tempfile::tempdir().context("a folder")?;
+    let args = arguments(numbers.len() as u64, &folder.path().join("report"))?;
+    let recorded = run::recorded(&args, |hands, files| {
+        let done = inject_all(source, &numbers, &hands, files);
+        hands.backplane().request_stop();
+        done
+    })?;
+    let (outcomes, wrong) = judge::judge(source, &recorded)?;
+    tell(&Line::Ended(outcomes, wrong))
+}
+
+fn inject_all(
+    source: &Source<'_>,
+    numbers: &[u64],
+    hands: &Hands,
+    files: &RunFiles,
+) -> anyhow::Result<Vec<Injected>> {
+    let hold = |ms| tell(&Line::Hold(ms));
+    let flash = SystemId::ALL.map(|system| files.flash(system));
+    let mut injector = Injector::new(hands, flash, &hold);
+    let backplane = hands.backplane();
+    let mut done: Vec<Injected> = Vec::new();
+    let mut begun = Injected {
+        number: 0,
+        driver: SystemId::A,
+        at_ns: 0,
+        healed_ns: None,
+        power_cycles: 0,
+        roles: [RoleLamp::Starting; 2],
+    };
+    heal(hands, &mut begun);
+    for (index, number) in numbers.iter().enumerate() {
+        let (sequence, phase) = source.sequence(*number)?;
+        let settled_ms = SETTLED_MS + number.wrapping_mul(7_919) % 311;
+        clock::sleep_until(clock::now() + Duration::from_ms(settled_ms));
+        // A stall of the machine may have changed the roles again.
+        let Some(driver) = driver(backplane).or_else(|| heal(hands, &mut begun)) else {
+            break;
+        };
+        if let Some(phase) = phase {
+            wait_for_phase(backplane, driver, phase)?;
+        }
+        let mut injected = Injected {
+            number: *number,
+            driver,
+            at_ns: clock::now().as_ns(),
+            ..begun.clone()
+        };
+        injected.power_cycles = 0;
+        injector.suffer(&sequence.faults, sequence.span, driver)?;
+        let healed = heal(hands, &mut injected);
+        if backplane.stop_requested() {
+            break;
+        }
+        done.push(injected);
+        tell(&Line::Done(index as u64 + 1))?;
+        if healed.is_none() {
+            break;
+        }
+    }
+    // What the last fault led to is in the recording.
+    clock::sleep_until(clock::now() + Duration::from_ms(SETTLED_MS));
+    Ok(done)
+}
+
+/// The system that drives, if the other is its standby.
+fn driver(backplane: Backplane) -> Option<SystemId> {
+    let roles = SystemId::ALL.map(|system| backplane.role(system));
+    SystemId::ALL.into_iter().find(|system| {
+        let of = |system: SystemId| roles[system.index()];
+        of(*system) == RoleLamp::Master && of(system.peer()) == RoleLamp::Standby
+    })
+}
+
+/// Waits until one system is master and the other its standby; the master. A system that has no
+/// power is switched on, one that has suspended itself off and on.
+fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
+    let backplane = hands.backplane();
+    let begin = Instant::now();
+    let mut suspended = [begin; 2];
+    while begin.elapsed() < HEALED_WITHIN && !backplane.stop_requested() {
+        injected.roles = SystemId::ALL.map(|system| backplane.role(system));
+        if let Some(driver) = driver(backplane) {
+            injected.healed_ns = Some(clock::now().as_ns());
+            return Some(driver);
+        }
+        for system in SystemId::ALL {
+            let since = &mut suspended[system.index()];
+            if injected.roles[system.index()] != RoleLamp::Suspended {
+                *since = Instant::now();
+            } else if since.elapsed() > SUSPENDED_FOR {
+                *since = Instant::now();
+                injected.power_cycles += 1;
+                hands.signal(Target::Supply(system), Signal::KILL);
+            }
+            hands.request_power(system);
+        }
+        clock::sleep_until(clock::now() + LOOK_AGAIN);
+    }
+    None
+}
+
+/// Waits until this time after a control frame of the driver.
+fn wait_for_phase(backplane: Backplane, driver: SystemId, phase: Duration) -> anyhow::Result<()> {
+    let mut tap = BusTap::new(backplane)
+        .map_err(|error| anyhow::anyhow!("the bus cannot be read: {error:?}"))?;
+    let id = CanId::Standard(Control::IDS[driver.index()]);
+    // Without a frame of the driver for so long any phase is as good.
+    let until = clock::now() + Duration::from_ms(100);
+    while clock::now() < until {
+        while let Some((_, received)) = tap.try_next() {
+            if received.frame.id() == id {
+                clock::sleep_until(received.at + phase);
+                return Ok(());
+            }
+        }
+        clock::sleep_until(clock::now() + Duration::from_us(200));
+    }
+    Ok(())
+}
