@@ -10,6 +10,7 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use tandem_benches::output::OutputFile;
 
 use super::judge::Outcome;
 use super::leg::Line;
@@ -33,6 +34,8 @@ pub(super) struct Found {
 /// # Errors
 /// [`Failure`] with the exit status that the command documents.
 pub(super) fn run(source: &Source<'_>, numbers: &[u64], args: &ChaosArgs) -> Result<(), Failure> {
+    let [place] = OutputFile::check_all([("--json", args.json.as_deref())])
+        .map_err(|error| Failure::Usage(error.into()))?;
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&interrupted))
@@ -41,11 +44,10 @@ pub(super) fn run(source: &Source<'_>, numbers: &[u64], args: &ChaosArgs) -> Res
     }
     let found = inject(source, numbers, args, &interrupted).map_err(Failure::Run)?;
     print(&report::text(source, &found)).map_err(Failure::Run)?;
-    if let Some(path) = &args.json {
+    if let Some(place) = place {
         let figures = report::json(source, &found);
-        std::fs::write(path, format!("{figures:#}\n"))
-            .with_context(|| path.display().to_string())
-            .map_err(Failure::Run)?;
+        let written = place.write(&format!("{figures:#}\n"));
+        written.map_err(|error| Failure::Run(error.into()))?;
     }
     let violated = report::violated(&found);
     if violated > 0 {
