@@ -3,7 +3,7 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-use crate::chaos::ChaosArgs;
+use crate::chaos_args::ChaosArgs;
 use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;

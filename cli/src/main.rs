@@ -5,6 +5,7 @@ mod args;
 mod boot;
 mod boot_demo;
 mod chaos;
+mod chaos_args;
 mod control_core;
 mod core_process;
 mod dflash;

@@ -131,3 +131,43 @@ fn a_reader_that_has_seen_enough_is_no_error() {
     drop(child.stdout.take());
     assert!(child.wait().unwrap().success());
 }
+
+/// A campaign that cannot be is refused before a run starts.
+#[test]
+fn a_campaign_that_cannot_be() {
+    let fixture = Fixture::new();
+    for (name, text) in [
+        ("none.toml", "mended-at-ms = 1.0\nfault = [{}]\n"),
+        (
+            "clock.toml",
+            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"clock\"\nof = \"a\"\nat-ms = 0.0\namount = 5\n",
+        ),
+        (
+            "power-on.toml",
+            "from-power-on = true\nmended-at-ms = 1.0\nfault = []\n",
+        ),
+        (
+            "scribble.toml",
+            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"scribble\"\nof = \"a\"\nat-ms = 0.0\n",
+        ),
+    ] {
+        fs::write(fixture.folder().join(name), text).unwrap();
+    }
+    for (args, word) in [
+        (&["chaos", "--faults", "none.toml"][..], "missing field"),
+        (
+            &["chaos", "--faults", "clock.toml"],
+            "clock: processes cannot suffer it",
+        ),
+        (&["chaos", "--faults", "power-on.toml"], "only `tandem sim`"),
+        (&["chaos", "--matrix", "--only", "99999"], "no cell 99999"),
+        (&["chaos", "--count", "0"], "no fault"),
+        (&["chaos", "--json", "no/such/c.json"], "no/such"),
+        (
+            &["sim", "--faults", "scribble.toml"],
+            "only processes suffer it",
+        ),
+    ] {
+        refuses(&fixture, args, &[word]);
+    }
+}

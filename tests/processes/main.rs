@@ -8,6 +8,7 @@
 )]
 
 mod bench;
+mod chaos;
 mod deaths;
 mod drive;
 mod errors;

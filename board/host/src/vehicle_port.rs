@@ -479,6 +479,43 @@ mod tests {
         assert!(stamped.is_sorted_by_key(|(_, at)| *at));
     }
 
+    /// A disturbed connection loses, holds back, or does not receive; the other system's is sound.
+    #[test]
+    fn a_disturbed_connection_affects_its_own_system_alone() {
+        let (run, mut port) = port();
+        let attach = |system| {
+            let (core, generation) = (CoreId::CONTROL, Generation(1));
+            let of = Identity {
+                system,
+                core,
+                generation,
+            };
+            HostCan::attach(port.backplane, of).unwrap()
+        };
+        let [a, b] = SystemId::ALL.map(attach);
+        let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
+        let mut exchange = |fault: BusFault| {
+            port.backplane.disturb_bus(SystemId::A, fault);
+            clock::sleep_until(clock::now() + Duration::from_ms(2));
+            let _ = (a.try_send(&frame(1)), b.try_send(&frame(2)));
+            port.transmitted(&mut |_, _, _| {});
+            let heard = |can: &HostCan| core::iter::from_fn(|| can.try_receive()).count();
+            (heard(&a), heard(&b))
+        };
+        let sound = BusFault::default();
+        assert_eq!(exchange(sound), (1, 1));
+        let lost_out = 1_000;
+        assert_eq!(exchange(BusFault { lost_out, ..sound }), (1, 0), "mute");
+        let lost_in = 1_000;
+        assert_eq!(exchange(BusFault { lost_in, ..sound }), (0, 1), "deaf");
+        let late_ms = 3;
+        assert_eq!(exchange(BusFault { late_ms, ..sound }), (1, 0), "late");
+        clock::sleep_until(clock::now() + Duration::from_ms(late_ms.into()));
+        assert_eq!(exchange(BusFault { late_ms, ..sound }), (1, 1), "one came");
+        assert_eq!(exchange(sound), (1, 2), "what was held back comes");
+        Backplane::remove(&run);
+    }
+
     /// T-RED-9: frames that wait when the output closes are not sent; later frames are.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {

@@ -14,7 +14,8 @@ use tandem_benches::output::OutputFile;
 
 use super::judge::Outcome;
 use super::leg::Line;
-use super::{ChaosArgs, Source, report};
+use super::{Source, report};
+use crate::chaos_args::ChaosArgs;
 use crate::failure::Failure;
 use crate::print;
 

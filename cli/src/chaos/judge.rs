@@ -180,8 +180,8 @@ impl Run<'_> {
             wrong.push(format!("{stale} control frames too old to act"));
         }
         // A stalled machine is another matter: then the old master found that it was held up.
-        let needless = takeovers.iter().filter(|it| !it.held_up);
-        if spares_control && let Some(takeover) = needless.last() {
+        let mut needless = takeovers.iter().filter(|it| !it.held_up);
+        if spares_control && let Some(takeover) = needless.next_back() {
             let (from, cause) = (takeover.from, takeover.cause_in_words());
             wrong.push(format!("{from} was relieved, though it was sound: {cause}"));
         }

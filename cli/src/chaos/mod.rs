@@ -6,83 +6,14 @@ mod judge;
 mod leg;
 mod report;
 
-use std::num::NonZero;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context as _, bail};
-use clap::Args;
 use tandem_board::Duration;
-use tandem_sim::faults::{MATRIX, Sequence, cell_of_matrix, drawn};
+use tandem_sim::faults::{Fault, MATRIX, Sequence, cell_of_matrix, drawn};
 
+use crate::chaos_args::ChaosArgs;
 use crate::failure::Failure;
-
-/// Arguments of `tandem chaos`.
-#[derive(Debug, Args)]
-#[command(after_help = EXAMPLES)]
-pub(crate) struct ChaosArgs {
-    /// How many faults
-    #[arg(long, value_name = "N", default_value_t = 60)]
-    count: u64,
-
-    /// Decides which faults
-    #[arg(long, value_name = "S", default_value_t = 1)]
-    seed: u64,
-
-    /// The number of the first fault
-    #[arg(long, value_name = "N", default_value_t = 0)]
-    from: u64,
-
-    /// Try the faults of this TOML file, --count times
-    #[arg(long, value_name = "FILE")]
-    faults: Option<PathBuf>,
-
-    /// Each fault, of the master and of the standby, at 20 phases of the control cycle
-    #[arg(long, conflicts_with_all = ["faults", "count"])]
-    matrix: bool,
-
-    /// Of the matrix, every N-th cell only
-    #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN, requires = "matrix")]
-    every: NonZero<u64>,
-
-    /// Only the fault of this number
-    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["from", "count", "every"])]
-    only: Option<u64>,
-
-    /// Write {faults, violations, classes: [{name, n, detection_p99_ms, gap_p99_ms, gap_max_ms,
-    /// bound_ms, ...}]} to this file
-    #[arg(long, value_name = "FILE")]
-    json: Option<PathBuf>,
-
-    /// Inject these faults in one run and end: what the campaign starts
-    #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
-    leg: Option<Vec<u64>>,
-}
-
-const EXAMPLES: &str = "\
-The faults are those of `tandem sim`. In one run after the other, each fault meets a master and a
-standby, and is mended. Then the systems must be master and standby again before the next one. The
-report has, for each class of faults, how long the other system needed to notice, and how long the
-vehicle was without control, beside the bound that is computed. A gap beyond its bound is no
-violation if the evidence shows that the machine itself stood still for that long.
-
-  tandem chaos --count 200 --seed 7          random faults, about 4 s each
-  tandem chaos --only 137 --seed 7           one of them again
-  tandem chaos --matrix --every 10           each fault at some phases of the 10 ms cycle
-  tandem chaos --faults my.toml --count 20   a file of `tandem sim --save`, where A is the system
-                                             that drives, and B the standby
-
-Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is wrong, 130 after
-Ctrl-C, with the report of what was done.";
-
-impl ChaosArgs {
-    /// The arguments by which a leg leaves out the same cells.
-    fn every_arguments(&self) -> Vec<String> {
-        match self.matrix {
-            true => vec!["--every".to_owned(), self.every.to_string()],
-            false => vec![],
-        }
-    }
-}
 
 /// Which faults a campaign has.
 enum Source<'a> {
@@ -106,7 +37,7 @@ impl<'a> Source<'a> {
         Ok(source)
     }
 
-    /// A sequence of faults by its number, and when in the control cycle it begins, if that matters.
+    /// A sequence of faults by its number; if it matters, when in the control cycle it begins.
     fn sequence(&self, number: u64) -> anyhow::Result<(Sequence, Option<Duration>)> {
         match self {
             Self::Drawn { seed } => Ok((drawn(*seed, number), None)),

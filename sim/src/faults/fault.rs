@@ -41,7 +41,7 @@ pub enum Kind {
     CoreDies(CoreId),
     /// A core stands still.
     CoreHangs(CoreId),
-    /// The process of its supply stands still for this many milliseconds. On a chip a supply cannot.
+    /// The process of its supply stands still for this many milliseconds. A chip's cannot.
     SupplyHangs(u16),
     /// The vehicle's process, which is the bus, stands still for this many milliseconds.
     VehicleHangs(u16),

@@ -1,0 +1,74 @@
+//! The arguments of `tandem chaos`.
+
+use std::num::NonZero;
+use std::path::PathBuf;
+
+use clap::Args;
+
+/// Arguments of `tandem chaos`.
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub(crate) struct ChaosArgs {
+    /// How many faults
+    #[arg(long, value_name = "N", default_value_t = 60)]
+    pub(crate) count: u64,
+
+    /// Decides which faults
+    #[arg(long, value_name = "S", default_value_t = 1)]
+    pub(crate) seed: u64,
+
+    /// The number of the first fault
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    pub(crate) from: u64,
+
+    /// Try the faults of this TOML file, --count times
+    #[arg(long, value_name = "FILE")]
+    pub(crate) faults: Option<PathBuf>,
+
+    /// Each fault, of the master and of the standby, at 20 phases of the control cycle
+    #[arg(long, conflicts_with_all = ["faults", "count"])]
+    pub(crate) matrix: bool,
+
+    /// Of the matrix, every N-th cell only
+    #[arg(long, value_name = "N", default_value_t = NonZero::<u64>::MIN, requires = "matrix")]
+    pub(crate) every: NonZero<u64>,
+
+    /// Only the fault of this number
+    #[arg(long, value_name = "NUMBER", conflicts_with_all = ["from", "count", "every"])]
+    pub(crate) only: Option<u64>,
+
+    /// Write {faults, violations, classes: [{name, n, detection_p99_ms, gap_p99_ms, gap_max_ms,
+    /// bound_ms, ...}]} to this file
+    #[arg(long, value_name = "FILE")]
+    pub(crate) json: Option<PathBuf>,
+
+    /// Inject these faults in one run and end: what the campaign starts
+    #[arg(long, hide = true, num_args = 2, value_names = ["FROM", "TO"])]
+    pub(crate) leg: Option<Vec<u64>>,
+}
+
+const EXAMPLES: &str = "\
+The faults are those of `tandem sim`. In one run after the other, each fault meets a master and a
+standby, and is mended. Then the systems must be master and standby again before the next one. The
+report has, for each class of faults, how long the other system needed to notice, and how long the
+vehicle was without control, beside the bound that is computed. A gap beyond its bound is no
+violation if the evidence shows that the machine itself stood still for that long.
+
+  tandem chaos --count 200 --seed 7          random faults, about 4 s each
+  tandem chaos --only 137 --seed 7           one of them again
+  tandem chaos --matrix --every 10           each fault at some phases of the 10 ms cycle
+  tandem chaos --faults my.toml --count 20   a file of `tandem sim --save`, where A is the system
+                                             that drives, and B the standby
+
+Exit status: 0 if all was as it must be, 1 if not, 2 if an argument or a file is wrong, 130 after
+Ctrl-C, with the report of what was done.";
+
+impl ChaosArgs {
+    /// The arguments by which a leg leaves out the same cells.
+    pub(crate) fn every_arguments(&self) -> Vec<String> {
+        match self.matrix {
+            true => vec!["--every".to_owned(), self.every.to_string()],
+            false => vec![],
+        }
+    }
+}

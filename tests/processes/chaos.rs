@@ -1,0 +1,175 @@
+//! `tandem chaos`: campaigns on real runs, and what is left of them.
+
+use std::fs;
+use std::os::unix::process::CommandExt as _;
+use std::process::{Child, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use serde_json::Value;
+
+use crate::fixture::{Fixture, send};
+use rustix::process::Signal;
+
+const WATCHDOG: Duration = Duration::from_secs(120);
+
+fn fault(what: &str, of: &str) -> String {
+    format!("mended-at-ms = 300.0\n[[fault]]\nwhat = \"{what}\"\nof = \"{of}\"\nat-ms = 0.0\n")
+}
+
+/// A campaign has for each class what was measured beside its bound; a system that lost its power
+/// has it again before the next fault; nothing is left.
+#[test]
+fn a_campaign_ends_with_what_each_class_of_faults_cost() {
+    let fixture = Fixture::new();
+    fs::write(
+        fixture.folder().join("power.toml"),
+        fault("power-loss", "a"),
+    )
+    .unwrap();
+    let arguments = [
+        "chaos",
+        "--faults",
+        "power.toml",
+        "--count",
+        "2",
+        "--json",
+        "c.json",
+    ];
+    let output = fixture.output(&arguments);
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(0), "{told}{said}");
+    assert!(told.contains("2 faults, 0 violated"), "{told}");
+    let figures: Value =
+        serde_json::from_str(&fs::read_to_string(fixture.folder().join("c.json")).unwrap())
+            .unwrap();
+    assert_eq!(
+        (&figures["faults"], &figures["violations"]),
+        (&2.into(), &0.into())
+    );
+    let class = &figures["classes"][0];
+    assert_eq!(class["name"], "power-loss of the master");
+    assert_eq!(class["n"], 2);
+    let ms = |name: &str| class[name].as_f64().unwrap();
+    // The other system notices, and the vehicle misses a frame.
+    assert!(ms("detection_p99_ms") > 0.0, "{figures:#}");
+    assert!(ms("gap_max_ms") > 9.0, "{figures:#}");
+    assert!(ms("gap_p99_ms") <= ms("bound_ms"), "{figures:#}");
+}
+
+/// Without power on both sides no system drives: no stall explains that, and the command that
+/// repeats it is told.
+#[test]
+fn a_violation_fails_the_campaign_and_can_be_repeated() {
+    let fixture = Fixture::new();
+    fs::write(
+        fixture.folder().join("both.toml"),
+        fault("power-loss", "both"),
+    )
+    .unwrap();
+    let output = fixture.output(&["chaos", "--faults", "both.toml", "--count", "1"]);
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}{said}");
+    assert!(told.contains("ms without control (bound"), "{told}");
+    let repeats = "tandem chaos --faults both.toml --only 0";
+    assert!(told.contains(repeats), "{told}");
+}
+
+/// The run of a campaign is a process of its own.
+fn run_of(campaign: &Child) -> Option<u32> {
+    let children = format!("/proc/{0}/task/{0}/children", campaign.id());
+    let text = fs::read_to_string(children).ok()?;
+    text.split_whitespace().next()?.parse().ok()
+}
+
+/// Ctrl-C gives the report of what was done, and ends the run.
+#[test]
+fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
+    let fixture = Fixture::new();
+    fs::write(
+        fixture.folder().join("power.toml"),
+        fault("power-loss", "b"),
+    )
+    .unwrap();
+    let arguments = ["chaos", "--faults", "power.toml", "--count", "500"];
+    let mut command = fixture.command(&arguments);
+    // A terminal sends Ctrl-C to the whole group.
+    command
+        .process_group(0)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let campaign = command.spawn().unwrap();
+    let since = Instant::now();
+    let run = loop {
+        assert!(since.elapsed() < WATCHDOG, "no run");
+        match run_of(&campaign) {
+            Some(run) => break run,
+            None => sleep(Duration::from_millis(20)),
+        }
+    };
+    sleep(Duration::from_secs(9));
+    let group = i32::try_from(campaign.id()).unwrap();
+    rustix::process::kill_process_group(
+        rustix::process::Pid::from_raw(group).unwrap(),
+        Signal::INT,
+    )
+    .unwrap();
+    let output = campaign.wait_with_output().unwrap();
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(130), "{told}{said}");
+    assert!(
+        told.contains(" faults, 0 violated") || said.contains("everything is stopped"),
+        "{told}{said}"
+    );
+    nothing_is_left(run);
+}
+
+/// A campaign that is killed takes its run with it.
+#[test]
+fn a_campaign_that_is_killed_takes_its_run_with_it() {
+    let fixture = Fixture::new();
+    let mut command = fixture.command(&["chaos", "--count", "500"]);
+    let mut campaign = command
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let since = Instant::now();
+    let run = loop {
+        assert!(since.elapsed() < WATCHDOG, "no run");
+        match run_of(&campaign) {
+            Some(run) => break run,
+            None => sleep(Duration::from_millis(20)),
+        }
+    };
+    sleep(Duration::from_secs(3));
+    send(i32::try_from(campaign.id()).unwrap(), Signal::KILL);
+    campaign.wait().unwrap();
+    nothing_is_left(run);
+}
+
+/// Waits until no process names this run, and looks for its files.
+fn nothing_is_left(launcher: u32) {
+    let name = format!("tandem-{launcher}-");
+    let named = || {
+        let entries = fs::read_dir("/proc").unwrap().flatten();
+        let lines = entries.filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());
+        lines
+            .filter(|line| String::from_utf8_lossy(line).contains(&name))
+            .count()
+    };
+    let since = Instant::now();
+    while named() > 0 {
+        assert!(since.elapsed() < WATCHDOG, "{} processes are left", named());
+        sleep(Duration::from_millis(50));
+    }
+    let files = ["/dev/shm", "/tmp"]
+        .iter()
+        .flat_map(|folder| fs::read_dir(folder).unwrap())
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.to_string_lossy().contains(&name));
+    assert_eq!(files.count(), 0);
+}
