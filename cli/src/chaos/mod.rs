@@ -10,7 +10,7 @@ use std::path::Path;
 
 use anyhow::{Context as _, bail};
 use tandem_board::Duration;
-use tandem_sim::faults::{Fault, MATRIX, Sequence, cell_of_matrix, drawn};
+use tandem_sim::faults::{MATRIX, Sequence, cell_of_matrix, drawn};
 
 use crate::chaos_args::ChaosArgs;
 use crate::failure::Failure;
