@@ -243,7 +243,7 @@ fn recurse(depth: u64) -> u64 {
     recurse(depth + 1) + frame[depth as usize % 64]
 }
 
-/// A stack that grows into its guard ends the process with the task's name.
+/// T-RTOS-1: a stack that grows into its guard ends the process with the task's name.
 #[test]
 fn an_overflowed_stack_is_named() {
     const NAME: &str = "an_overflowed_stack_is_named";
@@ -328,7 +328,7 @@ fn own_stack() -> usize {
     own.next().expect("it is mapped").start
 }
 
-/// The kernel sees at the next switch that the end of a stack was overwritten, by a jump over the
+/// T-RTOS-1: the kernel sees at the next switch that the end of a stack was overwritten, by a jump over the
 /// guard or by a stray pointer.
 #[test]
 fn an_overwritten_stack_end_is_named() {

@@ -32,61 +32,87 @@ fn equals_that_yield_take_turns() {
     assert_eq!(log.take().concat(), "ababab");
 }
 
-/// T-RTOS-1, T-RTOS-4: a task that never yields is pre-empted by a more urgent one when that one is
-/// due.
+/// T-RTOS-1, T-RTOS-4: a task that never yields is pre-empted by a more urgent one at the tick at
+/// which that one is due. By the machine's clock a tick may be late.
 #[test]
 fn a_task_that_never_yields_is_pre_empted() {
-    let log = Log::new();
-    let wakes = log.clone();
-    run(Clock::Wall, |kernel| {
-        kernel.task("greedy", 1, |_| {
-            let mut sum = 0.5f64;
-            loop {
-                sum = std::hint::black_box(sum * 1.000_001 + 1.0);
-            }
+    for clock in [Clock::Virtual, Clock::Wall] {
+        let log = Log::new();
+        let wakes = log.clone();
+        run(clock, |kernel| {
+            kernel.task("greedy", 1, |ctx| {
+                loop {
+                    ctx.burn(Duration::from_millis(1));
+                }
+            });
+            kernel.task("urgent", 2, move |ctx| {
+                let mut wake = ctx.now();
+                for _ in 0..20 {
+                    ctx.delay_until(&mut wake, Duration::from_millis(2));
+                    wakes.note((ctx.now().0, wake.0));
+                }
+                ctx.stop();
+            });
         });
-        kernel.task("urgent", 2, move |ctx| {
-            let mut wake = ctx.now();
-            for _ in 0..20 {
-                ctx.delay_until(&mut wake, Duration::from_millis(2));
-                wakes.note(wake);
-            }
-            ctx.stop();
-        });
-    });
-    let wakes = log.take();
-    assert_eq!(wakes.len(), 20);
-    assert!(
-        wakes
-            .windows(2)
-            .all(|pair| pair[1].since(pair[0]) == Ticks(2))
-    );
+        let wakes = log.take();
+        let due: Vec<_> = wakes.iter().map(|(_, due)| *due).collect();
+        let grid: Vec<_> = (0..20).map(|round| due[0] + 2 * round).collect();
+        assert_eq!(due, grid);
+        assert!(wakes.iter().all(|(now, due)| now >= due), "{wakes:?}");
+        let in_time = wakes.iter().filter(|(now, due)| now == due).count();
+        let expected = if clock == Clock::Virtual { 20 } else { 1 };
+        assert!(in_time >= expected, "{wakes:?}");
+    }
 }
 
-/// T-RTOS-1: tasks of the same priority that never yield share the processor tick by tick.
+/// T-RTOS-1: tasks of the same priority that never yield take turns, a tick each.
 #[test]
 fn equals_that_never_yield_share_time() {
-    let counts: &'static [AtomicU32; 2] = Box::leak(Box::default());
-    run(Clock::Wall, |kernel| {
-        for (name, count) in ["a", "b"].into_iter().zip(counts) {
+    const TICKS: usize = 60;
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        for name in ["a", "b", "c"] {
+            let log = log.clone();
             kernel.task(name, 1, move |ctx| {
-                let mut last = ctx.now();
                 loop {
-                    let now = ctx.now();
-                    if now != last {
-                        count.fetch_add(1, Ordering::Relaxed);
-                        last = now;
-                    }
+                    // Half a tick: more would run into the turn of the next.
+                    ctx.burn(Duration::from_micros(500));
+                    log.note((ctx.now().0, name));
                 }
             });
         }
         kernel.task("end", 2, |ctx| {
-            ctx.delay(Duration::from_millis(100));
+            ctx.delay(Ticks(TICKS as u32));
             ctx.stop();
         });
     });
-    let slices = counts.each_ref().map(|count| count.load(Ordering::Relaxed));
-    assert!(slices.iter().all(|slices| *slices >= 2), "{slices:?}");
+    let mut turns = log.take();
+    turns.dedup();
+    let of = |turn: &str| turns.iter().filter(|(_, name)| *name == turn).count();
+    let shares = ["a", "b", "c"].map(of);
+    let fair = shares.iter().all(|share| share.abs_diff(TICKS / 3) <= 1);
+    assert!(fair, "{shares:?} of {TICKS} ticks: {turns:?}");
+    let changes = turns.windows(2).all(|pair| pair[0].1 != pair[1].1);
+    assert!(changes, "one task had two ticks in a row: {turns:?}");
+}
+
+/// T-RTOS-1: as many tasks as there is memory for.
+#[test]
+fn three_hundred_tasks_each_run_when_they_are_due() {
+    const TASKS: u32 = 300;
+    let log = Log::new();
+    run(Clock::Virtual, |kernel| {
+        for number in 0..TASKS {
+            let log = log.clone();
+            let priority = 1 + (number % 30) as u8;
+            kernel.task("one of many", priority, move |ctx| {
+                ctx.delay(Ticks(1 + number));
+                log.note((number, ctx.now().0));
+            });
+        }
+    });
+    let expected: Vec<_> = (0..TASKS).map(|number| (number, 1 + number)).collect();
+    assert_eq!(log.take(), expected);
 }
 
 /// An interrupt of another thread wakes a task.
@@ -117,37 +143,54 @@ fn an_interrupt_from_another_thread_wakes_a_task() {
     assert_eq!(log.take(), vec![1; 1000]);
 }
 
-/// Runs a test of the demonstration: which output changed, and at which tick.
-fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32)> {
+/// Runs a test of the demonstration: which output changed, at which tick, and at what time of the
+/// clock that the kernel does not count, ns.
+fn changes(test: &'static Test, clock: Clock) -> Vec<(usize, u32, u64)> {
     let log = Log::new();
     run(clock, |kernel| {
         for (number, output) in test.outputs.iter().enumerate() {
             let log = log.clone();
             kernel.task(output.name, output.priority, move |ctx| {
-                toggle(ctx, output, ctx.now(), || log.note((number, ctx.now().0)));
+                toggle(ctx, output, ctx.now(), || {
+                    log.note((number, ctx.now().0, elapsed_ns()));
+                });
             });
         }
     });
     log.take()
 }
 
-/// T-RTOS-3: the measured periods are 60, 40 and 20 ms. In virtual time they are exact to the tick.
-/// By the machine's clock a single change may be late, but changes stay on the grid.
+/// Whether the outputs of a run have the periods of their tasks, measured by the clock. Of a busy
+/// machine's changes one in each half must be in time: a period that is wrong by 1 % delays all of
+/// the second half.
+fn has_its_periods(clock: Clock) -> bool {
+    const IN_TIME_NS: i64 = 600_000;
+    let changes = changes(&TESTS[0], clock);
+    let mut outputs = TESTS[0].outputs.iter().enumerate();
+    outputs.all(|(number, output)| {
+        let own = changes.iter().filter(|change| change.0 == number);
+        let late_ns = own.zip(0..).map(|((_, _, at_ns), round)| {
+            *at_ns as i64 - i64::from(round * output.period_ms) * 1_000_000
+        });
+        let late_ns: Vec<_> = late_ns.collect();
+        assert_eq!(late_ns.len(), output.rounds() as usize, "{changes:?}");
+        let early = late_ns.iter().any(|late| *late < -IN_TIME_NS);
+        assert!(!early, "{}: {late_ns:?}", output.name);
+        let in_time = |late: &i64| *late < IN_TIME_NS;
+        let (first, second) = late_ns.split_at(late_ns.len() / 2);
+        match clock {
+            Clock::Virtual => late_ns.iter().all(in_time),
+            Clock::Wall => first.iter().any(in_time) && second.iter().any(in_time),
+        }
+    })
+}
+
+/// T-RTOS-3: the periods of the outputs are 60, 40 and 20 ms, measured by a clock that is not the
+/// kernel's tick.
 #[test]
 fn three_tasks_run_with_their_periods() {
-    for clock in [Clock::Virtual, Clock::Wall] {
-        let changes = changes(&TESTS[0], clock);
-        for (number, output) in TESTS[0].outputs.iter().enumerate() {
-            let own = changes.iter().filter(|change| change.0 == number);
-            let own: Vec<u32> = own.map(|change| change.1).collect();
-            let grid: Vec<u32> = (0..output.rounds())
-                .map(|round| own[0] + round * output.period_ms)
-                .collect();
-            let early = own.iter().zip(&grid).any(|(at, point)| at < point);
-            assert!(!early && own.len() == grid.len(), "{own:?}");
-            assert!(clock == Clock::Wall || own == grid, "{own:?}");
-        }
-    }
+    assert!(has_its_periods(Clock::Virtual));
+    assert!((0..20).any(|_| has_its_periods(Clock::Wall)));
 }
 
 /// T-RTOS-4: priorities 3 > 2 > 1 with periods of 30, 20 and 10 ms; the highest works for 20 ms.
@@ -158,7 +201,7 @@ fn a_burning_task_keeps_lower_ones_from_running() {
     for clock in [Clock::Virtual, Clock::Wall] {
         let changes = changes(&TESTS[1], clock);
         let mut high = vec![];
-        for (output, at) in &changes {
+        for (output, at, _) in &changes {
             if *output == 0 {
                 high.push(*at);
             }

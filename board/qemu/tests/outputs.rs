@@ -42,6 +42,7 @@ fn assert_at(edges: &[u64], expected_ms: &[u64], what: &str) {
     }
 }
 
+/// T-RTOS-3: each period, by the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn outputs_toggle_every_60_40_and_20_ms() {
@@ -59,6 +60,7 @@ fn outputs_toggle_every_60_40_and_20_ms() {
     }
 }
 
+/// T-RTOS-4: by the clock of the machine.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn no_lower_task_toggles_while_the_highest_works() {
@@ -81,7 +83,7 @@ fn no_lower_task_toggles_while_the_highest_works() {
         let expected: Vec<u64> = (0..SPAN_MS).step_by(period_ms).map(rests_from).collect();
         assert_at(edges, &expected, what);
     }
-    // T-RTOS-4: the order of the two tasks that were held up.
+    // The order of the two tasks that were held up.
     for from in changes.iter().skip(1).step_by(2).map(|ms| ms * MS_NS) {
         let first = |edges: &[u64]| edges.iter().copied().find(|at| *at >= from);
         assert!(first(&middle) < first(&lowest), "after {from} ns");
