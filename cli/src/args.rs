@@ -118,7 +118,7 @@ pub(crate) enum ThesisBoard {
     Host,
     /// Both systems in this process, in virtual time
     Sim,
-    /// Firmware in an emulated RISC-V machine: instructions
+    /// Firmware in emulated RISC-V machines, one for each system: an instruction takes 1 ns
     Qemu,
 }
 

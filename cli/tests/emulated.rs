@@ -200,6 +200,34 @@ fn three_cores_of_the_firmware_send_what_was_downloaded() {
     }
 }
 
+/// T-SYNC-4, T-LOCK-2, T-RED-2, T-RED-8: the experiments of the thesis on firmware. 4 bytes take
+/// the same time each time.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn the_experiments_of_the_thesis_hold_on_firmware() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("thesis.json");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    command.args(["thesis", "--board", "qemu", "--json"]);
+    let output = command.arg(&json).output().unwrap();
+    let shown = String::from_utf8(output.stdout).unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{shown}{said}");
+    let told: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
+    let here = |name: &str| {
+        let rows = told["results"].as_array().unwrap();
+        let row = rows.iter().find(|row| row["name"] == name);
+        row.unwrap_or_else(|| panic!("{name}: {told:#}"))["here"].as_f64()
+    };
+    let ns = here("sync/4-bytes").unwrap();
+    let each = format!("250 messages, 0 wrong; median {ns:.0} ns, worst {ns:.0} ns");
+    assert!(ns > 0.0 && shown.contains(&each), "{shown}");
+    assert_eq!(here("lock/counter"), Some(0.0));
+    for name in ["start/skew", "takeover/reset", "takeover/power"] {
+        assert!(here(name).is_some(), "{name}");
+    }
+}
+
 /// T-RTOS-3: the picture of the emulated outputs, and whose time it is.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]

@@ -114,6 +114,8 @@ pub(crate) enum Image {
     RtosDemo,
     /// The primitives of the LMU under hundreds of schedules
     Schedules,
+    /// Experiments of the thesis between two cores; `tandem thesis --board qemu` shows them
+    Thesis,
 }
 
 impl Image {

@@ -85,6 +85,11 @@ pub enum Item {
     },
     /// The run is over: the machine ends.
     End,
+    /// Core 0 of a system in the machine ends with an exception.
+    Crash {
+        /// The system.
+        of: SystemId,
+    },
 }
 
 /// The message cannot be decoded: the other side has another version.
@@ -122,6 +127,7 @@ impl Item {
                 let fault = HardwareFaults::bit(*fault).trailing_zeros() as usize;
                 put(head(8, of.index(), fault, usize::from(*present)), &[])
             }
+            Self::Crash { of } => put(head(9, of.index(), 0, 0), &[]),
         }
     }
 
@@ -169,6 +175,7 @@ impl Item {
                 fault: *HardwareFault::ALL.get(b).ok_or(Malformed)?,
                 present: c != 0,
             },
+            9 => Self::Crash { of: system? },
             _ => return Err(Malformed),
         };
         *words = rest;
@@ -261,6 +268,7 @@ mod tests {
                 present: true,
             },
             Item::End,
+            Item::Crash { of: SystemId::B },
         ];
         for item in items {
             let mut buffer = [0; ITEM_WORDS];
@@ -276,8 +284,9 @@ mod tests {
     fn what_is_no_item_is_refused() {
         for head in [
             0,
-            9,
+            10,
             8 | 7 << 16,
+            9 | 2 << 8,
             2 | 6 << 8,
             3 | 2 << 8,
             4 | 2 << 8,

@@ -37,6 +37,7 @@ pub struct EmulatedWorld {
     lamps: [RoleLamp; 2],
     powered: [bool; 2],
     lost: u32,
+    reported: Instant,
     stop: Arc<AtomicBool>,
 }
 
@@ -121,6 +122,7 @@ impl EmulatedWorld {
             lamps: [RoleLamp::Starting; 2],
             powered: [false; 2],
             lost: 0,
+            reported: Instant::ORIGIN,
             stop: Arc::default(),
         })
     }
@@ -208,6 +210,7 @@ impl EmulatedWorld {
             }
             Err(error) => return Err(error),
         };
+        self.reported = report.now;
         let node = &mut self.machines[index];
         self.lost = self.lost.wrapping_add(
             report
@@ -274,7 +277,7 @@ impl EmulatedWorld {
                 });
             }
             Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
-            Item::Level { .. } | Item::Feed { .. } | Item::Fault { .. } | Item::End => {}
+            Item::Level { .. } | Item::Feed { .. } | Item::Fault { .. } | Item::Crash { .. } | Item::End => {}
         }
     }
 
@@ -288,12 +291,24 @@ impl EmulatedWorld {
         self.tell_machine_of(of, Item::Fault { of, fault, present });
     }
 
+    /// Core 0 of a system ends with an exception at the next step: its supply resets the system.
+    pub fn crash(&mut self, of: SystemId) {
+        self.tell_machine_of(of, Item::Crash { of });
+    }
+
     fn tell_machine_of(&mut self, system: SystemId, item: Item) {
         for node in &mut self.machines {
             if node.systems.contains(&system) {
                 node.outgoing.push(item);
             }
         }
+    }
+
+    /// The clock of the machines at their last report. They wait there for the next step, and what
+    /// they are told happens then.
+    #[must_use]
+    pub const fn reported(&self) -> Instant {
+        self.reported
     }
 }
 

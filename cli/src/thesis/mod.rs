@@ -1,12 +1,13 @@
 //! `tandem thesis`: the experiments of the thesis's chapter 6, its figures beside those of here.
 
+mod emulated;
 mod host;
 mod outputs;
 mod simulated;
 
 use std::fmt::Write as _;
 
-use anyhow::{Context as _, ensure};
+use anyhow::Context as _;
 use serde::Serialize;
 use tandem_benches::output::OutputFile;
 use tandem_benches::thesis::{self as cores, Counted, Exchange};
@@ -14,7 +15,7 @@ use tandem_record::{RunLog, start};
 
 use crate::args::{DemoBoard, ThesisArgs, ThesisBoard};
 use crate::failure::Failure;
-use crate::{boot_demo, emulated, rtos_demo};
+use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};
 
 /// What the thesis measured, and what is permitted here.
@@ -151,7 +152,8 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             let free = attempts(|| Ok(cores::counter(cpus, INCREMENTS, false)?))?;
             shown.count(&free, &cores::counter(cpus, INCREMENTS, true)?);
             let (log, done) = host::takeovers()?;
-            shown.systems(&log, done, "this machine")?;
+            shown.start(&log, "this machine's time")?;
+            shown.takeovers(&log, done, "this machine")?;
             shown.kernel(DemoBoard::Host)?;
             shown.download(DemoBoard::Host)?;
         }
@@ -162,11 +164,18 @@ fn experiments(args: &ThesisArgs) -> anyhow::Result<Shown> {
             let count = |locked| simulated::counter(INCREMENTS_SIMULATED, locked);
             shown.count(&count(false)?, &count(true)?);
             let (log, done) = simulated::takeovers()?;
-            shown.systems(&log, done, "virtual time")?;
+            shown.start(&log, "virtual time: a line of the simulator takes none")?;
+            shown.takeovers(&log, done, "virtual time")?;
             shown.periods(&rtos_demo::simulated()?, "the kernel's virtual time");
         }
         ThesisBoard::Qemu => {
-            shown.instructions()?;
+            let (exchanges, [free, locked]) = emulated::two_cores()?;
+            let means = "an instruction takes 1 ns; core 1 sleeps, and its doorbell wakes it";
+            shown.exchange(&exchanges, means);
+            shown.count(&free, &locked);
+            shown.start(&emulated::start()?, "both systems in one machine")?;
+            let (log, done) = emulated::takeovers()?;
+            shown.takeovers(&log, done, "the emulator's time")?;
             shown.kernel(DemoBoard::Qemu)?;
             shown.download(DemoBoard::Qemu)?;
         }
@@ -254,29 +263,35 @@ impl Shown {
         self.rows.push(row.means(means).and(free.lost() > 0));
     }
 
-    /// 6.5: the start, and the two takeovers with their four events.
-    fn systems(&mut self, log: &RunLog, done: Done, clock: &'static str) -> anyhow::Result<()> {
+    /// 6.5.1: how far apart the systems leave the start protocol.
+    fn start(&mut self, log: &RunLog, means: &str) -> anyhow::Result<()> {
         let skew_ns = start::skew_ns(log);
         let skew_us = skew_ns.context("the systems did not start together")? as f64 * 1e-3;
+        let _ = writeln!(
+            self.text,
+            "6.5.1  the systems left the start protocol {skew_us:.1} µs apart\n"
+        );
+        let row = Row::new("start/skew", [SKEW_US, skew_us, SKEW_BOUND_US], "µs");
+        let means = format!("the two ends of the start protocol, {means}");
+        self.rows.push(row.means(means));
+        Ok(())
+    }
+
+    /// 6.5.2: the two takeovers with their four events.
+    fn takeovers(&mut self, log: &RunLog, done: Done, clock: &'static str) -> anyhow::Result<()> {
         let outputs = Outputs::new(log, done, clock).context("a system did not take over")?;
         let _ = writeln!(
             self.text,
-            "6.5.1  the systems left the start protocol {skew_us:.1} µs apart\n\n\
-             6.5.2  outputs of the systems over time, {clock}\n{}",
+            "6.5.2  outputs of the systems over time, {clock}\n{}",
             outputs.events()
         );
-        let from = format!("from fault to takeover, {clock}");
-        let row = Row::new("start/skew", [SKEW_US, skew_us, SKEW_BOUND_US], "µs");
-        self.rows.push(row.means(match clock {
-            "virtual time" => "virtual time: a line of the simulator takes none".to_owned(),
-            clock => format!("the two ends of the start protocol, {clock}"),
-        }));
         for (name, thesis, here) in [
             ("takeover/reset", RESET_MS, outputs.reset_ms()),
             ("takeover/power", POWER_MS, outputs.power_ms()),
         ] {
             let row = Row::new(name, [thesis, here, RESPONSE_BOUND_MS], "ms");
-            self.rows.push(row.means(from.clone()));
+            let means = format!("from fault to takeover, {clock}");
+            self.rows.push(row.means(means));
         }
         self.svg = Some(outputs.draw());
         Ok(())
@@ -318,27 +333,6 @@ impl Shown {
         let row = Row::new("boot/download", [3.0, frames, cores], "frames");
         self.rows
             .push(row.means("cores whose frame came after the download"));
-        Ok(())
-    }
-
-    /// 6.4.2 in instructions, by the image of the benchmarks.
-    fn instructions(&mut self) -> anyhow::Result<()> {
-        let log = tandem_board_qemu::run_to_end(&emulated::image("bench", None)?)?;
-        let of = |path: &str| {
-            let line = log
-                .lines()
-                .find_map(|line| line.strip_prefix(&format!("bench {path} ")));
-            line.and_then(|line| line.rsplit(' ').next()?.parse::<f64>().ok())
-        };
-        let longest = of("mailbox/4-bytes").context("the image measured no mailbox")?;
-        ensure!(longest > 0.0, "the image measured nothing");
-        let _ = writeln!(
-            self.text,
-            "6.4.2  4 bytes to the task that they wake: {longest:.0} instructions\n"
-        );
-        let row = Row::new("sync/4-bytes", [SYNC_NS, longest, SYNC_NS], "ns");
-        let means = "worst; the emulator's time: an instruction takes 1 ns";
-        self.rows.push(row.means(means));
         Ok(())
     }
 }
@@ -433,7 +427,8 @@ mod tests {
         assert_eq!(values(|it| it.sent), values(|it| it.received));
         assert_eq!(exchanges.len(), MESSAGES as usize);
         let (log, done) = simulated::takeovers().unwrap();
-        shown.systems(&log, done, "virtual time").unwrap();
+        shown.start(&log, "virtual time").unwrap();
+        shown.takeovers(&log, done, "virtual time").unwrap();
         let bad: Vec<_> = shown.rows.iter().filter(|row| !row.ok).collect();
         assert!(bad.is_empty(), "{bad:?}");
         assert_eq!(shown.rows.len(), 4);

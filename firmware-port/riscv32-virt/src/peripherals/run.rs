@@ -210,6 +210,10 @@ impl Peripherals {
             Item::Feed { of, on: true } => self.power_on(&[of]),
             Item::Feed { of, on: false } => self.power_off(of),
             Item::Fault { of, fault, present } => set_fault(of, fault, present),
+            Item::Crash { of } => {
+                let change = self.supplies[of.index()].reset(now(), ResetCause::Trap);
+                self.carry_out(of, change);
+            }
             Item::End => {
                 log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
                 exit(0)
