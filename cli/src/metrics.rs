@@ -251,7 +251,7 @@ fn first_control_ms(log: &RunLog) -> Option<f64> {
 /// the end of the run.
 fn control_gap_max_ms(log: &RunLog) -> Option<f64> {
     let last_ns = log.accepted().last()?.at_ns;
-    let until_ns = log.end_ns.unwrap_or(last_ns);
+    let until_ns = log.until_ns().unwrap_or(last_ns);
     Some(log.mastership().gap_max_ns(until_ns) as f64 * 1e-6)
 }
 

@@ -164,7 +164,7 @@ pub fn periods(
         };
         (pair[0].at_ns, pair[1].at_ns, pair[1].system, ended_by)
     });
-    let last = accepted.last().zip(log.end_ns);
+    let last = accepted.last().zip(log.until_ns());
     let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, last.system, EndedBy::Nothing));
     between
         .chain(open)
@@ -263,6 +263,7 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::log::Sample;
     use crate::run_log::Stood;
     use crate::takeovers;
     use tandem_bus::Mode;
@@ -384,6 +385,14 @@ mod tests {
         let gap = found(&log(&[(0, A), (10, A)], 4_010), &[])[0];
         assert_eq!((gap.ms(), gap.ended_by), (4_000.0, EndedBy::Nothing));
         assert!(!gap.is_explained());
+        // A person ended it early: there is no end, but the last state of the world.
+        let mut early = log(&[(0, A), (10, A)], 4_010);
+        early.end_ns = None;
+        early.samples = vec![Sample {
+            at_ns: 2_010_000_000,
+            ..Sample::default()
+        }];
+        assert_eq!(found(&early, &[])[0].ms(), 2_000.0);
     }
 
     #[test]

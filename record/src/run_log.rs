@@ -244,11 +244,16 @@ impl RunLog {
         (at_ns as f64 - start as f64) * 1e-9
     }
 
+    /// The end of the run, or of what there is of a run that was ended early, ns.
+    #[must_use]
+    pub fn until_ns(&self) -> Option<u64> {
+        self.end_ns.or_else(|| self.samples.last().map(|s| s.at_ns))
+    }
+
     /// Scenario time that was driven, s.
     #[must_use]
     pub fn driven_s(&self) -> f64 {
-        let last = self.end_ns.or_else(|| self.samples.last().map(|s| s.at_ns));
-        match (self.start_ns, last) {
+        match (self.start_ns, self.until_ns()) {
             (Some(_), Some(last)) => self.seconds(last).max(0.0),
             _ => 0.0,
         }
