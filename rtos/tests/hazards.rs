@@ -328,8 +328,8 @@ fn own_stack() -> usize {
     own.next().expect("it is mapped").start
 }
 
-/// T-RTOS-1: the kernel sees at the next switch that the end of a stack was overwritten, by a jump over the
-/// guard or by a stray pointer.
+/// T-RTOS-1: the kernel sees at the next switch that the end of a stack was overwritten, by a jump
+/// over the guard or by a stray pointer.
 #[test]
 fn an_overwritten_stack_end_is_named() {
     const NAME: &str = "an_overwritten_stack_end_is_named";

@@ -82,8 +82,10 @@ const WIRES: [&[&str]; 5] = [
     &["can", "--from", "B"],
 ];
 const TABLE: &str = include_str!("../../docs/redundancy.md");
-/// Attempts at a row in which the machine stalls for longer than a master may be silent.
-const ATTEMPTS: u32 = 4;
+/// A longer stall makes a sound master fall silent: the page of the redundancy, profile rt. The row
+/// is tried again then.
+const TOLERATED_STALL_MS: f64 = 5.0;
+const ATTEMPTS: u32 = 8;
 
 /// One row of the truth table.
 struct Row {
@@ -142,8 +144,8 @@ fn shown_run(words: &[&str], name: &str) -> bool {
 }
 
 /// One row of the truth table, with processes: A drives, then this is cut. With `off` that system
-/// loses its power then, else the roles are compared after 2 s. `None` if the machine stalled, so
-/// that a master was replaced which had not failed.
+/// loses its power then, else the roles are compared after 2 s. `None` if it came otherwise and the
+/// machine stalled; two masters are no matter of stalls.
 fn try_row(row: &Row, off: Option<usize>) -> Option<()> {
     let fixture = Fixture::new();
     let mut run = fixture.run(&["--duration", "60", "--scenario", "free-lane"]);
@@ -167,41 +169,39 @@ fn try_row(row: &Row, off: Option<usize>) -> Option<()> {
         }
     }
     let metrics = run.interrupt();
-    let told = format!("{:?}, {off:?} off: {roles:?}\n{metrics:#}", row.cut);
-    let takeovers = metrics["takeovers"].as_array().unwrap();
-    if takeovers.iter().any(|it| it["held_up"] == true) {
-        return None;
-    }
     one_master(&metrics);
-    let mut expected = vec!["A"];
+    let mut drives = vec!["A"];
     for system in obeyed.iter().copied().flatten() {
-        if !expected.ends_with(&[system]) {
-            expected.push(system);
+        if !drives.ends_with(&[system]) {
+            drives.push(system);
         }
     }
-    let to = takeovers.iter().map(|it| it["to"].as_str().unwrap());
+    let takeovers = metrics["takeovers"].as_array().unwrap().iter();
+    let to = takeovers.map(|it| it["to"].as_str().unwrap());
     let drove: Vec<_> = std::iter::once("A").chain(to).collect();
-    assert_eq!(drove, expected, "{told}");
-    // Nobody drives: to the end, and for no other time without a stall that explains it.
+    // No system drives: to the end, and for no other time without a stall that explains it.
     let gaps = metrics["gaps"].as_array().unwrap().iter();
     let gaps: Vec<_> = gaps
         .filter(|gap| gap["explained"] == false)
         .map(|gap| gap["ended_by"].as_str().unwrap())
         .collect();
     let is_none_left = obeyed.last().is_some_and(|last| last.is_none());
-    let open: &[&str] = if is_none_left {
-        &["the end of the run"]
-    } else {
-        &[]
+    let open = vec!["the end of the run"; usize::from(is_none_left)];
+    // A system without CAN that does not drive resets itself again and again, and suspends.
+    let is_told = |system: usize| {
+        let (shown, told) = (&roles[system], &row.roles[system]);
+        let resets = row.cut[3 + system] && told == "standby" && !shown.contains("master");
+        shown == told || resets
     };
-    assert_eq!(gaps, open, "{told}");
-    for (is_cut, (shown, expected)) in row.cut[3..].iter().zip(roles.iter().zip(&row.roles)) {
-        // A system without CAN that does not drive resets itself again and again, and suspends.
-        let is_silent = *is_cut && expected == "standby" && !shown.contains("master");
-        let as_told = shown == expected || is_silent;
-        assert!(as_told, "{expected}: {told}");
-    }
-    Some(())
+    let holds = (drove, gaps) == (drives, open) && is_told(0) && is_told(1);
+    let stalled_ms = metrics["stalls"]["longest_ms"].as_f64().unwrap();
+    let stalled = stalled_ms > TOLERATED_STALL_MS;
+    assert!(
+        holds || stalled,
+        "{:?}, {off:?} off: {roles:?}\n{metrics:#}",
+        row.cut
+    );
+    holds.then_some(())
 }
 
 fn holds(row: &Row, off: Option<usize>) {

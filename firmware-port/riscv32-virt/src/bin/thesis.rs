@@ -2,8 +2,8 @@
 //! counter with and without the lock. T-SYNC-4, T-LOCK-2
 //!
 //! Prints `exchange SENT RECEIVED INSTRUCTIONS` for each message. Then, for the counter without the
-//! lock and with it, `counter LOCKED INCREMENTS COUNTER` and, for each core, `seen LOCKED CORE` with
-//! the values that it read after its first increments.
+//! lock and with it, `counter LOCKED INCREMENTS COUNTER` and, for each core, `seen LOCKED CORE`
+//! with the values that it read after its first increments.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
