@@ -277,7 +277,11 @@ impl EmulatedWorld {
                 });
             }
             Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
-            Item::Level { .. } | Item::Feed { .. } | Item::Fault { .. } | Item::Crash { .. } | Item::End => {}
+            Item::Level { .. }
+            | Item::Feed { .. }
+            | Item::Fault { .. }
+            | Item::Crash { .. }
+            | Item::End => {}
         }
     }
 
