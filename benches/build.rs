@@ -1,5 +1,5 @@
-//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and notes what a result
-//! must name: commit, compiler and flags.
+//! Builds the one peer that is a C program, FreeRTOS with its own POSIX port, and notes commit,
+//! compiler and flags, which a result must name.
 
 use std::env;
 use std::error::Error;

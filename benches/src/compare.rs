@@ -241,8 +241,8 @@ impl Change {
     }
 }
 
-/// The share of all choices of signs whose mean lies at least as far from 0 as that of `differences`
-/// (16 at most).
+/// The share of all choices of signs whose mean lies at least as far from 0 as that of
+/// `differences` (16 at most).
 fn chance(differences: &[f64]) -> f64 {
     let choices = 1_u32 << differences.len();
     let mean_of = |signs: u32| {
@@ -405,8 +405,8 @@ mod tests {
         "spin/pipe",
     ];
 
-    /// Pairs of runs on a machine like ours. Each run is fast or slow as a whole, and each case of a
-    /// run has an effect of its own, which all of its batches share.
+    /// Pairs of runs on a machine like ours. Each run is fast or slow as a whole, and each case of
+    /// a run has an effect of its own, which all of its batches share.
     fn pairs(random: &mut ChaCha8Rng, count: usize, factor: f64) -> Vec<[Results; 2]> {
         let mood = Normal::new(0.0, 0.3).unwrap();
         let effect = Normal::new(0.0, 0.04).unwrap();

@@ -10,6 +10,7 @@ use loom::sync::Arc;
 use loom::thread;
 use tandem_shm::bare;
 use tandem_shm::broadcast::{self, Lost, Stamp};
+use tandem_shm::mailbox::{self, TaskId};
 use tandem_shm::map::{AttachError, Layout, Map};
 use tandem_shm::newest::{self, ReadError};
 use tandem_shm::region::{Region, Words};
@@ -52,6 +53,31 @@ fn newest_is_never_torn_and_never_goes_back() {
         }
         writer.join().unwrap();
         assert_eq!(reader.read().unwrap().1, [3, 3]);
+    });
+}
+
+/// A core that requests the channel's line before it polls the mailbox, and so may have seen an
+/// older head, still reads the value that was signalled.
+#[test]
+fn a_value_is_there_with_its_signal_whatever_was_prefetched() {
+    model(3, || {
+        let (words, signals) = (zeroed(newest::words(SHAPE)), zeroed(mailbox::WORDS));
+        let sending = {
+            let (words, signals) = (words.clone(), signals.clone());
+            thread::spawn(move || {
+                let mut writer = bare::newest_writer(&words, SHAPE).unwrap();
+                writer.publish(&[7, 7]);
+                let mut sender = bare::mailbox_sender(&signals).unwrap();
+                let _ = sender.signal(TaskId::FIRST);
+            })
+        };
+        let reader = bare::newest_reader::<Value>(&words, SHAPE).unwrap();
+        let mut receiver = bare::mailbox_receiver(&signals).unwrap();
+        for _ in 0..2 {
+            reader.prefetch();
+            receiver.poll(|_| assert_eq!(reader.read().unwrap().1, [7, 7]));
+        }
+        sending.join().unwrap();
     });
 }
 
