@@ -16,37 +16,39 @@ pub struct Reaction {
 
 /// Follows each measurement to the control frames, by the age that they carry.
 ///
-/// A control frame gives the time of its oldest measurement. So a measurement belongs to the last
-/// command whose oldest measurement is not newer. The reaction ends when that command first acts.
+/// A control frame gives the age of its oldest measurement, which the controller knows up to the
+/// shortest way over the bus; what a list waited for the bus beyond that is part of its age. So the
+/// oldest measurement of a frame is the last one that was measured, not the last one that was on
+/// the bus, by that time. A measurement belongs to the last command whose oldest measurement is not
+/// newer. The reaction ends when that command first acts.
 #[must_use]
 pub fn reaction(log: &RunLog) -> Reaction {
     let mut found = Reaction::default();
-    // The commands in the order in which they acted: when the oldest measurement was on the bus,
-    // and when the first frame with this command acted.
+    let measured_ns = &log.measured_ns;
+    // The commands in the order in which they acted: the time of the oldest measurement, and when
+    // the first frame with this command acted.
     let mut commands: Vec<(u64, u64)> = Vec::new();
     for frame in log.accepted() {
         let Some(age_ns) = frame.age_ns else { continue };
-        let oldest_ns = frame.sent_ns.saturating_sub(age_ns);
-        let newer = log
-            .measurements
-            .partition_point(|it| it.at_ns <= oldest_ns + AGE_ROUNDING_NS);
-        let Some(oldest) = newer.checked_sub(1).map(|index| log.measurements[index]) else {
+        let told_ns = frame.sent_ns.saturating_sub(age_ns);
+        let newer = measured_ns.partition_point(|at_ns| *at_ns <= told_ns + AGE_ROUNDING_NS);
+        let Some(oldest_ns) = newer.checked_sub(1).map(|index| measured_ns[index]) else {
             continue;
         };
         found
             .age_ms
-            .push(frame.at_ns.saturating_sub(oldest.measured_ns) as f64 * 1e-6);
-        if commands.last().is_none_or(|last| last.0 < oldest.at_ns) {
-            commands.push((oldest.at_ns, frame.at_ns));
+            .push(frame.at_ns.saturating_sub(oldest_ns) as f64 * 1e-6);
+        if commands.last().is_none_or(|last| last.0 < oldest_ns) {
+            commands.push((oldest_ns, frame.at_ns));
         }
     }
-    for measurement in &log.measurements {
-        let after = commands.partition_point(|command| command.0 <= measurement.at_ns);
+    for measured_ns in measured_ns {
+        let after = commands.partition_point(|command| command.0 <= *measured_ns);
         // No later command shows where the last one ends.
         if let Some((_, acted_ns)) = after.checked_sub(1).map(|index| commands[index])
             && after < commands.len()
         {
-            let reaction_ns = acted_ns.saturating_sub(measurement.measured_ns);
+            let reaction_ns = acted_ns.saturating_sub(*measured_ns);
             found.reaction_ms.push(reaction_ns as f64 * 1e-6);
         }
     }
@@ -56,26 +58,27 @@ pub fn reaction(log: &RunLog) -> Reaction {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::run_log::{ControlFrame, Measurement};
+    use crate::run_log::ControlFrame;
     use tandem_board::SystemId;
     use tandem_bus::Mode;
     use tandem_vehicle::Verdict;
 
     const MS: u64 = 1_000_000;
 
-    /// Object lists at 0 and 15 ms of each 50 ms, on the bus 0.5 ms later. Control frames every 10
-    /// ms; the command of a round acts from `acts_ms` of its period on.
-    fn log(acts_ms: u64) -> RunLog {
+    /// The shortest way over the bus, which the controller takes for none.
+    const WAY_NS: u64 = MS / 2;
+
+    /// Object lists at 0 and 15 ms of each 50 ms. Control frames every 10 ms; the command of a
+    /// round acts from `acts_ms` of its period on. The controller places a measurement by its
+    /// sensor's clock, `early_ns` before the end of the shortest way.
+    fn log_placed(acts_ms: u64, early_ns: u64) -> RunLog {
         let mut log = RunLog::default();
         for round in 0..20 {
-            for phase in [0, 15] {
-                let measured_ns = (round * 50 + phase) * MS;
-                let at_ns = measured_ns + MS / 2;
-                log.measurements.push(Measurement { at_ns, measured_ns });
-            }
+            log.measured_ns
+                .extend([0, 15].map(|phase| (round * 50 + phase) * MS));
         }
         for at_ms in (100 + acts_ms..900).step_by(10) {
-            let oldest_ns = (at_ms - acts_ms) / 50 * 50 * MS + MS / 2;
+            let oldest_ns = (at_ms - acts_ms) / 50 * 50 * MS + WAY_NS - early_ns;
             let sent_ns = at_ms * MS - 200_000;
             log.control.push(ControlFrame {
                 at_ns: at_ms * MS,
@@ -91,6 +94,10 @@ mod tests {
         log
     }
 
+    fn log(acts_ms: u64) -> RunLog {
+        log_placed(acts_ms, 0)
+    }
+
     #[test]
     fn each_measurement_acts_with_the_first_command_of_its_round() {
         let found = reaction(&log(20));
@@ -104,6 +111,13 @@ mod tests {
         ages.sort_by(f64::total_cmp);
         ages.dedup();
         assert_eq!(ages, [20.0, 30.0, 40.0, 50.0, 60.0]);
+    }
+
+    /// The clocks drift, so a measurement may be placed before its list was on the bus. It is not
+    /// taken for one of the round before.
+    #[test]
+    fn a_measurement_that_is_placed_early_stays_in_its_round() {
+        assert_eq!(reaction(&log_placed(20, WAY_NS)), reaction(&log(20)));
     }
 
     #[test]

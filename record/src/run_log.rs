@@ -49,15 +49,6 @@ pub struct ControlFrame {
     pub verdict: Verdict,
 }
 
-/// The first frame of a sensor's list.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Measurement {
-    /// When it was on the bus, ns.
-    pub at_ns: u64,
-    /// When the sensor measured, ns.
-    pub measured_ns: u64,
-}
-
 /// A status frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct StatusFrame {
@@ -117,8 +108,8 @@ pub struct RunLog {
     pub road: Vec<RoadPiece>,
     /// All control frames in the order of the bus.
     pub control: Vec<ControlFrame>,
-    /// The sensors' measurements, in the order of the bus.
-    pub measurements: Vec<Measurement>,
+    /// When the sensors measured each list, ns, in order.
+    pub measured_ns: Vec<u64>,
     /// All status frames in the order of the bus.
     pub status: Vec<StatusFrame>,
     /// The events that the cores reported, without those of their schedulers.
@@ -152,6 +143,7 @@ impl RunLog {
     pub fn sort(&mut self) {
         self.events.sort_by_key(|event| event.at_ns);
         self.supplies.sort_by_key(|(at_ns, ..)| *at_ns);
+        self.measured_ns.sort_unstable();
     }
 
     fn push_trace(&mut self, traced: Traced) {
@@ -191,10 +183,8 @@ impl RunLog {
         } else if let Some(Message::SensorHeader(_, header)) = message {
             // The sensor uses the bus's clock, in µs; it wraps around.
             let on_the_way = ((at_ns / 1_000) as u32).wrapping_sub(header.measured_at);
-            self.measurements.push(Measurement {
-                at_ns,
-                measured_ns: at_ns.saturating_sub(u64::from(on_the_way) * 1_000),
-            });
+            self.measured_ns
+                .push(at_ns.saturating_sub(u64::from(on_the_way) * 1_000));
         } else if let Some(Message::Status { system, status }) = message {
             self.status.extend(
                 SystemId::from_index(system.into()).map(|system| StatusFrame {
