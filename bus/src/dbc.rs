@@ -149,6 +149,40 @@ impl Role {
     }
 }
 
+/// Values of the signal `Route`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Route {
+    /// Coded as 0.
+    #[default]
+    Free = 0,
+    /// Coded as 1.
+    Left = 1,
+    /// Coded as 2.
+    Right = 2,
+    /// Coded as 3.
+    Keep = 3,
+}
+
+impl Route {
+    /// Every value, in the order of the DBC.
+    pub const ALL: [Self; 4] = [Self::Free, Self::Left, Self::Right, Self::Keep];
+
+    /// The value's name in the DBC.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Free => "Free",
+            Self::Left => "Left",
+            Self::Right => "Right",
+            Self::Keep => "Keep",
+        }
+    }
+
+    fn from_raw(raw: i64) -> Option<Self> {
+        Self::ALL.into_iter().find(|value| *value as i64 == raw)
+    }
+}
+
 /// Vehicle control. Sent by the master only; the vehicle accepts the highest term.
 ///
 /// Layout of `ControlA`, `ControlB`.
@@ -801,6 +835,8 @@ pub struct DriverRequest {
     pub engage: bool,
     /// The driver steers or brakes against the function.
     pub overrides: bool,
+    /// Where the route leads: to the lane on the left or right, or on in the own lane; Free: anywhere.
+    pub route: Route,
     /// Desired speed. 0 ..= 655.35 m/s in steps of 0.01
     pub set_speed: f32,
 }
@@ -831,6 +867,14 @@ impl DriverRequest {
         min: 0,
         max: 1,
     };
+    pub(crate) const ROUTE: Signal = Signal {
+        name: "Route",
+        start: 26,
+        len: 2,
+        factor: 1.0,
+        min: 0,
+        max: 3,
+    };
     pub(crate) const SET_SPEED: Signal = Signal {
         name: "SetSpeed",
         start: 32,
@@ -846,6 +890,7 @@ impl DriverRequest {
         *data = [0; Self::LEN];
         Self::ENGAGE.put(data, i64::from(self.engage));
         Self::OVERRIDES.put(data, i64::from(self.overrides));
+        Self::ROUTE.put(data, self.route as i64);
         Self::SET_SPEED.put_physical(data, self.set_speed);
     }
 
@@ -861,16 +906,18 @@ impl DriverRequest {
         Ok(Self {
             engage: Self::ENGAGE.get(data)? != 0,
             overrides: Self::OVERRIDES.get(data)? != 0,
+            route: Route::from_raw(Self::ROUTE.get(data)?).ok_or(Self::ROUTE.invalid())?,
             set_speed: Self::SET_SPEED.get_physical(data)?,
         })
     }
 
     /// The values by their names in the DBC: physical ones, flags and tables as numbers.
     #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 3] {
+    pub fn values(&self) -> [(&'static str, f64); 4] {
         [
             ("Engage", f64::from(u8::from(self.engage))),
             ("Overrides", f64::from(u8::from(self.overrides))),
+            ("Route", f64::from(self.route as u8)),
             ("SetSpeed", f64::from(self.set_speed)),
         ]
     }
@@ -1129,6 +1176,8 @@ pub struct CameraLanes {
     pub left_exists: bool,
     /// There is a lane to the right in the same direction.
     pub right_exists: bool,
+    /// The lane goes on behind OwnEnd, but outside of the operational design domain.
+    pub ends_domain: bool,
     /// Signal `C0`. -32.768 ..= 32.767 m in steps of 0.001
     pub c0: f32,
     /// Signal `C1`. -1.6384 ..= 1.63835  in steps of 0.00005
@@ -1184,6 +1233,14 @@ impl CameraLanes {
     pub(crate) const RIGHT_EXISTS: Signal = Signal {
         name: "RightExists",
         start: 26,
+        len: 1,
+        factor: 1.0,
+        min: 0,
+        max: 1,
+    };
+    pub(crate) const ENDS_DOMAIN: Signal = Signal {
+        name: "EndsDomain",
+        start: 27,
         len: 1,
         factor: 1.0,
         min: 0,
@@ -1293,6 +1350,7 @@ impl CameraLanes {
         Self::VALID.put(data, i64::from(self.valid));
         Self::LEFT_EXISTS.put(data, i64::from(self.left_exists));
         Self::RIGHT_EXISTS.put(data, i64::from(self.right_exists));
+        Self::ENDS_DOMAIN.put(data, i64::from(self.ends_domain));
         Self::C0.put_physical(data, self.c0);
         Self::C1.put_physical(data, self.c1);
         Self::C2.put_physical(data, self.c2);
@@ -1320,6 +1378,7 @@ impl CameraLanes {
             valid: Self::VALID.get(data)? != 0,
             left_exists: Self::LEFT_EXISTS.get(data)? != 0,
             right_exists: Self::RIGHT_EXISTS.get(data)? != 0,
+            ends_domain: Self::ENDS_DOMAIN.get(data)? != 0,
             c0: Self::C0.get_physical(data)?,
             c1: Self::C1.get_physical(data)?,
             c2: Self::C2.get_physical(data)?,
@@ -1337,11 +1396,12 @@ impl CameraLanes {
 
     /// The values by their names in the DBC: physical ones, flags and tables as numbers.
     #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 15] {
+    pub fn values(&self) -> [(&'static str, f64); 16] {
         [
             ("Valid", f64::from(u8::from(self.valid))),
             ("LeftExists", f64::from(u8::from(self.left_exists))),
             ("RightExists", f64::from(u8::from(self.right_exists))),
+            ("EndsDomain", f64::from(u8::from(self.ends_domain))),
             ("C0", f64::from(self.c0)),
             ("C1", f64::from(self.c1)),
             ("C2", f64::from(self.c2)),

@@ -25,7 +25,7 @@ mod signal;
 
 pub use dbc::{
     Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, FRAMES, GateEcho, Mode, Role,
-    SensorHeader, SensorObject, Status,
+    Route, SensorHeader, SensorObject, Status,
 };
 pub use endpoint::{ReceiveError, Receiver, Transmitter};
 pub use message::{Encoded, Message};

@@ -5,8 +5,8 @@
 
 use crate::driving::knowledge::{Knowledge, KnownObject, Line, PLAN_POINTS, Plan};
 use crate::driving::types::{
-    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass, Scene,
-    TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
+    Command, ControlStep, Ego, Lanes, MAX_OBJECTS, Maneuver, Memory, Object, ObjectClass, Route,
+    Scene, TRAJECTORY_SAMPLES, Trajectory, TrajectoryPoint,
 };
 use heapless::Vec;
 use tandem_board::Instant;
@@ -98,7 +98,7 @@ impl Payload for Ego {
 }
 
 impl Payload for Lanes {
-    const WORDS: usize = 14;
+    const WORDS: usize = 15;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put_f32s(put, &self.c);
@@ -114,6 +114,7 @@ impl Payload for Lanes {
                 self.speed_limit,
             ],
         );
+        put(u32::from(self.ends_domain));
     }
 
     fn load(take: &mut impl FnMut() -> u32) -> Result<Self, Corrupt> {
@@ -127,6 +128,7 @@ impl Payload for Lanes {
             left_end: unbounded(take)?,
             right_end: unbounded(take)?,
             speed_limit: unbounded(take)?,
+            ends_domain: flag(take)?,
         })
     }
 }
@@ -183,7 +185,7 @@ impl Payload for Object {
 
 impl Payload for Scene {
     const WORDS: usize =
-        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + MAX_OBJECTS * Object::WORDS;
+        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + 1 + MAX_OBJECTS * Object::WORDS;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put_instant(put, self.at);
@@ -196,6 +198,7 @@ impl Payload for Scene {
             None => (0..Lanes::WORDS).for_each(|_| put(0)),
         }
         put_option(put, self.set_speed);
+        put(self.route as u32);
         put(self.objects.len() as u32);
         self.objects.iter().for_each(|object| object.store(put));
         (self.objects.len() * Object::WORDS..MAX_OBJECTS * Object::WORDS).for_each(|_| put(0));
@@ -208,6 +211,8 @@ impl Payload for Scene {
         let seen = flag(take)?;
         let lanes = Lanes::load(take)?;
         let set_speed = option(take)?;
+        let route = take() as usize;
+        let route = *Route::ALL.get(route).ok_or(Corrupt)?;
         let count = take() as usize;
         if count > MAX_OBJECTS {
             return Err(Corrupt);
@@ -223,6 +228,7 @@ impl Payload for Scene {
             ego,
             lanes: seen.then_some(lanes),
             set_speed,
+            route,
             objects,
         })
     }
@@ -390,6 +396,7 @@ mod tests {
             left: Some(3.6),
             left_end: 120.0,
             speed_limit: 33.3,
+            ends_domain: true,
             ..Lanes::alone(3.5, 100.0)
         };
         Scene {
@@ -402,6 +409,7 @@ mod tests {
             },
             lanes: Some(lanes),
             set_speed: Some(30.0),
+            route: Route::Right,
             objects: Vec::from_slice(&[Object::truck(); 3]).unwrap(),
         }
     }

@@ -3,7 +3,8 @@
 
 use tandem_board::{Duration, Instant};
 use tandem_bus::{
-    CameraLanes, Class, DriverRequest, EgoMotion, Message, SensorHeader, SensorId, SensorObject,
+    CameraLanes, Class, DriverRequest, EgoMotion, Message, Route, SensorHeader, SensorId,
+    SensorObject,
 };
 use tandem_cores::driving::control::{ControlError, MotionControl, TRAJECTORY_MAX_AGE};
 use tandem_cores::driving::degraded::DegradedControl;
@@ -215,12 +216,15 @@ fn the_drivers_request_is_passed_on() {
     for engage in [true, false] {
         let request = DriverRequest {
             overrides: false,
+            route: Route::Left,
             engage,
             set_speed: 30.0,
         };
         feed.perception
             .on_message(feed.now, &Message::DriverRequest(request));
-        let set = feed.cycle(&[], true).set_speed;
+        let scene = feed.cycle(&[], true);
+        assert_eq!(scene.route, Route::Left);
+        let set = scene.set_speed;
         assert_eq!(set.is_some_and(|set| (set - 30.0).abs() < 0.01), engage);
     }
 }
@@ -243,6 +247,7 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
         },
         lanes: Some(lanes()),
         set_speed: Some(30.0),
+        route: Route::Free,
         objects: objects.iter().copied().collect(),
     }
 }

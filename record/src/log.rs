@@ -103,6 +103,15 @@ pub struct DriveFigures {
     /// When a goal of the scenario was reached, s; `None` if none was.
     #[serde(default)]
     pub goal_reached_s: Option<f64>,
+    /// Time that the vehicle drove where its operational design domain has ended, s.
+    #[serde(default)]
+    pub outside_domain_s: f64,
+    /// When the function first asked the driver to take over, s.
+    #[serde(default)]
+    pub takeover_asked_s: Option<f64>,
+    /// When it first made its minimal-risk stop, s.
+    #[serde(default)]
+    pub safe_stop_s: Option<f64>,
     /// Largest distance from the centre of the lane outside lane changes, m.
     pub lateral_error_max_m: f64,
     /// How often the vehicle went to another lane.

@@ -18,7 +18,7 @@ use crate::geometry::{Vec2, wrap_angle};
 
 mod goal;
 
-pub use goal::{Area, Goal};
+pub use goal::{Area, Goal, Nearest};
 
 /// A larger file is refused, bytes: the largest published scenarios have 10 MB.
 pub const FILE_MAX: usize = 32 << 20;
@@ -32,6 +32,8 @@ const LANELETS_MAX: usize = 5_000;
 const BRANCHES_MAX: usize = 50;
 /// A file with more obstacles is refused: all pairs of vehicles are looked at while they drive.
 const OBSTACLES_MAX: usize = 1_000;
+/// A goal with more places is led to the first ones only.
+const PLACES_MAX: usize = 30;
 /// Larger numbers are refused, also as coordinates (m): no map is farther from its origin.
 const NUMBER_MAX: f64 = 1e8;
 /// A longer lanelet is refused, m: it is a slip of the keyboard, and would fill the memory.
@@ -551,11 +553,16 @@ impl<'a, 'input> Reader<'a, 'input> {
                     .map(|n| self.range(n))
                     .transpose()
             };
-            let mut areas = Vec::new();
+            let (mut areas, mut places) = (Vec::new(), Vec::new());
             if let Some(position) = elements(node, "position").next() {
-                for area in position.children().filter(Node::is_element) {
-                    areas.extend(self.area(area, lanelets)?);
+                for element in position.children().filter(Node::is_element) {
+                    let Some((area, points)) = self.area(element, lanelets)? else {
+                        continue;
+                    };
+                    places.extend(points);
+                    areas.push(area);
                 }
+                places.truncate(PLACES_MAX);
                 if areas.is_empty() {
                     return Err(self.error(position, "names no known place", "name a lanelet"));
                 }
@@ -563,6 +570,7 @@ impl<'a, 'input> Reader<'a, 'input> {
             let time = range("time")?;
             Ok(Goal {
                 areas,
+                places,
                 time: time.map(|(from, to)| (from * step_s - start, to * step_s - start)),
                 yaw: range("orientation")?,
                 speed: range("velocity")?,
@@ -578,30 +586,37 @@ impl<'a, 'input> Reader<'a, 'input> {
         goals
     }
 
-    /// A part of the plane; `None` for a lanelet that is not in the file.
+    /// A part of the plane, and points on the way through it; `None` for a lanelet that is not in
+    /// the file.
     fn area(
         &self,
         node: Element<'_, '_>,
         lanelets: &[Lanelet],
-    ) -> Result<Option<Area>, ScenarioError> {
+    ) -> Result<Option<(Area, Vec<Vec2>)>, ScenarioError> {
         let centre = || {
             elements(node, "center")
                 .next()
                 .map_or(Ok(Vec2::default()), |n| self.point(n))
         };
-        Ok(match node.tag_name().name() {
+        let area = match node.tag_name().name() {
             "lanelet" | "laneletref" | "laneletRef" => {
                 let id = self.parsed_id(node, self.attribute(node, "ref")?)?;
                 let lanelet = lanelets.iter().find(|lanelet| lanelet.id == id);
-                lanelet.map(|lanelet| {
+                return Ok(lanelet.map(|lanelet| {
                     let back = lanelet.right.iter().rev();
-                    Area::Polygon(lanelet.left.iter().chain(back).copied().collect())
-                })
+                    let area = Area::Polygon(lanelet.left.iter().chain(back).copied().collect());
+                    let middle = |share: f64| {
+                        let at =
+                            |bound: &[Vec2]| bound[(share * (bound.len() - 1) as f64) as usize];
+                        at(&lanelet.left).lerp(at(&lanelet.right), 0.5)
+                    };
+                    (area, [0.0, 0.5, 1.0].map(middle).into())
+                }));
             }
-            "circle" => Some(Area::Circle {
+            "circle" => Area::Circle {
                 centre: centre()?,
                 radius: self.extent(node, "radius")?,
-            }),
+            },
             "rectangle" => {
                 let yaw = elements(node, "orientation")
                     .next()
@@ -615,17 +630,19 @@ impl<'a, 'input> Reader<'a, 'input> {
                     across - along,
                 ];
                 let centre = centre()?;
-                Some(Area::Polygon(corners.map(|corner| centre + corner).into()))
+                Area::Polygon(corners.map(|corner| centre + corner).into())
             }
             "polygon" => {
                 let points = elements(node, "point").map(|n| self.point(n));
-                Some(Area::Polygon(points.collect::<Result<_, _>>()?))
+                Area::Polygon(points.collect::<Result<_, _>>()?)
             }
             name => {
                 let problem = format!("is the unknown area <{name}>");
                 return Err(self.error(node, &problem, "use a lanelet, rectangle or circle"));
             }
-        })
+        };
+        let centre = area.centre();
+        Ok(Some((area, vec![centre])))
     }
 
     /// A point, or the centre of an area.

@@ -5,6 +5,7 @@ use crate::actuators::Request;
 use crate::geometry::Pose;
 use crate::plant::BMW_320I;
 use crate::road::{LaneId, Road};
+use crate::route::Advice;
 use crate::traffic::{self, Leader};
 use tandem_bus::DriverRequest;
 
@@ -43,7 +44,7 @@ impl Driver {
     }
 
     /// What the driver's frame says now.
-    pub(crate) fn wish(&mut self, time_s: f64, set_speed: f64) -> DriverRequest {
+    pub(crate) fn wish(&mut self, time_s: f64, advice: &Advice) -> DriverRequest {
         let answers = self.asked_s.zip(self.habit.answers_after_s);
         self.has_taken_over |=
             answers.is_some_and(|(since_s, after_s)| time_s >= since_s + after_s);
@@ -51,7 +52,8 @@ impl Driver {
         DriverRequest {
             engage: !self.has_taken_over,
             overrides: self.has_taken_over || self.habit.overrides_s.is_some_and(overrides),
-            set_speed: set_speed as f32,
+            route: advice.route,
+            set_speed: advice.set_speed as f32,
         }
     }
 }

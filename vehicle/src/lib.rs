@@ -33,6 +33,7 @@ pub mod mastership;
 pub mod metrics;
 pub mod plant;
 pub mod road;
+mod route;
 pub mod scenario;
 pub mod sensors;
 pub mod traffic;

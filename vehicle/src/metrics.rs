@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use crate::commonroad::Goal;
+use crate::commonroad::{Goal, Nearest};
 use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
 use crate::traffic::{Participant, Vehicle};
@@ -26,6 +26,8 @@ const HARD_BRAKING: f64 = 4.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
+/// Milliseconds between two looks at how near a goal is.
+const NEAREST_STEPS: usize = 20;
 /// Width and number of the jerk histogram's bins, m/s³; what is beyond counts as the last.
 const JERK_BIN: f64 = 0.02;
 const JERK_BINS: usize = 5_000;
@@ -55,6 +57,15 @@ pub struct Metrics {
     pub standing_s: f64,
     /// When one of the scenario's goals was reached first, s; `None` without one.
     pub goal_reached_s: Option<f64>,
+    /// How near the ego came to the place of a goal within its time, and when; `None` before that
+    /// time and without a place.
+    pub goal_nearest: Option<Nearest>,
+    /// Time that the ego drove where the operational design domain has ended, s.
+    pub outside_domain_s: f64,
+    /// When the function first asked the driver to take over, s.
+    pub takeover_asked_s: Option<f64>,
+    /// When it first made its minimal-risk stop, s.
+    pub safe_stop_s: Option<f64>,
     /// Largest distance to the centre of the own lane, m, while no lane change was under way.
     ///
     /// A lane change is an excursion of more than 0.3 m from the centre of the nearest lane that
@@ -99,6 +110,10 @@ impl Default for Metrics {
             wrong_way_s: 0.0,
             standing_s: 0.0,
             goal_reached_s: None,
+            goal_nearest: None,
+            outside_domain_s: 0.0,
+            takeover_asked_s: None,
+            safe_stop_s: None,
             lateral_error_max_m: 0.0,
             lane_change_offset_max_m: 0.0,
             lane_changes: 0,
@@ -161,6 +176,8 @@ pub(crate) struct Sample {
     pub(crate) ttc: f64,
     /// Distance to the end of the lane, m.
     pub(crate) end: f64,
+    /// Distance to the end of the operational design domain, m.
+    pub(crate) domain_end: f64,
 }
 
 /// Collects the figures.
@@ -224,13 +241,21 @@ impl Meter {
                 at_s: sample.time_s,
                 ttc_s: sample.ttc,
                 gap_m: sample.gap,
-                end_m: sample.end,
+                end_m: sample.end.min(sample.domain_end),
             });
         }
         let Sample { pose, speed, .. } = *sample;
         let reached = |goal: &Goal| goal.is_reached(sample.time_s, pose.position, pose.yaw, speed);
         if m.goal_reached_s.is_none() && self.goals.iter().any(reached) {
             m.goal_reached_s = Some(sample.time_s);
+        }
+        if m.goal_reached_s.is_none() && self.steps.is_multiple_of(NEAREST_STEPS) {
+            m.goal_nearest = self.goals.iter().fold(m.goal_nearest, |nearest, goal| {
+                goal.nearer(nearest, sample.time_s, pose.position, speed)
+            });
+        }
+        if sample.domain_end <= 0.0 && speed >= STANDING {
+            m.outside_domain_s += 1e-3;
         }
         m.gap_min_m = m.gap_min_m.min(sample.gap);
         m.ttc_min_s = m.ttc_min_s.min(sample.ttc);
@@ -240,6 +265,18 @@ impl Meter {
             .lateral_acceleration_max
             .max(sample.lat_acceleration.abs());
         m.distance_m += sample.speed * 1e-3;
+    }
+
+    /// When a goal was reached, s.
+    pub(crate) const fn reached_s(&self) -> Option<f64> {
+        self.metrics.goal_reached_s
+    }
+
+    /// What the function's control frame says: that it asks the driver, that it stops.
+    pub(crate) fn function(&mut self, time_s: f64, asks: bool, stops: bool) {
+        let m = &mut self.metrics;
+        m.takeover_asked_s = m.takeover_asked_s.or(asks.then_some(time_s));
+        m.safe_stop_s = m.safe_stop_s.or(stops.then_some(time_s));
     }
 
     /// Looks for overlaps; whether there is one now. `keeps_lane`: the ego's body is in its lane.
@@ -270,7 +307,8 @@ impl Meter {
     }
 
     fn standing(&mut self, sample: &Sample) {
-        let excused = sample.gap.min(sample.end) < STANDING_REASON_M;
+        let end = sample.end.min(sample.domain_end);
+        let excused = sample.gap.min(end) < STANDING_REASON_M;
         if sample.speed >= STANDING || excused {
             self.stopped_since = None;
         } else if sample.time_s - *self.stopped_since.get_or_insert(sample.time_s) > STANDING_S {
@@ -411,6 +449,7 @@ mod tests {
                     gap: f64::INFINITY,
                     ttc: f64::INFINITY,
                     end: f64::INFINITY,
+                    domain_end: f64::INFINITY,
                 });
             }
         }

@@ -12,6 +12,7 @@ use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::metrics::{Meter, Metrics, Sample};
 use crate::plant::{self, BMW_320I};
 use crate::road::{LaneId, Road};
+use crate::route::{Here, Navigation};
 use crate::scenario::Scenario;
 use crate::sensors::{EgoTruth, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, Sensors};
 use crate::traffic::{Leader, Mode, Participant, Traffic};
@@ -128,6 +129,7 @@ pub struct Snapshot {
 pub struct World {
     road: Arc<Road>,
     set_speed: f64,
+    navigation: Navigation,
     driver: Driver,
     /// The last control frame that acted says that the driver drives.
     by_hand: bool,
@@ -189,6 +191,7 @@ impl World {
             wrong_way: false,
             transmitter: Transmitter::new(),
             set_speed: scenario.set_speed,
+            navigation: Navigation::new(Arc::clone(&scenario.goals), scenario.set_speed),
             driver: Driver::default(),
             by_hand: false,
             request: Request::default(),
@@ -223,6 +226,9 @@ impl World {
                 .on_request(self.snapshot.time_s, control.takeover_request);
             self.snapshot.accepted = Some(judged.acceptance);
             self.by_hand = control.mode == bus::Mode::None;
+            let stops = control.mode == bus::Mode::SafeStop;
+            self.meter
+                .function(self.snapshot.time_s, control.takeover_request, stops);
             if self.by_hand {
                 return Some(judged.acceptance);
             }
@@ -308,6 +314,7 @@ impl World {
             self.traffic.step(time, dt, &participant(&self.ego));
         }
         self.observe(traffic_moves);
+        let domain_end = self.road.domain_end(self.ego.lane, self.ego.place.s);
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
             speed,
@@ -320,7 +327,8 @@ impl World {
             pose: self.ego.pose,
             gap: self.snapshot.gap,
             ttc: self.snapshot.ttc,
-            end: self.road.drivable(self.ego.lane, self.ego.place.s),
+            end: self.road.distance_to_end(self.ego.lane, self.ego.place.s),
+            domain_end: domain_end.map_or(f64::INFINITY, |(distance, _)| distance),
         });
     }
 
@@ -426,7 +434,16 @@ impl World {
             ));
         }
         if *ticks % DRIVER_TICKS == 3 {
-            let wish = self.driver.wish(self.snapshot.time_s, self.set_speed);
+            let time_s = self.snapshot.time_s;
+            let here = Here {
+                time_s,
+                lane: ego.lane,
+                place: ego.place,
+                position: ego.pose.position,
+            };
+            let reached = self.meter.reached_s().is_some();
+            let advice = self.navigation.advice(&self.road, &here, reached);
+            let wish = self.driver.wish(time_s, &advice);
             send(&Message::DriverRequest(wish));
         }
         let phase = *ticks % SENSOR_PERIOD_MS;

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 use tandem_bus::{
     Agreement, CameraLanes, Class, Control, DriverRequest, EgoMotion, GateEcho, Message, Mode,
-    Role, SensorHeader, SensorId, SensorObject, Status,
+    Role, Route, SensorHeader, SensorId, SensorObject, Status,
 };
 
 /// Any value, mostly within `limit`, so that the tests check the scaling and not only the
@@ -134,7 +134,7 @@ fn camera_lanes() -> impl Strategy<Value = CameraLanes> {
     let widths = prop::array::uniform3(within(6.0));
     let ends = prop::array::uniform3(within(7000.0));
     (
-        any::<[bool; 3]>(),
+        any::<[bool; 4]>(),
         c,
         any::<u8>(),
         widths,
@@ -146,6 +146,7 @@ fn camera_lanes() -> impl Strategy<Value = CameraLanes> {
                 valid: flags[0],
                 left_exists: flags[1],
                 right_exists: flags[2],
+                ends_domain: flags[3],
                 c0,
                 c1,
                 c2,
@@ -169,14 +170,15 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         object_count,
         measured_at,
     });
-    let request =
-        (any::<[bool; 2]>(), within(700.0)).prop_map(|([engage, overrides], set_speed)| {
-            DriverRequest {
-                engage,
-                overrides,
-                set_speed,
-            }
-        });
+    let route = prop::sample::select(vec![Route::Free, Route::Left, Route::Right, Route::Keep]);
+    let request = (any::<[bool; 2]>(), route, within(700.0)).prop_map(
+        |([engage, overrides], route, set_speed)| DriverRequest {
+            engage,
+            overrides,
+            route,
+            set_speed,
+        },
+    );
     let numbers = any::<(u32, u8, u8, u8)>();
     let echo = (numbers, within(7000.0), within(0.7), within(33.0)).prop_map(
         |((term, obeyed_counter, refused, sent_at), term_age, steering_angle, acceleration)| {

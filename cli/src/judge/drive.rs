@@ -55,6 +55,13 @@ pub(crate) struct Judgement {
     pub(crate) excursion_m: f64,
     /// Whether a goal of the file was reached in time; `null` if it names none.
     pub(crate) goal_reached: Option<bool>,
+    /// How near the place of a goal was in its time, if none was reached; empty otherwise.
+    pub(crate) goal_missed: String,
+    /// Time that it drove where the operational design domain has ended, s.
+    pub(crate) outside_domain_s: f64,
+    /// When the function first asked the driver to take over, and when it stopped by itself, s.
+    pub(crate) takeover_asked_s: Option<f64>,
+    pub(crate) safe_stop_s: Option<f64>,
     /// Time on lanes of the other direction, s.
     pub(crate) wrong_way_s: f64,
     /// Time that it stood without a reason ahead, s.
@@ -115,11 +122,19 @@ pub(crate) fn judge(folder: &Path, file: &str, duration_s: f64, seed: u64) -> Ju
         }
         _ => (Verdict::Driven, String::new()),
     };
-    let goals = scenario.goals();
+    let has_goal = !scenario.goals().is_empty();
+    let missed = match (metrics.goal_reached_s, metrics.goal_nearest) {
+        (None, Some(it)) => format!(
+            "goal missed by {:.1} m at {:.1} s with {:.1} m/s",
+            it.distance_m, it.at_s, it.speed
+        ),
+        _ => String::new(),
+    };
     Judgement {
         verdict,
         reason,
-        goal_reached: (!goals.is_empty()).then_some(metrics.goal_reached_s.is_some()),
+        goal_reached: has_goal.then_some(metrics.goal_reached_s.is_some()),
+        goal_missed: missed,
         driven_s: now.time_s,
         warnings: scenario.warnings().to_vec(),
         picture,
@@ -144,6 +159,10 @@ fn figures(file: &str, metrics: &Metrics) -> Judgement {
         hit_while_standing: metrics.hit_while_standing > 0,
         excursion_m: metrics.excursion_max_m,
         goal_reached: None,
+        goal_missed: String::new(),
+        outside_domain_s: metrics.outside_domain_s,
+        takeover_asked_s: metrics.takeover_asked_s,
+        safe_stop_s: metrics.safe_stop_s,
         wrong_way_s: metrics.wrong_way_s,
         standing_s: metrics.standing_s,
         lateral_error_max_m: metrics.lateral_error_max_m,

@@ -184,6 +184,21 @@ impl Judgement {
                 remarks.push(text);
             }
         };
+        remark(!self.goal_missed.is_empty(), self.goal_missed.clone());
+        let asked = self.takeover_asked_s.unwrap_or_default();
+        remark(
+            self.takeover_asked_s.is_some(),
+            format!("asked the driver to take over at {asked:.1} s"),
+        );
+        let stopped = self.safe_stop_s.unwrap_or_default();
+        remark(
+            self.safe_stop_s.is_some(),
+            format!("minimal-risk stop at {stopped:.1} s"),
+        );
+        remark(
+            self.outside_domain_s > 0.0,
+            format!("outside the domain for {:.1} s", self.outside_domain_s),
+        );
         remark(self.hit_while_standing, "hit while it stood".to_owned());
         remark(
             self.wrong_way_s > 0.0,
@@ -202,5 +217,51 @@ impl Judgement {
             format!("{} warning(s)", self.warnings.len()),
         );
         remarks.join("; ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A scenario inside the domain is driven, one that starts beside the road and a broken file
+    /// are refused; the JSON has the names that scripts rely on.
+    #[test]
+    fn a_folder_is_judged() {
+        let folder = tempfile::tempdir().unwrap();
+        let good = include_str!("../../../vehicle/fixtures/commonroad/sign-2020a.xml");
+        let off_road = include_str!("../../../vehicle/fuzz/corpus/scenario/off-road.xml");
+        for (name, text) in [("a.xml", good), ("b.xml", off_road), ("c.xml", "<broken")] {
+            std::fs::write(folder.path().join(name), text).unwrap();
+        }
+        let files = scenarios(folder.path()).unwrap();
+        let judged: Vec<Judgement> = files
+            .iter()
+            .map(|file| drive::judge(folder.path(), file, 1.0, 1))
+            .collect();
+        let verdicts: Vec<Verdict> = judged.iter().map(|it| it.verdict).collect();
+        let refused = Verdict::Refused;
+        assert_eq!(verdicts, [Verdict::Driven, refused, refused]);
+        assert!(judged[0].distance_m > 5.0, "{}", judged[0].distance_m);
+        assert!(
+            judged[1].reason.contains("beside the road"),
+            "{}",
+            judged[1].reason
+        );
+        assert!(judged[2].reason.contains("c.xml:1"), "{}", judged[2].reason);
+        let json = serde_json::to_value(&judged[0]).unwrap();
+        for name in [
+            "file",
+            "verdict",
+            "collision",
+            "collision_by_ego",
+            "excursion_m",
+            "goal_reached",
+        ] {
+            assert!(json.get(name).is_some(), "{name}");
+        }
+        assert_eq!(json["verdict"], "driven");
+        assert!(page::page(folder.path(), &judged).contains("a.xml"));
+        assert!(table(&judged).contains("1 driven, 0 stopped, 2 refused"));
     }
 }

@@ -76,6 +76,13 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
         ),
     );
     object(
+        metrics.drive.outside_domain_s > 0.0,
+        format!(
+            "The vehicle drove outside of the operational design domain for {:.1} s",
+            metrics.drive.outside_domain_s
+        ),
+    );
+    object(
         metrics.stale_frames > 0,
         format!(
             "{} control frame(s) after a takeover were too old to act",
@@ -122,6 +129,19 @@ pub(crate) fn machine_stalled(metrics: &Metrics) -> Vec<String> {
         .collect()
 }
 
+/// How automated driving ended by itself, or asked to be ended; `None` if it did not.
+fn ended_by_itself(metrics: &Metrics) -> Option<String> {
+    let drive = &metrics.drive;
+    let asked = drive
+        .takeover_asked_s
+        .map(|at_s| format!("The function asked the driver to take over at {at_s:.1} s"));
+    let stopped = drive
+        .safe_stop_s
+        .map(|at_s| format!("The function made its minimal-risk stop at {at_s:.1} s"));
+    let parts: Vec<String> = asked.into_iter().chain(stopped).collect();
+    (!parts.is_empty()).then(|| parts.join(". "))
+}
+
 fn without_control(gap: &GapMetrics) -> String {
     format!(
         "no system drove for {:.1} ms from {:.3} s on, up to {} (bound {:.0} ms)",
@@ -136,6 +156,7 @@ pub(crate) fn verdict(metrics: &Metrics) -> Vec<(&'static str, String)> {
         .map(|objection| ("bad", objection))
         .collect();
     let stalled = machine_stalled(metrics);
+    parts.extend(ended_by_itself(metrics).map(|part| ("warn", part)));
     if parts.is_empty() && stalled.is_empty() {
         let all_well = "The vehicle was under control from start to end".to_owned();
         return vec![("good", all_well)];

@@ -2,7 +2,7 @@
 
 use crate::driving::control::{MotionControl, Shaper};
 use crate::driving::degraded::{DegradedControl, SCENE_MAX_AGE};
-use crate::driving::function::{Driver, Function, Inputs, State};
+use crate::driving::function::{Driver, Function, Inputs, State, stays_in_domain};
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{Command, ControlStep, Ego, Scene, Trajectory};
 use tandem_board::{Duration, Instant};
@@ -40,6 +40,7 @@ pub struct Drive {
     follows: u8,
     function: Function,
     driver: Driver,
+    /// The vehicle stays within the operational design domain, as far as is known.
     in_domain: bool,
 }
 
@@ -99,21 +100,21 @@ impl Drive {
         self.driver = driver;
     }
 
-    /// Whether the vehicle stays within the operational design domain, as far as is known. Outside,
-    /// the function asks the driver to take over, and stops if there is no answer.
-    pub fn on_domain(&mut self, inside: bool) {
-        self.in_domain = inside;
-    }
-
     /// The state of the driving function, with what is known at `now`.
     fn state(&mut self, now: Instant, permitted: Mode, moves: bool) -> State {
-        let lanes = |scene: &Scene| scene.lanes.is_some() && now.since(scene.at) <= SCENE_MAX_AGE;
+        let fresh = |scene: &&Scene| now.since(scene.at) <= SCENE_MAX_AGE;
+        let scene = self.scene.as_ref().filter(fresh);
+        let lanes = scene.and_then(|scene| Some((scene.lanes.as_ref()?, scene.ego.speed)));
+        // What is not seen changes nothing: the function is blind then, which ends in a stop.
+        if let Some((lanes, speed)) = lanes {
+            self.in_domain = stays_in_domain(lanes, speed, self.in_domain);
+        }
         self.function.cycle(
             now,
             &Inputs {
                 permitted,
                 driver: self.driver,
-                sees: moves && self.scene.as_ref().is_some_and(lanes),
+                sees: moves && lanes.is_some(),
                 in_domain: self.in_domain,
             },
         )

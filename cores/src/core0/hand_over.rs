@@ -236,7 +236,7 @@ impl Taker {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, Scene};
+    use crate::driving::types::{Ego, Lanes, MAX_OBJECTS, Object, Route, Scene};
     use std::vec::Vec;
 
     fn at(ms: u64) -> Instant {
@@ -260,6 +260,7 @@ mod tests {
             ego,
             lanes: Some(lanes),
             set_speed: None,
+            route: Route::Free,
             objects: (0..objects).map(|_| Object::truck()).collect(),
         };
         Knowledge::of(&scene, None)

@@ -11,6 +11,8 @@
 use tandem_board::{Duration, Instant};
 use tandem_redundancy::Mode;
 
+use super::types::Lanes;
+
 /// How long degraded mode may last before it asks the driver to take over: long enough for a system
 /// that was reset to come back.
 pub const DEGRADED_LIMIT: Duration = Duration::from_ms(60_000);
@@ -25,6 +27,38 @@ pub const STOP_LIMIT: Duration = Duration::from_ms(25_000);
 /// standstill.
 pub const END_LIMIT: Duration =
     Duration::from_us(DEGRADED_LIMIT.as_us() + TAKEOVER_LIMIT.as_us() + STOP_LIMIT.as_us());
+
+/// The driver is asked early enough to have [`TAKEOVER_LIMIT`] before a stop with this deceleration
+/// leads to the end of the domain, m/s², …
+const STOP_BRAKING: f32 = 2.5;
+/// … and is still asked when the vehicle stands before it at this distance, m.
+const STANDS_BEFORE_M: f32 = 30.0;
+/// The same time while a lane beside continues: it is changed to first, s.
+const CHANGE_S: f32 = 4.0;
+/// A lane continues if it ends so much later than the own one, m.
+const CONTINUES_M: f32 = 50.0;
+/// The request is taken back when the end of the domain is this many times as far as for asking:
+/// its distance is measured with noise.
+const TAKEN_BACK: f32 = 1.3;
+
+/// Whether a vehicle with this `speed`, m/s, stays within the operational design domain for as long
+/// as it takes to ask the driver and to stop. `stayed`: the answer of the cycle before.
+#[must_use]
+pub fn stays_in_domain(lanes: &Lanes, speed: f32, stayed: bool) -> bool {
+    if !lanes.ends_domain {
+        return true;
+    }
+    let continues =
+        |lane: Option<f32>, end: f32| lane.is_some() && end > lanes.own_end + CONTINUES_M;
+    let beside = continues(lanes.left, lanes.left_end) || continues(lanes.right, lanes.right_end);
+    let asked_s = if beside {
+        CHANGE_S
+    } else {
+        TAKEOVER_LIMIT.as_secs_f32()
+    };
+    let way = STANDS_BEFORE_M + speed * (asked_s + speed / (2.0 * STOP_BRAKING));
+    lanes.own_end > if stayed { way } else { TAKEN_BACK * way }
+}
 
 /// State of the driving function.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -354,6 +388,36 @@ mod tests {
         };
         assert_eq!(function.cycle(MS(30), &alone), State::Degraded);
         assert_eq!(function.cycle(MS(40), &DRIVES), State::Active);
+    }
+
+    /// The request comes with the time for an answer and a stop, later while a lane beside goes
+    /// on, and does not flicker with the noise of the distance.
+    #[test]
+    fn the_domain_is_left_when_its_end_is_nearer_than_request_and_stop() {
+        let lanes = |own_end: f32, left: Option<f32>| Lanes {
+            left,
+            own_end,
+            ends_domain: true,
+            ..Lanes::alone(3.5, 80.0)
+        };
+        // 20 m/s: 200 m in ten seconds, 80 m to stop, 30 m before the end.
+        for (end, left, stayed, stays) in [
+            (311.0, None, true, true),
+            (309.0, None, true, false),
+            (311.0, None, false, false),
+            (404.0, None, false, true),
+            (309.0, Some(3.5), true, true),
+            (189.0, Some(3.5), true, false),
+        ] {
+            let answer = stays_in_domain(&lanes(end, left), 20.0, stayed);
+            assert_eq!(answer, stays, "{end} {left:?} {stayed}");
+        }
+        let lane_ends = Lanes {
+            ends_domain: false,
+            ..lanes(10.0, None)
+        };
+        assert!(stays_in_domain(&lane_ends, 20.0, true));
+        assert!(!stays_in_domain(&lanes(17.0, None), 0.0, true), "stands");
     }
 
     #[test]

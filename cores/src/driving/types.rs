@@ -6,6 +6,7 @@
 
 use heapless::Vec;
 use tandem_board::Instant;
+pub use tandem_bus::Route;
 
 /// How many objects a scene holds; the nearest ones stay.
 pub const MAX_OBJECTS: usize = 24;
@@ -45,7 +46,9 @@ pub struct Lanes {
     pub right: Option<f32>,
     /// Distance to the end of the own lane, m; `f32::INFINITY` if no end is in sight.
     pub own_end: f32,
-    /// The same for the lane to the left.
+    /// The own lane goes on behind its end, but outside of the operational design domain.
+    pub ends_domain: bool,
+    /// The same distance for the lane to the left.
     pub left_end: f32,
     /// The same for the lane to the right.
     pub right_end: f32,
@@ -65,6 +68,7 @@ impl Lanes {
             left: None,
             right: None,
             own_end: f32::INFINITY,
+            ends_domain: false,
             left_end: f32::INFINITY,
             right_end: f32::INFINITY,
             speed_limit: f32::INFINITY,
@@ -174,6 +178,8 @@ pub struct Scene {
     pub lanes: Option<Lanes>,
     /// Speed that the driver has set, m/s; `None` if automated driving is not asked for.
     pub set_speed: Option<f32>,
+    /// Where the driver's route leads.
+    pub route: Route,
     /// Confirmed tracks, nearest first.
     pub objects: Vec<Object, MAX_OBJECTS>,
 }

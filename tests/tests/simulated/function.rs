@@ -4,7 +4,7 @@ use tandem_board::{Duration, SystemId};
 use tandem_bus::Mode;
 use tandem_cores::driving::function::{DEGRADED_LIMIT, END_LIMIT, TAKEOVER_LIMIT};
 use tandem_sim::drive::Drive;
-use tandem_vehicle::Habit;
+use tandem_vehicle::{Habit, Scenario, World};
 
 use crate::S;
 
@@ -101,4 +101,50 @@ fn a_driver_overrides_and_engages_again() {
         "{:?}",
         seen.world.metrics()
     );
+}
+
+/// A straight road of one lane that another one crosses 400 m ahead of the start.
+fn crossing() -> String {
+    let lanelet = |id: u32, from: (f64, f64), to: (f64, f64)| {
+        let (dx, dy) = ((to.0 - from.0), (to.1 - from.1));
+        let half = 1.75 / dx.hypot(dy);
+        let bound = |name: &str, side: f64| {
+            let point = |(x, y): (f64, f64)| {
+                let (x, y) = (x - dy * half * side, y + dx * half * side);
+                format!("<point><x>{x}</x><y>{y}</y></point>")
+            };
+            format!("<{name}>{}{}</{name}>", point(from), point(to))
+        };
+        let (left, right) = (bound("leftBound", 1.0), bound("rightBound", -1.0));
+        format!("<lanelet id=\"{id}\">{left}{right}</lanelet>")
+    };
+    let road = lanelet(1, (0.0, 0.0), (800.0, 0.0)) + &lanelet(2, (450.0, -60.0), (450.0, 60.0));
+    let state = "<position><point><x>50</x><y>0</y></point></position><orientation><exact>0</exact>\
+                 </orientation><time><exact>0</exact></time><velocity><exact>20</exact></velocity>";
+    format!(
+        "<commonRoad commonRoadVersion=\"2020a\" benchmarkID=\"crossing\" timeStepSize=\"0.1\">{road}\
+         <planningProblem id=\"9\"><initialState>{state}</initialState></planningProblem></commonRoad>"
+    )
+}
+
+/// The operational design domain ends at a junction and the driver does not answer: the function
+/// asks in time, makes its minimal-risk stop, and the vehicle stands before the junction.
+#[test]
+fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
+    let scenario = Scenario::parse(&crossing(), "crossing.xml").expect("a scenario");
+    assert_eq!(scenario.outside_domain(), None);
+    let mut drive = Drive::new("free-lane", 1);
+    drive.seen.borrow_mut().world = World::new(&scenario, tandem_vehicle::Config { seed: 1 });
+    drive.run_for(S(40));
+    let seen = drive.seen.borrow();
+    let (metrics, now) = (seen.world.metrics(), seen.world.snapshot());
+    let asked = metrics.takeover_asked_s.expect("a request");
+    let stopped = metrics.safe_stop_s.expect("a minimal-risk stop");
+    let limit = TAKEOVER_LIMIT.as_ms_f64() * 1e-3;
+    assert!((stopped - asked - limit).abs() < 0.1, "{asked} {stopped}");
+    assert!(asked > 2.0, "not before the end is in sight: {asked}");
+    assert!(now.speed < 0.1 && now.pose.position.x < 448.0, "{now:?}");
+    assert!(metrics.outside_domain_s == 0.0 && metrics.deceleration_max < 4.0);
+    let expected = [Mode::L3, Mode::SafeStop];
+    assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
 }

@@ -22,6 +22,38 @@ pub enum Area {
 }
 
 impl Area {
+    /// The centre of the disc, or of the box around the corners.
+    #[must_use]
+    pub fn centre(&self) -> Vec2 {
+        match self {
+            Self::Circle { centre, .. } => *centre,
+            Self::Polygon(corners) => {
+                let (low, high) = super::bounds(corners);
+                low.lerp(high, 0.5)
+            }
+        }
+    }
+
+    /// Distance from the point to the area, m; 0 inside.
+    #[must_use]
+    pub fn distance(&self, point: Vec2) -> f64 {
+        if self.contains(point) {
+            return 0.0;
+        }
+        match self {
+            Self::Circle { centre, radius } => (point - *centre).norm() - radius,
+            Self::Polygon(corners) => {
+                let edges = corners.iter().zip(corners.iter().cycle().skip(1));
+                let to_edge = |(a, b): (&Vec2, &Vec2)| {
+                    let along = *b - *a;
+                    let share = (point - *a).dot(along) / along.dot(along).max(1e-9);
+                    (point - a.lerp(*b, share.clamp(0.0, 1.0))).norm()
+                };
+                edges.map(to_edge).fold(f64::INFINITY, f64::min)
+            }
+        }
+    }
+
     /// Whether the point lies inside.
     #[must_use]
     pub fn contains(&self, point: Vec2) -> bool {
@@ -40,11 +72,24 @@ impl Area {
     }
 }
 
+/// How near the ego came to a goal's place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Nearest {
+    /// m
+    pub distance_m: f64,
+    /// s
+    pub at_s: f64,
+    /// m/s
+    pub speed: f64,
+}
+
 /// What one `<goalState>` asks for. What it does not name is free.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Goal {
     /// The ego's centre is in one of these; anywhere if there is none.
     pub areas: Vec<Area>,
+    /// Points on the way through these areas: the centre of a small one, three of a lanelet.
+    pub places: Vec<Vec2>,
     /// From and to, s since the ego's start.
     pub time: Option<(f64, f64)>,
     /// From and to, rad, counter-clockwise.
@@ -69,6 +114,32 @@ impl Goal {
             && (self.areas.is_empty() || self.areas.iter().any(|area| area.contains(position)))
     }
 
+    /// `before`, or the place of this goal if the ego is nearer to it now, in its time.
+    #[must_use]
+    pub fn nearer(
+        &self,
+        before: Option<Nearest>,
+        t: f64,
+        position: Vec2,
+        speed: f64,
+    ) -> Option<Nearest> {
+        let in_time =
+            |(from, to): (f64, f64)| (from - TIME_TOLERANCE..=to + TIME_TOLERANCE).contains(&t);
+        if !self.time.is_none_or(in_time) {
+            return before;
+        }
+        let distances = self.areas.iter().map(|area| area.distance(position));
+        let distance_m = distances.fold(f64::INFINITY, f64::min);
+        let is_nearer = distance_m < before.map_or(f64::INFINITY, |it| it.distance_m);
+        let at_s = t;
+        let here = || Nearest {
+            distance_m,
+            at_s,
+            speed,
+        };
+        is_nearer.then(here).or(before)
+    }
+
     /// When it can be reached no more, s since the ego's start.
     #[must_use]
     pub fn deadline(&self) -> Option<f64> {
@@ -85,6 +156,7 @@ mod tests {
         let square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)];
         let goal = Goal {
             areas: vec![Area::Polygon(square.map(|(x, y)| Vec2::new(x, y)).into())],
+            places: vec![],
             time: Some((1.0, 2.0)),
             yaw: Some((3.0, 3.4)),
             speed: Some((5.0, 9.0)),
@@ -106,5 +178,12 @@ mod tests {
             );
         }
         assert!(Goal::default().is_reached(9.0, inside, 0.0, 0.0));
+        let [area] = &goal.areas[..] else {
+            panic!("one area")
+        };
+        assert_eq!(area.centre(), Vec2::new(2.0, 2.0));
+        for (x, y, distance) in [(1.0, 3.0, 0.0), (7.0, 2.0, 3.0), (7.0, 8.0, 5.0)] {
+            assert_eq!(area.distance(Vec2::new(x, y)), distance, "{x} {y}");
+        }
     }
 }

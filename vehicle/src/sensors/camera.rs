@@ -56,6 +56,9 @@ impl LaneCamera {
             *c = (fitted[index] + self.noise.normal(deviation)) as f32;
         }
         let (left, right) = (here.left, here.right);
+        let lane_end = road.distance_to_end(ego.lane, ego.place.s);
+        let domain_end = road.domain_end(ego.lane, ego.place.s);
+        let domain_end = domain_end.map_or(f64::INFINITY, |(distance, _)| distance);
         CameraLanes {
             valid: true,
             left_exists: left.is_some(),
@@ -68,7 +71,8 @@ impl LaneCamera {
             width: self.width(here.width),
             left_width: self.neighbour_width(road, ego, left),
             right_width: self.neighbour_width(road, ego, right),
-            own_end: self.end(road.drivable(ego.lane, ego.place.s)),
+            own_end: self.end(lane_end.min(domain_end)),
+            ends_domain: domain_end < lane_end && domain_end <= END_IN_SIGHT,
             left_end: self.neighbour_end(road, ego, left),
             right_end: self.neighbour_end(road, ego, right),
             speed_limit: if here.speed_limit.is_finite() {

@@ -122,6 +122,7 @@ impl LaneFilter {
             left: camera.left_exists.then(|| width(camera.left_width)),
             right: camera.right_exists.then(|| width(camera.right_width)),
             own_end: end(camera.own_end),
+            ends_domain: camera.ends_domain,
             left_end: end(camera.left_end),
             right_end: end(camera.right_end),
             speed_limit: if limit >= CameraLanes::NO_SPEED_LIMIT {

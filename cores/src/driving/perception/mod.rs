@@ -21,7 +21,7 @@ use tandem_bus::{CameraLanes, EgoMotion, Message, SensorId, SensorObject};
 use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
 use super::odometry::{Odometry, motion};
-use super::types::{Ego, Object, Scene};
+use super::types::{Ego, Object, Route, Scene};
 use assignment::{IMPOSSIBLE, assign};
 use lane::LaneFilter;
 use lists::Lists;
@@ -48,6 +48,7 @@ pub struct Perception {
     round: Round,
     next_id: u32,
     set_speed: Option<f32>,
+    route: Route,
     scene: Scene,
 }
 
@@ -71,6 +72,7 @@ impl Perception {
             round: Round::default(),
             next_id: 1,
             set_speed: None,
+            route: Route::Free,
             scene: Scene {
                 at: Instant::ORIGIN,
                 measured: Instant::ORIGIN,
@@ -78,6 +80,7 @@ impl Perception {
                 ego: Ego::default(),
                 lanes: None,
                 set_speed: None,
+                route: Route::Free,
                 objects: Vec::new(),
             },
         }
@@ -92,6 +95,7 @@ impl Perception {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
             Message::DriverRequest(request) => {
                 self.set_speed = request.engage.then_some(request.set_speed);
+                self.route = request.route;
             }
             Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
             Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
@@ -288,6 +292,7 @@ impl Perception {
         self.scene.ego = ego;
         self.scene.lanes = lanes;
         self.scene.set_speed = self.set_speed;
+        self.scene.route = self.route;
         self.scene.objects.clear();
         self.tracks.sort_unstable_by(|a, b| {
             distance(a)

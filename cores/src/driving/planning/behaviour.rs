@@ -8,7 +8,7 @@
 use super::prediction::Predicted;
 use crate::driving::idm::{self, Driver, Leader};
 use crate::driving::math::{abs, lerp, max, min};
-use crate::driving::types::{Lanes, Memory};
+use crate::driving::types::{Lanes, Memory, Route};
 use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
 /// Gain in acceleration that makes a change worth its while, m/s².
@@ -18,12 +18,17 @@ const POLITENESS: f32 = 0.3;
 /// Braking that a change may ask of the new follower, m/s²; more when the own lane ends.
 const SAFE_BRAKING: f32 = 2.0;
 const SAFE_BRAKING_AT_END: f32 = 3.5;
+/// Time after which the follower reacts to a change, s.
+const REACTION_S: f32 = 0.4;
 /// No change is begun while the own leader makes the vehicle brake harder than this, m/s².
 const CALM_BRAKING: f32 = 1.5;
 /// A wish must hold for this long before it is acted on, in cycles of 50 ms.
 const WISH_CYCLES: u16 = 16;
 /// The same when the own lane ends.
 const FORCED_WISH_CYCLES: u16 = 4;
+/// A change begins this near to the own lane's centre, m, or that near if it must be made.
+const CENTRED_M: f32 = 0.6;
+const CENTRED_FORCED_M: f32 = 1.3;
 /// Rest after a change or a try, in cycles.
 const REST_CYCLES: u16 = 100;
 const REST_CYCLES_AT_END: u16 = 20;
@@ -35,6 +40,11 @@ const FORCED_CHANGE_S: f32 = 4.0;
 const CHANGE_MIN_M: f32 = 18.0;
 /// The rest of a change is never steered in less time than this, s.
 const REST_MIN_S: f32 = 2.0;
+/// Slower than this no lane is changed in a jam, m/s; only around what stands, which is slower than
+/// that, m/s, and at least this far ahead, m.
+const SLOW: f32 = 3.0;
+const STANDS: f32 = 0.3;
+const PULL_OUT_M: f32 = 6.0;
 /// A lane that ends within this time is not changed to, s.
 const LANE_WORTH_S: f32 = 20.0;
 /// A lane that ends within this time is left, s, or within this distance, m.
@@ -94,6 +104,8 @@ pub(crate) struct Situation<'a> {
     pub(crate) desired_speed: f32,
     /// Own offset from the own lane's centre, m.
     pub(crate) offset: f32,
+    /// Where the driver's route leads.
+    pub(crate) route: Route,
 }
 
 /// What planning is to do.
@@ -196,7 +208,7 @@ impl Behaviour {
             } => {
                 let tight = now.past_the_middle(side);
                 let gone = side.lane(now.lanes).is_none_or(|(centre, _)| {
-                    !tight && !now.is_safe(centre, 1.5 * SAFE_BRAKING_AT_END, 0.3)
+                    !tight && !now.is_possible(centre, 1.5 * SAFE_BRAKING_AT_END, 0.2)
                 });
                 if gone {
                     self.abort();
@@ -267,7 +279,12 @@ impl Behaviour {
                 0
             };
         }
-        if self.rest > 0 || abs(now.offset) > 0.6 {
+        let centred = if forced.is_some() {
+            CENTRED_FORCED_M
+        } else {
+            CENTRED_M
+        };
+        if self.rest > 0 || abs(now.offset) > centred {
             return;
         }
         let [left, right] = self.wishes;
@@ -309,11 +326,19 @@ impl Situation<'_> {
         }
     }
 
-    /// The side to go to because the own lane ends soon, and that lane's centre.
+    /// The side to go to because the own lane ends soon or the route leads there, and that lane's
+    /// centre.
     fn forced(&self) -> Option<(Side, f32)> {
         let end = self.lanes.own_end;
-        if end > max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M) {
-            return None;
+        let soon = max(LEAVE_BEFORE_S * self.speed, LEAVE_BEFORE_M);
+        if end > soon {
+            let side = match self.route {
+                Route::Left => Side::Left,
+                Route::Right => Side::Right,
+                Route::Free | Route::Keep => return None,
+            };
+            let (centre, other) = side.lane(self.lanes)?;
+            return (other > soon).then_some((side, centre));
         }
         let worth = |side: &Side| {
             side.lane(self.lanes)
@@ -360,50 +385,69 @@ impl Situation<'_> {
         idm::acceleration(&self.driver(share), self.speed, leader)
     }
 
-    fn follower_acceleration(&self, follower: &Predicted, share: f32) -> f32 {
+    fn follower_acceleration(&self, follower: &Predicted) -> f32 {
         let driver = Driver {
             desired_speed: max(follower.speed, 5.0),
-            time_gap: share,
+            time_gap: 1.0,
             standstill_gap: 2.0,
             max_acceleration: 1.5,
             comfortable_braking: 2.0,
         };
         let gap = -follower.s - follower.half_length - 0.5 * LENGTH_M;
-        idm::acceleration(
-            &driver,
-            follower.speed,
-            Some(Leader {
-                gap,
-                speed: self.next_speed,
-            }),
-        )
+        let speed = self.next_speed;
+        idm::acceleration(&driver, follower.speed, Some(Leader { gap, speed }))
     }
 
-    /// Whether the lane with this centre has a gap that neither follower nor own vehicle would have
-    /// to brake for harder than `braking`; `share` of the usual distances is demanded.
-    fn is_safe(&self, centre: f32, braking: f32, share: f32) -> bool {
+    /// Whether a slow vehicle has a reason and the room to steer out of its lane: what is ahead
+    /// stands, and not so near that the vehicle would have to turn on the spot.
+    fn can_pull_out(&self, leader: Option<&Predicted>) -> bool {
+        leader.is_some_and(|object| {
+            let gap = object.s - object.half_length - 0.5 * LENGTH_M;
+            object.speed < STANDS && gap > PULL_OUT_M
+        })
+    }
+
+    /// Whether the lane with this centre has a gap so large that the own vehicle and the follower
+    /// could both stop in it, and would not have to brake harder than [`SAFE_BRAKING`] at once.
+    fn is_calm(&self, centre: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
-        if let Some(leader) = leader {
+        let leaves_room = leader.is_none_or(|leader| {
             let gap = leader.s - leader.half_length - 0.5 * LENGTH_M;
             let (own, ahead) = (self.speed, max(leader.along(2.0).1, 0.0));
             let closing = max((own * own - ahead * ahead) / 10.0, 0.0);
-            let needed = 2.0 + share * (1.0 + 0.5 * own) + closing;
-            if gap < needed || self.own_acceleration(Some(leader), share) < -braking {
-                return false;
-            }
-        }
-        if let Some(follower) = follower {
-            let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
-            // The gap grows on the way to the line; who must change counts on it.
-            let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
-            let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
-            let closing = max((behind * behind - own * own) / 5.0, 0.0);
-            let needed = 2.0 + share * (1.0 + 0.6 * behind) + closing;
-            if gap < needed || self.follower_acceleration(follower, share) < -braking {
-                return false;
-            }
-        }
-        true
+            gap >= 3.0 + 0.5 * own + closing
+                && self.own_acceleration(Some(leader), 1.0) >= -SAFE_BRAKING
+        });
+        leaves_room
+            && follower.is_none_or(|follower| {
+                let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
+                let gap = -follower.s - follower.half_length - 0.5 * LENGTH_M;
+                let closing = max((behind * behind - own * own) / 5.0, 0.0);
+                gap >= 3.0 + 0.6 * behind + closing
+                    && self.follower_acceleration(follower) >= -SAFE_BRAKING
+            })
+    }
+
+    /// Whether the lane with this centre has a gap for a vehicle that must change: who closes in,
+    /// the own vehicle or the follower, has to brake by no more than `braking` to keep `share` of
+    /// the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the way in the time to
+    /// react, and that of the difference in speed.
+    fn is_possible(&self, centre: f32, braking: f32, share: f32) -> bool {
+        let (leader, follower) = self.neighbours(centre);
+        let way = |closing: f32| closing * (REACTION_S + 0.5 * closing / braking);
+        let leaves_room = leader.is_none_or(|leader| {
+            let gap = leader.s - leader.half_length - 0.5 * LENGTH_M;
+            let closing = max(self.speed - max(leader.along(1.0).1, 0.0), 0.0);
+            gap >= 2.0 + share * (1.0 + 0.5 * self.speed) + way(closing)
+        });
+        leaves_room
+            && follower.is_none_or(|follower| {
+                let (own, behind) = (self.next_speed, max(follower.speed, 0.0));
+                // The gap grows on the way to the line.
+                let growth = 1.5 * (1.0 - share) * max(own - behind, 0.0);
+                let gap = growth - follower.s - follower.half_length - 0.5 * LENGTH_M;
+                gap >= 2.0 + share * (1.0 + 0.6 * behind) + way(max(behind - own, 0.0))
+            })
     }
 
     fn wishes(&self, side: Side, forced: Option<Side>) -> bool {
@@ -413,21 +457,19 @@ impl Situation<'_> {
         if let Some(forced) = forced {
             let near = 1.0 - min(max(self.lanes.own_end, 0.0) / LEAVE_BEFORE_M, 1.0);
             let braking = lerp(SAFE_BRAKING, SAFE_BRAKING_AT_END, near);
-            return side == forced && self.is_safe(centre, braking, lerp(0.5, 0.3, near));
+            return side == forced && self.is_possible(centre, braking, lerp(0.4, 0.3, near));
         }
-        if end < max(LANE_WORTH_S * self.speed, 400.0) || self.speed < 3.0 {
+        if end < max(LANE_WORTH_S * self.speed, 400.0) || self.route == Route::Keep {
             return false;
         }
         let (leader, follower) = self.neighbours(centre);
         let (own_leader, _) = self.neighbours(0.0);
         let kept = self.own_acceleration(own_leader, 1.0);
-        if kept < -CALM_BRAKING {
+        if kept < -CALM_BRAKING || self.speed < SLOW && !self.can_pull_out(own_leader) {
             return false;
         }
         let gain = self.own_acceleration(leader, 1.0) - kept;
-        let loss = follower.map_or(0.0, |object| {
-            max(-self.follower_acceleration(object, 1.0), 0.0)
-        });
-        gain - POLITENESS * loss > CHANGING_THRESHOLD && self.is_safe(centre, SAFE_BRAKING, 1.0)
+        let loss = follower.map_or(0.0, |object| max(-self.follower_acceleration(object), 0.0));
+        gain - POLITENESS * loss > CHANGING_THRESHOLD && self.is_calm(centre)
     }
 }

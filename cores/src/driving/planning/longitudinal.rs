@@ -14,16 +14,24 @@ pub(crate) const STEPS: usize = 32;
 /// Seconds between two of them: the evaluation looks 8 s ahead.
 pub(crate) const STEP_S: f32 = 0.25;
 
-/// Time gap to the leader, s.
-const TIME_GAP_S: f32 = 1.6;
+/// Time gap to the leader at low speed and at 60 km/h and above, s, and its change by speed, s²/m:
+/// the distances of UN Regulation 157, 5.2.3.3.
+const TIME_GAP_S: (f32, f32) = (1.0, 1.6);
+const TIME_GAP_RISE: f32 = 0.036;
 /// Distance to the leader at standstill, m.
-const STANDSTILL_GAP_M: f32 = 4.0;
+const STANDSTILL_GAP_M: f32 = 3.5;
 /// Share of the usual distance that is kept to a vehicle behind which a gap is sought.
-const SOUGHT_SHARE: f32 = 0.6;
+const SOUGHT_SHARE: f32 = 0.35;
 /// Deceleration with which a slower leader is approached, m/s².
 const APPROACH_BRAKING: f32 = 1.2;
-/// Time constant of keeping the distance, s.
+/// Time constant of keeping the distance, s …
 const DISTANCE_S: f32 = 3.0;
+/// … of regaining one that is too short but no danger, s, …
+const REGAIN_S: f32 = 6.0;
+/// which needs no braking while the gap grows by this, m/s, …
+const OPENING: f32 = 1.5;
+/// … and of falling back to a gap that is sought, s.
+const SEEK_S: f32 = 2.0;
 /// Deceleration towards the end of the lane, m/s².
 const END_BRAKING: f32 = 1.6;
 /// Time constant of the last metres before it, s.
@@ -32,6 +40,11 @@ const END_S: f32 = 1.0;
 const MAX_ACCELERATION: f32 = 2.0;
 /// Strongest braking of candidates that are no emergency, m/s².
 const MAX_BRAKING: f32 = 8.0;
+/// Beyond this braking, m/s², and this jerk, m/s³, a motion is not comfortable: it is only chosen
+/// if each comfortable one is more dangerous than this.
+const COMFORTABLE_BRAKING: f32 = 4.0;
+const COMFORTABLE_JERK: f32 = 8.0;
+const TOLERABLE_DANGER: f32 = 40.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
 /// Jerk of gentle and of hard braking ramps, m/s³.
@@ -40,11 +53,14 @@ const EMERGENCY_JERK: f32 = 40.0;
 
 const WEIGHT_JERK: f32 = 0.15;
 const WEIGHT_ACCELERATION: f32 = 0.8;
-const WEIGHT_SPEED: f32 = 0.25;
+const WEIGHT_SPEED: f32 = 0.4;
 /// Speed errors beyond this weigh linearly: they are no reason to hurry, m/s.
 const SPEED_ERROR_KNEE: f32 = 4.0;
 const WEIGHT_UNSAFE: f32 = 400.0;
 const WEIGHT_CONTACT: f32 = 5_000.0;
+/// What a metre of the margin before the end of a lane costs, and up to how many.
+const WEIGHT_MARGIN: f32 = 10.0;
+const MARGIN_MAX_M: f32 = 15.0;
 
 /// What limits the motion along the road, over the evaluation's steps.
 #[derive(Clone, Debug)]
@@ -58,8 +74,10 @@ pub(crate) struct Corridor {
     /// The same for a vehicle of the next lane behind which a gap is sought: no danger, only a
     /// wish.
     sought: [(f32, f32); STEPS],
-    /// Where the own centre has to stand at the latest, m.
+    /// Where the own centre is to stand at the latest, m: with a margin before the lane's end, …
     pub(crate) stop: [f32; STEPS],
+    /// … and without one.
+    pub(crate) end: [f32; STEPS],
     /// Deceleration towards that place, m/s².
     pub(crate) end_braking: f32,
 }
@@ -73,6 +91,7 @@ impl Corridor {
             bound_speed: [0.0; STEPS],
             sought: [(f32::INFINITY, 0.0); STEPS],
             stop: [f32::INFINITY; STEPS],
+            end: [f32::INFINITY; STEPS],
             end_braking: END_BRAKING,
         }
     }
@@ -87,33 +106,41 @@ impl Corridor {
 
     /// A gap behind this is sought.
     pub(crate) fn seek(&mut self, step: usize, bound: f32, speed: f32) {
-        self.sought[step] = (bound, speed);
+        if bound < self.sought[step].0 {
+            self.sought[step] = (bound, speed);
+        }
     }
 
     /// The speed that a good driver would have at this step and place, m/s.
     fn target_speed(&self, step: usize, motion: &Jet) -> f32 {
         let mut target = self.desired_speed;
         if self.bound[step] < f32::INFINITY {
-            let wanted = STANDSTILL_GAP_M + TIME_GAP_S * max(motion.first, 0.0);
+            let wanted = wanted_gap(motion.first);
             let spare = self.bound[step] - motion.value - wanted;
-            target = min(
-                target,
-                max(self.bound_speed[step], 0.0) + closing(spare, APPROACH_BRAKING, DISTANCE_S),
-            );
+            let ahead = max(self.bound_speed[step], 0.0);
+            let keeping = ahead + closing(spare, APPROACH_BRAKING, DISTANCE_S, REGAIN_S);
+            // A gap that opens by itself is waited for.
+            let opening = motion.first - 2.0 * max(motion.first + OPENING - ahead, 0.0);
+            target = min(target, max(keeping, opening));
         }
         let (bound, speed) = self.sought[step];
         if bound < f32::INFINITY {
-            let wanted = SOUGHT_SHARE * (STANDSTILL_GAP_M + TIME_GAP_S * max(motion.first, 0.0));
+            let wanted = SOUGHT_SHARE * wanted_gap(motion.first);
             let spare = bound - motion.value - wanted;
             target = min(
                 target,
-                max(speed, 0.0) + max(closing(spare, APPROACH_BRAKING, DISTANCE_S), -3.0),
+                max(speed, 0.0) + max(closing(spare, APPROACH_BRAKING, DISTANCE_S, SEEK_S), -3.0),
             );
         }
         if self.stop[step] < f32::INFINITY {
             target = min(
                 target,
-                closing(self.stop[step] - motion.value, self.end_braking, END_S),
+                closing(
+                    self.stop[step] - motion.value,
+                    self.end_braking,
+                    END_S,
+                    END_S,
+                ),
             );
         }
         max(target, 0.0)
@@ -136,19 +163,31 @@ impl Corridor {
                 cost += WEIGHT_CONTACT * (1.0 - max(gap, -10.0));
             }
         }
-        let beyond = motion.value - self.stop[step];
+        let beyond = motion.value - self.end[step];
         if beyond > 0.0 {
             cost += WEIGHT_UNSAFE * min(beyond, 5.0);
         }
         cost
     }
+
+    /// What the use of the margin before the end of the lane costs at this step, per second.
+    fn margin(&self, step: usize, motion: &Jet) -> f32 {
+        WEIGHT_MARGIN * clamp(motion.value - self.stop[step], 0.0, MARGIN_MAX_M)
+    }
+}
+
+/// The distance to keep at this speed, m.
+fn wanted_gap(speed: f32) -> f32 {
+    let speed = max(speed, 0.0);
+    let (low, high) = TIME_GAP_S;
+    STANDSTILL_GAP_M + min(low + TIME_GAP_RISE * speed, high) * speed
 }
 
 /// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and
 /// far from it such that a constant deceleration closes it.
-fn closing(spare: f32, braking: f32, time_constant: f32) -> f32 {
+fn closing(spare: f32, braking: f32, time_constant: f32, regain_s: f32) -> f32 {
     if spare <= 0.0 {
-        return spare / time_constant;
+        return spare / regain_s;
     }
     let linear = braking * time_constant;
     sqrt(2.0 * braking * spare + linear * linear) - linear
@@ -260,9 +299,24 @@ impl Profile {
         ))
     }
 
-    /// Cost of driving this in the corridor; `None` if the vehicle cannot or must not.
-    fn cost(&self, corridor: &Corridor, best: f32) -> Option<f32> {
-        let mut cost = 0.0;
+    /// Whether nobody in the vehicle has to hold on, from this acceleration on.
+    fn is_comfortable(&self, acceleration: f32) -> bool {
+        match self {
+            Self::Brake(ramp) => abs(ramp.jerk) <= COMFORTABLE_JERK,
+            Self::Keep(polynomial) => {
+                let hardest = min(-COMFORTABLE_BRAKING, acceleration);
+                [0.0, 0.25, 0.5, 0.75, 1.0].iter().all(|share| {
+                    let motion = polynomial.at(share * polynomial.end());
+                    abs(motion.third) <= COMFORTABLE_JERK && motion.second >= hardest
+                })
+            }
+        }
+    }
+
+    /// Cost of driving this in the corridor, and the part of it that is for danger; `None` if the
+    /// vehicle cannot or must not, or if it costs more than `best`.
+    fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
+        let (mut cost, mut danger) = (0.0, 0.0);
         for step in 0..STEPS {
             let motion = self.at((step + 1) as f32 * STEP_S);
             if motion.first < -0.05 || motion.second < -EMERGENCY_BRAKING - 0.5 {
@@ -279,16 +333,19 @@ impl Profile {
             } else {
                 SPEED_ERROR_KNEE * (2.0 * error - SPEED_ERROR_KNEE)
             };
-            cost += STEP_S
-                * (WEIGHT_JERK * motion.third * motion.third
-                    + WEIGHT_ACCELERATION * motion.second * motion.second
-                    + WEIGHT_SPEED * error
-                    + corridor.danger(step, &motion));
+            let here = STEP_S * corridor.danger(step, &motion);
+            danger += here;
+            cost += here
+                + STEP_S
+                    * (WEIGHT_JERK * motion.third * motion.third
+                        + WEIGHT_ACCELERATION * motion.second * motion.second
+                        + WEIGHT_SPEED * error
+                        + corridor.margin(step, &motion));
             if cost > best {
                 return None;
             }
         }
-        Some(cost)
+        Some((cost, danger))
     }
 }
 
@@ -302,11 +359,25 @@ const DURATIONS_S: [f32; 5] = [1.2, 2.2, 3.5, 5.0, 7.0];
 /// Decelerations of braking ramps, m/s².
 const BRAKINGS: [f32; 6] = [1.5, 2.5, 3.5, 5.0, 7.0, 9.0];
 
-/// The cheapest profile from this start (way 0), and its cost.
-pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, f32) {
+/// The cheapest profile from this start (way 0): the comfortable one if it is no danger, else the
+/// cheapest of all.
+pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> Profile {
     let mut best = (Profile::emergency(start), f32::INFINITY);
+    let mut comfortable = (best.0, f32::INFINITY, f32::INFINITY);
     let mut consider = |profile: Profile| {
-        if let Some(cost) = profile.cost(corridor, best.1) {
+        let is_comfortable = profile.is_comfortable(start.second);
+        let limit = if is_comfortable {
+            comfortable.1
+        } else {
+            best.1
+        };
+        let Some((cost, danger)) = profile.cost(corridor, limit) else {
+            return;
+        };
+        if is_comfortable {
+            comfortable = (profile, cost, danger);
+        }
+        if cost < best.1 {
             best = (profile, cost);
         }
     };
@@ -332,7 +403,11 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, f32) {
             jerk,
         )));
     }
-    best
+    if comfortable.2 < TOLERABLE_DANGER {
+        comfortable.0
+    } else {
+        best.0
+    }
 }
 
 #[cfg(test)]
@@ -360,9 +435,9 @@ mod tests {
             first: 30.0,
             ..Jet::default()
         };
-        let (profile, _) = cheapest(&start, &Corridor::free(30.0));
+        let profile = cheapest(&start, &Corridor::free(30.0));
         assert!((profile.at(4.0).first - 30.0).abs() < 0.3);
-        let (profile, _) = cheapest(&start, &Corridor::free(33.0));
+        let profile = cheapest(&start, &Corridor::free(33.0));
         let motion = profile.at(4.0);
         assert!(motion.first > 30.5, "{motion:?}");
     }
@@ -377,7 +452,7 @@ mod tests {
             first: 25.0,
             ..Jet::default()
         };
-        let (profile, _) = cheapest(&start, &corridor);
+        let profile = cheapest(&start, &corridor);
         let end = profile.at(8.0);
         assert!(end.value < 60.0, "{end:?}");
     }

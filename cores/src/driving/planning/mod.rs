@@ -194,6 +194,7 @@ impl Planner {
                     next_speed: max(start.speed + 1.5 * min(start.acceleration, 0.0), 0.0),
                     desired_speed,
                     offset: d,
+                    route: scene.route,
                 };
                 self.behaviour.decide(&situation, moved)
             }
@@ -389,6 +390,7 @@ fn choose_profile(
         // While a gap in the next lane is sought, the own lane is used as long as it lasts.
         if end < f32::INFINITY && (goal.sought.is_none() || t < SEEKING_S) {
             corridor.stop[step] = stop_before(end - station.s, start.first);
+            corridor.end[step] = end - station.s - END_LEAST_M - 0.5 * LENGTH_M;
         }
     }
     let sought = goal.sought.and_then(|centre| {
@@ -403,20 +405,24 @@ fn choose_profile(
         |object: &&Predicted| object.s > station.s && !(object.s > own_end && object.speed < 1.0);
     for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
+        // What is beside the vehicle is given room gently: no braking keeps it from swerving in.
+        let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
+            && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         for step in 0..STEPS {
             let t = (step + 1) as f32 * STEP_S;
             let (s, speed) = object.along(t);
             let aside = path.at(station.s + start.first * t).value;
             let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
             let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
-            if abs(object.across(t) - aside) < reach {
+            let is_in_the_way = abs(object.across(t) - aside) < reach;
+            if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
-            } else if is_sought {
+            } else if is_sought || is_in_the_way {
                 corridor.seek(step, bound, speed);
             }
         }
     }
-    cheapest(start, &corridor).0
+    cheapest(start, &corridor)
 }
 
 impl View {

@@ -52,6 +52,11 @@ impl Polynomial {
         }
     }
 
+    /// Up to where it is no straight line.
+    pub(crate) const fn end(&self) -> f32 {
+        self.end
+    }
+
     /// Value and derivatives at `t` ≥ 0.
     pub(crate) fn at(&self, t: f32) -> Jet {
         if t > self.end {

@@ -1,0 +1,208 @@
+//! The way to the goal of a scenario, as a driver with a navigation system asks for it: a lane, and
+//! a speed that leads there in time.
+
+use std::sync::Arc;
+
+use tandem_bus::Route;
+
+use crate::commonroad::Goal;
+use crate::geometry::Vec2;
+use crate::road::{Frenet, LaneId, Road};
+
+/// A goal is in a lane if it is no farther from its centre than this share of the width.
+const IN_LANE: f64 = 0.55;
+/// Lanes that are looked at on each side.
+const LANES_ASIDE: usize = 6;
+/// The speed for the goal differs from the driver's by no more than these factors.
+const HURRY: f64 = 1.3;
+/// Nearer in time than this, the speed is not corrected any more, s.
+const NEAR_S: f64 = 0.5;
+/// Speeds inside of the goal's range are kept away from its limits by this much, m/s.
+const SPEED_MARGIN: f64 = 0.7;
+/// Time before the goal in which its range of speeds is driven, s.
+const SPEED_BEFORE_S: f64 = 4.0;
+/// A goal that is farther behind is passed, m.
+const PASSED: f64 = 2.0;
+
+/// What the driver asks for on the way.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Advice {
+    pub(crate) route: Route,
+    /// m/s
+    pub(crate) set_speed: f64,
+}
+
+/// Where the ego is.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Here {
+    pub(crate) time_s: f64,
+    pub(crate) lane: LaneId,
+    pub(crate) place: Frenet,
+    pub(crate) position: Vec2,
+}
+
+/// The first goal that names a place, until it is reached or its time is over.
+#[derive(Clone, Debug)]
+pub(crate) struct Navigation {
+    goals: Arc<[Goal]>,
+    set_speed: f64,
+}
+
+impl Navigation {
+    /// `set_speed`: what the driver asks for without a goal, m/s.
+    pub(crate) fn new(goals: Arc<[Goal]>, set_speed: f64) -> Self {
+        Self { goals, set_speed }
+    }
+
+    /// What the driver asks for here. `reached`: a goal has been reached.
+    pub(crate) fn advice(&self, road: &Road, here: &Here, reached: bool) -> Advice {
+        let free = Advice {
+            route: Route::Free,
+            set_speed: self.set_speed,
+        };
+        let open = |goal: &&Goal| goal.deadline().is_none_or(|end| here.time_s <= end);
+        let goal = self.goals.iter().find(|goal| !goal.places.is_empty());
+        let Some(goal) = goal.filter(open).filter(|_| !reached) else {
+            return free;
+        };
+        let found = lanes_beside(road, here).find_map(|(route, lane, own_s)| {
+            let stations = goal.places.iter().filter_map(|place| {
+                let at = road.lane(lane).project(*place);
+                let section = road.lane(lane).at(at.s);
+                let is_in = (*place - section.centre).norm() < IN_LANE * section.width;
+                is_in.then_some(at.s - own_s)
+            });
+            let (from, to) = stations.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), s| {
+                (a.min(s), b.max(s))
+            });
+            (to > -PASSED).then_some((route, from, to))
+        });
+        found.map_or(free, |(route, from, to)| Advice {
+            route,
+            set_speed: self.speed(goal, here.time_s, from, to, route == Route::Keep),
+        })
+    }
+
+    /// The speed with which the ego is between `from` and `to` metres ahead in time. `in_lane`: the
+    /// goal is ahead in the own lane.
+    fn speed(&self, goal: &Goal, time_s: f64, from: f64, to: f64, in_lane: bool) -> f64 {
+        let (opens, ends) = goal.time.unwrap_or((0.0, f64::INFINITY));
+        let (opens, ends) = ((opens - time_s).max(0.0), (ends - time_s).max(NEAR_S));
+        // To be there at the end of the time at the latest, and not to be beyond at its begin.
+        let slowest = from.max(0.0) / ends;
+        let fastest = to.max(0.0) / opens.max(1e-3);
+        let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {
+            // A spot: in the middle of the time; but no slower than needed while the others in the
+            // next lane pass.
+            let aim = if in_lane { (opens + ends) / 2.0 } else { opens };
+            to.max(0.0) / aim.max(NEAR_S)
+        } else {
+            self.set_speed.clamp(slowest, fastest.max(slowest))
+        };
+        let wanted = match goal.speed {
+            Some((low, high)) if opens < SPEED_BEFORE_S => {
+                let margin = SPEED_MARGIN.min((high - low) / 2.0);
+                wanted.clamp(low + margin, high - margin)
+            }
+            _ => wanted,
+        };
+        wanted.clamp(0.0, HURRY * self.set_speed)
+    }
+}
+
+/// The own lane and those beside it, with the way to them and the ego's arc length in them.
+fn lanes_beside<'a>(
+    road: &'a Road,
+    here: &Here,
+) -> impl Iterator<Item = (Route, LaneId, f64)> + use<'a> {
+    let Here {
+        lane,
+        place,
+        position,
+        ..
+    } = *here;
+    let aside = move |route: Route| {
+        let mut at = (lane, place.s);
+        (0..LANES_ASIDE).map_while(move |_| {
+            let section = road.lane(at.0).at(at.1);
+            let next = match route {
+                Route::Left => section.left,
+                _ => section.right,
+            }?;
+            at = (next, road.lane(next).project(position).s);
+            Some((route, at.0, at.1))
+        })
+    };
+    std::iter::once((Route::Keep, lane, place.s))
+        .chain(aside(Route::Left))
+        .chain(aside(Route::Right))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+
+    /// A spot in each of the three lanes, 200 m ahead in 8 to 12 s.
+    #[test]
+    fn the_route_leads_to_the_lane_and_the_time_of_the_goal() {
+        let scenario = Scenario::load("free-lane").unwrap();
+        let road = scenario.road();
+        let (lane, place) = road.locate(scenario.start.position, scenario.start.yaw);
+        let here = |time_s| Here {
+            time_s,
+            lane,
+            place,
+            position: scenario.start.position,
+        };
+        let goal = |s: f64, d: f64, time| Goal {
+            places: vec![road.lane(lane).point(Frenet { s: place.s + s, d })],
+            time,
+            ..Goal::default()
+        };
+        let advice = |goal, time_s, reached| {
+            Navigation::new(Arc::new([goal]), 30.0).advice(road, &here(time_s), reached)
+        };
+        let time = Some((8.0, 12.0));
+        let [left, right] = [1.0, -1.0].map(|side| {
+            let beside = road.lane(lane).at(place.s);
+            let there = if side > 0.0 {
+                beside.left
+            } else {
+                beside.right
+            };
+            (there.is_some(), 3.5 * side)
+        });
+        for (exists, d, route) in [
+            (true, 0.4, Route::Keep),
+            (left.0, left.1, Route::Left),
+            (right.0, right.1, Route::Right),
+        ] {
+            if exists {
+                let there = advice(goal(200.0, d, time), 0.0, false);
+                assert_eq!(there.route, route, "{d}");
+                let expected = if route == Route::Keep { 20.0 } else { 25.0 };
+                assert!((there.set_speed - expected).abs() < 0.2, "{there:?}");
+            }
+        }
+        assert!(left.0 || right.0, "the scenario has lanes beside");
+        let free = Advice {
+            route: Route::Free,
+            set_speed: 30.0,
+        };
+        for (what, given) in [
+            (
+                "beside the road",
+                advice(goal(200.0, 30.0, time), 0.0, false),
+            ),
+            ("behind", advice(goal(-50.0, 0.0, time), 0.0, false)),
+            ("too late", advice(goal(200.0, 0.0, time), 12.1, false)),
+            ("reached", advice(goal(200.0, 0.0, time), 9.0, true)),
+        ] {
+            assert_eq!(given, free, "{what}");
+        }
+        // In time without a hurry: the driver's own speed.
+        let early = advice(goal(200.0, 0.0, Some((0.0, 12.0))), 0.0, false);
+        assert_eq!((early.route, early.set_speed), (Route::Keep, 30.0));
+    }
+}
