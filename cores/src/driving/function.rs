@@ -272,6 +272,32 @@ mod tests {
     };
     const MS: fn(u64) -> Instant = |ms| Instant::from_ns(ms * 1_000_000);
 
+    /// U-1: the documentation states the times that the code keeps.
+    #[test]
+    fn the_times_in_the_docs_are_those_that_run() {
+        let docs = include_str!("../../../docs/driving-function.md");
+        let seconds = |time: Duration| format!("{} s", time.as_us() / 1_000_000);
+        for (state, limit) in [
+            ("degraded", DEGRADED_LIMIT),
+            ("takeover request", TAKEOVER_LIMIT),
+        ] {
+            let mut rows = docs.lines().map(|line| line.split('|').map(str::trim));
+            let row = rows.find(|row| row.clone().nth(1) == Some(state));
+            let cell = row.and_then(|mut row| row.nth(4));
+            assert_eq!(cell, Some(seconds(limit).as_str()), "{state}");
+        }
+        let whole = format!("ends within {}", seconds(END_LIMIT));
+        let parts = [
+            format!("{} degraded", seconds(DEGRADED_LIMIT)),
+            format!("{} of asking", seconds(TAKEOVER_LIMIT)),
+            format!("{} of braking", seconds(STOP_LIMIT)),
+        ];
+        let docs = docs.replace('\n', " ");
+        for told in parts.iter().chain([&whole]) {
+            assert!(docs.contains(told), "{told}");
+        }
+    }
+
     /// The table of the documentation is the table of the code, cell by cell.
     #[test]
     fn the_table_in_the_docs_is_the_one_that_runs() {
