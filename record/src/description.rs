@@ -173,6 +173,7 @@ pub const fn evidence(evidence: Evidence) -> &'static str {
         Evidence::FaultSuspend => "own fault that stays",
         Evidence::StandbyMute => "the standby is not heard on CAN",
         Evidence::MasterResigns => "the master resigns",
+        Evidence::SyncStray => "the sync edge was a disturbance",
     }
 }
 

@@ -375,7 +375,7 @@ impl Redundancy {
             PhaseState::Starting(starting) => starting.judge(config, now, seen),
             PhaseState::Standby(standby) => {
                 let sound = self.fault.is_none();
-                standby.judge(config, now, witnesses, seen.handshakes, sound)
+                standby.judge(config, now, witnesses, seen, sound)
             }
             PhaseState::Master(driving) => driving.judge_dual(config, now, witnesses),
             PhaseState::DegradedMaster(driving) => {
@@ -546,7 +546,11 @@ impl Redundancy {
                 };
                 let doublings = u32::from(self.changes.saturating_sub(1));
                 let hold_until = now + self.config.hold_down.times(1 << doublings);
-                PhaseState::Standby(Standby::new(self.system, now, mode, hold_until))
+                let start = match &self.phase {
+                    PhaseState::Starting(start) if on == Evidence::SyncHeard => Some(start.clone()),
+                    _ => None,
+                };
+                PhaseState::Standby(Standby::new(self.system, now, mode, hold_until, start))
             }
             Phase::Master => PhaseState::Master(self.drive(now)?),
             Phase::DegradedMaster => PhaseState::DegradedMaster(self.drive(now)?),
@@ -556,8 +560,12 @@ impl Redundancy {
                 since: now,
             }),
             Phase::Resetting => PhaseState::Resetting,
-            // No rule enters it: only a reset leads there.
-            Phase::Starting | Phase::Suspended => PhaseState::Suspended,
+            Phase::Suspended => PhaseState::Suspended,
+            Phase::Starting => match &self.phase {
+                PhaseState::Standby(standby) => standby.interrupted_start(),
+                _ => None,
+            }
+            .map_or(PhaseState::Suspended, PhaseState::Starting),
         })
     }
 

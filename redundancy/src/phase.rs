@@ -141,7 +141,8 @@ pub enum Evidence {
     SyncHeard = 0,
     /// Heartbeats or control frames of the other arrived while starting: it is running.
     PeerRuns = 1,
-    /// Handshakes were exchanged in both directions, and this system leads.
+    /// Handshakes were exchanged in both directions, or both systems are standby, and this system
+    /// leads.
     HandshakeDone = 2,
     /// No system answered within the time limit.
     NobodyThere = 3,
@@ -176,11 +177,14 @@ pub enum Evidence {
     StandbyMute = 16,
     /// The master resigns: it has a fault and stops the vehicle, or was asked to hand over.
     MasterResigns = 17,
+    /// Nothing was heard of the system whose sync edge this one followed: the edge was a
+    /// disturbance, and the start continues.
+    SyncStray = 18,
 }
 
 impl Evidence {
     /// All kinds of evidence.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 19] = [
         Self::SyncHeard,
         Self::PeerRuns,
         Self::HandshakeDone,
@@ -199,5 +203,6 @@ impl Evidence {
         Self::FaultSuspend,
         Self::StandbyMute,
         Self::MasterResigns,
+        Self::SyncStray,
     ];
 }

@@ -1,5 +1,7 @@
 //! The phase `Standby`: is the master there? Its control frames are the deciding witness.
 
+use crate::input::Seen;
+use crate::starting::Starting;
 use crate::witness::{GateVerdict, Witnesses};
 use crate::{Config, Evidence, Mode, Role};
 use tandem_board::{Duration, Instant, SystemId};
@@ -16,6 +18,9 @@ pub(crate) struct Standby {
     suspected: bool,
     /// The lines were silent at the last poll.
     silent: bool,
+    /// The start that a sync edge has ended. Kept until there is another sign of a master: the edge
+    /// may have been a disturbance.
+    start: Option<Starting>,
     /// The function that this system computes: the master's, as far as a standby can follow it.
     mode: Mode,
     /// The driver has just changed: until then this system takes over only if the vehicle's echo
@@ -29,6 +34,7 @@ impl Standby {
         now: Instant,
         mode: Mode,
         hold_until: Instant,
+        start: Option<Starting>,
     ) -> Self {
         Self {
             system,
@@ -36,6 +42,7 @@ impl Standby {
             control_known: false,
             suspected: false,
             silent: false,
+            start,
             mode,
             hold_until,
         }
@@ -49,8 +56,14 @@ impl Standby {
         self.last_control
     }
 
+    /// The start that a stray sync edge interrupted; it continues.
+    pub(crate) fn interrupted_start(&self) -> Option<Starting> {
+        self.start.clone()
+    }
+
     /// A valid control frame of the master, in the highest term.
     pub(crate) fn on_control_frame(&mut self, now: Instant, mode: Mode) {
+        self.start = None;
         self.last_control = now;
         self.control_known = true;
         self.suspected = false;
@@ -63,6 +76,7 @@ impl Standby {
     /// The vehicle accepted a frame of the master `age` ago. Used if this system has heard no frame
     /// since about then: it has lost frames, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
+        self.start = None;
         let unheard = now.since(self.last_control);
         if unheard > age + config.control_margin {
             self.last_control = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
@@ -108,24 +122,60 @@ impl Standby {
         now >= self.hold_until && obeyed && sound && beats && heard && !self.suspected
     }
 
-    /// The evidence about the master. `handshakes`: number of new ones. `sound`: this system has no
-    /// fault of its own.
+    /// The evidence about the master. `sound`: this system has no fault of its own.
     pub(crate) fn judge(
         &mut self,
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
-        handshakes: u32,
+        seen: &Seen,
+        sound: bool,
+    ) -> Option<Evidence> {
+        if witnesses.reports.drives(now, config.report_limit) {
+            self.start = None;
+        }
+        if self
+            .start
+            .as_mut()
+            .is_some_and(|start| start.peer_runs(seen))
+        {
+            self.start = None;
+        }
+        let evidence = self.judge_master(config, now, witnesses, seen, sound)?;
+        let starts = |start: &Starting| !start.is_over(config, now);
+        Some(match evidence {
+            Evidence::PeerOff | Evidence::PeerSilent | Evidence::MasterMute
+                if self.start.as_ref().is_some_and(starts) =>
+            {
+                Evidence::SyncStray
+            }
+            // Heartbeats come, and no control frame ever did: the other is a standby too.
+            Evidence::PeerSilent | Evidence::MasterMute
+                if !self.control_known && !witnesses.beats.both_silent() =>
+            {
+                Evidence::HandshakeDone
+            }
+            _ => evidence,
+        })
+    }
+
+    fn judge_master(
+        &mut self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+        seen: &Seen,
         sound: bool,
     ) -> Option<Evidence> {
         let silent = witnesses.beats.both_silent();
         let was_silent = core::mem::replace(&mut self.silent, silent);
+        // A handshake alone: the other has just started. A system that leads sends a sync edge too.
+        let starts = seen.handshakes > 0 && seen.syncs == 0;
         // Remembered until control frames arrive again: a master that was reset may send heartbeats
-        // again, as a standby, before its control frames are missed. A handshake shows a system
-        // that has just started, so it does not drive.
-        self.suspected |= silent || handshakes > 0;
+        // again, as a standby, before its control frames are missed.
+        self.suspected |= silent || starts;
         // A stray edge made this system a standby. The other is still starting.
-        if handshakes > 0 && !self.control_known && self.no_system_drives(config, now, witnesses) {
+        if starts && !self.control_known && self.no_system_drives(config, now, witnesses) {
             return Some(Evidence::HandshakeDone);
         }
         if witnesses.peer_is_off(config, now) && self.may_act(config, now, witnesses) {

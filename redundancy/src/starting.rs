@@ -2,7 +2,7 @@
 //!
 //! Each system repeats its handshake edge until the start is decided, so the order of switching on
 //! does not matter. The leading system sends a handshake and the sync edge when it has heard the
-//! other. The other begins on the sync edge. A master that already runs answers a handshake with
+//! other twice. The other begins on the sync edge. A master that already runs answers a handshake with
 //! the sync edge, so a late system becomes its standby.
 
 use crate::input::Seen;
@@ -11,6 +11,8 @@ use tandem_board::{Duration, Instant, SystemId};
 
 /// This many heartbeats show that the other system runs: more than a stray edge or two.
 const BEATS_OF_A_RUNNING_SYSTEM: u32 = 3;
+/// This many handshakes show that the other system starts: more than one stray edge.
+const HANDSHAKES_OF_A_STARTING_SYSTEM: u32 = 2;
 
 /// How a system begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +31,7 @@ pub(crate) struct Starting {
     system: SystemId,
     since: Instant,
     next_handshake: Instant,
+    handshakes: u32,
     heard_at: Option<Instant>,
     beats: u32,
     control_frame: bool,
@@ -47,6 +50,7 @@ impl Starting {
             system,
             since: now,
             next_handshake: now,
+            handshakes: 0,
             heard_at: None,
             beats: 0,
             control_frame: false,
@@ -69,22 +73,36 @@ impl Starting {
 
     /// The evidence that ends the start, if there is any.
     pub(crate) fn judge(&mut self, config: &Config, now: Instant, seen: &Seen) -> Option<Evidence> {
-        if seen.handshakes > 0 && self.heard_at.is_none() {
+        self.handshakes = self.handshakes.saturating_add(seen.handshakes.min(1));
+        if self.handshakes >= HANDSHAKES_OF_A_STARTING_SYSTEM && self.heard_at.is_none() {
             self.heard_at = Some(now);
         }
-        // Edges that arrive together are one heartbeat, or a disturbance.
-        self.beats = self.beats.saturating_add(seen.heartbeats().min(1));
+        let peer_runs = self.peer_runs(seen);
         if seen.syncs > 0 {
             return Some(Evidence::SyncHeard);
         }
-        if self.control_frame || self.beats >= BEATS_OF_A_RUNNING_SYSTEM {
+        if peer_runs {
             return Some(Evidence::PeerRuns);
         }
         if let Some(heard_at) = self.heard_at {
             let lead = now.since(heard_at) >= self.lead_after(config);
             return lead.then_some(Evidence::HandshakeDone);
         }
-        (now.since(self.since) >= self.alone_after(config)).then_some(Evidence::NobodyThere)
+        self.is_over(config, now).then_some(Evidence::NobodyThere)
+    }
+
+    /// Whether the other system is known to run, after the heartbeats of this poll.
+    pub(crate) fn peer_runs(&mut self, seen: &Seen) -> bool {
+        // Edges that arrive together are one heartbeat, or a disturbance.
+        self.beats = self.beats.saturating_add(seen.heartbeats().min(1));
+        self.control_frame || self.beats >= BEATS_OF_A_RUNNING_SYSTEM
+    }
+
+    /// Whether the time limit for an answer of the other system is over. A first handshake extends
+    /// it until the second is due.
+    pub(crate) fn is_over(&self, config: &Config, now: Instant) -> bool {
+        let more = config.handshake_period.times(self.handshakes.min(1));
+        now.since(self.since) >= self.alone_after(config) + more
     }
 
     /// How long after the other's handshake this system leads. A before B if both are equal, so

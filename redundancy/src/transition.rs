@@ -73,6 +73,7 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
         (P::Standby, E::PeerOff | E::PeerSilent | E::MasterMute | E::MasterResigns) => {
             enter(P::DegradedMaster)
         }
+        (P::Standby, E::SyncStray) => enter(P::Starting),
         (P::Standby, E::HandshakeDone) => both(Effect::LeadStart, P::Master),
         (P::Standby, E::BeatsSilent) => only(Effect::TellLinesSplit),
 

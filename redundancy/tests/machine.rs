@@ -50,12 +50,19 @@ impl Bench {
         }
     }
 
-    /// System A, started by a handshake of B, some milliseconds into dual operation.
+    /// As many handshakes as a start needs; what the last one does.
+    fn handshakes(&mut self) -> Actions {
+        self.snapshot.handshakes += 1;
+        let _ = self.poll();
+        self.snapshot.handshakes += 1;
+        self.poll()
+    }
+
+    /// System A, started by handshakes of B, some milliseconds into dual operation.
     fn master() -> Self {
         let mut bench = Self::new(SystemId::A, SystemState::factory(SystemId::A));
         let _ = bench.poll();
-        bench.snapshot.handshakes += 1;
-        let actions = bench.poll();
+        let actions = bench.handshakes();
         assert!(actions.contains(SYNC) && actions.contains(Action::Transmit));
         bench.run_with_beats(20);
         assert_eq!(bench.machine.phase(), Phase::Master);
@@ -604,8 +611,7 @@ fn terms_used_up() {
         },
     );
     let _ = bench.poll();
-    bench.snapshot.handshakes += 1;
-    let actions = bench.poll();
+    let actions = bench.handshakes();
     assert_eq!(bench.machine.phase(), Phase::Suspended);
     assert!(actions.contains(Action::Reset(ResetRequest::Suspend)));
     assert_eq!(
@@ -677,8 +683,7 @@ fn lines_in_and_out() {
 
     let mut bench = Bench::new(SystemId::A, SystemState::factory(SystemId::A));
     let _ = bench.poll();
-    bench.snapshot.handshakes += 1;
-    let actions = bench.poll();
+    let actions = bench.handshakes();
     let edges = actions.iter().filter_map(|action| match action {
         Action::SendEdge(line, edge) => Some((line, edge)),
         _ => None,

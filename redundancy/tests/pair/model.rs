@@ -467,7 +467,8 @@ impl Pair {
         }
     }
 
-    fn edge(&mut self, from: SystemId, line: Line, edge: Edge) {
+    /// An edge arrives at the other system, whether `from` has sent it or a disturbance.
+    pub(crate) fn edge(&mut self, from: SystemId, line: Line, edge: Edge) {
         let cut = match line {
             Line::Start => self.cuts.start[from.index()],
             Line::Heartbeat1 => self.cuts.beats[0][from.index()],

@@ -1,7 +1,8 @@
 //! The start protocol between two systems. T-RED-2
 
-use crate::model::{Pair, RESET_US, us};
+use crate::model::{Pair, RESET_US, STEP_US, us};
 use tandem_board::SystemId::{self, A, B};
+use tandem_board::{Edge, Line};
 use tandem_redundancy::{Config, Event, Mode, Phase, SystemState};
 
 const PROFILES: [Config; 2] = [Config::rt(), Config::desktop()];
@@ -234,30 +235,83 @@ fn both_take_the_other_for_failed() {
 /// on, refuses. The other knows the higher term and says so.
 #[test]
 fn a_master_with_a_forgotten_term_is_told() {
-    // Whether A drives before it hears the vehicle depends on the phases.
-    let provoked = (1..9).filter(|seed| !a_term_is_forgotten(*seed).fenced.is_empty());
-    assert!(provoked.count() > 0, "the test must have provoked it");
-}
-
-fn a_term_is_forgotten(seed: u64) -> Pair {
-    let mut pair = Pair::dual(Config::rt(), seed);
-    for _ in 0..5 {
+    let mut pair = Pair::dual(Config::rt(), 3);
+    // In each start A drives before it hears the vehicle.
+    pair.vehicle_pauses = true;
+    for flash_lost in [false, false, false, true] {
         pair.power_off(A);
         pair.power_off(B);
         pair.run_ms(20);
+        pair.systems[A.index()].flash_lost = flash_lost;
         pair.power_on(A);
         pair.power_on(B);
-        pair.run_ms(100);
+        pair.run_ms(30);
     }
-    pair.power_off(A);
-    pair.power_off(B);
-    pair.run_ms(20);
-    pair.systems[A.index()].flash_lost = true;
-    pair.power_on(A);
-    pair.power_on(B);
+    assert!(!pair.fenced.is_empty(), "the test must have provoked it");
+    pair.vehicle_pauses = false;
     pair.run_ms(300);
     assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
     let gap = pair.longest_gap_us(pair.now_us - 150_000);
     assert!(gap < 25_000, "{gap}");
-    pair
+}
+
+/// T-RED-2: an edge on the start line that no system has sent, at any moment of the start, does not
+/// cost dual operation, however much later the other is switched on.
+#[test]
+fn a_stray_edge_on_the_start_line_does_not_cost_dual_operation() {
+    for config in [Config::chip(), Config::rt(), Config::desktop()] {
+        for later_ms in [0, 12, 40, 150] {
+            for stray_ms in (0..20).chain([later_ms + 3, later_ms + 5, later_ms + 7]) {
+                let ways = [A, B].into_iter().flat_map(|to| [(to, false), (to, true)]);
+                let edges = [Edge::Rising, Edge::Falling];
+                let cases = ways.flat_map(|way| edges.map(|edge| (way, edge)));
+                for ((to, link_cut), edge) in cases {
+                    let mut pair = Pair::new(config, stray_ms + later_ms);
+                    pair.cuts.link = link_cut;
+                    pair.power_on(to);
+                    let stray_us = RESET_US + stray_ms * 1_000;
+                    let end_us = (later_ms + 200) * 1_000;
+                    while pair.now_us < end_us {
+                        if pair.now_us == later_ms * 1_000 {
+                            pair.power_on(to.peer());
+                        }
+                        if pair.now_us == stray_us {
+                            pair.edge(to.peer(), Line::Start, edge);
+                        }
+                        pair.run_us(STEP_US);
+                    }
+                    let what = format!(
+                        "{edge:?} to {to} {stray_ms} ms after its start, the other {later_ms} ms later, \
+                         link cut {link_cut}"
+                    );
+                    let mut phases = pair.phases();
+                    phases.sort_by_key(|phase| *phase != Some(Phase::Master));
+                    let dual = [Phase::Master, Phase::Standby].map(Some);
+                    assert_eq!(phases, dual, "{what}: {:?}", pair.events);
+                    assert_eq!(pair.changes_of_driver(), 0, "{what}");
+                }
+            }
+        }
+    }
+}
+
+/// T-RED-2: sync edges that come again and again, and no other system: it drives alone when its
+/// time limit is over.
+#[test]
+fn stray_sync_edges_without_an_end_keep_no_system_from_driving() {
+    for period_ms in [1, 3, 10, 30, 100] {
+        for first in [A, B] {
+            let config = Config::rt();
+            let mut pair = Pair::new(config, period_ms);
+            pair.power_on(first);
+            let limit_ms = us(config.start_limit + config.stagger.times(3)) / 1_000;
+            for ms in 0..limit_ms + 50 {
+                if ms % period_ms == 0 {
+                    pair.edge(first.peer(), Line::Start, Edge::Falling);
+                }
+                pair.run_ms(1);
+            }
+            assert_eq!(drivers(&pair), [first], "each {period_ms} ms");
+        }
+    }
 }
