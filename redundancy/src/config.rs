@@ -6,6 +6,9 @@ use tandem_board::{Duration, SystemId};
 /// at the shortest third witness's limit of all profiles.
 pub(crate) const OVERDUE_ECHO: Duration = Duration::from_ms(1);
 
+/// After this many changes of the driver the hold-down stops growing: it is 32 times the first one.
+const MAX_CHANGES: u8 = 6;
+
 /// Periods and limits of the redundancy. Both systems must use the same.
 ///
 /// [`Config::chip`], [`Config::rt`] and [`Config::desktop`] are the profiles; [`Config::check`]
@@ -62,8 +65,8 @@ pub struct Config {
     pub report_limit: Duration,
     /// Without a status frame of the standby on CAN for this long, a master has no backup.
     pub status_limit: Duration,
-    /// For this long after a change of the driver, a system that has become standby takes over only
-    /// if the vehicle's echo demands it. Doubles with every further change.
+    /// For this long after the first change of the driver, a system that has become standby takes
+    /// over only if the vehicle's echo demands it; see [`Config::hold_down_after`].
     pub hold_down: Duration,
 }
 
@@ -101,6 +104,17 @@ impl Config {
     #[must_use]
     pub fn mute_limit(&self) -> Duration {
         self.control_period.times(self.mute_periods) + self.control_margin
+    }
+
+    /// For how long a system that has become standby takes over only if the vehicle's echo demands
+    /// it. `changes`: of the driver, which followed each other within [`Config::healthy_after`],
+    /// since this system started. Doubles with each further one, up to 32 times the first.
+    #[must_use]
+    pub fn hold_down_after(&self, changes: u8) -> Duration {
+        match changes.min(MAX_CHANGES) {
+            0 => Duration::ZERO,
+            changes => self.hold_down.times(1 << (changes - 1)),
+        }
     }
 
     /// How long a new standby waits for the first control frame of its master: longer than any

@@ -25,8 +25,6 @@ const TERM_STEP_AT_START: u32 = 8;
 /// other is likely to have had while this system was off. If the term were too low, the vehicle
 /// would refuse it and obey no system.
 const TERM_STEP_UNHEARD: u32 = 1024;
-/// After this many changes of the driver the hold-down stops growing: it is 32 times the first one.
-const MAX_CHANGES: u8 = 6;
 
 /// "This system is ready."
 const HANDSHAKE: Action = Action::SendEdge(Line::Start, Edge::Rising);
@@ -544,8 +542,7 @@ impl Redundancy {
                     Evidence::SyncHeard => Mode::L3,
                     _ => Mode::DegradedL2,
                 };
-                let doublings = u32::from(self.changes.saturating_sub(1));
-                let hold_until = now + self.config.hold_down.times(1 << doublings);
+                let hold_until = now + self.config.hold_down_after(self.changes);
                 let start = match &self.phase {
                     PhaseState::Starting(start) if on == Evidence::SyncHeard => Some(start.clone()),
                     _ => None,
@@ -597,13 +594,14 @@ impl Redundancy {
     /// Counts consecutive changes of the driver. The hold-down grows with them.
     fn note_change(&mut self, now: Instant, from: Phase, to: Phase) {
         let takes_over = from == Phase::Standby && to.is_driving();
-        let deposed = from.is_driving() && to == Phase::Standby;
+        let drove = from.is_driving() || from == Phase::Thawed;
+        let deposed = drove && to == Phase::Standby;
         if takes_over || deposed {
             let calm = now.since(self.changed_at) >= self.config.healthy_after;
             self.changes = if calm {
                 1
             } else {
-                MAX_CHANGES.min(self.changes + 1)
+                self.changes.saturating_add(1)
             };
             self.changed_at = now;
         }

@@ -261,6 +261,25 @@ fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     assert!(asks(bench.poll()), "the fault need not be told again");
 }
 
+/// T-RED-8: a system that is standby for the first time has caused no change of the driver: the
+/// lines depose its master within their bound.
+#[test]
+fn the_first_standby_has_no_hold_down() {
+    let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
+    let _ = bench.poll();
+    bench.snapshot.syncs += 1;
+    let _ = bench.poll();
+    let _ = bench.control(16);
+    bench.run_with_beats(5);
+    bench.snapshot.peer_powered = false;
+    // The vehicle still obeys the master's last frame.
+    for age_ms in 5..5 + (CONFIG.level_limit() + CONFIG.poll_interval).as_us() / 1_000 {
+        let _ = bench.obeyed(Term::from_bits(16), age_ms);
+        let _ = bench.poll();
+    }
+    assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+}
+
 /// T-RED-9: just after a change of the driver the lines alone depose no master: only the vehicle's
 /// word does. The time doubles with each change.
 #[test]
@@ -700,10 +719,12 @@ fn lines_in_and_out() {
 /// T-BOOT-1: a standby may leave only while every witness says that the master drives.
 #[test]
 fn a_standby_may_leave_only_a_master_that_drives() {
+    let relieved = Bench::master();
+    let term = relieved.machine.highest_term().above(1, SystemId::B);
     let sound = PeerReport {
         role: Role::Master,
         mode: Mode::L3,
-        term: Term::from_bits(16),
+        term: term.unwrap(),
         can_alive: true,
     };
     let stops = PeerReport {
@@ -714,7 +735,7 @@ fn a_standby_may_leave_only_a_master_that_drives() {
         role: Role::Starting,
         ..sound
     };
-    let (own, of_master) = (Term::from_bits(15), sound.term);
+    let (own, of_master) = (relieved.machine.term(), sound.term);
     let hold_down_ms = CONFIG.hold_down.as_ms_f64() as u64;
     for (what, report, obeyed, beats, age_ms, since_ms, expected) in [
         ("sound", sound, of_master, true, 0, hold_down_ms, true),
@@ -765,13 +786,11 @@ fn a_standby_may_leave_only_a_master_that_drives() {
             false,
         ),
     ] {
-        let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
-        let _ = bench.poll();
-        bench.snapshot.syncs += 1;
-        let _ = bench.poll();
+        let mut bench = Bench::master();
+        let _ = bench.control(of_master.bits());
         for _ in 0..since_ms / 10 {
             if age_ms == 0 {
-                let _ = bench.control(16);
+                let _ = bench.control(of_master.bits());
             }
             bench.run_with_beats(5);
             for _ in 0..5 {
