@@ -185,7 +185,11 @@ impl Standby {
         let unheard = ended || now.since(self.last_control) > config.witness_limit();
         if unheard {
             let says_master = !ended && witnesses.reports.drives(now, config.witness_limit());
-            if self.suspected && !says_master && self.may_act(config, now, witnesses) {
+            // Heartbeats arrive again: the vehicle must not contradict the suspicion.
+            let verdict = witnesses.gate.verdict(config, now);
+            let obeyed = !silent && matches!(verdict, GateVerdict::Obeys(_));
+            let contradicted = says_master || obeyed;
+            if self.suspected && !contradicted && self.may_act(config, now, witnesses) {
                 return Some(Evidence::PeerSilent);
             }
             if self.master_is_mute(config, now, witnesses) {

@@ -261,6 +261,27 @@ fn a_standby_resets_itself_only_beside_a_master_that_drives() {
     assert!(asks(bench.poll()), "the fault need not be told again");
 }
 
+/// T-RED-9: a stray handshake, and heartbeats that arrive, depose no master that the vehicle obeys,
+/// though this system misses a frame.
+#[test]
+fn a_stray_handshake_deposes_no_master_that_the_vehicle_obeys() {
+    for (age_ms, expected) in [
+        (0, Phase::Standby),
+        (
+            CONFIG.witness_limit().as_us() / 1_000 + 1,
+            Phase::DegradedMaster,
+        ),
+    ] {
+        let mut bench = Bench::standby();
+        let _ = bench.control(16);
+        bench.snapshot.handshakes += 1;
+        bench.run_with_beats(2);
+        let _ = bench.obeyed(Term::from_bits(16), age_ms);
+        bench.run_with_beats(CONFIG.mute_limit().as_us() / 1_000 - 2);
+        assert_eq!(bench.machine.phase(), expected, "obeyed {age_ms} ms ago");
+    }
+}
+
 /// T-RED-8: a system that is standby for the first time has caused no change of the driver: the
 /// lines depose its master within their bound.
 #[test]
