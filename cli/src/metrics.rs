@@ -379,7 +379,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
             .filter(|takeover| takeover.is_false)
             .count(),
         takeovers: takeovers
-            .into_iter()
+            .iter()
             .map(|takeover| TakeoverMetrics {
                 from: takeover.from.to_string(),
                 to: takeover.to.to_string(),
@@ -387,12 +387,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
                 cause: takeover.cause_in_words().to_owned(),
                 detected_ms: takeover.detected_ms,
                 gap_ms: takeover.gap_ms,
-                bound_ms: around.bounds.of_takeover(
-                    log,
-                    takeover.to,
-                    takeover.at_ns - (takeover.gap_ms * 1e6) as u64,
-                    takeover.cause,
-                ),
+                bound_ms: around.bounds.of_takeover(log, takeover),
                 is_false: takeover.is_false,
                 held_up: takeover.held_up,
             })

@@ -194,7 +194,7 @@ fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
             // The timers of processes are late; the other bounds have that within them.
             power_ms: on_bus(limits.gap_bound_power() + limits.heartbeat_jitter),
             mute_ms: on_bus(limits.gap_bound_mute()),
-            hold_down_ms: limits.hold_down.as_ms_f64(),
+            limits,
         },
         machine: Seen::default(),
         leftovers: vec![],

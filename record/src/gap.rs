@@ -1,13 +1,13 @@
 //! Times without control, each compared with the bound of its cause, together with what stood still
 //! then; and the times in which both systems transmitted.
 
-use tandem_board::SystemId;
+use tandem_board::{Duration, SystemId};
 use tandem_cores::trace::Event;
-use tandem_redundancy::{Evidence, Phase};
+use tandem_redundancy::{Config, Evidence, Phase};
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::{ControlFrame, CoreEvent, Stall};
+use crate::run_log::{ControlFrame, Stall};
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -19,8 +19,6 @@ const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
 /// A new master hears a predecessor that still lives within one control period and one move of the
 /// bus, ms.
 const HAND_OVER_MS: f64 = 11.0;
-/// The hold-down doubles at most so often.
-const MAX_DOUBLINGS: usize = 5;
 
 /// How long the vehicle may be without control, ms, by the evidence of the takeover that ends it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,10 +30,9 @@ pub struct Bounds {
     pub power_ms: f64,
     /// The old master lived, and its frames did not reach the vehicle.
     pub mute_ms: f64,
-    /// For this long after a system became standby it takes over only if the vehicle says that it
-    /// obeys no system, so that every takeover has the bound of a mute master. Each change of the
-    /// driver doubles it.
-    pub hold_down_ms: f64,
+    /// The limits of both systems: in the hold-down that follows from them a standby waits for the
+    /// vehicle, so that every takeover has the bound of a mute master.
+    pub limits: Config,
 }
 
 /// No bounds.
@@ -45,7 +42,7 @@ impl Default for Bounds {
             silent_ms: f64::INFINITY,
             power_ms: f64::INFINITY,
             mute_ms: f64::INFINITY,
-            hold_down_ms: 0.0,
+            limits: Config::rt(),
         }
     }
 }
@@ -61,38 +58,40 @@ impl Bounds {
         }
     }
 
-    /// The bound of the takeover by the system `to` on this evidence, if the last frame of the old
-    /// master was accepted at `from_ns`.
+    /// The bound of this takeover.
     #[must_use]
-    pub fn of_takeover(
-        &self,
-        log: &RunLog,
-        to: SystemId,
-        from_ns: u64,
-        cause: Option<Evidence>,
-    ) -> f64 {
-        let became_standby = |event: &&CoreEvent| {
-            let into_standby =
-                matches!(event.event, Event::Phase { to, .. } if to == Phase::Standby);
-            event.system == to && event.at_ns <= from_ns && into_standby
-        };
-        let since = log.events.iter().rfind(became_standby);
-        let accepted: Vec<&ControlFrame> = log
-            .accepted()
-            .take_while(|frame| frame.at_ns <= from_ns)
-            .collect();
-        let changes = accepted
-            .windows(2)
-            .filter(|pair| pair[0].system != pair[1].system)
-            .count();
-        let hold_ms = self.hold_down_ms * f64::from(1_u32 << changes.min(MAX_DOUBLINGS));
-        let held = since.is_some_and(|since| ms_between(since.at_ns, from_ns) < hold_ms);
-        let bound_ms = self.of(cause);
-        if held {
+    pub fn of_takeover(&self, log: &RunLog, takeover: &Takeover) -> f64 {
+        let bound_ms = self.of(takeover.cause);
+        if self.is_held(log, takeover) {
             bound_ms.max(self.mute_ms)
         } else {
             bound_ms
         }
+    }
+
+    /// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
+    fn is_held(&self, log: &RunLog, takeover: &Takeover) -> bool {
+        let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
+        for event in &log.events {
+            let Event::Phase { from, to, .. } = event.event else {
+                continue;
+            };
+            if event.system != takeover.to || event.at_ns > takeover.from_ns {
+                continue;
+            }
+            if from == Phase::Starting {
+                changes = 0;
+            }
+            if from.changes_driver(to) {
+                let ago = Duration::from_ns(event.at_ns.saturating_sub(changed_ns));
+                changes = self.limits.changes_after(changes, ago);
+                changed_ns = event.at_ns;
+            }
+            if to == Phase::Standby {
+                until_ns = event.at_ns + self.limits.hold_down_after(changes).as_ns();
+            }
+        }
+        takeover.from_ns < until_ns
     }
 }
 
@@ -157,23 +156,24 @@ pub fn periods(
     let accepted: Vec<&ControlFrame> = log.accepted().collect();
     let between = accepted.windows(2).map(|pair| {
         let of_pair = |takeover: &&Takeover| takeover.at_ns == pair[1].at_ns;
-        let ended_by = if pair[0].system == pair[1].system {
-            EndedBy::SameSystem
-        } else {
-            EndedBy::Takeover(takeovers.iter().find(of_pair).and_then(|of| of.cause))
+        let (ended_by, bound_ms) = match takeovers.iter().find(of_pair) {
+            Some(takeover) => (
+                EndedBy::Takeover(takeover.cause),
+                bounds.of_takeover(log, takeover),
+            ),
+            None => (EndedBy::SameSystem, bounds.silent_ms),
         };
-        (pair[0].at_ns, pair[1].at_ns, pair[1].system, ended_by)
+        (pair[0].at_ns, pair[1].at_ns, ended_by, bound_ms)
     });
     let last = accepted.last().zip(log.until_ns());
-    let open = last.map(|(last, end_ns)| (last.at_ns, end_ns, last.system, EndedBy::Nothing));
+    let open = last.map(|(last, end_ns)| {
+        let ended_by = EndedBy::Nothing;
+        (last.at_ns, end_ns, ended_by, bounds.silent_ms)
+    });
     between
         .chain(open)
         .filter(|(from_ns, to_ns, ..)| *to_ns > after_ns && *from_ns < before_ns)
-        .map(|(from_ns, to_ns, system, ended_by)| {
-            let bound_ms = match ended_by {
-                EndedBy::Takeover(cause) => bounds.of_takeover(log, system, from_ns, cause),
-                EndedBy::SameSystem | EndedBy::Nothing => bounds.silent_ms,
-            };
+        .map(|(from_ns, to_ns, ended_by, bound_ms)| {
             let is_beyond = ms_between(from_ns, to_ns) > bound_ms;
             Gap {
                 from_ns,
@@ -274,7 +274,7 @@ mod tests {
         silent_ms: 20.0,
         power_ms: 16.0,
         mute_ms: 19.0,
-        hold_down_ms: 100.0,
+        limits: Config::rt(),
     };
 
     fn frame(at_ms: u64, system: SystemId, verdict: Verdict) -> ControlFrame {
@@ -339,44 +339,57 @@ mod tests {
         assert_eq!(found(&same, &[])[0].ended_by, EndedBy::SameSystem);
     }
 
-    /// A system that has just become standby waits for the vehicle's echo, whatever the lines say.
+    /// A system that was just relieved waits for the vehicle's echo, whatever the lines say. Only a
+    /// change of the driver begins a hold-down, and the second in a row doubles it.
     #[test]
     fn in_the_hold_down_a_takeover_has_the_bound_of_a_mute_master() {
-        for (standby_at_ms, to_ms, is_beyond) in [
-            (950, 1_029, false),
-            (950, 1_030, true),
-            (911, 1_029, false),
-            (909, 1_027, true),
+        use Phase::{DegradedMaster, Master, Standby, Starting, Thawed};
+        let first = [(Starting, Standby)];
+        let relieved = [(Starting, Master), (DegradedMaster, Standby)];
+        let thawed = [(Thawed, Standby)];
+        let third = [(Master, Standby), (Standby, DegradedMaster), relieved[1]];
+        let reset = [relieved[1], (Starting, Standby)];
+        for (phases, standby_for_ms, gap_ms, is_beyond) in [
+            (&first[..], 60, 16, false),
+            (&first, 60, 17, true),
+            (&relieved, 60, 19, false),
+            (&relieved, 60, 20, true),
+            (&relieved, 99, 19, false),
+            (&relieved, 101, 17, true),
+            (&thawed, 99, 19, false),
+            (&third, 399, 19, false),
+            (&third, 401, 17, true),
+            (&reset, 60, 17, true),
         ] {
-            let mut log = log(&[(0, A), (1_010, A), (to_ms, B)], to_ms);
-            let event = |at_ms: u64, event| CoreEvent {
+            let to_ms = 1_010 + gap_ms;
+            let mut log = log(&[(1_000, A), (1_010, A), (to_ms, B)], to_ms);
+            let event = |at_ms: u64, event| crate::run_log::CoreEvent {
                 at_ns: at_ms * 1_000_000,
                 system: B,
                 core: tandem_board::CoreId::CONTROL,
                 event,
             };
-            log.events = vec![
+            let on = Evidence::HigherTerm;
+            let phase = |(from, to): &(Phase, Phase)| {
                 event(
-                    standby_at_ms,
+                    1_010 - standby_for_ms,
                     Event::Phase {
-                        from: Phase::Starting,
-                        to: Phase::Standby,
-                        on: Evidence::SyncHeard,
+                        from: *from,
+                        to: *to,
+                        on,
                     },
-                ),
-                event(
-                    to_ms,
-                    Event::TookOver {
-                        cause: Evidence::PeerOff,
-                        since_heartbeat_us: 0,
-                        since_control_us: 0,
-                        term: 3,
-                    },
-                ),
-            ];
-            let found = found(&log, &[]);
-            let last = found.iter().any(|gap| gap.to_ns == to_ms * 1_000_000);
-            assert_eq!(last, is_beyond, "{standby_at_ms} {to_ms}");
+                )
+            };
+            log.events = phases.iter().map(phase).collect();
+            let took_over = Event::TookOver {
+                cause: Evidence::PeerOff,
+                since_heartbeat_us: 0,
+                since_control_us: 0,
+                term: 3,
+            };
+            log.events.push(event(to_ms, took_over));
+            let what = format!("{phases:?} {standby_for_ms} {gap_ms}");
+            assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{what}");
         }
     }
 

@@ -30,6 +30,8 @@ pub struct Takeover {
     pub from: SystemId,
     /// The system that drives now.
     pub to: SystemId,
+    /// Last accepted frame of the old master, ns.
+    pub from_ns: u64,
     /// First accepted frame of the new master, ns.
     pub at_ns: u64,
     /// The evidence of the old master's failure that the new master reported.
@@ -64,6 +66,7 @@ pub fn takeovers(log: &RunLog) -> Vec<Takeover> {
             Takeover {
                 from: last.system,
                 to: first.system,
+                from_ns: last.at_ns,
                 at_ns: first.at_ns,
                 cause,
                 detected_ms: report.and_then(detected_ms),

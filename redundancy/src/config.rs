@@ -106,9 +106,22 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
+    /// The number of changes of the driver that followed each other since a system started, after
+    /// one more; `ago`: time since the last one before. See [`Phase::changes_driver`].
+    ///
+    /// [`Phase::changes_driver`]: crate::Phase::changes_driver
+    #[must_use]
+    pub fn changes_after(&self, changes: u8, ago: Duration) -> u8 {
+        if ago >= self.healthy_after {
+            1
+        } else {
+            changes.saturating_add(1)
+        }
+    }
+
     /// For how long a system that has become standby takes over only if the vehicle's echo demands
-    /// it. `changes`: of the driver, which followed each other within [`Config::healthy_after`],
-    /// since this system started. Doubles with each further one, up to 32 times the first.
+    /// it, after so many changes of the driver ([`Config::changes_after`]). Doubles with each
+    /// further one, up to 32 times the first; a system that caused none has no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {
         match changes.min(MAX_CHANGES) {

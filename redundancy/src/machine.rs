@@ -593,16 +593,9 @@ impl Redundancy {
 
     /// Counts consecutive changes of the driver. The hold-down grows with them.
     fn note_change(&mut self, now: Instant, from: Phase, to: Phase) {
-        let takes_over = from == Phase::Standby && to.is_driving();
-        let drove = from.is_driving() || from == Phase::Thawed;
-        let deposed = drove && to == Phase::Standby;
-        if takes_over || deposed {
-            let calm = now.since(self.changed_at) >= self.config.healthy_after;
-            self.changes = if calm {
-                1
-            } else {
-                self.changes.saturating_add(1)
-            };
+        if from.changes_driver(to) {
+            let ago = now.since(self.changed_at);
+            self.changes = self.config.changes_after(self.changes, ago);
             self.changed_at = now;
         }
     }

@@ -109,6 +109,13 @@ impl Phase {
         matches!(self, Self::Standby | Self::Master | Self::DegradedMaster)
     }
 
+    /// Whether a system that goes from this phase to `to` has taken over, or was relieved.
+    #[must_use]
+    pub fn changes_driver(self, to: Self) -> bool {
+        let drove = self.is_driving() || self == Self::Thawed;
+        self == Self::Standby && to.is_driving() || drove && to == Self::Standby
+    }
+
     /// The role that the frames show.
     #[must_use]
     pub const fn role(self) -> Role {

@@ -192,7 +192,7 @@ impl Drive {
             silent_ms: heard(limits.gap_bound()),
             power_ms: heard(limits.gap_bound_power()),
             mute_ms: heard(limits.gap_bound_mute()),
-            hold_down_ms: limits.hold_down.as_ms_f64(),
+            limits,
         };
         gaps(&self.seen.borrow().log, &self.takeovers(), &bounds, &[])
     }

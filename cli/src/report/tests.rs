@@ -18,7 +18,7 @@ fn synthetic_page() -> String {
             silent_ms: 20.0,
             power_ms: 14.5,
             mute_ms: 20.0,
-            hold_down_ms: 0.0,
+            ..Bounds::default()
         },
         machine: Seen::default(),
         leftovers: Vec::new(),
@@ -97,7 +97,7 @@ fn nobody_drives(machine: Seen) -> (metrics::Metrics, String) {
         silent_ms: 20.0,
         power_ms: 16.0,
         mute_ms: 19.0,
-        hold_down_ms: 0.0,
+        ..Bounds::default()
     };
     let around = Surroundings {
         bounds,

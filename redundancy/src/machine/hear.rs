@@ -4,7 +4,7 @@ use super::{PhaseState, Redundancy};
 use crate::witness::GateVerdict;
 use crate::{
     Actions, Clock, ControlFrame, Event, Evidence, FailureMode, LinkReport, ObeyedTerm, PeerReport,
-    Role, Term,
+    Phase, Role, Term,
 };
 use tandem_board::{Duration, Instant};
 
@@ -39,9 +39,11 @@ impl Redundancy {
             return;
         }
         self.state.term = frame.term;
-        match &mut self.phase {
-            PhaseState::Standby(standby) => standby.on_control_frame(now, frame.mode),
-            _ => self.peer_drives(now, actions),
+        if self.phase() != Phase::Standby {
+            self.peer_drives(now, actions);
+        }
+        if let PhaseState::Standby(standby) = &mut self.phase {
+            standby.on_control_frame(now, frame.mode);
         }
     }
 
