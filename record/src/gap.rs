@@ -1,13 +1,13 @@
 //! Times without control, each compared with the bound of its cause, together with what stood still
 //! then; and the times in which both systems transmitted.
 
-use tandem_board::{Duration, SystemId};
+use tandem_board::{CoreId, Duration, ResetCause, SystemId};
 use tandem_cores::trace::Event;
 use tandem_redundancy::{Config, Evidence, Phase};
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::{ControlFrame, Stall};
+use crate::run_log::{ControlFrame, CoreEvent, Stall};
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -72,23 +72,29 @@ impl Bounds {
     /// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
     fn is_held(&self, log: &RunLog, takeover: &Takeover) -> bool {
         let (mut changes, mut changed_ns, mut until_ns) = (0, 0, 0);
-        for event in &log.events {
-            let Event::Phase { from, to, .. } = event.event else {
-                continue;
-            };
-            if event.system != takeover.to || event.at_ns > takeover.from_ns {
-                continue;
-            }
-            if from == Phase::Starting {
-                changes = 0;
-            }
-            if from.changes_driver(to) {
-                let ago = Duration::from_ns(event.at_ns.saturating_sub(changed_ns));
-                changes = self.limits.changes_after(changes, ago);
-                changed_ns = event.at_ns;
-            }
-            if to == Phase::Standby {
-                until_ns = event.at_ns + self.limits.hold_down_after(changes).as_ns();
+        let of_core_0 = |event: &&CoreEvent| {
+            event.system == takeover.to
+                && event.core == CoreId::CONTROL
+                && event.at_ns <= takeover.from_ns
+        };
+        for CoreEvent { at_ns, event, .. } in log.events.iter().filter(of_core_0) {
+            match event {
+                Event::Started { cause, .. } => {
+                    let cause = ResetCause::from_code((*cause).into());
+                    changes = cause.map_or(0, Config::changes_at_start);
+                    changed_ns = *at_ns;
+                }
+                Event::Phase { from, to, .. } => {
+                    if from.changes_driver(*to) {
+                        let ago = Duration::from_ns(at_ns.saturating_sub(changed_ns));
+                        changes = self.limits.changes_after(changes, ago);
+                        changed_ns = *at_ns;
+                    }
+                    if *to == Phase::Standby {
+                        until_ns = at_ns + self.limits.hold_down_after(changes).as_ns();
+                    }
+                }
+                _ => {}
             }
         }
         takeover.from_ns < until_ns
@@ -322,10 +328,10 @@ mod tests {
             (Evidence::PeerSilent, 31, true),
         ] {
             let mut log = log(&[(0, A), (10, A), (to_ms, B)], to_ms);
-            log.events = vec![crate::run_log::CoreEvent {
+            log.events = vec![CoreEvent {
                 at_ns: to_ms * 1_000_000,
                 system: B,
-                core: tandem_board::CoreId::CONTROL,
+                core: CoreId::CONTROL,
                 event: Event::TookOver {
                     cause,
                     since_heartbeat_us: 0,
@@ -348,39 +354,42 @@ mod tests {
         let relieved = [(Starting, Master), (DegradedMaster, Standby)];
         let thawed = [(Thawed, Standby)];
         let third = [(Master, Standby), (Standby, DegradedMaster), relieved[1]];
-        let reset = [relieved[1], (Starting, Standby)];
-        for (phases, standby_for_ms, gap_ms, is_beyond) in [
-            (&first[..], 60, 16, false),
-            (&first, 60, 17, true),
-            (&relieved, 60, 19, false),
-            (&relieved, 60, 20, true),
-            (&relieved, 99, 19, false),
-            (&relieved, 101, 17, true),
-            (&thawed, 99, 19, false),
-            (&third, 399, 19, false),
-            (&third, 401, 17, true),
-            (&reset, 60, 17, true),
+        let (on, reset) = (ResetCause::PowerOn, ResetCause::Trap);
+        for (cause, phases, standby_for_ms, gap_ms, is_beyond) in [
+            (on, &first[..], 60, 16, false),
+            (on, &first, 60, 17, true),
+            (reset, &first, 99, 19, false),
+            (reset, &first, 101, 17, true),
+            (reset, &relieved, 199, 19, false),
+            (on, &relieved, 60, 19, false),
+            (on, &relieved, 60, 20, true),
+            (on, &relieved, 99, 19, false),
+            (on, &relieved, 101, 17, true),
+            (on, &thawed, 99, 19, false),
+            (on, &third, 399, 19, false),
+            (on, &third, 401, 17, true),
         ] {
             let to_ms = 1_010 + gap_ms;
             let mut log = log(&[(1_000, A), (1_010, A), (to_ms, B)], to_ms);
-            let event = |at_ms: u64, event| crate::run_log::CoreEvent {
+            let event = |at_ms: u64, event| CoreEvent {
                 at_ns: at_ms * 1_000_000,
                 system: B,
-                core: tandem_board::CoreId::CONTROL,
+                core: CoreId::CONTROL,
                 event,
             };
-            let on = Evidence::HigherTerm;
             let phase = |(from, to): &(Phase, Phase)| {
                 event(
                     1_010 - standby_for_ms,
                     Event::Phase {
                         from: *from,
                         to: *to,
-                        on,
+                        on: Evidence::HigherTerm,
                     },
                 )
             };
-            log.events = phases.iter().map(phase).collect();
+            let (generation, cause) = (1, cause as u8);
+            log.events = vec![event(1, Event::Started { generation, cause })];
+            log.events.extend(phases.iter().map(phase));
             let took_over = Event::TookOver {
                 cause: Evidence::PeerOff,
                 since_heartbeat_us: 0,
@@ -388,7 +397,7 @@ mod tests {
                 term: 3,
             };
             log.events.push(event(to_ms, took_over));
-            let what = format!("{phases:?} {standby_for_ms} {gap_ms}");
+            let what = format!("{cause} {phases:?} {standby_for_ms} {gap_ms}");
             assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{what}");
         }
     }

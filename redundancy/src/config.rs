@@ -1,6 +1,6 @@
 //! Thresholds with their reasons, and the bounds that follow from them.
 
-use tandem_board::{Duration, SystemId};
+use tandem_board::{Duration, ResetCause, SystemId};
 
 /// While a control frame is overdue, the vehicle repeats this often which term it obeys. It starts
 /// at the shortest third witness's limit of all profiles.
@@ -106,6 +106,13 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
+    /// The number of changes of the driver with which a system starts. A reset may be the consequence
+    /// of one, which the system has forgotten.
+    #[must_use]
+    pub fn changes_at_start(cause: ResetCause) -> u8 {
+        u8::from(cause != ResetCause::PowerOn)
+    }
+
     /// The number of changes of the driver that followed each other since a system started, after
     /// one more; `ago`: time since the last one before. See [`Phase::changes_driver`].
     ///
@@ -121,7 +128,7 @@ impl Config {
 
     /// For how long a system that has become standby takes over only if the vehicle's echo demands
     /// it, after so many changes of the driver ([`Config::changes_after`]). Doubles with each
-    /// further one, up to 32 times the first; a system that caused none has no hold-down.
+    /// further one, up to 32 times the first; without a change there is no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {
         match changes.min(MAX_CHANGES) {

@@ -1,9 +1,9 @@
 //! The start protocol: handshake, sync, time limits, and which system leads. T-RED-2
 //!
 //! Each system repeats its handshake edge until the start is decided, so the order of switching on
-//! does not matter. The leading system sends a handshake and the sync edge when it has heard the
-//! other twice. The other begins on the sync edge. A master that already runs answers a handshake with
-//! the sync edge, so a late system becomes its standby.
+//! does not matter. The leading system sends a handshake and the sync edge when it has heard two
+//! handshakes of the other. The other begins on the sync edge. A master that already runs answers a
+//! handshake with the sync edge, so a late system becomes its standby.
 
 use crate::input::Seen;
 use crate::{Config, Evidence};

@@ -247,7 +247,8 @@ fn a_flash_that_hangs_does_not_prevent_a_reset() {
 #[test]
 fn stray_edges_at_the_start_do_not_cost_dual_operation() {
     // How much later the other is switched on.
-    for (kind, later_ms) in [(Kind::StrayBeats(3), 40), (Kind::StraySync, 0), (Kind::StraySync, 40)] {
+    let sync = Kind::StraySync;
+    for (kind, later_ms) in [(Kind::StrayBeats(3), 40), (sync, 0), (sync, 40)] {
         for to in SystemId::ALL {
             // It waits for the other from 60 ms on, which is switched on 40 ms later.
             for at_ms in [5, 19, 20, 21, 25, 30, 40, 59, 60, 61, 62, 65, 80] {

@@ -1,0 +1,110 @@
+//! A system leaves, or hands its role over, without a pause of control. T-BOOT-1
+
+use super::{Bench, CONFIG};
+use tandem_board::SystemId;
+use tandem_redundancy::{Input, Mode, PeerReport, Phase, Role};
+
+/// T-BOOT-1: a standby may leave only while every witness says that the master drives.
+#[test]
+fn a_standby_may_leave_only_a_master_that_drives() {
+    let relieved = Bench::master();
+    let term = relieved.machine.highest_term().above(1, SystemId::B);
+    let sound = PeerReport {
+        role: Role::Master,
+        mode: Mode::L3,
+        term: term.unwrap(),
+        can_alive: true,
+    };
+    let stops = PeerReport {
+        mode: Mode::SafeStop,
+        ..sound
+    };
+    let starts = PeerReport {
+        role: Role::Starting,
+        ..sound
+    };
+    let (own, of_master) = (relieved.machine.term(), sound.term);
+    let hold_down_ms = CONFIG.hold_down.as_ms_f64() as u64;
+    for (what, report, obeyed, beats, age_ms, since_ms, expected) in [
+        ("sound", sound, of_master, true, 0, hold_down_ms, true),
+        (
+            "just relieved",
+            sound,
+            of_master,
+            true,
+            0,
+            hold_down_ms - 40,
+            false,
+        ),
+        (
+            "stops the vehicle",
+            stops,
+            of_master,
+            true,
+            0,
+            hold_down_ms,
+            false,
+        ),
+        (
+            "does not drive",
+            starts,
+            of_master,
+            true,
+            0,
+            hold_down_ms,
+            false,
+        ),
+        ("is not obeyed", sound, own, true, 0, hold_down_ms, false),
+        (
+            "no heartbeats",
+            sound,
+            of_master,
+            false,
+            0,
+            hold_down_ms,
+            false,
+        ),
+        (
+            "late frames",
+            sound,
+            of_master,
+            true,
+            14,
+            hold_down_ms,
+            false,
+        ),
+    ] {
+        let mut bench = Bench::master();
+        let _ = bench.control(of_master.bits());
+        for _ in 0..since_ms / 10 {
+            if age_ms == 0 {
+                let _ = bench.control(of_master.bits());
+            }
+            bench.run_with_beats(5);
+            for _ in 0..5 {
+                bench.snapshot.beats = bench.snapshot.beats.map(|count| count + u32::from(beats));
+                let _ = bench.poll();
+            }
+            let _ = bench.linked(report);
+            let _ = bench.obeyed(obeyed, age_ms);
+        }
+        assert_eq!(bench.machine.phase(), Phase::Standby, "{what}");
+        assert_eq!(bench.machine.may_leave(bench.now), expected, "{what}");
+    }
+    let driving = Bench::master();
+    assert!(!driving.machine.may_leave(driving.now), "a master");
+}
+
+/// T-BOOT-1: a master that is asked resigns over the link, for a while, and drives on as before.
+#[test]
+fn a_master_that_is_asked_offers_its_role() {
+    let mut bench = Bench::master();
+    assert_eq!(bench.machine.report().mode, Mode::L3);
+    let _ = bench.on(Input::HandOver);
+    assert_eq!(bench.machine.report().mode, Mode::SafeStop);
+    assert_eq!(bench.machine.mode(), Mode::L3);
+    assert!(bench.machine.may_transmit(bench.now));
+    bench.run_with_beats(CONFIG.report_limit.as_ms_f64() as u64 + 1);
+    assert_eq!(bench.machine.report().mode, Mode::L3, "not for ever");
+    assert_eq!(bench.machine.phase(), Phase::Master);
+}
