@@ -106,8 +106,8 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
-    /// The number of changes of the driver with which a system starts. A reset may be the consequence
-    /// of one, which the system has forgotten.
+    /// The number of changes of the driver with which a system starts. A reset may be the
+    /// consequence of one, which the system has forgotten.
     #[must_use]
     pub fn changes_at_start(cause: ResetCause) -> u8 {
         u8::from(cause != ResetCause::PowerOn)
