@@ -441,7 +441,7 @@ typedef struct tandem_handle_t {
 // The redundancy of one system. Static, zero at first.
 typedef struct tandem_redundancy_t {
   // Private.
-  uint64_t opaque[96];
+  uint64_t opaque[104];
 } tandem_redundancy_t;
 
 // What a system knows about itself and the other beyond its own incarnation.

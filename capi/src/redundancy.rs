@@ -74,7 +74,7 @@ const _: () = assert!(TANDEM_MAX_EVENTS == Actions::EVENTS);
 #[derive(Debug)]
 pub struct TandemRedundancy {
     /// Private.
-    pub opaque: [u64; 96],
+    pub opaque: [u64; 104],
 }
 
 opaque!(TandemRedundancy, Redundancy, 0x0E);
