@@ -14,8 +14,12 @@ use crate::args::{DflashArgs, DflashCommand};
 /// What is done, and what to print.
 ///
 /// # Errors
-/// If a file is no data flash, belongs to a run, or cannot be written.
+/// If there is no such folder, or a file is no data flash, belongs to a run, or cannot be written.
 pub(crate) fn run(args: &DflashArgs) -> anyhow::Result<String> {
+    let shown = args.folder.display();
+    let makes_it = matches!(args.command, DflashCommand::Init { .. });
+    let there = makes_it || args.folder.is_dir();
+    ensure!(there, "--folder {shown}: there is no such folder");
     match args.command {
         DflashCommand::Show => {}
         DflashCommand::Init { master } => {
@@ -179,6 +183,21 @@ mod tests {
         let shown = run_on(folder.path(), DflashCommand::Clear { system });
         assert_eq!(state(folder.path(), SystemId::A), Loaded::Blank, "{shown}");
         assert_ne!(state(folder.path(), SystemId::B), Loaded::Blank);
+    }
+
+    #[test]
+    fn a_folder_that_is_not_there_is_neither_shown_nor_made() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path().join("mistyped");
+        for command in [DflashCommand::Show, DflashCommand::Clear { system: None }] {
+            let args = DflashArgs {
+                command,
+                folder: folder.clone(),
+            };
+            let error = run(&args).unwrap_err().to_string();
+            assert!(error.contains("no such folder"), "{error}");
+            assert!(!folder.exists());
+        }
     }
 
     #[test]
