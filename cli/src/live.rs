@@ -62,7 +62,7 @@ impl Live {
     }
 }
 
-/// A bar on the terminal that follows the run; nothing if there is no terminal.
+/// A line on the terminal that follows the run; nothing if there is no terminal.
 pub(crate) struct Progress {
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -71,11 +71,11 @@ pub(crate) struct Progress {
 impl Progress {
     /// Shows the run whose state is at `path`.
     pub(crate) fn show(path: PathBuf, duration_s: f64) -> Self {
-        let bar = ProgressBar::new((duration_s * 10.0).ceil() as u64);
+        let bar = ProgressBar::new_spinner();
         let over = Arc::new(AtomicBool::new(false));
         let thread = (!bar.is_hidden()).then(|| {
-            let style = ProgressStyle::with_template("{bar:10.cyan/dim} {wide_msg}");
-            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+            let style = ProgressStyle::with_template("{wide_msg}");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
             bar.set_message("starting");
             let over = Arc::clone(&over);
             std::thread::spawn(move || follow(&bar, &path, duration_s, &over))
@@ -83,7 +83,7 @@ impl Progress {
         Self { over, thread }
     }
 
-    /// Clears the bar.
+    /// Clears the line.
     pub(crate) fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
@@ -96,7 +96,6 @@ impl Progress {
 fn follow(bar: &ProgressBar, path: &Path, duration_s: f64, over: &AtomicBool) {
     while !over.load(Ordering::Relaxed) {
         if let Some(live) = Live::read(path) {
-            bar.set_position((live.time_s * 10.0) as u64);
             bar.set_message(live.line(duration_s));
         }
         std::thread::sleep(REFRESH);
@@ -108,20 +107,20 @@ fn follow(bar: &ProgressBar, path: &Path, duration_s: f64, over: &AtomicBool) {
 mod tests {
     use super::*;
 
-    /// The columns stay where they are while the values change, and all fits beside the bar on a
-    /// terminal of 100 columns.
+    /// The columns stay where they are while the values change, and all fits on a terminal of 80
+    /// columns.
     #[test]
     fn the_line_keeps_its_columns() {
         let line = |speed, lead_gap, role: &str| {
             let live = Live {
-                time_s: 7.0,
+                time_s: 107.0,
                 speed,
                 lead_gap,
-                roles: [role.to_owned(), "standby".to_owned()],
-                gap_max_ms: 11.3,
-                takeovers: 1,
+                roles: [role.to_owned(), "suspended".to_owned()],
+                gap_max_ms: 1_011.3,
+                takeovers: 12,
             };
-            live.line(60.0)
+            live.line(120.0)
         };
         let shown = [
             line(0.0, None, "off"),
@@ -135,7 +134,7 @@ mod tests {
         );
         for line in &shown {
             assert_eq!(line.find(" B "), shown[0].find(" B "), "{line}");
-            assert!(line.len() <= 88, "{line}");
+            assert!(line.len() < 80, "{line}");
         }
     }
 }
