@@ -16,6 +16,9 @@ const FIRMWARE: &str = "firmware-port/baseline.json";
 const BENCH: &str = "docs/figures/bench.json";
 /// `metrics.json` of a `tandem run`.
 const RUN: &str = "docs/figures/run.json";
+/// `tandem thesis --board BOARD --json FILE`
+const THESIS: &str = "docs/figures/thesis-";
+const BOARDS: [&str; 3] = ["host", "sim", "qemu"];
 /// A percentile with fewer samples beyond it depends on chance.
 const FEW: f64 = 10.0;
 
@@ -131,6 +134,9 @@ fn page(root: &Path) -> Result<String> {
     page += &firmware(&read(&root.join(FIRMWARE))?)?;
     page += &host(&read(&root.join(BENCH))?)?;
     page += &drive(&read(&root.join(RUN))?)?;
+    let file = |board| read(&root.join(format!("{THESIS}{board}.json")));
+    let [host, sim, qemu] = BOARDS.map(file);
+    page += &thesis(&[host?, sim?, qemu?])?;
     Ok(page)
 }
 
@@ -248,6 +254,45 @@ fn drive(metrics: &Value) -> Result<String> {
         )?;
     }
     Ok(text)
+}
+
+/// The experiments of the thesis on all boards; a board may lack one.
+fn thesis(boards: &[Value; 3]) -> Result<String> {
+    let mut text = format!(
+        "\n## The experiments of the thesis\n\n`{THESIS}BOARD.json`, by `tandem thesis --board \
+         BOARD --json FILE`. The command says what each figure is.\n\n\
+         ![Outputs of both systems over time, on the host](figures/thesis.svg)\n\n\
+         | experiment | thesis | bound | {} |\n|---|---:|---:|---:|---:|---:|\n",
+        BOARDS.join(" | ")
+    );
+    let results = |board: &Value| board["results"].as_array().cloned().unwrap_or_default();
+    for row in results(&boards[0]) {
+        let name = row["name"].as_str().context("a row without name")?;
+        let unit = row["unit"].as_str().context("a row without unit")?;
+        let shown = |row: &Value, figure: &str| {
+            let figure = row[figure].as_f64();
+            figure.map_or("–".to_owned(), |it| format!("{} {unit}", round(it)))
+        };
+        let mut here = Vec::new();
+        for board in boards {
+            let rows = results(board);
+            let found = rows.iter().find(|row| row["name"] == name);
+            here.push(found.map_or("–".to_owned(), |row| shown(row, "here")));
+        }
+        let (thesis, bound) = (shown(&row, "thesis"), shown(&row, "bound"));
+        writeln!(
+            text,
+            "| `{name}` | {thesis} | {bound} | {} |",
+            here.join(" | ")
+        )?;
+    }
+    Ok(text)
+}
+
+/// Whole numbers as such, others with two decimals.
+fn round(value: f64) -> String {
+    let decimals = if value.fract() == 0.0 { 0 } else { 2 };
+    format!("{value:.decimals$}")
 }
 
 /// A time with three digits and its unit.
