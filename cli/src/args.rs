@@ -62,6 +62,11 @@ pub(crate) enum Command {
     Run(RunArgs),
     /// List the processes of all runs, so that you can kill one
     Ps(PsArgs),
+    /// Watch a run live, and inject faults by keys
+    Top(TopArgs),
+    /// Publish a run for observers: what `tandem run` starts
+    #[command(hide = true)]
+    Publish,
     /// Cut a wire of a run while it drives
     Cut(WireArgs),
     /// Mend a wire that was cut
@@ -412,6 +417,14 @@ pub(crate) enum DflashCommand {
         #[arg(value_name = "SYSTEM", value_parser = parse_system)]
         system: Option<SystemId>,
     },
+}
+
+/// Arguments of `tandem top`.
+#[derive(Debug, Args)]
+pub(crate) struct TopArgs {
+    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
+    #[arg(long, value_name = "RUN")]
+    pub(crate) run: Option<String>,
 }
 
 /// Arguments of `tandem ps`.

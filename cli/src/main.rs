@@ -20,6 +20,7 @@ mod metrics;
 mod output;
 mod percentiles;
 mod ps;
+mod publish;
 mod recorder;
 mod report;
 mod rtos_demo;
@@ -33,6 +34,7 @@ mod synthetic;
 mod thesis;
 mod three_frames;
 mod timeline;
+mod top;
 mod update;
 mod vehicle;
 mod world_record;
@@ -92,6 +94,8 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::Sim(args) => sim::run(&args),
         Command::Chaos(args) => chaos::run(&args),
+        Command::Top(args) => top::run(&args),
+        Command::Publish => publish::run().map_err(Failure::Run),
         Command::Cut(args) => hands::set_cut(&args, true).map_err(Failure::Run),
         Command::Mend(args) => hands::set_cut(&args, false).map_err(Failure::Run),
         Command::Power(args) => hands::power(&args).map_err(Failure::Run),

@@ -26,6 +26,7 @@ use crate::live::Progress;
 use crate::metrics::{self, Metrics, Surroundings};
 use crate::output::{self, Output};
 use crate::percentiles::Spans;
+use crate::publish::Publishing;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
 use crate::timeline::{self, Timeline};
@@ -43,6 +44,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     if args.board != BoardKind::Host {
         return run_emulated(args, &checked);
     }
+    let publishing = Publishing::prepare();
     let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
     let longest = (args.timing == Timing::Auto)
@@ -57,7 +59,7 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     let files = RunFiles::of(launcher.isolation().run());
     let config = with_flash(args, &files, config).map_err(Failure::Run)?;
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
-    let ended = drive(args, &checked, &config, &files, &mut launcher);
+    let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
     let machine = watch.end();
     let ended = ended.map_err(Failure::Run)?;
     let because = || match ended.vehicle {
@@ -93,6 +95,7 @@ pub(crate) fn recorded<T: Send>(
     hands: impl FnOnce(Hands, &RunFiles) -> anyhow::Result<T> + Send,
 ) -> anyhow::Result<Recorded<T>> {
     let checked = Checked::new(args)?;
+    let publishing = Publishing::prepare();
     let mut launcher = Launcher::prepare()?;
     let (profile, granted) = grant(args, &checked, &launcher)?;
     let files = RunFiles::of(launcher.isolation().run());
@@ -101,7 +104,7 @@ pub(crate) fn recorded<T: Send>(
     let watch = StallWatch::start(&checked.places, profile == Profile::Rt);
     let (ended, done) = std::thread::scope(|scope| {
         let hands = scope.spawn(|| hands(run_hands, &files));
-        let ended = drive(args, &checked, &config, &files, &mut launcher);
+        let ended = drive(args, &checked, &config, &files, &mut launcher, publishing);
         (ended, hands.join())
     });
     let machine = watch.end();
@@ -431,6 +434,7 @@ fn drive(
     config: &RunConfig,
     files: &RunFiles,
     launcher: &mut Launcher,
+    publishing: Option<Publishing>,
 ) -> anyhow::Result<Ended> {
     let flash = SystemId::ALL.map(|system| match &checked.dflash {
         Some(folder) => folder.join(format!("{system}.dflash")),
@@ -458,10 +462,18 @@ fn drive(
         command
     };
     launcher.start(&plan, &command)?;
+    let publishing = publishing.map(|mut publishing| {
+        let run = launcher.isolation().run();
+        publishing.follow(run, files.recording(), config.duration_s);
+        publishing
+    });
     let progress = (!args.quiet).then(|| Progress::show(files.live(), config.duration_s));
     let ended = launcher.wait_and_switch(&plan, &command);
     if let Some(progress) = progress {
         progress.end();
+    }
+    if let Some(publishing) = publishing {
+        publishing.end();
     }
     Ok(ended)
 }

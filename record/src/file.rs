@@ -138,10 +138,7 @@ fn frame_bytes(of: &LoggedFrame) -> Vec<u8> {
         CanId::Extended(id) => (id, EXTENDED),
     };
     let fd = if of.frame.is_fd() { FD } else { 0 };
-    let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
-    // 0: the frame was not judged.
-    let verdict = of.verdict.and_then(judged).map_or(0, |place| place + 1);
-    let mut bytes = vec![extended | fd, verdict as u8];
+    let mut bytes = vec![extended | fd, verdict_code(of.verdict)];
     bytes.extend(of.at.as_ns().to_le_bytes());
     bytes.extend(of.sent.as_ns().to_le_bytes());
     bytes.extend(id.to_le_bytes());
@@ -215,6 +212,45 @@ pub fn read(path: &Path, mut into: impl FnMut(Entry) -> anyhow::Result<()>) -> a
         at += 4 + u64::from(length);
     }
     Ok(())
+}
+
+/// Bytes of the whole entries at the beginning of `bytes`, as many as fit into `most`; the first
+/// one even if it does not. `None` if there is no whole entry.
+#[must_use]
+pub fn whole_entries(bytes: &[u8], most: usize) -> Option<usize> {
+    let mut end = 0;
+    while let Some(length) = bytes[end..].first_chunk::<4>() {
+        let next = end + 4 + u32::from_le_bytes(*length) as usize;
+        if next > bytes.len() || (end > 0 && next > most) {
+            break;
+        }
+        end = next;
+    }
+    (end > 0).then_some(end)
+}
+
+/// Passes each entry of these bytes to `into`.
+///
+/// # Errors
+/// If the bytes are not whole valid entries.
+pub fn parse(mut bytes: &[u8], mut into: impl FnMut(Entry)) -> anyhow::Result<()> {
+    while !bytes.is_empty() {
+        let end = whole_entries(bytes, 0).context("a part of an entry")?;
+        let (entry, rest) = bytes.split_at(end);
+        let (kind, content) = entry[4..]
+            .split_first()
+            .context("an entry without a kind")?;
+        into(Entry::read(*kind, content).context("no entry")?);
+        bytes = rest;
+    }
+    Ok(())
+}
+
+/// The number of a verdict in a recording, from 1; 0 for none.
+#[must_use]
+pub fn verdict_code(verdict: Option<Verdict>) -> u8 {
+    let judged = |verdict| VERDICTS.iter().position(|known| *known == verdict);
+    verdict.and_then(judged).map_or(0, |place| place as u8 + 1)
 }
 
 /// `None` at the end of the file.
@@ -324,6 +360,24 @@ mod tests {
             most = found;
         }
         assert_eq!(most, entries().len() - 1);
+    }
+
+    /// Cut anywhere into pieces of whole entries, a recording is the same.
+    #[test]
+    fn a_recording_is_read_in_pieces_of_whole_entries() {
+        let bytes = written(&entries());
+        for most in [0, 40, 100, usize::MAX] {
+            let (mut left, mut found) = (&bytes[..], vec![]);
+            while let Some(end) = whole_entries(left, most) {
+                parse(&left[..end], |entry| found.push(entry)).unwrap();
+                left = &left[end..];
+            }
+            assert!(left.is_empty());
+            assert_eq!(written(&found), bytes, "{most}");
+        }
+        assert_eq!(whole_entries(&bytes[..5], 100), None);
+        assert!(parse(&bytes[..5], |_| {}).is_err());
+        assert!(parse(&[1, 0, 0, 0, 99], |_| {}).is_err());
     }
 
     #[test]

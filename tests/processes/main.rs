@@ -14,5 +14,6 @@ mod drive;
 mod errors;
 mod fixture;
 mod hands;
+mod observers;
 mod startup;
 mod trace;

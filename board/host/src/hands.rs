@@ -19,7 +19,7 @@ use crate::backplane::{Backplane, BackplaneError};
 use crate::bell::Ringers;
 use crate::memory;
 use crate::name::RunName;
-use crate::processes::{self, Process};
+use crate::processes::{self, Process, RunError};
 use crate::segment::SegmentError;
 
 /// How long the launcher may take to start a supply.
@@ -29,12 +29,9 @@ const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Why a run cannot be reached.
 #[derive(Debug, thiserror::Error)]
 pub enum HandsError {
-    /// No run is active.
-    #[error("no run is active; `tandem run` starts one")]
-    NoRun,
-    /// Several runs are active.
-    #[error("several runs are active; name one of them by --run: {0}")]
-    Several(String),
+    /// There is no such run, or there are several.
+    #[error(transparent)]
+    Run(#[from] RunError),
     /// The place of the run's files cannot be entered.
     #[error("cannot enter the place of {run}: {source}")]
     Place {
@@ -89,19 +86,9 @@ impl Hands {
     /// # Errors
     /// [`HandsError`] if there is no such run, there are several, or it cannot be entered.
     pub fn on(name: Option<&str>) -> Result<Self, HandsError> {
-        let mut found = processes::list();
-        found.retain(|process| {
-            let run = process.run.as_str();
-            name.is_none_or(|name| run == name || run.starts_with(&format!("tandem-{name}-")))
-        });
-        let process = found.first().ok_or(HandsError::NoRun)?;
-        if found.iter().any(|other| other.run != process.run) {
-            let mut names: Vec<_> = found.iter().map(|it| it.run.to_string()).collect();
-            names.dedup();
-            return Err(HandsError::Several(names.join(", ")));
-        }
+        let process = processes::process_of(name)?;
         let run = process.run.clone();
-        enter(process).map_err(|source| HandsError::Place {
+        enter(&process).map_err(|source| HandsError::Place {
             run: run.clone(),
             source,
         })?;

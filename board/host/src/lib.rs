@@ -32,6 +32,7 @@ mod observe;
 pub mod processes;
 pub mod realtime;
 mod segment;
+pub mod services;
 mod spawn;
 pub mod storage;
 pub mod supply;

@@ -87,6 +87,44 @@ pub fn of_run(run: &RunName) -> Vec<Process> {
         .collect()
 }
 
+/// Why no run is meant.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// No run is active.
+    #[error("no run is active; `tandem run` starts one")]
+    NoRun,
+    /// Several runs are active.
+    #[error("several runs are active; name one of them by --run: {0}")]
+    Several(String),
+}
+
+/// The run of this name, or the one that `tandem run` with this process id started; without a name,
+/// the only run that is active.
+///
+/// # Errors
+/// If there is no such run, or there are several.
+pub fn run_named(name: Option<&str>) -> Result<RunName, RunError> {
+    Ok(process_of(name)?.run)
+}
+
+/// A process of the run that [`run_named`] finds.
+pub(crate) fn process_of(name: Option<&str>) -> Result<Process, RunError> {
+    let mut found = list();
+    found.retain(|process| {
+        let run = process.run.as_str();
+        name.is_none_or(|name| run == name || run.starts_with(&format!("tandem-{name}-")))
+    });
+    found.dedup_by(|one, other| one.run == other.run);
+    match found.len() {
+        0 => Err(RunError::NoRun),
+        1 => Ok(found.swap_remove(0)),
+        _ => {
+            let names: Vec<_> = found.iter().map(|it| it.run.to_string()).collect();
+            Err(RunError::Several(names.join(", ")))
+        }
+    }
+}
+
 fn look_at(pid: u32) -> Option<Process> {
     let argv = fs::read(format!("/proc/{pid}/cmdline")).ok()?;
     let argv = argv

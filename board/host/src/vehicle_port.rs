@@ -147,8 +147,8 @@ impl HostVehiclePort {
         !self.backplane.cuts().is_cut(Wire::Can, system)
     }
 
-    /// Every core of a connected system hears the frame, unless its receiver finds an error in it, or
-    /// its connection loses it.
+    /// Every core of a connected system hears the frame, unless its receiver finds an error in it,
+    /// or its connection loses it.
     fn publish(&mut self, received: Received, sender: Sender) {
         let connected = SystemId::ALL.map(|system| self.is_connected(system));
         let faults = SystemId::ALL.map(|system| self.backplane.faults(system));

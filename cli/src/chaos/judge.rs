@@ -208,10 +208,14 @@ impl Run<'_> {
     }
 }
 
-/// Whether the faults leave the frames of the system that drives as they are.
+/// Whether the faults leave the frames of the system that drives as they are, so that it must not
+/// be relieved. A bus that stands still delivers them too late: the vehicle refuses them, and their
+/// sender may go.
 pub(super) fn spares_control(sequence: &Sequence) -> bool {
-    let mut rows = sequence.faults.iter().map(row);
-    rows.all(|row| matches!(row, Row::None | Row::Stall(_)))
+    sequence.faults.iter().all(|fault| {
+        let spares = matches!(row(fault), Row::None | Row::Stall(_));
+        spares && !matches!(fault.kind, Kind::VehicleHangs(_))
+    })
 }
 
 /// What failed, in words.

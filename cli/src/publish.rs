@@ -1,0 +1,326 @@
+//! What a run publishes for observers: a thread of `tandem run` reads the recording as it grows, and
+//! a process of its own publishes it.
+//!
+//! The run does not know of either. The thread hands over what fits and never waits; the process is
+//! outside of the run's `/dev/shm`, where observers are, so it is started before the run.
+
+use std::fs::File;
+use std::io::Read as _;
+use std::os::fd::{AsFd as _, OwnedFd};
+use std::os::unix::net::UnixDatagram;
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use anyhow::Context as _;
+use rustix::process::getppid;
+use serde::{Deserialize, Serialize};
+use tandem_board::{CanId, CoreAddress, SystemId};
+use tandem_board_host::RunName;
+use tandem_board_host::services::{Event, Frame, Publisher, Roles, Vehicle};
+use tandem_bus::Message;
+use tandem_cores::trace;
+use tandem_record::log::{Sample, VehicleRecord};
+use tandem_record::roles::State;
+use tandem_record::{Entry, description, file};
+use tandem_vehicle::LoggedFrame;
+
+/// How often the thread looks for more.
+const LOOK_AGAIN: Duration = Duration::from_millis(50);
+/// What is handed over at once, bytes. A longer entry is left out.
+const AT_ONCE: usize = 48 << 10;
+/// How long the publisher may take to end.
+const ENDS_WITHIN: Duration = Duration::from_secs(1);
+/// How often the publisher looks whether `tandem run` still lives.
+const ALIVE_EVERY: Duration = Duration::from_millis(200);
+/// Without a word from `tandem run` for this many of these times, it is taken for dead.
+const SILENT_FOR: u32 = 300;
+/// A core without a sign for this long is shown as dead, ns.
+const ALIVE_NS: u64 = 300_000_000;
+
+/// The first message to the publisher.
+#[derive(Debug, Serialize, Deserialize)]
+struct Begin {
+    run: String,
+    duration_s: f64,
+}
+
+/// The publisher's process, on the side of `tandem run`.
+pub(crate) struct Publishing {
+    to: Arc<UnixDatagram>,
+    process: Child,
+    over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Publishing {
+    /// Starts the process, before the run has a place of its own. `None` if it cannot be started:
+    /// then the run is not published.
+    pub(crate) fn prepare() -> Option<Self> {
+        let (to, from) = UnixDatagram::pair().ok()?;
+        to.set_nonblocking(true).ok()?;
+        let process = Command::new("/proc/self/exe")
+            .arg0("tandem")
+            .arg("publish")
+            .stdin(Stdio::from(OwnedFd::from(from)))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            // Ctrl-C in the terminal ends the run, which ends this.
+            .process_group(0)
+            .spawn()
+            .ok()?;
+        Some(Self {
+            to: Arc::new(to),
+            process,
+            over: Arc::default(),
+            thread: None,
+        })
+    }
+
+    /// Publishes this run from now on.
+    pub(crate) fn follow(&mut self, run: &RunName, recording: PathBuf, duration_s: f64) {
+        let begin = Begin {
+            run: run.to_string(),
+            duration_s,
+        };
+        let Ok(begin) = serde_json::to_vec(&begin) else {
+            return;
+        };
+        if self.to.send(&begin).is_err() {
+            return;
+        }
+        let (to, over) = (Arc::clone(&self.to), Arc::clone(&self.over));
+        let named = std::thread::Builder::new().name("publish".to_owned());
+        self.thread = named.spawn(move || hand_over(&recording, &to, &over)).ok();
+    }
+
+    /// Ends it. What does not end is killed.
+    pub(crate) fn end(mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // If it has panicked, the run is not affected.
+            let _ = thread.join();
+        }
+        let begin = Instant::now();
+        while matches!(self.process.try_wait(), Ok(None)) {
+            // An empty message is the end. It may not fit if the process stands still.
+            let _ = self.to.send(&[]);
+            if begin.elapsed() > ENDS_WITHIN {
+                let _ = self.process.kill();
+                let _ = self.process.wait();
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+/// Reads the recording as it grows, and hands over whole entries.
+fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
+    let (mut from, mut left) = (None, Vec::new());
+    while !over.load(Ordering::Relaxed) {
+        from = from.or_else(|| File::open(recording).ok());
+        let more = from.as_mut().and_then(|from: &mut File| {
+            let mut limited = from.take(4 << 20);
+            limited.read_to_end(&mut left).ok()
+        });
+        while let Some(end) = file::whole_entries(&left, AT_ONCE) {
+            if end <= AT_ONCE {
+                // A publisher that is behind loses these; without one nothing is to be done.
+                let _ = to.send(&left[..end]);
+            }
+            left.drain(..end);
+        }
+        if more.unwrap_or(0) == 0 {
+            std::thread::sleep(LOOK_AGAIN);
+        }
+    }
+}
+
+/// The publisher's process: publishes what `tandem run` hands over, until that ends.
+///
+/// # Errors
+/// If it was not started by `tandem run`, or iceoryx2 refuses.
+pub(crate) fn run() -> anyhow::Result<()> {
+    // Less urgent than anything else on a machine without real time.
+    let _ = rustix::process::nice(10);
+    let parent = getppid();
+    let stdin = std::io::stdin().as_fd().try_clone_to_owned();
+    let from = UnixDatagram::from(stdin.context("stdin")?);
+    from.set_read_timeout(Some(ALIVE_EVERY))
+        .context("stdin: `tandem run` starts this")?;
+    let mut buffer = vec![0; 2 * AT_ONCE];
+    let mut next = move || {
+        for _ in 0..SILENT_FOR {
+            match from.recv(&mut buffer) {
+                Ok(0) => return None,
+                Ok(length) => return Some(buffer[..length].to_vec()),
+                Err(_) if getppid() != parent => return None,
+                Err(error) => match error.kind() {
+                    std::io::ErrorKind::WouldBlock | std::io::ErrorKind::Interrupted => {}
+                    _ => return None,
+                },
+            }
+        }
+        None
+    };
+    let Some(begin) = next() else {
+        return Ok(());
+    };
+    let begin: Begin = serde_json::from_slice(&begin).context("the first message")?;
+    let publisher = Publisher::create(&begin.run.parse()?)?;
+    let mut news = News::new(begin.duration_s);
+    while let Some(entries) = next() {
+        file::parse(&entries, |entry| news.take(&entry, &publisher))?;
+        publisher.roles(news.roles());
+    }
+    Ok(())
+}
+
+/// What observers are told, from the entries of a recording.
+struct News {
+    roles: Roles,
+    /// The last accepted control frame: when, ns, and of which system.
+    last: Option<(u64, SystemId)>,
+    /// The last sign of life of each core, ns.
+    seen_ns: [u64; CoreAddress::COUNT],
+    start_ns: Option<u64>,
+}
+
+impl News {
+    fn new(duration_s: f64) -> Self {
+        let roles = Roles {
+            duration_s,
+            obeyed: u8::MAX,
+            ..Roles::default()
+        };
+        Self {
+            roles,
+            last: None,
+            seen_ns: [0; CoreAddress::COUNT],
+            start_ns: None,
+        }
+    }
+
+    fn roles(&self) -> Roles {
+        let at_ns = self.roles.at_ns;
+        let since = |start_ns| at_ns.saturating_sub(start_ns);
+        Roles {
+            time_s: self
+                .start_ns
+                .map_or(0.0, |start| since(start) as f64 * 1e-9),
+            alive: self
+                .seen_ns
+                .map(|seen| u8::from(seen > 0 && since(seen) < ALIVE_NS)),
+            ..self.roles
+        }
+    }
+
+    fn take(&mut self, entry: &Entry, publisher: &Publisher) {
+        match entry {
+            Entry::Trace(traced) => {
+                let of = CoreAddress::new(traced.system, traced.core);
+                self.seen_ns[of.index()] = traced.at.as_ns();
+                let event = trace::Event::decode(traced.record);
+                if let Some(text) = event.and_then(description::core_event) {
+                    let (system, core) = (traced.system.index() as u8, traced.core.index() as u8);
+                    publisher.event(Event::new(traced.at.as_ns(), system, core, &text));
+                }
+            }
+            Entry::Supply(at, system, event) => {
+                let text = description::supply_event(*event);
+                let system = system.index() as u8;
+                publisher.event(Event::new(at.as_ns(), system, u8::MAX, &text));
+            }
+            Entry::Frame(frame) => {
+                self.judge(frame);
+                publisher.frame(of_frame(frame));
+            }
+            Entry::Vehicle(record) => match &**record {
+                VehicleRecord::Sample(sample) => publisher.vehicle(of_sample(sample)),
+                VehicleRecord::Start { at_ns } => self.start_ns = Some(*at_ns),
+                VehicleRecord::Power { system, on, .. } => {
+                    if let Some(state) = self.roles.state.get_mut(usize::from(*system)) {
+                        *state = if *on { 1 } else { 0 };
+                    }
+                }
+                _ => {}
+            },
+        }
+    }
+
+    fn judge(&mut self, frame: &LoggedFrame) {
+        let at_ns = frame.at.as_ns();
+        self.roles.at_ns = self.roles.at_ns.max(at_ns);
+        match (frame.verdict, frame.message()) {
+            (Some(tandem_vehicle::Verdict::Accepted), Some(Message::Control { control, .. })) => {
+                let Some(system) = frame.controller() else {
+                    return;
+                };
+                self.roles.term = control.term;
+                self.roles.obeyed = system.index() as u8;
+                if let Some((last_ns, last)) = self.last.replace((at_ns, system)) {
+                    let gap_ms = at_ns.saturating_sub(last_ns) as f64 * 1e-6;
+                    self.roles.gap_max_ms = self.roles.gap_max_ms.max(gap_ms);
+                    if last != system {
+                        self.roles.takeovers += 1;
+                        self.roles.takeover_gap_ms = gap_ms;
+                    }
+                }
+            }
+            (None, Some(Message::Status { system, status })) => {
+                let Some(system) = SystemId::from_index(system.into()) else {
+                    return;
+                };
+                self.roles.state[system.index()] = code(State::of(status.role, status.mode));
+                // It tells of the lines that come from the other one.
+                let heard =
+                    [status.line1_silent, status.line2_silent].map(|silent| u8::from(!silent));
+                self.roles.beats[system.peer().index()] = heard[0] | heard[1] << 1;
+            }
+            _ => {}
+        }
+    }
+}
+
+/// As [`Roles::state`] has it.
+const fn code(state: State) -> u8 {
+    match state {
+        State::Off => 0,
+        State::Starting => 1,
+        State::Standby => 2,
+        State::Master => 3,
+        State::Degraded => 4,
+        State::SafeStop => 5,
+        State::Suspended => 6,
+    }
+}
+
+fn of_frame(logged: &LoggedFrame) -> Frame {
+    let frame = &logged.frame;
+    let (id, extended) = match frame.id() {
+        CanId::Standard(id) => (u32::from(id), 0),
+        CanId::Extended(id) => (id, 1),
+    };
+    let flags = extended | if frame.is_fd() { 2 } else { 0 };
+    let verdict = file::verdict_code(logged.verdict);
+    Frame::new(logged.at.as_ns(), id, flags, verdict, frame.data())
+}
+
+fn of_sample(sample: &Sample) -> Vehicle {
+    Vehicle {
+        at_ns: sample.at_ns,
+        x: sample.x,
+        y: sample.y,
+        heading: sample.heading,
+        speed: sample.speed,
+        accel: sample.accel,
+        lat_accel: sample.lat_accel,
+        lateral_error: sample.lateral_error,
+        lead_gap: sample.lead_gap.unwrap_or(f64::NAN),
+        lane: sample.lane as i64,
+    }
+}

@@ -1,0 +1,119 @@
+//! The keys of `tandem top` that inject faults and mend: commands of `tandem`, and signals.
+
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+use tandem_board::{CoreId, SystemId};
+use tandem_board_host::RunName;
+use tandem_board_host::processes::{self, Kind};
+
+/// The keys, and what each does to the selected system.
+pub(super) const KEYS: &str =
+    "Tab system p/o power off/on 0-2 kill core h hang c CAN b beats l link m mend q";
+/// A hang ends after this time.
+const HANG: Duration = Duration::from_millis(100);
+const WIRES: [&str; 6] = [
+    "heartbeat-1",
+    "heartbeat-2",
+    "start",
+    "level",
+    "link",
+    "can",
+];
+
+/// What a person does to a run.
+pub(super) struct Hand {
+    run: RunName,
+    /// Commands under way.
+    commands: Vec<Child>,
+    said: String,
+}
+
+impl Hand {
+    pub(super) const fn on(run: RunName) -> Self {
+        Self {
+            run,
+            commands: vec![],
+            said: String::new(),
+        }
+    }
+
+    /// What was done last.
+    pub(super) fn said(&mut self) -> String {
+        self.commands
+            .retain_mut(|command| matches!(command.try_wait(), Ok(None)));
+        self.said.clone()
+    }
+
+    /// Does what the key means to this system.
+    pub(super) fn press(&mut self, key: char, system: SystemId) {
+        let name = system.to_string();
+        match key {
+            'p' => self.command(&["power", "off", &name]),
+            'o' => self.command(&["power", "on", &name]),
+            'c' => self.command(&["cut", "can", "--from", &name]),
+            'l' => self.command(&["cut", "link", "--from", &name]),
+            'b' => {
+                self.command(&["cut", "heartbeat-1", "--from", &name]);
+                self.command(&["cut", "heartbeat-2", "--from", &name]);
+            }
+            'm' => {
+                for wire in WIRES {
+                    self.command(&["mend", wire]);
+                }
+                self.said = "mend all wires".to_owned();
+            }
+            '0'..='2' => {
+                let core = CoreId::new(key as u8 - b'0');
+                self.signal(system, core, Signal::KILL);
+                self.said = format!("kill core {key} of {name}");
+            }
+            'h' => {
+                let Some(pid) = self.signal(system, Some(CoreId::CONTROL), Signal::STOP) else {
+                    return;
+                };
+                self.said = format!("core 0 of {name} hangs for 100 ms");
+                std::thread::spawn(move || {
+                    std::thread::sleep(HANG);
+                    // Fails if the watchdog has reset it.
+                    let _ = kill_process(pid, Signal::CONT);
+                });
+            }
+            _ => self.said = format!("{key} is no key"),
+        }
+    }
+
+    /// Starts `tandem` with these words, on this run. Entering a run needs a process of its own.
+    fn command(&mut self, words: &[&str]) {
+        let started = Command::new("/proc/self/exe")
+            .args(words)
+            .args(["--run", self.run.as_str()])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn();
+        self.said = format!("tandem {}", words.join(" "));
+        match started {
+            Ok(child) => self.commands.push(child),
+            Err(error) => self.said = format!("{}: {error}", self.said),
+        }
+    }
+
+    fn signal(&mut self, system: SystemId, core: Option<CoreId>, signal: Signal) -> Option<Pid> {
+        let is_it = |process: &processes::Process| {
+            let of = match process.kind {
+                Kind::Core(of, _) => Some(of),
+                Kind::Supply | Kind::Vehicle => None,
+            };
+            process.system == Some(system) && of.is_some() && of == core
+        };
+        let found = processes::of_run(&self.run).into_iter().find(is_it);
+        let pid = found.and_then(|it| Pid::from_raw(i32::try_from(it.pid).ok()?));
+        if pid.is_none_or(|pid| kill_process(pid, signal).is_err()) {
+            self.said = format!("{system} has no such core");
+            return None;
+        }
+        pid
+    }
+}

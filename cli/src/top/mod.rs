@@ -1,0 +1,67 @@
+//! `tandem top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend.
+
+mod hand;
+mod picture;
+mod view;
+
+use std::io::IsTerminal as _;
+use std::time::Duration;
+
+use anyhow::{Context as _, anyhow};
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use tandem_board_host::services::Observer;
+
+use crate::args::TopArgs;
+use crate::failure::Failure;
+use hand::Hand;
+use picture::Picture;
+
+/// How often the screen is drawn.
+const REFRESH: Duration = Duration::from_millis(100);
+
+/// Shows the run until a person presses q.
+///
+/// # Errors
+/// [`Failure::Usage`] if there is no terminal, or no run that publishes.
+pub(crate) fn run(args: &TopArgs) -> Result<(), Failure> {
+    if !std::io::stdout().is_terminal() {
+        let reason = "tandem top needs a terminal; `tandem ps` lists the processes without one";
+        return Err(Failure::Usage(anyhow!(reason)));
+    }
+    let observer = Observer::on(args.run.as_deref());
+    let observer = observer.map_err(|error| Failure::Usage(error.into()))?;
+    let mut terminal = ratatui::try_init()
+        .context("the terminal")
+        .map_err(Failure::Run)?;
+    let shown = show(&observer, &mut terminal);
+    ratatui::restore();
+    shown.map_err(Failure::Run)
+}
+
+fn show(observer: &Observer, terminal: &mut ratatui::DefaultTerminal) -> anyhow::Result<()> {
+    let mut picture = Picture::new(observer.run().as_str());
+    let mut hand = Hand::on(observer.run().clone());
+    loop {
+        observer.poll(&mut |news| picture.take(&news));
+        picture.said = hand.said();
+        terminal
+            .draw(|frame| view::draw(&picture, frame))
+            .context("the terminal")?;
+        if !event::poll(REFRESH).context("the keyboard")? {
+            picture.tick(REFRESH);
+            continue;
+        }
+        let Event::Key(key) = event::read().context("the keyboard")? else {
+            continue;
+        };
+        let interrupts = key.modifiers.contains(KeyModifiers::CONTROL);
+        match key.code {
+            _ if key.kind != KeyEventKind::Press => {}
+            KeyCode::Char('q') | KeyCode::Esc => return Ok(()),
+            KeyCode::Char('c') if interrupts => return Ok(()),
+            KeyCode::Tab => picture.selected = picture.selected.peer(),
+            KeyCode::Char(key) => hand.press(key, picture.selected),
+            _ => {}
+        }
+    }
+}

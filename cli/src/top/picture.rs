@@ -1,0 +1,99 @@
+//! What `tandem top` knows of a run, from what the run publishes.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use tandem_board::SystemId;
+use tandem_board_host::services::{Event, News, Roles, Vehicle};
+
+/// Events and gaps that are kept: what the screen can show.
+const EVENTS: usize = 32;
+const GAPS: usize = 76;
+/// An accepted control frame, as [`tandem_board_host::services::Frame::verdict`] has it.
+const ACCEPTED: u8 = 1;
+/// Without news for this long, the run has ended.
+const SILENT: Duration = Duration::from_secs(2);
+
+/// All that is shown.
+pub(super) struct Picture {
+    pub(super) run: String,
+    pub(super) roles: Option<Roles>,
+    pub(super) vehicle: Option<Vehicle>,
+    /// The newest last.
+    pub(super) events: VecDeque<Event>,
+    /// The longest time without control in each tenth of a second, ms; the newest last.
+    pub(super) gaps_ms: VecDeque<f64>,
+    /// Frames on the bus in the last tenth of a second.
+    pub(super) frames: u32,
+    /// The system that keys act on.
+    pub(super) selected: SystemId,
+    /// What was done last.
+    pub(super) said: String,
+    /// When the last accepted frame came, ns.
+    accepted_ns: Option<u64>,
+    counted: u32,
+    longest_ms: f64,
+    silent: Duration,
+}
+
+impl Picture {
+    pub(super) fn new(run: &str) -> Self {
+        Self {
+            run: run.to_owned(),
+            roles: None,
+            vehicle: None,
+            events: VecDeque::new(),
+            gaps_ms: VecDeque::new(),
+            frames: 0,
+            selected: SystemId::A,
+            said: String::new(),
+            accepted_ns: None,
+            counted: 0,
+            longest_ms: 0.0,
+            silent: Duration::ZERO,
+        }
+    }
+
+    /// Whether nothing comes any more.
+    pub(super) fn has_ended(&self) -> bool {
+        self.silent >= SILENT
+    }
+
+    /// So much time has passed without a key.
+    pub(super) fn tick(&mut self, span: Duration) {
+        self.silent += span;
+    }
+
+    pub(super) fn take(&mut self, news: &News) {
+        self.silent = Duration::ZERO;
+        match news {
+            News::Roles(roles) => {
+                self.roles = Some(*roles);
+                self.frames = std::mem::take(&mut self.counted);
+                push(
+                    &mut self.gaps_ms,
+                    std::mem::take(&mut self.longest_ms),
+                    GAPS,
+                );
+            }
+            News::Vehicle(vehicle) => self.vehicle = Some(*vehicle),
+            News::Frame(frame) => {
+                self.counted += 1;
+                if frame.verdict == ACCEPTED
+                    && let Some(last_ns) = self.accepted_ns.replace(frame.at_ns)
+                {
+                    let gap_ms = frame.at_ns.saturating_sub(last_ns) as f64 * 1e-6;
+                    self.longest_ms = self.longest_ms.max(gap_ms);
+                }
+            }
+            News::Event(event) => push(&mut self.events, *event, EVENTS),
+        }
+    }
+}
+
+fn push<T>(into: &mut VecDeque<T>, value: T, most: usize) {
+    if into.len() == most {
+        into.pop_front();
+    }
+    into.push_back(value);
+}

@@ -1,0 +1,156 @@
+//! What a run publishes, and that no observer disturbs it.
+
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use rustix::process::Signal;
+use serde_json::Value;
+use tandem_board_host::services::{News, Observer};
+
+use crate::fixture::{Fixture, Run, kill, send};
+
+const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/observe.py");
+
+/// Waits until the run publishes.
+fn observer(run: &Run) -> Observer {
+    run.until("an observer", |_| {
+        Observer::on(Some(&run.launcher_pid().to_string())).ok()
+    })
+}
+
+fn undisturbed(metrics: &Value) {
+    assert_eq!(metrics["collisions"], 0, "{metrics:#}");
+    assert_eq!(metrics["two_masters_ms"], 0.0, "{metrics:#}");
+    for gap in metrics["gaps"].as_array().unwrap() {
+        assert_eq!(gap["explained"], true, "{metrics:#}");
+    }
+    let takeovers = metrics["takeovers"].as_array().unwrap();
+    let held_up = |takeover: &Value| takeover["held_up"] == true;
+    assert!(takeovers.iter().all(held_up), "{metrics:#}");
+    let left = metrics["leftovers"].as_array().map(Vec::len);
+    assert_eq!(left, Some(0), "{metrics:#}");
+}
+
+/// A program that observes a run: this test's own, in a process that can be frozen and killed.
+fn observing(run: &Run) -> Child {
+    Command::new(std::env::current_exe().unwrap())
+        .args([
+            "observers::observes_until_it_is_killed",
+            "--exact",
+            "--ignored",
+        ])
+        .env("TANDEM_OBSERVED_RUN", run.launcher_pid().to_string())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+#[test]
+#[ignore = "the process that another test starts"]
+fn observes_until_it_is_killed() {
+    let Ok(run) = std::env::var("TANDEM_OBSERVED_RUN") else {
+        return;
+    };
+    let observer = Observer::on(Some(&run)).unwrap();
+    loop {
+        observer.poll(&mut |_| {});
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+/// Roles, vehicle, frames and events come, while one observer is frozen, another is killed, and
+/// then the publisher itself stands still; the run drives as if there were none.
+#[test]
+fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "8", "--scenario", "free-lane"]);
+    let own = observer(&run);
+    let [mut frozen, mut killed] = [observing(&run), observing(&run)];
+    run.until_dual();
+    std::thread::sleep(Duration::from_millis(1_500));
+    send(frozen.id() as i32, Signal::STOP);
+    kill(killed.id() as i32);
+    killed.wait().unwrap();
+    own.poll(&mut |_| {});
+    std::thread::sleep(Duration::from_millis(1_000));
+    let (mut roles, mut vehicles, mut frames) = (vec![], 0, 0);
+    own.poll(&mut |news| match news {
+        News::Roles(now) => roles.push(now),
+        News::Vehicle(_) => vehicles += 1,
+        News::Frame(_) => frames += 1,
+        News::Event(_) => {}
+    });
+    // The frozen and the dead one cost the third nothing.
+    assert!(
+        roles.len() >= 3 && vehicles >= 10 && frames >= 100,
+        "{roles:?} {vehicles} {frames}"
+    );
+    let last = roles.last().unwrap();
+    assert_eq!((last.state, last.obeyed), ([3, 2], 0), "{last:?}");
+    assert_eq!((last.alive, last.beats), ([1; 6], [3, 3]), "{last:?}");
+    let publisher = publisher_of(&run).expect("a publisher");
+    send(publisher, Signal::STOP);
+    let metrics = run.metrics();
+    undisturbed(&metrics);
+    run.until_vanished();
+    assert!(run.files().is_empty(), "{:?}", run.files());
+    frozen.kill().unwrap();
+    frozen.wait().unwrap();
+}
+
+/// The process that publishes the run.
+fn publisher_of(run: &Run) -> Option<i32> {
+    let pid = run.launcher_pid();
+    let children = std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")).ok()?;
+    let is_it = |pid: &&str| {
+        let line = std::fs::read_to_string(format!("/proc/{pid}/cmdline")).unwrap_or_default();
+        line.contains("publish")
+    };
+    children.split_whitespace().find(is_it)?.parse().ok()
+}
+
+/// The example in Python, if its library is there.
+#[test]
+fn the_example_in_python_sees_a_takeover() {
+    let has_library = Command::new("python3")
+        .args(["-c", "import iceoryx2"])
+        .output();
+    if !has_library.is_ok_and(|output| output.status.success()) {
+        assert!(std::env::var_os("TANDEM_REQUIRE_ICEORYX2_PYTHON").is_none());
+        eprintln!("skipped: the Python package iceoryx2 is not installed");
+        return;
+    }
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&["--duration", "6", "--scenario", "free-lane"]);
+    let name = observer(&run).run().to_string();
+    let python = Command::new("python3")
+        .args([EXAMPLE, &name, "4"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    run.until_dual();
+    std::thread::sleep(Duration::from_millis(500));
+    kill(run.master_supply().pid);
+    let output = python.wait_with_output().unwrap();
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{told}{said}");
+    assert!(told.contains("A master, B standby, term"), "{told}");
+    assert!(
+        told.contains("B core 0: takes over: power level fell"),
+        "{told}"
+    );
+    assert!(told.contains("B degraded master"), "{told}");
+    run.metrics();
+}
+
+/// A terminal is needed, and a run that is there.
+#[test]
+fn top_says_what_it_needs() {
+    let fixture = Fixture::new();
+    let output = fixture.output(&["top"]);
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("needs a terminal"));
+}
