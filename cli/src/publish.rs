@@ -1,4 +1,4 @@
-//! What a run publishes for observers: a thread of `tandem run` reads the recording as it grows, and
+//! What a run publishes: a thread of `tandem run` reads the recording as it grows, and
 //! a process of its own publishes it.
 //!
 //! The run does not know of either. The thread hands over what fits and never waits; the process is
