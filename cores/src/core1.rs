@@ -158,8 +158,12 @@ impl<'b, B: Board> Core1<'b, B> {
         };
         let is_young = self.perception.is_young();
         let told = is_young.then(|| attached.told.fetch().ok()?).flatten();
+        let before = self.perception.scene().missing;
         let scene = self.perception.cycle_with(self.board.now(), told.as_ref());
-        let flow = scene.cycle;
+        let (flow, missing) = (scene.cycle, scene.missing);
+        if missing != before {
+            self.board.trace(Event::Sensors { missing }.encode());
+        }
         attached.scenes.publish(scene);
         attached.map.count_cycle();
         let (core, task) = (CoreId::PLANNING, TaskCode::PLANNING);

@@ -177,6 +177,12 @@ pub enum Event {
         /// How many, since the last report.
         count: u32,
     },
+    /// Sensors are lost or late, or are back.
+    Sensors {
+        /// Those that are missing, one bit for each by
+        /// [`SensorId::index`](tandem_bus::SensorId::index).
+        missing: u8,
+    },
     /// The CAN controller changed its state, or was bus-off.
     CanErrors {
         /// Its counters now.
@@ -389,6 +395,7 @@ impl Event {
             Self::CoreSilent { core } => [head(14, core, 0, 0), 0, 0, 0],
             Self::DeadlineMiss { task, missed } => [head(15, task.0, 0, 0), missed, 0, 0],
             Self::FramesLost { count } => [head(33, 0, 0, 0), count, 0, 0],
+            Self::Sensors { missing } => [head(35, missing, 0, 0), 0, 0, 0],
             Self::CanErrors { errors } => [head(34, 0, 0, 0), errors.to_word(), 0, 0],
             Self::Refused { id } => [head(16, 0, 0, 0), id, 0, 0],
             Self::TaskIn { task, begin } => match begin {
@@ -471,6 +478,7 @@ impl Event {
                 missed: x,
             },
             33 => Self::FramesLost { count: x },
+            35 => Self::Sensors { missing: a },
             34 => Self::CanErrors {
                 errors: CanErrors::from_word(x),
             },
@@ -593,6 +601,7 @@ mod tests {
                 missed: 5,
             },
             Event::FramesLost { count: 77 },
+            Event::Sensors { missing: 33 },
             Event::CanErrors {
                 errors: CanErrors {
                     transmit: 256,
@@ -671,7 +680,7 @@ mod tests {
             0x021E,
             0x031F,
             0x0320,
-            35,
+            36,
         ] {
             assert_eq!(Event::decode([strange, 0, 0, 0]), None, "{strange:X}");
         }

@@ -192,7 +192,7 @@ impl Payload for Scene {
         put_instant(put, self.measured);
         put(self.cycle);
         self.ego.store(put);
-        put(u32::from(self.lanes.is_some()));
+        put(u32::from(self.lanes.is_some()) | u32::from(self.missing) << 8);
         match &self.lanes {
             Some(lanes) => lanes.store(put),
             None => (0..Lanes::WORDS).for_each(|_| put(0)),
@@ -208,7 +208,9 @@ impl Payload for Scene {
         let (at, measured) = (instant(take), instant(take));
         let cycle = take();
         let ego = Ego::load(take)?;
-        let seen = flag(take)?;
+        let seen_and_missing = take();
+        let seen = flag(&mut || seen_and_missing & 0xFF)?;
+        let missing = u8::try_from(seen_and_missing >> 8).map_err(|_| Corrupt)?;
         let lanes = Lanes::load(take)?;
         let set_speed = option(take)?;
         let route = take() as usize;
@@ -225,6 +227,7 @@ impl Payload for Scene {
             at,
             measured,
             cycle,
+            missing,
             ego,
             lanes: seen.then_some(lanes),
             set_speed,
@@ -403,6 +406,7 @@ mod tests {
             at: Instant::from_ns(0x1_2345_6789),
             measured: Instant::from_ns(0x1_2300_0000),
             cycle: 99,
+            missing: 0,
             ego: Ego {
                 speed: 25.0,
                 ..Ego::default()

@@ -241,6 +241,7 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
         at: at_ms(ms),
         measured: at_ms(ms),
         cycle: (ms / 50) as u32,
+        missing: 0,
         ego: Ego {
             speed,
             ..Ego::default()

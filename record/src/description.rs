@@ -1,7 +1,7 @@
 //! Events in words, for people.
 
 use tandem_board::{CanErrors, CanState, ResetCause, SupplyEvent};
-use tandem_bus::Mode;
+use tandem_bus::{Mode, SensorId};
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_redundancy::{Evidence, Phase};
@@ -42,6 +42,13 @@ pub fn core_event(event: Event) -> Option<String> {
         }
         Event::FramesLost { count } => {
             format!("lost {count} received CAN frame(s), which it did not fetch in time")
+        }
+        Event::Sensors { missing: 0 } => "all sensors are back".to_owned(),
+        Event::Sensors { missing } => {
+            let is_missing = |sensor: &SensorId| missing >> sensor.index() & 1 == 1;
+            let names = SensorId::ALL.into_iter().filter(is_missing);
+            let names: Vec<_> = names.map(|sensor| format!("{sensor:?}")).collect();
+            format!("lost or late: {}", names.join(", "))
         }
         Event::CanErrors { errors } => {
             let state = match errors.state() {

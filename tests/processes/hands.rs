@@ -30,6 +30,16 @@ fn until_roles(run: &Run, expected: &[(&str, &str)]) {
     });
 }
 
+/// Waits until this system is the master.
+fn until_drives(run: &Run, system: &str) {
+    run.until(&format!("{system} drives"), |processes| {
+        let drives = processes
+            .iter()
+            .any(|it| it.system.as_deref() == Some(system) && it.role.as_deref() == Some("master"));
+        drives.then_some(())
+    });
+}
+
 /// Never two masters, whatever else happened.
 fn one_master(metrics: &Value) {
     for name in ["two_masters_ms", "both_transmitted_ms"] {
@@ -71,6 +81,43 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     assert_eq!(to, ["B", "A"], "{metrics:#}");
     run.until_vanished();
     assert!(run.files().is_empty(), "{:?}", run.files());
+}
+
+/// T-CHIP-6, T-RED-6: a low rail of the master's supply, and then the bus destroys what the other
+/// one sends. Each time the other one drives, and what is mended comes back; the report says why.
+#[test]
+fn faults_of_the_hardware_are_made_and_mended_by_hand() {
+    let fixture = Fixture::new();
+    let mut run = fixture.run(&[
+        "--duration",
+        "110",
+        "--scenario",
+        "free-lane",
+        "--reintegrate",
+    ]);
+    until_roles(&run, &[("A", "master"), ("B", "standby")]);
+    hand(&fixture, &run, &["fault", "undervoltage", "A"]);
+    until_drives(&run, "B");
+    hand(&fixture, &run, &["fault", "undervoltage", "A", "--mend"]);
+    until_roles(&run, &[("A", "standby"), ("B", "master")]);
+    hand(&fixture, &run, &["fault", "bus-off", "B"]);
+    until_drives(&run, "A");
+    hand(&fixture, &run, &["fault", "bus-off", "B", "--mend"]);
+    until_roles(&run, &[("A", "master"), ("B", "standby")]);
+    let metrics = run.interrupt();
+    one_master(&metrics);
+    let takeovers = metrics["takeovers"].as_array().unwrap();
+    let to: Vec<_> = takeovers
+        .iter()
+        .map(|it| it["to"].as_str().unwrap())
+        .collect();
+    assert_eq!(to, ["B", "A"], "{metrics:#}");
+    let report = fixture.folder().join("tandem-report/report.html");
+    let report = std::fs::read_to_string(report).unwrap();
+    assert!(report.contains("low rail of the supply"));
+    // How often before core 0 looks depends on the machine.
+    let told = |times| report.contains(&format!("bus-off {times} time(s)"));
+    assert!((1..5).any(told));
 }
 
 /// What is cut: both ways of the heartbeat lines and of the power level, and the CAN of A and of B.

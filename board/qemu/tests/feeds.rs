@@ -8,7 +8,7 @@
 
 use std::path::PathBuf;
 
-use tandem_board::{RoleLamp, SystemId, VehiclePort};
+use tandem_board::{HardwareFault, RoleLamp, SystemId, VehiclePort};
 use tandem_board_qemu::{EmulatedWorld, Layout};
 
 /// Virtual time limit of these tests, ms. Without sensors a system waits for two seconds before it
@@ -56,6 +56,44 @@ fn power_loss_and_return(layout: Layout) {
     assert_eq!(world.role(b), DegradedMaster);
     let log = world.end().unwrap();
     assert!(log.contains("bytes of stack"), "{log}");
+}
+
+/// T-CHIP-6, T-RED-6: the hardware of the master fails. B drives, and a system that is mended comes
+/// back.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_system_whose_hardware_fails_is_replaced() {
+    use RoleLamp::{DegradedMaster, Master, Standby, Starting};
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let image = PathBuf::from(images).join("controller");
+    let [a, b] = SystemId::ALL;
+    for (fault, within_ms) in [
+        (HardwareFault::Undervoltage, 20),
+        (HardwareFault::CanTransmit, 30),
+    ] {
+        let mut world = EmulatedWorld::start(&image, Layout::One, false).unwrap();
+        world.step().unwrap();
+        world.set_ignition(true);
+        until(&mut world, "A leads and B stands by", |world| {
+            world.role(a) == Master && world.role(b) == Standby
+        });
+        // Then a standby may take over from a master that resigns.
+        for _ in 0..1_000 {
+            world.step().unwrap();
+        }
+        world.set_fault(a, fault, true);
+        let took = until(&mut world, "B drives", |world| {
+            world.role(b) == DegradedMaster
+        });
+        assert!(took <= within_ms, "{fault:?}: {took} ms of virtual time");
+        assert_ne!(world.role(a), Master, "{fault:?}");
+        world.set_fault(a, fault, false);
+        until(&mut world, "A is in a role again", |world| {
+            world.is_powered(a) && world.role(a) != Starting
+        });
+        assert_eq!(world.role(b), DegradedMaster, "{fault:?}");
+        world.end().unwrap();
+    }
 }
 
 #[test]

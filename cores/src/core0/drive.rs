@@ -115,7 +115,8 @@ impl Drive {
                 permitted,
                 driver: self.driver,
                 sees: moves && lanes.is_some(),
-                in_domain: self.in_domain,
+                // What one sensor no longer sees is outside the domain, too.
+                in_domain: self.in_domain && self.scene.as_ref().is_none_or(|it| it.missing == 0),
             },
         )
     }

@@ -257,6 +257,7 @@ mod tests {
             at: at(1_000),
             measured: at(990),
             cycle: 9,
+            missing: 0,
             ego,
             lanes: Some(lanes),
             set_speed: None,

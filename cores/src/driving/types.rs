@@ -172,6 +172,9 @@ pub struct Scene {
     pub measured: Instant,
     /// Counts the cycles of core 1, wraps around.
     pub cycle: u32,
+    /// The sensors that are lost or late, one bit for each by
+    /// [`SensorId::index`](tandem_bus::SensorId::index).
+    pub missing: u8,
     /// Motion of the own vehicle at `at`.
     pub ego: Ego,
     /// Lanes; `None` while the camera sees none.

@@ -1,5 +1,6 @@
 //! Each fault that a system can find in itself has a source, and the stated effect.
 
+use std::sync::atomic::Ordering;
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, HardwareFault, ResetCause, RoleLamp, SystemId,
 };
@@ -266,4 +267,42 @@ fn received_frames_that_were_lost_are_counted() {
         }
     }
     assert_eq!(drive.masters(), [A]);
+}
+
+/// T-SHM-4: a core scribbles over the whole LMU of its system. The readers refuse what they find,
+/// or the alive supervision misses a core; the system mends its LMU or leaves, and one system
+/// drives.
+#[test]
+fn a_scribbled_lmu_is_found_and_costs_no_frame() {
+    for of in SystemId::ALL {
+        for seed in 1..=6_u32 {
+            let mut drive = started();
+            drive.events.clear();
+            let mut word = seed.wrapping_mul(0x9E37_79B9);
+            for place in drive.pair.lmu(of) {
+                // Marsaglia's xorshift.
+                word ^= word << 13;
+                word ^= word >> 17;
+                word ^= word << 5;
+                place.store(word, Ordering::Relaxed);
+            }
+            drive.run_for(MS(5_000));
+            let found = events(&drive, of).find(|(_, event)| {
+                matches!(
+                    event,
+                    Event::Refused { .. } | Event::CoreSilent { .. } | Event::WrongCommand { .. }
+                )
+            });
+            println!("{of} {seed}: {found:?}, {:?}", drive.masters());
+            assert!(found.is_some(), "{of} {seed}");
+            assert_eq!(drive.gaps_beyond(), [], "{of} {seed}");
+            assert_eq!(drive.two_masters_ns(), 0);
+            assert_eq!(drive.collisions(), 0);
+            let lamps = [A, B].map(|system| drive.pair.lamp(system));
+            let driving = [RoleLamp::Master, RoleLamp::DegradedMaster].map(Some);
+            let masters = lamps.iter().filter(|lamp| driving.contains(lamp));
+            assert_eq!(masters.count(), 1, "{of} {seed}: {lamps:?}");
+            assert!(drive.pair.lamp(of).is_some(), "it comes back");
+        }
+    }
 }

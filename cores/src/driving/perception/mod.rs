@@ -34,6 +34,10 @@ const MAX_TRACKS: usize = 32;
 /// Detections in one list; what the header can announce.
 const MAX_DETECTIONS: usize = 32;
 
+/// A sensor whose newest list was measured longer ago than this is lost, or late: six of its
+/// periods. Its tracks have been predicted for so long that they are of no more use.
+pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
+
 /// The perception function with all its memory; about 14 KiB, nothing allocated.
 #[derive(Clone, Debug)]
 pub struct Perception {
@@ -46,6 +50,9 @@ pub struct Perception {
     time: Option<Instant>,
     /// What the last cycle took in.
     round: Round,
+    /// When each sensor has measured what came in last, by [`SensorId::index`]; the first cycle
+    /// before that.
+    measured: [Option<Instant>; SensorId::ALL.len()],
     next_id: u32,
     set_speed: Option<f32>,
     route: Route,
@@ -70,6 +77,7 @@ impl Perception {
             tracks: Vec::new(),
             time: None,
             round: Round::default(),
+            measured: [None; SensorId::ALL.len()],
             next_id: 1,
             set_speed: None,
             route: Route::Free,
@@ -77,6 +85,7 @@ impl Perception {
                 at: Instant::ORIGIN,
                 measured: Instant::ORIGIN,
                 cycle: 0,
+                missing: 0,
                 ego: Ego::default(),
                 lanes: None,
                 set_speed: None,
@@ -144,6 +153,7 @@ impl Perception {
                 break;
             };
             self.round.add(sensor.index(), done);
+            self.measured[sensor.index()] = Some(at);
             // The oldest comes first.
             oldest = oldest.or(Some(at));
             self.advance(at);
@@ -156,6 +166,7 @@ impl Perception {
             self.lanes.update(at, &lanes);
         }
         self.scene.measured = oldest.unwrap_or(self.scene.measured);
+        self.scene.missing = self.missing(now);
         self.advance(now);
         if let Some(told) = told.filter(|told| now.since(told.at) <= KNOWLEDGE_MAX_AGE)
             && self.is_young()
@@ -172,6 +183,16 @@ impl Perception {
     #[must_use]
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// The sensors whose newest measurement is too old.
+    fn missing(&mut self, now: Instant) -> u8 {
+        let mut missing = 0;
+        for (index, measured) in self.measured.iter_mut().enumerate() {
+            let is_missing = now.since(*measured.get_or_insert(now)) > SENSOR_LIMIT;
+            missing |= u8::from(is_missing) << index;
+        }
+        missing
     }
 
     /// Predicts tracks and lanes to `to`; does not go back.
