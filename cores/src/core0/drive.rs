@@ -123,7 +123,13 @@ impl Drive {
 
     /// The command for `now` by the best function that `permitted`, the state of the driving
     /// function and the inputs allow.
-    pub(crate) fn cycle(&mut self, now: Instant, permitted: Mode) -> Output {
+    /// `other`: the command of the other system, while both disagree and none knows why.
+    pub(crate) fn cycle(
+        &mut self,
+        now: Instant,
+        permitted: Mode,
+        other: Option<Command>,
+    ) -> Output {
         let fresh = self.ego.filter(|(at, _)| now.since(*at) <= EGO_MAX_AGE);
         let ego = self.ego.map(|(_, ego)| ego).unwrap_or_default();
         let state = self.state(now, permitted, fresh.is_some());
@@ -142,9 +148,14 @@ impl Drive {
             mode => mode,
         };
         let sees = fresh.is_some() && permitted != Mode::SafeStop;
-        let (command, mode, age) = match &self.scene {
-            Some(scene) if mode == Mode::SafeStop && sees => {
+        let stops = mode == Mode::SafeStop;
+        let (command, mode, age) = match (&self.scene, other) {
+            (Some(scene), _) if stops && sees => {
                 let command = self.degraded.stop(now, &ego, scene);
+                (command, mode, Some(now.since(scene.measured)))
+            }
+            (Some(scene), Some(other)) if stops && fresh.is_some() => {
+                let command = self.degraded.stop_between(now, &ego, scene, &other);
                 (command, mode, Some(now.since(scene.measured)))
             }
             _ => self.by_best_function(now, mode, &ego),

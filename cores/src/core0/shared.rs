@@ -30,6 +30,8 @@ use tandem_shm::newest::Writer;
 /// A state that is not in flash after this time will not be: erasing a sector and programming a
 /// record take less.
 const FLASH_HANGS: Duration = Duration::from_ms(100);
+/// The other system's command holds for this long: five control cycles.
+const OTHER_MAX_AGE: Duration = Duration::from_ms(50);
 /// While the start protocol waits for cores 1 and 2, core 0 looks this often.
 const BOOT_POLL: Duration = Duration::from_ms(1);
 /// A vehicle that is slower stands still, m/s: the noise of the measured speed stays below.
@@ -105,6 +107,8 @@ pub struct Shared<'b, B: Board> {
     pub(super) inbox: Inbox,
     /// The other system's command since the last control cycle, and the function that gave it.
     pub(super) heard: Option<(Command, tandem_bus::Mode)>,
+    /// The last of these, and when it was compared.
+    other: Option<(Instant, Command)>,
     pub(super) agreement: Agreement,
     pub(super) peer_link: PeerLink,
     giver: Giver,
@@ -171,6 +175,7 @@ impl<'b, B: Board> Shared<'b, B> {
             handed_over: None,
             inbox: Inbox::default(),
             heard: None,
+            other: None,
             agreement: Agreement::new(),
             peer_link: PeerLink::new(),
             giver: Giver::new(),
@@ -345,6 +350,7 @@ impl<'b, B: Board> Shared<'b, B> {
     pub(super) fn compare(&mut self, now: Instant, output: Output) {
         let last = self.last_output.replace(output);
         let heard = self.heard.take();
+        self.other = heard.map(|(theirs, _)| (now, theirs)).or(self.other);
         let own = match self.phase() {
             Some(Phase::Standby) => Some((output.opinion, output.mode)),
             // The other's opinion is a cycle old.
@@ -363,6 +369,14 @@ impl<'b, B: Board> Shared<'b, B> {
         let phase = self.phase().unwrap_or(Phase::Starting);
         let change = self.agreement.cycle(now, phase, deviation);
         self.tell_agreement(change);
+    }
+
+    /// The other system's command, if both disagree without a known cause.
+    pub(super) fn other_command(&self, now: Instant) -> Option<Command> {
+        let unresolved = self.agreement.stage() == Stage::Unresolved;
+        let sound = self.redundancy.as_ref()?.mode() != Mode::SafeStop;
+        let (at, command) = self.other?;
+        (unresolved && sound && now.since(at) <= OTHER_MAX_AGE).then_some(command)
     }
 
     /// The mode that the redundancy and the agreement permit; [`Drive`] may do less.

@@ -341,12 +341,13 @@ fn cycle<'b, B: Board>(
     let inputs = executor.shared(|shared| {
         shared.deadline_misses = shared.deadline_misses.saturating_add(release.missed);
         let mode = shared.mode()?;
-        Some((mode, core::mem::take(&mut shared.inbox)))
+        let other = shared.other_command(begin);
+        Some((mode, other, core::mem::take(&mut shared.inbox)))
     });
-    if let Some((mode, inbox)) = inputs {
+    if let Some((mode, other, inbox)) = inputs {
         let output = executor.drive(|drive| {
             inbox.empty_into(drive);
-            drive.cycle(begin, mode)
+            drive.cycle(begin, mode, other)
         });
         executor.shared(|shared| shared.send_control(&output, begin, release.at));
     }

@@ -96,6 +96,29 @@ impl DegradedControl {
         self.drive(now, ego, scene, -SAFE_STOP_BRAKING)
     }
 
+    /// The same between what this system and the other one would do: two systems disagree, and none
+    /// knows which is wrong. Steers halfway, so a lane that one of them sees wrongly costs half of
+    /// its error; brakes as hard as either asks.
+    pub(crate) fn stop_between(
+        &mut self,
+        now: Instant,
+        ego: &Ego,
+        scene: &Scene,
+        other: &Command,
+    ) -> Command {
+        let last = self.shaper.last();
+        let _ = self.stop(now, ego, scene);
+        let own = self.wish.command;
+        self.shaper.resume(&last);
+        let command = Command {
+            steering_angle: 0.5 * (own.steering_angle + other.steering_angle),
+            acceleration: min(own.acceleration, other.acceleration),
+        };
+        // The own wish stays: it is this system's opinion.
+        let urgent = self.wish.urgent;
+        self.shaper.shape(&Wish { command, urgent }, ego)
+    }
+
     /// Keeps lane and distance, and accelerates by no more than `limit`, m/s².
     fn drive(&mut self, now: Instant, ego: &Ego, scene: &Scene, limit: f32) -> Command {
         let ego = &Ego {
