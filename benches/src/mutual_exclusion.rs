@@ -1,11 +1,11 @@
 //! Several processes that want a lock all the time: how long each waits, and how fair it is.
 
 use crate::clock::{from_ns, ticks, to_ps};
-use crate::harness::{Batch, Plan};
+use crate::harness::{Batch, Plan, give_way};
 use crate::shared::Shared;
-use crate::worker::{Part, Role, perform};
+use crate::worker::{Child, Part, Role, perform};
 use std::io;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// One process's way into the room that only one may be in.
 pub trait Exclusion {
@@ -68,6 +68,75 @@ pub fn contended<E: Exclusion>(
         .with_fact("share of the least served, 1 is fair", least_share(&stays))
         .with_fact("longest wait, ns", longest.fold(0.0, f64::max))
         .with_fact("stays per second", all * 1e6 / plan.rounds as f64))
+}
+
+/// An owner takes the lock and is killed (-9) while another process on another CPU waits for it. A
+/// sample is the time from the kill to the end of that process's turn; most of it is the kernel's.
+/// `own` makes the end of the owner of this number, `bury` tells of its death once it has ended, and
+/// what `take` makes takes the lock, gives it back, and says whether its last owner had died.
+///
+/// # Errors
+/// If the processes or the shared memory cannot be had, or an end failed.
+pub fn recovered<E: Exclusion, F: FnMut() -> bool>(
+    plan: &Plan,
+    shared: &Shared,
+    own_bytes: u64,
+    own: impl Fn(u32) -> E,
+    bury: impl Fn(u32),
+    take: impl FnOnce() -> F,
+) -> io::Result<Batch> {
+    let [held, killed, taken] = [0, 1, 2].map(|number| shared.spare(number));
+    let wait_for = |word: &AtomicU32, value| {
+        while word.load(Ordering::Acquire) != value {
+            give_way();
+        }
+    };
+    let deaths = (plan.warm_up + plan.rounds) as u32;
+    let supervisor = Part::on(plan.cpus[0], |role| {
+        role.shared.meet(2);
+        for death in 1..=deaths {
+            let owner = Child::start(plan.cpus[0], || {
+                own(death).inside(|| {
+                    held.store(death, Ordering::Release);
+                    loop {
+                        // SAFETY: takes no pointer. The owner sleeps until it is killed.
+                        unsafe { libc::pause() };
+                    }
+                });
+                false
+            })?;
+            wait_for(held, death);
+            // The taker gets time to notice that the lock is held, and to back off.
+            std::thread::sleep(std::time::Duration::from_micros(100));
+            killed.store(ticks(), Ordering::Relaxed);
+            owner.kill();
+            bury(death);
+            wait_for(taken, death);
+        }
+        Ok(())
+    });
+    let taker = Part::on(plan.cpus[1], |role| {
+        let mut take = take();
+        role.shared.meet(2);
+        for death in 1..=deaths {
+            wait_for(held, death);
+            let is_recovered = take();
+            let now = ticks();
+            if !is_recovered {
+                return Err(io::Error::other("it was taken from a living owner"));
+            }
+            if death as usize > plan.warm_up {
+                let since = killed.load(Ordering::Relaxed);
+                role.log.push(0, now.wrapping_sub(since));
+            }
+            taken.store(death, Ordering::Release);
+        }
+        Ok(())
+    });
+    perform(shared, vec![supervisor, taker])?;
+    let mut batch = Batch::collect(shared, 2, plan.rounds, own_bytes).carrying(0);
+    batch.cpu_ns_per_message = None;
+    Ok(batch)
 }
 
 /// What the least served had of its fair share: 1 if all had the same, 0 if it had nothing.

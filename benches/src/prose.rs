@@ -1,6 +1,6 @@
 //! What the page says in words.
 
-use crate::result::{Results, Row};
+use crate::result::Results;
 use maud::{Markup, html};
 use tandem_page::section;
 
@@ -97,73 +97,31 @@ pub(crate) fn about(group: &str) -> About {
     )
 }
 
-/// How it was measured, and what the figures do not say.
+/// How to read the page.
 pub(crate) fn explanations(results: &Results) -> Markup {
-    html! {
-        (section("How to read this page", &html! {}, "", &html! {
-            div.two {
-                div {
-                    h3 { "What a ratio means" }
-                    p {
-                        "Each group does one thing in several ways. Its floor is the bare mechanism, \
-                         such as a cache line or a futex, between the same CPUs in the same run. "
-                        b { "1.2×" } " means: what is compared adds a fifth to what hardware and \
-                         kernel need anyway. Quote ratios, not times: the times belong to this \
-                         machine, its load and the place of its CPUs. Even a ratio to a tail \
-                         (p99.9) moves with the machine's noise: run it again before you trust it."
-                    }
-                    h3 { "The curves" }
-                    p {
-                        "To the right it gets rarer: at 99.9 %, one message in a thousand takes \
-                         longer. A flat line means that nothing special happens; a step is \
-                         something that does, such as a timer interrupt. Both axes are \
-                         logarithmic. A curve ends where fewer than ten samples lie beyond it; \
-                         figures in the tables that rest on fewer are grey and slanted."
-                    }
-                    h3 { "Whether something changed" }
-                    p {
-                        code { "tandem bench compare --against OLD" } " runs two builds in turn. Two \
-                         pages side by side prove nothing: runs differ even if the code does not."
-                    }
-                }
-                div {
-                    h3 { "How it was measured" }
-                    p {
-                        "All cases take turns in batches of some 10 to 50 ms, so that each sees the \
-                         same of the machine's moods. The ends are processes (libraries that only \
-                         work between threads: threads), each pinned to a CPU. A message carries \
-                         its time stamp; the receiver subtracts it from the time at which its code \
-                         holds the value. The first tenth of each batch warms up and does not \
-                         count. Percentiles are HdrHistogram's, to three digits."
-                    }
-                    h3 { "Coordinated omission" }
-                    p {
-                        "In a ping-pong the next message waits for the last one. If the machine \
-                         stalls for 10 ms, a sender with a schedule of 10,000 messages a second is \
-                         late with a hundred of them; the ping-pong notes one slow message and \
-                         leaves the others out. " (rate_sentence(results))
-                    }
-                    h3 { "What this is not" }
-                    p {
-                        "These are processes of a host. On a TriCore no kernel stands between a \
-                         signal and its handler, and memory, caches and clock are others: none of \
-                         these times carries over. What carries over is how much Tandem adds to \
-                         the bare mechanism, and that is why every group has a floor."
-                    }
-                }
-            }
-        }))
-    }
+    let content = html! {
+        p {
+            "Each group does one thing in several ways. Its floor is the bare mechanism between the \
+             same CPUs in the same run: 1.2× means that a fifth is added to it. Quote ratios: the \
+             times belong to this machine. All cases take turns in batches of 10 to 50 ms. A curve \
+             ends where fewer than ten samples lie beyond it; figures that rest on fewer are grey \
+             and slanted. These are processes of a host; on a TriCore no kernel stands between a \
+             signal and its handler, and only the ratios carry over. "
+            (rate_sentence(results))
+        }
+        p {
+            code { "tandem bench compare --against OLD" } " tells whether a change of the code made a \
+             difference: two pages side by side prove nothing. More is in docs/performance.md."
+        }
+    };
+    section("How to read this page", &html! {}, "", &content)
 }
 
-fn rate_sentence(results: &Results) -> Markup {
-    let rate = |row: &&Row| row.group == "rate";
-    if results.results.iter().any(|row| rate(&row)) {
-        html! {
-            "The group " a href="#rate" { "fixed rate" } " sends by the schedule and counts from \
-             the intended time, so nothing is left out; the naive figures stand beside it."
-        }
+fn rate_sentence(results: &Results) -> &'static str {
+    if results.results.iter().any(|row| row.group == "rate") {
+        "A ping-pong leaves out the messages that a stall would have delayed; the group at a fixed \
+         rate counts them."
     } else {
-        html! { "The group " code { "rate" } " counts from the intended time; it is not in this run." }
+        ""
     }
 }

@@ -20,6 +20,8 @@ const MET_AT: usize = 0;
 const FLAG_AT: usize = LINE;
 /// A word that only the part inside a lock may change.
 const GUARDED_AT: usize = 2 * LINE;
+/// Further words for whatever the parts agree on.
+const SPARE_AT: usize = 3 * LINE;
 /// Each part's page: two counts, notes of two words each, then a text.
 const PAGES_AT: usize = PAGE;
 const NOTES_AT: usize = LINE;
@@ -112,6 +114,12 @@ impl Shared {
     #[must_use]
     pub fn guarded(&self) -> &'static AtomicU32 {
         &self.words[GUARDED_AT]
+    }
+
+    /// Further words that the parts agree on, each on a cache line of its own: 0 to 2.
+    #[must_use]
+    pub fn spare(&self, number: usize) -> &'static AtomicU32 {
+        &self.words[SPARE_AT + number * LINE]
     }
 
     /// Maps every page that the harness itself writes, so that none is counted as the case's.

@@ -1,14 +1,11 @@
 //! The mutex of the POSIX threads in shared memory, plain and robust: see pthread_mutex_lock(3p)
 //! and pthread_mutexattr_setrobust(3).
 
-use crate::clock::ticks;
 use crate::floor::cas::CHUNK;
 use crate::harness::{Batch, Plan, alone};
-use crate::mutual_exclusion::{Exclusion, contended};
+use crate::mutual_exclusion::{Exclusion, contended, recovered};
 use crate::shared::Shared;
-use crate::worker::{Child, Part, perform};
 use std::io;
-use std::sync::atomic::Ordering;
 
 /// Whether the death of an owner is told to the next taker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,61 +88,26 @@ pub fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io::Resul
     contended(plan, &shared, processes, 64, |_| mutex)
 }
 
-/// An owner takes the robust mutex and is killed (-9) while another process waits for it. A sample
-/// is the time from the kill to the taker's turn: it is the kernel that sees the death, so there
-/// is no announcement to count from.
+/// An owner takes the robust mutex and is killed while another process waits for it; the kernel
+/// sees the death.
 ///
 /// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
+/// As [`recovered`].
 pub fn mutex_recovery(plan: &Plan) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, Death::Robust);
-    let [held, killed, recovered] = [8, 10, 12].map(|line| shared.line(line));
-    let wait_for = |word: &std::sync::atomic::AtomicU32, value| {
-        while word.load(Ordering::Acquire) != value {
-            crate::harness::give_way();
-        }
-    };
-    let deaths = (plan.warm_up + plan.rounds) as u32;
-    let supervisor = Part::on(plan.cpus[0], move |role| {
-        role.shared.meet(2);
-        for death in 1..=deaths {
-            let owner = Child::start(plan.cpus[0], || {
-                mutex.lock();
-                held.store(death, Ordering::Release);
-                loop {
-                    // SAFETY: takes no pointer. The owner sleeps until it is killed.
-                    unsafe { libc::pause() };
-                }
-            })?;
-            wait_for(held, death);
-            std::thread::sleep(std::time::Duration::from_micros(100));
-            killed.store(ticks(), Ordering::Relaxed);
-            owner.kill();
-            wait_for(recovered, death);
-        }
-        Ok(())
-    });
-    let taker = Part::on(plan.cpus[1], move |role| {
-        role.shared.meet(2);
-        for death in 1..=deaths {
-            wait_for(held, death);
-            let died = mutex.lock();
-            let now = ticks();
-            mutex.unlock();
-            if !died {
-                return Err(io::Error::other("the mutex was taken from a living owner"));
+    recovered(
+        plan,
+        &shared,
+        64,
+        |_| mutex,
+        |_| (),
+        || {
+            move || {
+                let died = mutex.lock();
+                mutex.unlock();
+                died
             }
-            if death as usize > plan.warm_up {
-                let since = killed.load(Ordering::Relaxed);
-                role.log.push(0, now.wrapping_sub(since));
-            }
-            recovered.store(death, Ordering::Release);
-        }
-        Ok(())
-    });
-    perform(&shared, vec![supervisor, taker])?;
-    let mut batch = Batch::collect(&shared, 2, plan.rounds, 64).carrying(0);
-    batch.cpu_ns_per_message = None;
-    Ok(batch)
+        },
+    )
 }

@@ -5,19 +5,11 @@ use std::io;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::map::{Layout, Map};
 
-/// Words behind the LMU, for what a case's parts agree on: each has a line of its own.
-const OWN_WORDS: usize = 64;
-
 /// Memory for a batch, with a formatted LMU in the words of the case.
 pub(super) fn shared(layout: Layout) -> io::Result<(Shared, Map<'static>)> {
-    let shared = Shared::with_case_words(layout.total_words() + OWN_WORDS)?;
+    let shared = Shared::with_case_words(layout.total_words())?;
     let map = Map::format(shared.case(), layout).map_err(|_| io::Error::other("no room"))?;
     Ok((shared, map))
-}
-
-/// Where the words behind the LMU begin.
-pub(super) const fn own_words(layout: Layout) -> usize {
-    layout.total_words()
 }
 
 /// Bytes that the LMU takes.
