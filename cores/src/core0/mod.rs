@@ -11,6 +11,7 @@
 mod agreement;
 mod alive;
 mod drive;
+mod follow;
 mod frames;
 mod hand_over;
 mod limits;

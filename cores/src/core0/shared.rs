@@ -4,6 +4,7 @@
 
 use super::agreement::{self, Agreement, Deviation, Stage};
 use super::drive::Output;
+use super::follow::{Follow, GRID_STEP};
 use super::hand_over::{CHUNKS_PER_CYCLE, Giver, MAX_WORDS, Taker};
 use super::limits::{CAN_FRAMES, Floods, LINK_DATAGRAMS};
 use super::peer_link::{Opinion, PeerLink};
@@ -36,12 +37,6 @@ const OTHER_MAX_AGE: Duration = Duration::from_ms(50);
 const BOOT_POLL: Duration = Duration::from_ms(1);
 /// A vehicle that is slower stands still, m/s: the noise of the measured speed stays below.
 const STANDSTILL: f32 = 0.1;
-/// A trajectory waits no longer than this for the control task, once the grid has followed it.
-const TRAJECTORY_WAITS: Duration = Duration::from_us(1_500);
-/// So many in a row that waited longer move the grid.
-const LATE_TRAJECTORIES: u8 = 2;
-/// By this much: a tick of the kernel, at which all releases lie.
-const GRID_STEP: Duration = Duration::from_ms(1);
 /// For this many control cycles of its redundancy, 300 ms, a system asks what the other knows.
 const YOUNG_CONTROL_CYCLES: u32 = 30;
 /// Motions of the chassis that come between two control cycles: three, and as many again.
@@ -100,8 +95,8 @@ pub struct Shared<'b, B: Board> {
     ticks: TickGrid,
     /// Releases of the control task.
     pub(super) control: Grid,
-    /// Trajectories in a row that waited too long for the control task.
-    trajectories_waited: u8,
+    /// When that grid moves.
+    follow: Follow,
     /// A control cycle that the degraded task is to do.
     pub(super) handed_over: Option<Release>,
     pub(super) inbox: Inbox,
@@ -171,7 +166,7 @@ impl<'b, B: Board> Shared<'b, B> {
             shown: None,
             ticks: TickGrid::EXACT,
             control: Grid::new(started, CONTROL_PERIOD),
-            trajectories_waited: 0,
+            follow: Follow::default(),
             handed_over: None,
             inbox: Inbox::default(),
             heard: None,
@@ -205,21 +200,16 @@ impl<'b, B: Board> Shared<'b, B> {
     }
 
     /// A trajectory has come in. It shall not wait long for the control task: while it does, the
-    /// grid moves earlier, a tick at a time. One trajectory that is late moves nothing.
+    /// grid moves earlier, a tick at a time.
     pub(super) fn on_trajectory(&mut self) {
-        let waits = self.control.next().since(self.board.now());
-        if waits <= TRAJECTORY_WAITS {
-            self.trajectories_waited = 0;
-        } else {
-            self.trajectories_waited = self.trajectories_waited.saturating_add(1);
-        }
+        let wait = self.control.next().since(self.board.now());
+        self.follow.on_trajectory(wait);
     }
 
     /// The release of the control task that is due at `now`.
     pub(super) fn release_control(&mut self, now: Instant) -> Option<Release> {
         let release = self.control.release(now)?;
-        if self.trajectories_waited >= LATE_TRAJECTORIES {
-            self.trajectories_waited = 0;
+        if self.follow.moves() {
             self.control.advance(GRID_STEP);
         }
         Some(release)
