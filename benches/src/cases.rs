@@ -137,10 +137,6 @@ const CASES: &[Cases] = &[
     ]),
     (Group::Sleep, 250, SLEEPERS),
     (Group::OneCpu, 500, SLEEPERS),
-    (Group::OneCpu, 8, &[
-        ("tandem-spin", "spinning, which keeps the CPU from the other end",
-            |p| sync::<1>(p, Spin, Signal)),
-    ]),
     (Group::Size, 10_000, &[
         ("floor", "a cache line between two processes",
             |p| Ok(floor::cache_line(p)?.without_facts())),

@@ -115,6 +115,8 @@ pub fn perform_within(limit: Duration, shared: &Shared, parts: Vec<Part<'_>>) ->
         children.push(Child::start(part.cpu, || play(shared, number, part.run))?);
     }
     let outcome = watch(&mut children, limit);
+    // All before the first is waited for: under SCHED_FIFO one that spins keeps another from dying.
+    children.iter().for_each(Child::kill_now);
     drop(children);
     outcome.map_err(|error| {
         let said = (0..PARTS).map(|number| shared.log(number).said());
@@ -267,6 +269,13 @@ impl Child {
         drop(self);
     }
 
+    fn kill_now(&self) {
+        if self.running {
+            // SAFETY: the child is ours and not waited for yet.
+            unsafe { libc::kill(self.pid, libc::SIGKILL) };
+        }
+    }
+
     fn reap(&mut self, options: i32) -> io::Result<()> {
         let mut status = 0;
         // SAFETY: `status` is a valid place; the child is ours and not waited for yet.
@@ -282,11 +291,9 @@ impl Child {
 
 impl Drop for Child {
     fn drop(&mut self) {
-        if self.running {
-            // SAFETY: the child is ours and not waited for yet.
-            unsafe { libc::kill(self.pid, libc::SIGKILL) };
-            let _ = self.reap(0);
-        }
+        self.kill_now();
+        // Nothing is to be waited for if it was not running.
+        let _ = self.reap(0);
         if self.pidfd >= 0 {
             // SAFETY: the descriptor is ours and not used after this.
             unsafe { libc::close(self.pidfd) };
