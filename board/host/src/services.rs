@@ -355,10 +355,11 @@ impl Observer {
 
     /// Hands over what came since the last call. Never blocks.
     pub fn poll(&self, into: &mut dyn FnMut(News)) {
-        drain(&self.roles, &mut |roles| into(News::Roles(roles)));
         drain(&self.vehicle, &mut |vehicle| into(News::Vehicle(vehicle)));
         drain(&self.can, &mut |frame| into(News::Frame(frame)));
         drain(&self.trace, &mut |event| into(News::Event(event)));
+        // Last: it sums up what came before it.
+        drain(&self.roles, &mut |roles| into(News::Roles(roles)));
     }
 }
 

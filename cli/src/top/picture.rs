@@ -23,8 +23,9 @@ pub(super) struct Picture {
     pub(super) events: VecDeque<Event>,
     /// The longest time without control in each tenth of a second, ms; the newest last.
     pub(super) gaps_ms: VecDeque<f64>,
-    /// Frames on the bus in the last tenth of a second.
-    pub(super) frames: u32,
+    /// Frames on the bus in the last `span_ns`.
+    frames: u32,
+    span_ns: u64,
     /// The system that keys act on.
     pub(super) selected: SystemId,
     /// What was done last.
@@ -45,6 +46,7 @@ impl Picture {
             events: VecDeque::new(),
             gaps_ms: VecDeque::new(),
             frames: 0,
+            span_ns: 0,
             selected: SystemId::A,
             said: String::new(),
             accepted_ns: None,
@@ -59,6 +61,11 @@ impl Picture {
         self.silent >= SILENT
     }
 
+    /// Frames on the bus in a second.
+    pub(super) fn frames_per_s(&self) -> u64 {
+        u64::from(self.frames) * 1_000_000_000 / self.span_ns.max(1)
+    }
+
     /// So much time has passed without a key.
     pub(super) fn tick(&mut self, span: Duration) {
         self.silent += span;
@@ -68,7 +75,12 @@ impl Picture {
         self.silent = Duration::ZERO;
         match news {
             News::Roles(roles) => {
-                self.roles = Some(*roles);
+                let before_ns = self.roles.replace(*roles).map_or(0, |before| before.at_ns);
+                // Of several that came at once, the first one sums up.
+                if self.counted == 0 {
+                    return;
+                }
+                self.span_ns = roles.at_ns.saturating_sub(before_ns);
                 self.frames = std::mem::take(&mut self.counted);
                 push(
                     &mut self.gaps_ms,

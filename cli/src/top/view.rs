@@ -56,7 +56,7 @@ pub(super) fn draw(picture: &Picture, frame: &mut Frame<'_>) {
 fn title(picture: &Picture) -> Line<'static> {
     let mut text = format!("{:30}", picture.run);
     if let Some(roles) = &picture.roles {
-        let frames = picture.frames * 10;
+        let frames = picture.frames_per_s();
         text += &format!(" {:6.1}/{:.0} s", roles.time_s, roles.duration_s);
         text += &format!("  {frames:4} frames/s");
     }
@@ -223,7 +223,7 @@ mod tests {
                 picture.take(&News::Frame(BusFrame::new(at_ns, 0x100, 2, 1, &[])));
             }
             picture.take(&News::Roles(Roles {
-                at_ns: 60 * second,
+                at_ns: 53 * second + (tenth + 1) * second / 10,
                 time_s: 14.2,
                 duration_s: 60.0,
                 gap_max_ms: 18.0,
