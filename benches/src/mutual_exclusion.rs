@@ -70,10 +70,11 @@ pub fn contended<E: Exclusion>(
         .with_fact("stays per second", all * 1e6 / plan.rounds as f64))
 }
 
-/// An owner takes the lock and is killed (-9) while another process on another CPU waits for it. A
-/// sample is the time from the kill to the end of that process's turn; most of it is the kernel's.
-/// `own` makes the end of the owner of this number, `bury` tells of its death once it has ended, and
-/// what `take` makes takes the lock, gives it back, and says whether its last owner had died.
+/// An owner takes the lock and is killed (-9) while another process on another CPU waits for it.
+/// A sample is the time from the kill to the end of that process's turn; most of it is the
+/// kernel's. `own` makes the end of the owner of this number, `bury` tells of its death once it has
+/// ended, and what `take` makes takes the lock, gives it back, and says whether its last owner had
+/// died.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
