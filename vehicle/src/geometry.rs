@@ -132,6 +132,15 @@ pub struct Pose {
 }
 
 impl Pose {
+    /// This pose as a frame for many points.
+    #[must_use]
+    pub fn frame(self) -> Frame {
+        Frame {
+            position: self.position,
+            forward: Vec2::from_angle(self.yaw),
+        }
+    }
+
     /// The point `local` of this pose's frame (x forward, y left) in the world.
     #[must_use]
     pub fn to_world(self, local: Vec2) -> Vec2 {
@@ -159,6 +168,22 @@ impl Pose {
     }
 }
 
+/// A pose with the sine and the cosine of its heading: for many points in one frame.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame {
+    position: Vec2,
+    forward: Vec2,
+}
+
+impl Frame {
+    /// The world's point in this frame; equal to [`Pose::to_local`] to the bit.
+    #[must_use]
+    pub fn to_local(&self, world: Vec2) -> Vec2 {
+        let apart = world - self.position;
+        Vec2::new(self.forward.dot(apart), self.forward.cross(apart))
+    }
+}
+
 /// An oriented rectangle: what a vehicle covers of the road.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Footprint {
@@ -174,8 +199,9 @@ impl Footprint {
     /// The four corners: front left, front right, rear right, rear left.
     #[must_use]
     pub fn corners(&self) -> [Vec2; 4] {
-        let forward = Vec2::from_angle(self.pose.yaw) * (self.length / 2.0);
-        let left = Vec2::from_angle(self.pose.yaw).left() * (self.width / 2.0);
+        let along = Vec2::from_angle(self.pose.yaw);
+        let forward = along * (self.length / 2.0);
+        let left = along.left() * (self.width / 2.0);
         let centre = self.pose.position;
         [
             centre + forward + left,
@@ -259,6 +285,7 @@ mod tests {
         };
         let point = Vec2::new(7.0, 11.0);
         assert!((pose.to_world(pose.to_local(point)) - point).norm() < 1e-12);
+        assert_eq!(pose.frame().to_local(point), pose.to_local(point));
         assert!(
             (pose.to_world(Vec2::new(1.0, 0.0)) - pose.position - Vec2::from_angle(2.5)).norm()
                 < 1e-12

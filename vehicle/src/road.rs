@@ -89,14 +89,16 @@ impl Lane {
         let t = place - index as f64;
         let heading = a.heading + wrap_angle(b.heading - a.heading) * t;
         let beyond = s - place * STEP;
+        let inside = a.centre.lerp(b.centre, t);
+        let (centre, curvature) = if beyond == 0.0 {
+            (inside, a.curvature + (b.curvature - a.curvature) * t)
+        } else {
+            (inside + Vec2::from_angle(heading) * beyond, 0.0)
+        };
         Section {
-            centre: a.centre.lerp(b.centre, t) + Vec2::from_angle(heading) * beyond,
+            centre,
             heading: wrap_angle(heading),
-            curvature: if beyond == 0.0 {
-                a.curvature + (b.curvature - a.curvature) * t
-            } else {
-                0.0
-            },
+            curvature,
             width: a.width + (b.width - a.width) * t,
             ..if t < 0.5 { *a } else { *b }
         }

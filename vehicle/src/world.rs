@@ -522,9 +522,10 @@ fn participant(ego: &EgoTruth) -> Participant {
 /// centre in the lane, or in the way of the ego's body.
 fn leader(road: &Road, ego: &EgoTruth, vehicles: &[VehicleSnapshot]) -> (f64, f64) {
     let lane = road.lane(ego.lane);
+    let frame = ego.pose.frame();
     let mut nearest = (f64::INFINITY, 0.0);
     for vehicle in vehicles {
-        let apart = ego.pose.to_local(vehicle.pose.position);
+        let apart = frame.to_local(vehicle.pose.position);
         if apart.x <= 0.0 || apart.x > 300.0 || apart.y.abs() > 20.0 + 0.3 * apart.x {
             continue;
         }

@@ -124,12 +124,13 @@ fn farthest_fit(ego: &EgoTruth, road: &Road) -> ([f64; 4], f64) {
 fn fit(ego: &EgoTruth, road: &Road, range: f64) -> ([f64; 4], f64) {
     let lane = road.lane(ego.lane);
     let step = range / POINTS as f64;
+    let frame = ego.pose.frame();
     // Normal equations in x / range, which keeps them well conditioned.
     let mut matrix = [[0.0; 5]; 4];
     let mut points = [Vec2::default(); POINTS + 1];
     for (sample, kept) in points.iter_mut().enumerate() {
         let section = lane.at(ego.place.s + sample as f64 * step);
-        let point = ego.pose.to_local(section.centre);
+        let point = frame.to_local(section.centre);
         *kept = point;
         let x = point.x / range;
         // What is near matters more to the control, and a camera sees it better.

@@ -196,9 +196,10 @@ impl Detector {
             .fold(0.0, f64::max);
         self.sights.clear();
         self.covered.clear();
+        let frame = origin.frame();
         for (index, vehicle) in vehicles.iter().enumerate().filter(|(_, v)| v.is_present()) {
             let footprint = &vehicle.participant.footprint;
-            let centre = origin.to_local(footprint.pose.position);
+            let centre = frame.to_local(footprint.pose.position);
             if centre.norm() > reach + footprint.length {
                 continue;
             }
@@ -209,7 +210,7 @@ impl Detector {
                 edges: (0.0, 0.0),
             };
             for corner in footprint.corners() {
-                let corner = origin.to_local(corner);
+                let corner = frame.to_local(corner);
                 let offset = wrap_angle(corner.angle() - middle);
                 sight.near = sight.near.min(corner.norm());
                 sight.edges = (sight.edges.0.min(offset), sight.edges.1.max(offset));

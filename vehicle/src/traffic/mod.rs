@@ -24,6 +24,7 @@ pub use idm::{Driver, Leader};
 use crate::commonroad::{Class, Obstacle};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::road::{Frenet, LaneId, Road};
+use sight::Viewer;
 
 /// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
@@ -157,8 +158,7 @@ impl Traffic {
         // matter.
         for index in 0..self.vehicles.len() {
             if self.vehicles[index].mode == Mode::Driving {
-                let wanted = self.wanted_acceleration(index, t, ego);
-                let may_return = self.may_return(index, ego);
+                let (wanted, may_return) = self.decision(index, t, ego);
                 let vehicle = &mut self.vehicles[index];
                 vehicle.aim = if may_return { 0.0 } else { vehicle.place.d };
                 let change = wanted - vehicle.participant.acceleration;
@@ -224,9 +224,10 @@ impl Traffic {
     fn endangers(&self, index: usize, t: f64, ego: &Participant) -> bool {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
+        let viewer = Viewer::new(&self.road, vehicle);
         let leader = self
             .deviating(index, ego)
-            .filter_map(|other| sight::ahead(&self.road, vehicle, &other))
+            .filter_map(|other| viewer.ahead(&other))
             .fold(Leader::NONE, nearer);
         let closing = speed - leader.speed;
         let room = (leader.gap - 2.0).max(0.1);
@@ -253,13 +254,16 @@ impl Traffic {
                 }
                 .grown(1.0, 0.2);
                 self.deviating(index, ego).any(|other| {
+                    if !own.overlaps(&other.predicted(dt)) {
+                        return false;
+                    }
                     let place = self
                         .road
                         .lane(vehicle.lane)
                         .project_near(other.footprint.pose.position, vehicle.place.s);
                     let in_own_lane =
                         place.d.abs() < (vehicle.participant.footprint.width + 1.0) / 2.0;
-                    !in_own_lane && own.overlaps(&other.predicted(dt))
+                    !in_own_lane
                 })
             })
     }
@@ -281,7 +285,8 @@ impl Traffic {
         vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
     }
 
-    fn wanted_acceleration(&self, index: usize, t: f64, ego: &Participant) -> f64 {
+    /// The acceleration that the driver wants, and whether the lane's middle is free to go to.
+    fn decision(&self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
         let lane = self.road.lane(vehicle.lane);
@@ -299,13 +304,29 @@ impl Traffic {
                 .min((CURVE_ACCELERATION / bend).sqrt()),
             ..vehicle.driver
         };
-        let wanted = driver.follow(speed, &self.leader(index, ego));
-        let merging = self
-            .others(index, ego)
-            .filter_map(|o| sight::merging(&self.road, vehicle, &o));
-        merging
-            .map(|leader| driver.follow(speed, &leader).max(-COURTESY))
-            .fold(wanted, f64::min)
+        let viewer = Viewer::new(&self.road, vehicle);
+        let ending: Vec<LaneId> = viewer.ending_beside().collect();
+        let mut leader = self.end_of_lane(vehicle);
+        let mut courtesy = f64::INFINITY;
+        let mut may_return = true;
+        for other in self.others(index, ego) {
+            let Some(seen) = viewer.see(&other) else {
+                continue;
+            };
+            if let Some(ahead) = sight::ahead(vehicle, &other, &seen) {
+                leader = nearer(leader, ahead);
+            }
+            let merging = ending
+                .iter()
+                .find_map(|lane| sight::merging(&self.road, vehicle, *lane, &other, &seen));
+            if let Some(merging) = merging {
+                courtesy = courtesy.min(driver.follow(speed, &merging).max(-COURTESY));
+            }
+            may_return &= !sight::blocks_return(vehicle, &other, &seen);
+        }
+        let in_the_middle = vehicle.place.d.abs() < 0.2;
+        let wanted = driver.follow(speed, &leader).min(courtesy);
+        (wanted, in_the_middle || may_return)
     }
 
     /// All others that are present, and the ego.
@@ -317,20 +338,16 @@ impl Traffic {
 
     fn leader(&self, index: usize, ego: &Participant) -> Leader {
         let vehicle = &self.vehicles[index];
-        let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
-        let end = Leader::standing(end - vehicle.participant.footprint.length / 2.0);
+        let viewer = Viewer::new(&self.road, vehicle);
         self.others(index, ego)
-            .filter_map(|other| sight::ahead(&self.road, vehicle, &other))
-            .fold(end, nearer)
+            .filter_map(|other| viewer.ahead(&other))
+            .fold(self.end_of_lane(vehicle), nearer)
     }
 
-    /// Whether a driver who is beside the lane's middle may go there.
-    fn may_return(&self, index: usize, ego: &Participant) -> bool {
-        let vehicle = &self.vehicles[index];
-        vehicle.place.d.abs() < 0.2
-            || !self
-                .others(index, ego)
-                .any(|other| sight::blocks_return(&self.road, vehicle, &other))
+    /// The end of the lane as a leader that stands.
+    fn end_of_lane(&self, vehicle: &Vehicle) -> Leader {
+        let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
+        Leader::standing(end - vehicle.participant.footprint.length / 2.0)
     }
 }
 
