@@ -82,26 +82,35 @@ impl Lane {
     /// The lane at arc length `s`; extrapolated straight outside of the map.
     #[must_use]
     pub fn at(&self, s: f64) -> Section {
+        let (a, b, t, beyond) = self.around(s);
+        let (centre, heading) = centre_line(a, b, t, beyond);
+        Section {
+            centre,
+            heading,
+            curvature: if beyond == 0.0 {
+                a.curvature + (b.curvature - a.curvature) * t
+            } else {
+                0.0
+            },
+            width: a.width + (b.width - a.width) * t,
+            ..if t < 0.5 { *a } else { *b }
+        }
+    }
+
+    /// The samples before and after `s`, the share of the way between them, and the way beyond all
+    /// samples, m.
+    fn around(&self, s: f64) -> (&Section, &Section, f64, f64) {
         let last = self.sections.len() - 1;
         let place = (s / STEP).clamp(0.0, last as f64);
         let index = (place as usize).min(last.saturating_sub(1));
         let (a, b) = (&self.sections[index], &self.sections[(index + 1).min(last)]);
-        let t = place - index as f64;
-        let heading = a.heading + wrap_angle(b.heading - a.heading) * t;
-        let beyond = s - place * STEP;
-        let inside = a.centre.lerp(b.centre, t);
-        let (centre, curvature) = if beyond == 0.0 {
-            (inside, a.curvature + (b.curvature - a.curvature) * t)
-        } else {
-            (inside + Vec2::from_angle(heading) * beyond, 0.0)
-        };
-        Section {
-            centre,
-            heading: wrap_angle(heading),
-            curvature,
-            width: a.width + (b.width - a.width) * t,
-            ..if t < 0.5 { *a } else { *b }
-        }
+        (a, b, place - index as f64, s - place * STEP)
+    }
+
+    /// Point and direction of the centre line at `s`, as [`Lane::at`] has them.
+    fn line_at(&self, s: f64) -> (Vec2, f64) {
+        let (a, b, t, beyond) = self.around(s);
+        centre_line(a, b, t, beyond)
     }
 
     /// The sections inside of the map, with their arc lengths.
@@ -159,14 +168,14 @@ impl Lane {
     /// Newton steps from the nearest sample.
     fn refine(&self, point: Vec2, index: usize) -> Frenet {
         let mut s = index as f64 * STEP;
-        let mut section = self.at(s);
+        let (mut centre, mut heading) = self.line_at(s);
         for _ in 0..3 {
-            s += Vec2::from_angle(section.heading).dot(point - section.centre);
-            section = self.at(s);
+            s += Vec2::from_angle(heading).dot(point - centre);
+            (centre, heading) = self.line_at(s);
         }
         Frenet {
             s,
-            d: Vec2::from_angle(section.heading).cross(point - section.centre),
+            d: Vec2::from_angle(heading).cross(point - centre),
         }
     }
 
@@ -317,6 +326,18 @@ impl Road {
             .end
             .map_or(f64::INFINITY, |end| (end - s).max(0.0))
     }
+}
+
+/// Point and direction at the share `t` between two samples, or `beyond` them.
+fn centre_line(a: &Section, b: &Section, t: f64, beyond: f64) -> (Vec2, f64) {
+    let heading = a.heading + wrap_angle(b.heading - a.heading) * t;
+    let inside = a.centre.lerp(b.centre, t);
+    let centre = if beyond == 0.0 {
+        inside
+    } else {
+        inside + Vec2::from_angle(heading) * beyond
+    };
+    (centre, wrap_angle(heading))
 }
 
 /// Builds one lane with a run-out before and after it, the latter in the direction `run_out`.
