@@ -499,3 +499,30 @@ fn a_list_that_was_held_back_is_fused_where_its_object_is_by_now() {
     }
     assert!(worst > 0.0 && worst < 0.2, "{worst} m");
 }
+
+/// The route decides the lane: it leads to a free one without a gain, keeps the own one behind a
+/// slow leader, and does not lead beside another vehicle.
+#[test]
+fn the_route_leads_to_its_lane_when_there_is_room() {
+    let slow = object(75.0, 0.0, 21.0);
+    let beside = object(1.0, 3.5, 25.0);
+    for (route, objects, expected) in [
+        (Route::Free, vec![], Maneuver::Follow),
+        (Route::Left, vec![], Maneuver::ChangeLeft),
+        (Route::Left, vec![beside], Maneuver::Follow),
+        (Route::Right, vec![], Maneuver::Follow),
+        (Route::Free, vec![slow], Maneuver::ChangeLeft),
+        (Route::Keep, vec![slow], Maneuver::Follow),
+    ] {
+        let mut planner = Planner::new();
+        let mut last = Maneuver::Follow;
+        for cycle in 0..24 {
+            let scene = Scene {
+                route,
+                ..scene(1_000 + 50 * cycle, 25.0, &objects)
+            };
+            last = planner.plan(&scene).maneuver;
+        }
+        assert_eq!(last, expected, "{route:?} {objects:?}");
+    }
+}

@@ -456,4 +456,37 @@ mod tests {
         let end = profile.at(8.0);
         assert!(end.value < 60.0, "{end:?}");
     }
+
+    /// A leader who is near but no danger is fallen back from in comfort; one who stands near is
+    /// braked for as hard as it takes; and the margin before a lane's end is not worth that.
+    #[test]
+    fn comfort_ends_where_danger_begins() {
+        let hardest = |profile: Profile| {
+            let all = (0..40).map(|step| profile.at(step as f32 * 0.1));
+            all.fold((0.0_f32, 0.0_f32), |(braking, jerk), motion| {
+                (braking.max(-motion.second), jerk.max(motion.third.abs()))
+            })
+        };
+        let start = Jet {
+            first: 15.0,
+            ..Jet::default()
+        };
+        let behind = |bound: f32, speed: f32| {
+            let mut corridor = Corridor::free(15.0);
+            for step in 0..STEPS {
+                let t = (step + 1) as f32 * STEP_S;
+                corridor.limit(step, bound + speed * t, speed);
+            }
+            hardest(cheapest(&start, &corridor))
+        };
+        let near = behind(11.0, 14.0);
+        assert!(near.0 > 0.2 && near.0 <= 4.0 && near.1 <= 8.0, "{near:?}");
+        let standing = behind(19.0, 0.0);
+        assert!(standing.0 > 5.0, "{standing:?}");
+        let mut margin = Corridor::free(15.0);
+        margin.stop = [20.0; STEPS];
+        margin.end = [45.0; STEPS];
+        let margin = hardest(cheapest(&start, &margin));
+        assert!(margin.0 <= 4.0 && margin.1 <= 8.0, "{margin:?}");
+    }
 }
