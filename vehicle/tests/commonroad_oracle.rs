@@ -16,7 +16,7 @@ use tandem_vehicle::geometry::{Footprint, Pose, Vec2};
 const ROOM: &str = env!("CARGO_MANIFEST_DIR");
 
 /// Whether both packages are installed. Without them a test passes and prints that it was skipped;
-/// with `TANDEM_REQUIRE_ORACLES=1` it fails.
+/// with `TANDEM_REQUIRE_COMMONROAD=1` it fails.
 fn installed_or_skip(test: &str) -> bool {
     let import = Command::new("python3")
         .args(["-c", "import commonroad, commonroad_dc.pycrcc"])
@@ -26,7 +26,7 @@ fn installed_or_skip(test: &str) -> bool {
     }
     let missing = "commonroad-io or commonroad-drivability-checker is not installed (pip install \
                    commonroad-io commonroad-drivability-checker)";
-    let required = std::env::var_os("TANDEM_REQUIRE_ORACLES").is_some_and(|value| value == "1");
+    let required = std::env::var_os("TANDEM_REQUIRE_COMMONROAD").is_some_and(|value| value == "1");
     assert!(!required, "{test}: {missing}");
     // Not captured by the test runner, so that a skipped test is visible.
     let _ = writeln!(std::io::stderr(), "{test}: skipped: {missing}");
