@@ -8,6 +8,8 @@ use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_benches::command::BenchArgs;
 use tandem_board::SystemId;
+use tandem_vehicle::SensorFault;
+use tandem_vehicle::sensors::NoSensorFault;
 
 const EXAMPLES: &str = "\
 The three jobs:
@@ -264,6 +266,11 @@ pub(crate) struct RunArgs {
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(crate) answers: Option<f64>,
 
+    /// A sensor that sends nothing, or 400 ms too late, from the one scenario time to the other, s:
+    /// camera-front:lost:10-15 or radar-front:late:10-15; may be repeated
+    #[arg(long, value_name = "SENSOR:KIND:FROM-TO", value_parser = parse_sensor_fault)]
+    pub(crate) sensor_fault: Vec<String>,
+
     /// Switch system A on this long after B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
     pub(crate) stagger: Option<f64>,
@@ -510,6 +517,10 @@ fn parse_span(text: &str) -> Result<(f64, f64), String> {
         }
         _ => Err("write it as 10-15: seconds, the first below the second".to_owned()),
     }
+}
+
+fn parse_sensor_fault(text: &str) -> Result<String, NoSensorFault> {
+    text.parse::<SensorFault>().map(|_| text.to_owned())
 }
 
 fn parse_system(text: &str) -> Result<SystemId, String> {

@@ -98,6 +98,7 @@ fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
         reintegrate: false,
         overrides_s: None,
         answers_after_s: None,
+        sensor_faults: vec![],
         program_flash: Some(ProgramFlash::empty(flashes, key)?),
         update: None,
         demo: Some(demo.clone()),

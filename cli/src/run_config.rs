@@ -68,6 +68,8 @@ pub(crate) struct RunConfig {
     pub(crate) overrides_s: Option<(f64, f64)>,
     /// The driver answers a takeover request after this time, s.
     pub(crate) answers_after_s: Option<f64>,
+    /// Sensors that fail, as on the command line.
+    pub(crate) sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board that has its own.
     pub(crate) program_flash: Option<ProgramFlash>,
     /// Records that are sent to each system while the other drives.
@@ -131,6 +133,7 @@ impl RunConfig {
             reintegrate: args.reintegrate,
             overrides_s: args.overrides,
             answers_after_s: args.answers,
+            sensor_faults: args.sensor_fault.clone(),
             program_flash: None,
             update: None,
             demo: None,
@@ -178,6 +181,7 @@ mod tests {
             reintegrate: true,
             overrides_s: Some((1.0, 2.5)),
             answers_after_s: None,
+            sensor_faults: vec!["camera-front:lost:1-2".into()],
             program_flash: None,
             update: Some(UpdateFiles {
                 lines: ["/tmp/a.update".into(), "/tmp/b.update".into()],

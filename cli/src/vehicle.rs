@@ -111,6 +111,8 @@ where
             overrides_s: run.overrides_s,
             answers_after_s: run.answers_after_s,
         });
+        let faults = run.sensor_faults.iter().map(|text| text.parse());
+        world.set_sensor_faults(faults.collect::<Result<_, _>>()?);
         let update = run.update.as_ref().map(Update::read).transpose()?;
         Ok(Self {
             world,

@@ -77,10 +77,11 @@ impl Standby {
     /// since about then: it has lost frames, and the master drives.
     pub(crate) fn on_echo(&mut self, config: &Config, now: Instant, age: Duration) {
         self.start = None;
+        // Also if this system began to listen only just before that frame.
+        self.control_known = true;
         let unheard = now.since(self.last_control);
         if unheard > age + config.control_margin {
             self.last_control = Instant::from_ns(now.as_ns().saturating_sub(age.as_ns()));
-            self.control_known = true;
             self.suspected = false;
         }
     }

@@ -122,6 +122,8 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
             .find(|p| is_core(p, &master, 0))
             .map(|p| p.pid)
     });
+    // A new standby waits some milliseconds for the first heartbeat.
+    std::thread::sleep(std::time::Duration::from_millis(200));
     send(victim, Signal::STOP);
     std::thread::sleep(std::time::Duration::from_millis(60));
     send(victim, Signal::CONT);

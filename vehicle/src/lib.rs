@@ -46,5 +46,6 @@ pub use gate::{Acceptance, FrameCounts, Verdict};
 pub use metrics::Metrics;
 pub use road::LaneId;
 pub use scenario::Scenario;
+pub use sensors::SensorFault;
 pub use world::{Config, Snapshot, VehicleSnapshot, World};
 pub use world_loop::{LocalBus, LoggedFrame};

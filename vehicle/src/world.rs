@@ -1,5 +1,6 @@
 //! The world: the ego, the others, the sensors, on one time line.
 
+use std::iter;
 use std::sync::Arc;
 
 use tandem_bus::{self as bus, Message, SensorHeader, SensorId, Transmitter};
@@ -14,7 +15,9 @@ use crate::plant::{self, BMW_320I};
 use crate::road::{LaneId, Road};
 use crate::route::{Here, Navigation};
 use crate::scenario::Scenario;
-use crate::sensors::{EgoTruth, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, Sensors};
+use crate::sensors::{
+    EgoTruth, Faults, LANES_PHASE_MS, SENSOR_PERIOD_MS, SENSOR_PHASE_MS, SensorFault, Sensors,
+};
 use crate::traffic::{Leader, Mode, Participant, Traffic};
 
 /// One tick of the world, ns.
@@ -139,6 +142,7 @@ pub struct World {
     ego: EgoTruth,
     traffic: Traffic,
     sensors: Sensors,
+    sensor_faults: Faults,
     gate: Gate,
     /// Width of the lane that the ego is in or nearest to; 0 if that is not one of its direction.
     lane_width: f64,
@@ -186,6 +190,7 @@ impl World {
             meter: Meter::new(traffic.vehicles().len(), Arc::clone(&scenario.goals)),
             snapshot: empty_snapshot(&ego),
             sensors: Sensors::new(config.seed),
+            sensor_faults: Faults::default(),
             gate: Gate::new(),
             lane_width: 0.0,
             wrong_way: false,
@@ -213,6 +218,11 @@ impl World {
     /// What the driver does in this run.
     pub fn set_driver(&mut self, habit: Habit) {
         self.driver = Driver::new(habit);
+    }
+
+    /// Sensors that fail in this run.
+    pub fn set_sensor_faults(&mut self, faults: Vec<SensorFault>) {
+        self.sensor_faults = Faults::new(faults);
     }
 
     /// A frame that a controller has sent, at `now_ns` on the caller's clock. Returns what became
@@ -412,6 +422,7 @@ impl World {
         let Self {
             transmitter,
             sensors,
+            sensor_faults,
             ego,
             ticks,
             gate,
@@ -446,6 +457,8 @@ impl World {
             let wish = self.driver.wish(time_s, &advice);
             send(&Message::DriverRequest(wish));
         }
+        let now = (*ticks, self.snapshot.time_s);
+        sensor_faults.release(*ticks, &mut send);
         let phase = *ticks % SENSOR_PERIOD_MS;
         for sensor in SensorId::ALL
             .iter()
@@ -457,13 +470,14 @@ impl World {
                 object_count: objects.len() as u8,
                 measured_at,
             };
-            send(&Message::SensorHeader(*sensor, header));
-            for object in objects {
-                send(&Message::SensorObject(*sensor, *object));
-            }
+            let header = Message::SensorHeader(*sensor, header);
+            let objects = objects.iter().map(|of| Message::SensorObject(*sensor, *of));
+            let list = iter::once(header).chain(objects);
+            sensor_faults.pass(now, *sensor, list, &mut send);
         }
         if phase == LANES_PHASE_MS {
-            send(&Message::CameraLanes(sensors.lanes(ego, &self.road)));
+            let lanes = Message::CameraLanes(sensors.lanes(ego, &self.road));
+            sensor_faults.pass(now, SensorId::CameraFront, iter::once(lanes), &mut send);
         }
     }
 

@@ -315,3 +315,28 @@ fn stray_sync_edges_without_an_end_keep_no_system_from_driving() {
         }
     }
 }
+
+/// T-RED-9: the connections of a master end right after its first frame, which its standby has not
+/// heard. The vehicle's echo tells that there was a master, so it is missed in time.
+#[test]
+fn a_master_that_ends_after_its_first_frame_is_missed() {
+    for config in PROFILES {
+        for after_us in (0..12_000).step_by(500) {
+            let mut pair = Pair::new(config, after_us + 1);
+            pair.cuts.deaf_to_each_other = true;
+            pair.power_on(A);
+            pair.power_on(B);
+            pair.run_until(10_000, |pair| !pair.accepted.is_empty());
+            pair.run_us(after_us);
+            let from = pair.now_us;
+            pair.cuts.can[drivers(&pair)[0].index()] = true;
+            pair.cuts.link = true;
+            pair.run_ms(500);
+            let gap = pair.longest_gap_us(from);
+            assert!(
+                gap <= us(config.gap_bound_mute()) + 1_500,
+                "{after_us}: {gap}"
+            );
+        }
+    }
+}

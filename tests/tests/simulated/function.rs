@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
-use tandem_board::{Board, CanFrame, CanId, CoreId, Duration, Instant, SystemId};
+use tandem_board::{Board, CoreId, Duration, SystemId};
 use tandem_bus::{Message, Mode, SensorId};
 use tandem_cores::driving::function::{DEGRADED_LIMIT, END_LIMIT, TAKEOVER_LIMIT};
 use tandem_cores::trace::Event;
@@ -153,27 +153,13 @@ fn the_end_of_the_domain_is_asked_for_and_then_stopped_for() {
     assert_eq!(modes(&drive), expected, "{:?}", functions(&drive));
 }
 
-/// A drive in which core 1 of both systems hears from a radar what `bends` makes of it, between
-/// these times; and whether the last control frame asks the driver to take over.
-fn with_sensor(
-    from: Duration,
-    until: Duration,
-    bends: fn(CanFrame) -> CanFrame,
-) -> (Drive, Rc<Cell<bool>>) {
+/// A drive with this fault of a sensor; and whether the last control frame asks the driver to take
+/// over.
+fn with_sensor(fault: &str) -> (Drive, Rc<Cell<bool>>) {
     let config = tandem_cores::Config::rt();
     let asks = Rc::new(Cell::new(false));
     let asked = Rc::clone(&asks);
-    let mut drive = Drive::with("free-lane", 1, move |board| {
-        // Both systems' clocks have an origin of their own.
-        let powered_on = board.now();
-        let hears = move |now: Instant, frame| {
-            let since = now.since(powered_on);
-            if (from..until).contains(&since) {
-                bends(frame)
-            } else {
-                frame
-            }
-        };
+    let drive = Drive::with("free-lane", 1, move |board| {
         let asked = Rc::clone(&asked);
         let sends = move |_, frame| {
             let sent = altered(frame, |message| {
@@ -184,47 +170,27 @@ fn with_sensor(
             vec![sent]
         };
         match board.identity().core {
-            CoreId::PLANNING => poller(board, config),
             CoreId::CONTROL => bent_core(board, config, Box::new(sends), Box::new(straight)),
-            _ => bent_core(board, config, Box::new(sends), Box::new(hears)),
+            _ => poller(board, config),
         }
     });
-    drive.run_for(from);
+    let fault = fault.parse().expect("a fault");
+    drive.seen.borrow_mut().world.set_sensor_faults(vec![fault]);
     (drive, asks)
-}
-
-/// The radar in front on the left says nothing.
-fn lost(frame: CanFrame) -> CanFrame {
-    let sensor = SensorId::RadarFrontLeft;
-    let ids = [sensor.header_id(), sensor.object_id()];
-    match frame.id() {
-        CanId::Standard(id) if ids.contains(&id) => {
-            CanFrame::new(CanId::Standard(0x7FF), true, &[]).expect("a frame that means nothing")
-        }
-        _ => frame,
-    }
-}
-
-/// What it says is 400 ms old.
-fn late(frame: CanFrame) -> CanFrame {
-    altered(frame, |message| {
-        if let Message::SensorHeader(SensorId::RadarFrontLeft, header) = message {
-            header.measured_at = header.measured_at.wrapping_sub(400_000);
-        }
-    })
 }
 
 /// T-CHIP-4, U-1: a radar is lost, or what it tells is late. Within half a second the function asks
 /// the driver to take over, and goes on when the radar is back; else it stops the vehicle.
 #[test]
 fn a_sensor_that_is_lost_or_late_is_a_takeover_request() {
-    for bends in [lost, late] {
-        let back = with_sensor(S(5), S(10), bends);
-        let gone = with_sensor(S(5), S(60), bends);
+    for kind in ["lost", "late"] {
+        let back = with_sensor(&format!("radar-front-left:{kind}:5-10"));
+        let gone = with_sensor(&format!("radar-front-left:{kind}:5-60"));
         for ((mut drive, asks), expected) in
             [(back, &[Mode::L3][..]), (gone, &[Mode::L3, Mode::SafeStop])]
         {
-            drive.run_for(Duration::from_ms(500));
+            // The scenario's time begins with the first control frame.
+            drive.run_for(S(6));
             assert!(asks.get(), "it asks");
             drive.run_for(S(7));
             assert_eq!(asks.get(), expected.len() > 1, "until it is back");

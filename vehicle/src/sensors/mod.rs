@@ -6,6 +6,7 @@
 mod camera;
 mod chassis;
 mod detect;
+mod fault;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -16,6 +17,9 @@ use crate::commonroad::Class;
 use crate::geometry::{Pose, Vec2};
 use crate::road::{Frenet, LaneId, Road};
 use crate::traffic::Vehicle;
+
+pub(crate) use fault::Faults;
+pub use fault::{NoSensorFault, SensorFault};
 
 /// Object lists and lanes come every 50 ms. T-CHIP-3
 pub const SENSOR_PERIOD_MS: u64 = 50;

@@ -1,0 +1,148 @@
+//! A sensor that is lost or late for some time.
+
+use std::collections::VecDeque;
+use std::str::FromStr;
+
+use tandem_bus::{Message, SensorId};
+
+/// How much later the lists of a late sensor are sent than measured, ms: beyond what a controller
+/// may use.
+const LATE_MS: u64 = 400;
+
+/// A sensor that fails, and when: written as `camera-front:lost:10-15` or `radar-front:late:10-15`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorFault {
+    /// Which.
+    pub sensor: SensorId,
+    /// Its lists are sent late; else not at all.
+    pub late: bool,
+    /// From the one scenario time to the other, s.
+    pub span_s: (f64, f64),
+}
+
+/// The text is no [`SensorFault`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("write it as camera-front:lost:10-15; sensors are {sensors}; lost or late", sensors = names())]
+pub struct NoSensorFault;
+
+/// The name of a sensor on the command line: `radar-front-left`.
+fn name_of(sensor: SensorId) -> String {
+    let mut name = String::new();
+    for letter in sensor.name().chars() {
+        if letter.is_ascii_uppercase() && !name.is_empty() {
+            name.push('-');
+        }
+        name.push(letter.to_ascii_lowercase());
+    }
+    name
+}
+
+fn names() -> String {
+    SensorId::ALL.map(name_of).join(", ")
+}
+
+impl FromStr for SensorFault {
+    type Err = NoSensorFault;
+
+    fn from_str(text: &str) -> Result<Self, NoSensorFault> {
+        let mut parts = text.split(':');
+        let (Some(name), Some(kind), Some(span), None) =
+            (parts.next(), parts.next(), parts.next(), parts.next())
+        else {
+            return Err(NoSensorFault);
+        };
+        let mut known = SensorId::ALL.into_iter();
+        let sensor = known.find(|sensor| name_of(*sensor) == name);
+        let late = match kind {
+            "lost" => false,
+            "late" => true,
+            _ => return Err(NoSensorFault),
+        };
+        let (from, to) = span.split_once('-').ok_or(NoSensorFault)?;
+        let seconds = |text: &str| text.trim_end_matches('s').parse::<f64>();
+        let (Ok(from), Ok(to)) = (seconds(from), seconds(to)) else {
+            return Err(NoSensorFault);
+        };
+        if !((0.0..to).contains(&from) && to.is_finite()) {
+            return Err(NoSensorFault);
+        }
+        Ok(Self {
+            sensor: sensor.ok_or(NoSensorFault)?,
+            late,
+            span_s: (from, to),
+        })
+    }
+}
+
+/// Between the sensors and the bus: what fails, and the messages that are held back.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Faults {
+    faults: Vec<SensorFault>,
+    /// Messages with the tick at which they are due, in order.
+    held: VecDeque<(u64, Message)>,
+}
+
+impl Faults {
+    pub(crate) fn new(faults: Vec<SensorFault>) -> Self {
+        Self {
+            faults,
+            held: VecDeque::new(),
+        }
+    }
+
+    /// What `sensor` tells at this tick and scenario time: sent, held back, or lost.
+    pub(crate) fn pass(
+        &mut self,
+        (tick, time_s): (u64, f64),
+        sensor: SensorId,
+        messages: impl Iterator<Item = Message>,
+        send: &mut dyn FnMut(&Message),
+    ) {
+        let fails = |fault: &&SensorFault| {
+            fault.sensor == sensor && (fault.span_s.0..fault.span_s.1).contains(&time_s)
+        };
+        match self.faults.iter().find(fails) {
+            None => messages.for_each(|message| send(&message)),
+            Some(fault) if fault.late => {
+                let due = tick + LATE_MS;
+                self.held.extend(messages.map(|message| (due, message)));
+            }
+            Some(_) => {}
+        }
+    }
+
+    /// Sends what is due by this tick.
+    pub(crate) fn release(&mut self, tick: u64, send: &mut dyn FnMut(&Message)) {
+        while let Some((_, message)) = self.held.pop_front_if(|(due, _)| *due <= tick) {
+            send(&message);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faults_are_written_with_sensor_kind_and_time() {
+        let fault = SensorFault {
+            sensor: SensorId::RadarFrontLeft,
+            late: true,
+            span_s: (2.5, 10.0),
+        };
+        assert_eq!("radar-front-left:late:2.5-10s".parse(), Ok(fault));
+        for text in [
+            "",
+            "camera-front",
+            "camera:lost:1-2",
+            "camera-front:gone:1-2",
+            "camera-front:lost:2-1",
+            "camera-front:lost:1-inf",
+            "camera-front:lost:NaN-2",
+            "camera-front:lost:1",
+            "camera-front:lost:1-2:3",
+        ] {
+            assert_eq!(text.parse::<SensorFault>(), Err(NoSensorFault), "{text}");
+        }
+    }
+}
