@@ -156,3 +156,24 @@ fn data_flash_is_kept_from_run_to_run_if_it_has_a_folder() {
         .run(&["--duration", "1", "--dflash", "flash"])
         .metrics();
 }
+
+/// T-CHIP-4, U-1: a sensor that says nothing is missed within half a second.
+#[test]
+fn a_lost_sensor_is_a_takeover_request() {
+    let fixture = Fixture::new();
+    let fault = "radar-front:lost:0.5-60";
+    let run = [
+        "--duration",
+        "2",
+        "--scenario",
+        "free-lane",
+        "--sensor-fault",
+        fault,
+    ];
+    let metrics = fixture.run(&run).metrics();
+    let asked_s = metrics["takeover_asked_s"].as_f64();
+    assert!(
+        asked_s.is_some_and(|at| (0.5..1.0).contains(&at)),
+        "{asked_s:?}"
+    );
+}
