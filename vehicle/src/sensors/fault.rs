@@ -113,7 +113,8 @@ impl Faults {
 
     /// Sends what is due by this tick.
     pub(crate) fn release(&mut self, tick: u64, send: &mut dyn FnMut(&Message)) {
-        while let Some((_, message)) = self.held.pop_front_if(|(due, _)| *due <= tick) {
+        let due = self.held.iter().take_while(|(due, _)| *due <= tick).count();
+        for (_, message) in self.held.drain(..due) {
             send(&message);
         }
     }
