@@ -165,7 +165,7 @@ fn draw_lane(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
 fn draw_gaps(picture: &Picture, area: Rect, frame: &mut Frame<'_>) {
     let roles = picture.roles.unwrap_or_default();
     let title = format!(
-        " without control, up to {GAP_TOP_MS:.0} ms: max {:.1}, {} takeovers, last {:.1} ",
+        " without control, up to {GAP_TOP_MS:.0} ms: max {:.1}, takeovers {}, last {:.1} ",
         roles.gap_max_ms, roles.takeovers, roles.takeover_gap_ms
     );
     let heights = picture.gaps_ms.iter().map(|ms| (ms * 10.0) as u64);
@@ -290,7 +290,7 @@ mod tests {
             "heartbeats 1 ○ 2 ○",
             "obeys it, term 13",
             "0.21 m right of its centre",
-            "max 18.0, 1 takeovers",
+            "max 18.0, takeovers 1",
             "takes over: power level fell",
             "kill core 0 of A",
             "m mend q",
