@@ -90,6 +90,13 @@ pub enum Item {
         /// The system.
         of: SystemId,
     },
+    /// A core of a system in the machine overwrites the whole LMU.
+    Scribble {
+        /// The system.
+        of: SystemId,
+        /// Selects the words.
+        seed: u32,
+    },
 }
 
 /// The message cannot be decoded: the other side has another version.
@@ -128,6 +135,7 @@ impl Item {
                 put(head(8, of.index(), fault, usize::from(*present)), &[])
             }
             Self::Crash { of } => put(head(9, of.index(), 0, 0), &[]),
+            Self::Scribble { of, seed } => put(head(10, of.index(), 0, 0), &[*seed]),
         }
     }
 
@@ -176,6 +184,10 @@ impl Item {
                 present: c != 0,
             },
             9 => Self::Crash { of: system? },
+            10 => Self::Scribble {
+                of: system?,
+                seed: take::<1>(&mut rest)?[0],
+            },
             _ => return Err(Malformed),
         };
         *words = rest;
@@ -269,6 +281,10 @@ mod tests {
             },
             Item::End,
             Item::Crash { of: SystemId::B },
+            Item::Scribble {
+                of: SystemId::A,
+                seed: 7,
+            },
         ];
         for item in items {
             let mut buffer = [0; ITEM_WORDS];
@@ -284,7 +300,7 @@ mod tests {
     fn what_is_no_item_is_refused() {
         for head in [
             0,
-            10,
+            11,
             8 | 7 << 16,
             9 | 2 << 8,
             2 | 6 << 8,

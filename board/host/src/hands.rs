@@ -6,13 +6,13 @@
 use std::fs::{self, File};
 use std::io;
 use std::path::PathBuf;
-use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 
 use rustix::io::Errno;
 use rustix::process::{Pid, Signal, kill_process};
 use rustix::thread::{LinkNameSpaceType, move_into_link_name_space};
 use tandem_board::{CoreId, Edge, HardwareFault, Line, ResetRequest, SystemId};
+use tandem_peripherals::memory::scribble;
 use tandem_peripherals::wires::Wire;
 
 use crate::backplane::{Backplane, BackplaneError};
@@ -192,14 +192,7 @@ impl Hands {
     /// # Errors
     /// [`HandsError::Lmu`].
     pub fn scribble(&self, system: SystemId, seed: u32) -> Result<(), HandsError> {
-        let mut word = seed | 1;
-        for place in memory::open_lmu(&self.run, system)? {
-            // Marsaglia's xorshift: the words are arbitrary, but the same each time.
-            word ^= word << 13;
-            word ^= word >> 17;
-            word ^= word << 5;
-            place.store(word, Relaxed);
-        }
+        scribble(memory::open_lmu(&self.run, system)?, seed);
         Ok(())
     }
 

@@ -281,6 +281,7 @@ impl EmulatedWorld {
             | Item::Feed { .. }
             | Item::Fault { .. }
             | Item::Crash { .. }
+            | Item::Scribble { .. }
             | Item::End => {}
         }
     }
@@ -298,6 +299,11 @@ impl EmulatedWorld {
     /// Core 0 of a system ends with an exception at the next step: its supply resets the system.
     pub fn crash(&mut self, of: SystemId) {
         self.tell_machine_of(of, Item::Crash { of });
+    }
+
+    /// A core of a system overwrites the whole LMU at the next step. `seed` selects the words.
+    pub fn scribble(&mut self, of: SystemId, seed: u32) {
+        self.tell_machine_of(of, Item::Scribble { of, seed });
     }
 
     fn tell_machine_of(&mut self, system: SystemId, item: Item) {

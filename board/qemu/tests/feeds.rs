@@ -58,42 +58,62 @@ fn power_loss_and_return(layout: Layout) {
     assert!(log.contains("bytes of stack"), "{log}");
 }
 
+/// Both systems, A master since a second.
+fn dual() -> EmulatedWorld {
+    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
+    let image = PathBuf::from(images).join("controller");
+    let mut world = EmulatedWorld::start(&image, Layout::One, false).unwrap();
+    let [a, b] = SystemId::ALL;
+    world.step().unwrap();
+    world.set_ignition(true);
+    until(&mut world, "A leads and B stands by", |world| {
+        world.role(a) == RoleLamp::Master && world.role(b) == RoleLamp::Standby
+    });
+    for _ in 0..1_000 {
+        world.step().unwrap();
+    }
+    world
+}
+
 /// T-CHIP-6, T-RED-6: the hardware of the master fails. B drives, and a system that is mended comes
 /// back.
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn a_system_whose_hardware_fails_is_replaced() {
-    use RoleLamp::{DegradedMaster, Master, Standby, Starting};
-    let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
-    let image = PathBuf::from(images).join("controller");
     let [a, b] = SystemId::ALL;
     for (fault, within_ms) in [
         (HardwareFault::Undervoltage, 20),
         (HardwareFault::CanTransmit, 30),
     ] {
-        let mut world = EmulatedWorld::start(&image, Layout::One, false).unwrap();
-        world.step().unwrap();
-        world.set_ignition(true);
-        until(&mut world, "A leads and B stands by", |world| {
-            world.role(a) == Master && world.role(b) == Standby
-        });
-        // Then a standby may take over from a master that resigns.
-        for _ in 0..1_000 {
-            world.step().unwrap();
-        }
+        let mut world = dual();
         world.set_fault(a, fault, true);
         let took = until(&mut world, "B drives", |world| {
-            world.role(b) == DegradedMaster
+            world.role(b) == RoleLamp::DegradedMaster
         });
         assert!(took <= within_ms, "{fault:?}: {took} ms of virtual time");
-        assert_ne!(world.role(a), Master, "{fault:?}");
+        assert_ne!(world.role(a), RoleLamp::Master, "{fault:?}");
         world.set_fault(a, fault, false);
         until(&mut world, "A is in a role again", |world| {
-            world.is_powered(a) && world.role(a) != Starting
+            world.is_powered(a) && world.role(a) != RoleLamp::Starting
         });
-        assert_eq!(world.role(b), DegradedMaster, "{fault:?}");
+        assert_eq!(world.role(b), RoleLamp::DegradedMaster, "{fault:?}");
         world.end().unwrap();
     }
+}
+
+/// T-RED-6: a core of the master overwrites the whole LMU. B drives.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn a_master_whose_memory_is_overwritten_is_replaced() {
+    let [a, b] = SystemId::ALL;
+    let mut world = dual();
+    world.scribble(a, 1);
+    let took = until(&mut world, "B drives", |world| {
+        world.role(b) == RoleLamp::DegradedMaster
+    });
+    assert!(took <= 30, "{took} ms of virtual time");
+    assert_ne!(world.role(a), RoleLamp::Master);
+    world.end().unwrap();
 }
 
 #[test]

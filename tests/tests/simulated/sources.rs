@@ -1,12 +1,12 @@
 //! Each fault that a system can find in itself has a source, and the stated effect.
 
-use std::sync::atomic::Ordering;
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, HardwareFault, ResetCause, RoleLamp, SystemId,
 };
 use tandem_board_sim::Wire;
 use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::Event;
+use tandem_peripherals::memory::scribble;
 use tandem_redundancy::{Evidence, FailureMode, SystemState, Term};
 use tandem_sim::drive::Drive;
 
@@ -278,14 +278,7 @@ fn a_scribbled_lmu_is_found_and_costs_no_frame() {
         for seed in 1..=6_u32 {
             let mut drive = started();
             drive.events.clear();
-            let mut word = seed.wrapping_mul(0x9E37_79B9);
-            for place in drive.pair.lmu(of) {
-                // Marsaglia's xorshift.
-                word ^= word << 13;
-                word ^= word >> 17;
-                word ^= word << 5;
-                place.store(word, Ordering::Relaxed);
-            }
+            scribble(drive.pair.lmu(of), seed.wrapping_mul(0x9E37_79B9));
             drive.run_for(MS(5_000));
             let found = events(&drive, of).find(|(_, event)| {
                 matches!(

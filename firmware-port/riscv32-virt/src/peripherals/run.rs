@@ -13,6 +13,7 @@ use tandem_board::{
 use tandem_cosim::Item;
 use tandem_peripherals::bus::Confinement;
 use tandem_peripherals::codec::{FRAME_WORDS, Sender, decode_service, set_sender, set_time};
+use tandem_peripherals::memory::scribble;
 use tandem_peripherals::supply::{Change, Config, Power, Supply};
 
 /// Cycles between two reads when a yielded turn was not used by any hart: four, and fewer than any
@@ -214,6 +215,7 @@ impl Peripherals {
                 let change = self.supplies[of.index()].reset(now(), ResetCause::Trap);
                 self.carry_out(of, change);
             }
+            Item::Scribble { of, seed } => scribble(memory::lmu(of), seed),
             Item::End => {
                 log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
                 exit(0)
