@@ -1,5 +1,6 @@
 //! What a run publishes, and that no observer disturbs it.
 
+use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -124,20 +125,22 @@ fn the_example_in_python_sees_a_takeover() {
     let fixture = Fixture::new();
     let mut run = fixture.run(&["--duration", "6", "--scenario", "free-lane"]);
     let name = observer(&run).run().to_string();
-    let python = Command::new("python3")
+    let mut python = Command::new("python3")
         .args([EXAMPLE, &name, "4"])
         .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
         .spawn()
         .unwrap();
-    run.until_dual();
-    std::thread::sleep(Duration::from_millis(500));
+    let mut lines = BufReader::new(python.stdout.take().unwrap()).lines();
+    let mut told = String::new();
+    // The interpreter may need longer to subscribe than the systems need to start.
+    let both_drive = |line: &String| line.contains("A master, B standby, term");
+    let seen = lines.by_ref().map(Result::unwrap).find(both_drive);
+    assert!(seen.is_some(), "the example ended before both drove");
     kill(run.master_supply().pid);
-    let output = python.wait_with_output().unwrap();
-    let told = String::from_utf8_lossy(&output.stdout).into_owned();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{told}{said}");
-    assert!(told.contains("A master, B standby, term"), "{told}");
+    for line in lines {
+        told += &(line.unwrap() + "\n");
+    }
+    assert!(python.wait().unwrap().success(), "{told}");
     assert!(
         told.contains("B core 0: takes over: power level fell"),
         "{told}"
