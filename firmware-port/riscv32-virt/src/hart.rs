@@ -141,10 +141,17 @@ pub fn sleep() {
 /// hart that it waits for does not run. This is a sleep that ends at once: the supervisor's
 /// software interrupt is always pending (see start.S) and enabled just here. On a chip with real
 /// cores it would be `spin_loop`.
-/// would be `spin_loop`.
 #[inline]
 pub fn yield_turn() {
     // SAFETY: the interrupt is delegated to supervisor mode, which nothing runs in: it ends the
     // sleep and is never taken.
     unsafe { asm!("csrsi mie, 2", "wfi", "csrci mie, 2", options(nostack)) };
+}
+
+/// Yields the turn until `holds`.
+#[inline]
+pub fn yield_until(mut holds: impl FnMut() -> bool) {
+    while !holds() {
+        yield_turn();
+    }
 }

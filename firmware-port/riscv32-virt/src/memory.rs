@@ -5,12 +5,36 @@ mod lmu;
 
 use core::ptr::addr_of;
 
+use tandem_board::SystemId;
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::map::{Layout, Map};
+
+use crate::{hart, must};
+
 pub use lmu::{LMU_WORDS, lmu};
 
 unsafe extern "C" {
     static __straps: u32;
     static __recording: u32;
     static __stacks: u32;
+}
+
+/// System A's LMU as seen from this core in its first incarnation, after another has formatted it.
+///
+/// # Panics
+/// If there is no such core.
+#[must_use]
+pub fn attach(core: usize, layout: Layout) -> (Map<'static>, Incarnation) {
+    let Some(own) = Incarnation::new(core, 1) else {
+        panic!("a first incarnation")
+    };
+    loop {
+        if let Ok(map) = Map::attach(lmu(SystemId::A), layout) {
+            must(map.incarnations().announce(own));
+            return (map, own);
+        }
+        hart::yield_turn();
+    }
 }
 
 /// Bytes of the stack of one hart; as in link.x and start.S.

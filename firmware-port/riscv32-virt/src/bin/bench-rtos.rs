@@ -13,7 +13,6 @@ use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory,
 use tandem_rtos::{
     Clock, Interrupt, InterruptPriority, Kernel, Priority, TaskContext, TaskOptions, Ticks,
 };
-use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Ring, Sender, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::region::{Mailbox, Region};
@@ -51,16 +50,6 @@ const MAILBOX_0_TO_1: Region<Mailbox> = Region::first("mailbox 0 to 1");
 const MAILBOX_1_TO_0: Region<Mailbox> = MAILBOX_0_TO_1.then("mailbox 1 to 0");
 const LAYOUT: Layout = MAILBOX_1_TO_0.end();
 
-/// The LMU, which hart 0 has formatted, and this core's incarnation.
-fn attach(core: usize) -> (Map<'static>, Incarnation) {
-    let map = must(Map::attach(memory::lmu(SystemId::A), LAYOUT));
-    let Some(own) = Incarnation::new(core, 1) else {
-        panic!("a first incarnation")
-    };
-    must(map.incarnations().announce(own));
-    (map, own)
-}
-
 const fn task(number: u8) -> TaskId {
     match TaskId::new(number) {
         Some(task) => task,
@@ -75,7 +64,7 @@ fn control() -> ! {
     let options = TaskOptions::new("measure", Priority::new(5)).stack_bytes(16 << 10);
     let measuring = must(kernel.spawn(&options, measure));
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
-    let (map, own) = attach(0);
+    let (map, own) = memory::attach(0, LAYOUT);
     let mut back = must(MAILBOX_1_TO_0.receiver(&map, own));
     // Core 0 requests its doorbell for every signal.
     back.poll(|_| ());
@@ -100,7 +89,7 @@ fn control() -> ! {
 }
 
 fn measure(ctx: &TaskContext) {
-    let (map, own) = attach(0);
+    let (map, own) = memory::attach(0, LAYOUT);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     bench(ctx, "rtos/yield", || {
         // No other task is ready: a call of the kernel and back.
@@ -155,7 +144,7 @@ fn answer() -> ! {
     while !READY.load(Ordering::Acquire) {
         doorbell::wait(None);
     }
-    let (map, own) = attach(1);
+    let (map, own) = memory::attach(1, LAYOUT);
     let mut from = must(MAILBOX_0_TO_1.receiver(&map, own));
     let mut to = must(MAILBOX_1_TO_0.sender(&map, own));
     let mut tasks = TaskTable::new();

@@ -72,34 +72,9 @@ fn main(hart: usize) -> ! {
     }
 }
 
-fn incarnation(core: usize) -> Incarnation {
-    match Incarnation::new(core, 1) {
-        Some(incarnation) => incarnation,
-        None => panic!("a first incarnation"),
-    }
-}
-
-/// The LMU as seen from this hart, after hart 0 has formatted it.
-fn attach(core: usize) -> Map<'static> {
-    loop {
-        if let Ok(map) = Map::attach(memory::lmu(SystemId::A), LAYOUT) {
-            must(map.incarnations().announce(incarnation(core)));
-            return map;
-        }
-        hart::yield_turn();
-    }
-}
-
 /// Waits until all other harts are idle.
 fn settle() {
     (0..8).for_each(|_| hart::yield_turn());
-}
-
-/// Yields until `holds`.
-fn until(mut holds: impl FnMut() -> bool) {
-    while !holds() {
-        hart::yield_turn();
-    }
 }
 
 /// Repeats a round that returns how long it took, and prints the shortest and the longest.
@@ -121,7 +96,7 @@ fn reach(act: impl FnOnce()) -> u32 {
     let before = SEEN.load(Ordering::Relaxed);
     let begin = hart::cycles();
     act();
-    until(|| SEEN.load(Ordering::Acquire) != before);
+    hart::yield_until(|| SEEN.load(Ordering::Acquire) != before);
     SEEN_AT.load(Ordering::Relaxed).wrapping_sub(begin)
 }
 
@@ -143,8 +118,7 @@ fn ring(ring: Ring) {
 
 fn measure() {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
-    let map = attach(0);
-    let own = incarnation(0);
+    let (map, own) = memory::attach(0, LAYOUT);
     let mut to = must(MAILBOX_0_TO_1.sender(&map, own));
     let mut queue = must(FIFO_0_TO_1.producer(&map, own));
     let mut newest = must(NEWEST_0_TO_1.writer(&map, own));
@@ -199,7 +173,7 @@ fn measure() {
         let begin = hart::cycles();
         GO.store(number + 1, Ordering::Release);
         take(&mut lock);
-        until(|| ENDED.load(Ordering::Acquire) == 3);
+        hart::yield_until(|| ENDED.load(Ordering::Acquire) == 3);
         LAST_AT.load(Ordering::Relaxed).wrapping_sub(begin)
     });
     bench("pool/get-give", |_| {
@@ -221,7 +195,7 @@ fn take(lock: &mut Lock<'_>) {
 
 /// Hart 1: first it does nothing but wake, in three ways, then the mailbox, then it contends.
 fn answer() -> ! {
-    let map = attach(1);
+    let (map, own) = memory::attach(1, LAYOUT);
     trap::on_doorbell(reached);
     hart::interrupts_on();
     while PART.load(Ordering::Acquire) != WFI {
@@ -230,7 +204,7 @@ fn answer() -> ! {
     trap::on_doorbell(|| ());
     wake_by_wfi();
     wake_by_doorbell();
-    wake_by_mailbox(&map)
+    wake_by_mailbox(&map, own)
 }
 
 /// The least: `wfi` wakes the hart without a trap, and the interrupt is cleared.
@@ -255,10 +229,10 @@ fn wake_by_doorbell() {
 }
 
 #[inline(never)]
-fn wake_by_mailbox(map: &Map<'static>) -> ! {
-    let mut from = must(MAILBOX_0_TO_1.receiver(map, incarnation(1)));
+fn wake_by_mailbox(map: &Map<'static>, own: Incarnation) -> ! {
+    let mut from = must(MAILBOX_0_TO_1.receiver(map, own));
     let mut values = Values {
-        queue: must(FIFO_0_TO_1.consumer(map, incarnation(1))),
+        queue: must(FIFO_0_TO_1.consumer(map, own)),
         newest: must(NEWEST_0_TO_1.reader(map)),
     };
     let mut tasks = TaskTable::new();
@@ -303,14 +277,14 @@ impl Values {
 
 /// Hart 1 and 2: take the lock once in each round.
 fn contend(hart: usize) -> ! {
-    let map = attach(hart);
-    let mut lock = must(LOCK.attach(&map, incarnation(hart)));
+    let (map, own) = memory::attach(hart, LAYOUT);
+    let mut lock = must(LOCK.attach(&map, own));
     while PART.load(Ordering::Acquire) != CONTEND {
         doorbell::wait(None);
     }
     let mut round = 0;
     loop {
-        until(|| GO.load(Ordering::Acquire) != round);
+        hart::yield_until(|| GO.load(Ordering::Acquire) != round);
         round = GO.load(Ordering::Relaxed);
         take(&mut lock);
     }

@@ -54,39 +54,14 @@ fn main(hart: usize) -> ! {
     }
 }
 
-fn incarnation(core: usize) -> Incarnation {
-    match Incarnation::new(core, 1) {
-        Some(incarnation) => incarnation,
-        None => panic!("a first incarnation"),
-    }
-}
-
-/// The LMU as seen from this core, after core 0 has formatted it.
-fn attach(core: usize) -> Map<'static> {
-    loop {
-        if let Ok(map) = Map::attach(memory::lmu(SystemId::A), LAYOUT) {
-            must(map.incarnations().announce(incarnation(core)));
-            return map;
-        }
-        hart::yield_turn();
-    }
-}
-
-/// Yields until `holds`.
-fn until(mut holds: impl FnMut() -> bool) {
-    while !holds() {
-        hart::yield_turn();
-    }
-}
-
 fn core_0() -> ! {
     must(Map::format(memory::lmu(SystemId::A), LAYOUT));
-    let map = attach(0);
-    let mut to = must(MAILBOX.sender(&map, incarnation(0)));
+    let (map, own) = memory::attach(0, LAYOUT);
+    let mut to = must(MAILBOX.sender(&map, own));
     (1..=MESSAGES).for_each(|number| exchange(&mut to, number));
     COUNTS.store(true, Release);
     clint::post(1);
-    count_both(&map, 0);
+    count_both(&map, own);
     exit::exit(0)
 }
 
@@ -99,14 +74,14 @@ fn exchange(to: &mut Sender<'_>, number: u32) {
     if to.signal_with(TaskId::FIRST, sent) == Ring::Needed {
         clint::post(1);
     }
-    until(|| TASKS.load(Acquire) == number);
+    hart::yield_until(|| TASKS.load(Acquire) == number);
     let took = AT.load(Relaxed).wrapping_sub(begin);
     log!("exchange {sent} {} {took}", RECEIVED.load(Relaxed));
 }
 
 fn core_1() -> ! {
-    let map = attach(1);
-    let mut from = must(MAILBOX.receiver(&map, incarnation(1)));
+    let (map, own) = memory::attach(1, LAYOUT);
+    let mut from = must(MAILBOX.receiver(&map, own));
     let mut tasks = TaskTable::new();
     let task = |(): &mut (), _, call: Call| {
         AT.store(hart::cycles(), Relaxed);
@@ -122,22 +97,23 @@ fn core_1() -> ! {
             from.awake();
         }
     }
-    count_both(&map, 1);
+    count_both(&map, own);
     loop {
         hart::sleep();
     }
 }
 
 /// 6.4.3: both cores count, first without the lock and then with it. Core 0 prints.
-fn count_both(map: &Map<'static>, core: usize) {
+fn count_both(map: &Map<'static>, own: Incarnation) {
+    let core = own.core();
     hart::interrupts_on();
-    let mut lock = must(LOCK.attach(map, incarnation(core)));
+    let mut lock = must(LOCK.attach(map, own));
     let counter = &must(COUNTER.attach(map))[0];
     for (round, locked) in [(0_u32, false), (1, true)] {
         // Both begin and end together.
         let meet = |time| {
             ARRIVED.fetch_add(1, Release);
-            until(|| ARRIVED.load(Acquire) >= 2 * (3 * round + time));
+            hart::yield_until(|| ARRIVED.load(Acquire) >= 2 * (3 * round + time));
         };
         if core == 0 {
             counter.store(0, Relaxed);
