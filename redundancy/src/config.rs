@@ -127,7 +127,7 @@ impl Config {
     }
 
     /// For how long a system that has become standby takes over only if the vehicle's echo demands
-    /// it, after so many changes of the driver ([`Config::changes_after`]). Doubles with each
+    /// it, after this number of changes of the driver ([`Config::changes_after`]). Doubles with each
     /// further one, up to 32 times the first; without a change there is no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {

@@ -36,7 +36,7 @@ fn lock_words(cores: usize) -> Arc<Vec<AtomicU32>> {
     words
 }
 
-/// As many cores as `times` has numbers take the lock so many times, or give up. loom sees whether
+/// Core `n` takes the lock `times[n]` times, or gives up. loom sees whether
 /// two are inside at once and whether the one inside sees what the last one did.
 fn contend<const CORES: usize>(times: [u32; CORES], preemptions: usize) {
     model(preemptions, move || {

@@ -77,11 +77,18 @@ fn a_violation_fails_the_campaign_and_can_be_repeated() {
     assert!(told.contains(repeats), "{told}");
 }
 
-/// The run of a campaign is a process of its own.
-fn run_of(campaign: &Child) -> Option<u32> {
+/// Waits for the run of a campaign, which is a process of its own.
+fn run_of(campaign: &Child) -> u32 {
     let children = format!("/proc/{0}/task/{0}/children", campaign.id());
-    let text = fs::read_to_string(children).ok()?;
-    text.split_whitespace().next()?.parse().ok()
+    let since = Instant::now();
+    loop {
+        assert!(since.elapsed() < WATCHDOG, "no run");
+        let text = fs::read_to_string(&children).unwrap_or_default();
+        if let Some(run) = text.split_whitespace().next() {
+            return run.parse().unwrap();
+        }
+        sleep(Duration::from_millis(20));
+    }
 }
 
 /// Ctrl-C gives the report of what was done, and ends the run.
@@ -101,14 +108,7 @@ fn ctrl_c_ends_a_campaign_with_the_report_of_what_was_done() {
         .stdout(Stdio::piped())
         .stderr(Stdio::piped());
     let campaign = command.spawn().unwrap();
-    let since = Instant::now();
-    let run = loop {
-        assert!(since.elapsed() < WATCHDOG, "no run");
-        match run_of(&campaign) {
-            Some(run) => break run,
-            None => sleep(Duration::from_millis(20)),
-        }
-    };
+    let run = run_of(&campaign);
     sleep(Duration::from_secs(9));
     let group = i32::try_from(campaign.id()).unwrap();
     rustix::process::kill_process_group(
@@ -137,14 +137,7 @@ fn a_campaign_that_is_killed_takes_its_run_with_it() {
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let since = Instant::now();
-    let run = loop {
-        assert!(since.elapsed() < WATCHDOG, "no run");
-        match run_of(&campaign) {
-            Some(run) => break run,
-            None => sleep(Duration::from_millis(20)),
-        }
-    };
+    let run = run_of(&campaign);
     sleep(Duration::from_secs(3));
     send(i32::try_from(campaign.id()).unwrap(), Signal::KILL);
     campaign.wait().unwrap();

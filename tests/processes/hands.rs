@@ -30,6 +30,26 @@ fn until_roles(run: &Run, expected: &[(&str, &str)]) {
     });
 }
 
+/// A run that lasts until a test has done with it, once A drives and B stands by.
+fn long_run(fixture: &Fixture) -> Run {
+    let arguments = [
+        "--duration",
+        "110",
+        "--scenario",
+        "free-lane",
+        "--reintegrate",
+    ];
+    let run = fixture.run(&arguments);
+    until_roles(&run, &[("A", "master"), ("B", "standby")]);
+    run
+}
+
+/// The systems that took over, in order.
+fn drivers_of(metrics: &Value) -> Vec<&str> {
+    let takeovers = metrics["takeovers"].as_array().unwrap().iter();
+    takeovers.map(|it| it["to"].as_str().unwrap()).collect()
+}
+
 /// Waits until this system is the master.
 fn until_drives(run: &Run, system: &str) {
     run.until(&format!("{system} drives"), |processes| {
@@ -53,14 +73,7 @@ fn one_master(metrics: &Value) {
 #[test]
 fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     let fixture = Fixture::new();
-    let mut run = fixture.run(&[
-        "--duration",
-        "110",
-        "--scenario",
-        "free-lane",
-        "--reintegrate",
-    ]);
-    until_roles(&run, &[("A", "master"), ("B", "standby")]);
+    let mut run = long_run(&fixture);
     hand(&fixture, &run, &["power", "off", "A"]);
     until_roles(&run, &[("B", "master")]);
     hand(&fixture, &run, &["power", "on", "A"]);
@@ -73,12 +86,7 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
     assert_eq!(on.status.code(), Some(1), "it is on already");
     let metrics = run.interrupt();
     one_master(&metrics);
-    let drivers: Vec<_> = metrics["takeovers"].as_array().unwrap().iter().collect();
-    let to: Vec<_> = drivers
-        .iter()
-        .map(|it| it["to"].as_str().unwrap())
-        .collect();
-    assert_eq!(to, ["B", "A"], "{metrics:#}");
+    assert_eq!(drivers_of(&metrics), ["B", "A"], "{metrics:#}");
     run.until_vanished();
     assert!(run.files().is_empty(), "{:?}", run.files());
 }
@@ -88,14 +96,7 @@ fn a_system_that_was_switched_off_is_switched_on_again_and_joins() {
 #[test]
 fn faults_of_the_hardware_are_made_and_mended_by_hand() {
     let fixture = Fixture::new();
-    let mut run = fixture.run(&[
-        "--duration",
-        "110",
-        "--scenario",
-        "free-lane",
-        "--reintegrate",
-    ]);
-    until_roles(&run, &[("A", "master"), ("B", "standby")]);
+    let mut run = long_run(&fixture);
     hand(&fixture, &run, &["fault", "undervoltage", "A"]);
     until_drives(&run, "B");
     hand(&fixture, &run, &["fault", "undervoltage", "A", "--mend"]);
@@ -106,12 +107,7 @@ fn faults_of_the_hardware_are_made_and_mended_by_hand() {
     until_roles(&run, &[("A", "master"), ("B", "standby")]);
     let metrics = run.interrupt();
     one_master(&metrics);
-    let takeovers = metrics["takeovers"].as_array().unwrap();
-    let to: Vec<_> = takeovers
-        .iter()
-        .map(|it| it["to"].as_str().unwrap())
-        .collect();
-    assert_eq!(to, ["B", "A"], "{metrics:#}");
+    assert_eq!(drivers_of(&metrics), ["B", "A"], "{metrics:#}");
     let report = fixture.folder().join("tandem-report/report.html");
     let report = std::fs::read_to_string(report).unwrap();
     assert!(report.contains("low rail of the supply"));

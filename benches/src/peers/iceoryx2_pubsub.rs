@@ -32,7 +32,7 @@ enum Settings {
     Lossless,
 }
 
-/// One end: payloads of so many words.
+/// One end; the number is the length of a payload in words.
 struct PublishSubscribe {
     out: Option<Publisher<ipc::Service, [u32], ()>>,
     inward: Option<Subscriber<ipc::Service, [u32], ()>>,

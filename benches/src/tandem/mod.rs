@@ -22,7 +22,7 @@ use tandem_shm::newest::{Reader, Writer};
 use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Event, WaitPolicy};
 
-/// The mailbox and the channel of so many words towards each core.
+/// The mailbox towards each core, and a channel of `WORDS` words.
 type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
 
 struct Regions<const WORDS: usize>;

@@ -102,7 +102,7 @@ impl<const WORDS: usize> End for InPlace<WORDS> {
     }
 }
 
-/// One-way time of a payload of so many words between cores that spin, from before its first word
+/// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
 /// is written until its last word was read.
 ///
 /// # Errors

@@ -18,6 +18,18 @@ pub enum Wire {
     Can,
 }
 
+impl Wire {
+    /// The wires that start at a system.
+    pub const ALL: [Self; 6] = [
+        Self::Line(Line::Start),
+        Self::Line(Line::Heartbeat1),
+        Self::Line(Line::Heartbeat2),
+        Self::Level,
+        Self::Link,
+        Self::Can,
+    ];
+}
+
 /// Which wires are cut, one bit for each wire of each system: a register.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Cuts(pub u32);
@@ -62,23 +74,14 @@ impl Cuts {
 mod tests {
     use super::*;
 
-    const WIRES: [Wire; 6] = [
-        Wire::Line(Line::Start),
-        Wire::Line(Line::Heartbeat1),
-        Wire::Line(Line::Heartbeat2),
-        Wire::Level,
-        Wire::Link,
-        Wire::Can,
-    ];
-
     #[test]
     fn each_wire_is_cut_and_mended_by_itself() {
         for cut_from in SystemId::ALL {
-            for cut in WIRES {
+            for cut in Wire::ALL {
                 let mut cuts = Cuts::default();
                 cuts.set(cut, cut_from, true);
                 for from in SystemId::ALL {
-                    for wire in WIRES {
+                    for wire in Wire::ALL {
                         let expected = (wire, from) == (cut, cut_from);
                         assert_eq!(cuts.is_cut(wire, from), expected, "{wire:?} {from}");
                     }

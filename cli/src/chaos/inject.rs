@@ -6,27 +6,17 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use rustix::process::Signal;
-use tandem_board::{CoreId, Duration, Line, ResetCause, SystemId};
+use tandem_board::{CoreId, Duration, ResetCause, SystemId};
 use tandem_board_host::hands::{Hands, Target};
 use tandem_board_host::{BusFault, Wire, clock};
 use tandem_sim::faults::{Act, Fault};
-
-/// All wires.
-const WIRES: [Wire; 6] = [
-    Wire::Line(Line::Start),
-    Wire::Line(Line::Heartbeat1),
-    Wire::Line(Line::Heartbeat2),
-    Wire::Level,
-    Wire::Link,
-    Wire::Can,
-];
 
 /// Does the acts of faults to a run.
 pub(super) struct Injector<'h> {
     hands: &'h Hands,
     /// The data flash of A and B.
     flash: [PathBuf; 2],
-    /// Lets the process that started the run stand still for so many milliseconds.
+    /// Lets the process that started the run stand still for the given number of milliseconds.
     hold_launcher: &'h dyn Fn(u16) -> anyhow::Result<()>,
     bus: [BusFault; 2],
     /// The system that is A in the faults: the one that drives.
@@ -91,7 +81,7 @@ impl<'h> Injector<'h> {
     pub(super) fn mend(&mut self) {
         self.hands.signal(Target::Vehicle, Signal::CONT);
         for system in SystemId::ALL {
-            for wire in WIRES {
+            for wire in Wire::ALL {
                 self.hands.set_cut(wire, &[system], false);
             }
             self.hands.hold_level_low(system, false);

@@ -34,9 +34,9 @@ const LONGEST_FAULT_S: f64 = 12.0;
 /// A line that a leg tells its campaign.
 #[derive(Debug, Serialize, Deserialize)]
 pub(super) enum Line {
-    /// So many faults are done.
+    /// The number of faults that are done.
     Done(u64),
-    /// Let this process stand still for so many milliseconds.
+    /// Let this process stand still for this number of milliseconds.
     Hold(u16),
     /// The run has ended: what became of each fault, and what was wrong with the run as a whole.
     Ended(Vec<Outcome>, Vec<String>),

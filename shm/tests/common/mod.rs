@@ -8,7 +8,7 @@ pub(crate) fn zeroed(words: usize) -> Arc<Vec<AtomicU32>> {
     Arc::new((0..words).map(|_| AtomicU32::new(0)).collect())
 }
 
-/// Runs the model over all executions with at most so many pre-emptions.
+/// Runs the model over all executions with at most this number of pre-emptions.
 pub(crate) fn model(preemptions: usize, f: impl Fn() + Sync + Send + 'static) {
     let mut builder = loom::model::Builder::new();
     builder.preemption_bound = Some(preemptions);

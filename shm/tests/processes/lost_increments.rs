@@ -18,7 +18,7 @@ pub(crate) const TESTS: [(&str, fn()); 2] = [
 const CORES: u32 = 3;
 /// Increments of each process.
 const INCREMENTS: u32 = 20_000;
-/// Every so many increments the process gives its CPU away between load and store, so that the
+/// Now and then the process gives its CPU away between load and store, so that the
 /// control group shows its loss on a single CPU, too.
 const GIVE_WAY_EVERY: u32 = 64;
 

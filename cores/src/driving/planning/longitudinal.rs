@@ -299,7 +299,7 @@ impl Profile {
         ))
     }
 
-    /// Whether nobody in the vehicle has to hold on, from this acceleration on.
+    /// Whether this motion, which begins with `acceleration` (m/s²), is comfortable.
     fn is_comfortable(&self, acceleration: f32) -> bool {
         match self {
             Self::Brake(ramp) => abs(ramp.jerk) <= COMFORTABLE_JERK,
