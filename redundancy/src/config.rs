@@ -127,8 +127,8 @@ impl Config {
     }
 
     /// For how long a system that has become standby takes over only if the vehicle's echo demands
-    /// it, after this number of changes of the driver ([`Config::changes_after`]). Doubles with each
-    /// further one, up to 32 times the first; without a change there is no hold-down.
+    /// it. `changes` counts those of the driver ([`Config::changes_after`]). The time doubles with
+    /// each further change, up to 32 times the first; without a change there is no hold-down.
     #[must_use]
     pub fn hold_down_after(&self, changes: u8) -> Duration {
         match changes.min(MAX_CHANGES) {

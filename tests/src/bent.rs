@@ -1,10 +1,9 @@
-//! A simulated board whose CAN controller is not what it seems: frames are altered on their way.
+//! A CAN controller that is not what it seems: frames are altered on their way.
 
+use crate::around::Around;
 use std::cell::RefCell;
-use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CanErrors, CanFrame, CanId, CoreId, Identity, Instant, Received, TraceRecord,
-    TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CanId, CoreId, Instant, Received, TransmitFull,
 };
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_bus::Message;
@@ -17,32 +16,11 @@ pub type OnSend = Box<dyn FnMut(Instant, CanFrame) -> Vec<CanFrame>>;
 /// What a core hears instead of a frame.
 pub type OnHear = Box<dyn FnMut(Instant, CanFrame) -> CanFrame>;
 
-/// A board around a simulated one.
-pub struct BentBoard {
-    board: SimBoard,
-    can: BentCan,
-}
-
-/// Its CAN controller.
+/// A CAN controller around a simulated one.
 pub struct BentCan {
     board: SimBoard,
     on_send: RefCell<OnSend>,
     on_hear: RefCell<OnHear>,
-}
-
-impl BentBoard {
-    /// A board that bends what is sent and heard.
-    #[must_use]
-    pub fn new(board: &SimBoard, on_send: OnSend, on_hear: OnHear) -> Self {
-        Self {
-            board: board.clone(),
-            can: BentCan {
-                board: board.clone(),
-                on_send: on_send.into(),
-                on_hear: on_hear.into(),
-            },
-        }
-    }
 }
 
 /// Core 0 or core 1 of a system, with frames that it sends or hears bent.
@@ -51,7 +29,13 @@ impl BentBoard {
 /// For core 2, which neither sends nor hears.
 #[must_use]
 pub fn bent_core(board: &SimBoard, config: Config, on_send: OnSend, on_hear: OnHear) -> Poller {
-    let bent: &'static BentBoard = Box::leak(Box::new(BentBoard::new(board, on_send, on_hear)));
+    let can = BentCan {
+        board: board.clone(),
+        on_send: on_send.into(),
+        on_hear: on_hear.into(),
+    };
+    let (link, supply) = (board.link().clone(), board.supply().clone());
+    let bent = Around::leaked(board, can, link, supply);
     match board.identity().core {
         CoreId::CONTROL => {
             let mut core = Core0::new(bent, config);
@@ -117,61 +101,5 @@ impl Can for BentCan {
 
     fn errors(&self) -> CanErrors {
         self.board.can().errors()
-    }
-}
-
-impl Board for BentBoard {
-    type Can = BentCan;
-    type Lines = <SimBoard as Board>::Lines;
-    type Link = <SimBoard as Board>::Link;
-    type Flash = <SimBoard as Board>::Flash;
-    type Supply = <SimBoard as Board>::Supply;
-
-    fn identity(&self) -> Identity {
-        self.board.identity()
-    }
-
-    fn now(&self) -> Instant {
-        self.board.now()
-    }
-
-    fn lmu(&self) -> &[AtomicU32] {
-        self.board.lmu()
-    }
-
-    fn ring(&self, to: CoreId) {
-        self.board.ring(to);
-    }
-
-    fn release_core(&self, core: CoreId) {
-        self.board.release_core(core);
-    }
-
-    fn wait(&self, deadline: Instant) -> Wake {
-        self.board.wait(deadline)
-    }
-
-    fn can(&self) -> &BentCan {
-        &self.can
-    }
-
-    fn lines(&self) -> &Self::Lines {
-        self.board.lines()
-    }
-
-    fn link(&self) -> &Self::Link {
-        self.board.link()
-    }
-
-    fn flash(&self) -> &Self::Flash {
-        self.board.flash()
-    }
-
-    fn supply(&self) -> &Self::Supply {
-        self.board.supply()
-    }
-
-    fn trace(&self, record: TraceRecord) {
-        self.board.trace(record);
     }
 }

@@ -2,4 +2,5 @@
 #![forbid(unsafe_code)]
 #![allow(clippy::expect_used, reason = "a test may panic")]
 
+pub mod around;
 pub mod bent;

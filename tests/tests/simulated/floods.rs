@@ -2,10 +2,9 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
-use std::sync::atomic::AtomicU32;
 use tandem_board::{
     Board, Can, CanErrors, CanFrame, CanId, CoreId, Duration, Edge, Identity, Instant, Line, Lines,
-    Link, LinkFull, Received, SystemId, TraceRecord, TransmitFull, Wake,
+    Link, LinkFull, Received, SystemId, TransmitFull,
 };
 use tandem_board_sim::{Poller, SimBoard};
 use tandem_cores::core0::{CAN_FRAMES, Core0, DOORBELL_DISTANCE, LINK_DATAGRAMS};
@@ -13,6 +12,7 @@ use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Event, FloodSource};
 use tandem_cores::{Config, Core};
 use tandem_sim::drive::{Drive, poller};
+use tandem_tests::around::Around;
 
 const MS: fn(u64) -> Duration = Duration::from_ms;
 /// The flood begins and ends at these virtual times.
@@ -248,13 +248,6 @@ fn the_standby_takes_over_from_a_master_that_floods_it() {
     assert!(told(&drive, SystemId::B).len() >= 3);
 }
 
-/// A board on which CAN and link never run dry.
-struct Endless {
-    board: SimBoard,
-    can: EndlessCan,
-    link: EndlessLink,
-}
-
 /// Frames or datagrams that were taken since the poll began. From this number on there are none:
 /// a core that wants them all fails the test instead of hanging.
 #[derive(Clone, Default)]
@@ -269,6 +262,7 @@ impl Taken {
     }
 }
 
+/// A CAN controller and a link that never run dry.
 struct EndlessCan(SimBoard, Taken);
 struct EndlessLink(SimBoard, Taken);
 
@@ -313,62 +307,6 @@ impl Link for EndlessLink {
     }
 }
 
-impl Board for Endless {
-    type Can = EndlessCan;
-    type Lines = <SimBoard as Board>::Lines;
-    type Link = EndlessLink;
-    type Flash = <SimBoard as Board>::Flash;
-    type Supply = <SimBoard as Board>::Supply;
-
-    fn identity(&self) -> Identity {
-        self.board.identity()
-    }
-
-    fn now(&self) -> Instant {
-        self.board.now()
-    }
-
-    fn lmu(&self) -> &[AtomicU32] {
-        self.board.lmu()
-    }
-
-    fn ring(&self, to: CoreId) {
-        self.board.ring(to);
-    }
-
-    fn release_core(&self, core: CoreId) {
-        self.board.release_core(core);
-    }
-
-    fn wait(&self, deadline: Instant) -> Wake {
-        self.board.wait(deadline)
-    }
-
-    fn can(&self) -> &EndlessCan {
-        &self.can
-    }
-
-    fn lines(&self) -> &Self::Lines {
-        self.board.lines()
-    }
-
-    fn link(&self) -> &EndlessLink {
-        &self.link
-    }
-
-    fn flash(&self) -> &Self::Flash {
-        self.board.flash()
-    }
-
-    fn supply(&self) -> &Self::Supply {
-        self.board.supply()
-    }
-
-    fn trace(&self, record: TraceRecord) {
-        self.board.trace(record);
-    }
-}
-
 /// The worst case of a poll is a constant, however fast the others send while it reads.
 #[test]
 fn one_poll_takes_no_more_than_its_limits() {
@@ -381,11 +319,9 @@ fn one_poll_takes_no_more_than_its_limits() {
                 return poller(board, Config::rt());
             }
             let (frames, datagrams) = (Taken::default(), Taken::default());
-            let endless: &'static Endless = Box::leak(Box::new(Endless {
-                board: board.clone(),
-                can: EndlessCan(board.clone(), frames.clone()),
-                link: EndlessLink(board.clone(), datagrams.clone()),
-            }));
+            let can = EndlessCan(board.clone(), frames.clone());
+            let link = EndlessLink(board.clone(), datagrams.clone());
+            let endless = Around::leaked(board, can, link, board.supply().clone());
             let (mut core, most) = (Core0::new(endless, Config::rt()), Rc::clone(&seen));
             Box::new(move |_| {
                 let deadline = core.poll();

@@ -2,31 +2,25 @@
 
 use std::cell::{Cell, RefCell};
 use std::rc::Rc;
-use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, CoreId, Duration, Identity, Instant, ResetCause, ResetRequest, RoleLamp, Supply,
-    SystemId, TraceRecord, Wake,
+    Board, CoreId, Duration, Instant, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
 };
 use tandem_board_sim::{Config, SimBoard, SimPair};
 use tandem_cores::Core;
 use tandem_cores::core0::Core0;
 use tandem_sim::drive::poller;
+use tandem_tests::around::Around;
 
 /// How long the core is held up.
 const SPAN: Duration = Duration::from_ms(8);
 /// Before which service.
 const SERVICE: usize = 20;
 
-/// A board whose core is held up, once, right before it services the watchdog.
-struct HeldUp {
-    board: SimBoard,
-    supply: Dog,
-}
-
+/// A supply whose core is held up, once, right before it services the watchdog.
 struct Dog {
     board: SimBoard,
     /// By how much this core's time is ahead of the simulation's, which stands still during a poll.
-    ahead: Cell<Duration>,
+    ahead: Rc<Cell<Duration>>,
     services: Rc<RefCell<Vec<Instant>>>,
 }
 
@@ -66,62 +60,6 @@ impl Supply for Dog {
     }
 }
 
-impl Board for HeldUp {
-    type Can = <SimBoard as Board>::Can;
-    type Lines = <SimBoard as Board>::Lines;
-    type Link = <SimBoard as Board>::Link;
-    type Flash = <SimBoard as Board>::Flash;
-    type Supply = Dog;
-
-    fn identity(&self) -> Identity {
-        self.board.identity()
-    }
-
-    fn now(&self) -> Instant {
-        self.supply.now()
-    }
-
-    fn lmu(&self) -> &[AtomicU32] {
-        self.board.lmu()
-    }
-
-    fn ring(&self, to: CoreId) {
-        self.board.ring(to);
-    }
-
-    fn release_core(&self, core: CoreId) {
-        self.board.release_core(core);
-    }
-
-    fn wait(&self, deadline: Instant) -> Wake {
-        self.board.wait(deadline)
-    }
-
-    fn can(&self) -> &Self::Can {
-        self.board.can()
-    }
-
-    fn lines(&self) -> &Self::Lines {
-        self.board.lines()
-    }
-
-    fn link(&self) -> &Self::Link {
-        self.board.link()
-    }
-
-    fn flash(&self) -> &Self::Flash {
-        self.board.flash()
-    }
-
-    fn supply(&self) -> &Dog {
-        &self.supply
-    }
-
-    fn trace(&self, record: TraceRecord) {
-        self.board.trace(record);
-    }
-}
-
 /// T-CHIP-6: a service that came late, after core 0 had looked at the clock for it, is not followed
 /// by one before the window opens again.
 #[test]
@@ -133,19 +71,18 @@ fn a_core_held_up_before_its_service_does_not_serve_early_after_it() {
         if (of.system, of.core) != (SystemId::A, CoreId::CONTROL) {
             return poller(board, tandem_cores::Config::rt());
         }
-        let held_up: &'static HeldUp = Box::leak(Box::new(HeldUp {
+        let ahead = Rc::<Cell<Duration>>::default();
+        let supply = Dog {
             board: board.clone(),
-            supply: Dog {
-                board: board.clone(),
-                ahead: Cell::new(Duration::ZERO),
-                services: Rc::clone(&log),
-            },
-        }));
+            ahead: Rc::clone(&ahead),
+            services: Rc::clone(&log),
+        };
+        let (can, link) = (board.can().clone(), board.link().clone());
+        let held_up = Around::leaked_ahead(board, can, link, supply, Rc::clone(&ahead));
         let mut core = Core0::new(held_up, tandem_cores::Config::rt());
         Box::new(move |_| {
             let deadline = core.poll();
-            let ahead = held_up.supply.ahead.get();
-            Instant::from_ns(deadline.as_ns() - ahead.as_ns())
+            Instant::from_ns(deadline.as_ns() - ahead.get().as_ns())
         })
     });
     pair.power_on(SystemId::A);

@@ -1,0 +1,104 @@
+//! A simulated board of which a test replaces parts.
+
+use std::cell::Cell;
+use std::rc::Rc;
+use std::sync::atomic::AtomicU32;
+use tandem_board::{
+    Board, Can, CoreId, Duration, Identity, Instant, Link, OutputDiagnosis, Supply, TraceRecord,
+    Wake,
+};
+use tandem_board_sim::SimBoard;
+
+/// A board around a simulated one, with its own CAN controller, link and supply.
+pub struct Around<C, L, S> {
+    board: SimBoard,
+    can: C,
+    link: L,
+    supply: S,
+    ahead: Rc<Cell<Duration>>,
+}
+
+impl<C, L, S> Around<C, L, S> {
+    /// The board with these parts, for the life of the test.
+    pub fn leaked(board: &SimBoard, can: C, link: L, supply: S) -> &'static Self {
+        Self::leaked_ahead(board, can, link, supply, Rc::default())
+    }
+
+    /// The same; the core's time is ahead of the simulation's, which stands still during a poll, by
+    /// what the test says.
+    pub fn leaked_ahead(
+        board: &SimBoard,
+        can: C,
+        link: L,
+        supply: S,
+        ahead: Rc<Cell<Duration>>,
+    ) -> &'static Self {
+        Box::leak(Box::new(Self {
+            board: board.clone(),
+            can,
+            link,
+            supply,
+            ahead,
+        }))
+    }
+}
+
+impl<C: Can, L: Link, S: Supply> Board for Around<C, L, S> {
+    type Can = C;
+    type Lines = <SimBoard as Board>::Lines;
+    type Link = L;
+    type Flash = <SimBoard as Board>::Flash;
+    type Supply = S;
+
+    fn identity(&self) -> Identity {
+        self.board.identity()
+    }
+
+    fn now(&self) -> Instant {
+        self.board.now() + self.ahead.get()
+    }
+
+    fn lmu(&self) -> &[AtomicU32] {
+        self.board.lmu()
+    }
+
+    fn ring(&self, to: CoreId) {
+        self.board.ring(to);
+    }
+
+    fn release_core(&self, core: CoreId) {
+        self.board.release_core(core);
+    }
+
+    fn output_diagnosis(&self) -> OutputDiagnosis {
+        self.board.output_diagnosis()
+    }
+
+    fn wait(&self, deadline: Instant) -> Wake {
+        self.board.wait(deadline)
+    }
+
+    fn can(&self) -> &C {
+        &self.can
+    }
+
+    fn lines(&self) -> &Self::Lines {
+        self.board.lines()
+    }
+
+    fn link(&self) -> &L {
+        &self.link
+    }
+
+    fn flash(&self) -> &Self::Flash {
+        self.board.flash()
+    }
+
+    fn supply(&self) -> &S {
+        &self.supply
+    }
+
+    fn trace(&self, record: TraceRecord) {
+        self.board.trace(record);
+    }
+}
