@@ -17,7 +17,7 @@ use tandem_redundancy::{Evidence, Phase};
 /// How a task comes to the CPU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Begin {
-    /// It goes on, or begins a job whose release an [`Event::Ready`] or [`Event::Woken`] tells.
+    /// It continues, or begins a job whose release an [`Event::Ready`] or [`Event::Woken`] tells.
     Goes,
     /// It begins a job.
     Released {
@@ -35,9 +35,9 @@ pub enum Leaves {
     Done,
     /// It waits for something within its job.
     Blocked,
-    /// It could go on, but another one goes first.
+    /// It could continue, but a more urgent one runs first.
     Preempted,
-    /// The kernel does not say why. Its job is done if it is then made ready; else it goes on.
+    /// The kernel does not say why. Its job is done if it is then made ready; else it continues.
     Gives,
 }
 
@@ -217,7 +217,7 @@ pub enum Event {
         /// Why.
         leaves: Leaves,
     },
-    /// A job of a task is released, or goes on as soon as it gets the CPU.
+    /// A job of a task is released, or continues as soon as it gets the CPU.
     Ready {
         /// Which.
         task: TaskCode,

@@ -169,7 +169,7 @@ pub enum Evidence {
     /// The recovered system is also heard on CAN, and the configuration permits dual operation
     /// again. Or the vehicle still obeys this master, which was held up in dual operation.
     PeerStable = 10,
-    /// This master was held up for so long that the other may have taken over.
+    /// This master was held up; the other may have taken over in this time.
     Stalled = 11,
     /// The time for listening after a stall is over: the other did not take over.
     ListenOver = 12,

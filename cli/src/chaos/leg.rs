@@ -197,7 +197,7 @@ fn wait_for_phase(backplane: Backplane, driver: SystemId, phase: Duration) -> an
     let mut tap = BusTap::new(backplane)
         .map_err(|error| anyhow::anyhow!("the bus cannot be read: {error:?}"))?;
     let id = CanId::Standard(Control::IDS[driver.index()]);
-    // Without a frame of the driver for so long any phase is as good.
+    // Without a frame of the driver within 100 ms any phase is as good.
     let until = clock::now() + Duration::from_ms(100);
     while clock::now() < until {
         while let Some((_, received)) = tap.try_next() {

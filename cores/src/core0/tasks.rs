@@ -90,7 +90,7 @@ pub struct Monitoring<'b, B> {
     last_service: Option<Instant>,
 }
 
-/// Logical supervision of the control task: it must end cycles as time goes on. Time is counted in
+/// Logical supervision of the control task: it must end cycles while time passes. Time is counted in
 /// polls of the monitoring, so a core that was held up as a whole is not blamed.
 #[derive(Default)]
 struct Progress {
@@ -147,7 +147,7 @@ impl<'b, B: Board> Monitoring<'b, B> {
         }
     }
 
-    /// Services the watchdog unless the window is not yet open, or this system is not to go on.
+    /// Services the watchdog unless the window is not yet open, or this system must end.
     fn service_watchdog(&mut self) {
         if self.withholds {
             return;

@@ -14,7 +14,7 @@ use tandem_vehicle::gate::Acceptance;
 pub enum Row {
     /// It does not: the fault leaves the master's frames as they are.
     None,
-    /// Both systems stand still for so long.
+    /// Both systems stand still for this time.
     Stall(Duration),
     /// The power level falls.
     Power,
@@ -94,7 +94,7 @@ pub fn row(fault: &Fault) -> Row {
         | Kind::Late(_)
         | Kind::Cut(Wire::Can)
         | Kind::Flap(Wire::Can, _) => Row::Mute,
-        // Suspended or not: its frames go on, or its level falls.
+        // Its frames continue; if it is suspended, its level falls.
         Kind::Deaf | Kind::LosesHeard(_) => Row::Power,
         _ => Row::None,
     }

@@ -35,7 +35,7 @@ const MAX_TRACKS: usize = 32;
 const MAX_DETECTIONS: usize = 32;
 
 /// A sensor whose newest list was measured longer ago than this is lost, or late: six of its
-/// periods. Its tracks have been predicted for so long that they are of no more use.
+/// periods. Predictions over a longer time are of no use.
 pub const SENSOR_LIMIT: Duration = Duration::from_ms(300);
 
 /// The perception function with all its memory; about 14 KiB, nothing allocated.

@@ -286,7 +286,7 @@ impl Track {
         }
     }
 
-    /// Whether the track has been unseen for so long that it ends.
+    /// Whether the track ends, because no sensor has seen it for too long.
     pub(crate) fn is_lost(&self) -> bool {
         let beside = abs(self.x.position()) < 8.0 && abs(self.y.position()) < 8.0;
         let patience = match (self.confirmed, beside) {

@@ -155,7 +155,7 @@ impl Behaviour {
         Memory(intent | left << 3 | right << 8 | u32::from(self.rest) << 13)
     }
 
-    /// A decision that goes on from this memory.
+    /// A decision that continues from this memory.
     pub(crate) fn recall(memory: Memory) -> Self {
         let bits = memory.bits();
         let field = |shift: u32, width: u32| (bits >> shift & ((1 << width) - 1)) as u16;
