@@ -218,7 +218,8 @@ impl Footprint {
     #[must_use]
     pub fn overlaps(&self, other: &Self) -> bool {
         let apart = other.pose.position - self.pose.position;
-        let reach = self.length.hypot(self.width) + other.length.hypot(other.width);
+        // Twice the half diagonals; two sides are never shorter.
+        let reach = self.length + self.width + other.length + other.width;
         if apart.dot(apart) * 4.0 > reach * reach {
             return false;
         }

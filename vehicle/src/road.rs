@@ -15,9 +15,12 @@ use crate::road::chain::{CentreLine, Chain, Piece};
 
 mod chain;
 pub(crate) mod domain;
+mod line;
 mod smooth;
 
 pub use domain::Exit;
+use line::Line;
+pub(crate) use line::{Foot, Point};
 
 /// Distance between two samples of a centre line, m.
 const STEP: f64 = 2.0;
@@ -74,6 +77,9 @@ pub struct Lane {
     pub end: Option<f64>,
     /// Every [`STEP`] metres; beyond them it continues straight.
     sections: Vec<Section>,
+    line: Line,
+    /// The largest width, m.
+    width_max: f64,
     /// Where the operational design domain ends on it, by arc length.
     exits: Vec<(f64, Exit)>,
 }
@@ -83,34 +89,46 @@ impl Lane {
     #[must_use]
     pub fn at(&self, s: f64) -> Section {
         let (a, b, t, beyond) = self.around(s);
-        let (centre, heading) = centre_line(a, b, t, beyond);
+        let Point { centre, heading } = self.line.at(s);
         Section {
             centre,
             heading,
-            curvature: if beyond == 0.0 {
-                a.curvature + (b.curvature - a.curvature) * t
-            } else {
-                0.0
-            },
-            width: a.width + (b.width - a.width) * t,
-            ..if t < 0.5 { *a } else { *b }
+            curvature: curvature(a, b, t, beyond),
+            width: width(a, b, t),
+            ..*nearer(a, b, t)
         }
+    }
+
+    /// The neighbours to the left and to the right at `s`, as [`Lane::at`] has them.
+    pub(crate) fn beside(&self, s: f64) -> [Option<LaneId>; 2] {
+        let (a, b, t, _) = self.around(s);
+        let section = nearer(a, b, t);
+        [section.left, section.right]
     }
 
     /// The samples before and after `s`, the share of the way between them, and the way beyond all
     /// samples, m.
     fn around(&self, s: f64) -> (&Section, &Section, f64, f64) {
-        let last = self.sections.len() - 1;
-        let place = (s / STEP).clamp(0.0, last as f64);
-        let index = (place as usize).min(last.saturating_sub(1));
-        let (a, b) = (&self.sections[index], &self.sections[(index + 1).min(last)]);
-        (a, b, place - index as f64, s - place * STEP)
+        let (index, t, beyond) = self.line.around(s);
+        let next = (index + 1).min(self.sections.len() - 1);
+        (&self.sections[index], &self.sections[next], t, beyond)
     }
 
     /// Point and direction of the centre line at `s`, as [`Lane::at`] has them.
-    fn line_at(&self, s: f64) -> (Vec2, f64) {
+    pub(crate) fn line_at(&self, s: f64) -> Point {
+        self.line.at(s)
+    }
+
+    /// The width at `s`, as [`Lane::at`] has it, m.
+    pub(crate) fn width_at(&self, s: f64) -> f64 {
+        let (a, b, t, _) = self.around(s);
+        width(a, b, t)
+    }
+
+    /// The curvature at `s`, as [`Lane::at`] has it, 1/m.
+    pub(crate) fn curvature_at(&self, s: f64) -> f64 {
         let (a, b, t, beyond) = self.around(s);
-        centre_line(a, b, t, beyond)
+        curvature(a, b, t, beyond)
     }
 
     /// The sections inside of the map, with their arc lengths.
@@ -133,57 +151,43 @@ impl Lane {
     /// should be within some ten metres on curved roads.
     #[must_use]
     pub fn project_near(&self, point: Vec2, near: f64) -> Frenet {
-        let last = self.sections.len() - 1;
-        let distance = |index: usize| {
-            let apart = point - self.sections[index].centre;
-            apart.dot(apart)
-        };
-        let mut index = ((near / STEP).round().clamp(0.0, last as f64)) as usize;
-        while index < last && distance(index + 1) < distance(index) {
-            index += 1;
-        }
-        while index > 0 && distance(index - 1) < distance(index) {
-            index -= 1;
-        }
-        self.refine(point, index)
+        self.foot_near(point, near).place
     }
 
     /// The foot of the perpendicular from `point`, searched over the whole lane.
     #[must_use]
     pub fn project(&self, point: Vec2) -> Frenet {
-        let distance = |section: &Section| {
-            let apart = point - section.centre;
-            apart.dot(apart)
-        };
-        let nearest = self
-            .sections
-            .iter()
-            .enumerate()
-            .step_by(4)
-            .min_by(|(_, a), (_, b)| distance(a).total_cmp(&distance(b)))
-            .map_or(0, |(index, _)| index);
-        self.project_near(point, nearest as f64 * STEP)
+        self.foot_of(point).place
     }
 
-    /// Newton steps from the nearest sample.
-    fn refine(&self, point: Vec2, index: usize) -> Frenet {
-        let mut s = index as f64 * STEP;
-        let (mut centre, mut heading) = self.line_at(s);
-        for _ in 0..3 {
-            s += Vec2::from_angle(heading).dot(point - centre);
-            (centre, heading) = self.line_at(s);
-        }
-        Frenet {
-            s,
-            d: Vec2::from_angle(heading).cross(point - centre),
-        }
+    fn foot_of(&self, point: Vec2) -> Foot {
+        self.foot(point, self.line.sample(point))
+    }
+
+    /// As [`Lane::project_near`].
+    pub(crate) fn foot_near(&self, point: Vec2, near: f64) -> Foot {
+        self.foot(point, self.sample_near(point, self.sample_at(near)))
+    }
+
+    /// The sample from which [`Lane::project_near`] walks.
+    pub(crate) fn sample_at(&self, near: f64) -> usize {
+        self.line.sample_at(near)
+    }
+
+    /// The sample to which it walks from there. All samples on the way lead to the same.
+    pub(crate) fn sample_near(&self, point: Vec2, start: usize) -> usize {
+        self.line.sample_near(point, start)
+    }
+
+    /// The foot of the perpendicular from `point`, found from this sample.
+    pub(crate) fn foot(&self, point: Vec2, sample: usize) -> Foot {
+        self.line.foot(point, sample)
     }
 
     /// The point with these coordinates.
     #[must_use]
     pub fn point(&self, place: Frenet) -> Vec2 {
-        let section = self.at(place.s);
-        section.centre + Vec2::from_angle(section.heading).left() * place.d
+        self.line.at(place.s).beside(place.d)
     }
 }
 
@@ -248,14 +252,17 @@ impl Road {
         let mut best = (LaneId(0), Frenet::default());
         let mut best_cost = f64::INFINITY;
         for (index, lane) in self.lanes.iter().enumerate() {
-            let place = lane.project(point);
-            let wrong_way = wrap_angle(lane.at(place.s).heading - yaw).abs() > 1.0;
+            if lane.line.is_farther(point, best_cost) {
+                continue;
+            }
+            let Foot { place, point: at } = lane.foot_of(point);
+            let wrong_way = wrap_angle(at.heading - yaw).abs() > 1.0;
             let penalty = if wrong_way || !lane.exists_at(place.s) {
                 1e6
             } else {
                 0.0
             };
-            let cost = (point - lane.at(place.s).centre).norm() + penalty;
+            let cost = (point - at.centre).norm() + penalty;
             if cost < best_cost - 1e-6 {
                 (best, best_cost) = ((LaneId(index), place), cost);
             }
@@ -267,12 +274,15 @@ impl Road {
     #[must_use]
     pub fn is_oncoming(&self, point: Vec2, yaw: f64) -> bool {
         self.lanes.iter().any(|lane| {
-            let place = lane.project(point);
-            let section = lane.at(place.s);
-            place.d.abs() < section.width / 2.0
-                && (point - section.centre).norm() < section.width
+            if lane.line.is_farther(point, lane.width_max) {
+                return false;
+            }
+            let Foot { place, point: at } = lane.foot_of(point);
+            let width = lane.width_at(place.s);
+            place.d.abs() < width / 2.0
+                && (point - at.centre).norm() < width
                 && lane.exists_at(place.s)
-                && wrap_angle(section.heading - yaw).abs() > 2.0
+                && wrap_angle(at.heading - yaw).abs() > 2.0
         })
     }
 
@@ -328,16 +338,23 @@ impl Road {
     }
 }
 
-/// Point and direction at the share `t` between two samples, or `beyond` them.
-fn centre_line(a: &Section, b: &Section, t: f64, beyond: f64) -> (Vec2, f64) {
-    let heading = a.heading + wrap_angle(b.heading - a.heading) * t;
-    let inside = a.centre.lerp(b.centre, t);
-    let centre = if beyond == 0.0 {
-        inside
+/// The sample that is nearer at the share `t` between two.
+fn nearer<'a>(a: &'a Section, b: &'a Section, t: f64) -> &'a Section {
+    if t < 0.5 { a } else { b }
+}
+
+/// Width at the share `t` between two samples, m.
+fn width(a: &Section, b: &Section, t: f64) -> f64 {
+    a.width + (b.width - a.width) * t
+}
+
+/// Curvature at the share `t` between two samples, or `beyond` all, 1/m.
+fn curvature(a: &Section, b: &Section, t: f64, beyond: f64) -> f64 {
+    if beyond == 0.0 {
+        a.curvature + (b.curvature - a.curvature) * t
     } else {
-        inside + Vec2::from_angle(heading) * beyond
-    };
-    (centre, wrap_angle(heading))
+        0.0
+    }
 }
 
 /// Builds one lane with a run-out before and after it, the latter in the direction `run_out`.
@@ -392,6 +409,8 @@ fn lane(
             .collect(),
         begin: chain.opens.then_some(start),
         end: chain.drops.then_some(end),
+        width_max: sections.iter().map(|it| it.width).fold(0.0, f64::max),
+        line: Line::new(&centres, &headings),
         sections,
         exits: Vec::new(),
     }

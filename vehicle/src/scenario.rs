@@ -9,7 +9,7 @@ use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
 use crate::road::{ROAD_MAX, Road, domain};
-use crate::traffic::recording;
+use crate::traffic::recording::Track;
 
 /// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
@@ -239,10 +239,11 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
 
 /// What an obstacle covers when the ego starts; nothing if it is not there then.
 fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
-    let (begin, end) = recording::span(&obstacle.states);
+    let track = Track::new(&obstacle.states);
+    let (begin, end) = track.span();
     let over = obstacle.states.len() > 1 && end < 0.0;
     let present = obstacle.is_static || (begin <= 0.0 && !over);
-    let motion = recording::motion(&obstacle.states, 0.0);
+    let motion = track.motion(0.0);
     let size = if present { 1.0 } else { 0.0 };
     Footprint {
         pose: motion.pose,

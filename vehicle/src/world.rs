@@ -12,7 +12,7 @@ use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::metrics::{Meter, Metrics, Sample};
 use crate::plant::{self, BMW_320I};
-use crate::road::{LaneId, Road};
+use crate::road::{Foot, LaneId, Road};
 use crate::route::{Here, Navigation};
 use crate::scenario::Scenario;
 use crate::sensors::{
@@ -354,16 +354,20 @@ impl World {
         (ego.slip_angle, ego.steering_angle) = (state.slip_angle, state.steering_angle);
         let lane = self.road.lane(ego.lane);
         ego.place = lane.project_near(pose.position, ego.place.s);
-        let width = lane.at(ego.place.s).width;
+        let width = lane.width_at(ego.place.s);
         let outside = ego.place.d.abs() > width / 2.0 + LANE_HYSTERESIS;
         if outside || !lane.exists_at(ego.place.s) {
             (ego.lane, ego.place) = self.road.locate(pose.position, pose.yaw);
         }
         let lane = self.road.lane(ego.lane);
-        let section = lane.at(ego.place.s);
-        let along = wrap_angle(section.heading - pose.yaw).abs() < ALONG;
+        let heading = lane.line_at(ego.place.s).heading;
+        let along = wrap_angle(heading - pose.yaw).abs() < ALONG;
         let is_own = along && lane.exists_at(ego.place.s);
-        self.lane_width = if is_own { section.width } else { 0.0 };
+        self.lane_width = if is_own {
+            lane.width_at(ego.place.s)
+        } else {
+            0.0
+        };
         let off_lane = ego.place.d.abs() > self.lane_width / 2.0;
         if !off_lane {
             self.wrong_way = false;
@@ -543,13 +547,13 @@ fn leader(road: &Road, ego: &EgoTruth, vehicles: &[VehicleSnapshot]) -> (f64, f6
         if apart.x <= 0.0 || apart.x > 300.0 || apart.y.abs() > 20.0 + 0.3 * apart.x {
             continue;
         }
-        let place = lane.project_near(vehicle.pose.position, ego.place.s + apart.x);
-        let section = lane.at(place.s);
-        let in_lane = place.d.abs() < section.width / 2.0;
+        let near = ego.place.s + apart.x;
+        let Foot { place, point } = lane.foot_near(vehicle.pose.position, near);
+        let in_lane = place.d.abs() < lane.width_at(place.s) / 2.0;
         let in_the_way = (place.d - ego.place.d).abs() < (vehicle.width + BMW_320I.width) / 2.0;
         let gap = place.s - ego.place.s - (vehicle.length + BMW_320I.length) / 2.0;
         if (in_lane || in_the_way) && place.s > ego.place.s && gap < nearest.0 {
-            let along = wrap_angle(vehicle.pose.yaw - section.heading).cos();
+            let along = wrap_angle(vehicle.pose.yaw - point.heading).cos();
             nearest = (gap, vehicle.speed * along);
         }
     }

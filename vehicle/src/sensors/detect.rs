@@ -135,7 +135,7 @@ fn model(sensor: SensorId) -> Model {
 /// A vehicle as one sensor sees it.
 struct Sight {
     index: usize,
-    /// Distance of the nearest corner, m.
+    /// Square of the distance of the nearest corner, m².
     near: f64,
     /// Directions of its right and its left edge, rad.
     edges: (f64, f64),
@@ -200,7 +200,9 @@ impl Detector {
         for (index, vehicle) in vehicles.iter().enumerate().filter(|(_, v)| v.is_present()) {
             let footprint = &vehicle.participant.footprint;
             let centre = frame.to_local(footprint.pose.position);
-            if centre.norm() > reach + footprint.length {
+            let farthest = reach + footprint.length;
+            // Without a root first, which most of the others are too far away for.
+            if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }
             let middle = centre.angle();
@@ -209,10 +211,22 @@ impl Detector {
                 near: f64::INFINITY,
                 edges: (0.0, 0.0),
             };
-            for corner in footprint.corners() {
-                let corner = frame.to_local(corner);
+            let corners = footprint.corners().map(|corner| frame.to_local(corner));
+            for corner in corners {
+                sight.near = sight.near.min(corner.dot(corner));
+            }
+            // In front of the sensor the sides decide which corners are the edges.
+            let side = |corner: &Vec2| centre.cross(*corner) / centre.dot(*corner);
+            let is_in_front = corners.iter().all(|corner| centre.dot(*corner) > 0.0);
+            let by_side = |a: &&Vec2, b: &&Vec2| side(a).total_cmp(&side(b));
+            let ends = [
+                corners.iter().min_by(by_side),
+                corners.iter().max_by(by_side),
+            ];
+            let edges = ends.iter().flatten().copied().filter(|_| is_in_front);
+            let all = corners.iter().filter(|_| !is_in_front);
+            for corner in edges.chain(all) {
                 let offset = wrap_angle(corner.angle() - middle);
-                sight.near = sight.near.min(corner.norm());
                 sight.edges = (sight.edges.0.min(offset), sight.edges.1.max(offset));
             }
             sight.edges = (middle + sight.edges.0, middle + sight.edges.1);

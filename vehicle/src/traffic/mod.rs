@@ -24,12 +24,15 @@ pub use idm::{Driver, Leader};
 use crate::commonroad::{Class, Obstacle};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::road::{Frenet, LaneId, Road};
-use sight::Viewer;
+use recording::Track;
+use sight::{Viewer, Views};
 
 /// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
 /// How far a replayed lane change is checked in advance, s.
 const LOOK_AHEAD_S: f64 = 1.0;
+/// Room around a replayed vehicle in that check, along and across it, m.
+const ROOM: (f64, f64) = (1.0, 0.2);
 /// Comfortable lateral acceleration in curves, m/s².
 const CURVE_ACCELERATION: f64 = 2.5;
 /// Natural frequency of the return to the lane's centre, rad/s; critically damped.
@@ -60,16 +63,6 @@ pub struct Participant {
 impl Participant {
     fn velocity(&self) -> Vec2 {
         Vec2::from_angle(self.footprint.pose.yaw) * self.speed
-    }
-
-    /// Where it will be, going straight on.
-    fn predicted(&self, dt: f64) -> Footprint {
-        let Footprint { pose, .. } = self.footprint;
-        let position = pose.position + self.velocity() * dt;
-        Footprint {
-            pose: Pose { position, ..pose },
-            ..self.footprint
-        }
     }
 }
 
@@ -118,25 +111,64 @@ impl Vehicle {
     }
 }
 
+/// One whom a recording does not know: the ego, or who drives by itself.
+#[derive(Debug)]
+struct Deviating {
+    /// Its place among all, see [`Traffic::participant`].
+    index: usize,
+    participant: Participant,
+    velocity: Vec2,
+}
+
+impl Deviating {
+    fn new(index: usize, participant: Participant) -> Self {
+        Self {
+            index,
+            participant,
+            velocity: participant.velocity(),
+        }
+    }
+
+    /// Where it will be, going straight on.
+    fn predicted(&self, dt: f64) -> Footprint {
+        let Footprint { pose, .. } = self.participant.footprint;
+        let position = pose.position + self.velocity * dt;
+        Footprint {
+            pose: Pose { position, ..pose },
+            ..self.participant.footprint
+        }
+    }
+}
+
 /// All other road users.
 #[derive(Debug)]
 pub struct Traffic {
     road: Arc<Road>,
     recordings: Arc<[Obstacle]>,
+    tracks: Vec<Track>,
     vehicles: Vec<Vehicle>,
+    /// In the order of the vehicles, the ego last. Renewed in each step.
+    deviating: Vec<Deviating>,
+    /// Views of each vehicle, and of the ego at the end. Renewed in each step.
+    views: Vec<Views>,
 }
 
 impl Traffic {
     /// The traffic at time 0.
     #[must_use]
     pub fn new(road: Arc<Road>, recordings: Arc<[Obstacle]>, ego: &Participant) -> Self {
-        let vehicles = recordings
+        let tracks: Vec<Track> = recordings.iter().map(|it| Track::new(&it.states)).collect();
+        let vehicles: Vec<Vehicle> = recordings
             .iter()
-            .map(|recording| vehicle(&road, recording))
+            .zip(&tracks)
+            .map(|(recording, track)| vehicle(&road, recording, track))
             .collect();
         let mut traffic = Self {
+            deviating: Vec::with_capacity(vehicles.len() + 1),
+            views: vec![Views::default(); vehicles.len() + 1],
             road,
             recordings,
+            tracks,
             vehicles,
         };
         traffic.step(0.0, 0.0, ego);
@@ -151,6 +183,13 @@ impl Traffic {
 
     /// Moves all vehicles to time `t`, which is `dt` after the last call (s).
     pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
+        self.views.iter_mut().for_each(Views::forget);
+        self.deviating.clear();
+        let driving = self.vehicles.iter().enumerate();
+        let driving = driving.filter(|(_, v)| v.mode == Mode::Driving);
+        let driving = driving.map(|(index, v)| Deviating::new(index, v.participant));
+        let last = Deviating::new(self.vehicles.len(), *ego);
+        self.deviating.extend(driving.chain([last]));
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
         }
@@ -165,44 +204,50 @@ impl Traffic {
                 vehicle.participant.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
             }
         }
-        for (vehicle, recording) in self.vehicles.iter_mut().zip(self.recordings.iter()) {
+        for (vehicle, track) in self.vehicles.iter_mut().zip(&self.tracks) {
             match vehicle.mode {
                 Mode::Absent | Mode::Standing => {}
-                Mode::Replay => replay(vehicle, recording, &self.road, t),
+                Mode::Replay => replay(vehicle, track, &self.road, t),
                 Mode::Driving => drive(vehicle, &self.road, dt),
             }
         }
     }
 
     fn leave_recording_if_needed(&mut self, index: usize, t: f64, ego: &Participant) {
-        let states = &self.recordings[index].states;
-        let (_, end) = recording::span(states);
-        match self.vehicles[index].mode {
-            Mode::Absent => self.appear_if_due(index, t, ego),
+        let (_, end) = self.tracks[index].span();
+        let mode = self.vehicles[index].mode;
+        match mode {
+            Mode::Absent => self.appear_if_due(index, t),
             Mode::Replay if t > end => match self.vehicles[index].class {
                 Class::Pedestrian | Class::Static => self.stand(index),
                 _ => self.drive_on(index, t, ego),
             },
-            Mode::Replay if self.endangers(index, t, ego) => self.drive_on(index, t, ego),
+            Mode::Replay if self.endangers(index, t) => self.drive_on(index, t, ego),
             _ => {}
         }
     }
 
     /// Puts a vehicle into the picture when its recording begins; things are always there.
-    fn appear_if_due(&mut self, index: usize, t: f64, ego: &Participant) {
+    fn appear_if_due(&mut self, index: usize, t: f64) {
         let recording = &self.recordings[index];
-        let (begin, end) = recording::span(&recording.states);
+        let (begin, end) = self.tracks[index].span();
         let over = t > end && recording.states.len() > 1;
         if !recording.is_static && (t < begin || over) {
             return;
         }
-        replay(&mut self.vehicles[index], recording, &self.road, t);
+        replay(
+            &mut self.vehicles[index],
+            &self.tracks[index],
+            &self.road,
+            t,
+        );
+        self.views[index].forget();
         let own = self.vehicles[index].participant;
         let claimed = own.footprint.grown(2.0 * own.speed.max(2.0), 0.5);
-        let is_free = |other: Participant| !claimed.overlaps(&other.footprint);
+        let is_free = |other: &Deviating| !claimed.overlaps(&other.participant.footprint);
         if recording.is_static {
             self.stand(index);
-        } else if t <= 0.0 || self.deviating(index, ego).all(is_free) {
+        } else if t <= 0.0 || self.deviating.iter().all(is_free) {
             self.vehicles[index].mode = Mode::Replay;
         }
     }
@@ -211,24 +256,18 @@ impl Traffic {
         let vehicle = &mut self.vehicles[index];
         vehicle.mode = Mode::Standing;
         (vehicle.participant.speed, vehicle.participant.acceleration) = (0.0, 0.0);
-    }
-
-    /// The ego and all who drive by themselves: those whom a recording does not know.
-    fn deviating(&self, index: usize, ego: &Participant) -> impl Iterator<Item = Participant> {
-        let others = self.vehicles.iter().enumerate();
-        let others = others.filter(move |(i, v)| *i != index && v.mode == Mode::Driving);
-        others.map(|(_, v)| v.participant).chain([*ego])
+        self.views[index].forget();
     }
 
     /// Whether a replayed vehicle would need others to get out of its way.
-    fn endangers(&self, index: usize, t: f64, ego: &Participant) -> bool {
+    fn endangers(&mut self, index: usize, t: f64) -> bool {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
         let viewer = Viewer::new(&self.road, vehicle);
-        let leader = self
-            .deviating(index, ego)
-            .filter_map(|other| viewer.ahead(&other))
-            .fold(Leader::NONE, nearer);
+        let views = &mut self.views;
+        let leader = self.deviating.iter().fold(Leader::NONE, |leader, other| {
+            viewer.nearer(leader, &other.participant, &mut views[other.index])
+        });
         let closing = speed - leader.speed;
         let room = (leader.gap - 2.0).max(0.1);
         if closing > 0.0 && closing * closing / (2.0 * room) > REPLAY_BRAKES {
@@ -237,35 +276,48 @@ impl Traffic {
         if closing > -0.5 && leader.gap < 0.3 * speed {
             return true;
         }
-        self.would_hit_from_the_side(index, t, ego)
+        let others = self.deviating.iter();
+        others
+            .filter(|other| self.may_meet(index, other))
+            .any(|other| self.would_hit_from_the_side(index, t, other))
     }
 
-    fn would_hit_from_the_side(&self, index: usize, t: f64, ego: &Participant) -> bool {
+    /// Whether the two can touch within the time that is looked ahead; yes, if in doubt.
+    fn may_meet(&self, index: usize, other: &Deviating) -> bool {
+        let own = self.vehicles[index].participant.footprint;
+        let apart = other.participant.footprint.pose.position - own.pose.position;
+        let speeds = self.tracks[index].speed_max() + other.participant.speed.abs();
+        // The own place is that of the last step.
+        let farthest = speeds * (LOOK_AHEAD_S * 1.1) + reach(&own, &other.participant.footprint);
+        apart.dot(apart) < farthest * farthest
+    }
+
+    fn would_hit_from_the_side(&self, index: usize, t: f64, other: &Deviating) -> bool {
         let vehicle = &self.vehicles[index];
-        let states = &self.recordings[index].states;
-        [0.25, 0.5, 0.75, 1.0]
-            .iter()
-            .map(|share| share * LOOK_AHEAD_S)
-            .any(|dt| {
-                let pose = recording::motion(states, t + dt).pose;
-                let own = Footprint {
-                    pose,
-                    ..vehicle.participant.footprint
-                }
-                .grown(1.0, 0.2);
-                self.deviating(index, ego).any(|other| {
-                    if !own.overlaps(&other.predicted(dt)) {
-                        return false;
-                    }
-                    let place = self
-                        .road
-                        .lane(vehicle.lane)
-                        .project_near(other.footprint.pose.position, vehicle.place.s);
-                    let in_own_lane =
-                        place.d.abs() < (vehicle.participant.footprint.width + 1.0) / 2.0;
-                    !in_own_lane
-                })
-            })
+        let reach = reach(&vehicle.participant.footprint, &other.participant.footprint);
+        let overlaps = [0.25, 0.5, 0.75, 1.0].iter().any(|share| {
+            let dt = share * LOOK_AHEAD_S;
+            let predicted = other.predicted(dt);
+            let (near, by) = self.tracks[index].around(t + dt);
+            let farthest = by + reach;
+            let apart = predicted.pose.position - near;
+            if apart.dot(apart) > farthest * farthest {
+                return false;
+            }
+            let own = Footprint {
+                pose: self.tracks[index].motion(t + dt).pose,
+                ..vehicle.participant.footprint
+            };
+            own.grown(ROOM.0, ROOM.1).overlaps(&predicted)
+        });
+        overlaps && {
+            let place = self
+                .road
+                .lane(vehicle.lane)
+                .project_near(other.participant.footprint.pose.position, vehicle.place.s);
+            let in_own_lane = place.d.abs() < (vehicle.participant.footprint.width + 1.0) / 2.0;
+            !in_own_lane
+        }
     }
 
     /// From now on the vehicle drives by itself.
@@ -278,20 +330,25 @@ impl Traffic {
             vehicle.participant.footprint.pose.yaw,
             vehicle.participant.speed,
         );
-        let heading = self.road.lane(vehicle.lane).at(vehicle.place.s).heading;
+        let lane = self.road.lane(vehicle.lane);
+        let heading = lane.line_at(vehicle.place.s).heading;
         vehicle.lateral_speed = speed * wrap_angle(yaw - heading).sin();
         vehicle.mode = Mode::Driving;
         let gap = (leader.gap - vehicle.driver.standstill_gap) / speed.max(1.0);
         vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
+        self.views[index].forget();
+        let place = self.deviating.partition_point(|it| it.index < index);
+        let own = Deviating::new(index, vehicle.participant);
+        self.deviating.insert(place, own);
     }
 
     /// The acceleration that the driver wants, and whether the lane's middle is free to go to.
-    fn decision(&self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
+    fn decision(&mut self, index: usize, t: f64, ego: &Participant) -> (f64, bool) {
         let vehicle = &self.vehicles[index];
         let speed = vehicle.participant.speed;
         let lane = self.road.lane(vehicle.lane);
         let bend = [0.0, 1.0, 2.0, 3.0]
-            .map(|seconds| lane.at(vehicle.place.s + seconds * speed).curvature.abs())
+            .map(|seconds| lane.curvature_at(vehicle.place.s + seconds * speed).abs())
             .into_iter()
             .fold(1e-6, f64::max);
         let relaxed = ((t - vehicle.begun.1) / GAP_RELAXATION_S).min(1.0);
@@ -305,43 +362,38 @@ impl Traffic {
             ..vehicle.driver
         };
         let viewer = Viewer::new(&self.road, vehicle);
-        let ending: Vec<LaneId> = viewer.ending_beside().collect();
         let mut leader = self.end_of_lane(vehicle);
         let mut courtesy = f64::INFINITY;
         let mut may_return = true;
-        for other in self.others(index, ego) {
-            let Some(seen) = viewer.see(&other) else {
+        for (other, views) in others(&self.vehicles, &mut self.views, index, ego) {
+            let Some(seen) = viewer.see(other, views) else {
                 continue;
             };
-            if let Some(ahead) = sight::ahead(vehicle, &other, &seen) {
-                leader = nearer(leader, ahead);
+            if let Some(ahead) = sight::ahead(vehicle, other, &seen)
+                && ahead.gap < leader.gap
+            {
+                leader = ahead;
             }
-            let merging = ending
-                .iter()
-                .find_map(|lane| sight::merging(&self.road, vehicle, *lane, &other, &seen));
+            let merging = viewer
+                .ending_beside()
+                .find_map(|lane| sight::merging(&self.road, vehicle, lane, other, &seen));
             if let Some(merging) = merging {
                 courtesy = courtesy.min(driver.follow(speed, &merging).max(-COURTESY));
             }
-            may_return &= !sight::blocks_return(vehicle, &other, &seen);
+            may_return &= !sight::blocks_return(vehicle, other, &seen);
         }
         let in_the_middle = vehicle.place.d.abs() < 0.2;
         let wanted = driver.follow(speed, &leader).min(courtesy);
         (wanted, in_the_middle || may_return)
     }
 
-    /// All others that are present, and the ego.
-    fn others(&self, index: usize, ego: &Participant) -> impl Iterator<Item = Participant> {
-        let others = self.vehicles.iter().enumerate();
-        let others = others.filter(move |(i, v)| *i != index && v.is_present());
-        others.map(|(_, v)| v.participant).chain([*ego])
-    }
-
-    fn leader(&self, index: usize, ego: &Participant) -> Leader {
+    fn leader(&mut self, index: usize, ego: &Participant) -> Leader {
         let vehicle = &self.vehicles[index];
         let viewer = Viewer::new(&self.road, vehicle);
-        self.others(index, ego)
-            .filter_map(|other| viewer.ahead(&other))
-            .fold(self.end_of_lane(vehicle), nearer)
+        let end = self.end_of_lane(vehicle);
+        others(&self.vehicles, &mut self.views, index, ego).fold(end, |leader, (other, views)| {
+            viewer.nearer(leader, other, views)
+        })
     }
 
     /// The end of the lane as a leader that stands.
@@ -351,12 +403,30 @@ impl Traffic {
     }
 }
 
-fn nearer(a: Leader, b: Leader) -> Leader {
-    if b.gap < a.gap { b } else { a }
+/// A replayed vehicle with room around it and another one overlap only if their centres are nearer
+/// than this, m.
+fn reach(replayed: &Footprint, other: &Footprint) -> f64 {
+    let sides = |it: &Footprint| it.length + it.width;
+    (sides(replayed) + ROOM.0 + ROOM.1 + sides(other)) / 2.0
 }
 
-fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
-    let motion = recording::motion(&recording.states, f64::NEG_INFINITY);
+/// All others that are present, and the ego, with the views of each.
+fn others<'a>(
+    vehicles: &'a [Vehicle],
+    views: &'a mut [Views],
+    index: usize,
+    ego: &'a Participant,
+) -> impl Iterator<Item = (&'a Participant, &'a mut Views)> {
+    let all = vehicles.iter().map(Some).chain([None]).zip(views);
+    all.enumerate()
+        .filter(move |(i, (other, _))| {
+            *i != index && other.is_none_or(|vehicle| vehicle.is_present())
+        })
+        .map(move |(_, (other, views))| (other.map_or(ego, |it| &it.participant), views))
+}
+
+fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
+    let motion = track.motion(f64::NEG_INFINITY);
     let (lane, place) = road.locate(motion.pose.position, motion.pose.yaw);
     let fastest = recording
         .states
@@ -403,16 +473,15 @@ fn vehicle(road: &Road, recording: &Obstacle) -> Vehicle {
 }
 
 /// Puts a vehicle where its recording has it at time `t`.
-fn replay(vehicle: &mut Vehicle, recording: &Obstacle, road: &Road, t: f64) {
-    let motion = recording::motion(&recording.states, t);
+fn replay(vehicle: &mut Vehicle, track: &Track, road: &Road, t: f64) {
+    let motion = track.motion(t);
     vehicle.participant.footprint.pose = motion.pose;
     vehicle.participant.speed = motion.speed;
     vehicle.participant.acceleration = motion.acceleration;
-    let section = road.lane(vehicle.lane).at(vehicle.place.s);
-    vehicle.place = road
-        .lane(vehicle.lane)
-        .project_near(motion.pose.position, vehicle.place.s);
-    if vehicle.place.d.abs() > section.width / 2.0 {
+    let lane = road.lane(vehicle.lane);
+    let width = lane.width_at(vehicle.place.s);
+    vehicle.place = lane.project_near(motion.pose.position, vehicle.place.s);
+    if vehicle.place.d.abs() > width / 2.0 {
         (vehicle.lane, vehicle.place) = road.locate(motion.pose.position, motion.pose.yaw);
     }
 }
@@ -420,7 +489,7 @@ fn replay(vehicle: &mut Vehicle, recording: &Obstacle, road: &Road, t: f64) {
 /// Moves a vehicle that drives by itself.
 fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     let lane = road.lane(vehicle.lane);
-    let section = lane.at(vehicle.place.s);
+    let curvature = lane.curvature_at(vehicle.place.s);
     let before = vehicle.participant.speed;
     let speed = (before + vehicle.participant.acceleration * dt).max(0.0);
     if speed == 0.0 {
@@ -433,14 +502,15 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     let along = (mean * mean - vehicle.lateral_speed * vehicle.lateral_speed)
         .max(0.0)
         .sqrt();
-    vehicle.place.s += along * dt / (1.0 - section.curvature * vehicle.place.d).max(0.5);
+    vehicle.place.s += along * dt / (1.0 - curvature * vehicle.place.d).max(0.5);
     vehicle.place.d += vehicle.lateral_speed * dt;
-    let yaw = lane.at(vehicle.place.s).heading + vehicle.lateral_speed.atan2(along);
+    let line = lane.line_at(vehicle.place.s);
+    let yaw = line.heading + vehicle.lateral_speed.atan2(along);
     let before = vehicle.participant.footprint.pose.yaw;
     // No vehicle turns on the spot: curvature is limited, and so is the yaw rate.
     let turn = (TURN.0 * mean).min(TURN.1) * dt;
     let yaw = before + wrap_angle(yaw - before).clamp(-turn, turn);
-    let position = lane.point(vehicle.place);
+    let position = line.beside(vehicle.place.d);
     vehicle.participant.footprint.pose = Pose {
         position,
         yaw: wrap_angle(yaw),

@@ -13,62 +13,136 @@ pub(crate) struct Motion {
     pub(crate) acceleration: f64,
 }
 
-/// The times that a recording covers, s.
-pub(crate) fn span(states: &[TimedState]) -> (f64, f64) {
-    (states[0].t, states[states.len() - 1].t)
+/// A recorded state, with what the states around it say of it.
+#[derive(Clone, Copy, Debug)]
+struct Knot {
+    t: f64,
+    position: Vec2,
+    yaw: f64,
+    /// The file's speed; where there is none, the distance to the neighbouring states by time.
+    speed: f64,
+    /// Velocity from the states before and after.
+    tangent: Vec2,
+    /// The vehicle moves no faster than this until the next state, m/s.
+    speed_max: f64,
 }
 
-/// The motion at time `t`, held before the first state and after the last.
+/// The recording of one vehicle.
 ///
 /// Positions are cubic between the states (Hermite, tangents from the neighbouring states), so that
 /// they have no corners; speeds are linear between those of the file.
-pub(crate) fn motion(states: &[TimedState], t: f64) -> Motion {
-    let after = states.partition_point(|state| state.t <= t);
-    let (from, to) = (after.saturating_sub(1), after.min(states.len() - 1));
-    let (a, b) = (&states[from], &states[to]);
-    if from == to {
-        let pose = Pose {
-            position: a.position,
-            yaw: a.yaw,
+#[derive(Clone, Debug)]
+pub(crate) struct Track {
+    knots: Vec<Knot>,
+    /// States in a second, on average.
+    rate: f64,
+    /// The vehicle moves no faster than this from position to position, m/s.
+    speed_max: f64,
+}
+
+impl Track {
+    /// The recording with these states; at least one.
+    pub(crate) fn new(states: &[TimedState]) -> Self {
+        let knot = |(index, state): (usize, &TimedState)| {
+            let tangent = tangent(states, index);
+            Knot {
+                t: state.t,
+                position: state.position,
+                yaw: state.yaw,
+                speed: state
+                    .speed
+                    .unwrap_or_else(|| tangent.dot(Vec2::from_angle(state.yaw))),
+                tangent,
+                speed_max: 0.0,
+            }
         };
-        return Motion {
-            pose,
-            speed: speed(states, from),
-            acceleration: 0.0,
-        };
+        let mut knots: Vec<Knot> = states.iter().enumerate().map(knot).collect();
+        let length = knots[knots.len() - 1].t - knots[0].t;
+        for index in 1..knots.len() {
+            let (from, to) = (&knots[index - 1], &knots[index]);
+            // A cubic is nowhere faster than the fastest leg of its control polygon (Bézier).
+            let ends = from.tangent.norm().max(to.tangent.norm());
+            let way = (to.position - from.position) * (3.0 / (to.t - from.t));
+            let middle = way - from.tangent - to.tangent;
+            knots[index - 1].speed_max = ends.max(middle.norm());
+        }
+        Self {
+            rate: if length > 0.0 {
+                (knots.len() - 1) as f64 / length
+            } else {
+                0.0
+            },
+            speed_max: knots.iter().map(|it| it.speed_max).fold(0.0, f64::max),
+            knots,
+        }
     }
-    let span = b.t - a.t;
-    let share = (t - a.t) / span;
-    let (speed_a, speed_b) = (speed(states, from), speed(states, to));
-    Motion {
-        pose: Pose {
-            position: hermite(states, from, share, span),
-            yaw: lerp_angle(a.yaw, b.yaw, share),
-        },
-        speed: speed_a + (speed_b - speed_a) * share,
-        acceleration: (speed_b - speed_a) / span,
+
+    /// The times that the recording covers, s.
+    pub(crate) fn span(&self) -> (f64, f64) {
+        (self.knots[0].t, self.knots[self.knots.len() - 1].t)
+    }
+
+    /// The vehicle is recorded to move no faster than this, m/s.
+    pub(crate) const fn speed_max(&self) -> f64 {
+        self.speed_max
+    }
+
+    /// A point from which the vehicle is not far at time `t`, and how far at most, m.
+    pub(crate) fn around(&self, t: f64) -> (Vec2, f64) {
+        let knot = &self.knots[self.count_until(t).saturating_sub(1)];
+        (knot.position, knot.speed_max * (t - knot.t).max(0.0))
+    }
+
+    /// How many states are not later than `t`.
+    fn count_until(&self, t: f64) -> usize {
+        let knots = &self.knots;
+        // States are recorded at equal distances, nearly always.
+        let guess = (t - knots[0].t) * self.rate;
+        let mut count = (guess.max(0.0) as usize).min(knots.len());
+        while knots.get(count).is_some_and(|knot| knot.t <= t) {
+            count += 1;
+        }
+        while count > 0 && knots[count - 1].t > t {
+            count -= 1;
+        }
+        count
+    }
+
+    /// The motion at time `t`, held before the first state and after the last.
+    pub(crate) fn motion(&self, t: f64) -> Motion {
+        let after = self.count_until(t);
+        let (from, to) = (after.saturating_sub(1), after.min(self.knots.len() - 1));
+        let (a, b) = (&self.knots[from], &self.knots[to]);
+        if from == to {
+            let pose = Pose {
+                position: a.position,
+                yaw: a.yaw,
+            };
+            return Motion {
+                pose,
+                speed: a.speed,
+                acceleration: 0.0,
+            };
+        }
+        let span = b.t - a.t;
+        let share = (t - a.t) / span;
+        Motion {
+            pose: Pose {
+                position: hermite(a, b, share, span),
+                yaw: lerp_angle(a.yaw, b.yaw, share),
+            },
+            speed: a.speed + (b.speed - a.speed) * share,
+            acceleration: (b.speed - a.speed) / span,
+        }
     }
 }
 
-/// The file's speed; where there is none, the distance to the neighbouring states by time.
-fn speed(states: &[TimedState], index: usize) -> f64 {
-    let state = &states[index];
-    state
-        .speed
-        .unwrap_or_else(|| tangent(states, index).dot(Vec2::from_angle(state.yaw)))
-}
-
-fn hermite(states: &[TimedState], from: usize, share: f64, span: f64) -> Vec2 {
-    let (a, b) = (states[from].position, states[from + 1].position);
-    let (rate_a, rate_b) = (
-        tangent(states, from) * span,
-        tangent(states, from + 1) * span,
-    );
+fn hermite(a: &Knot, b: &Knot, share: f64, span: f64) -> Vec2 {
     let (t, t2, t3) = (share, share * share, share * share * share);
-    a * (2.0 * t3 - 3.0 * t2 + 1.0)
-        + rate_a * (t3 - 2.0 * t2 + t)
-        + b * (3.0 * t2 - 2.0 * t3)
-        + rate_b * (t3 - t2)
+    a.position * (2.0 * t3 - 3.0 * t2 + 1.0)
+        + (a.tangent * span) * (t3 - 2.0 * t2 + t)
+        + b.position * (3.0 * t2 - 2.0 * t3)
+        + (b.tangent * span) * (t3 - t2)
 }
 
 /// Velocity from the states before and after.
@@ -97,16 +171,41 @@ mod tests {
         };
         let states: Vec<TimedState> = (0..5).map(|i| at(f64::from(i) * 0.5)).collect();
         for t in [0.5, 0.6, 0.75, 1.2, 1.49] {
-            let motion = motion(&states, t);
+            let motion = Track::new(&states).motion(t);
             assert!((motion.pose.position - at(t).position).norm() < 1e-9, "{t}");
             assert!((motion.speed - 10.0 - 2.0 * t).abs() < 1e-9);
             assert!((motion.acceleration - 2.0).abs() < 1e-9);
         }
-        assert_eq!(motion(&states, 9.0).pose.position, at(2.0).position);
+        assert_eq!(
+            Track::new(&states).motion(9.0).pose.position,
+            at(2.0).position
+        );
         let unknown: Vec<_> = states
             .iter()
             .map(|s| TimedState { speed: None, ..*s })
             .collect();
-        assert!((motion(&unknown, 1.0).speed - 12.0).abs() < 1e-9);
+        assert!((Track::new(&unknown).motion(1.0).speed - 12.0).abs() < 1e-9);
+    }
+
+    /// States at uneven times: the one before each time is found, and the vehicle stays where it is
+    /// said to be around.
+    #[test]
+    fn a_time_is_found_and_the_vehicle_is_near_there() {
+        let times = [0.0, 0.1, 0.15, 0.9, 1.0, 1.1, 3.0];
+        let states = times.map(|t: f64| TimedState {
+            t,
+            position: Vec2::new(20.0 * t, 5.0 * (3.0 * t).sin()),
+            yaw: 0.0,
+            speed: None,
+        });
+        let track = Track::new(&states);
+        for step in -50..400 {
+            let t = f64::from(step) * 0.01;
+            let expected = states.partition_point(|state| state.t <= t);
+            assert_eq!(track.count_until(t), expected, "{t}");
+            let (near, by) = track.around(t);
+            let apart = (track.motion(t).pose.position - near).norm();
+            assert!(apart <= by + 1e-9, "{t}: {apart} {by}");
+        }
     }
 }

@@ -22,6 +22,72 @@ pub(super) struct Seen {
     leader: Leader,
 }
 
+/// One vehicle in the coordinates of a lane.
+#[derive(Clone, Copy, Debug)]
+struct View {
+    lane: LaneId,
+    /// The sample of the lane from which the place was found: all that it depends on besides. And
+    /// the samples that are known to lead to that one.
+    sample: usize,
+    from: (usize, usize),
+    place: Frenet,
+    /// Speeds across the lane, left positive, and along it, m/s.
+    drift: f64,
+    along: f64,
+}
+
+/// How one vehicle is seen from the lanes around it, until it moves: those who look are in few
+/// lanes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Views {
+    known: Vec<View>,
+    next: usize,
+}
+
+impl Views {
+    /// Views that are kept; more replace the oldest ones.
+    const LANES: usize = 8;
+
+    /// The vehicle has moved.
+    pub(super) fn forget(&mut self) {
+        self.known.clear();
+        self.next = 0;
+    }
+
+    fn view(&mut self, road: &Road, id: LaneId, other: &Participant, near: f64) -> View {
+        let pose = other.footprint.pose;
+        let lane = road.lane(id);
+        let start = lane.sample_at(near);
+        let leads = |view: &&View| view.lane == id && view.from.0 <= start && start <= view.from.1;
+        if let Some(known) = self.known.iter().find(leads) {
+            return *known;
+        }
+        let sample = lane.sample_near(pose.position, start);
+        let is_it = |view: &&mut View| view.lane == id && view.sample == sample;
+        if let Some(known) = self.known.iter_mut().find(is_it) {
+            known.from = (known.from.0.min(start), known.from.1.max(start));
+            return *known;
+        }
+        let foot = lane.foot(pose.position, sample);
+        let (sin, cos) = wrap_angle(pose.yaw - foot.point.heading).sin_cos();
+        let view = View {
+            lane: id,
+            sample,
+            from: (sample.min(start), sample.max(start)),
+            place: foot.place,
+            drift: other.speed * sin,
+            along: (other.speed * cos).max(0.0),
+        };
+        if self.known.len() < Self::LANES {
+            self.known.push(view);
+        } else {
+            self.known[self.next] = view;
+            self.next = (self.next + 1) % Self::LANES;
+        }
+        view
+    }
+}
+
 /// Who looks, with what is the same for all that is looked at.
 pub(super) struct Viewer<'a> {
     road: &'a Road,
@@ -38,38 +104,40 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// `None` for who is behind, far, or far aside.
-    pub(super) fn see(&self, other: &Participant) -> Option<Seen> {
+    /// `None` for who is behind, far, or far aside. `views`: those of `other`.
+    pub(super) fn see(&self, other: &Participant, views: &mut Views) -> Option<Seen> {
         let vehicle = self.vehicle;
         let reach = (vehicle.participant.footprint.length + other.footprint.length) / 2.0;
         let apart = self.frame.to_local(other.footprint.pose.position);
         if apart.x < -reach || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x.abs() {
             return None;
         }
-        let lane = self.road.lane(vehicle.lane);
-        let place = lane.project_near(other.footprint.pose.position, vehicle.place.s + apart.x);
-        let angle = wrap_angle(other.footprint.pose.yaw - lane.at(place.s).heading);
+        let near = vehicle.place.s + apart.x;
+        let view = views.view(self.road, vehicle.lane, other, near);
         Some(Seen {
-            place,
-            drift: other.speed * angle.sin(),
+            place: view.place,
+            drift: view.drift,
             leader: Leader {
-                gap: place.s - vehicle.place.s - reach,
-                speed: (other.speed * angle.cos()).max(0.0),
+                gap: view.place.s - vehicle.place.s - reach,
+                speed: view.along,
                 acceleration: other.acceleration,
             },
         })
     }
 
-    /// `other` as a leader, if it is ahead and in the way now or within a second.
-    pub(super) fn ahead(&self, other: &Participant) -> Option<Leader> {
-        ahead(self.vehicle, other, &self.see(other)?)
+    /// `other` if it is ahead, in the way now or within a second, and nearer than `leader`, which
+    /// is returned otherwise.
+    pub(super) fn nearer(&self, leader: Leader, other: &Participant, views: &mut Views) -> Leader {
+        let seen = self.see(other, views);
+        let ahead = seen.and_then(|seen| ahead(self.vehicle, other, &seen));
+        ahead.filter(|it| it.gap < leader.gap).unwrap_or(leader)
     }
 
     /// The lanes beside that end: who is there has to come in.
     pub(super) fn ending_beside(&self) -> impl Iterator<Item = LaneId> + use<'a> {
         let road = self.road;
-        let section = road.lane(self.vehicle.lane).at(self.vehicle.place.s);
-        let beside = [section.left, section.right].into_iter().flatten();
+        let beside = road.lane(self.vehicle.lane).beside(self.vehicle.place.s);
+        let beside = beside.into_iter().flatten();
         beside.filter(move |lane| road.lane(*lane).end.is_some())
     }
 }
@@ -112,8 +180,49 @@ pub(super) fn merging(
         return None;
     }
     let place = road.lane(lane).project(other.footprint.pose.position);
-    let width = road.lane(lane).at(place.s).width;
+    let width = road.lane(lane).width_at(place.s);
     let in_lane = place.d.abs() < width / 2.0 && road.lane(lane).exists_at(place.s);
     let soon = road.distance_to_end(lane, place.s) < COURTESY_FROM;
     (in_lane && soon).then_some(seen.leader)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Scenario;
+    use crate::geometry::{Footprint, Pose};
+
+    /// Whatever was asked before, a view is that of who asks first.
+    #[test]
+    fn a_view_that_is_kept_is_the_view_from_there() {
+        let scenario = Scenario::load("lane-drop").unwrap();
+        let road = scenario.road();
+        let lanes = road.lanes().len();
+        for (station, d) in [(300.0, 0.3), (1_150.0, -2.0), (1_400.0, 9.0)] {
+            let yaw = road.lane(LaneId(0)).at(station).heading + 0.2;
+            let other = Participant {
+                footprint: Footprint {
+                    pose: Pose {
+                        position: road.lane(LaneId(0)).point(Frenet { s: station, d }),
+                        yaw,
+                    },
+                    length: 4.0,
+                    width: 2.0,
+                },
+                speed: 20.0,
+                acceleration: 0.0,
+            };
+            let mut views = Views::default();
+            for ask in 0..200_usize {
+                let id = LaneId(ask * 7 % lanes);
+                let near = station + (ask * 37 % 120) as f64 - 60.0;
+                let view = views.view(road, id, &other, near);
+                let fresh = Views::default().view(road, id, &other, near);
+                assert_eq!(view.place, fresh.place, "{ask}");
+                assert_eq!((view.drift, view.along), (fresh.drift, fresh.along));
+                let position = other.footprint.pose.position;
+                assert_eq!(view.place, road.lane(id).project_near(position, near));
+            }
+        }
+    }
 }

@@ -81,7 +81,7 @@ fn run(
     let mut traffic = Traffic::new(road(drop), recordings.into(), &start);
     for step in 1..=(seconds / STEP) as u32 {
         let t = f64::from(step) * STEP;
-        let footprint = start.predicted(t);
+        let footprint = Deviating::new(0, start).predicted(t);
         let ego = Participant { footprint, ..start };
         traffic.step(t, STEP, &ego);
         look(t, traffic.vehicles(), &ego);

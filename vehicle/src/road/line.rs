@@ -1,0 +1,329 @@
+//! A lane's centre line: its points by arc length, and the point of it that is nearest to a place.
+//!
+//! What each query asks for again is computed once: the way and the turn to the next sample, and
+//! boxes around pieces of the line, so that a search leaves out what is too far away.
+
+use super::{Frenet, STEP};
+use crate::geometry::{Vec2, wrap_angle};
+
+/// Samples in a piece with a box of its own.
+const PIECE: usize = 32;
+/// A search over the whole line looks at each sample of this number, and then at those between.
+const COARSE: usize = 4;
+/// Newton steps from the nearest sample.
+const NEWTON_STEPS: usize = 3;
+/// A bound is taken to be wrong by rounding by no more than this, m.
+const ROUNDING: f64 = 1e-6;
+
+/// A point of the line every [`STEP`] metres.
+#[derive(Clone, Debug)]
+struct Sample {
+    centre: Vec2,
+    heading: f64,
+    /// Unit vector with this heading.
+    along: Vec2,
+    /// To the next sample; zero at the last.
+    way: Vec2,
+    turn: f64,
+}
+
+/// A point of the line.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Point {
+    pub(crate) centre: Vec2,
+    /// Direction of the line, rad.
+    pub(crate) heading: f64,
+}
+
+impl Point {
+    /// The point `d` metres to the left.
+    pub(crate) fn beside(self, d: f64) -> Vec2 {
+        self.centre + Vec2::from_angle(self.heading).left() * d
+    }
+}
+
+/// The foot of a perpendicular.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Foot {
+    pub(crate) place: Frenet,
+    pub(crate) point: Point,
+}
+
+/// A box along the axes.
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    low: Vec2,
+    high: Vec2,
+}
+
+/// The centre line of a lane; beyond its samples it continues straight.
+#[derive(Clone, Debug)]
+pub(super) struct Line {
+    samples: Vec<Sample>,
+    /// Around all samples, and around each piece with the first sample of the next.
+    whole: Bounds,
+    pieces: Vec<Bounds>,
+    /// The first and the last point, and the directions in which it continues there.
+    rays: [(Vec2, Vec2); 2],
+}
+
+impl Bounds {
+    fn around(points: impl Iterator<Item = Vec2>) -> Self {
+        let nothing = Self {
+            low: Vec2::new(f64::INFINITY, f64::INFINITY),
+            high: Vec2::new(f64::NEG_INFINITY, f64::NEG_INFINITY),
+        };
+        points.fold(nothing, |it, point| Self {
+            low: Vec2::new(it.low.x.min(point.x), it.low.y.min(point.y)),
+            high: Vec2::new(it.high.x.max(point.x), it.high.y.max(point.y)),
+        })
+    }
+
+    /// The square of the distance, m². Rounded like that to a point inside, so it is never above
+    /// that one.
+    fn distance_squared(&self, point: Vec2) -> f64 {
+        let outside = |low: f64, high: f64, at: f64| (low - at).max(at - high).max(0.0);
+        let apart = Vec2::new(
+            outside(self.low.x, self.high.x, point.x),
+            outside(self.low.y, self.high.y, point.y),
+        );
+        apart.dot(apart)
+    }
+}
+
+fn distance_squared(a: Vec2, b: Vec2) -> f64 {
+    let apart = a - b;
+    apart.dot(apart)
+}
+
+impl Line {
+    /// The line through these points, with their headings; at least one.
+    pub(super) fn new(centres: &[Vec2], headings: &[f64]) -> Self {
+        let last = centres.len() - 1;
+        let samples: Vec<Sample> = (0..=last)
+            .map(|index| {
+                let next = (index + 1).min(last);
+                Sample {
+                    centre: centres[index],
+                    heading: headings[index],
+                    along: Vec2::from_angle(wrap_angle(headings[index])),
+                    way: centres[next] - centres[index],
+                    turn: wrap_angle(headings[next] - headings[index]),
+                }
+            })
+            .collect();
+        let pieces = (0..samples.len()).step_by(PIECE).map(|first| {
+            let end = (first + PIECE + 1).min(samples.len());
+            Bounds::around(centres[first..end].iter().copied())
+        });
+        let mut line = Self {
+            whole: Bounds::around(centres.iter().copied()),
+            pieces: pieces.collect(),
+            rays: Default::default(),
+            samples,
+        };
+        let [begin, end] = [0.0, last as f64 * STEP].map(|s| line.at(s));
+        line.rays = [
+            (begin.centre, -Vec2::from_angle(begin.heading)),
+            (end.centre, Vec2::from_angle(end.heading)),
+        ];
+        line
+    }
+
+    fn last(&self) -> usize {
+        self.samples.len() - 1
+    }
+
+    /// The index of the sample before `s`, the share of the way from there to the next one, and
+    /// the way beyond all samples, m.
+    pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
+        let last = self.last();
+        let place = (s / STEP).clamp(0.0, last as f64);
+        let index = (place as usize).min(last.saturating_sub(1));
+        (index, place - index as f64, s - place * STEP)
+    }
+
+    /// The line at arc length `s`.
+    pub(super) fn at(&self, s: f64) -> Point {
+        let (index, t, beyond) = self.around(s);
+        let from = &self.samples[index];
+        let heading = from.heading + from.turn * t;
+        let inside = from.centre + from.way * t;
+        let centre = if beyond == 0.0 {
+            inside
+        } else {
+            inside + Vec2::from_angle(heading) * beyond
+        };
+        Point {
+            centre,
+            heading: wrap_angle(heading),
+        }
+    }
+
+    /// The sample that is nearest to arc length `s`.
+    pub(super) fn sample_at(&self, s: f64) -> usize {
+        let place = (s / STEP).clamp(0.0, self.last() as f64);
+        let before = place as usize;
+        // As `round` does, which is a call on many machines.
+        before + usize::from(place - before as f64 >= 0.5)
+    }
+
+    /// The sample from which a walk from sample `start` gets no nearer to `point`. All samples on
+    /// the way lead to the same.
+    pub(super) fn sample_near(&self, point: Vec2, start: usize) -> usize {
+        let distance = |index: usize| distance_squared(point, self.samples[index].centre);
+        let (mut index, mut least) = (start, distance(start));
+        let mut walk = |next: fn(usize) -> usize, end: usize| {
+            while index != end && distance(next(index)) < least {
+                index = next(index);
+                least = distance(index);
+            }
+            index
+        };
+        let up = walk(|index| index + 1, self.last());
+        if up > start {
+            up
+        } else {
+            walk(|index| index - 1, 0)
+        }
+    }
+
+    /// The sample that is nearest to `point` on the whole line, found from a coarse search.
+    pub(super) fn sample(&self, point: Vec2) -> usize {
+        let mut nearest = (f64::INFINITY, 0);
+        let search = |piece: usize, nearest: &mut (f64, usize)| {
+            let first = piece * PIECE;
+            let end = (first + PIECE).min(self.samples.len());
+            for index in (first..end).step_by(COARSE) {
+                let distance = distance_squared(point, self.samples[index].centre);
+                if distance < nearest.0 {
+                    *nearest = (distance, index);
+                }
+            }
+        };
+        // The piece with the nearest box first: most others are farther than what is in it.
+        let by_box = |piece: &usize| self.pieces[*piece].distance_squared(point);
+        let first = (0..self.pieces.len()).min_by(|a, b| by_box(a).total_cmp(&by_box(b)));
+        search(first.unwrap_or(0), &mut nearest);
+        let bound = nearest.0;
+        // Of equal ones the first counts.
+        nearest = (f64::INFINITY, 0);
+        for piece in 0..self.pieces.len() {
+            let box_distance = by_box(&piece);
+            if box_distance <= bound && box_distance < nearest.0 {
+                search(piece, &mut nearest);
+            }
+        }
+        self.sample_near(point, nearest.1)
+    }
+
+    /// The foot of the perpendicular from `point`, by Newton steps from this sample.
+    pub(super) fn foot(&self, point: Vec2, sample: usize) -> Foot {
+        let mut s = sample as f64 * STEP;
+        let (mut at, mut along) = if sample < self.last() {
+            let Sample {
+                centre,
+                heading,
+                along,
+                ..
+            } = self.samples[sample];
+            let heading = wrap_angle(heading);
+            (Point { centre, heading }, along)
+        } else {
+            let at = self.at(s);
+            (at, Vec2::from_angle(at.heading))
+        };
+        for _ in 0..NEWTON_STEPS {
+            let next = s + along.dot(point - at.centre);
+            // All further steps would stay here.
+            if next == s {
+                break;
+            }
+            s = next;
+            at = self.at(s);
+            along = Vec2::from_angle(at.heading);
+        }
+        let d = along.cross(point - at.centre);
+        Foot {
+            place: Frenet { s, d },
+            point: at,
+        }
+    }
+
+    /// Whether each point of the line is farther from `point` than `distance`, m. If some box is
+    /// nearer, it may say no where yes is right.
+    pub(super) fn is_farther(&self, point: Vec2, distance: f64) -> bool {
+        let limit = distance + ROUNDING;
+        let limit_squared = limit * limit;
+        let ray_is_farther = |(from, along): &(Vec2, Vec2)| {
+            let apart = point - *from;
+            along.dot(apart) < 0.0 || along.cross(apart).abs() > limit
+        };
+        let is_outside = |bounds: &Bounds| bounds.distance_squared(point) > limit_squared;
+        (is_outside(&self.whole) || self.pieces.iter().all(is_outside))
+            && self.rays.iter().all(ray_is_farther)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A line that winds, with a bend that comes back to where it was.
+    fn winding() -> Line {
+        let mut points = vec![Vec2::default()];
+        let heading = |index: usize| (index as f64 * 0.031).sin() * 2.4 + 0.001 * index as f64;
+        for index in 0..699 {
+            points.push(points[index] + Vec2::from_angle(heading(index)) * STEP);
+        }
+        let headings: Vec<f64> = (0..700).map(|index| wrap_angle(heading(index))).collect();
+        Line::new(&points, &headings)
+    }
+
+    /// Points on a grid around the line.
+    fn places(line: &Line) -> impl Iterator<Item = Vec2> {
+        let Bounds { low, high } = line.whole;
+        let on = |share: usize, low: f64, high: f64| {
+            low - 300.0 + share as f64 / 40.0 * (high - low + 600.0)
+        };
+        (0..=40).flat_map(move |x| {
+            (0..=40).map(move |y| Vec2::new(on(x, low.x, high.x), on(y, low.y, high.y)))
+        })
+    }
+
+    #[test]
+    fn boxes_leave_out_nothing_that_is_near() {
+        let line = winding();
+        let mut farther = [0; 2];
+        for point in places(&line) {
+            let coarse = line.samples.iter().step_by(COARSE);
+            let distances = coarse
+                .map(|it| distance_squared(point, it.centre))
+                .enumerate();
+            let nearest = distances.min_by(|a, b| a.1.total_cmp(&b.1));
+            let (nearest, _) = nearest.unwrap();
+            let expected = line.sample_near(point, nearest * COARSE);
+            assert_eq!(line.sample(point), expected, "{point:?}");
+            // The line and its continuations, densely.
+            let stations = (-2_000..4_000).map(|s| f64::from(s) * 0.5);
+            let apart = stations.map(|s| (line.at(s).centre - point).norm());
+            let distance = apart.fold(f64::INFINITY, f64::min);
+            assert!(!line.is_farther(point, distance), "{point:?}");
+            farther[usize::from(line.is_farther(point, distance - 30.0))] += 1;
+        }
+        assert!(farther[1] > farther[0], "the boxes are of use: {farther:?}");
+    }
+
+    #[test]
+    fn all_samples_on_a_walk_lead_to_its_end() {
+        let line = winding();
+        for point in places(&line) {
+            for start in (0..700).step_by(41) {
+                let end = line.sample_near(point, start);
+                for between in start.min(end)..=start.max(end) {
+                    assert_eq!(line.sample_near(point, between), end, "{point:?} {start}");
+                }
+            }
+        }
+    }
+}
