@@ -90,8 +90,8 @@ pub struct Monitoring<'b, B> {
     last_service: Option<Instant>,
 }
 
-/// Logical supervision of the control task: it must end cycles while time passes. Time is counted in
-/// polls of the monitoring, so a core that was held up as a whole is not blamed.
+/// Logical supervision of the control task: it must end cycles while time passes. The monitoring
+/// counts time in its own polls, so a core that was held up as a whole is not blamed.
 #[derive(Default)]
 struct Progress {
     cycles: u32,
