@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
 use tandem_board::SystemId;
-use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout};
+use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options};
 use tandem_boot_host::{FlashFile, records};
 use tandem_vehicle::Scenario;
 
@@ -93,7 +93,11 @@ impl Images {
                     "--update: the systems must start through their bootloaders; use --board qemu \
                      without --firmware"
                 );
-                let world = EmulatedWorld::start(image, layout, args.reintegrate)?;
+                let options = Options {
+                    reintegrate: args.reintegrate,
+                    ..Options::default()
+                };
+                let world = EmulatedWorld::start(image, layout, options)?;
                 return Ok((world, None));
             }
             Self::Booting {

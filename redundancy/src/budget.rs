@@ -27,6 +27,9 @@ pub struct Budget {
     pub poll_interval: Duration,
     /// Time between two reports over the link.
     pub report_period: Duration,
+    /// How late a heartbeat may be seen although nothing stalls: its sender's task runs late, and
+    /// the observer polls at another phase.
+    pub lateness: Duration,
     /// Time between two handshake edges.
     pub handshake_period: Duration,
     /// How long cores 1 and 2, and the sensors, may take to start.
@@ -40,6 +43,9 @@ impl Budget {
     /// Chips: nothing stalls, and link reports are as frequent as heartbeats.
     pub const CHIP: Self = Self {
         report_period: MS,
+        // Timers are exact: the observer polls when the limit ends. Of the third millisecond 0.2
+        // are left for the execution up to the first control frame.
+        lateness: Duration::from_us(800),
         stall: Duration::ZERO,
         ..Self::RT
     };
@@ -50,6 +56,8 @@ impl Budget {
         poll_interval: MS,
         // Once a control cycle.
         report_period: CONTROL_PERIOD,
+        // A tick of the kernel: waits end with one.
+        lateness: MS,
         handshake_period: Duration::from_ms(5),
         boot_limit: Duration::from_ms(2_000),
         // A virtual machine sometimes loses its CPU for some milliseconds: seen, up to 6.
@@ -78,10 +86,10 @@ impl Budget {
         }
     }
 
-    /// Silence of a line that the machine needs: two periods, 1 ms for the phases of sender and
-    /// poll, and the stall.
+    /// Silence of a line that the machine needs: two periods, the lateness, and the stall.
     const fn silence_needed(&self) -> Duration {
-        Duration::from_ns(self.heartbeat_period.as_ns() * 2 + MS.as_ns() + self.stall.as_ns())
+        let late = self.lateness.as_ns() + self.stall.as_ns();
+        Duration::from_ns(self.heartbeat_period.as_ns() * 2 + late)
     }
 
     /// Silence of a line that the goal permits: two control periods, less the one since the last
@@ -104,8 +112,8 @@ impl Budget {
     #[must_use]
     pub const fn config(self) -> Config {
         let silence = shorter(self.silence_needed(), self.silence_permitted());
-        // At least 1 ms of the silence is lateness: the rest is a number of heartbeats.
-        let jitter = Duration::from_ns(MS.as_ns() + shorter(self.stall, MS).as_ns());
+        // Lateness and a short stall are not a missing heartbeat: the rest is a number of them.
+        let jitter = Duration::from_ns(self.lateness.as_ns() + shorter(self.stall, MS).as_ns());
         let misses = (silence.as_ns() - jitter.as_ns()) / self.heartbeat_period.as_ns();
         let jitter = Duration::from_ns(silence.as_ns() - misses * self.heartbeat_period.as_ns());
 
@@ -215,7 +223,7 @@ mod tests {
                 last = silent;
                 let tolerated = budget.tolerated_stall();
                 assert!(tolerated <= budget.stall && budget.stall > Duration::from_us(us));
-                let needed = budget.heartbeat_period.times(2) + MS + tolerated;
+                let needed = budget.heartbeat_period.times(2) + budget.lateness + tolerated;
                 assert_eq!(silent, needed, "{us} us");
             }
         }

@@ -176,9 +176,22 @@ impl Redundancy {
         if let Some(request) = self.reset_request() {
             actions.push(Action::Reset(request));
         }
-        let poll_due = self.polls.last() + self.config.poll_interval;
-        actions.set_deadline(poll_due.min(self.beats.due()));
+        actions.set_deadline(self.deadline(now));
         actions
+    }
+
+    /// When the next poll is due: after the poll interval, for a heartbeat, or when a limit ends
+    /// after which the master counts as failed. A takeover does not wait for the next poll of the
+    /// grid, whose phase to the other system's polls is arbitrary.
+    fn deadline(&self, now: Instant) -> Instant {
+        let due = self.beats.due();
+        let due = due.min(self.polls.last() + self.config.poll_interval);
+        match &self.phase {
+            PhaseState::Standby(standby) => {
+                due.min(standby.next_limit(&self.config, now, &self.witnesses))
+            }
+            _ => due,
+        }
     }
 
     /// Whether a control frame may be sent now. Check right before sending, for every frame, and

@@ -206,6 +206,23 @@ impl Standby {
         (silent && !was_silent).then_some(Evidence::BeatsSilent)
     }
 
+    /// When the first of the limits ends with which [`Standby::judge`] may find that the master has
+    /// failed, if nothing is heard of it until then. Later than `now`.
+    pub(crate) fn next_limit(
+        &self,
+        config: &Config,
+        now: Instant,
+        witnesses: &Witnesses,
+    ) -> Instant {
+        let control = self.last_control + config.witness_limit();
+        let limits = witnesses.limits(config).into_iter().chain([control]);
+        // A limit has ended when it is exceeded.
+        let ends = limits.map(|limit| limit + Duration::from_ns(1));
+        ends.filter(|end| *end > now)
+            .min()
+            .unwrap_or(Instant::NEVER)
+    }
+
     /// For long enough, neither the other system nor the vehicle has reported that a system drives.
     fn no_system_drives(&self, config: &Config, now: Instant, witnesses: &Witnesses) -> bool {
         let obeys = matches!(witnesses.gate.verdict(config, now), GateVerdict::Obeys(_));

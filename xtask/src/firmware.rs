@@ -224,7 +224,7 @@ fn test(root: &Path, quick: bool) -> Result<()> {
     print!("{}", run_image(root, Image::Conformance, 0, &[])?);
     // The whole workspace, as in all other tests: for one package alone cargo would rebuild much.
     let mut command = crate::cargo(root, &["test", "--workspace"]);
-    for file in ["identical", "feeds", "outputs", "tasks", "emulated"] {
+    for file in ["identical", "feeds", "outputs", "tasks", "chip", "emulated"] {
         command.args(["--test", file]);
     }
     command.args(["--", "--ignored", "--test-threads", "1"]);

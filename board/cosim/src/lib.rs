@@ -97,6 +97,23 @@ pub enum Item {
         /// Selects the words.
         seed: u32,
     },
+    /// Core 0 of a system in the machine stands still until the next reset.
+    Hang {
+        /// The system.
+        of: SystemId,
+    },
+    /// The level line from a system in the machine.
+    CutLevel {
+        /// The system.
+        of: SystemId,
+        /// Cut; otherwise mended.
+        cut: bool,
+    },
+    /// The next item is carried out this much later.
+    Later {
+        /// Less than [`PERIOD_NS`].
+        us: u32,
+    },
 }
 
 /// The message cannot be decoded: the other side has another version.
@@ -136,6 +153,9 @@ impl Item {
             }
             Self::Crash { of } => put(head(9, of.index(), 0, 0), &[]),
             Self::Scribble { of, seed } => put(head(10, of.index(), 0, 0), &[*seed]),
+            Self::Hang { of } => put(head(11, of.index(), 0, 0), &[]),
+            Self::CutLevel { of, cut } => put(head(12, of.index(), usize::from(*cut), 0), &[]),
+            Self::Later { us } => put(head(13, 0, 0, 0), &[*us]),
         }
     }
 
@@ -187,6 +207,14 @@ impl Item {
             10 => Self::Scribble {
                 of: system?,
                 seed: take::<1>(&mut rest)?[0],
+            },
+            11 => Self::Hang { of: system? },
+            12 => Self::CutLevel {
+                of: system?,
+                cut: b != 0,
+            },
+            13 => Self::Later {
+                us: take::<1>(&mut rest)?[0],
             },
             _ => return Err(Malformed),
         };
@@ -285,6 +313,12 @@ mod tests {
                 of: SystemId::A,
                 seed: 7,
             },
+            Item::Hang { of: SystemId::B },
+            Item::CutLevel {
+                of: SystemId::A,
+                cut: true,
+            },
+            Item::Later { us: 999 },
         ];
         for item in items {
             let mut buffer = [0; ITEM_WORDS];

@@ -62,6 +62,18 @@ pub struct BootFrom {
     pub public: [u8; 32],
 }
 
+/// What the controller's image is started with: its straps.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Options {
+    /// A system that returns becomes the standby of the running one.
+    pub reintegrate: bool,
+    /// The timing profile is `chip`, else `rt`. For [`Layout::One`](crate::Layout::One): from one
+    /// machine to another, edges and datagrams take up to 2 ms.
+    pub chip: bool,
+    /// An overload of core 0's tasks: strap `Third`, explained in the image's main. 0: none.
+    pub overload: u32,
+}
+
 /// An emulator process. It ends when this is dropped.
 #[derive(Debug)]
 pub struct Machine {
@@ -77,16 +89,14 @@ pub struct Machine {
 
 impl Machine {
     /// Starts the image with these systems in it. Core 0 of a system that is alone in its machine
-    /// runs its tasks under FreeRTOS. `overload` is the image's strap `Third`: see its main; 0 is
-    /// no overload. `BootFrom` is for an image that boots.
+    /// runs its tasks under FreeRTOS. `BootFrom` is for an image that boots.
     ///
     /// # Errors
     /// [`MachineError::Start`] or [`MachineError::Pipes`].
     pub fn start(
         image: &Path,
         systems: &[SystemId],
-        reintegrate: bool,
-        overload: u32,
+        options: Options,
         boot: Option<&BootFrom>,
     ) -> Result<Self, MachineError> {
         let folder = tempfile::Builder::new()
@@ -105,7 +115,8 @@ impl Machine {
             .args(["-icount", "shift=0,sleep=off", "-semihosting", "-kernel"])
             .arg(image);
         // Strap 0, the mode, stays 0.
-        for (index, value) in [(1, mask), (2, reintegrate.into()), (3, overload)] {
+        let flags = u32::from(options.reintegrate) | u32::from(options.chip) << 1;
+        for (index, value) in [(1, mask), (2, flags), (3, options.overload)] {
             let at = STRAPS_AT + 4 * index;
             command
                 .arg("-device")

@@ -11,7 +11,7 @@ use tandem_board::{
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
 
-use crate::machine::{BootFrom, Machine, MachineError};
+use crate::machine::{BootFrom, Machine, MachineError, Options};
 
 /// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,27 +56,13 @@ impl EmulatedWorld {
     ///
     /// # Errors
     /// [`MachineError`]
-    pub fn start(image: &Path, layout: Layout, reintegrate: bool) -> Result<Self, MachineError> {
-        Self::start_overloaded(image, layout, reintegrate, 0)
-    }
-
-    /// As [`EmulatedWorld::start`], with overlong jobs of a task of core 0: `overload` is the strap
-    /// `Third` of the image, explained in its main.
-    ///
-    /// # Errors
-    /// [`MachineError`]
-    pub fn start_overloaded(
-        image: &Path,
-        layout: Layout,
-        reintegrate: bool,
-        overload: u32,
-    ) -> Result<Self, MachineError> {
+    pub fn start(image: &Path, layout: Layout, options: Options) -> Result<Self, MachineError> {
         let groups: &[&[SystemId]] = match layout {
             Layout::One => &[&SystemId::ALL],
             Layout::Two => &[&[SystemId::A], &[SystemId::B]],
         };
         let machines = groups.iter().map(|systems| {
-            let machine = Machine::start(image, systems, reintegrate, overload, None)?;
+            let machine = Machine::start(image, systems, options, None)?;
             Ok((machine, systems.to_vec()))
         });
         Self::of(machines)
@@ -93,8 +79,12 @@ impl EmulatedWorld {
         reintegrate: bool,
         from: &[(SystemId, BootFrom)],
     ) -> Result<Self, MachineError> {
+        let options = Options {
+            reintegrate,
+            ..Options::default()
+        };
         let machines = from.iter().map(|(system, from)| {
-            let machine = Machine::start(bootloader, &[*system], reintegrate, 0, Some(from))?;
+            let machine = Machine::start(bootloader, &[*system], options, Some(from))?;
             Ok((machine, vec![*system]))
         });
         Self::of(machines)
@@ -282,6 +272,9 @@ impl EmulatedWorld {
             | Item::Fault { .. }
             | Item::Crash { .. }
             | Item::Scribble { .. }
+            | Item::Hang { .. }
+            | Item::CutLevel { .. }
+            | Item::Later { .. }
             | Item::End => {}
         }
     }
@@ -299,6 +292,21 @@ impl EmulatedWorld {
     /// Core 0 of a system ends with an exception at the next step: its supply resets the system.
     pub fn crash(&mut self, of: SystemId) {
         self.tell_machine_of(of, Item::Crash { of });
+    }
+
+    /// Core 0 of a system stands still from the next step on, until its watchdog resets the system.
+    pub fn hang(&mut self, of: SystemId) {
+        self.tell_machine_of(of, Item::Hang { of });
+    }
+
+    /// Cuts the level line from a system, at the next step.
+    pub fn cut_level(&mut self, of: SystemId) {
+        self.tell_machine_of(of, Item::CutLevel { of, cut: true });
+    }
+
+    /// What is done to a system next happens this much after the next step. `us`: less than 1,000.
+    pub fn later(&mut self, of: SystemId, us: u32) {
+        self.tell_machine_of(of, Item::Later { us });
     }
 
     /// A core of a system overwrites the whole LMU at the next step. `seed` selects the words.

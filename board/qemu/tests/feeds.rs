@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board::{HardwareFault, RoleLamp, SystemId, VehiclePort};
-use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 
 /// Virtual time limit of these tests, ms. Without sensors a system waits for two seconds before it
 /// begins.
@@ -33,7 +33,7 @@ fn power_loss_and_return(layout: Layout) {
     use RoleLamp::{DegradedMaster, Master, Standby, Starting};
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
-    let mut world = EmulatedWorld::start(&image, layout, false).unwrap();
+    let mut world = EmulatedWorld::start(&image, layout, Options::default()).unwrap();
     world.step().unwrap();
     world.set_ignition(true);
     let [a, b] = SystemId::ALL;
@@ -62,7 +62,7 @@ fn power_loss_and_return(layout: Layout) {
 fn dual() -> EmulatedWorld {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
-    let mut world = EmulatedWorld::start(&image, Layout::One, false).unwrap();
+    let mut world = EmulatedWorld::start(&image, Layout::One, Options::default()).unwrap();
     let [a, b] = SystemId::ALL;
     world.step().unwrap();
     world.set_ignition(true);

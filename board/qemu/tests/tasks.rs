@@ -9,7 +9,7 @@
 use std::path::PathBuf;
 
 use tandem_board::{CoreId, Instant, RoleLamp, SystemId, VehiclePort};
-use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_cores::core0::TaskId;
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
@@ -28,7 +28,12 @@ fn run(overload: u32) -> (Vec<(Instant, Event)>, String) {
     let images = std::env::var_os("TANDEM_IMAGES").expect("cargo xtask firmware test sets it");
     let image = PathBuf::from(images).join("controller");
     let layout = Layout::Two;
-    let mut world = EmulatedWorld::start_overloaded(&image, layout, true, overload).unwrap();
+    let options = Options {
+        reintegrate: true,
+        overload,
+        ..Options::default()
+    };
+    let mut world = EmulatedWorld::start(&image, layout, options).unwrap();
     world.step().unwrap();
     world.set_ignition(true);
     let mut events = vec![];

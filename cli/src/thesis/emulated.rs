@@ -3,7 +3,7 @@
 use anyhow::Context as _;
 use tandem_benches::thesis::{Counted, Exchange};
 use tandem_board::{RoleLamp, SystemId, VehiclePort as _};
-use tandem_board_qemu::{EmulatedWorld, Layout};
+use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_record::{Entry, RunLog};
 use tandem_vehicle::{Config, Scenario, World};
 
@@ -97,8 +97,12 @@ impl Emulated {
 impl Emulated {
     /// The systems in this many machines, started one after the other: A drives.
     fn start(layout: Layout) -> anyhow::Result<Self> {
+        let options = Options {
+            reintegrate: true,
+            ..Options::default()
+        };
         let mut of = Self {
-            systems: EmulatedWorld::start(&image("controller", None)?, layout, true)?,
+            systems: EmulatedWorld::start(&image("controller", None)?, layout, options)?,
             vehicle: World::new(&Scenario::load("free-lane")?, Config { seed: 1 }),
             log: RunLog::default(),
         };

@@ -5,7 +5,9 @@
 //! core 0 runs the tasks to completion. Cores 1 and 2 have no kernel.
 //!
 //! Strap `First`: which systems are in this machine, 1 A, 2 B, 3 both.
-//! Strap `Second`, bit 0: a system that returns becomes the standby of the running one.
+//! Strap `Second`, bit 0: a system that returns becomes the standby of the running one. Bit 1: the
+//! timing profile is `chip`, else `rt`. Only both systems in one machine can keep the limits of
+//! `chip`: from one machine to another, edges and datagrams take up to 2 ms.
 //! Strap `Third`: an overload of core 0's tasks to test with, see [`overload`]; 0 is none.
 
 use crate::board::VirtBoard;
@@ -25,8 +27,9 @@ use tandem_runtime::{Options, Overload};
 
 /// Value of strap `First`.
 const BOTH_SYSTEMS: u32 = 3;
-/// Bit of strap `Second`.
+/// Bits of strap `Second`.
 const REINTEGRATE: u32 = 1;
+const CHIP: u32 = 2;
 /// Bytes of the stack of each task of core 0.
 const STACK_BYTES: usize = 16 << 10;
 /// Turns of 50 us: the emulator runs one hart at a time, and none may wait long for another.
@@ -79,8 +82,12 @@ pub fn core_in_slot(board: &VirtBoard) {
 }
 
 fn config() -> Config {
-    let mut config = Config::rt();
-    config.redundancy.reintegrate = strap(Strap::Second) & REINTEGRATE != 0;
+    let options = strap(Strap::Second);
+    let mut config = match options & CHIP {
+        0 => Config::rt(),
+        _ => Config::chip(),
+    };
+    config.redundancy.reintegrate = options & REINTEGRATE != 0;
     config
 }
 

@@ -156,9 +156,14 @@ impl BeatReceiver {
         self.lines[0].silent && self.lines[1].silent
     }
 
+    /// The last edge on either line.
+    pub(crate) fn last_edge(&self) -> Instant {
+        self.lines[0].last_edge.max(self.lines[1].last_edge)
+    }
+
     /// Time since the last edge on either line.
     pub(crate) fn silent_for(&self, now: Instant) -> Duration {
-        now.since(self.lines[0].last_edge.max(self.lines[1].last_edge))
+        now.since(self.last_edge())
     }
 
     /// Time since the lines were last both silent; zero while they are.

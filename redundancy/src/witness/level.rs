@@ -93,6 +93,14 @@ impl Level {
         self.is_low && !core::mem::replace(&mut self.broken, true)
     }
 
+    /// When the fallen line has been low for long enough, if no heartbeat arrives until then.
+    pub(crate) fn limit(&self, config: &Config) -> Instant {
+        match self.fell {
+            Some(_) => self.last_beat + config.level_limit(),
+            None => Instant::NEVER,
+        }
+    }
+
     /// Whether the other system is without power, or was and has not restarted yet: the line fell,
     /// and the heartbeats, which arrived before, have ended with it. If there were no heartbeats
     /// before, the line must be low, and all other signs of life must have ended for the third

@@ -142,6 +142,17 @@ impl Witnesses {
             && now.since(last_control) + limit >= lines
     }
 
+    /// Until when heartbeats, link and power level, by what was seen of them last, are not silent
+    /// or off: past if they are already, [`Instant::NEVER`] for a witness that has seen nothing.
+    pub(crate) fn limits(&self, config: &Config) -> [Instant; 3] {
+        let link = self.reports.heard_at();
+        [
+            self.beats.last_edge() + config.silent_limit(),
+            link.map_or(Instant::NEVER, |at| at + config.link_limit()),
+            self.level.limit(config),
+        ]
+    }
+
     /// Whether this system heard third parties before and no longer does: it has no input for
     /// driving, and must not relieve a master that can still stop the vehicle.
     pub(crate) fn is_deaf(&self, config: &Config, now: Instant) -> bool {

@@ -72,9 +72,14 @@ impl Reports {
             .map(|(report, _)| report)
     }
 
-    /// Time since the last report over the link; `None` if there was none.
+    /// When the last report over the link arrived; `None` if there was none.
+    pub(crate) fn heard_at(&self) -> Option<Instant> {
+        self.link.map(|(_, at)| at)
+    }
+
+    /// Time since then.
     pub(crate) fn silent_for(&self, now: Instant) -> Option<Duration> {
-        self.link.map(|(_, at)| now.since(at))
+        self.heard_at().map(|at| now.since(at))
     }
 
     /// Whether the other reported over the link within `limit` that it drives.

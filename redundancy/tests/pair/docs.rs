@@ -28,7 +28,7 @@ fn bounds() -> String {
     );
     row(
         "low level believed",
-        "heartbeat period + poll interval",
+        "heartbeat period + min(jitter, poll interval)",
         Config::level_limit,
     );
     row(
@@ -80,7 +80,7 @@ fn bounds() -> String {
 
 fn budget() -> String {
     let mut text = String::from(
-        "| profile | heartbeats each | polls each | reports each | stall | tolerated | line silent | third witness |\n|---|---|---|---|---|---|---|---|\n",
+        "| profile | heartbeats each | polls each | reports each | late by | stall | tolerated | line silent | third witness |\n|---|---|---|---|---|---|---|---|---|\n",
     );
     for (name, budget) in [
         ("chip", Budget::CHIP),
@@ -88,10 +88,20 @@ fn budget() -> String {
         ("desktop", Budget::DESKTOP),
     ] {
         let config = budget.config();
-        let [beats, polls, reports, stall, tolerated, silent, witness] = [
+        let [
+            beats,
+            polls,
+            reports,
+            late,
+            stall,
+            tolerated,
+            silent,
+            witness,
+        ] = [
             budget.heartbeat_period,
             budget.poll_interval,
             budget.report_period,
+            budget.lateness,
             budget.stall,
             budget.tolerated_stall(),
             config.silent_limit(),
@@ -100,7 +110,7 @@ fn budget() -> String {
         .map(|time| time.as_ms_f64());
         writeln!(
             text,
-            "| {name} | {beats} ms | {polls} ms | {reports} ms | {stall} ms | {tolerated} ms | {silent} ms | {witness} ms |"
+            "| {name} | {beats} ms | {polls} ms | {reports} ms | {late} ms | {stall} ms | {tolerated} ms | {silent} ms | {witness} ms |"
         )
         .unwrap();
     }

@@ -31,10 +31,13 @@ pub(super) fn run(root: &Path) -> Result<()> {
     takeovers(root)
 }
 
-/// A system dies at 20 moments of its control period of 10 ms.
+/// A system hangs at 20 moments of its control period of 10 ms, with 20 phases of the polls of the
+/// two systems.
 fn takeovers(root: &Path) -> Result<()> {
-    for after_us in (137..10_000).step_by(500) {
-        let log = play(root, "an521-takeover", &[after_us], &[PASSED])?.1;
+    for (run, hangs_us) in (0..).zip((137..10_000).step_by(500)) {
+        let phase_us = run * 350 % 1_000;
+        let straps = [hangs_us, phase_us];
+        let log = play(root, "an521-takeover", &straps, &[PASSED])?.1;
         print!("{log}");
     }
     Ok(())

@@ -1,11 +1,11 @@
-//! The redundancy on two processors, with the limits of a chip: core 0 of system A drives and stops
-//! dead; that of B takes over.
+//! The redundancy on two processors, with the limits of a chip: core 0 of system A drives and
+//! hangs; that of B takes over.
 //!
 //! Lines, link and CAN join them, through the board. `Redundancy` and the protected frames are
 //! those of the host. No level line falls: a processor that hangs keeps its supply. Strap 0: how
-//! long after a second A stops, us. The log says how long after the death of A, and after its last
-//! control frame, the first one of B was sent. The status is 0 if both are within their bounds and
-//! B had sent none before.
+//! long after a second A hangs, us. Strap 1: by how much B moves its polls before that, us. The log
+//! says how long after A hung, and after its last control frame, the first one of B was sent. The
+//! status is 0 if both are within their bounds and B had sent none before.
 #![no_std]
 #![no_main]
 #![deny(unsafe_code)]
@@ -16,7 +16,7 @@ use tandem_board::{
 };
 use tandem_board_mps2_an521::board::An521Board;
 use tandem_board_mps2_an521::memory::strap;
-use tandem_board_mps2_an521::{cpu, entry, exit, log};
+use tandem_board_mps2_an521::{clock, cpu, entry, exit, log};
 use tandem_bus::{Control, Message, Receiver, Transmitter};
 use tandem_redundancy::{
     Action, Actions, Config, ControlFrame, Event, Input, LinkReport, Loaded, Mode, Redundancy,
@@ -27,15 +27,21 @@ entry!(main);
 
 const CONFIG: Config = Config::chip();
 /// Time from the start of system A to its sudden end; the strap comes on top.
-const DIES_AFTER: Duration = Duration::from_ms(1_000);
-/// A sign of life of A waits up to a poll until B sees it, and the polls of both have any phases. A
-/// cycle takes some 8,000 instructions of 32 ns.
-const UNALIGNED: Duration = Duration::from_us(1_000 + 500);
+const HANGS_AFTER: Duration = Duration::from_ms(1_000);
+/// When B moves its polls: both have their roles by then.
+const MOVES_AFTER: Duration = Duration::from_ms(800);
+/// From A's end to B's first control frame, and from A's last control frame. Of both, 0.2 ms are
+/// execution, some 6,000 instructions of B.
+const BOUNDS: [Duration; 2] = [Duration::from_ms(4), Duration::from_ms(14)];
 /// Longer than start and takeover take.
 const LIMIT: Duration = Duration::from_ms(3_000);
 
-/// When A stopped, in microseconds since the start of the machine; 0 while it runs.
-static DIED_US: AtomicU32 = AtomicU32::new(0);
+/// While both processors sleep, the emulator can let two timers expire before it runs an
+/// instruction. Without shorter turns, an alarm was late by the whole wait.
+const TURN: u32 = 400;
+
+/// When A hung, in microseconds since the start of the machine; 0 while it runs.
+static HUNG_US: AtomicU32 = AtomicU32::new(0);
 
 fn main(own: usize) -> ! {
     let cast = [Some(CoreAddress::A0), Some(CoreAddress::B0)];
@@ -43,7 +49,7 @@ fn main(own: usize) -> ! {
         exit::exit(1)
     };
     match own {
-        0 => drive_and_die(&board),
+        0 => drive_and_hang(&board),
         _ => {
             let status = match take_over(&board) {
                 Ok(()) => 0,
@@ -87,10 +93,10 @@ impl<'b> Core<'b> {
 
     /// One cycle; returns when the next is due, and whether a control frame was sent.
     fn cycle(&mut self) -> (Instant, bool) {
+        let now = self.board.now();
         while let Some(received) = self.board.can().try_receive() {
             if let Some(frame) = self.heard(&received.frame) {
                 self.heard_at = Some(received.at);
-                let now = self.board.now();
                 let actions = self.machine.on(now, Input::ControlFrame(frame));
                 self.carry_out(&actions);
             }
@@ -99,28 +105,35 @@ impl<'b> Core<'b> {
         while let Some(length) = self.board.link().try_receive(&mut words) {
             let words = words.get(..length).unwrap_or_default();
             if let Some(report) = LinkReport::from_words(words) {
-                let actions = self.machine.on(self.board.now(), Input::LinkReport(report));
+                let actions = self.machine.on(now, Input::LinkReport(report));
                 self.carry_out(&actions);
             }
         }
-        let now = self.board.now();
         let lines = self.board.lines();
         let received = |line, edge| lines.received(line, edge);
         // There are no third parties on this bus.
         let snapshot = Snapshot::new(received, lines.peer_powered(), 0);
         let actions = self.machine.on(now, Input::Poll(snapshot));
         self.carry_out(&actions);
-        // Each poll, a millisecond: as often as a chip's profile says. A processor that is dead
-        // does not empty the link.
+        // Each poll, a millisecond: as often as a chip's profile says. A processor that hangs does
+        // not empty the link.
         let report = self.machine.link_report(now);
         let _full = self.board.link().try_send(&report.to_words());
-        let due = actions.contains(Action::Transmit) || now >= self.next_frame;
-        let sent = due && self.machine.may_transmit(self.board.now());
+        if actions.contains(Action::Transmit) {
+            self.next_frame = now;
+        }
+        let sent = now >= self.next_frame && self.machine.may_transmit(self.board.now());
         if sent {
-            self.next_frame = now + CONFIG.control_period;
+            self.next_frame += CONFIG.control_period;
             self.send_control();
         }
-        (actions.deadline(), sent)
+        let drives = self.machine.phase().is_driving();
+        let next_frame = if drives {
+            self.next_frame
+        } else {
+            Instant::NEVER
+        };
+        (actions.deadline().min(next_frame), sent)
     }
 
     /// A control frame of the other system that passed its protection.
@@ -188,9 +201,10 @@ fn us(at: Instant) -> u32 {
     (at.as_ns() / 1_000) as u32
 }
 
-fn drive_and_die(board: &An521Board) -> ! {
+fn drive_and_hang(board: &An521Board) -> ! {
+    clock::set_turns(TURN);
     let mut core = Core::new(board);
-    let end = board.now() + DIES_AFTER + Duration::from_us(strap(0).into());
+    let end = board.now() + HANGS_AFTER + Duration::from_us(strap(0).into());
     while board.now() < end {
         let (deadline, _) = core.cycle();
         board.wait(deadline.min(end));
@@ -199,7 +213,7 @@ fn drive_and_die(board: &An521Board) -> ! {
         log!("FAILED  A is {:?} when it dies", core.machine.role());
         exit::exit(1);
     }
-    DIED_US.store(us(board.now()), Ordering::Release);
+    HUNG_US.store(us(board.now()), Ordering::Release);
     loop {
         cpu::without_interrupts(cpu::sleep);
     }
@@ -207,21 +221,21 @@ fn drive_and_die(board: &An521Board) -> ! {
 
 fn take_over(board: &An521Board) -> Result<(), &'static str> {
     let mut core = Core::new(board);
+    let mut moves_at = board.now() + MOVES_AFTER;
     let end = board.now() + LIMIT;
     loop {
         let (deadline, sent) = core.cycle();
         let now = board.now();
-        let died = DIED_US.load(Ordering::Acquire);
-        if sent && died == 0 {
+        let hung = HUNG_US.load(Ordering::Acquire);
+        if sent && hung == 0 {
             return Err("B transmits while A drives");
         }
         if let (true, Some(takeover)) = (sent, core.takeover) {
-            let after = us(now) - died;
+            let after = us(now) - hung;
             let gap = core.heard_at.map_or(u32::MAX, |at| us(now) - us(at));
-            let bounds = [CONFIG.takeover_bound(), CONFIG.gap_bound()];
-            let [bound, gap_bound] = bounds.map(|bound| (bound + UNALIGNED).as_us() as u32);
+            let [bound, gap_bound] = BOUNDS.map(|bound| bound.as_us() as u32);
             log!(
-                "takeover: {:?} {after} us after A died (bound {bound}), {gap} us after its last \
+                "takeover: {:?} {after} us after A hung (bound {bound}), {gap} us after its last \
                  control frame (bound {gap_bound})",
                 takeover.cause
             );
@@ -234,6 +248,14 @@ fn take_over(board: &An521Board) -> Result<(), &'static str> {
         if now > end {
             return Err("B takes over");
         }
-        board.wait(deadline);
+        if now >= moves_at {
+            // A heartbeat is missing: the grid begins anew.
+            moves_at = Instant::NEVER;
+            let resumes =
+                now + CONFIG.heartbeat_period.times(2) + Duration::from_us(strap(1).into());
+            while board.now() < resumes {}
+        } else {
+            board.wait(deadline);
+        }
     }
 }

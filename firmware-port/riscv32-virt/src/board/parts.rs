@@ -98,9 +98,8 @@ impl Lines for VirtLines {
     }
 
     fn peer_powered(&self) -> bool {
-        peripherals::system(self.0.system.peer())
-            .powered
-            .load(Relaxed)
+        let peer = peripherals::system(self.0.system.peer());
+        peer.level_cut.load(Relaxed) || peer.powered.load(Relaxed)
     }
 }
 

@@ -56,6 +56,8 @@ pub(crate) struct SystemRegisters {
     pub(crate) service_count: AtomicU32,
     /// The supply is on and holds the system out of reset.
     pub(crate) powered: AtomicBool,
+    /// The level line to the other system is cut: it reads as high.
+    pub(crate) level_cut: AtomicBool,
     pub(crate) generation: AtomicU32,
     pub(crate) cause: AtomicU32,
     /// The system's request to its reset generator.
@@ -101,6 +103,7 @@ impl SystemRegisters {
             services: Ring::new(),
             service_count: AtomicU32::new(0),
             powered: AtomicBool::new(false),
+            level_cut: AtomicBool::new(false),
             generation: AtomicU32::new(0),
             cause: AtomicU32::new(0),
             request: AtomicU32::new(0),

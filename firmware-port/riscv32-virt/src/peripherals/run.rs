@@ -27,6 +27,8 @@ pub struct Peripherals {
     /// The systems in this machine, by [`SystemId::index`].
     here: [bool; 2],
     host: Option<Host>,
+    /// What the world wants to happen between two exchanges, and when, in ticks.
+    later: Option<(u64, Option<Item>)>,
     /// By [`CoreAddress::index`].
     confinements: [Confinement; CoreAddress::COUNT],
 }
@@ -37,6 +39,7 @@ impl Peripherals {
             supplies: [Supply::new(Config::TARGET); 2],
             here: [true; 2],
             host: None,
+            later: None,
             confinements: [const { Confinement::new() }; CoreAddress::COUNT],
         }
     }
@@ -93,6 +96,7 @@ impl Peripherals {
     pub fn renew(&mut self, which: SystemId) {
         system(which).flash.erase_all();
         system(which).faults.store(0, Relaxed);
+        system(which).level_cut.store(false, Relaxed);
     }
 
     /// Emulates the hardware around these systems, which are without power at first, for the world
@@ -114,6 +118,11 @@ impl Peripherals {
     pub fn step(&mut self, deadline: u64) -> Option<(SystemId, Change)> {
         self.move_frames();
         self.exchange();
+        if let Some((_, Some(item))) = self.later.take_if(|(at, _)| time() >= *at) {
+            self.act(item);
+            // The world measures from here. Cores that are to stop stand still by now.
+            log!("carried out at {} ns", now().as_ns());
+        }
         for which in self.systems() {
             let change = self.look_after(which);
             self.carry_out(which, change);
@@ -128,6 +137,7 @@ impl Peripherals {
             .chain(self.retries())
             .map(|next| next.as_ns().div_ceil(clint::TICK_NS))
             .chain(self.host.as_ref().map(Host::due))
+            .chain(self.later.map(|(at, _)| at))
             .fold(deadline, u64::min);
         self.rest(next);
         None
@@ -183,6 +193,10 @@ impl Peripherals {
 
     /// Carries out the world's answer.
     fn act(&mut self, item: Item) {
+        if let Some((_, later @ None)) = &mut self.later {
+            *later = Some(item);
+            return;
+        }
         match item {
             Item::Frame(mut words) => {
                 set_time(&mut words, now());
@@ -216,6 +230,15 @@ impl Peripherals {
                 self.carry_out(of, change);
             }
             Item::Scribble { of, seed } => scribble(memory::lmu(of), seed),
+            Item::Hang { of } => {
+                trap::hold(CoreAddress::new(of, CoreId::CONTROL).index());
+                Self::until_stopped(of, &[CoreId::CONTROL]);
+            }
+            Item::CutLevel { of, cut } => system(of).level_cut.store(cut, Relaxed),
+            Item::Later { us } => {
+                let ticks = u64::from(us) * 1_000 / clint::TICK_NS;
+                self.later = Some((time() + ticks, None));
+            }
             Item::End => {
                 log!("bytes of stack: {:?}", [0, 1, 2, 3, 4, 5].map(stack_used));
                 exit(0)
@@ -269,11 +292,7 @@ impl Peripherals {
         for core in CoreId::ALL {
             trap::hold(CoreAddress::new(which, core).index());
         }
-        for core in CoreId::ALL {
-            while !trap::stands(CoreAddress::new(which, core).index()) {
-                hart::yield_turn();
-            }
-        }
+        Self::until_stopped(which, &CoreId::ALL);
         registers.request.store(0, Relaxed);
         registers.released.store(0, Relaxed);
         // Outputs of a chip in reset are low.
@@ -281,8 +300,19 @@ impl Peripherals {
         self.set_power(which, false);
     }
 
+    /// Waits until these cores of a system, which are held, stand still: the emulator must first
+    /// give each its turn.
+    fn until_stopped(which: SystemId, cores: &[CoreId]) {
+        for core in cores {
+            while !trap::stands(CoreAddress::new(which, *core).index()) {
+                hart::yield_turn();
+            }
+        }
+    }
+
     pub(super) fn set_power(&self, which: SystemId, on: bool) {
-        if system(which).powered.swap(on, Relaxed) != on {
+        let registers = system(which);
+        if registers.powered.swap(on, Relaxed) != on && !registers.level_cut.load(Relaxed) {
             interrupt(which.peer());
         }
     }
