@@ -7,3 +7,5 @@
 
 pub mod drive;
 pub mod faults;
+pub mod timed;
+pub mod timing;

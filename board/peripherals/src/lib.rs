@@ -9,6 +9,7 @@
 pub mod bus;
 pub mod codec;
 pub mod flash;
+pub mod frame_time;
 pub mod memory;
 pub mod supply;
 pub mod watchdog;

@@ -3,8 +3,9 @@
 use crate::baton::Baton;
 use crate::config::Defect;
 use crate::machine::{Attention, Shared, SystemEventKind};
+use crate::outbox::Output;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU32;
+use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
     Board, Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FaultSource,
     FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
@@ -31,7 +32,10 @@ pub(crate) struct Port {
 
 impl Port {
     /// Runs `act` if this incarnation of the core is still current: a dead core does not act.
-    fn alive<R>(&self, act: impl FnOnce(&mut crate::machine::Machine) -> R) -> Option<R> {
+    pub(crate) fn alive<R>(
+        &self,
+        act: impl FnOnce(&mut crate::machine::Machine) -> R,
+    ) -> Option<R> {
         let mut machine = self.shared.lock();
         let core = machine.core(self.place);
         let incarnations = core.alive && core.incarnation == self.incarnation;
@@ -44,7 +48,7 @@ impl Port {
         let pays = self.shared.config.look_at_clock;
         let Some(baton) = &self.baton else { return };
         if pays.as_ns() > 0 {
-            let until = self.shared.lock().local(self.place.system) + pays;
+            let until = self.shared.glance.local(self.place.system) + pays;
             baton.park(until);
         }
     }
@@ -91,7 +95,7 @@ impl Port {
 
     /// A defect: the middle between now and the deadline.
     fn halfway(&self, deadline: Instant) -> Instant {
-        let now = self.shared.lock().local(self.place.system);
+        let now = self.shared.glance.local(self.place.system);
         now + Duration::from_ns(deadline.since(now).as_ns() / 2)
     }
 
@@ -114,7 +118,7 @@ impl Port {
 /// on a core other than core 0.
 #[derive(Clone)]
 pub struct SimBoard {
-    port: Port,
+    pub(crate) port: Port,
     can: SimCan,
     lines: SimLines,
     link: SimLink,
@@ -177,7 +181,11 @@ impl Board for SimBoard {
 
     fn now(&self) -> Instant {
         self.port.look();
-        self.port.shared.lock().look(self.port.place)
+        let Port { shared, place, .. } = &self.port;
+        match shared.config.defect {
+            None => shared.glance.local(place.system),
+            Some(_) => shared.lock().look(*place),
+        }
     }
 
     fn lmu(&self) -> &[AtomicU32] {
@@ -226,6 +234,9 @@ impl Board for SimBoard {
     }
 
     fn trace(&self, record: TraceRecord) {
+        if self.port.shared.config.trace_records == 0 {
+            return;
+        }
         self.port.alive(|machine| {
             let CoreAddress { system, core } = self.port.place;
             if machine.trace.len() < machine.config.trace_records {
@@ -254,7 +265,12 @@ impl Can for SimCan {
     fn try_send(&self, frame: &CanFrame) -> Result<(), TransmitFull> {
         let sent = self
             .0
-            .alive(|machine| machine.send_can(self.0.place, frame))
+            .alive(|machine| {
+                if machine.holds(self.0.place, || Output::Frame(*frame)) {
+                    return Ok(());
+                }
+                machine.send_can(self.0.place, frame)
+            })
             .unwrap_or(Ok(()));
         if sent.is_err() {
             self.0.look();
@@ -300,13 +316,18 @@ impl Can for SimCan {
 
 impl Lines for SimLines {
     fn send(&self, line: Line, edge: Edge) {
-        self.0
-            .alive(|machine| machine.send_edge(self.0.place.system, line, edge));
+        self.0.alive(|machine| {
+            if !machine.holds(self.0.place, || Output::Edge(line, edge)) {
+                machine.send_edge(self.0.place.system, line, edge);
+            }
+        });
     }
 
     fn received(&self, line: Line, edge: Edge) -> u32 {
         self.0.look();
-        self.0.shared.lock().edges(self.0.place.system, line, edge)
+        let glance = &self.0.shared.glance;
+        let count = glance.edges(self.0.place.system, line, edge);
+        count.load(Ordering::Relaxed)
     }
 
     fn peer_powered(&self) -> bool {
@@ -326,7 +347,12 @@ impl Link for SimLink {
         let system = self.0.place.system;
         let sent = self
             .0
-            .alive(|machine| machine.send_link(system, words))
+            .alive(|machine| {
+                if machine.holds(self.0.place, || Output::Datagram(words.to_vec())) {
+                    return Ok(());
+                }
+                machine.send_link(system, words)
+            })
             .unwrap_or(Ok(()));
         if sent.is_err() {
             self.0.look();
@@ -409,8 +435,11 @@ impl Supply for SimSupply {
 
     fn service_watchdog(&self, answer: u8) {
         assert!(self.0.is_control(), "only core 0 serves the watchdog");
-        self.0
-            .alive(|machine| machine.service_watchdog(self.0.place.system, answer));
+        self.0.alive(|machine| {
+            if !machine.holds(self.0.place, || Output::Service(answer)) {
+                machine.service_watchdog(self.0.place.system, answer);
+            }
+        });
     }
 
     fn request_reset(&self, request: ResetRequest) {

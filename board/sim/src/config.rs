@@ -1,5 +1,6 @@
 //! The configuration of a simulated run.
 
+use crate::transit::Wires;
 use tandem_board::{Duration, HardwareFault};
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
@@ -24,6 +25,9 @@ impl Clock {
 
     /// The local time at virtual time `at_ns`.
     pub(crate) fn local_ns(self, at_ns: u64) -> u64 {
+        if self.drift_ppb == 0 {
+            return at_ns.saturating_add(self.offset_ns);
+        }
         let run = i128::from(at_ns) * self.rate() / Self::BILLION;
         u64::try_from(run)
             .unwrap_or(u64::MAX)
@@ -35,6 +39,9 @@ impl Clock {
     pub(crate) fn virtual_ns(self, local_ns: u64) -> u64 {
         if local_ns == u64::MAX {
             return u64::MAX;
+        }
+        if self.drift_ppb == 0 {
+            return local_ns.saturating_sub(self.offset_ns);
         }
         let run = i128::from(local_ns.saturating_sub(self.offset_ns));
         let at = (run * Self::BILLION + self.rate() - 1) / self.rate();
@@ -87,6 +94,8 @@ pub struct Config {
     pub link_datagrams: usize,
     /// Records that the trace holds.
     pub trace_records: usize,
+    /// What the connections take.
+    pub wires: Wires,
     /// A deliberate fault of the board itself, which the conformance suite must find.
     pub defect: Option<Defect>,
 }
@@ -112,6 +121,7 @@ impl Default for Config {
             can_fifo_frames: 512,
             link_datagrams: LINK_DATAGRAMS,
             trace_records: 1 << 16,
+            wires: Wires::default(),
             defect: None,
         }
     }

@@ -2,9 +2,12 @@
 
 use crate::config::Defect;
 use crate::machine::{Machine, OnBus};
+use crate::outbox::Output;
+use crate::transit::Arrival;
+use std::sync::atomic::Ordering;
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Edge, HardwareFault, Line, LinkFull, Received, SystemId,
-    TransmitFull,
+    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, LinkFull, Received,
+    SystemId, TransmitFull,
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
@@ -26,7 +29,13 @@ impl Machine {
         if self.systems[to.index()].supply.power() == Power::Off {
             return;
         }
-        self.count_edge(to, line, edge);
+        match self.config.wires.line {
+            Duration::ZERO => self.count_edge(to, line, edge),
+            delay => {
+                let at_ns = self.now_ns + delay.as_ns();
+                self.transit.arrives(at_ns, Arrival::Edge(to, line, edge));
+            }
+        }
     }
 
     /// An edge arrives.
@@ -36,15 +45,11 @@ impl Machine {
         } else {
             edge
         };
-        let count = &mut self.system(to).edges[line.index()][counted as usize];
-        *count = count.wrapping_add(1);
+        let count = self.glance.edges(to, line, counted);
+        count.fetch_add(1, Ordering::Relaxed);
         if line.interrupts() && !self.has(Defect::SilentStart) {
             self.raise_peer(to.peer());
         }
-    }
-
-    pub(crate) fn edges(&self, system: SystemId, line: Line, edge: Edge) -> u32 {
-        self.systems[system.index()].edges[line.index()][edge as usize]
     }
 
     pub(crate) fn send_link(&mut self, from: SystemId, words: &[u32]) -> Result<(), LinkFull> {
@@ -52,13 +57,28 @@ impl Machine {
         if self.cuts.is_cut(Wire::Link, from) || !self.is_powered(to) {
             return Ok(());
         }
+        match self.config.wires.link {
+            Duration::ZERO => self.put_in_inbox(to, words.to_vec()),
+            delay => {
+                let at_ns = self.now_ns + delay.as_ns();
+                let datagram = Arrival::Datagram(to, words.to_vec());
+                self.transit.arrives(at_ns, datagram);
+                Ok(())
+            }
+        }
+    }
+
+    pub(crate) fn put_in_inbox(
+        &mut self,
+        to: SystemId,
+        mut datagram: Vec<u32>,
+    ) -> Result<(), LinkFull> {
         let (limit, torn) = (self.config.link_datagrams, self.has(Defect::LinkTorn));
         let (overtakes, drops) = (self.has(Defect::LinkReordered), self.has(Defect::LinkDrops));
         let inbox = &mut self.system(to).inbox;
         if inbox.len() >= limit {
             return if drops { Ok(()) } else { Err(LinkFull) };
         }
-        let mut datagram = words.to_vec();
         if let (true, Some(last)) = (torn, inbox.back_mut()) {
             let half = last.len().min(datagram.len()) / 2;
             last[..half].swap_with_slice(&mut datagram[..half]);
@@ -82,7 +102,11 @@ impl Machine {
     }
 
     pub(crate) fn discard_unsent(&mut self, from: CoreAddress) {
-        self.core(from).unsent.clear();
+        let core = self.core(from);
+        core.unsent.clear();
+        core.outbox
+            .retain(|(_, output)| !matches!(output, Output::Frame(_)));
+        self.transit.discard(from);
         self.core(from).loses_next = self.has(Defect::DiscardsLaterFrame);
     }
 
@@ -96,6 +120,8 @@ impl Machine {
             return Ok(());
         }
         let now = self.at();
+        let tamper = self.systems[from.system.index()].tamper;
+        let frame = &tamper.map_or(*frame, |tamper| tamper(frame));
         let core = self.core(from);
         if !core.transmit.allows(now) {
             return Err(TransmitFull);
@@ -120,6 +146,15 @@ impl Machine {
         Ok(())
     }
 
+    /// A frame of this sender waits for the bus, which takes no time unless the wires have one.
+    pub(crate) fn offer(&mut self, sender: Sender, frame: &CanFrame) {
+        if self.config.wires.bus.is_some() {
+            self.transit.wait(sender, frame);
+        } else {
+            self.put_on_bus(sender, frame);
+        }
+    }
+
     /// Puts a frame on the bus: every connected core but its sender receives it.
     pub(crate) fn put_on_bus(&mut self, sender: Sender, frame: &CanFrame) {
         let at = self.at();
@@ -128,6 +163,7 @@ impl Machine {
             sender,
             frame: *frame,
         };
+        self.digest.frame(&on_bus);
         self.bus.push(on_bus);
         self.unheard.push(on_bus);
         for place in CoreAddress::ALL {

@@ -8,7 +8,11 @@ use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, ResetCause, SystemId,
 };
 use tandem_peripherals::codec::Sender;
+use tandem_peripherals::memory::scribble;
 use tandem_peripherals::wires::Wire;
+
+/// What becomes of a frame.
+pub type Tamper = fn(&CanFrame) -> CanFrame;
 
 /// Faults.
 impl SimPair {
@@ -106,9 +110,34 @@ impl SimPair {
         self.shared.lock().core(CoreAddress { system, core }).rest = span;
     }
 
+    /// Changes each frame that a system sends; `None`: no longer.
+    pub fn tamper(&mut self, system: SystemId, with: Option<Tamper>) {
+        self.shared.lock().system(system).tamper = with;
+    }
+
+    /// A core of a system overwrites its LMU.
+    pub fn scribble(&mut self, system: SystemId, seed: u32) {
+        scribble(self.lmu(system), seed);
+    }
+
     /// While `hangs`, no operation of the flash ends: neither the one under way nor a later one.
     pub fn hang_flash(&mut self, system: SystemId, hangs: bool) {
         self.shared.lock().system(system).flash.hang(hangs);
+    }
+
+    /// The clock of a system jumps by this many milliseconds; back to zero at most.
+    pub fn jump_clock(&mut self, system: SystemId, by_ms: i32) {
+        let mut machine = self.shared.lock();
+        let clock = &mut machine.config.clocks[system.index()];
+        clock.offset_ns = clock
+            .offset_ns
+            .saturating_add_signed(i64::from(by_ms) * 1_000_000);
+        let now_ns = machine.now_ns;
+        machine.set_now(now_ns);
+        for core in &mut machine.system(system).cores {
+            // Its timer compares with the clock: a poll finds out.
+            core.deadline_ns = core.deadline_ns.min(now_ns);
+        }
     }
 
     /// The clock of a system continues from its present value, faster than virtual time by
@@ -118,6 +147,7 @@ impl SimPair {
         let now_ns = machine.now_ns;
         let clock = &mut machine.config.clocks[system.index()];
         *clock = clock.with_rate(now_ns, drift_ppb);
+        machine.set_now(now_ns);
     }
 }
 
@@ -141,6 +171,16 @@ impl Machine {
         }
     }
 
+    /// A number below `limit`; 0 if that is 0.
+    pub(crate) fn draw_below(&mut self, limit: u64) -> u64 {
+        self.noise.random_range(0..limit.max(1))
+    }
+
+    /// True in `part` of `whole` cases. Draws nothing if it is true in none.
+    pub(crate) fn draws_below(&mut self, part: u64, whole: u64) -> bool {
+        part > 0 && self.draw_below(whole) < part
+    }
+
     /// Whether a frame is lost, with a probability of `permille` in a thousand.
     pub(crate) fn loses(&mut self, permille: u16) -> bool {
         permille > 0 && self.noise.random_range(0..1000) < permille
@@ -150,7 +190,7 @@ impl Machine {
     pub(crate) fn transmit(&mut self, from: CoreAddress, frame: &CanFrame) {
         let late = self.systems[from.system.index()].bus_fault.late;
         if late == Duration::ZERO {
-            self.put_on_bus(Sender::Core(from), frame);
+            self.offer(Sender::Core(from), frame);
         } else {
             let at_ns = (self.at() + late).as_ns();
             self.on_the_way.push_back((at_ns, from, *frame));
@@ -169,6 +209,9 @@ impl Machine {
     /// Puts the frames on the bus that waited for it, and the delayed ones that are due.
     pub(crate) fn settle_bus(&mut self) {
         for from in CoreAddress::ALL {
+            if self.core(from).unsent.is_empty() {
+                continue;
+            }
             if !self.core(from).alive || self.cuts.is_cut(Wire::Can, from.system) {
                 self.core(from).unsent.clear();
             }
@@ -182,8 +225,9 @@ impl Machine {
             && at_ns <= self.now_ns
         {
             self.on_the_way.pop_front();
-            self.put_on_bus(Sender::Core(from), &frame);
+            self.offer(Sender::Core(from), &frame);
         }
+        self.settle_transit();
     }
 
     /// When the next frame that waits may reach the bus.
@@ -192,7 +236,11 @@ impl Machine {
         let waiting = cores.filter(|core| !core.unsent.is_empty());
         let tried = waiting.map(|core| core.confinement.due().as_ns());
         let delayed = self.on_the_way.front().map(|(at_ns, ..)| *at_ns);
-        tried.chain(delayed).min().unwrap_or(u64::MAX)
+        let arrives = self.transit.next_ns();
+        tried
+            .chain(delayed)
+            .min()
+            .map_or(arrives, |next| next.min(arrives))
     }
 }
 

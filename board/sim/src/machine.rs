@@ -1,15 +1,19 @@
 //! The state of the two systems and of their connections.
 
 use crate::config::{BusFault, Config, Defect};
+use crate::digest::Digest;
+use crate::faults::Tamper;
 use crate::flash::Flash;
+use crate::outbox::Output;
+use crate::transit::Transit;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU32, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, HardwareFaults, Instant, Received, ResetCause,
-    ResetRequest, RoleLamp, SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, Received,
+    ResetCause, ResetRequest, RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::Sender;
@@ -95,6 +99,12 @@ pub(crate) struct Core {
     pub(crate) unsent: VecDeque<CanFrame>,
     /// A defect: the next frame is lost.
     pub(crate) loses_next: bool,
+    /// An interrupt has caused the present poll.
+    pub(crate) interrupted: bool,
+    /// What the core sends belongs to this job.
+    pub(crate) job: Option<u8>,
+    /// What leaves when its job ends.
+    pub(crate) outbox: Vec<(u8, Output)>,
     looks: u32,
 }
 
@@ -117,6 +127,9 @@ impl Core {
             confinement: Confinement::default(),
             unsent: VecDeque::new(),
             loses_next: false,
+            interrupted: false,
+            job: None,
+            outbox: Vec::new(),
             looks: 0,
         }
     }
@@ -152,9 +165,9 @@ pub(crate) struct System {
     /// Power fails when the flash has changed this many more bytes.
     pub(crate) flash_bytes_to_live: Option<u64>,
     pub(crate) lamp: RoleLamp,
-    pub(crate) edges: [[u32; 2]; 3],
     pub(crate) level_held_low: bool,
     pub(crate) bus_fault: BusFault,
+    pub(crate) tamper: Option<Tamper>,
     pub(crate) faults: HardwareFaults,
     pub(crate) inbox: VecDeque<Vec<u32>>,
 }
@@ -167,11 +180,37 @@ impl System {
             flash: Flash::new(),
             flash_bytes_to_live: None,
             lamp: RoleLamp::Starting,
-            edges: [[0; 2]; 3],
             level_held_low: false,
             bus_fault: BusFault::default(),
+            tamper: None,
             faults: HardwareFaults::default(),
             inbox: VecDeque::new(),
+        }
+    }
+}
+
+/// What cores read often, without the lock. Relaxed: one thread runs at a time, and what hands over
+/// the right to run orders the rest.
+#[derive(Default)]
+pub(crate) struct Glance {
+    /// The time on the clock of each system, ns.
+    local_ns: [AtomicU64; 2],
+    /// Counts of the edges that each system has received, by line and edge.
+    edges: [[[AtomicU32; 2]; 3]; 2],
+}
+
+impl Glance {
+    pub(crate) fn local(&self, system: SystemId) -> Instant {
+        Instant::from_ns(self.local_ns[system.index()].load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn edges(&self, system: SystemId, line: Line, edge: Edge) -> &AtomicU32 {
+        &self.edges[system.index()][line.index()][edge as usize]
+    }
+
+    pub(crate) fn forget_edges(&self, system: SystemId) {
+        for count in self.edges[system.index()].iter().flatten() {
+            count.store(0, Ordering::Relaxed);
         }
     }
 }
@@ -179,7 +218,9 @@ impl System {
 /// All state that changes, behind one lock.
 pub(crate) struct Machine {
     pub(crate) config: Config,
+    /// Changed by [`Machine::set_now`] alone.
     pub(crate) now_ns: u64,
+    pub(crate) glance: Arc<Glance>,
     pub(crate) systems: [System; 2],
     pub(crate) cuts: Cuts,
     pub(crate) bus: Vec<OnBus>,
@@ -190,7 +231,11 @@ pub(crate) struct Machine {
     pub(crate) trace: Vec<Traced>,
     pub(crate) trace_lost: u64,
     pub(crate) events: Vec<SystemEvent>,
+    /// Counts each begin and end of an incarnation.
+    pub(crate) incarnations: u64,
     pub(crate) noise: ChaCha8Rng,
+    pub(crate) transit: Transit,
+    pub(crate) digest: Digest,
 }
 
 /// The LMU starts at a multiple of this.
@@ -200,6 +245,7 @@ const LINE_BYTES: usize = 64;
 pub(crate) struct Shared {
     pub(crate) config: Config,
     lmus: Vec<Vec<AtomicU32>>,
+    pub(crate) glance: Arc<Glance>,
     machine: Mutex<Machine>,
 }
 
@@ -212,9 +258,11 @@ impl Shared {
                 .collect()
         };
         let supply = config.supply();
-        let machine = Machine {
+        let glance = Arc::new(Glance::default());
+        let mut machine = Machine {
             config: config.clone(),
             now_ns: 0,
+            glance: Arc::clone(&glance),
             systems: [System::new(supply), System::new(supply)],
             cuts: Cuts::default(),
             bus: Vec::new(),
@@ -223,12 +271,17 @@ impl Shared {
             trace: Vec::new(),
             trace_lost: 0,
             events: Vec::new(),
+            incarnations: 0,
             noise: ChaCha8Rng::seed_from_u64(config.seed),
+            transit: Transit::default(),
+            digest: Digest::new(),
         };
+        machine.set_now(0);
         let lmus = CoreAddress::ALL.map(|_| lmu()).into();
         Self {
             config,
             lmus,
+            glance,
             machine: Mutex::new(machine),
         }
     }
@@ -290,9 +343,16 @@ impl Machine {
         &mut self.systems[system.index()]
     }
 
+    pub(crate) fn set_now(&mut self, now_ns: u64) {
+        self.now_ns = now_ns;
+        for (clock, local) in self.config.clocks.iter().zip(&self.glance.local_ns) {
+            local.store(clock.local_ns(now_ns), Ordering::Relaxed);
+        }
+    }
+
     /// The time on a system's clock.
     pub(crate) fn local(&self, system: SystemId) -> Instant {
-        Instant::from_ns(self.config.clocks[system.index()].local_ns(self.now_ns))
+        self.glance.local(system)
     }
 
     /// The time on a core's clock, with the defects of that clock.
@@ -309,9 +369,24 @@ impl Machine {
         Instant::from_ns(now.as_ns().saturating_sub(behind_ns))
     }
 
+    /// Moves the cores that are due to the front of `places`, in their order; returns how many.
+    pub(crate) fn due(&self, places: &mut [CoreAddress]) -> usize {
+        let mut count = 0;
+        for index in 0..places.len() {
+            let CoreAddress { system, core } = places[index];
+            if self.systems[system.index()].cores[core.index()].is_due(self.now_ns) {
+                places[count] = places[index];
+                count += 1;
+            }
+        }
+        count
+    }
+
     pub(crate) fn log(&mut self, system: SystemId, kind: SystemEventKind) {
         let at = self.at();
-        self.events.push(SystemEvent { at, system, kind });
+        let event = SystemEvent { at, system, kind };
+        self.digest.event(&event);
+        self.events.push(event);
     }
 
     pub(crate) fn raise(&mut self, place: CoreAddress) {

@@ -37,6 +37,8 @@ pub struct SimPair {
     world: Option<World>,
     world_next: Instant,
     order: ChaCha8Rng,
+    /// The count of incarnations that `cores` follows.
+    followed: u64,
 }
 
 impl SimPair {
@@ -51,6 +53,7 @@ impl SimPair {
             world: None,
             world_next: Instant::NEVER,
             order,
+            followed: 0,
         }
     }
 
@@ -95,6 +98,12 @@ impl SimPair {
         })
     }
 
+    /// Begins the random choices anew with this seed.
+    pub fn reseed(&mut self, seed: u64) {
+        self.order = ChaCha8Rng::seed_from_u64(seed ^ 0x5EED);
+        self.shared.lock().noise = ChaCha8Rng::seed_from_u64(seed);
+    }
+
     /// Sets the vehicle's function: called at once and then every millisecond of virtual time.
     pub fn set_world(&mut self, world: impl FnMut(&mut WorldTick) + 'static) {
         self.world = Some(Box::new(world));
@@ -136,10 +145,12 @@ impl SimPair {
                 } else {
                     until
                 };
-                machine.now_ns = machine.now_ns.max(end.as_ns());
+                let now_ns = machine.now_ns.max(end.as_ns());
+                machine.set_now(now_ns);
                 return true;
             }
-            machine.now_ns = machine.now_ns.max(next.as_ns());
+            let now_ns = machine.now_ns.max(next.as_ns());
+            machine.set_now(now_ns);
         }
     }
 
@@ -147,10 +158,21 @@ impl SimPair {
     fn settle(&mut self) {
         let mut polls = 0;
         loop {
-            self.shared.lock().settle();
-            self.tick_world();
-            self.follow_incarnations();
-            let mut due = self.due();
+            let mut machine = self.shared.lock();
+            machine.settle();
+            if self.world_next <= machine.at() || machine.incarnations != self.followed {
+                drop(machine);
+                self.tick_world();
+                self.follow_incarnations();
+                machine = self.shared.lock();
+            }
+            if self.world.is_none() {
+                machine.unheard.clear();
+            }
+            let mut due = CoreAddress::ALL;
+            let count = machine.due(&mut due);
+            drop(machine);
+            let due = &mut due[..count];
             if due.is_empty() {
                 return;
             }
@@ -166,18 +188,15 @@ impl SimPair {
                     place.system,
                     place.core
                 );
-                self.poll(place);
+                self.poll(*place);
             }
         }
     }
 
     fn tick_world(&mut self) {
         let mut machine = self.shared.lock();
-        let Some(world) = &mut self.world else {
-            machine.unheard.clear();
-            return;
-        };
         let at = machine.at();
+        let Some(world) = &mut self.world else { return };
         if at < self.world_next {
             return;
         }
@@ -198,7 +217,7 @@ impl SimPair {
         world(&mut tick);
         let mut machine = self.shared.lock();
         for frame in &tick.sent {
-            machine.put_on_bus(Sender::Vehicle, frame);
+            machine.offer(Sender::Vehicle, frame);
         }
         self.world_next += WORLD_PERIOD;
     }
@@ -206,6 +225,10 @@ impl SimPair {
     /// Drops the code of cores whose incarnation is over, and makes the code of cores that began
     /// one.
     pub(crate) fn follow_incarnations(&mut self) {
+        let changes = self.shared.lock().incarnations;
+        if core::mem::replace(&mut self.followed, changes) == changes {
+            return;
+        }
         for place in CoreAddress::ALL {
             let (alive, incarnation) = {
                 let mut machine = self.shared.lock();
@@ -232,15 +255,6 @@ impl SimPair {
         }
     }
 
-    fn due(&self) -> Vec<CoreAddress> {
-        let mut machine = self.shared.lock();
-        let now_ns = machine.now_ns;
-        CoreAddress::ALL
-            .into_iter()
-            .filter(|place| machine.core(*place).is_due(now_ns))
-            .collect()
-    }
-
     fn poll(&mut self, place: CoreAddress) {
         let slot = &mut self.cores[place.system.index()][place.core.index()];
         let Some(running) = slot else { return };
@@ -253,7 +267,7 @@ impl SimPair {
                 return;
             }
             if core.attention == Attention::Polled {
-                core.pending = false;
+                core.interrupted = core::mem::take(&mut core.pending);
             }
             core.deadline_ns = u64::MAX;
         }
@@ -311,6 +325,13 @@ impl SimPair {
     /// Takes the bus log: every frame since the last call, in bus order.
     pub fn take_bus_log(&mut self) -> Vec<OnBus> {
         core::mem::take(&mut self.shared.lock().bus)
+    }
+
+    /// A number that stands for every frame that was on the bus and every event of a system, with
+    /// their times. Two runs with the same number were the same.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        self.shared.lock().digest.value()
     }
 
     /// Takes the trace, and how many records were lost because it was full.

@@ -7,6 +7,7 @@ use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
 use tandem_peripherals::flash::PAGE_BYTES;
+use tandem_peripherals::frame_time::{BitRates, Bits};
 use tandem_peripherals::supply::{Change, Supply};
 use tandem_peripherals::wires::Wire;
 
@@ -53,8 +54,8 @@ impl Machine {
 
     pub(crate) fn power_on(&mut self, system: SystemId) {
         let now = self.at();
+        self.glance.forget_edges(system);
         let state = self.system(system);
-        state.edges = [[0; 2]; 3];
         state.cores.iter_mut().for_each(|core| core.generation = 0);
         self.with_supply(system, |supply| supply.power_on(now));
     }
@@ -97,6 +98,7 @@ impl Machine {
 
     fn release(&mut self, place: CoreAddress) {
         let now_ns = self.now_ns;
+        self.incarnations += 1;
         let core = self.core(place);
         if core.held {
             core.start(core.generation, now_ns);
@@ -126,6 +128,11 @@ impl Machine {
         state.cores[..reached]
             .iter_mut()
             .for_each(|core| (core.alive, core.held) = (false, false));
+        self.incarnations += 1;
+        let rates = self.config.wires.bus.unwrap_or(BitRates::TANDEM);
+        let now_ns = self.now_ns;
+        self.transit
+            .cut_off(system, now_ns, rates.time(Bits::ERROR));
         self.log(system, why);
     }
 
@@ -141,6 +148,7 @@ impl Machine {
     pub(crate) fn kill_core(&mut self, place: CoreAddress) {
         if self.core(place).alive {
             self.core(place).alive = false;
+            self.incarnations += 1;
             self.log(place.system, SystemEventKind::CoreDied(place.core));
         }
     }
@@ -150,6 +158,7 @@ impl Machine {
             let now_ns = self.now_ns;
             let core = self.core(place);
             core.start(core.generation + 1, now_ns);
+            self.incarnations += 1;
             self.log(place.system, SystemEventKind::CoreRestarted(place.core));
         }
     }

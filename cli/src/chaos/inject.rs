@@ -141,6 +141,8 @@ impl<'h> Injector<'h> {
             Act::Freeze(..)
             | Act::Rest(..)
             | Act::Clock(..)
+            | Act::ClockJumps(..)
+            | Act::WrongResults(..)
             | Act::FlashHangs(..)
             | Act::Poison(_)
             | Act::VehicleSilent(_) => unreachable!("Kind::is_for_processes refused it"),

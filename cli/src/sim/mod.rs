@@ -1,5 +1,7 @@
 //! `tandem sim`: faults on the control cores of both systems, in virtual time.
 
+mod coverage;
+mod merge;
 mod outcome;
 mod report;
 
@@ -14,10 +16,11 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
-use serde_json::json;
+use rustix::time::{ClockId, clock_gettime};
 use tandem_benches::output::OutputFile;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Fault, Group, Sequence};
+use tandem_sim::faults::{Fault, Group, Profile, Sequence};
+use tandem_sim::timing::Time;
 
 use crate::failure::Failure;
 use crate::print;
@@ -60,6 +63,18 @@ pub(crate) struct SimArgs {
     #[arg(long, value_enum, default_value_t = Timing::Rt)]
     timing: Timing,
 
+    /// What takes time: nothing, what is usual, or as much as was ever measured
+    #[arg(long, value_enum, default_value_t = Takes::Ideal)]
+    time: Takes,
+
+    /// Print the table of faults and the states that they hit
+    #[arg(long)]
+    coverage: bool,
+
+    /// Add up what other runs wrote with --json, and end
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["faults", "only"])]
+    merge: Vec<PathBuf>,
+
     /// Tell what happens in one sequence, as random:137; with --faults, the seed alone
     #[arg(long, value_name = "GROUP:NUMBER")]
     only: Option<String>,
@@ -68,7 +83,7 @@ pub(crate) struct SimArgs {
     #[arg(long, value_name = "FILE", requires = "only")]
     save: Option<PathBuf>,
 
-    /// Write {seeds, violations, simulated_s, wall_s, ratio, groups} to this file
+    /// Write {seeds, violations, simulated_s, wall_s, ratio, cpu_s, digest, groups} to this file
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
 
@@ -86,7 +101,9 @@ flash.
   tandem sim --group single                    each fault at 20 moments, with its bound
   tandem sim --only random:137 --save my.toml  one of them as a story, and as a file to change
   tandem sim --faults my.toml --seeds 20       that file
+  tandem sim --group swarm --time typical      each seed also chooses kinds of faults; things take time
   tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
+  tandem sim --merge a.json b.json             both thousands as one
 
 Exit status: 0 if no sequence violates what must be so, 1 if one does, 2 if an argument or a file is
 wrong.";
@@ -97,6 +114,34 @@ pub(crate) enum Kind {
     Single,
     Pair,
     Random,
+    Swarm,
+}
+
+/// What takes time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Takes {
+    Ideal,
+    Typical,
+    Worst,
+}
+
+impl Takes {
+    const fn time(self) -> Time {
+        match self {
+            Self::Ideal => Time::Ideal,
+            Self::Typical => Time::Typical,
+            Self::Worst => Time::Worst,
+        }
+    }
+}
+
+impl SimArgs {
+    fn profile(&self) -> Profile {
+        Profile {
+            limits: self.timing.limits(),
+            time: self.time.time(),
+        }
+    }
 }
 
 impl Kind {
@@ -105,6 +150,7 @@ impl Kind {
             Self::Single => Group::Single,
             Self::Pair => Group::Pair,
             Self::Random => Group::Random,
+            Self::Swarm => Group::Swarm,
         }
     }
 }
@@ -195,11 +241,19 @@ impl Source<'_> {
     }
 
     /// The command that tells one of them.
-    fn repeats(&self, number: u64) -> String {
+    fn repeats(&self, number: u64, time: Time) -> String {
+        let time = match time {
+            Time::Ideal => "",
+            Time::Typical => " --time typical",
+            Time::Worst => " --time worst",
+        };
         match self {
-            Self::Numbered(kind) => format!("tandem sim --only {}:{number}", name_of(*kind)),
+            Self::Numbered(kind) => format!("tandem sim --only {}:{number}{time}", name_of(*kind)),
             Self::File { path, .. } => {
-                format!("tandem sim --faults {} --only {number}", path.display())
+                format!(
+                    "tandem sim --faults {} --only {number}{time}",
+                    path.display()
+                )
             }
         }
     }
@@ -216,11 +270,16 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
     }
     let [place] = OutputFile::check_all([("--json", arguments.json.as_deref())])
         .map_err(|error| Failure::Usage(error.into()))?;
+    if !arguments.merge.is_empty() {
+        return merge::run(&arguments.merge, place);
+    }
     let begin = Instant::now();
+    let mut cpu_s = 0.0;
     let mut all = Summary::default();
     let mut groups = serde_json::Map::new();
     for source in &sources {
-        let outcomes = campaign(source, arguments).map_err(Failure::Run)?;
+        let (outcomes, cpu) = campaign(source, arguments).map_err(Failure::Run)?;
+        cpu_s += cpu.as_secs_f64();
         let (text, summary) = report::of(source, &outcomes, arguments).map_err(Failure::Run)?;
         print(&text).map_err(Failure::Run)?;
         groups.insert(source.name(), summary.json());
@@ -230,18 +289,21 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         begin.elapsed().as_secs_f64(),
         all.simulated_ns as f64 * 1e-9,
     );
-    let ratio = simulated_s / wall_s;
+    let totals = merge::Totals {
+        seeds: all.sequences,
+        violations: all.violated,
+        simulated_s,
+        wall_s,
+        cpu_s,
+        digest: all.digest,
+    };
     print(&format!(
-        "{} sequences, {} violated; {simulated_s:.0} s simulated in {wall_s:.1} s: \
-         {ratio:.0} times real time\n",
-        all.sequences, all.violated
+        "{}{totals}\n",
+        all.covered.text(arguments.coverage)
     ))
     .map_err(Failure::Run)?;
     if let Some(place) = place {
-        let figures = json!({
-            "seeds": all.sequences, "violations": all.violated, "simulated_s": simulated_s,
-            "wall_s": wall_s, "ratio": ratio, "groups": groups,
-        });
+        let figures = totals.json(groups, &ranges(&sources, arguments).map_err(Failure::Run)?);
         let written = place.write(&format!("{figures:#}\n"));
         written.map_err(|error| Failure::Run(error.into()))?;
     }
@@ -250,6 +312,22 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
         return Err(Failure::Objections(vec![objection]));
     }
     Ok(())
+}
+
+/// Which numbers of which sequences were tried.
+fn ranges(sources: &[Source<'_>], arguments: &SimArgs) -> Result<Vec<merge::Range>> {
+    let range = |source: &Source<'_>| {
+        let (from, to, step) = source.numbers(arguments)?;
+        let setting = [name_of(arguments.timing), name_of(arguments.time)];
+        let name = format!("{} {}", source.name(), setting.join(" "));
+        Ok(merge::Range {
+            name,
+            from,
+            to,
+            step,
+        })
+    };
+    sources.iter().map(range).collect()
 }
 
 fn sources(arguments: &SimArgs) -> Result<Vec<Source<'_>>> {
@@ -274,7 +352,7 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
         }
         let (group, number) = one.split_once(':').context("--only GROUP:NUMBER")?;
         let Ok(kind) = Kind::from_str(group, true) else {
-            bail!("the groups are single, pair and random, not {group}");
+            bail!("the groups are single, pair, random and swarm, not {group}");
         };
         Source::Numbered(kind).sequence(number.parse().context("--only: a number")?)
     };
@@ -288,16 +366,17 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
             .write(&text)
             .map_err(|error| Failure::Run(error.into()))?;
     }
-    let (verdict, mut bench) = sequence.run(arguments.timing.limits(), true);
+    let (verdict, mut bench) = sequence.run(arguments.profile(), true);
     let mut text = format!("{sequence}\n");
     for line in bench.story() {
         text.push_str(&line);
         text.push('\n');
     }
     if let Some((row, bound)) = sequence.bound(&bench.config.redundancy) {
+        let bound = bound + bench.time.allowance();
         text.push_str(&format!("bound {:.1} ms ({row:?})\n", bound.as_ms_f64()));
     }
-    text.push_str(&format!("{verdict}\n"));
+    text.push_str(&format!("{verdict}, digest {:016x}\n", verdict.digest));
     print(&text).map_err(Failure::Run)?;
     let new: Vec<String> = verdict
         .violations
@@ -316,14 +395,16 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
 fn run_chunk(source: &Source<'_>, chunk: &[u64], arguments: &SimArgs) -> Result<()> {
     let (.., step) = source.numbers(arguments)?;
     for number in (chunk[0]..chunk[1]).step_by(usize::try_from(step)?) {
-        let verdict = source.sequence(number)?.try_run(arguments.timing.limits());
+        let verdict = source.sequence(number)?.try_run(arguments.profile());
         print(&format!("{}\n", Outcome::new(number, verdict).line()))?;
     }
-    Ok(())
+    let cpu = clock_gettime(ClockId::ProcessCPUTime);
+    print(&format!("cpu {} {}\n", cpu.tv_sec, cpu.tv_nsec))
 }
 
 /// Runs the sequences in processes, some at a time.
-fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
+/// Also returns the processors' time.
+fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<(Vec<Outcome>, Duration)> {
     let (from, to, step) = source.numbers(arguments)?;
     let chunk = CHUNK * step;
     let cpus = thread::available_parallelism();
@@ -338,6 +419,7 @@ fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
     bar.set_style(ProgressStyle::with_template(style)?);
     bar.enable_steady_tick(Duration::from_millis(200));
     let (next, done) = (Mutex::new(from), Mutex::new(Vec::new()));
+    let spent = Mutex::new(Duration::ZERO);
     let work = || -> Result<()> {
         loop {
             let first = {
@@ -350,9 +432,10 @@ fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
                 return Ok(());
             }
             let until = first.saturating_add(chunk).min(to);
-            let outcomes = run_in_process(source, [first, until], arguments)?;
+            let (outcomes, cpu) = run_in_process(source, [first, until], arguments)?;
             bar.inc(outcomes.len() as u64);
             lock(&done).extend(outcomes);
+            *lock(&spent) += cpu;
         }
     };
     thread::scope(|scope| {
@@ -367,18 +450,20 @@ fn campaign(source: &Source<'_>, arguments: &SimArgs) -> Result<Vec<Outcome>> {
     bar.finish_and_clear();
     let mut outcomes = core::mem::take(&mut *lock(&done));
     outcomes.sort_by_key(|outcome| outcome.number);
-    Ok(outcomes)
+    let spent = *lock(&spent);
+    Ok((outcomes, spent))
 }
 
 fn run_in_process(
     source: &Source<'_>,
     [from, to]: [u64; 2],
     arguments: &SimArgs,
-) -> Result<Vec<Outcome>> {
+) -> Result<(Vec<Outcome>, Duration)> {
     let output = Command::new(std::env::current_exe()?)
         .arg("sim")
         .args(source.arguments())
         .args(["--timing", &name_of(arguments.timing)])
+        .args(["--time", &name_of(arguments.time)])
         .args(["--every", &arguments.every.to_string()])
         .args(["--chunk", &from.to_string(), &to.to_string()])
         .output()?;
@@ -398,7 +483,13 @@ fn run_in_process(
             outcomes.len()
         );
     }
-    Ok(outcomes)
+    Ok((outcomes, text.lines().find_map(cpu_of).unwrap_or_default()))
+}
+
+/// The processor's time that a process tells.
+fn cpu_of(line: &str) -> Option<Duration> {
+    let (s, ns) = line.strip_prefix("cpu ")?.split_once(' ')?;
+    Some(Duration::new(s.parse().ok()?, ns.parse().ok()?))
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {

@@ -5,9 +5,9 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use serde_json::json;
-use tandem_redundancy::Config;
-use tandem_sim::faults::{PHASES, Sequence, Violation};
+use tandem_sim::faults::{PHASES, Profile, Sequence, Violation};
 
+use super::coverage::Coverage;
 use super::outcome::Outcome;
 use super::{Kind, SimArgs, Source};
 
@@ -27,7 +27,10 @@ pub(super) struct Summary {
     gap_ns: u64,
     violations: BTreeMap<String, usize>,
     /// How often what is known was violated, by its reason.
-    known: BTreeMap<&'static str, u64>,
+    known: BTreeMap<String, u64>,
+    /// The digests of all sequences, whatever their order.
+    pub(super) digest: u64,
+    pub(super) covered: Coverage,
 }
 
 impl Summary {
@@ -35,7 +38,7 @@ impl Summary {
         json!({
             "sequences": self.sequences, "violated": self.violated, "suspended": self.suspended,
             "violations": self.violations, "known": self.known,
-            "gap_max_ms": self.gap_ns as f64 * 1e-6,
+            "gap_max_ms": self.gap_ns as f64 * 1e-6, "covered": self.covered.json(),
         })
     }
 
@@ -44,6 +47,8 @@ impl Summary {
         self.sequences += other.sequences;
         self.violated += other.violated;
         self.simulated_ns += other.simulated_ns;
+        self.digest = self.digest.wrapping_add(other.digest);
+        self.covered.add(&other.covered);
     }
 }
 
@@ -53,16 +58,18 @@ pub(super) fn of(
     outcomes: &[Outcome],
     arguments: &SimArgs,
 ) -> Result<(String, Summary)> {
-    let limits = arguments.timing.limits();
+    let profile = arguments.profile();
     let mut text = String::new();
     if matches!(source, Source::Numbered(Kind::Single)) {
-        table(source, outcomes, &limits, &mut text)?;
+        table(source, outcomes, profile, &mut text)?;
     }
     let mut summary = Summary {
         sequences: outcomes.len() as u64,
         suspended: outcomes.iter().filter(|it| it.suspended > 0).count() as u64,
         simulated_ns: outcomes.iter().map(|outcome| outcome.simulated_ns).sum(),
         gap_ns: outcomes.iter().map(|it| it.gap_ns).max().unwrap_or(0),
+        digest: outcomes.iter().fold(0, |sum, it| mixed(sum, it)),
+        covered: Coverage::of(outcomes),
         ..Summary::default()
     };
     let name = source.name();
@@ -75,13 +82,13 @@ pub(super) fn of(
         {
             let sequence = source.sequence(outcome.number)?;
             match sequence.known(violation) {
-                Some(why) => *summary.known.entry(why).or_insert(0) += 1,
+                Some(why) => *summary.known.entry(why.to_owned()).or_insert(0) += 1,
                 None => new.push(sequence),
             }
         }
         if !new.is_empty() {
             writeln!(text, "{name}: {violation:?} {}", new.len())?;
-            classes(source, violation, &new, limits, &mut text)?;
+            classes(source, violation, &new, profile, &mut text)?;
             summary
                 .violations
                 .insert(format!("{violation:?}"), new.len());
@@ -102,12 +109,18 @@ pub(super) fn of(
     Ok((text, summary))
 }
 
+/// Adds the digest of a sequence, so that the sum does not depend on the order.
+const fn mixed(sum: u64, outcome: &Outcome) -> u64 {
+    let own = outcome.digest ^ outcome.number.wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    sum.wrapping_add(own)
+}
+
 /// Which faults lead to a violation, the most frequent first, with a line that repeats each.
 fn classes(
     source: &Source<'_>,
     violation: Violation,
     sequences: &[Sequence],
-    limits: Config,
+    profile: Profile,
     text: &mut String,
 ) -> Result<()> {
     let numbered = matches!(source, Source::Numbered(Kind::Single | Kind::Pair));
@@ -116,14 +129,14 @@ fn classes(
         let kinds = match numbered {
             true => sequence.kinds(),
             false if index >= SHRUNK => continue,
-            false => sequence.shrunk(limits, violation).kinds(),
+            false => sequence.shrunk(profile, violation).kinds(),
         };
         classes.entry(kinds).or_default().push(sequence.number);
     }
     let mut classes: Vec<_> = classes.into_iter().collect();
     classes.sort_by_key(|(_, numbers)| std::cmp::Reverse(numbers.len()));
     for (kinds, numbers) in classes.iter().take(CLASSES) {
-        let (count, repeats) = (numbers.len(), source.repeats(numbers[0]));
+        let (count, repeats) = (numbers.len(), source.repeats(numbers[0], profile.time));
         writeln!(text, "  {count:5} {kinds}: {repeats}")?;
     }
     Ok(())
@@ -133,7 +146,7 @@ fn classes(
 fn table(
     source: &Source<'_>,
     outcomes: &[Outcome],
-    limits: &Config,
+    profile: Profile,
     text: &mut String,
 ) -> Result<()> {
     writeln!(
@@ -147,9 +160,12 @@ fn table(
         };
         let sequence = source.sequence(first.number)?;
         let fault = &sequence.faults[0];
-        let bound = sequence.bound(limits).map_or_else(
+        let bound = sequence.bound(&profile.limits).map_or_else(
             || "| ".to_owned(),
-            |(row, bound)| format!("{row:?} | {:.0}", bound.as_ms_f64()),
+            |(row, bound)| {
+                let bound = bound + profile.time.allowance();
+                format!("{row:?} | {:.1}", bound.as_ms_f64())
+            },
         );
         let gap_ns = outcomes.iter().map(|outcome| outcome.gap_ns).max();
         let gap = gap_ns.unwrap_or(0) as f64 * 1e-6;

@@ -1,14 +1,16 @@
 //! Both systems and a vehicle in virtual time, and faults that are done to them.
 
-use super::fault::{Act, Fault};
+use super::fault::{Act, Fault, Kind};
+use crate::timed;
+use crate::timing::Time;
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
     Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId, VehicleBus,
 };
 use tandem_board_sim::{
-    BusFault, Clock, Config as BoardConfig, Poller, SimBoard, SimPair, SystemEventKind, Wire,
-    WorldTick,
+    BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEventKind,
+    Wire, WorldTick,
 };
 use tandem_bus::{EgoMotion, Message, Transmitter};
 use tandem_cores::core0::Core0;
@@ -83,12 +85,35 @@ fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
     CanFrame::new(id, true, data).expect("a frame of at most 64 bytes")
 }
 
+/// A control frame as it is, but for the steering angle. No receiver can tell.
+fn another_command(frame: &CanFrame) -> CanFrame {
+    let CanId::Standard(id) = frame.id() else {
+        return *frame;
+    };
+    let Ok(Message::Control {
+        system,
+        mut control,
+    }) = Message::decode(id.into(), frame.data())
+    else {
+        return *frame;
+    };
+    // Plausible for the gate: it does not jump.
+    control.steering_angle += 0.001;
+    let encoded = Transmitter::new().encode(&Message::Control { system, control });
+    let mut data = encoded.data().to_vec();
+    tandem_bus::e2e::protect(id, frame.data()[2], &mut data);
+    frame_of(frame.id(), &data)
+}
+
 /// The core of this board: core 0 is the real one; the others count cycles, and core 1 dies of
 /// poison.
-fn poller(board: &SimBoard, config: Config) -> Poller {
+fn poller(board: &SimBoard, config: Config, time: Time) -> Poller {
     // A reset ends the core but not this process: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
     let core = board.identity().core;
+    if core == CoreId::CONTROL && time != Time::Ideal {
+        return timed::core_0(board, config, time);
+    }
     if core == CoreId::CONTROL {
         let mut core = Core0::new(board, config);
         return Box::new(move |_| core.poll());
@@ -110,6 +135,44 @@ fn poller(board: &SimBoard, config: Config) -> Poller {
     })
 }
 
+/// While a bench heals, the roles are looked at this often.
+const HEAL_STEP: Duration = Duration::from_ms(25);
+/// Master and standby for this long are healed. Longer than the time for which the end is judged.
+const HEALED: Duration = Duration::from_ms(300);
+
+/// The state of a system that a fault hits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum State {
+    /// Without power.
+    Off,
+    /// The supply holds it in reset.
+    Reset,
+    /// It shows this role.
+    Shows(RoleLamp),
+}
+
+impl State {
+    /// All. A supply that holds its system for good counts as [`RoleLamp::Suspended`].
+    pub const ALL: [Self; 7] = [
+        Self::Off,
+        Self::Reset,
+        Self::Shows(RoleLamp::Starting),
+        Self::Shows(RoleLamp::Master),
+        Self::Shows(RoleLamp::DegradedMaster),
+        Self::Shows(RoleLamp::Standby),
+        Self::Shows(RoleLamp::Suspended),
+    ];
+
+    fn of(pair: &SimPair, system: SystemId) -> Self {
+        match (pair.power(system), pair.lamp(system)) {
+            (Power::Off, _) => Self::Off,
+            (Power::Suspended, _) => Self::Shows(RoleLamp::Suspended),
+            (_, Some(lamp)) => Self::Shows(lamp),
+            (_, None) => Self::Reset,
+        }
+    }
+}
+
 /// Both systems and one vehicle in virtual time.
 pub struct Bench {
     /// The machine.
@@ -118,6 +181,10 @@ pub struct Bench {
     pub vehicle: Rc<RefCell<Vehicle>>,
     /// The limits of both systems.
     pub config: Config,
+    /// How long things take.
+    pub time: Time,
+    /// What its faults hit: a kind, by its label, and the state of the system.
+    pub(super) covered: Vec<(Kind, State)>,
     bus: [BusFault; 2],
     /// When the run began.
     pub(super) born: Instant,
@@ -142,18 +209,25 @@ impl Bench {
     /// events are kept.
     #[must_use]
     pub fn new(config: Config, seed: u64, told: bool) -> Self {
+        Self::timed(config, Time::Ideal, seed, told)
+    }
+
+    /// As [`Bench::new`]; `time`: how long things take.
+    #[must_use]
+    pub fn timed(config: Config, time: Time, seed: u64, told: bool) -> Self {
         // Far from zero, so that a clock may slow down.
-        let clock = |offset_s: u64| Clock {
+        let clock = |offset_s: u64, of| Clock {
             offset_ns: offset_s * 1_000_000_000,
-            drift_ppb: 0,
+            drift_ppb: time.drift_ppb(of),
         };
         let board_config = BoardConfig {
             seed,
-            clocks: [clock(1_000), clock(77_000)],
+            clocks: [clock(1_000, SystemId::A), clock(77_000, SystemId::B)],
+            wires: time.wires(),
             trace_records: if told { 1 << 20 } else { 0 },
             ..BoardConfig::default()
         };
-        let mut pair = SimPair::new(board_config, move |board| poller(board, config));
+        let mut pair = SimPair::new(board_config, move |board| poller(board, config, time));
         let born = pair.now();
         let vehicle = Rc::new(RefCell::new(Vehicle::default()));
         let shared = Rc::clone(&vehicle);
@@ -162,8 +236,10 @@ impl Bench {
             pair,
             vehicle,
             config,
+            time,
             bus: [BusFault::default(); 2],
             born,
+            covered: Vec::new(),
         }
     }
 
@@ -173,7 +249,16 @@ impl Bench {
     /// If they do not begin.
     #[must_use]
     pub fn dual(config: Config, seed: u64, told: bool) -> Self {
-        let mut bench = Self::new(config, seed, told);
+        Self::timed_dual(config, Time::Ideal, seed, told)
+    }
+
+    /// As [`Bench::dual`]; `time`: how long things take.
+    ///
+    /// # Panics
+    /// If they do not begin.
+    #[must_use]
+    pub fn timed_dual(config: Config, time: Time, seed: u64, told: bool) -> Self {
+        let mut bench = Self::timed(config, time, seed, told);
         SystemId::ALL
             .into_iter()
             .for_each(|system| bench.pair.power_on(system));
@@ -191,12 +276,39 @@ impl Bench {
         let mut acts: Vec<(Duration, Act)> =
             faults.iter().flat_map(|fault| fault.acts(span)).collect();
         acts.sort_by_key(|(at, _)| *at);
+        let mut hits: Vec<&Fault> = faults.iter().collect();
+        hits.sort_by_key(|fault| fault.at);
+        let mut hits = hits.into_iter().peekable();
         for (at, act) in acts {
             self.pair.run_until(begin + at.min(span));
+            while let Some(fault) = hits.next_if(|fault| fault.at <= at) {
+                let states = fault.way.systems().map(|of| State::of(&self.pair, of));
+                self.covered.extend(states.map(|state| (fault.kind, state)));
+            }
             self.act(act);
         }
         self.pair.run_until(begin + span);
         self.mend();
+    }
+
+    /// Runs until master and standby have driven for a while, and at most for the time within which
+    /// a system must drive. `whole`: for all of that time.
+    pub(super) fn heal(&mut self, whole: bool) {
+        let until = self.pair.now() + self.settles_within();
+        let mut sound_since = self.pair.now();
+        while self.pair.now() < until {
+            self.pair
+                .run_until((self.pair.now() + HEAL_STEP).min(until));
+            let mut lamps = SystemId::ALL.map(|system| self.pair.lamp(system));
+            lamps.sort_by_key(|lamp| *lamp != Some(RoleLamp::Master));
+            let sound = lamps == [Some(RoleLamp::Master), Some(RoleLamp::Standby)];
+            if !sound {
+                sound_since = self.pair.now();
+            }
+            if !whole && self.pair.now().since(sound_since) >= HEALED {
+                return;
+            }
+        }
     }
 
     fn mend(&mut self) {
@@ -218,6 +330,7 @@ impl Bench {
                 Act::Rest(system, 0),
                 Act::Freeze(system, 0),
                 Act::Clock(system, 0),
+                Act::WrongResults(system, false),
                 Act::FlashHangs(system, false),
                 Act::Power(system, true),
             ] {
@@ -249,15 +362,20 @@ impl Bench {
             Act::Rest(of, ms) => {
                 pair.rest_core(of, CoreId::CONTROL, Duration::from_ms(ms.into()));
             }
-            Act::Clock(of, permille) => pair.set_clock_rate(of, i32::from(permille) * 1_000_000),
+            Act::Clock(of, permille) => {
+                let drift_ppb = i32::from(permille) * 1_000_000 + self.time.drift_ppb(of);
+                pair.set_clock_rate(of, drift_ppb);
+            }
+            Act::ClockJumps(of, by_ms) => pair.jump_clock(of, by_ms.into()),
+            Act::WrongResults(of, on) => pair.tamper(of, on.then_some(another_command)),
+            Act::Scribble(of) => pair.scribble(of, 0x5EED),
             Act::FlashHangs(of, hangs) => pair.hang_flash(of, hangs),
             Act::FlashLost(of) => pair.edit_flash(of, |bytes| bytes.fill(0x5A)),
             Act::Poison(on) => self.vehicle.borrow_mut().poison = on,
             Act::VehicleSilent(on) => self.vehicle.borrow_mut().silent = on,
-            Act::Scribble(_)
-            | Act::FreezeSupply(..)
-            | Act::FreezeVehicle(_)
-            | Act::FreezeLauncher(_) => unreachable!("Kind::is_for_simulator refused it"),
+            Act::FreezeSupply(..) | Act::FreezeVehicle(_) | Act::FreezeLauncher(_) => {
+                unreachable!("Kind::is_for_simulator refused it")
+            }
         }
     }
 

@@ -53,6 +53,10 @@ pub enum Kind {
     Slow(u8),
     /// Its clock is wrong by this many parts in a thousand.
     Clock(i16),
+    /// Its clock jumps by this many milliseconds.
+    ClockJumps(i16),
+    /// It computes wrong commands, and protects them well.
+    WrongResults,
     /// Operations of the data flash do not end.
     FlashHangs,
     /// The data flash loses its content, and so does what was known of it: power is lost for 20 ms.
@@ -124,6 +128,15 @@ impl Kind {
             K::FlashLost,
         ]
     };
+    /// What the single faults and the swarm try in addition.
+    pub const FURTHER: [Self; 6] = [
+        Self::ClockJumps(-500),
+        Self::ClockJumps(-7),
+        Self::ClockJumps(7),
+        Self::ClockJumps(500),
+        Self::WrongResults,
+        Self::Scribble,
+    ];
     /// What fails for both systems at once.
     pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
 
@@ -132,7 +145,7 @@ impl Kind {
     pub const fn is_for_simulator(self) -> bool {
         !matches!(
             self,
-            Self::SupplyHangs(_) | Self::VehicleHangs(_) | Self::LauncherHangs(_) | Self::Scribble
+            Self::SupplyHangs(_) | Self::VehicleHangs(_) | Self::LauncherHangs(_)
         )
     }
 
@@ -141,7 +154,13 @@ impl Kind {
     pub const fn is_for_processes(self) -> bool {
         !matches!(
             self,
-            Self::Slow(_) | Self::Clock(_) | Self::FlashHangs | Self::Poison | Self::VehicleSilent
+            Self::Slow(_)
+                | Self::Clock(_)
+                | Self::ClockJumps(_)
+                | Self::WrongResults
+                | Self::FlashHangs
+                | Self::Poison
+                | Self::VehicleSilent
         )
     }
 
@@ -240,6 +259,10 @@ pub enum Act {
     Rest(SystemId, u8),
     /// Its clock is wrong by this many parts in a thousand from now on.
     Clock(SystemId, i16),
+    /// Its clock jumps by this many milliseconds.
+    ClockJumps(SystemId, i16),
+    /// Its control frames carry another command than it has computed.
+    WrongResults(SystemId, bool),
     /// Operations of its data flash do not end.
     FlashHangs(SystemId, bool),
     /// Its data flash loses its content.
@@ -350,6 +373,15 @@ impl Fault {
             Kind::Scribble => acts.push((from, Act::Scribble(s))),
             Kind::Slow(gap) => span(from, until, Act::Rest(s, gap), Act::Rest(s, 0)),
             Kind::Clock(rate) => span(from, until, Act::Clock(s, rate), Act::Clock(s, 0)),
+            Kind::ClockJumps(by) => acts.push((from, Act::ClockJumps(s, by))),
+            Kind::WrongResults => {
+                span(
+                    from,
+                    until,
+                    Act::WrongResults(s, true),
+                    Act::WrongResults(s, false),
+                );
+            }
             Kind::FlashHangs => {
                 span(
                     from,

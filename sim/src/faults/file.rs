@@ -99,12 +99,14 @@ enum What {
     VehicleHangs,
     /// ms, 1 to 60000. Processes only.
     LauncherHangs,
-    /// Processes only.
     Scribble,
     /// ms, 1 to 255.
     Slow,
     /// Parts in a thousand, -900 to 5000.
     Clock,
+    /// ms, -10000 to 10000.
+    ClockJumps,
+    WrongResults,
     FlashHangs,
     FlashLost,
     Poison,
@@ -176,6 +178,8 @@ impl Entry {
             What::Scribble => Kind::Scribble,
             What::Slow => Kind::Slow(self.amount(1..=255, "ms")?),
             What::Clock => Kind::Clock(self.amount(-900..=5_000, "parts in a thousand")?),
+            What::ClockJumps => Kind::ClockJumps(self.amount(-10_000..=10_000, "ms")?),
+            What::WrongResults => Kind::WrongResults,
             What::FlashHangs => Kind::FlashHangs,
             What::FlashLost => Kind::FlashLost,
             What::Poison => Kind::Poison,
@@ -250,6 +254,8 @@ impl Entry {
             Kind::Scribble => (What::Scribble, None),
             Kind::Slow(_) => (What::Slow, None),
             Kind::Clock(_) => (What::Clock, None),
+            Kind::ClockJumps(_) => (What::ClockJumps, None),
+            Kind::WrongResults => (What::WrongResults, None),
             Kind::FlashHangs => (What::FlashHangs, None),
             Kind::FlashLost => (What::FlashLost, None),
             Kind::Poison => (What::Poison, None),
@@ -282,7 +288,7 @@ const fn amount_of(kind: Kind) -> Option<i64> {
         | Kind::LosesSent(amount)
         | Kind::LosesHeard(amount)
         | Kind::Slow(amount) => Some(amount as i64),
-        Kind::Clock(amount) => Some(amount as i64),
+        Kind::Clock(amount) | Kind::ClockJumps(amount) => Some(amount as i64),
         Kind::CoreDies(core) | Kind::CoreHangs(core) => Some(core.index() as i64),
         _ => None,
     }
@@ -296,6 +302,17 @@ fn word(value: impl Serialize) -> String {
 }
 
 impl Kind {
+    /// The labels of all that the simulator can do, each once.
+    #[must_use]
+    pub fn labels() -> Vec<String> {
+        let all = Self::OF_ONE_SYSTEM.iter().chain(&Self::FURTHER);
+        let all = all.chain(&Self::OF_BOTH).map(|kind| kind.label());
+        let mut labels: Vec<String> = all.collect();
+        labels.sort_unstable();
+        labels.dedup();
+        labels
+    }
+
     /// What fails, by the words of a file; `core-dies 0` and `cut can`, and no other amounts.
     #[must_use]
     pub fn label(self) -> String {
@@ -371,7 +388,7 @@ mod tests {
 
     #[test]
     fn every_sequence_survives_the_file() {
-        let numbers = (0..40).map(|number| Group::Random.sequence(number));
+        let numbers = (0..40).map(|number| Group::Swarm.sequence(number));
         let singles = Group::Single.count().unwrap_or(0);
         let singles = (0..singles).step_by(20).map(|n| Group::Single.sequence(n));
         for sequence in numbers.chain(singles) {

@@ -1,6 +1,6 @@
 //! What a fault may cost, and what must be so in the end.
 
-use super::bench::Bench;
+use super::bench::{Bench, State};
 use super::fault::{Fault, Kind, Way};
 use crate::drive::{FLASH_SECTOR_BYTES, newest_record};
 use std::fmt;
@@ -87,9 +87,13 @@ pub fn row(fault: &Fault) -> Row {
         | Kind::CoreHangs(_)
         | Kind::Hang(_)
         | Kind::Slow(_)
+        // Its timers stand still, or it was held up by its own clock.
+        | Kind::ClockJumps(_)
         | Kind::Scribble => Row::Silence,
         Kind::Clock(permille) => Row::of_clock(permille),
-        Kind::Mute
+        // It reads back what the vehicle obeys, and sends nothing any more.
+        Kind::WrongResults
+        | Kind::Mute
         | Kind::LosesSent(_)
         | Kind::Late(_)
         | Kind::Cut(Wire::Can)
@@ -141,6 +145,10 @@ pub struct Verdict {
     pub suspended: usize,
     /// Virtual time of the whole run, with its start and the time to settle.
     pub simulated: Duration,
+    /// Every frame on the bus and every event of a system, as one number.
+    pub digest: u64,
+    /// What the faults hit.
+    pub covered: Vec<(Kind, State)>,
     /// What was violated.
     pub violations: Vec<Violation>,
 }
@@ -249,6 +257,8 @@ impl Bench {
             changes,
             suspended: self.suspended(),
             simulated: self.pair.now().since(self.born),
+            digest: self.pair.digest(),
+            covered: self.covered.clone(),
             violations,
         }
     }
@@ -278,7 +288,8 @@ impl Bench {
                 _ => Violation::NoneObeyed,
             });
         };
-        let late = longest_gap(&vehicle.accepted, from, now) > Row::None.bound(limits);
+        let longest = Row::None.bound(limits) + self.time.allowance();
+        let late = longest_gap(&vehicle.accepted, from, now) > longest;
         let since = vehicle
             .accepted
             .iter()

@@ -12,9 +12,9 @@ mod known;
 mod plan;
 mod processes;
 
-pub use bench::{Bench, Vehicle};
+pub use bench::{Bench, State, Vehicle};
 pub use fault::{Act, Fault, Kind, Way};
 pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
-pub use plan::{DISTANCES, Group, PHASES, Sequence};
+pub use plan::{DISTANCES, Group, PHASES, Profile, Sequence};
 pub use processes::{MATRIX, cell_of_matrix, drawn};

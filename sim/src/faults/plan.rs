@@ -3,10 +3,52 @@
 use super::bench::Bench;
 use super::fault::{Fault, Kind, Way};
 use super::judge::{Row, Verdict, Violation, containment_bound, row};
+use crate::timing::Time;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use tandem_board::{Duration, SystemId};
 use tandem_redundancy::Config;
+
+/// One sequence of so many is watched for all the time within which a system must drive, however
+/// early master and standby are there again.
+const HEALS_WHOLLY: u64 = 16;
+
+/// What a sequence runs on.
+#[derive(Clone, Copy, Debug)]
+pub struct Profile {
+    /// Limits of the redundancy.
+    pub limits: Config,
+    /// How long things take.
+    pub time: Time,
+}
+
+impl From<Config> for Profile {
+    fn from(limits: Config) -> Self {
+        let time = Time::Ideal;
+        Self { limits, time }
+    }
+}
+
+impl Profile {
+    /// Both systems have just been switched on.
+    #[must_use]
+    pub fn at_power_on(self, told: bool) -> Bench {
+        let mut bench = Bench::timed(Bench::config(self.limits), self.time, 0, told);
+        SystemId::ALL
+            .into_iter()
+            .for_each(|system| bench.pair.power_on(system));
+        bench
+    }
+
+    /// In dual operation, A driving.
+    ///
+    /// # Panics
+    /// If they do not begin.
+    #[must_use]
+    pub fn in_dual_operation(self, told: bool) -> Bench {
+        Bench::timed_dual(Bench::config(self.limits), self.time, 0, told)
+    }
+}
 
 /// What kind of sequences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +59,9 @@ pub enum Group {
     Pair,
     /// Several faults in both systems, drawn from the number.
     Random,
+    /// The same, but the number also draws which kinds there are at all: some sequences have many
+    /// faults of few kinds.
+    Swarm,
     /// The faults of a file; the number is the seed of what the machine draws.
     File,
 }
@@ -41,7 +86,17 @@ pub struct Sequence {
     pub span: Duration,
 }
 
-/// What fails in a system or on a wire, and which way.
+/// What fails in a system or on a wire, and which way: all that the group of random sequences draws
+/// from, and then the further ones.
+fn all_faults() -> Vec<(Kind, Way)> {
+    let mut faults = single_faults();
+    for kind in Kind::FURTHER {
+        faults.extend(SystemId::ALL.map(|system| (kind, Way::From(system))));
+    }
+    faults
+}
+
+/// What random sequences and pairs draw from. Their numbers mean the same faults for ever.
 fn single_faults() -> Vec<(Kind, Way)> {
     let mut faults = Vec::new();
     for kind in Kind::OF_ONE_SYSTEM {
@@ -67,19 +122,19 @@ fn faults_within(system: SystemId) -> Vec<(Kind, Way)> {
 
 impl Group {
     /// All.
-    pub const ALL: [Self; 3] = [Self::Single, Self::Pair, Self::Random];
+    pub const ALL: [Self; 4] = [Self::Single, Self::Pair, Self::Random, Self::Swarm];
 
     /// How many sequences there are; as many as one likes of the random ones.
     #[must_use]
     pub fn count(self) -> Option<u64> {
         match self {
-            Self::Single => Some(single_faults().len() as u64 * PHASES),
+            Self::Single => Some(all_faults().len() as u64 * PHASES),
             Self::Pair => {
                 let within = SystemId::ALL.map(|system| faults_within(system).len() as u64);
                 let pairs = within.map(|count| count * count).iter().sum::<u64>();
                 Some(pairs * DISTANCES.len() as u64)
             }
-            Self::Random | Self::File => None,
+            Self::Random | Self::Swarm | Self::File => None,
         }
     }
 
@@ -93,13 +148,14 @@ impl Group {
             Self::Single => single(number),
             Self::Pair => pair(number),
             Self::Random => random(number),
+            Self::Swarm => swarm(number),
             Self::File => panic!("the faults of a file have no number"),
         }
     }
 }
 
 fn single(number: u64) -> Sequence {
-    let faults = single_faults();
+    let faults = all_faults();
     let (kind, way) = faults[(number / PHASES) as usize];
     // Not at a whole poll: where it lies between two polls counts too.
     let at = Duration::from_us(number % PHASES * (10_000 / PHASES) + 137);
@@ -171,8 +227,22 @@ impl Draw {
 }
 
 fn random(number: u64) -> Sequence {
-    let mut draw = Draw(number);
-    let kinds = single_faults();
+    several(Group::Random, number, Draw(number), &single_faults())
+}
+
+/// Swarm testing (Groce, Zhang, Eide, Chen, Regehr: Swarm Testing, 2012): a fault that others mask
+/// shows where these are left out.
+fn swarm(number: u64) -> Sequence {
+    let mut draw = Draw(!number);
+    // One of 2, 4, 8 or 16 kinds is on.
+    let one_of = 2 << draw.below(4);
+    let mut kinds = all_faults();
+    let last = kinds[draw.below(kinds.len() as u64) as usize];
+    kinds.retain(|kind| *kind == last || draw.below(one_of) == 0);
+    several(Group::Swarm, number, draw, &kinds)
+}
+
+fn several(group: Group, number: u64, mut draw: Draw, kinds: &[(Kind, Way)]) -> Sequence {
     // Dense: many at a time. Sparse: every limit passes between two.
     let distance_us = [15_000, 60_000, 400_000][draw.below(3) as usize];
     let (mut at_us, count) = (0, 1 + draw.below(8));
@@ -193,7 +263,7 @@ fn random(number: u64) -> Sequence {
         });
     }
     Sequence {
-        group: Group::Random,
+        group,
         number,
         faults,
         from_power_on: draw.below(5) == 0,
@@ -221,7 +291,7 @@ impl Sequence {
                     rows.map(|row| (row, row.bound(config).max(containment_bound(config))));
                 bounds.max_by_key(|(_, bound)| *bound)
             }
-            Group::Random => None,
+            Group::Random | Group::Swarm => None,
             Group::File => self.bound_of_a_file(config),
         }
     }
@@ -247,35 +317,39 @@ impl Sequence {
 
     /// Runs it. `told`: whether the cores' events are kept.
     #[must_use]
-    pub fn run(&self, limits: Config, told: bool) -> (Verdict, Bench) {
-        let config = Bench::config(limits);
-        let mut bench = if self.from_power_on {
-            let mut bench = Bench::new(config, self.number, told);
-            SystemId::ALL
-                .into_iter()
-                .for_each(|system| bench.pair.power_on(system));
-            bench
+    pub fn run(&self, profile: impl Into<Profile>, told: bool) -> (Verdict, Bench) {
+        let profile = profile.into();
+        let bench = if self.from_power_on {
+            profile.at_power_on(told)
         } else {
-            Bench::dual(config, self.number, told)
+            profile.in_dual_operation(told)
         };
+        self.run_from(bench)
+    }
+
+    /// Runs it on a bench that nothing has happened to since its [`Profile`] made it.
+    #[must_use]
+    pub fn run_from(&self, mut bench: Bench) -> (Verdict, Bench) {
+        bench.pair.reseed(self.number);
         let begin = bench.pair.now();
         bench.suffer(&self.faults, self.span);
         let mended = bench.pair.now();
-        let settles = bench.settles_within();
-        bench.pair.run_for(settles);
-        let bound = self.bound(&config.redundancy).map(|(_, bound)| bound);
+        bench.heal(self.number.is_multiple_of(HEALS_WHOLLY));
+        let bound = self.bound(&bench.config.redundancy);
+        let bound = bound.map(|(_, bound)| bound + bench.time.allowance());
         let verdict = bench.judge(&self.faults, [begin, mended], bound);
         (verdict, bench)
     }
 
     /// The same with as few faults as still lead to this violation.
     #[must_use]
-    pub fn shrunk(&self, limits: Config, violation: Violation) -> Self {
+    pub fn shrunk(&self, profile: impl Into<Profile>, violation: Violation) -> Self {
+        let profile = profile.into();
         let mut least = self.clone();
         while let Some(shorter) = (0..least.faults.len()).find_map(|index| {
             let mut shorter = least.clone();
             shorter.faults.remove(index);
-            let violates = shorter.try_run(limits).violations.contains(&violation);
+            let violates = shorter.try_run(profile).violations.contains(&violation);
             (violates && !shorter.faults.is_empty()).then_some(shorter)
         }) {
             least = shorter;
@@ -293,8 +367,9 @@ impl Sequence {
 
     /// Runs it; a panic is a violation.
     #[must_use]
-    pub fn try_run(&self, limits: Config) -> Verdict {
-        let run = AssertUnwindSafe(|| self.run(limits, false).0);
+    pub fn try_run(&self, profile: impl Into<Profile>) -> Verdict {
+        let profile = profile.into();
+        let run = AssertUnwindSafe(|| self.run(profile, false).0);
         catch_unwind(run).unwrap_or_else(|_| Verdict {
             violations: vec![Violation::Panic],
             ..Verdict::default()

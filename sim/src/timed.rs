@@ -1,0 +1,296 @@
+//! Core 0 in virtual time: its tasks take time, and the more urgent one pre-empts.
+//!
+//! An executor over the task table, as FreeRTOS schedules it: fixed priorities, a tick of 1 ms, a
+//! doorbell whose interrupts keep their distance. The body of a job runs when the job gets the
+//! processor for the first time, and what it sends leaves when the job ends. So a job uses the
+//! oldest inputs and gives the latest outputs that its execution permits. Locks cost nothing.
+
+use crate::timing::{DOORBELL, TICK, Time};
+use std::cell::{Cell, RefCell};
+use tandem_board::{Board, Duration, Instant};
+use tandem_board_sim::{Poller, SimBoard};
+use tandem_cores::Config;
+use tandem_cores::core0::{
+    DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks,
+};
+use tandem_cores::schedule::TickGrid;
+use tandem_cores::trace::{Begin, Event, Leaves};
+
+const TASKS: usize = TaskId::ALL.len();
+
+struct Flow {
+    board: &'static SimBoard,
+    shared: RefCell<Shared<'static, SimBoard>>,
+    drive: RefCell<Drive>,
+    released: Cell<TaskSet>,
+    held_back: Cell<u32>,
+    /// The body that runs has told that it begins a job.
+    has_begun: Cell<bool>,
+}
+
+impl Executor<'static, SimBoard> for Flow {
+    fn shared<R>(&self, body: impl FnOnce(&mut Shared<'static, SimBoard>) -> R) -> R {
+        body(&mut self.shared.borrow_mut())
+    }
+
+    fn drive<R>(&self, body: impl FnOnce(&mut Drive) -> R) -> R {
+        body(&mut self.drive.borrow_mut())
+    }
+
+    fn release(&self, tasks: TaskSet) {
+        self.released.set(self.released.get() | tasks);
+    }
+
+    fn held_back(&self) -> u32 {
+        self.held_back.get()
+    }
+
+    fn begins(&self, task: TaskId, begin: Begin) {
+        self.has_begun.set(true);
+        trace_in(self.board, task, begin);
+    }
+
+    /// The job ends when its execution is over.
+    fn ends(&self, _: TaskId) {}
+}
+
+fn trace_in(board: &SimBoard, task: TaskId, begin: Begin) {
+    let task = task.info().code;
+    board.trace(Event::TaskIn { task, begin }.encode());
+}
+
+fn trace_out(board: &SimBoard, task: TaskId, leaves: Leaves) {
+    let task = task.info().code;
+    board.trace(Event::TaskOut { task, leaves }.encode());
+}
+
+/// What the scheduler knows of a task.
+#[derive(Clone, Copy)]
+struct State {
+    /// When it is released next.
+    due: Instant,
+    /// It has been released, and its job has not begun.
+    ready: bool,
+    /// What is left of its job, ns.
+    left_ns: Option<u64>,
+}
+
+struct TimedCore0 {
+    time: Time,
+    flow: Flow,
+    tasks: Tasks<'static, SimBoard>,
+    ticks: TickGrid,
+    states: [State; TASKS],
+    /// What is left of the handlers of interrupts, ns.
+    handlers_ns: u64,
+    running: Option<TaskId>,
+    last: Instant,
+    next_tick: Instant,
+    doorbell_opens: Instant,
+    doorbell_waits: bool,
+}
+
+/// Core 0 of this board, whose jobs take `time`.
+#[must_use]
+pub fn core_0(board: &'static SimBoard, config: Config, time: Time) -> Poller {
+    let Parts {
+        shared,
+        drive,
+        mut tasks,
+    } = Parts::new(board, config);
+    let now = board.now();
+    let ticks = TickGrid {
+        origin: now,
+        period: Duration::from_ms(1),
+    };
+    tasks.monitoring.start(now);
+    tasks.control.start(now);
+    tasks.status.start(now);
+    let mut shared = shared;
+    shared.set_ticks(ticks);
+    let mut core = TimedCore0 {
+        time,
+        flow: Flow {
+            board,
+            shared: RefCell::new(shared),
+            drive: RefCell::new(drive),
+            released: Cell::new(TaskSet::NONE),
+            held_back: Cell::new(0),
+            has_begun: Cell::new(false),
+        },
+        tasks,
+        ticks,
+        states: [State {
+            due: now,
+            ready: false,
+            left_ns: None,
+        }; TASKS],
+        handlers_ns: 0,
+        running: None,
+        last: now,
+        next_tick: now + ticks.period,
+        doorbell_opens: Instant::ORIGIN,
+        doorbell_waits: false,
+    };
+    Box::new(move |_| core.poll())
+}
+
+impl TimedCore0 {
+    fn poll(&mut self) -> Instant {
+        let now = self.flow.board.now();
+        self.spend(now);
+        self.interrupts(now);
+        for state in &mut self.states {
+            state.ready |= state.left_ns.is_none() && state.due <= now;
+        }
+        self.dispatch(now);
+        self.next(now)
+    }
+
+    /// Gives the time since the last call to the handlers, then to the job that runs.
+    fn spend(&mut self, now: Instant) {
+        let passed_ns = now.since(core::mem::replace(&mut self.last, now)).as_ns();
+        let handled_ns = passed_ns.min(self.handlers_ns);
+        self.handlers_ns -= handled_ns;
+        let Some(task) = self.running else { return };
+        let state = &mut self.states[task as usize];
+        let left_ns = state.left_ns.unwrap_or(0);
+        let left_ns = left_ns.saturating_sub(passed_ns - handled_ns);
+        state.left_ns = Some(left_ns);
+        if left_ns == 0 {
+            self.end(task);
+        }
+    }
+
+    fn end(&mut self, task: TaskId) {
+        self.states[task as usize].left_ns = None;
+        self.running = None;
+        self.flow.board.let_go(task as u8);
+        trace_out(self.flow.board, task, Leaves::Done);
+    }
+
+    /// The tick and the doorbell.
+    fn interrupts(&mut self, now: Instant) {
+        let (board, time) = (self.flow.board, self.time);
+        let draw = |limit| board.draw_below(limit);
+        if now >= self.next_tick {
+            let number = self.ticks.before(now) + 1;
+            self.next_tick = self.tick(number);
+            self.handlers_ns += time.of(TICK, draw);
+        }
+        if board.is_interrupted() {
+            self.handlers_ns += time.of(DOORBELL, draw);
+            self.doorbell_waits = true;
+            if now < self.doorbell_opens {
+                let held_back = &self.flow.held_back;
+                held_back.set(held_back.get().wrapping_add(1));
+            }
+        }
+        if self.doorbell_waits && now >= self.doorbell_opens {
+            self.doorbell_waits = false;
+            self.doorbell_opens = now + DOORBELL_DISTANCE;
+            for task in TaskId::ALL {
+                self.states[task as usize].ready |= task.info().is_for_interrupts();
+            }
+        }
+    }
+
+    fn tick(&self, number: u64) -> Instant {
+        self.ticks.origin + Duration::from_ns(number * self.ticks.period.as_ns())
+    }
+
+    /// Gives the processor to the most urgent task that has something to do.
+    fn dispatch(&mut self, now: Instant) {
+        if self.handlers_ns > 0 {
+            return;
+        }
+        loop {
+            let wants = |task: &TaskId| {
+                let state = self.states[*task as usize];
+                state.ready || state.left_ns.is_some()
+            };
+            let Some(task) = TaskId::ALL.into_iter().find(wants) else {
+                return;
+            };
+            if self.running == Some(task) {
+                return;
+            }
+            if let Some(before) = self.running.take() {
+                trace_out(self.flow.board, before, Leaves::Preempted);
+            }
+            if self.states[task as usize].left_ns.is_some() {
+                trace_in(self.flow.board, task, Begin::Goes);
+                self.running = Some(task);
+                return;
+            }
+            self.begin(task, now);
+        }
+    }
+
+    fn begin(&mut self, task: TaskId, now: Instant) {
+        let (board, flow, tasks) = (self.flow.board, &self.flow, &mut self.tasks);
+        flow.released.set(TaskSet::NONE);
+        flow.has_begun.set(false);
+        board.hold(Some(task as u8));
+        let deadline = match task {
+            TaskId::Roles => tasks.roles.poll(flow),
+            TaskId::Monitoring => tasks.monitoring.poll(flow),
+            TaskId::Control => tasks.control.poll(flow),
+            TaskId::Degraded => tasks.degraded.poll(flow),
+            TaskId::TrajectoryInput => tasks.trajectory_input.poll(flow),
+            TaskId::Status => tasks.status.poll(flow),
+        };
+        board.hold(None);
+        let released = flow.released.get();
+        for (index, state) in self.states.iter_mut().enumerate() {
+            state.ready |= released.contains(TaskId::ALL[index]);
+        }
+        self.states[task as usize] = State {
+            due: self.wakes(task, deadline, now),
+            ready: false,
+            left_ns: None,
+        };
+        if self.flow.has_begun.get() {
+            let draw = |limit| board.draw_below(limit);
+            let left_ns = self.time.execution(task.info().code, draw);
+            self.states[task as usize].left_ns = Some(left_ns);
+            self.running = Some(task);
+        } else {
+            board.let_go(task as u8);
+        }
+    }
+
+    /// The tick at which the kernel wakes a task for its deadline: as in `tandem-runtime`.
+    fn wakes(&self, task: TaskId, deadline: Instant, now: Instant) -> Instant {
+        if deadline == Instant::NEVER {
+            return deadline;
+        }
+        let after_now = self.ticks.before(now) + 1;
+        let number = match task {
+            TaskId::Roles => self.ticks.before(deadline).max(after_now),
+            _ => self.ticks.after(deadline),
+        };
+        self.tick(number)
+    }
+
+    /// When something happens next.
+    fn next(&self, now: Instant) -> Instant {
+        let mut next = self.next_tick;
+        if self.doorbell_waits {
+            next = next.min(self.doorbell_opens.max(now));
+        }
+        let left_ns = self
+            .running
+            .and_then(|task| self.states[task as usize].left_ns);
+        let busy_ns = self.handlers_ns + left_ns.unwrap_or(0);
+        if busy_ns > 0 || self.running.is_some() {
+            let ends = if self.handlers_ns > 0 {
+                self.handlers_ns
+            } else {
+                busy_ns
+            };
+            next = next.min(now + Duration::from_ns(ends));
+        }
+        next
+    }
+}

@@ -1,0 +1,130 @@
+//! What takes time in a simulated run, with the source of each figure.
+
+use tandem_board::{Duration, SystemId};
+use tandem_board_sim::{BitRates, Bits, Wires};
+use tandem_cores::task_table::TaskCode;
+
+/// How long things take.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Time {
+    /// Nothing takes time: core 0 polls in no time, the bus and the lines deliver at once.
+    #[default]
+    Ideal,
+    /// Jobs take a quarter to the whole of the 99th percentile that was measured; the mode lies in
+    /// the middle. Connections are those of a sound vehicle.
+    Typical,
+    /// Each job takes the longest time that was measured; connections are at their limits.
+    Worst,
+}
+
+/// What was measured of a task or a handler, ns: 99th percentile and maximum.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Measured(u64, u64);
+
+/// Executions on the host: the columns "p99" and "max" of the table of response times in
+/// `docs/rtos-tasks.md`. The maxima are 2 to 20 times the percentiles, which also covers a
+/// processor that is slower than the host's by that factor.
+const EXECUTION: [(TaskCode, Measured); 6] = [
+    (TaskCode::ROLES, Measured(9_000, 169_700)),
+    (TaskCode::MONITORING, Measured(2_700, 63_300)),
+    (TaskCode::CONTROL, Measured(15_700, 79_000)),
+    (TaskCode::DEGRADED, Measured(32_300, 87_400)),
+    (TaskCode::TRAJECTORY_INPUT, Measured(30_700, 38_500)),
+    (TaskCode::STATUS, Measured(4_400, 11_300)),
+];
+/// Handlers, with the entry of an interrupt and a switch of 0.6 µs each, from the same table.
+pub(crate) const TICK: Measured = Measured(2_700, 32_400);
+pub(crate) const DOORBELL: Measured = Measured(9_600, 30_100);
+/// Responses of the roles and of control, from the same table.
+const RESPONSE_OF_ROLES: Measured = Measured(55_000, 313_000);
+const RESPONSE_OF_CONTROL: Measured = Measured(119_000, 709_000);
+
+/// A line between the systems: an isolator and the edge filter of the input; assumed.
+const LINE: Measured = Measured(1_000, 10_000);
+/// 16 words on a link of 10 Mbit/s, and of 3 Mbit/s; assumed.
+const LINK: Measured = Measured(51_200, 170_700);
+/// Wrong bits of a billion: 3.1e-9 in a factory, 2.6e-7 two metres from a welder (Ferreira,
+/// Oliveira, Fonseca, Fonseca: An experiment to assess bit error rate in CAN, 2004).
+const WRONG_BITS: Measured = Measured(3, 260);
+/// How much a crystal is wrong at most, parts per billion: at 25 °C, and from -40 to 125 °C.
+const DRIFT: Measured = Measured(20_000, 100_000);
+/// The longest frame of the bus: 64 bytes, with a stuff bit after each four bits.
+const LONGEST_FRAME: Bits = Bits {
+    nominal: 30,
+    data: 679,
+};
+/// The echo of the gate and a control frame have 16 bytes at most.
+const SHORT_FRAME: Bits = Bits {
+    nominal: 30,
+    data: 189,
+};
+
+impl Time {
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Ideal, Self::Typical, Self::Worst];
+
+    /// The time of one job. `draw` returns a number below its argument.
+    pub(crate) fn of(self, Measured(p99, max): Measured, mut draw: impl FnMut(u64) -> u64) -> u64 {
+        match self {
+            Self::Ideal => 0,
+            // The sum of two even draws has its mode in the middle.
+            Self::Typical => p99 / 4 + draw(p99 * 3 / 8 + 1) + draw(p99 * 3 / 8 + 1),
+            Self::Worst => max,
+        }
+    }
+
+    /// The execution of a job of this task, ns.
+    pub(crate) fn execution(self, task: TaskCode, draw: impl FnMut(u64) -> u64) -> u64 {
+        let measured = EXECUTION.iter().find(|(code, _)| *code == task);
+        measured.map_or(0, |(_, measured)| self.of(*measured, draw))
+    }
+
+    const fn pick(self, Measured(typical, worst): Measured) -> u64 {
+        match self {
+            Self::Ideal => 0,
+            Self::Typical => typical,
+            Self::Worst => worst,
+        }
+    }
+
+    /// The connections.
+    #[must_use]
+    pub fn wires(self) -> Wires {
+        Wires {
+            line: Duration::from_ns(self.pick(LINE)),
+            link: Duration::from_ns(self.pick(LINK)),
+            bus: (self != Self::Ideal).then_some(BitRates::TANDEM),
+            wrong_bits: self.pick(WRONG_BITS) as u32,
+        }
+    }
+
+    /// How much faster the clock of a system runs than virtual time, parts per billion: A's and B's
+    /// differ in sign.
+    #[must_use]
+    pub const fn drift_ppb(self, of: SystemId) -> i32 {
+        let drift = self.pick(DRIFT) as i32;
+        match of {
+            SystemId::A => drift,
+            SystemId::B => -drift,
+        }
+    }
+
+    /// What the bounds of `docs/redundancy.md` lack: they are times between polls and frames that
+    /// take no time. From a fault to the first frame of the successor on the bus, that is the
+    /// roles' response, that of control, an edge on a line, and two frames on the bus, the echo and
+    /// the control frame. Each may find the longest frame before it, and be destroyed once.
+    #[must_use]
+    pub fn allowance(self) -> Duration {
+        if self == Self::Ideal {
+            return Duration::ZERO;
+        }
+        let rates = BitRates::TANDEM;
+        let frame = rates.time(LONGEST_FRAME)
+            + rates.time(SHORT_FRAME)
+            + rates.time(Bits::INTERMISSION).times(2);
+        let destroyed = rates.time(SHORT_FRAME) + rates.time(Bits::ERROR);
+        let on_bus = (frame + destroyed).times(2);
+        let cores = self.pick(RESPONSE_OF_ROLES) + self.pick(RESPONSE_OF_CONTROL);
+        Duration::from_ns(cores + self.pick(LINE)) + on_bus
+    }
+}
