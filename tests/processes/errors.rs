@@ -147,8 +147,9 @@ fn a_campaign_that_cannot_be() {
             "from-power-on = true\nmended-at-ms = 1.0\nfault = []\n",
         ),
         (
-            "scribble.toml",
-            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"scribble\"\nof = \"a\"\nat-ms = 0.0\n",
+            "supply.toml",
+            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"supply-hangs\"\nof = \"a\"\nat-ms = 0.0\n\
+             amount = 5\n",
         ),
     ] {
         fs::write(fixture.folder().join(name), text).unwrap();
@@ -164,7 +165,7 @@ fn a_campaign_that_cannot_be() {
         (&["chaos", "--count", "0"], "no fault"),
         (&["chaos", "--json", "no/such/c.json"], "no/such"),
         (
-            &["sim", "--faults", "scribble.toml"],
+            &["sim", "--faults", "supply.toml"],
             "only processes suffer it",
         ),
     ] {

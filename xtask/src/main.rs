@@ -186,6 +186,13 @@ enum Campaign {
         #[arg(long, default_value_t = 100_000)]
         count: u64,
     },
+    /// Simulate sequences of faults with and without optimisation: every frame and event must be
+    /// the same, to the bit
+    SimDigest {
+        /// How many sequences, for each of the three settings of time
+        #[arg(long, default_value_t = 20)]
+        count: u64,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -274,6 +281,7 @@ fn execute() -> Result<()> {
             command.arg(count.to_string());
             run(command)
         }
+        Task::Campaign(Campaign::SimDigest { count }) => sim_digest(root, count),
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
             let mut command = rtos_test(root, "scheduling", "the_tick_does_not_drift");
             command.env("TANDEM_RTOS_DRIFT_SECONDS", seconds.to_string());
@@ -399,6 +407,25 @@ fn campaign(root: &Path, package: &str, name: &str) -> Command {
     command.arg(manifest);
     command.args(["-p", package, "--example", name, "--"]);
     command
+}
+
+fn sim_digest(root: &Path, count: u64) -> Result<()> {
+    let digests = |profile: &str| {
+        let mut command = cargo(root, &["run", "--quiet", "--profile", profile]);
+        command.args(["-p", "tandem-sim", "--example", "digest"]);
+        let output = command.arg("--").arg(count.to_string()).output()?;
+        if !output.status.success() {
+            let said = String::from_utf8_lossy(&output.stderr);
+            bail!("{command:?} ended with {}: {said}", output.status);
+        }
+        Ok(String::from_utf8(output.stdout)?)
+    };
+    let (dev, release) = (digests("dev")?, digests("release")?);
+    print!("{release}");
+    if dev != release || release.is_empty() {
+        bail!("the profile dev gives others:\n{dev}");
+    }
+    Ok(())
 }
 
 /// One test of the RTOS room, with what it prints.

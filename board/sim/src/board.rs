@@ -2,7 +2,8 @@
 
 use crate::baton::Baton;
 use crate::config::Defect;
-use crate::machine::{Attention, Shared, SystemEventKind};
+use crate::event::SystemEventKind;
+use crate::machine::{Attention, Shared};
 use crate::outbox::Output;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -160,6 +161,45 @@ impl SimBoard {
             baton: Some(baton),
             ..self.port.clone()
         })
+    }
+}
+
+/// For an executor that gives jobs a time.
+impl SimBoard {
+    /// What this core sends from now on belongs to this job, and leaves with
+    /// [`SimBoard::let_go`]; `None`: it leaves at once.
+    pub fn hold(&self, job: Option<u8>) {
+        self.port
+            .alive(|machine| machine.core(self.port.place).job = job);
+    }
+
+    /// What belongs to this job leaves, in its order.
+    pub fn let_go(&self, job: u8) {
+        let place = self.port.place;
+        self.port.alive(|machine| {
+            let held = core::mem::take(&mut machine.core(place).outbox);
+            let (gone, held) = held.into_iter().partition(|(of, _)| *of == job);
+            machine.core(place).outbox = held;
+            let gone: Vec<(u8, Output)> = gone;
+            for (_, output) in gone {
+                machine.put_out(place, output);
+            }
+        });
+    }
+
+    /// Whether an interrupt has caused the present call of this core.
+    #[must_use]
+    pub fn is_interrupted(&self) -> bool {
+        let called = self
+            .port
+            .alive(|machine| machine.core(self.port.place).interrupted);
+        called.unwrap_or(false)
+    }
+
+    /// A number below `limit`, drawn from the seed of the run; 0 if that is 0.
+    #[must_use]
+    pub fn draw_below(&self, limit: u64) -> u64 {
+        self.port.shared.lock().draw_below(limit)
     }
 }
 

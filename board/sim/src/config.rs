@@ -1,7 +1,7 @@
 //! The configuration of a simulated run.
 
-use crate::transit::Wires;
-use tandem_board::{Duration, HardwareFault};
+use tandem_board::{CanFrame, Duration, HardwareFault};
+use tandem_peripherals::frame_time::BitRates;
 use tandem_peripherals::supply;
 use tandem_peripherals::watchdog::Window;
 use tandem_peripherals::wires::LINK_DATAGRAMS;
@@ -60,6 +60,22 @@ pub struct BusFault {
     pub lost_in: u16,
     /// Its frames reach the bus this much later.
     pub late: Duration,
+}
+
+/// What becomes of a frame.
+pub type Tamper = fn(&CanFrame) -> CanFrame;
+
+/// Times of the connections. The default takes no time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Wires {
+    /// From an edge to its count at the other system.
+    pub line: Duration,
+    /// From the hand-over of a datagram to its arrival.
+    pub link: Duration,
+    /// The bit rates of the bus; `None`: a frame takes no time, and no frame waits for another.
+    pub bus: Option<BitRates>,
+    /// Of a billion bits on the bus, this many are wrong. The frame is destroyed and sent again.
+    pub wrong_bits: u32,
 }
 
 /// The order of cores that are due at the same instant.

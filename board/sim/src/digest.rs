@@ -1,6 +1,6 @@
 //! One number for a whole run.
 
-use crate::machine::{OnBus, SystemEvent, SystemEventKind};
+use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use tandem_board::{CanId, CoreAddress};
 use tandem_peripherals::codec::Sender;
 

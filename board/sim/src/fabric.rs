@@ -1,15 +1,17 @@
 //! The connections between the two systems: lines, data link, CAN bus.
 
 use crate::config::Defect;
-use crate::machine::{Machine, OnBus};
+use crate::event::OnBus;
+use crate::machine::Machine;
 use crate::outbox::Output;
-use crate::transit::Arrival;
+use crate::transit::{Arrival, OnAir, Waiting};
 use std::sync::atomic::Ordering;
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFault, Line, LinkFull, Received,
     SystemId, TransmitFull,
 };
 use tandem_peripherals::codec::Sender;
+use tandem_peripherals::frame_time::Bits;
 use tandem_peripherals::supply::Power;
 use tandem_peripherals::wires::Wire;
 
@@ -229,6 +231,92 @@ impl Machine {
         core.can_wakes = on;
         // Level, not edge: a frame that arrived before the request is also pending.
         core.pending |= on && !mute && !core.can_fifo.is_empty();
+    }
+}
+
+/// What is on its way, and what a core sends while a job of it takes time.
+impl Machine {
+    /// Does what is due on the wires.
+    pub(crate) fn settle_transit(&mut self) {
+        while let Some(first) = self.transit.arrivals.first_entry()
+            && first.key().0 <= self.now_ns
+        {
+            match first.remove() {
+                Arrival::Edge(to, line, edge) => self.count_edge(to, line, edge),
+                Arrival::Datagram(to, words) if self.is_powered(to) => {
+                    // A receiver that does not fetch loses what arrives.
+                    let _full = self.put_in_inbox(to, words);
+                }
+                Arrival::Datagram(..) => {}
+            }
+        }
+        if self.config.wires.bus.is_some() {
+            self.settle_air();
+        }
+    }
+
+    fn settle_air(&mut self) {
+        let Some(rates) = self.config.wires.bus else {
+            return;
+        };
+        let now_ns = self.now_ns;
+        loop {
+            if let Some(air) = self.transit.on_air.take_if(|air| air.ends_ns <= now_ns) {
+                self.transit.free_ns = air.ends_ns + rates.time(Bits::INTERMISSION).as_ns();
+                match air.frame {
+                    None => {}
+                    Some(again) if air.destroyed => self.transit.waiting.insert(0, again),
+                    Some(Waiting { sender, frame, .. }) => self.put_on_bus(sender, &frame),
+                }
+            }
+            if self.transit.on_air.is_some() || now_ns < self.transit.free_ns {
+                return;
+            }
+            let Some(index) = self.transit.winner() else {
+                return;
+            };
+            let frame = self.transit.waiting.remove(index);
+            let bits = frame.bits;
+            let whole = rates.time(bits);
+            let permillion =
+                u64::from(self.config.wires.wrong_bits) * u64::from(bits.nominal + bits.data);
+            let destroyed = self.draws_below(permillion, 1_000_000_000);
+            let takes = if destroyed {
+                // Anywhere in the frame, and the error frame.
+                let part = Duration::from_ns(self.draw_below(whole.as_ns()));
+                part + rates.time(Bits::ERROR)
+            } else {
+                whole
+            };
+            self.transit.on_air = Some(OnAir {
+                ends_ns: now_ns + takes.as_ns(),
+                frame: Some(frame),
+                destroyed,
+            });
+        }
+    }
+
+    /// Whether the output waits for the end of the core's job; if not, it is for the caller to do.
+    pub(crate) fn holds(&mut self, from: CoreAddress, output: impl FnOnce() -> Output) -> bool {
+        let core = self.core(from);
+        if let Some(job) = core.job {
+            core.outbox.push((job, output()));
+        }
+        core.job.is_some()
+    }
+
+    /// A full receiver or buffer loses what arrives: its sender has gone on.
+    pub(crate) fn put_out(&mut self, from: CoreAddress, output: Output) {
+        match output {
+            Output::Edge(line, edge) => self.send_edge(from.system, line, edge),
+            Output::Datagram(words) => {
+                let _full: Result<(), LinkFull> = self.send_link(from.system, &words);
+            }
+            Output::Frame(frame) => {
+                let _full: Result<(), TransmitFull> = self.send_can(from, &frame);
+            }
+            Output::Service(answer) => self.service_watchdog(from.system, answer),
+        }
     }
 }
 

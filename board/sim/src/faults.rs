@@ -1,6 +1,6 @@
 //! Faults: power, cores, wires, the bus, the flash, the clock.
 
-use crate::config::{BusFault, Clock, Defect};
+use crate::config::{BusFault, Clock, Defect, Tamper};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
@@ -10,9 +10,6 @@ use tandem_board::{
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::memory::scribble;
 use tandem_peripherals::wires::Wire;
-
-/// What becomes of a frame.
-pub type Tamper = fn(&CanFrame) -> CanFrame;
 
 /// Faults.
 impl SimPair {

@@ -1,8 +1,8 @@
 //! The state of the two systems and of their connections.
 
-use crate::config::{BusFault, Config, Defect};
+use crate::config::{BusFault, Config, Defect, Tamper};
 use crate::digest::Digest;
-use crate::faults::Tamper;
+use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use crate::flash::Flash;
 use crate::outbox::Output;
 use crate::transit::Transit;
@@ -13,58 +13,14 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, Received,
-    ResetCause, ResetRequest, RoleLamp, SystemId, Traced,
+    RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
-use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::{self, Power, Supply};
 use tandem_peripherals::wires::Cuts;
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;
-
-/// A frame on the CAN bus.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct OnBus {
-    /// When, in virtual time.
-    pub at: Instant,
-    /// Its sender.
-    pub sender: Sender,
-    /// The frame.
-    pub frame: CanFrame,
-}
-
-/// An event of a system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SystemEvent {
-    /// When, in virtual time.
-    pub at: Instant,
-    /// The system.
-    pub system: SystemId,
-    /// The event.
-    pub kind: SystemEventKind,
-}
-
-/// What happened to a system.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum SystemEventKind {
-    /// Power was switched on, or the supply released the reset: the cores start.
-    Started(ResetCause),
-    /// Power was lost.
-    PowerLost,
-    /// A core requested a reset.
-    Requested(CoreId, ResetRequest),
-    /// The supply holds the system in reset for this cause.
-    Reset(ResetCause),
-    /// The supply holds the system in reset for good.
-    Suspended,
-    /// A core died.
-    CoreDied(CoreId),
-    /// A single core began a new incarnation.
-    CoreRestarted(CoreId),
-    /// The system shows another role.
-    Lamp(RoleLamp),
-}
 
 /// How a core gets its interrupts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,8 @@
 
 use crate::board::{Poller, Port, SimBoard};
 use crate::config::{Config, Order};
-use crate::machine::{Attention, OnBus, Shared, SystemEvent};
+use crate::event::{OnBus, SystemEvent};
+use crate::machine::{Attention, Shared};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;

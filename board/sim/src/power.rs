@@ -1,8 +1,9 @@
 //! The supplies: power, resets, watchdogs, and the effect of a power loss on the flash.
 
 use crate::config::Defect;
+use crate::event::SystemEventKind;
 use crate::flash::Flash;
-use crate::machine::{Core, Machine, SystemEventKind};
+use crate::machine::{Core, Machine};
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };

@@ -1,6 +1,6 @@
 //! The world outside the two systems, as a function that is called once a millisecond.
 
-use crate::machine::OnBus;
+use crate::event::OnBus;
 use tandem_board::{CanFrame, Carried, CoreId, Instant, RoleLamp, SystemId, VehicleBus};
 use tandem_peripherals::codec::Sender;
 

@@ -101,7 +101,7 @@ flash.
   tandem sim --group single                    each fault at 20 moments, with its bound
   tandem sim --only random:137 --save my.toml  one of them as a story, and as a file to change
   tandem sim --faults my.toml --seeds 20       that file
-  tandem sim --group swarm --time typical      each seed also chooses kinds of faults; things take time
+  tandem sim --group swarm --time typical      each seed chooses kinds of faults; things take time
   tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
   tandem sim --merge a.json b.json             both thousands as one
 

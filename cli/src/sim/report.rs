@@ -68,7 +68,7 @@ pub(super) fn of(
         suspended: outcomes.iter().filter(|it| it.suspended > 0).count() as u64,
         simulated_ns: outcomes.iter().map(|outcome| outcome.simulated_ns).sum(),
         gap_ns: outcomes.iter().map(|it| it.gap_ns).max().unwrap_or(0),
-        digest: outcomes.iter().fold(0, |sum, it| mixed(sum, it)),
+        digest: outcomes.iter().fold(0, mixed),
         covered: Coverage::of(outcomes),
         ..Summary::default()
     };

@@ -1,17 +1,24 @@
 //! A slice of `tandem sim`.
 
-use tandem_board::{CoreId, Duration, Instant, ResetCause, RoleLamp, SystemId, Traced};
+use tandem_board::{CoreId, Duration, Edge, Instant, Line, ResetCause, RoleLamp, SystemId, Traced};
 use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
-use tandem_cores::trace::Event;
+use tandem_cores::task_table::{CORE_0, TaskCode};
+use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Bench, Fault, Group, Kind, Row, Sequence, Verdict, Way};
+use tandem_sim::faults::{Bench, Fault, Group, Kind, Profile, Row, Sequence, Verdict, Way};
+use tandem_sim::timing::Time;
+
+fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
+    try_in(Time::Ideal, group, numbers);
+}
 
 /// Runs these sequences. Fails on what is not known to be violated.
-fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
+fn try_in(time: Time, group: Group, numbers: impl Iterator<Item = u64>) {
+    let limits = Config::rt();
     let mut bad = vec![];
     for number in numbers {
         let sequence: Sequence = group.sequence(number);
-        let verdict = sequence.try_run(Config::rt());
+        let verdict = sequence.try_run(Profile { limits, time });
         if verdict
             .violations
             .iter()
@@ -47,6 +54,79 @@ fn two_faults_within_one_system_are_contained() {
 #[test]
 fn in_the_end_the_vehicle_obeys_a_master() {
     try_all(Group::Random, 0..200);
+}
+
+/// T-RED-9: the bounds hold, with what time adds to them, where jobs, the bus and the lines take
+/// time and the clocks drift apart.
+#[test]
+fn the_bounds_hold_where_things_take_time() {
+    let count = Group::Single.count().expect("a finite group");
+    for time in [Time::Typical, Time::Worst] {
+        try_in(time, Group::Single, (0..count).step_by(171));
+        try_in(time, Group::Swarm, 0..12);
+    }
+    // A loses power while its status frame is on the bus. What arrived of it in a bus that finishes
+    // such a frame made B distrust the level line.
+    try_in(Time::Typical, Group::Single, 1420..1421);
+}
+
+/// A job of control is interrupted by the roles, and what it sends leaves when it ends.
+#[test]
+fn the_roles_pre_empt_what_is_less_urgent() {
+    let profile = Profile {
+        limits: Config::rt(),
+        time: Time::Worst,
+    };
+    let mut bench = profile.in_dual_operation(true);
+    for _ in 0..40 {
+        // The doorbell rings at other moments of the millisecond each time.
+        bench.pair.run_for(Duration::from_us(10_050));
+        bench
+            .pair
+            .stray_edge(SystemId::A, Line::Start, Edge::Rising);
+    }
+    let (trace, lost) = bench.pair.take_trace();
+    assert_eq!(lost, 0);
+    let of_a = |traced: &&Traced| traced.system == SystemId::A && traced.core == CoreId::CONTROL;
+    let events: Vec<(Instant, Event)> = trace
+        .iter()
+        .filter(of_a)
+        .filter_map(|traced| Some((traced.at, Event::decode(traced.record)?)))
+        .collect();
+    // What runs, by the trace: never two, and nothing below a task that is in its job.
+    let mut jobs: Vec<TaskCode> = vec![];
+    let (mut runs, mut preempted) = (None, 0);
+    let mut begun = None;
+    for (at, event) in events {
+        match event {
+            Event::TaskIn { task, begin } => {
+                assert_eq!(runs.replace(task), None, "{at:?}");
+                if !jobs.contains(&task) {
+                    jobs.push(task);
+                }
+                let priority = |task: &TaskCode| CORE_0.iter().find(|it| it.code == *task);
+                let priority = |task| priority(task).map(|it| it.priority);
+                let most = jobs.iter().map(priority).max();
+                assert_eq!(most, Some(priority(&task)), "{at:?}");
+                if task == TaskCode::ROLES && matches!(begin, Begin::Released { .. }) {
+                    begun = Some(at);
+                }
+            }
+            Event::TaskOut { task, leaves } => {
+                assert_eq!(runs.take(), Some(task), "{at:?}");
+                if leaves == Leaves::Preempted {
+                    preempted += 1;
+                } else {
+                    jobs.retain(|it| *it != task);
+                }
+                if let Some(begun) = begun.take_if(|_| task == TaskCode::ROLES) {
+                    assert!(at.since(begun) >= Duration::from_us(169), "{at:?}");
+                }
+            }
+            _ => {}
+        }
+    }
+    assert!(preempted > 0);
 }
 
 /// T-RED-6: the transmitter of the standby is dead and the vehicle pauses for longer than an open
