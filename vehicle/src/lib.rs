@@ -26,7 +26,6 @@ pub mod actuators;
 pub mod commonroad;
 mod driver;
 mod error;
-pub mod fuzz;
 pub mod gate;
 pub mod geometry;
 pub mod mastership;

@@ -2,10 +2,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use proptest::prelude::*;
 use tandem_vehicle::commonroad::{self, Class, Map};
 use tandem_vehicle::geometry::Vec2;
-use tandem_vehicle::{Config, Scenario, ScenarioError, World};
+use tandem_vehicle::{Scenario, ScenarioError};
 
 const AREAS: &str = include_str!("../fixtures/commonroad/areas-2018b.xml");
 const SIGN: &str = include_str!("../fixtures/commonroad/sign-2020a.xml");
@@ -259,19 +258,6 @@ fn files_that_ask_for_much_are_refused() {
     }
 }
 
-/// Replays the corpus of the fuzz target: whole files, hostile ones, and what a fuzzer found.
-#[test]
-fn every_input_of_the_corpus_holds() {
-    let corpus = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/corpus/scenario");
-    let inputs: Vec<_> = std::fs::read_dir(corpus).unwrap().collect();
-    assert!(inputs.len() >= 6, "{} inputs", inputs.len());
-    for input in inputs {
-        let path = input.unwrap().path();
-        println!("{}", path.display());
-        tandem_vehicle::fuzz::scenario(&std::fs::read(path).unwrap());
-    }
-}
-
 #[test]
 fn unknown_names_and_unreadable_files_say_what_there_is() {
     let error = Scenario::load("cutin").unwrap_err().to_string();
@@ -296,39 +282,5 @@ fn every_embedded_scenario_has_its_name() {
     assert_eq!(Scenario::names().len(), 6);
     for name in Scenario::names() {
         assert_eq!(Scenario::load(name).unwrap().name(), name);
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(200))]
-
-    /// A damaged file is refused or runs; it never panics.
-    #[test]
-    fn damaged_files_do_no_harm(
-        line in 0_usize..70,
-        other in 0_usize..70,
-        number in prop::sample::select(vec!["0", "-1", "1e9", "1e-300", "NaN", "7", ""]),
-        kind in 0..4,
-    ) {
-        for text in [AREAS, SIGN] {
-            let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
-            let (line, other) = (line % lines.len(), other % lines.len());
-            match kind {
-                0 => { lines.remove(line); }
-                1 => lines.swap(line, other),
-                2 => lines[line] = lines[other].clone(),
-                _ => {
-                    let digits = |c: char| c.is_ascii_digit();
-                    let changed: Vec<_> = lines[line].split(digits).map(str::to_owned).collect();
-                    lines[line] = changed.join(number);
-                }
-            }
-            if let Ok(scenario) = Scenario::parse(&lines.join("\n"), "damaged.xml") {
-                let mut world = World::new(&scenario, Config::default());
-                for ms in 0..60 {
-                    world.step(ms * 1_000_000, &mut |_, _| {});
-                }
-            }
-        }
     }
 }

@@ -180,11 +180,20 @@ enum Campaign {
         #[arg(long)]
         monitor: bool,
     },
-    /// Damage scenario files in many ways: each is refused or drives, within 5 s and 1 GB
-    Scenarios {
-        /// How many files
+    /// Damage good inputs in many ways: their readers refuse or use each, within 5 s and 1 GB
+    Fuzz {
+        /// Readers, by the names in tests/fuzz/src/lib.rs; without one, all
+        targets: Vec<String>,
+        /// How many inputs for each
         #[arg(long, default_value_t = 100_000)]
         count: u64,
+        /// The first input's number; each is made from its number alone
+        #[arg(long, default_value_t = 0)]
+        seed: u64,
+        /// Search with libFuzzer for so long in each instead; needs cargo-fuzz and a nightly
+        /// compiler
+        #[arg(long, conflicts_with_all = ["count", "seed"])]
+        seconds: Option<u64>,
     },
     /// Simulate sequences of faults with and without optimisation: every frame and event must be
     /// the same, to the bit
@@ -276,9 +285,20 @@ fn execute() -> Result<()> {
             }
             run(command)
         }
-        Task::Campaign(Campaign::Scenarios { count }) => {
-            let mut command = campaign(root, "tandem-vehicle", "scenarios");
-            command.arg(count.to_string());
+        Task::Campaign(Campaign::Fuzz {
+            targets,
+            seconds: Some(seconds),
+            ..
+        }) => search(root, &targets, seconds),
+        Task::Campaign(Campaign::Fuzz {
+            targets,
+            count,
+            seed,
+            seconds: None,
+        }) => {
+            let mut command = campaign(root, "tandem-fuzz", "mutate");
+            command.args([seed.to_string(), count.to_string()]);
+            command.args(targets);
             run(command)
         }
         Task::Campaign(Campaign::SimDigest { count }) => sim_digest(root, count),
@@ -424,6 +444,33 @@ fn sim_digest(root: &Path, count: u64) -> Result<()> {
     print!("{release}");
     if dev != release || release.is_empty() {
         bail!("the profile dev gives others:\n{dev}");
+    }
+    Ok(())
+}
+
+/// libFuzzer in each of these targets. What it finds interesting stays in `target/fuzz`.
+fn search(root: &Path, targets: &[String], seconds: u64) -> Result<()> {
+    let corpora = root.join("tests/fuzz/corpus");
+    let mut all = Vec::new();
+    for entry in std::fs::read_dir(&corpora).context("tests/fuzz/corpus")? {
+        all.push(entry?.file_name().to_string_lossy().into_owned());
+    }
+    all.sort();
+    let targets = if targets.is_empty() { &all } else { targets };
+    for target in targets {
+        let found = target_dir(root).join("fuzz").join(target);
+        std::fs::create_dir_all(&found).with_context(|| found.display().to_string())?;
+        // Cargo of the stable compiler does not pass `+nightly` on.
+        let mut command = Command::new("rustup");
+        command.args(["run", "nightly", "cargo", "fuzz", "run"]);
+        command.args(["--fuzz-dir", "tests/fuzz/libfuzzer", "any"]);
+        command.args([found, corpora.join(target)]);
+        command.arg("--");
+        command.arg(format!("-max_total_time={seconds}"));
+        command.args(["-timeout=5", "-rss_limit_mb=1024", "-max_len=8192"]);
+        command.env("TANDEM_FUZZ_TARGET", target).current_dir(root);
+        command.env_remove("RUSTUP_TOOLCHAIN");
+        run(command)?;
     }
     Ok(())
 }

@@ -92,7 +92,7 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
     ),
 ];
 /// The top crates: these may depend on all.
-const ON_TOP: [&str; 3] = ["tandem", "tandem-tests", "xtask"];
+const ON_TOP: [&str; 4] = ["tandem", "tandem-fuzz", "tandem-tests", "xtask"];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
 /// peer.
 const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];

@@ -9,7 +9,6 @@ mod bus_time;
 pub mod cuts;
 mod flash;
 mod flash_file;
-pub mod fuzz;
 pub mod life;
 mod package;
 mod sender;

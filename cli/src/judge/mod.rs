@@ -230,7 +230,7 @@ mod tests {
     fn a_folder_is_judged() {
         let folder = tempfile::tempdir().unwrap();
         let good = include_str!("../../../vehicle/fixtures/commonroad/sign-2020a.xml");
-        let off_road = include_str!("../../../vehicle/fuzz/corpus/scenario/off-road.xml");
+        let off_road = include_str!("../../../tests/fuzz/corpus/scenario/off-road.xml");
         for (name, text) in [("a.xml", good), ("b.xml", off_road), ("c.xml", "<broken")] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }

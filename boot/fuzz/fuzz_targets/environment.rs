@@ -1,4 +1,0 @@
-//! The boot environment.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| tandem_boot_host::fuzz::environment(data));

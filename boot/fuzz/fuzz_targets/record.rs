@@ -1,4 +1,0 @@
-//! The parser of S-records.
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|data: &[u8]| tandem_boot_host::fuzz::record(data));

@@ -1,0 +1,97 @@
+//! Damages good inputs at random and gives them to the readers: `cargo xtask campaign fuzz`.
+//!
+//! Each input must be dealt with in 5 s of a CPU, and all of a target in 1 GB; a panic ends the
+//! campaign, after a line that names the input.
+#![forbid(unsafe_code)]
+#![allow(clippy::print_stdout, reason = "a command line prints")]
+
+use std::process::ExitCode;
+
+use tandem_fuzz::{Mutator, TARGETS, Target};
+
+/// The longest time of an input, s of a CPU, and the memory of all, KiB.
+const TIME_MAX_S: f64 = 5.0;
+const MEMORY_MAX_KIB: u64 = 1 << 20;
+
+fn memory_kib() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.split_whitespace().next()?.parse().ok()
+}
+
+/// Time on a CPU, s: that of the wall would count what a busy machine does besides.
+fn cpu_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/schedstat").unwrap_or_default();
+    let first = text.split_whitespace().next();
+    first.and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
+}
+
+/// Names the input on the way out of a panic.
+struct Trying<'a>(&'a Target, u64);
+
+impl Drop for Trying<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            println!("{}: the input of seed {} fails", self.0.name, self.1);
+        }
+    }
+}
+
+fn run(target: &Target, first: u64, count: u64) -> std::io::Result<bool> {
+    let mutator = Mutator::new(target)?;
+    let (mut accepted, mut slowest) = (0_u64, (0.0, first));
+    for seed in first..first + count {
+        let input = mutator.input(seed);
+        let trying = Trying(target, seed);
+        let begin = cpu_s();
+        accepted += u64::from((target.body)(&input));
+        let took = cpu_s() - begin;
+        drop(trying);
+        if took > slowest.0 {
+            slowest = (took, seed);
+        }
+    }
+    let memory = memory_kib().unwrap_or(0);
+    let (slow_s, seed) = slowest;
+    println!(
+        "{:12} {count} inputs: {accepted} accepted, {} refused; slowest {slow_s:.3} s (seed \
+         {seed}), memory {} MiB",
+        target.name,
+        count - accepted,
+        memory >> 10
+    );
+    Ok(slow_s <= TIME_MAX_S && memory <= MEMORY_MAX_KIB)
+}
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let mut number = || arguments.next()?.parse().ok();
+    let (Some(first), Some(count)) = (number(), number()) else {
+        println!("usage: mutate FIRST-SEED COUNT [TARGET…]");
+        return ExitCode::from(2);
+    };
+    let wanted: Vec<String> = arguments.collect();
+    if let Some(unknown) = wanted.iter().find(|it| tandem_fuzz::target(it).is_none()) {
+        println!("there is no target {unknown:?}: {}", names().join(", "));
+        return ExitCode::from(2);
+    }
+    let is_wanted =
+        |target: &&Target| wanted.is_empty() || wanted.iter().any(|it| it == target.name);
+    let mut good = true;
+    for target in TARGETS.iter().filter(is_wanted) {
+        match run(target, first, count) {
+            Ok(held) => good &= held,
+            Err(error) => {
+                println!("{}: {error}", target.folder().display());
+                good = false;
+            }
+        }
+    }
+    ExitCode::from(u8::from(!good))
+}
+
+fn names() -> Vec<&'static str> {
+    TARGETS.iter().map(|target| target.name).collect()
+}

@@ -1,0 +1,53 @@
+//! Files that a user writes: scenarios and lists of faults.
+
+use tandem_sim::faults::Sequence;
+use tandem_vehicle::{Config, Scenario, World};
+
+/// A scenario file is refused, or its world runs for 60 ms without a controller.
+///
+/// # Panics
+/// If the reader or the world panics, or a position is no number.
+pub(crate) fn scenario(data: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(data) else {
+        return false;
+    };
+    let Ok(scenario) = Scenario::parse(text, "fuzzed.xml") else {
+        return false;
+    };
+    let mut world = World::new(&scenario, Config::default());
+    for ms in 0..60 {
+        world.step(ms * 1_000_000, &mut |_, _| {});
+    }
+    for vehicle in &world.snapshot().vehicles {
+        let at = vehicle.pose.position;
+        assert!(
+            at.x.is_finite() && at.y.is_finite() && vehicle.speed.is_finite(),
+            "vehicle {} is at {at:?} with {} m/s",
+            vehicle.id,
+            vehicle.speed
+        );
+    }
+    assert!(world.snapshot().lateral_offset.is_finite());
+    true
+}
+
+/// A file of faults is refused, or is the same when it is written and read again.
+///
+/// # Panics
+/// If it is another.
+pub(crate) fn faults(data: &[u8]) -> bool {
+    let Ok(text) = std::str::from_utf8(data) else {
+        return false;
+    };
+    let Ok(read) = Sequence::from_toml(text, 0) else {
+        return false;
+    };
+    let text = read.to_toml().expect("what was read can be written");
+    let again = Sequence::from_toml(&text, 0).expect("what was written can be read");
+    assert_eq!(again.faults, read.faults, "{text}");
+    assert_eq!(
+        (again.span, again.from_power_on),
+        (read.span, read.from_power_on)
+    );
+    true
+}

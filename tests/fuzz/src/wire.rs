@@ -1,0 +1,192 @@
+//! What another system or another node sends, and what a core that died left in its flash.
+
+use crc::{CRC_32_ISO_HDLC, Crc};
+use tandem_board::{CanFrame, CanId, FlashStatus, Instant, SystemId};
+use tandem_bus::{DecodeError, FRAMES, Message, Receiver, Transmitter, e2e};
+use tandem_record::{Entry, RunLog, file, takeovers};
+use tandem_redundancy::{FlashOp, Geometry, LinkReport, Loaded, StateStore, SystemState};
+use tandem_vehicle::world_loop::LoggedFrame;
+
+const CRC: Crc<u32> = Crc::<u32>::new(&CRC_32_ISO_HDLC);
+
+/// Flags, id, time, then data: the line of the CAN log says all of it in candump's format.
+///
+/// # Panics
+/// If it says something else.
+pub(crate) fn candump(bytes: &[u8]) -> bool {
+    let Some((head, data)) = bytes.split_first_chunk::<13>() else {
+        return false;
+    };
+    let [flags, id @ .., _, _, _, _, _, _, _, _] = *head;
+    let id = u32::from_le_bytes(id);
+    let mut time = [0; 8];
+    time.copy_from_slice(&head[5..]);
+    let at = Instant::from_ns(u64::from_le_bytes(time));
+    let id = if flags & 1 == 0 {
+        CanId::Standard(id as u16)
+    } else {
+        CanId::Extended(id)
+    };
+    let Ok(frame) = CanFrame::new(id, flags & 2 != 0, data) else {
+        return false;
+    };
+    let (sent, verdict) = (at, None);
+    let logged = LoggedFrame {
+        at,
+        sent,
+        frame,
+        verdict,
+    };
+    let epoch_us = 1_700_000_000_000_000;
+    let line = file::candump_line(&logged, epoch_us);
+    let (time, rest) = line.split_once(' ').expect("a time");
+    let (_, content) = rest.split_once(' ').expect("an interface");
+    let time = time.trim_start_matches('(').trim_end_matches(')');
+    let (seconds, micros) = time.split_once('.').expect("a fraction");
+    assert_eq!(micros.len(), 6, "{line}");
+    let number = |text: &str| text.parse::<u64>().expect("digits");
+    assert_eq!(
+        number(seconds) * 1_000_000 + number(micros),
+        epoch_us + at.as_ns() / 1_000
+    );
+    let (number, data) = content.split_once('#').expect("an id");
+    let read = u32::from_str_radix(number, 16).expect("hexadecimal digits");
+    let read = match number.len() {
+        3 => CanId::Standard(read as u16),
+        8 => CanId::Extended(read),
+        _ => panic!("{line}"),
+    };
+    let (is_fd, data) = match data.strip_prefix('#') {
+        Some(fd) => (true, &fd[1..]),
+        None => (false, data),
+    };
+    let (pairs, odd) = data.as_bytes().as_chunks::<2>();
+    let pairs = pairs.iter().map(|pair| {
+        let text = std::str::from_utf8(pair).expect("ASCII");
+        u8::from_str_radix(text, 16).expect("hexadecimal digits")
+    });
+    let data: Vec<u8> = pairs.collect();
+    assert_eq!((read, is_fd, odd), (frame.id(), frame.is_fd(), &b""[..]));
+    assert_eq!(data, frame.data(), "{line}");
+    true
+}
+
+/// A frame's number in the DBC, a counter, then its data: with the right end-to-end protection it
+/// is decoded or refused; what is decoded is decoded again from what is sent of it.
+///
+/// # Panics
+/// If another message comes back.
+pub(crate) fn message(bytes: &[u8]) -> bool {
+    let [number, counter, data @ ..] = bytes else {
+        return false;
+    };
+    let id = FRAMES[usize::from(*number) % FRAMES.len()].id;
+    let mut data = data.to_vec();
+    // A node that sends nonsense; noise on the wire nearly never gets past the checksum.
+    e2e::protect(id, *counter, &mut data);
+    let mut receiver = Receiver::new();
+    let Ok(message) = receiver.receive(id.into(), &data) else {
+        return false;
+    };
+    let encoded = Transmitter::new().encode(&message);
+    assert_eq!(encoded.id, id);
+    let again = Message::decode(id.into(), encoded.data());
+    let twice = again.map(|message| Transmitter::new().encode(&message));
+    let twice: Result<Vec<u8>, DecodeError> = twice.map(|it| it.data().to_vec());
+    assert_eq!(twice.as_deref(), Ok(encoded.data()), "{message:?}");
+    true
+}
+
+/// The words of a datagram; with an odd number of bytes, its last word is made the right checksum.
+///
+/// # Panics
+/// If a report is accepted that is sent in other words.
+pub(crate) fn link(bytes: &[u8]) -> bool {
+    let (words, rest) = bytes.as_chunks::<4>();
+    let mut words: Vec<u32> = words.iter().map(|word| u32::from_le_bytes(*word)).collect();
+    if !rest.is_empty()
+        && let Some((check, content)) = words.split_last_mut()
+    {
+        let content: Vec<u8> = content.iter().flat_map(|word| word.to_le_bytes()).collect();
+        *check = CRC.checksum(&content);
+    }
+    let Some(report) = LinkReport::from_words(&words) else {
+        return false;
+    };
+    assert_eq!(report.to_words()[..], words[..]);
+    true
+}
+
+/// Bytes of a sector.
+const SECTOR: usize = 128;
+
+/// Two sectors of the data flash, as a loss of power or wear left them: a state is found or not;
+/// then states can be written, and the last one is found. With an odd number of bytes, all
+/// records have the right checksum.
+///
+/// # Panics
+/// If it is not.
+pub(crate) fn flash(bytes: &[u8]) -> bool {
+    let mut flash = [0xFF; 2 * SECTOR];
+    for (cell, byte) in flash.iter_mut().zip(bytes) {
+        *cell = *byte;
+    }
+    if bytes.len() % 2 == 1 {
+        for record in flash.as_chunks_mut::<{ SystemState::BYTES }>().0 {
+            if record.iter().any(|byte| *byte != 0xFF) {
+                let (content, check) = record.split_at_mut(SystemState::BYTES - 4);
+                check.copy_from_slice(&CRC.checksum(content).to_le_bytes());
+            }
+        }
+    }
+    let geometry = Geometry::first_sectors(SECTOR as u32);
+    let load = |flash: &[u8]| {
+        StateStore::load(geometry, |offset, into| {
+            into.copy_from_slice(&flash[offset as usize..][..into.len()]);
+            Ok(())
+        })
+    };
+    let (mut store, found) = load(&flash);
+    for number in 0..6 {
+        let state = SystemState {
+            total_resets: 1_000_000 + number,
+            ..SystemState::factory(SystemId::B)
+        };
+        store.request(state);
+        while let Some(op) = store.poll(FlashStatus::Idle) {
+            let (at, new) = match &op {
+                FlashOp::Erase { sector } => (*sector as usize * SECTOR, &[0xFF; SECTOR][..]),
+                FlashOp::Program { offset, data } => (*offset as usize, &data[..]),
+            };
+            if let FlashOp::Program { .. } = op {
+                let old = &flash[at..at + new.len()];
+                assert!(old.iter().all(|byte| *byte == 0xFF), "not erased");
+            }
+            flash[at..at + new.len()].copy_from_slice(new);
+        }
+        assert_eq!(store.durable(), Some(&state));
+        assert_eq!(load(&flash).1, Loaded::State(state));
+    }
+    matches!(found, Loaded::State(_))
+}
+
+/// A recording is refused, or can be analysed.
+///
+/// # Panics
+/// If an entry is another one when it is written and read again, or the analysis panics.
+pub(crate) fn recording(bytes: &[u8]) -> bool {
+    let mut log = RunLog::default();
+    let read = file::parse(bytes, |entry| {
+        if let Entry::Frame(frame) = &entry {
+            let mut written = Vec::new();
+            entry.write(&mut written).expect("memory can be written");
+            let same = |again: Entry| assert!(matches!(again, Entry::Frame(f) if f == *frame));
+            file::parse(&written, same).expect("what was written can be read");
+            let _ = file::candump_line(frame, 0);
+        }
+        log.push(entry);
+    });
+    log.sort();
+    let _ = takeovers(&log);
+    read.is_ok()
+}
