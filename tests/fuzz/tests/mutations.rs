@@ -12,12 +12,12 @@ fn what_was_found_and_what_is_near_it_holds() {
         let Target { name, body, .. } = target;
         let corpus = target.corpus().unwrap();
         assert!(corpus.len() >= 3, "{name} has {} inputs", corpus.len());
-        let mut accepted = 0;
         for (path, input) in &corpus {
             println!("{}", path.display());
-            accepted += u64::from(body(input));
+            let accepted = body(input);
+            let file = path.file_name().unwrap().to_string_lossy();
+            assert!(accepted || !file.starts_with("seed-"), "refused");
         }
-        assert!(accepted > 0, "{name}: nothing in its corpus is accepted");
         let mutator = Mutator::new(target).unwrap();
         let mut taken = 0;
         for seed in 0..MUTATIONS {
