@@ -837,8 +837,12 @@ pub struct DriverRequest {
     pub overrides: bool,
     /// Where the route leads: to the lane on the left or right, or on in the own lane; Free: anywhere.
     pub route: Route,
+    /// The shorter of the two distances to the vehicle ahead.
+    pub near_gap: bool,
     /// Desired speed. 0 ..= 655.35 m/s in steps of 0.01
     pub set_speed: f32,
+    /// Desired place in the own lane, from its centre, left positive; as far as the lane has room. -1.28 ..= 1.27 m in steps of 0.01
+    pub lane_offset: f32,
 }
 
 impl DriverRequest {
@@ -875,6 +879,14 @@ impl DriverRequest {
         min: 0,
         max: 3,
     };
+    pub(crate) const NEAR_GAP: Signal = Signal {
+        name: "NearGap",
+        start: 28,
+        len: 1,
+        factor: 1.0,
+        min: 0,
+        max: 1,
+    };
     pub(crate) const SET_SPEED: Signal = Signal {
         name: "SetSpeed",
         start: 32,
@@ -882,6 +894,14 @@ impl DriverRequest {
         factor: 0.01,
         min: 0,
         max: 65535,
+    };
+    pub(crate) const LANE_OFFSET: Signal = Signal {
+        name: "LaneOffset",
+        start: 48,
+        len: 8,
+        factor: 0.01,
+        min: -128,
+        max: 127,
     };
 
     /// Writes all signals except the end-to-end protection, whose bytes become zero. Values out of
@@ -891,7 +911,9 @@ impl DriverRequest {
         Self::ENGAGE.put(data, i64::from(self.engage));
         Self::OVERRIDES.put(data, i64::from(self.overrides));
         Self::ROUTE.put(data, self.route as i64);
+        Self::NEAR_GAP.put(data, i64::from(self.near_gap));
         Self::SET_SPEED.put_physical(data, self.set_speed);
+        Self::LANE_OFFSET.put_physical(data, self.lane_offset);
     }
 
     /// Reads the signals. The end-to-end protection is not checked.
@@ -907,18 +929,22 @@ impl DriverRequest {
             engage: Self::ENGAGE.get(data)? != 0,
             overrides: Self::OVERRIDES.get(data)? != 0,
             route: Route::from_raw(Self::ROUTE.get(data)?).ok_or(Self::ROUTE.invalid())?,
+            near_gap: Self::NEAR_GAP.get(data)? != 0,
             set_speed: Self::SET_SPEED.get_physical(data)?,
+            lane_offset: Self::LANE_OFFSET.get_physical(data)?,
         })
     }
 
     /// The values by their names in the DBC: physical ones, flags and tables as numbers.
     #[must_use]
-    pub fn values(&self) -> [(&'static str, f64); 4] {
+    pub fn values(&self) -> [(&'static str, f64); 6] {
         [
             ("Engage", f64::from(u8::from(self.engage))),
             ("Overrides", f64::from(u8::from(self.overrides))),
             ("Route", f64::from(self.route as u8)),
+            ("NearGap", f64::from(u8::from(self.near_gap))),
             ("SetSpeed", f64::from(self.set_speed)),
+            ("LaneOffset", f64::from(self.lane_offset)),
         ]
     }
 }

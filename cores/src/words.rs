@@ -185,7 +185,7 @@ impl Payload for Object {
 
 impl Payload for Scene {
     const WORDS: usize =
-        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 1 + 1 + MAX_OBJECTS * Object::WORDS;
+        2 + 2 + 1 + Ego::WORDS + 1 + Lanes::WORDS + 2 + 2 + 1 + MAX_OBJECTS * Object::WORDS;
 
     fn store(&self, put: &mut impl FnMut(u32)) {
         put_instant(put, self.at);
@@ -198,7 +198,8 @@ impl Payload for Scene {
             None => (0..Lanes::WORDS).for_each(|_| put(0)),
         }
         put_option(put, self.set_speed);
-        put(self.route as u32);
+        put(self.route as u32 | u32::from(self.near_gap) << 8);
+        put(self.lane_offset.to_bits());
         put(self.objects.len() as u32);
         self.objects.iter().for_each(|object| object.store(put));
         (self.objects.len() * Object::WORDS..MAX_OBJECTS * Object::WORDS).for_each(|_| put(0));
@@ -213,8 +214,11 @@ impl Payload for Scene {
         let missing = u8::try_from(seen_and_missing >> 8).map_err(|_| Corrupt)?;
         let lanes = Lanes::load(take)?;
         let set_speed = option(take)?;
-        let route = take() as usize;
-        let route = *Route::ALL.get(route).ok_or(Corrupt)?;
+        let route_and_gap = take();
+        let route = route_and_gap & 0xFF;
+        let route = *Route::ALL.get(route as usize).ok_or(Corrupt)?;
+        let near_gap = flag(&mut || route_and_gap >> 8)?;
+        let lane_offset = f32::from_bits(take());
         let count = take() as usize;
         if count > MAX_OBJECTS {
             return Err(Corrupt);
@@ -232,6 +236,8 @@ impl Payload for Scene {
             lanes: seen.then_some(lanes),
             set_speed,
             route,
+            near_gap,
+            lane_offset,
             objects,
         })
     }
@@ -414,6 +420,8 @@ mod tests {
             lanes: Some(lanes),
             set_speed: Some(30.0),
             route: Route::Right,
+            near_gap: true,
+            lane_offset: -0.3,
             objects: Vec::from_slice(&[Object::truck(); 3]).unwrap(),
         }
     }

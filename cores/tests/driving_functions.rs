@@ -217,13 +217,16 @@ fn the_drivers_request_is_passed_on() {
         let request = DriverRequest {
             overrides: false,
             route: Route::Left,
+            near_gap: engage,
             engage,
             set_speed: 30.0,
+            lane_offset: -0.3,
         };
         feed.perception
             .on_message(feed.now, &Message::DriverRequest(request));
         let scene = feed.cycle(&[], true);
-        assert_eq!(scene.route, Route::Left);
+        assert_eq!((scene.route, scene.near_gap), (Route::Left, engage));
+        assert_eq!(scene.lane_offset, -0.3);
         let set = scene.set_speed;
         assert_eq!(set.is_some_and(|set| (set - 30.0).abs() < 0.01), engage);
     }
@@ -249,6 +252,8 @@ fn scene(ms: u64, speed: f32, objects: &[Object]) -> Scene {
         lanes: Some(lanes()),
         set_speed: Some(30.0),
         route: Route::Free,
+        near_gap: false,
+        lane_offset: 0.0,
         objects: objects.iter().copied().collect(),
     }
 }
@@ -329,6 +334,104 @@ fn brakes_for_a_standing_obstacle() {
     assert_eq!(plan.maneuver, Maneuver::Brake);
     let last = plan.points[40];
     assert!(last.speed < 0.5 && last.x < 45.0 - 4.5, "{last:?}");
+}
+
+/// Who comes towards the vehicle or crosses its way is braked for if they would meet, and not for
+/// being in the lane at a time when the vehicle is not there, or seems to be far away.
+#[test]
+fn only_who_would_be_met_is_braked_for() {
+    let moving = |x: f32, y: f32, vx: f32, vy: f32| Object {
+        vy,
+        ..object(x, y, vx)
+    };
+    for (name, speed, met, brakes) in [
+        (
+            "comes, in its lane",
+            12.5,
+            moving(31.0, 2.6, -11.6, -0.6),
+            false,
+        ),
+        (
+            "comes, far away",
+            12.5,
+            moving(85.0, 1.6, -13.8, 0.0),
+            false,
+        ),
+        (
+            "comes, in the own lane",
+            12.5,
+            moving(50.0, 0.2, -11.6, 0.0),
+            true,
+        ),
+        (
+            "turns off, far away",
+            8.0,
+            moving(83.0, -2.7, -15.7, -6.3),
+            false,
+        ),
+        (
+            "crosses behind",
+            10.0,
+            moving(10.0, 12.0, -1.0, -4.0),
+            false,
+        ),
+        ("crosses before", 10.0, moving(40.0, -8.0, 0.5, 6.0), false),
+        (
+            "crosses in the way",
+            10.0,
+            moving(20.0, -7.0, 0.0, 3.5),
+            true,
+        ),
+    ] {
+        let mut scene = scene(0, speed, &[met]);
+        scene.lanes.as_mut().unwrap().left = None;
+        scene.set_speed = Some(speed);
+        let plan = Planner::new().plan(&scene);
+        let hardest = plan.points.iter().map(|p| p.acceleration);
+        let hardest = hardest.fold(0.0, f32::min);
+        assert_eq!(hardest < -4.0, brakes, "{name}: {hardest}");
+    }
+}
+
+/// The driver may ask for the shorter distance, and for a place in the lane as far as there is room.
+#[test]
+fn the_driver_chooses_distance_and_place() {
+    let plan = |near_gap: bool, lane_offset: f32| {
+        let mut scene = scene(0, 20.0, &[object(29.5, 0.0, 20.0)]);
+        scene.lanes.as_mut().unwrap().left = None;
+        Planner::new().plan(&Scene {
+            near_gap,
+            lane_offset,
+            ..scene
+        })
+    };
+    let [far, near] = [false, true].map(|near| plan(near, 0.0).points[40].speed);
+    assert!(far < 19.7 && near > 19.9, "{far} {near}");
+    // The lane is 3.5 m wide, the vehicle 1.6 m, and 0.2 m stay free.
+    for (asked, expected) in [(0.0, 0.0), (-0.5, -0.5), (1.2, 0.75)] {
+        let y = plan(false, asked).points[40].y;
+        assert!((y - expected).abs() < 0.03, "{asked} {y}");
+    }
+}
+
+/// From standstill a free lane beside is taken around what stands ahead; not where there is none,
+/// or no room to turn out.
+#[test]
+fn from_standstill_a_free_lane_is_taken() {
+    for (gap, left, expected) in [
+        (9.0, Some(3.5), Maneuver::ChangeLeft),
+        (9.0, None, Maneuver::Follow),
+        (3.0, Some(3.5), Maneuver::Follow),
+    ] {
+        let mut planner = Planner::new();
+        let mut last = Maneuver::Follow;
+        for cycle in 0..24 {
+            let mut scene = scene(1_000 + 50 * cycle, 0.0, &[object(4.5 + gap, 0.0, 0.0)]);
+            scene.lanes.as_mut().unwrap().left = left;
+            last = planner.plan(&scene).maneuver;
+        }
+        assert_eq!(last, expected, "{gap} {left:?}");
+    }
 }
 
 /// Without lanes the plan follows the driven curve, slower and slower.

@@ -278,6 +278,24 @@ mod tests {
         )));
     }
 
+    /// Each of the four axes is the only one that separates some pair: a corner points to the front
+    /// or to the flank of the other rectangle.
+    #[test]
+    fn no_axis_can_be_left_out() {
+        let a = rectangle(0.0, 0.0, 0.0);
+        // Turned by 45 degrees it reaches so far along x and along y.
+        let reach = (2.0 + 1.0) / 2.0_f64.sqrt();
+        for (to_side, overlaps) in [(-0.05, true), (0.05, false)] {
+            for b in [
+                rectangle(2.0 + reach + to_side, 0.0, PI / 4.0),
+                rectangle(0.0, 1.0 + reach + to_side, PI / 4.0),
+            ] {
+                assert_eq!(a.overlaps(&b), overlaps, "{b:?}");
+                assert_eq!(b.overlaps(&a), overlaps, "{b:?}");
+            }
+        }
+    }
+
     #[test]
     fn a_pose_maps_there_and_back() {
         let pose = Pose {

@@ -22,7 +22,7 @@ const STANDING: f64 = 0.1;
 /// Who moves to the side faster than this does so on purpose, m/s.
 const SWERVING: f64 = 0.3;
 /// Stronger braking is named with its reason, m/s².
-const HARD_BRAKING: f64 = 4.0;
+pub(crate) const HARD_BRAKING: f64 = 4.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
@@ -141,6 +141,8 @@ pub struct HardBraking {
     pub gap_m: f64,
     /// Distance to the end of the lane or of the domain then, m; infinite without one.
     pub end_m: f64,
+    /// Distance to the nearest other road user in front, in whichever lane, m; infinite without one.
+    pub beside_m: f64,
 }
 
 impl HardBraking {
@@ -151,8 +153,11 @@ impl HardBraking {
             Self { ttc_s, gap_m, .. } if *ttc_s < 6.0 => {
                 format!("vehicle {gap_m:.0} m ahead, {ttc_s:.1} s to a collision")
             }
-            Self { end_m, .. } if *end_m < 150.0 => format!("the lane ends in {end_m:.0} m"),
+            Self { end_m, .. } if *end_m < 50.0 => format!("the lane ends in {end_m:.0} m"),
             Self { gap_m, .. } if *gap_m < 50.0 => format!("vehicle {gap_m:.0} m ahead"),
+            Self { beside_m, .. } if *beside_m < 50.0 => {
+                format!("road user {beside_m:.0} m away, not in the lane yet")
+            }
             _ => "nothing seen ahead".to_owned(),
         }
     }
@@ -174,6 +179,8 @@ pub(crate) struct Sample {
     pub(crate) pose: Pose,
     pub(crate) gap: f64,
     pub(crate) ttc: f64,
+    /// Distance to the nearest other in front, in whichever lane, m, while the ego brakes hard.
+    pub(crate) beside: f64,
     /// Distance to the end of the lane, m.
     pub(crate) end: f64,
     /// Distance to the end of the operational design domain, m.
@@ -242,6 +249,7 @@ impl Meter {
                 ttc_s: sample.ttc,
                 gap_m: sample.gap,
                 end_m: sample.end.min(sample.domain_end),
+                beside_m: sample.beside,
             });
         }
         let Sample { pose, speed, .. } = *sample;
@@ -448,6 +456,7 @@ mod tests {
                     pose: Pose::default(),
                     gap: f64::INFINITY,
                     ttc: f64::INFINITY,
+                    beside: f64::INFINITY,
                     end: f64::INFINITY,
                     domain_end: f64::INFINITY,
                 });

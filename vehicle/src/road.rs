@@ -1,8 +1,7 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
-//! Lanelets are chained into lanes: each continues with the successor that bends least. Centre
-//! lines
-//! are smoothed, because maps have corners where roads have curves (US-101 has points every few
+//! Lanelets are chained into lanes: each continues with the successor that bends least among those
+//! that are no dead end. Centre lines are smoothed, because maps have corners where roads have curves (US-101 has points every few
 //! metres with noise, A9 one every hundred with corners of 0.02 rad).
 //!
 //! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
@@ -518,37 +517,83 @@ mod tests {
         }
     }
 
+    fn lanelet(
+        id: i64,
+        points: [(f64, f64); 2],
+        successors: &[i64],
+        predecessors: &[i64],
+    ) -> Lanelet {
+        let bound = |side: f64| points.map(|(x, y)| Vec2::new(x, y + side)).to_vec();
+        Lanelet {
+            id,
+            left: bound(1.75),
+            right: bound(-1.75),
+            predecessors: predecessors.to_vec(),
+            successors: successors.to_vec(),
+            left_neighbour: None,
+            right_neighbour: None,
+            speed_limit: None,
+        }
+    }
+
+    fn lanelets_of(road: &Road) -> Vec<Vec<i64>> {
+        let lanes = road.lanes().iter();
+        lanes.map(|lane| lane.lanelets.clone()).collect()
+    }
+
     /// At a fork a lane continues straight; the branch begins there and is a lane of its own.
     #[test]
     fn a_fork_makes_two_lanes() {
-        let lanelet = |id, points: [(f64, f64); 2], successors: &[i64], predecessors: &[i64]| {
-            let bound = |side: f64| points.map(|(x, y)| Vec2::new(x, y + side)).to_vec();
-            Lanelet {
-                id,
-                left: bound(1.75),
-                right: bound(-1.75),
-                predecessors: predecessors.to_vec(),
-                successors: successors.to_vec(),
-                left_neighbour: None,
-                right_neighbour: None,
-                speed_limit: None,
-            }
-        };
         let road = Road::new(&[
             lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2, 3], &[]),
             lanelet(2, [(200.0, 0.0), (400.0, -60.0)], &[], &[1]),
             lanelet(3, [(200.0, 0.0), (400.0, 2.0)], &[], &[1]),
         ])
         .unwrap();
-        let lanes: Vec<_> = road
-            .lanes()
-            .iter()
-            .map(|lane| lane.lanelets.clone())
-            .collect();
-        assert_eq!(lanes, [vec![1, 3], vec![2]]);
+        assert_eq!(lanelets_of(&road), [vec![1, 3], vec![2]]);
         assert!(road.lane(LaneId(0)).begin.is_none() && road.lane(LaneId(1)).begin.is_some());
         assert!(road.lanes().iter().all(|lane| lane.end.is_none()));
         let (lane, _) = road.locate(Vec2::new(150.0, 0.0), 0.0);
         assert_eq!(lane, LaneId(0));
+    }
+
+    /// At a fork a lane does not continue with what ends soon: the straighter branch is a dead end,
+    /// unless both are, or it is long.
+    #[test]
+    fn a_dead_end_is_not_chosen_at_a_fork() {
+        let fork = |straight: f64, further: &[i64]| {
+            lanelets_of(
+                &Road::new(&[
+                    lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2, 3], &[]),
+                    lanelet(2, [(200.0, 0.0), (200.0 + straight, 0.0)], &[], &[1]),
+                    lanelet(3, [(200.0, 0.0), (230.0, 6.0)], further, &[1]),
+                    lanelet(4, [(230.0, 6.0), (600.0, 80.0)], &[], &[3]),
+                ])
+                .unwrap(),
+            )
+        };
+        assert_eq!(fork(30.0, &[4])[0], [1, 3, 4]);
+        assert_eq!(fork(30.0, &[])[0], [1, 2]);
+        assert_eq!(fork(300.0, &[4])[0], [1, 2]);
+    }
+
+    /// Where two lanes lie on each other the drive starts in the one that runs as the vehicle
+    /// stands, though the other one's centre is a little nearer.
+    #[test]
+    fn heading_decides_the_lane_at_the_start() {
+        let road = Road::new(&[
+            lanelet(1, [(0.0, 0.0), (200.0, 0.0)], &[2, 3], &[]),
+            lanelet(2, [(200.0, 0.0), (500.0, 100.0)], &[], &[1]),
+            lanelet(3, [(200.0, 0.0), (500.0, 0.0)], &[], &[1]),
+        ])
+        .unwrap();
+        assert_eq!(lanelets_of(&road), [vec![1, 3], vec![2]]);
+        let branch = road.lane(LaneId(1));
+        let s = branch.begin.unwrap() + 6.0;
+        let point = branch.point(Frenet { s, d: -1.2 });
+        let heading = branch.at(s).heading;
+        assert_eq!(road.locate(point, heading).0, LaneId(0), "it is nearer");
+        assert_eq!(road.locate_start(point, heading).0, LaneId(1));
+        assert_eq!(road.locate_start(point, 0.0).0, LaneId(0));
     }
 }

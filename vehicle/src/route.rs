@@ -11,18 +11,23 @@ use crate::road::{Frenet, LaneId, Road};
 
 /// A goal is in a lane if it is no farther from its centre than this share of the width.
 const IN_LANE: f64 = 0.55;
-/// Lanes that are looked at on each side.
+/// Lanes that are looked at on each side, here and so far ahead, m: lanes open on the way.
 const LANES_ASIDE: usize = 6;
+const AHEAD: [f64; 4] = [0.0, 50.0, 100.0, 150.0];
 /// The speed for the goal differs from the driver's by no more than these factors.
 const HURRY: f64 = 1.3;
 /// A spot is to be reached after this share of its time.
 const EARLY: f64 = 0.2;
+/// A spot at which the ego may stand is driven to at once, and waited for: it is approached with
+/// this time constant, s.
+const STOPS_S: f64 = 2.0;
 /// Nearer in time than this, the speed is not corrected any more, s.
 const NEAR_S: f64 = 0.5;
 /// Speeds inside of the goal's range are kept away from its limits by this much, m/s.
 const SPEED_MARGIN: f64 = 0.7;
-/// Time before the goal in which its range of speeds is driven, s.
-const SPEED_BEFORE_S: f64 = 4.0;
+/// Time before the goal in which its range of speeds is driven from below, and from above, s: to
+/// slow down takes less.
+const SPEED_BEFORE_S: (f64, f64) = (4.0, 1.5);
 /// A goal that is farther behind is passed, m.
 const PASSED: f64 = 2.0;
 
@@ -32,6 +37,10 @@ pub(crate) struct Advice {
     pub(crate) route: Route,
     /// m/s
     pub(crate) set_speed: f64,
+    /// The shorter distance to the vehicle ahead: there is an appointment to keep.
+    pub(crate) near_gap: bool,
+    /// Where in the lane, m from its centre, left positive.
+    pub(crate) lane_offset: f64,
 }
 
 /// Where the ego is.
@@ -61,27 +70,34 @@ impl Navigation {
         let free = Advice {
             route: Route::Free,
             set_speed: self.set_speed,
+            near_gap: false,
+            lane_offset: 0.0,
         };
         let open = |goal: &&Goal| goal.deadline().is_none_or(|end| here.time_s <= end);
         let goal = self.goals.iter().find(|goal| !goal.places.is_empty());
         let Some(goal) = goal.filter(open).filter(|_| !reached) else {
             return free;
         };
-        let found = lanes_beside(road, here).find_map(|(route, lane, own_s)| {
-            let stations = goal.places.iter().filter_map(|place| {
+        let beside = AHEAD
+            .into_iter()
+            .flat_map(|ahead| lanes_beside(road, here, ahead));
+        let found = { beside }.find_map(|(route, lane, own_s)| {
+            let places = goal.places.iter().filter_map(|place| {
                 let at = road.lane(lane).project(*place);
                 let section = road.lane(lane).at(at.s);
                 let is_in = (*place - section.centre).norm() < IN_LANE * section.width;
-                is_in.then_some(at.s - own_s)
+                is_in.then_some((at.s - own_s, at.d))
             });
-            let (from, to) = stations.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), s| {
-                (a.min(s), b.max(s))
-            });
-            (to > -PASSED).then_some((route, from, to))
+            let none = (f64::INFINITY, f64::NEG_INFINITY, 0.0);
+            let (from, to, offset) =
+                places.fold(none, |(from, to, _), (s, d)| (from.min(s), to.max(s), d));
+            (to > -PASSED).then_some((route, from, to, offset))
         });
-        found.map_or(free, |(route, from, to)| Advice {
+        found.map_or(free, |(route, from, to, offset)| Advice {
             route,
             set_speed: self.speed(goal, here.time_s, from, to, route == Route::Keep),
+            near_gap: goal.time.is_some(),
+            lane_offset: if route == Route::Keep { offset } else { 0.0 },
         })
     }
 
@@ -96,7 +112,9 @@ impl Navigation {
         let wanted = if to - from < 5.0 && ends.is_finite() && opens > 0.0 {
             // A spot: early in its time, because traffic may delay; but no slower than needed while
             // the others in the next lane pass.
-            let aim = if in_lane {
+            let aim = if goal.speed.is_some_and(|(low, _)| low <= 0.0) {
+                STOPS_S
+            } else if in_lane {
                 opens + EARLY * (ends - opens)
             } else {
                 opens
@@ -106,20 +124,27 @@ impl Navigation {
             self.set_speed.clamp(slowest, fastest.max(slowest))
         };
         let wanted = match goal.speed {
-            Some((low, high)) if opens < SPEED_BEFORE_S => {
+            Some((low, high)) => {
                 let margin = SPEED_MARGIN.min((high - low) / 2.0);
-                wanted.clamp(low + margin, high - margin)
+                let from = |time: f64, limit: f64, free: f64| {
+                    if opens < time { limit } else { free }
+                };
+                let low = from(SPEED_BEFORE_S.0, low + margin, 0.0);
+                let high = from(SPEED_BEFORE_S.1, high - margin, f64::INFINITY);
+                wanted.clamp(low, high)
             }
-            _ => wanted,
+            None => wanted,
         };
         wanted.clamp(0.0, HURRY * self.set_speed)
     }
 }
 
-/// The own lane and those beside it, with the way to them and the ego's arc length in them.
+/// The own lane and those beside it so far `ahead`, m, with the way to them and the ego's arc length
+/// in them.
 fn lanes_beside<'a>(
     road: &'a Road,
     here: &Here,
+    ahead: f64,
 ) -> impl Iterator<Item = (Route, LaneId, f64)> + use<'a> {
     let Here {
         lane,
@@ -127,8 +152,13 @@ fn lanes_beside<'a>(
         position,
         ..
     } = *here;
+    let position = if ahead > 0.0 {
+        road.lane(lane).at(place.s + ahead).centre
+    } else {
+        position
+    };
     let aside = move |route: Route| {
-        let mut at = (lane, place.s);
+        let mut at = (lane, place.s + ahead);
         (0..LANES_ASIDE).map_while(move |_| {
             let section = road.lane(at.0).at(at.1);
             let next = match route {
@@ -136,7 +166,7 @@ fn lanes_beside<'a>(
                 _ => section.right,
             }?;
             at = (next, road.lane(next).project(position).s);
-            Some((route, at.0, at.1))
+            Some((route, at.0, at.1 - ahead))
         })
     };
     std::iter::once((Route::Keep, lane, place.s))
@@ -148,6 +178,7 @@ fn lanes_beside<'a>(
 mod tests {
     use super::*;
     use crate::Scenario;
+    use crate::commonroad::Lanelet;
 
     /// A spot in each of the three lanes, 200 m ahead in 8 to 12 s.
     #[test]
@@ -189,12 +220,17 @@ mod tests {
                 assert_eq!(there.route, route, "{d}");
                 let expected = if route == Route::Keep { 22.7 } else { 25.0 };
                 assert!((there.set_speed - expected).abs() < 0.2, "{there:?}");
+                let aside = if route == Route::Keep { d } else { 0.0 };
+                assert!((there.lane_offset - aside).abs() < 0.01, "{there:?}");
+                assert!(there.near_gap, "there is a time to keep");
             }
         }
         assert!(left.0 || right.0, "the scenario has lanes beside");
         let free = Advice {
             route: Route::Free,
             set_speed: 30.0,
+            near_gap: false,
+            lane_offset: 0.0,
         };
         for (what, given) in [
             (
@@ -210,5 +246,63 @@ mod tests {
         // In time without a hurry: the driver's own speed.
         let early = advice(goal(200.0, 0.0, Some((0.0, 12.0))), 0.0, false);
         assert_eq!((early.route, early.set_speed), (Route::Keep, 30.0));
+    }
+
+    /// A lane that opens on the way is seen in time, and a range of speeds is entered in time: from
+    /// below earlier than from above.
+    #[test]
+    fn the_route_looks_ahead() {
+        let lanelet = |id, y: f64, from: f64, to: f64, joins: [&[i64]; 2], left| Lanelet {
+            id,
+            left: [from, to].map(|x| Vec2::new(x, y + 1.75)).to_vec(),
+            right: [from, to].map(|x| Vec2::new(x, y - 1.75)).to_vec(),
+            predecessors: joins[0].to_vec(),
+            successors: joins[1].to_vec(),
+            left_neighbour: left,
+            right_neighbour: None,
+            speed_limit: None,
+        };
+        let mut lanelets = vec![
+            lanelet(1, 0.0, 0.0, 200.0, [&[], &[2]], None),
+            lanelet(2, 0.0, 200.0, 600.0, [&[1], &[]], None),
+            lanelet(3, -3.5, 200.0, 600.0, [&[], &[]], Some(2)),
+        ];
+        lanelets[1].right_neighbour = Some(3);
+        let road = Road::new(&lanelets).unwrap();
+        let advice = |x: f64, y: f64, speed, opens_s: f64| {
+            let position = Vec2::new(150.0, 0.0);
+            let (lane, place) = road.locate(position, 0.0);
+            let here = Here {
+                time_s: 0.0,
+                lane,
+                place,
+                position,
+            };
+            let goal = Goal {
+                places: vec![Vec2::new(x, y)],
+                time: Some((opens_s, opens_s + 1.0)),
+                speed,
+                ..Goal::default()
+            };
+            Navigation::new(Arc::new([goal]), 20.0).advice(&road, &here, false)
+        };
+        let right = advice(330.0, -3.5, None, 10.0);
+        assert_eq!(right.route, Route::Right);
+        assert!((right.set_speed - 18.0).abs() < 0.5, "{right:?}");
+        let slow = Some((0.0, 3.0));
+        for (opens_s, range, expected) in [
+            (3.0, slow, 20.0),
+            (1.0, slow, 2.3),
+            (3.0, Some((1.0, 3.0)), 12.5),
+            (1.0, Some((1.0, 3.0)), 2.3),
+            (3.0, Some((18.0, 20.0)), 18.7),
+            (5.0, Some((18.0, 20.0)), 7.7),
+        ] {
+            let given = advice(190.0, 0.0, range, opens_s).set_speed;
+            assert!(
+                (given - expected).abs() < 0.2,
+                "{opens_s} {range:?}: {given}"
+            );
+        }
     }
 }

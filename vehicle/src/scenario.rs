@@ -8,11 +8,19 @@ use crate::commonroad::{self, Goal, Map, Obstacle};
 use crate::error::ScenarioError;
 use crate::geometry::{Footprint, Pose};
 use crate::plant::BMW_320I;
-use crate::road::{ROAD_MAX, Road, domain};
+use crate::road::{Frenet, Lane, ROAD_MAX, Road, domain};
 use crate::traffic::recording::Track;
 
 /// Without a speed limit and without faster traffic the driver asks for this, m/s (50 km/h).
 const SET_SPEED_MIN: f64 = 13.9;
+
+/// What is ahead in the lane at the start must be so far away that this deceleration, m/s², after
+/// this time, s, avoids it; it is in the way when it leaves less room aside than this, m.
+const START_BRAKING: f64 = 8.0;
+const START_DELAY_S: f64 = 0.3;
+const START_ASIDE: f64 = 0.35;
+/// Who moves faster than this across the lane, or against it, m/s, is not followed.
+const ALONG_LANE: f64 = 1.0;
 
 /// The scenarios that the program brings along: name, one line about it, CommonRoad XML.
 const EMBEDDED: [(&str, &str, &str); 6] = [
@@ -166,6 +174,10 @@ impl Scenario {
             }
             !overlaps
         });
+        let outside = outside.or_else(|| {
+            let too_near = |it| too_near(road.lane(lane), place, start_speed, it);
+            obstacles.iter().find_map(too_near)
+        });
         Ok(Self {
             name: map.name,
             road: Arc::new(road),
@@ -237,6 +249,43 @@ fn read_limited(path: &Path) -> std::io::Result<String> {
     Ok(text)
 }
 
+/// Why no braking keeps the ego, at this place of its lane with this speed, from the obstacle.
+fn too_near(lane: &Lane, ego: Frenet, speed: f64, obstacle: &Obstacle) -> Option<String> {
+    let footprint = footprint_at_start(obstacle);
+    if footprint.length <= 0.0 {
+        return None;
+    }
+    let motion = Track::new(&obstacle.states).motion(0.0);
+    let velocity = if obstacle.is_static {
+        0.0
+    } else {
+        motion.speed
+    };
+    let angle = motion.pose.yaw - lane.at(ego.s).heading;
+    let (along, across) = (velocity * angle.cos(), velocity * angle.sin());
+    if along < -ALONG_LANE || across.abs() > ALONG_LANE {
+        return None;
+    }
+    let corners = footprint.corners().map(|corner| lane.project(corner));
+    let rear = corners.iter().map(|it| it.s).fold(f64::INFINITY, f64::min);
+    let sides = corners.iter().map(|it| it.d - ego.d);
+    let (right, left) = sides.fold((f64::INFINITY, f64::NEG_INFINITY), |(right, left), d| {
+        (right.min(d), left.max(d))
+    });
+    let reach = BMW_320I.width / 2.0 + START_ASIDE;
+    let gap = rear - ego.s - BMW_320I.length / 2.0;
+    let is_ahead = gap > 0.0 && right < reach && left > -reach;
+    let closing = (speed - along).max(0.0);
+    let needed = START_DELAY_S * closing + closing * closing / (2.0 * START_BRAKING);
+    (is_ahead && gap < needed).then(|| {
+        let id = obstacle.id;
+        format!(
+            "obstacle {id}, {gap:.0} m ahead of the start and {closing:.0} m/s slower, is too near \
+             to brake for"
+        )
+    })
+}
+
 /// What an obstacle covers when the ego starts; nothing if it is not there then.
 fn footprint_at_start(obstacle: &Obstacle) -> Footprint {
     let track = Track::new(&obstacle.states);
@@ -277,4 +326,65 @@ fn nearest_name(wanted: &str) -> Option<&'static str> {
         .filter(|(s, _)| *s >= 50)
         .max()
         .map(|(_, n)| n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::commonroad::{Class, TimedState};
+
+    /// What no braking avoids is told before the start: who stands near, or drives slower close
+    /// ahead, in the lane or a hand's breadth beside the own way.
+    #[test]
+    fn who_is_too_near_to_brake_for_is_named() {
+        let scenario = Scenario::load("free-lane").unwrap();
+        let (lane, place) = scenario
+            .road
+            .locate_start(scenario.start.position, scenario.start.yaw);
+        let lane = scenario.road.lane(lane);
+        let named = |ahead: f64, d: f64, turn: f64, speed: f64| {
+            let s = place.s + ahead;
+            let state = TimedState {
+                t: 0.0,
+                position: lane.point(Frenet { s, d }),
+                yaw: lane.at(s).heading + turn,
+                speed: Some(speed),
+            };
+            let obstacle = Obstacle {
+                id: 7,
+                class: Class::Car,
+                is_static: false,
+                length: 4.0,
+                width: 1.8,
+                states: vec![state],
+            };
+            too_near(lane, place, 20.0, &obstacle)
+        };
+        let reason = named(29.0, 0.0, 0.0, 0.0).unwrap();
+        assert!(reason.contains("obstacle 7, 25 m ahead"), "{reason}");
+        for (name, what, expected) in [
+            (
+                "stands, and can be stopped for",
+                named(40.0, 0.0, 0.0, 0.0),
+                false,
+            ),
+            (
+                "stands a hand's breadth aside",
+                named(29.0, place.d + 1.9, 0.0, 0.0),
+                true,
+            ),
+            (
+                "stands a step aside",
+                named(29.0, place.d + 2.2, 0.0, 0.0),
+                false,
+            ),
+            ("slower, close ahead", named(5.5, 0.0, 0.0, 14.0), true),
+            ("as fast, close ahead", named(5.5, 0.0, 0.0, 20.0), false),
+            ("behind", named(-8.0, 0.0, 0.0, 0.0), false),
+            ("crosses", named(29.0, 0.0, 1.5, 6.0), false),
+            ("comes towards", named(29.0, 0.0, 3.1, 6.0), false),
+        ] {
+            assert_eq!(what.is_some(), expected, "{name}: {what:?}");
+        }
+    }
 }

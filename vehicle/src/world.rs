@@ -10,7 +10,7 @@ use crate::commonroad::Class;
 use crate::driver::{self, Driver, Habit, View};
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
-use crate::metrics::{Meter, Metrics, Sample};
+use crate::metrics::{HARD_BRAKING, Meter, Metrics, Sample};
 use crate::plant::{self, BMW_320I};
 use crate::road::{Foot, LaneId, Road};
 use crate::route::{Here, Navigation};
@@ -325,6 +325,12 @@ impl World {
         }
         self.observe(traffic_moves);
         let domain_end = self.road.domain_end(self.ego.lane, self.ego.place.s);
+        let brakes_hard = self.ego.long_acceleration < -HARD_BRAKING;
+        let beside = if brakes_hard {
+            self.nearest_in_front()
+        } else {
+            f64::INFINITY
+        };
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
             speed,
@@ -337,9 +343,19 @@ impl World {
             pose: self.ego.pose,
             gap: self.snapshot.gap,
             ttc: self.snapshot.ttc,
+            beside,
             end: self.road.distance_to_end(self.ego.lane, self.ego.place.s),
             domain_end: domain_end.map_or(f64::INFINITY, |(distance, _)| distance),
         });
+    }
+
+    /// Distance to the nearest other road user in front of the ego, m; infinite without one.
+    fn nearest_in_front(&self) -> f64 {
+        let frame = self.ego.pose.frame();
+        let vehicles = self.snapshot.vehicles.iter();
+        let places = vehicles.map(|vehicle| frame.to_local(vehicle.pose.position));
+        let in_front = places.filter(|place| place.x > 0.0).map(Vec2::norm);
+        in_front.fold(f64::INFINITY, f64::min)
     }
 
     /// Takes over the plant's state and finds the lane.

@@ -171,12 +171,14 @@ pub(crate) fn message() -> impl Strategy<Value = Message> {
         measured_at,
     });
     let route = prop::sample::select(vec![Route::Free, Route::Left, Route::Right, Route::Keep]);
-    let request = (any::<[bool; 2]>(), route, within(700.0)).prop_map(
-        |([engage, overrides], route, set_speed)| DriverRequest {
+    let request = (any::<[bool; 3]>(), route, within(700.0), within(2.0)).prop_map(
+        |([engage, overrides, near_gap], route, set_speed, lane_offset)| DriverRequest {
             engage,
             overrides,
             route,
+            near_gap,
             set_speed,
+            lane_offset,
         },
     );
     let numbers = any::<(u32, u8, u8, u8)>();

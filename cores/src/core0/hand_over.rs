@@ -262,6 +262,8 @@ mod tests {
             lanes: Some(lanes),
             set_speed: None,
             route: Route::Free,
+            near_gap: false,
+            lane_offset: 0.0,
             objects: (0..objects).map(|_| Object::truck()).collect(),
         };
         Knowledge::of(&scene, None)

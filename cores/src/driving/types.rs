@@ -183,6 +183,10 @@ pub struct Scene {
     pub set_speed: Option<f32>,
     /// Where the driver's route leads.
     pub route: Route,
+    /// The driver asks for the shorter of the two distances to the vehicle ahead.
+    pub near_gap: bool,
+    /// Where in the lane the driver wants to be, m from its centre, left positive.
+    pub lane_offset: f32,
     /// Confirmed tracks, nearest first.
     pub objects: Vec<Object, MAX_OBJECTS>,
 }

@@ -9,6 +9,9 @@ use super::{ROAD_MAX, RUN_OUT};
 
 /// A successor that begins farther from the end of its lanelet is none, m.
 const JOINT_MAX: f64 = 10.0;
+/// A lanelet without a successor that is shorter than this is a dead end, m: it is chosen at a fork
+/// only if there is nothing else. A longer one may as well be cut by the rim of the map.
+const DEAD_END: f64 = 50.0;
 /// No road has more lanes side by side.
 const BESIDE_MAX: usize = 64;
 /// Over this length the direction of an end of a lane is taken, m: single pieces are noisy.
@@ -91,8 +94,14 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
             known.filter(|from| joined(*from, to)).collect()
         })
         .collect();
+    let is_dead_end =
+        |index: usize| successors[index].is_empty() && pieces[index].length < DEAD_END;
     let next: Vec<Option<usize>> = (0..lanelets.len())
-        .map(|index| straightest(pieces, index, &successors[index]))
+        .map(|index| {
+            let all = successors[index].iter().copied();
+            let open = all.clone().filter(|to| !is_dead_end(*to));
+            straightest(pieces, index, open).or_else(|| straightest(pieces, index, all))
+        })
         .collect();
     let has_neighbour_that = |index: usize, test: &dyn Fn(usize) -> bool| {
         neighbours(lanelets, &places, index).into_iter().any(test)
@@ -145,13 +154,14 @@ pub(super) fn chains(lanelets: &[Lanelet], pieces: &[Piece]) -> Result<Vec<Chain
 }
 
 /// The successor whose centre line bends least from the lanelet's.
-fn straightest(pieces: &[Piece], from: usize, candidates: &[usize]) -> Option<usize> {
+fn straightest(
+    pieces: &[Piece],
+    from: usize,
+    candidates: impl Iterator<Item = usize>,
+) -> Option<usize> {
     let heading = pieces[from].end_heading;
     let bend = |index: usize| wrap_angle(pieces[index].start_heading - heading).abs();
-    candidates
-        .iter()
-        .copied()
-        .min_by(|a, b| bend(*a).total_cmp(&bend(*b)))
+    candidates.min_by(|a, b| bend(*a).total_cmp(&bend(*b)))
 }
 
 /// The lanelets beside this one, over up to [`BESIDE_MAX`] lanes, in the same direction.

@@ -17,8 +17,8 @@ const MAX_BRAKING: f32 = 9.5;
 const COMFORT_JERK: f32 = 6.0;
 /// Jerk of hard braking, m/s³: full braking after 0.2 s.
 const BRAKING_JERK: f32 = 45.0;
-/// A wish for braking beyond this is no comfort matter any more, m/s².
-const HARD_BRAKING: f32 = -3.2;
+/// A wish for braking beyond this is no comfort matter any more, m/s²: as in planning.
+const HARD_BRAKING: f32 = -4.0;
 /// From this speed on the wheels may be turned as fast as they can, m/s.
 const ROLLING_SPEED: f32 = 4.0;
 /// Lateral jerk that a change of steering may cause, m/s³.

@@ -16,7 +16,7 @@ mod track;
 
 use heapless::Vec;
 use tandem_board::{Duration, Instant};
-use tandem_bus::{CameraLanes, EgoMotion, Message, SensorId, SensorObject};
+use tandem_bus::{CameraLanes, DriverRequest, EgoMotion, Message, SensorId, SensorObject};
 
 use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
@@ -54,8 +54,8 @@ pub struct Perception {
     /// before that.
     measured: [Option<Instant>; SensorId::ALL.len()],
     next_id: u32,
-    set_speed: Option<f32>,
-    route: Route,
+    /// What the driver asks for.
+    request: DriverRequest,
     scene: Scene,
 }
 
@@ -79,8 +79,7 @@ impl Perception {
             round: Round::default(),
             measured: [None; SensorId::ALL.len()],
             next_id: 1,
-            set_speed: None,
-            route: Route::Free,
+            request: DriverRequest::default(),
             scene: Scene {
                 at: Instant::ORIGIN,
                 measured: Instant::ORIGIN,
@@ -90,6 +89,8 @@ impl Perception {
                 lanes: None,
                 set_speed: None,
                 route: Route::Free,
+                near_gap: false,
+                lane_offset: 0.0,
                 objects: Vec::new(),
             },
         }
@@ -102,10 +103,7 @@ impl Perception {
     pub fn on_message(&mut self, now: Instant, message: &Message) {
         match message {
             Message::EgoMotion(motion) => self.odometry.update(now, &ego_of(motion)),
-            Message::DriverRequest(request) => {
-                self.set_speed = request.engage.then_some(request.set_speed);
-                self.route = request.route;
-            }
+            Message::DriverRequest(request) => self.request = *request,
             Message::SensorHeader(sensor, header) => self.lists.begin(now, *sensor, header),
             Message::SensorObject(sensor, object) => self.lists.add(now, *sensor, object),
             Message::CameraLanes(lanes) => self.camera_lanes = Some((now, *lanes)),
@@ -312,8 +310,11 @@ impl Perception {
         self.scene.cycle = self.scene.cycle.wrapping_add(1);
         self.scene.ego = ego;
         self.scene.lanes = lanes;
-        self.scene.set_speed = self.set_speed;
-        self.scene.route = self.route;
+        let asked = &self.request;
+        self.scene.set_speed = asked.engage.then_some(asked.set_speed);
+        self.scene.route = asked.route;
+        self.scene.near_gap = asked.near_gap;
+        self.scene.lane_offset = asked.lane_offset;
         self.scene.objects.clear();
         self.tracks.sort_unstable_by(|a, b| {
             distance(a)

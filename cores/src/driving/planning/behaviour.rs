@@ -13,6 +13,8 @@ use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
 /// Gain in acceleration that makes a change worth its while, m/s².
 const CHANGING_THRESHOLD: f32 = 0.45;
+/// The same for who is slow behind something that stands: it will not drive on soon.
+const PULL_OUT_THRESHOLD: f32 = 0.1;
 /// How much the follower's loss counts (politeness).
 const POLITENESS: f32 = 0.3;
 /// Braking that a change may ask of the new follower, m/s²; more when the own lane ends.
@@ -35,7 +37,7 @@ const REST_CYCLES_AT_END: u16 = 20;
 /// A change takes this long …
 const CHANGE_S: f32 = 5.0;
 /// … or this, when the own lane ends, …
-const FORCED_CHANGE_S: f32 = 4.0;
+const FORCED_CHANGE_S: f32 = 3.5;
 /// … but no less way than this, m.
 const CHANGE_MIN_M: f32 = 18.0;
 /// The rest of a change is never steered in less time than this, s.
@@ -181,6 +183,11 @@ impl Behaviour {
         if let Intent::Change { side, crossed, .. } = &mut self.intent {
             *crossed = side.sign() == direction;
         }
+    }
+
+    /// Whether a change is under way whose line has not been crossed yet.
+    pub(crate) fn is_leaving(&self) -> bool {
+        matches!(self.intent, Intent::Change { crossed: false, .. })
     }
 
     /// Ends a change that has become dangerous, if the vehicle still is in its old lane.
@@ -465,11 +472,17 @@ impl Situation<'_> {
         let (leader, follower) = self.neighbours(centre);
         let (own_leader, _) = self.neighbours(0.0);
         let kept = self.own_acceleration(own_leader, 1.0);
-        if kept < -CALM_BRAKING || self.speed < SLOW && !self.can_pull_out(own_leader) {
+        let is_slow = self.speed < SLOW;
+        if kept < -CALM_BRAKING || is_slow && !self.can_pull_out(own_leader) {
             return false;
         }
+        let threshold = if is_slow {
+            PULL_OUT_THRESHOLD
+        } else {
+            CHANGING_THRESHOLD
+        };
         let gain = self.own_acceleration(leader, 1.0) - kept;
         let loss = follower.map_or(0.0, |object| max(-self.follower_acceleration(object), 0.0));
-        gain - POLITENESS * loss > CHANGING_THRESHOLD && self.is_calm(centre)
+        gain - POLITENESS * loss > threshold && self.is_calm(centre)
     }
 }

@@ -20,12 +20,20 @@ const TIME_GAP_S: (f32, f32) = (1.0, 1.6);
 const TIME_GAP_RISE: f32 = 0.036;
 /// Distance to the leader at standstill, m.
 const STANDSTILL_GAP_M: f32 = 3.5;
+/// The shorter distance that a driver may ask for: at standstill, m, and the time gap, s. The least
+/// that ISO 15622 permits is 0.8 s.
+const NEAR_STANDSTILL_GAP_M: f32 = 2.0;
+const NEAR_TIME_GAP_S: f32 = 0.9;
+/// Share of it that is kept while a gap in the next lane is sought: the vehicle draws level with it.
+const SEEKING_SHARE: f32 = 0.7;
 /// Share of the usual distance that is kept to a vehicle behind which a gap is sought.
 const SOUGHT_SHARE: f32 = 0.35;
 /// Deceleration with which a slower leader is approached, m/s².
 const APPROACH_BRAKING: f32 = 1.2;
 /// Time constant of keeping the distance, s …
 const DISTANCE_S: f32 = 3.0;
+/// … of the shorter one …
+const NEAR_DISTANCE_S: f32 = 1.5;
 /// … of regaining one that is too short but no danger, s, …
 const REGAIN_S: f32 = 6.0;
 /// which needs no braking while the gap grows by this, m/s, …
@@ -80,6 +88,10 @@ pub(crate) struct Corridor {
     pub(crate) end: [f32; STEPS],
     /// Deceleration towards that place, m/s².
     pub(crate) end_braking: f32,
+    /// The driver asks for the shorter distance to what is ahead.
+    pub(crate) near_gap: bool,
+    /// A gap in the next lane is sought.
+    pub(crate) seeks: bool,
 }
 
 impl Corridor {
@@ -93,6 +105,8 @@ impl Corridor {
             stop: [f32::INFINITY; STEPS],
             end: [f32::INFINITY; STEPS],
             end_braking: END_BRAKING,
+            near_gap: false,
+            seeks: false,
         }
     }
 
@@ -115,10 +129,15 @@ impl Corridor {
     fn target_speed(&self, step: usize, motion: &Jet) -> f32 {
         let mut target = self.desired_speed;
         if self.bound[step] < f32::INFINITY {
-            let wanted = wanted_gap(motion.first);
+            let (wanted, distance_s) = if self.near_gap {
+                let share = if self.seeks { SEEKING_SHARE } else { 1.0 };
+                (share * near_gap(motion.first), NEAR_DISTANCE_S)
+            } else {
+                (wanted_gap(motion.first), DISTANCE_S)
+            };
             let spare = self.bound[step] - motion.value - wanted;
             let ahead = max(self.bound_speed[step], 0.0);
-            let keeping = ahead + closing(spare, APPROACH_BRAKING, DISTANCE_S, REGAIN_S);
+            let keeping = ahead + closing(spare, APPROACH_BRAKING, distance_s, REGAIN_S);
             // A gap that opens by itself is waited for.
             let opening = motion.first - 2.0 * max(motion.first + OPENING - ahead, 0.0);
             target = min(target, max(keeping, opening));
@@ -181,6 +200,11 @@ fn wanted_gap(speed: f32) -> f32 {
     let speed = max(speed, 0.0);
     let (low, high) = TIME_GAP_S;
     STANDSTILL_GAP_M + min(low + TIME_GAP_RISE * speed, high) * speed
+}
+
+/// The shorter one, m.
+fn near_gap(speed: f32) -> f32 {
+    NEAR_STANDSTILL_GAP_M + NEAR_TIME_GAP_S * max(speed, 0.0)
 }
 
 /// Speed above that of the leader with so much room to spare, m/s: linear near the wanted gap, and

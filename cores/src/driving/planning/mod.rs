@@ -16,7 +16,7 @@ use heapless::Vec;
 
 use super::control::{driven_curvature, sample};
 use super::knowledge::{Knowledge, PLAN_POINTS, YOUNG_CYCLES};
-use super::math::{abs, max, min, sqrt, wrap_angle};
+use super::math::{abs, bound, max, min, sqrt, wrap_angle};
 use super::odometry::{Pose, motion};
 use super::road::{CentreLine, DEFAULT_LANE_WIDTH_M, FrenetFrame};
 use super::types::{
@@ -56,8 +56,16 @@ const END_LEAST_M: f32 = 1.0;
 /// m/s².
 const SEEKING_S: f32 = 2.0;
 const SEEKING_BRAKING: f32 = 2.8;
+/// Within its lane the body stays this far from the border where the driver asks for a place
+/// aside, m.
+const BORDER_M: f32 = 0.2;
 /// Room aside that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
+/// Who comes towards the vehicle is expected to be back in its own lane when they meet, until so
+/// shortly before, s.
+const MEETING_S: f32 = 2.5;
+/// Who crosses ahead or comes towards the vehicle has been passed when it is this far behind, m.
+const PASSED_M: f32 = 1.0;
 /// Objects farther away along the road are not looked at, m.
 const FARTHEST_M: f32 = 220.0;
 const FARTHEST_BEHIND_M: f32 = 90.0;
@@ -196,7 +204,15 @@ impl Planner {
                     offset: d,
                     route: scene.route,
                 };
-                self.behaviour.decide(&situation, moved)
+                let goal = self.behaviour.decide(&situation, moved);
+                let room = max(0.5 * (lanes.width - WIDTH_M) - BORDER_M, 0.0);
+                match self.behaviour.intent {
+                    Intent::Change { crossed: false, .. } => goal,
+                    _ => Goal {
+                        offset: bound(scene.lane_offset, room),
+                        ..goal
+                    },
+                }
             }
             None => {
                 self.behaviour = Behaviour::new();
@@ -208,18 +224,37 @@ impl Planner {
                 }
             }
         };
-        let mut path = choose_path(&station, &goal, first.first);
-        let mut profile = choose_profile(&view, &station, &path, &goal, &first, desired_speed);
-        if view.touches(&station, &path, &profile) && self.behaviour.abort() {
-            let end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
-            let goal = Goal {
+        let along = |goal: &Goal, path: &Path, before: Option<&Profile>| {
+            let mut corridor = Corridor::free(desired_speed);
+            corridor.near_gap = scene.near_gap;
+            choose_profile(&view, &station, path, goal, &first, before, corridor)
+        };
+        let drive = |goal: &Goal| {
+            let path = choose_path(&station, goal, first.first);
+            let profile = along(goal, &path, None);
+            (path, profile)
+        };
+        let (mut path, mut profile) = drive(&goal);
+        if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
+            // Who brakes comes aside later than at the present speed.
+            profile = along(&goal, &path, Some(&profile));
+        }
+        if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
+            let kept = drive(&Goal {
                 offset: 0.0,
                 rest_m: None,
-                end,
+                end: view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end),
                 sought: None,
-            };
-            path = choose_path(&station, &goal, first.first);
-            profile = choose_profile(&view, &station, &path, &goal, &first, desired_speed);
+            });
+            // To stay behind who brakes is no better than to go around it.
+            let is_worse = view.objects.iter().any(|object| {
+                touches(object, &station, &path, &profile)
+                    && !touches(object, &station, &kept.0, &kept.1)
+            });
+            if is_worse {
+                self.behaviour.abort();
+                (path, profile) = kept;
+            }
         }
 
         let trajectory = Trajectory {
@@ -367,16 +402,22 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
     best
 }
 
-/// The cheapest motion along the path among all that is on the road.
+/// The cheapest motion along the path among all that is on the road. `before`: the motion by which
+/// the vehicle comes aside; `None` for that of the present speed.
 fn choose_profile(
     view: &View,
     station: &Station,
     path: &Path,
     goal: &Goal,
     start: &Jet,
-    desired_speed: f32,
+    before: Option<&Profile>,
+    mut corridor: Corridor,
 ) -> Profile {
-    let mut corridor = Corridor::free(desired_speed);
+    let aside_at = |t: f32| {
+        let way = before.map_or(start.first * t, |profile| profile.at(t).value);
+        path.at(station.s + way).value
+    };
+    corridor.seeks = goal.sought.is_some();
     if goal.sought.is_some() {
         corridor.end_braking = SEEKING_BRAKING;
     }
@@ -384,7 +425,7 @@ fn choose_profile(
     let own_end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
     for step in 0..STEPS {
         let t = (step + 1) as f32 * STEP_S;
-        let aside = path.at(station.s + start.first * t).value;
+        let aside = aside_at(t);
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
         // While a gap in the next lane is sought, the own lane is used as long as it lasts.
@@ -401,8 +442,15 @@ fn choose_profile(
         view.objects.iter().filter(in_lane).min_by(nearer)
     });
     // What stands beyond the end of the own lane is kept away from by stopping before the end.
-    let concerns =
-        |object: &&Predicted| object.s > station.s && !(object.s > own_end && object.speed < 1.0);
+    // Who comes towards the vehicle is believed to leave its lane only when that is seen for sure.
+    let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
+    let is_early = |object: &Predicted| {
+        let closing = start.first - object.speed;
+        object.is_oncoming() && (object.s > seen || object.s - station.s > MEETING_S * closing)
+    };
+    let concerns = |object: &&Predicted| {
+        object.s > station.s && !(object.s > own_end && object.speed < 1.0) && !is_early(object)
+    };
     for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
         // What is beside the vehicle is given room gently: no braking keeps it from swerving in.
@@ -411,10 +459,12 @@ fn choose_profile(
         for step in 0..STEPS {
             let t = (step + 1) as f32 * STEP_S;
             let (s, speed) = object.along(t);
-            let aside = path.at(station.s + start.first * t).value;
+            let aside = aside_at(t);
             let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
             let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
-            let is_in_the_way = abs(object.across(t) - aside) < reach;
+            let passed = object.passes()
+                && start.first * t > s - station.s + object.half_length + 0.5 * LENGTH_M + PASSED_M;
+            let is_in_the_way = abs(object.across(t) - aside) < reach && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
             } else if is_sought || is_in_the_way {
@@ -426,20 +476,23 @@ fn choose_profile(
 }
 
 impl View {
-    /// Whether the plan touches an object that is beside or ahead of the vehicle.
     fn touches(&self, station: &Station, path: &Path, profile: &Profile) -> bool {
-        self.objects.iter().any(|object| {
-            let length = object.half_length + 0.5 * LENGTH_M;
-            let width = object.half_width + 0.5 * WIDTH_M + 0.1;
-            object.s > station.s - length
-                && (1..=20).any(|step| {
-                    let t = step as f32 * 0.2;
-                    let s = station.s + profile.at(t).value;
-                    abs(object.along(t).0 - s) < length + 0.5
-                        && abs(object.across(t) - path.at(s).value) < width
-                })
-        })
+        let mut objects = self.objects.iter();
+        objects.any(|object| touches(object, station, path, profile))
     }
+}
+
+/// Whether the plan touches the object, which is beside or ahead of the vehicle.
+fn touches(object: &Predicted, station: &Station, path: &Path, profile: &Profile) -> bool {
+    let length = object.half_length + 0.5 * LENGTH_M;
+    let width = object.half_width + 0.5 * WIDTH_M + 0.1;
+    object.s > station.s - length
+        && (1..=20).any(|step| {
+            let t = step as f32 * 0.2;
+            let s = station.s + profile.at(t).value;
+            abs(object.along(t).0 - s) < length + 0.5
+                && abs(object.across(t) - path.at(s).value) < width
+        })
 }
 
 /// Samples of the plan in the vehicle frame.

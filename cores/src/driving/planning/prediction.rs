@@ -6,6 +6,12 @@ use crate::driving::types::Object;
 
 /// Slower than this across the road counts as keeping the lane, m/s.
 const WANDERING: f32 = 0.3;
+/// Who comes towards the vehicle faster than this, m/s, keeps to its lane …
+const ONCOMING: f32 = 1.0;
+/// … unless it moves across faster than this, m/s. So does who crosses the road, at an angle whose
+/// tangent is larger than this.
+const CROSSING: f32 = 1.5;
+const CROSSING_SLOPE: f32 = 0.35;
 /// Time constant with which a movement across the road ends, s.
 const SWERVE_S: f32 = 1.2;
 /// Gentle braking is expected to last this long …
@@ -26,7 +32,18 @@ pub(crate) struct Predicted {
     acceleration: f32,
     pub(crate) half_length: f32,
     pub(crate) half_width: f32,
-    cuts_in: bool,
+    sideways: Sideways,
+}
+
+/// How an object goes on across the road.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Sideways {
+    /// It ends its movement: a swerve.
+    Swerves,
+    /// Into the middle of the own lane.
+    CutsIn,
+    /// Straight on, to the other side.
+    Crosses,
 }
 
 impl Predicted {
@@ -35,19 +52,29 @@ impl Predicted {
         let heading = frame.reference(s).heading;
         let (sine, cosine) = (sin(heading), cos(heading));
         let across = object.vy * cosine - object.vx * sine;
+        let speed = object.vx * cosine + object.vy * sine;
+        let (is_oncoming, turns) = (speed < -ONCOMING, abs(across) > CROSSING);
+        let sideways = if turns && abs(across) > CROSSING_SLOPE * abs(speed) {
+            Sideways::Crosses
+        } else if object.cuts_in && !is_oncoming {
+            Sideways::CutsIn
+        } else {
+            Sideways::Swerves
+        };
+        let keeps_lane = match sideways {
+            Sideways::Swerves if is_oncoming => !turns,
+            Sideways::Swerves => abs(across) < WANDERING,
+            Sideways::CutsIn | Sideways::Crosses => false,
+        };
         Self {
             s,
             d,
-            speed: object.vx * cosine + object.vy * sine,
-            across: if abs(across) < WANDERING && !object.cuts_in {
-                0.0
-            } else {
-                across
-            },
+            speed,
+            across: if keeps_lane { 0.0 } else { across },
             acceleration: clamp(object.ax, -9.0, 0.0),
             half_length: 0.5 * max(object.length, 1.0),
             half_width: 0.5 * max(object.width, 0.5),
-            cuts_in: object.cuts_in,
+            sideways,
         }
     }
 
@@ -67,18 +94,31 @@ impl Predicted {
         (self.s + way, speed)
     }
 
-    /// Place across the road in `t` seconds: a cut-in ends in the middle of the own lane, any other
-    /// swerve fades.
+    /// Whether it comes towards the vehicle.
+    pub(crate) fn is_oncoming(&self) -> bool {
+        self.speed < -ONCOMING
+    }
+
+    /// Whether it and the vehicle pass each other: it crosses the road, or comes towards.
+    pub(crate) fn passes(&self) -> bool {
+        self.is_oncoming() || self.sideways == Sideways::Crosses
+    }
+
+    /// Place across the road in `t` seconds: a cut-in ends in the middle of the own lane, a swerve
+    /// fades, and who crosses goes on.
     pub(crate) fn across(&self, t: f32) -> f32 {
-        if self.cuts_in {
-            let way = max(abs(self.across), 0.5) * t;
-            return if self.d > 0.0 {
-                max(self.d - way, 0.0)
-            } else {
-                min(self.d + way, 0.0)
-            };
+        match self.sideways {
+            Sideways::Swerves => self.d + self.across * SWERVE_S * (1.0 - exp(-t / SWERVE_S)),
+            Sideways::Crosses => self.d + self.across * t,
+            Sideways::CutsIn => {
+                let way = max(abs(self.across), 0.5) * t;
+                if self.d > 0.0 {
+                    max(self.d - way, 0.0)
+                } else {
+                    min(self.d + way, 0.0)
+                }
+            }
         }
-        self.d + self.across * SWERVE_S * (1.0 - exp(-t / SWERVE_S))
     }
 }
 
@@ -95,7 +135,7 @@ mod tests {
             acceleration,
             half_length: 2.2,
             half_width: 0.9,
-            cuts_in: false,
+            sideways: Sideways::Swerves,
         }
     }
 
@@ -112,7 +152,7 @@ mod tests {
         let swerving = predicted(20.0, 0.0);
         assert!((swerving.across(60.0) - 2.3).abs() < 0.01);
         let cutting_in = Predicted {
-            cuts_in: true,
+            sideways: Sideways::CutsIn,
             ..swerving
         };
         assert_eq!(cutting_in.across(60.0), 0.0);
