@@ -393,7 +393,7 @@ fn only_who_would_be_met_is_braked_for() {
     }
 }
 
-/// The driver may ask for the shorter distance, and for a place in the lane as far as there is room.
+/// The driver may ask for the shorter distance, and for a place in the lane where it has room.
 #[test]
 fn the_driver_chooses_distance_and_place() {
     let plan = |near_gap: bool, lane_offset: f32| {

@@ -141,7 +141,7 @@ pub struct HardBraking {
     pub gap_m: f64,
     /// Distance to the end of the lane or of the domain then, m; infinite without one.
     pub end_m: f64,
-    /// Distance to the nearest other road user in front, in whichever lane, m; infinite without one.
+    /// Distance to the nearest other road user in front, in any lane, m; infinite without one.
     pub beside_m: f64,
 }
 

@@ -1,8 +1,9 @@
 //! Lanes with smooth centre lines: arc length and offset, neighbours, ends.
 //!
 //! Lanelets are chained into lanes: each continues with the successor that bends least among those
-//! that are no dead end. Centre lines are smoothed, because maps have corners where roads have curves (US-101 has points every few
-//! metres with noise, A9 one every hundred with corners of 0.02 rad).
+//! that are no dead end. Centre lines are smoothed, because maps have corners where roads have
+//! curves (US-101 has points every few metres with noise, A9 one every hundred with corners of
+//! 0.02 rad).
 //!
 //! **Beyond the map.** Where a lane ends because the map ends, it continues straight without end,
 //! parallel to its neighbours. Where it ends while a neighbour continues, that is a lane drop: a

@@ -139,8 +139,8 @@ impl Navigation {
     }
 }
 
-/// The own lane and those beside it so far `ahead`, m, with the way to them and the ego's arc length
-/// in them.
+/// The own lane and those beside it so far `ahead`, m, with the way to them and the ego's arc
+/// length in them.
 fn lanes_beside<'a>(
     road: &'a Road,
     here: &Here,

@@ -24,7 +24,8 @@ const STANDSTILL_GAP_M: f32 = 3.5;
 /// that ISO 15622 permits is 0.8 s.
 const NEAR_STANDSTILL_GAP_M: f32 = 2.0;
 const NEAR_TIME_GAP_S: f32 = 0.9;
-/// Share of it that is kept while a gap in the next lane is sought: the vehicle draws level with it.
+/// Share of it that is kept while a gap in the next lane is sought: the vehicle draws level with
+/// it.
 const SEEKING_SHARE: f32 = 0.7;
 /// Share of the usual distance that is kept to a vehicle behind which a gap is sought.
 const SOUGHT_SHARE: f32 = 0.35;

@@ -227,7 +227,7 @@ impl Planner {
         let along = |goal: &Goal, path: &Path, before: Option<&Profile>| {
             let mut corridor = Corridor::free(desired_speed);
             corridor.near_gap = scene.near_gap;
-            choose_profile(&view, &station, path, goal, &first, before, corridor)
+            choose_profile(&view, (&station, &first), path, goal, before, corridor)
         };
         let drive = |goal: &Goal| {
             let path = choose_path(&station, goal, first.first);
@@ -402,14 +402,13 @@ fn choose_path(from: &Station, goal: &Goal, speed: f32) -> Path {
     best
 }
 
-/// The cheapest motion along the path among all that is on the road. `before`: the motion by which
-/// the vehicle comes aside; `None` for that of the present speed.
+/// The cheapest motion along the path among all that is on the road, from this place and motion.
+/// `before`: the motion by which the vehicle comes aside; `None` for that of the present speed.
 fn choose_profile(
     view: &View,
-    station: &Station,
+    (station, start): (&Station, &Jet),
     path: &Path,
     goal: &Goal,
-    start: &Jet,
     before: Option<&Profile>,
     mut corridor: Corridor,
 ) -> Profile {
