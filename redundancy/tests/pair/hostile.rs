@@ -185,6 +185,8 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
             let mut pair = Pair::dual(config, 7);
             pair.cuts.can_send[mute.index()] = true;
             pair.run_ms(1_000);
+            let resets = |pair: &Pair| [A, B].map(|id| pair.state(id).total_resets);
+            let before = resets(&pair);
             pair.vehicle_pauses = true;
             pair.run_ms(pause_ms);
             pair.vehicle_pauses = false;
@@ -192,6 +194,8 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
             let from = pair.now_us;
             pair.run_ms(500);
             let what = format!("{mute} mute, {pause_ms} ms: {:?}", pair.phases());
+            // An attempt to cure the connection would be one of the four before it is given up.
+            assert_eq!(resets(&pair), before, "{what}");
             assert!(
                 !pair.systems[A.index()].held && !pair.systems[B.index()].held,
                 "{what}"
@@ -208,7 +212,7 @@ fn a_pause_of_the_vehicle_suspends_no_system() {
 fn a_short_cut_of_can_suspends_no_system() {
     for config in PROFILES {
         for phase in 0..40 {
-            for (cut_ms, id) in [240, 300, 1_000]
+            for (cut_ms, id) in [240, 300, 1_000, 3_000]
                 .into_iter()
                 .flat_map(|ms| [(ms, A), (ms, B)])
             {
@@ -296,15 +300,20 @@ fn a_glitch_of_the_level_line_changes_nothing() {
 fn a_level_line_stuck_low_and_a_reset_depose_no_master() {
     for config in PROFILES {
         for cause in [ResetCause::Watchdog, ResetCause::Software] {
-            for beats_cut in [false, true] {
+            for (beats_cut, start_cut) in [(false, false), (true, false), (true, true)] {
                 let mut pair = Pair::dual(config, 5);
                 pair.cuts.beats = [[beats_cut; 2]; 2];
+                pair.cuts.start = [start_cut; 2];
                 pair.run_ms(100);
                 pair.level_stuck_low[A.index()] = true;
                 pair.run_ms(100);
                 pair.reset(B, cause);
                 pair.run_ms(500);
-                let what = format!("{cause:?}, heartbeats cut {beats_cut}: {:?}", pair.phases());
+                let cut = [beats_cut, start_cut];
+                let what = format!(
+                    "{cause:?}, heartbeats, start cut {cut:?}: {:?}",
+                    pair.phases()
+                );
                 assert!(pair.phase(A).is_some_and(Phase::is_driving), "{what}");
                 assert_eq!(pair.phase(B), Some(Phase::Standby), "{what}");
                 assert_eq!(pair.changes_of_driver(), 0, "{what}");
@@ -318,7 +327,9 @@ fn a_level_line_stuck_low_and_a_reset_depose_no_master() {
 #[test]
 fn a_connector_that_flaps_changes_the_driver_once() {
     for config in PROFILES {
-        for period_us in [10_000, 40_000, 200_000] {
+        for period_us in [
+            6_000, 7_300, 9_000, 10_000, 11_000, 13_000, 17_000, 40_000, 200_000,
+        ] {
             let mut pair = Pair::dual(config, 5);
             let until = pair.now_us + 10_000_000;
             while pair.now_us < until {
