@@ -202,6 +202,12 @@ enum Campaign {
         #[arg(long, default_value_t = 20)]
         count: u64,
     },
+    /// Explore every state that two systems reach with this many faults of systems and wires
+    States {
+        /// How many faults in each sequence
+        #[arg(long, default_value_t = 2)]
+        faults: u32,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -250,7 +256,7 @@ fn execute() -> Result<()> {
         Task::Tables { check } => task_tables::run(root, check),
         Task::Campaign(Campaign::StartupKills { count }) => startup_kills(root, count),
         Task::Campaign(Campaign::RtosSoak { minutes, seed }) => {
-            let mut command = rtos_test(root, "soak", "random_task_sets");
+            let mut command = one_test(root, "tandem-rtos", "soak", "random_task_sets");
             command.env("TANDEM_RTOS_SOAK_SECONDS", (minutes * 60).to_string());
             command.env("TANDEM_RTOS_SOAK_SEED", seed.to_string());
             run(command)
@@ -302,8 +308,15 @@ fn execute() -> Result<()> {
             run(command)
         }
         Task::Campaign(Campaign::SimDigest { count }) => sim_digest(root, count),
+        Task::Campaign(Campaign::States { faults }) => {
+            let name = "every_state_of_bounded_faults_is_safe_and_leads_to_a_driver";
+            let mut command = one_test(root, "tandem-redundancy", "pair", name);
+            command.env("TANDEM_EXPLORE", faults.to_string());
+            run(command)
+        }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
-            let mut command = rtos_test(root, "scheduling", "the_tick_does_not_drift");
+            let name = "the_tick_does_not_drift";
+            let mut command = one_test(root, "tandem-rtos", "scheduling", name);
             command.env("TANDEM_RTOS_DRIFT_SECONDS", seconds.to_string());
             run(command)
         }
@@ -475,11 +488,10 @@ fn search(root: &Path, targets: &[String], seconds: u64) -> Result<()> {
     Ok(())
 }
 
-/// One test of the RTOS room, with what it prints.
-fn rtos_test(root: &Path, file: &str, test: &str) -> Command {
-    let arguments = ["test", "--release", "-p", "tandem-rtos", "--test", file];
-    let mut command = cargo(root, &arguments);
-    command.args([test, "--", "--nocapture"]);
+/// One test of a package, with what it prints.
+fn one_test(root: &Path, package: &str, file: &str, name: &str) -> Command {
+    let mut command = cargo(root, &["test", "--release", "-p", package, "--test", file]);
+    command.args([name, "--", "--nocapture"]);
     command
 }
 

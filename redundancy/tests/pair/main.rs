@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod docs;
+mod explore;
 mod faults;
 mod hostile;
 mod model;

@@ -45,6 +45,7 @@ pub(crate) struct Seen {
     pub(crate) term: Term,
 }
 
+#[derive(Clone, Debug)]
 pub(crate) struct System {
     pub(crate) machine: Option<Redundancy>,
     pub(crate) powered: bool,
@@ -78,6 +79,7 @@ pub(crate) struct System {
     pub(crate) programs: u32,
 }
 
+#[derive(Clone, Debug)]
 pub(crate) struct Pair {
     pub(crate) config: Config,
     pub(crate) now_us: u64,
@@ -160,6 +162,16 @@ impl Pair {
         pair.run_ms(300);
         assert_eq!(pair.phases(), [Some(Phase::Master), Some(Phase::Standby)]);
         pair
+    }
+
+    /// Forgets what happened, but for the last accepted frame: what follows depends on that alone.
+    pub(crate) fn forget(&mut self) {
+        let past = self.accepted.len().saturating_sub(1);
+        self.accepted.drain(..past);
+        self.fenced.clear();
+        self.events.clear();
+        self.synchronised.clear();
+        self.both_open_max_us = 0;
     }
 
     fn random(&mut self, below: u64) -> u64 {
