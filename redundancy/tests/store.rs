@@ -3,6 +3,7 @@
 
 use proptest::prelude::*;
 use proptest::test_runner::RngSeed;
+use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state_machine};
 use tandem_board::{FlashError, FlashStatus, SystemId};
 use tandem_redundancy::{FailureMode, FlashOp, Geometry, Loaded, StateStore, SystemState, Term};
 
@@ -290,58 +291,176 @@ fn a_medium_that_always_fails_is_given_up() {
     assert!(store.is_broken() && store.is_settled());
 }
 
-proptest! {
+/// One event in the life of a store.
+#[derive(Clone, Copy, Debug)]
+enum Event {
+    Request,
+    Poll,
+    /// A poll whose operation is not started.
+    Refuse,
+    /// The running operation ends.
+    Finish,
+    /// It fails, and leaves its range torn.
+    Fail(usize, Torn),
+    /// Power is lost, while an operation runs or not, and the system starts again.
+    Lose(usize, Torn),
+}
+
+/// What is known without a look at the store.
+#[derive(Clone, Debug)]
+struct Life {
+    /// Requests so far.
+    requests: u32,
+    /// There was one since the last start.
+    requested: bool,
+    /// Failures since the last operation that ended well.
+    failures: u32,
+}
+
+impl ReferenceStateMachine for Life {
+    type State = Self;
+    type Transition = Event;
+
+    fn init_state() -> BoxedStrategy<Self> {
+        let new = Self {
+            requests: 0,
+            requested: false,
+            failures: 0,
+        };
+        Just(new).boxed()
+    }
+
+    fn transitions(_: &Self) -> BoxedStrategy<Event> {
+        let torn = || (0..=128_usize, prop::sample::select(&TORN[..]));
+        prop_oneof![
+            3 => Just(Event::Request),
+            6 => Just(Event::Poll),
+            1 => Just(Event::Refuse),
+            5 => Just(Event::Finish),
+            2 => torn().prop_map(|(cut, torn)| Event::Fail(cut, torn)),
+            1 => torn().prop_map(|(cut, torn)| Event::Lose(cut, torn)),
+        ]
+        .boxed()
+    }
+
+    /// At most three failures in a row: a medium that is not broken.
+    fn preconditions(life: &Self, event: &Event) -> bool {
+        !matches!(event, Event::Fail(..)) || life.failures < 3
+    }
+
+    fn apply(mut life: Self, event: &Event) -> Self {
+        match event {
+            Event::Request => (life.requests, life.requested) = (life.requests + 1, true),
+            Event::Fail(..) => life.failures += 1,
+            Event::Lose(..) => (life.requested, life.failures) = (false, 0),
+            Event::Finish | Event::Poll | Event::Refuse => {}
+        }
+        life
+    }
+}
+
+/// The store on its flash.
+struct Machine {
+    store: StateStore,
+    flash: Flash,
+    running: Option<FlashOp>,
+    /// How the last operation ended.
+    status: FlashStatus,
+    /// What the next start may find: what is durable, and what was begun since; a write that
+    /// failed may have left all of its record.
+    readable: Vec<Option<SystemState>>,
+}
+
+impl Machine {
+    fn poll(&mut self) -> Option<FlashOp> {
+        let op = self.store.poll(self.status);
+        self.status = FlashStatus::Idle;
+        if let Some(&durable) = self.store.durable() {
+            let known = self.readable.iter().rposition(|it| *it == Some(durable));
+            // What was begun before it is out of date.
+            self.readable.drain(..known.expect("was written"));
+        }
+        if let Some(FlashOp::Program { data, .. }) = &op {
+            let (new, _) = SystemState::decode(data).unwrap();
+            self.readable.push(Some(new));
+        }
+        op
+    }
+
+    fn end(&mut self, cut: usize, torn: Torn) {
+        if let Some(op) = self.running.take() {
+            let cut = cut.min(steps(&self.flash, &op));
+            self.flash.apply_torn(&op, cut, torn);
+            self.status = FlashStatus::Failed;
+        }
+    }
+}
+
+impl StateMachineTest for Machine {
+    type SystemUnderTest = Self;
+    type Reference = Life;
+
+    fn init_test(_: &Life) -> Self {
+        let flash = Flash::new(128);
+        Self {
+            store: flash.load().0,
+            flash,
+            running: None,
+            status: FlashStatus::Idle,
+            readable: vec![None],
+        }
+    }
+
+    fn apply(mut it: Self, life: &Life, event: Event) -> Self {
+        match event {
+            Event::Request => it.store.request(state(life.requests)),
+            Event::Poll | Event::Refuse if it.running.is_some() => {
+                assert_eq!(it.store.poll(FlashStatus::Busy), None);
+            }
+            Event::Poll => it.running = it.poll(),
+            Event::Refuse => {
+                if it.poll().is_some() {
+                    it.store.refused();
+                }
+            }
+            Event::Finish => {
+                if let Some(op) = it.running.take() {
+                    it.flash.apply(&op);
+                }
+            }
+            Event::Fail(cut, torn) => it.end(cut, torn),
+            Event::Lose(cut, torn) => {
+                it.end(cut, torn);
+                (it.store, it.status) = (it.flash.load().0, FlashStatus::Idle);
+                let found = read(&it.flash);
+                assert!(it.readable.contains(&found), "{found:?}");
+                it.readable = vec![found];
+            }
+        }
+        it
+    }
+
+    fn check_invariants(it: &Self, life: &Life) {
+        assert!(!it.store.is_broken());
+        if it.running.is_none() {
+            let found = read(&it.flash);
+            assert!(it.readable.contains(&found), "{found:?}");
+        }
+        if life.requested && it.store.is_settled() {
+            assert_eq!(it.store.durable(), Some(&state(life.requests)));
+        }
+    }
+}
+
+prop_state_machine! {
     #![proptest_config(ProptestConfig {
         failure_persistence: None,
         rng_seed: RngSeed::Fixed(1),
         ..ProptestConfig::default()
     })]
 
-    /// T-RED-1: operations that fail or are refused now and then, and reboots, lose nothing that
-    /// was durable.
+    /// T-RED-1: operations that fail, are refused or are cut off by a loss of power lose nothing
+    /// that was durable, and the newest request becomes durable.
     #[test]
-    fn a_flash_that_fails_now_and_then(
-        faults in prop::collection::vec((0u8..8, 0usize..128, 0usize..3), 1..80),
-    ) {
-        let mut flash = Flash::new(128);
-        let (mut store, _) = flash.load();
-        let mut status = FlashStatus::Idle;
-        // What may be read: what is durable, and what a failed program may have written.
-        let mut readable = vec![None];
-        let mut failed_in_a_row = 0;
-        for (n, (kind, cut, torn)) in faults.into_iter().enumerate() {
-            let new = state(n as u32);
-            store.request(new);
-            let op = store.poll(status);
-            status = FlashStatus::Idle;
-            if let Some(&durable) = store.durable()
-                && !readable.contains(&Some(durable))
-            {
-                readable = vec![Some(durable)];
-            }
-            let Some(op) = op else { continue };
-            // At most three failures in a row: a medium that is not broken.
-            let kind = if failed_in_a_row == 3 { 7 } else { kind };
-            failed_in_a_row = if kind == 1 { failed_in_a_row + 1 } else { 0 };
-            match kind {
-                0 => store.refused(),
-                1 => {
-                    let cut = cut.min(steps(&flash, &op));
-                    flash.apply_torn(&op, cut, TORN[torn]);
-                    status = FlashStatus::Failed;
-                    readable.push(Some(new));
-                }
-                2 => {
-                    flash.apply(&op);
-                    // A reboot; what was read is what counts from now on.
-                    let found = read(&flash);
-                    prop_assert!(readable.contains(&found) || found == Some(new));
-                    readable = vec![found];
-                    store = flash.load().0;
-                }
-                _ => flash.apply(&op),
-            }
-            prop_assert!(!store.is_broken());
-        }
-    }
+    fn a_store_keeps_its_promise(sequential 1..80 => Machine);
 }

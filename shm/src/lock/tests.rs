@@ -3,6 +3,9 @@
 use super::*;
 use crate::fault::{freeze_at, kill_at, zeroed};
 use crate::sync::spin;
+use proptest::prelude::*;
+use proptest_state_machine::{ReferenceStateMachine, StateMachineTest, prop_state_machine};
+use std::vec::Vec;
 
 #[derive(Clone, Copy)]
 struct Bench {
@@ -377,4 +380,149 @@ fn scribbled_words_cost_time_and_no_more() {
         let _ = b.lock(PATIENCE + 3, spin);
         let _ = a.lock(PATIENCE + 3, spin);
     }
+}
+
+/// What a core does with the lock.
+#[derive(Clone, Copy, Debug)]
+enum Event {
+    Take(usize),
+    Release(usize),
+    /// It dies, wherever it is, and starts again.
+    Die(usize),
+    /// Those who died with the lock release it after all, as a frozen core may.
+    ReleaseLate,
+}
+
+/// The lock as one value.
+#[derive(Clone, Copy, Debug)]
+struct Owner {
+    core: Option<usize>,
+    /// The last owner died with it.
+    orphaned: bool,
+}
+
+impl ReferenceStateMachine for Owner {
+    type State = Self;
+    type Transition = Event;
+
+    fn init_state() -> BoxedStrategy<Self> {
+        let free = Self {
+            core: None,
+            orphaned: false,
+        };
+        Just(free).boxed()
+    }
+
+    fn transitions(_: &Self) -> BoxedStrategy<Event> {
+        prop_oneof![
+            4 => (0..3_usize).prop_map(Event::Take),
+            3 => (0..3_usize).prop_map(Event::Release),
+            2 => (0..3_usize).prop_map(Event::Die),
+            1 => Just(Event::ReleaseLate),
+        ]
+        .boxed()
+    }
+
+    fn preconditions(owner: &Self, event: &Event) -> bool {
+        match event {
+            Event::Take(_) | Event::Die(_) => true,
+            Event::Release(core) => owner.core == Some(*core),
+            // Before somebody is told of the death the release counts.
+            Event::ReleaseLate => !owner.orphaned,
+        }
+    }
+
+    fn apply(mut owner: Self, event: &Event) -> Self {
+        match event {
+            Event::Take(core) if owner.core.is_none() => {
+                owner.core = Some(*core);
+                owner.orphaned = false;
+            }
+            Event::Release(_) => owner.core = None,
+            Event::Die(core) if owner.core == Some(*core) => {
+                owner.core = None;
+                owner.orphaned = true;
+            }
+            Event::Take(_) | Event::Die(_) | Event::ReleaseLate => {}
+        }
+        owner
+    }
+}
+
+struct Cores {
+    bench: Bench,
+    locks: [Lock<'static>; 3],
+    generations: [u32; 3],
+    held: [Option<Held<'static>>; 3],
+    /// Of dead incarnations, by core and generation.
+    late: Vec<(usize, u32, Held<'static>)>,
+    /// As the model was before the event.
+    before: Owner,
+}
+
+impl StateMachineTest for Cores {
+    type SystemUnderTest = Self;
+    type Reference = Owner;
+
+    fn init_test(owner: &Owner) -> Self {
+        let bench = Bench::new();
+        Self {
+            bench,
+            locks: [0, 1, 2].map(|core| bench.start(core, 1)),
+            generations: [1; 3],
+            held: [None, None, None],
+            late: Vec::new(),
+            before: *owner,
+        }
+    }
+
+    fn apply(mut cores: Self, owner: &Owner, event: Event) -> Self {
+        match event {
+            Event::Take(core) => {
+                let taken = cores.locks[core].try_lock();
+                assert_eq!(
+                    taken.is_some(),
+                    cores.before.core.is_none(),
+                    "one is inside"
+                );
+                if let Some(taken) = taken {
+                    assert_eq!(taken.is_recovered(), cores.before.orphaned);
+                    cores.held[core] = Some(taken.into_guard().detach());
+                }
+            }
+            Event::Release(core) => drop(cores.held[core].take()),
+            Event::Die(core) => {
+                let generation = cores.generations[core];
+                cores.bench.kill(core, generation);
+                let held = cores.held[core].take();
+                cores.late.extend(held.map(|held| (core, generation, held)));
+                cores.generations[core] += 1;
+                // No core stays frozen for more incarnations than the lock has words for.
+                let too_late = |(of, generation, _): &mut (usize, u32, _)| {
+                    *of == core && *generation + 3 < cores.generations[core]
+                };
+                cores
+                    .late
+                    .extract_if(.., too_late)
+                    .for_each(core::mem::forget);
+                cores.locks[core] = cores.bench.start(core, cores.generations[core]);
+            }
+            Event::ReleaseLate => cores.late.clear(),
+        }
+        cores.before = *owner;
+        cores
+    }
+}
+
+prop_state_machine! {
+    #![proptest_config(ProptestConfig {
+        cases: if cfg!(miri) { 2 } else { 512 },
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
+
+    /// T-LOCK-1, T-LOCK-3: between any takings, releases, deaths and late releases one core is
+    /// inside, and exactly the next taker is told of a death.
+    #[test]
+    fn the_lock_does_what_its_model_does(sequential 1..60 => Cores);
 }
