@@ -378,7 +378,7 @@ impl Machine {
         if let Some(&durable) = self.store.durable() {
             let known = self.readable.iter().rposition(|it| *it == Some(durable));
             // What was begun before it is out of date.
-            self.readable.drain(..known.expect("was written"));
+            self.readable.drain(..known.unwrap());
         }
         if let Some(FlashOp::Program { data, .. }) = &op {
             let (new, _) = SystemState::decode(data).unwrap();
