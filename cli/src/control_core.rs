@@ -4,9 +4,9 @@ use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use std::thread;
 
 use anyhow::Context as _;
-use tandem_board::{Board, Instant, Wake};
-use tandem_board_host::HostBoard;
+use tandem_board::{Board, Instant};
 use tandem_board_host::realtime::{self, Claim, Grant};
+use tandem_board_host::{HostBoard, clock};
 use tandem_cores::Config;
 use tandem_cores::core0::DOORBELL_DISTANCE;
 use tandem_rtos::{Interrupt, Kernel, host};
@@ -37,8 +37,9 @@ pub(crate) fn go(board: HostBoard, config: Config, grant: Grant) -> anyhow::Resu
 
 /// Raises the core's interrupt when its doorbell rings, at most once in [`DOORBELL_DISTANCE`].
 ///
-/// This thread is more urgent than the core. It sleeps after each ring, so a doorbell that rings
-/// without a pause cannot take the CPU from the core. Rings in that time are merged into one.
+/// This thread is more urgent than the core. A ring that follows the last one too early makes it
+/// sleep until the distance is over, so a doorbell that rings without a pause cannot take the CPU
+/// from the core. Rings in that time are merged into one.
 fn listen(board: &HostBoard, grant: Grant) -> ! {
     // More urgent than the core, whose task it is to interrupt; the CPU is inherited.
     let _ = realtime::claim(Claim {
@@ -46,16 +47,16 @@ fn listen(board: &HostBoard, grant: Grant) -> ! {
         cpu: None,
         lock_memory: false,
     });
+    let mut open = Instant::ORIGIN;
     loop {
         board.wait(Instant::NEVER);
-        loop {
-            host::raise(Interrupt::DOORBELL);
-            thread::sleep(core::time::Duration::from_nanos(DOORBELL_DISTANCE.as_ns()));
+        if board.now() < open {
+            clock::sleep_until(open);
             // Does not wait: the deadline has passed.
-            if board.wait(Instant::ORIGIN) == Wake::Deadline {
-                break;
-            }
+            board.wait(Instant::ORIGIN);
             HELD_BACK.fetch_add(1, Relaxed);
         }
+        host::raise(Interrupt::DOORBELL);
+        open = board.now() + DOORBELL_DISTANCE;
     }
 }

@@ -1,9 +1,9 @@
-//! The vehicle's process: the world at 1 kHz, the CAN bus, and the recording of the run.
+//! The vehicle's process: the world in steps of 1 ms, the CAN bus, and the recording of the run.
 
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
-use tandem_board::{RoleLamp, SystemId, VehiclePort};
+use tandem_board::{Instant, Pass, RoleLamp, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, VehicleArgs};
 use tandem_record::Entry;
 use tandem_record::log::{Header, RoadPiece, Sample, VehicleRecord};
@@ -132,11 +132,19 @@ where
     fn work(&mut self) -> anyhow::Result<Ended> {
         self.port.set_ignition(true);
         loop {
-            let due = self.port.tick()?;
+            let now = self.port.now();
+            // A programming host sends in each period.
+            let event = match self.update {
+                Some(_) => now,
+                None => Instant::from_ns(self.world.next_frame(now.as_ns())),
+            };
+            let pass = self.port.wait_for(event)?;
             if self.port.stop_requested() {
                 return Ok(Ended::Stopped);
             }
-            self.note_lateness(due.as_ns());
+            if let Pass::Period(due) = pass {
+                self.note_lateness(due.as_ns());
+            }
             let Self {
                 world,
                 port,
@@ -144,13 +152,36 @@ where
                 update,
                 ..
             } = self;
-            world.run_period(due, *port, &mut |logged| {
+            let mut seen = |logged: LoggedFrame| {
                 if let Some(update) = update {
                     update.on_frame(logged.at, &logged.frame);
                 }
                 recorder.record(Entry::Frame(logged));
-            });
+            };
+            let due = match pass {
+                Pass::Period(due) => {
+                    world.run_period(due, *port, &mut seen);
+                    due
+                }
+                Pass::Quiet(due) => {
+                    world.run_quiet_period(due);
+                    due
+                }
+                Pass::Frames => {
+                    let mut sent_ns = u64::MAX;
+                    world.run_between(*port, &mut |logged| {
+                        sent_ns = sent_ns.min(logged.sent.as_ns());
+                        seen(logged);
+                    });
+                    // Each frame wakes the bus: it was held up while one waited.
+                    self.note_lateness(sent_ns);
+                    continue;
+                }
+            };
             self.update();
+            if let Pass::Period(_) = pass {
+                self.drain_traces();
+            }
             self.look(due.as_ns());
             self.ticks += 1;
             let time_s = self.world.snapshot().time_s;
@@ -192,9 +223,8 @@ where
         port.ring_receivers();
     }
 
-    /// Everything that the recording needs.
+    /// Everything that the recording needs of a period.
     fn look(&mut self, now_ns: u64) {
-        self.drain_traces();
         let recorder = &mut self.recorder;
         for system in SystemId::ALL {
             let on = self.port.is_powered(system);

@@ -33,6 +33,7 @@ const MOTION_TICKS: u64 = 10;
 /// reaches it before the frame is overdue.
 const ECHO_TICKS: u64 = 10;
 const DRIVER_TICKS: u64 = 100;
+const DRIVER_PHASE: u64 = 3;
 /// If the caller is later than this, the world stands still for the time between, ns: a frozen
 /// process of the world must not look like a vehicle without control.
 const STALL_NS: u64 = 200_000_000;
@@ -268,6 +269,40 @@ impl World {
         self.next_ns = Some(next);
     }
 
+    /// When the world sends its next frame, if it hears no control frame before, ns: the time of a
+    /// period, at least `now_ns`, at most [`MOTION_TICKS`] periods ahead.
+    #[must_use]
+    pub fn next_frame(&self, now_ns: u64) -> u64 {
+        let next_ns = self.next_ns.unwrap_or(now_ns);
+        let mut ahead = (0..MOTION_TICKS).map(|n| (self.ticks + n, next_ns + n * TICK_NS));
+        let sends = ahead.find(|(tick, at_ns)| {
+            let phase = tick % SENSOR_PERIOD_MS;
+            self.is_echo_due(*tick, *at_ns)
+                || tick.is_multiple_of(MOTION_TICKS)
+                || tick % DRIVER_TICKS == DRIVER_PHASE
+                || SENSOR_PHASE_MS.contains(&phase)
+                || phase == LANES_PHASE_MS
+                || self.sensor_faults.is_due(*tick)
+        });
+        sends.map_or(next_ns, |(_, at_ns)| at_ns)
+    }
+
+    fn is_echo_due(&self, tick: u64, now_ns: u64) -> bool {
+        let accepted_ns = self.gate.accepted().map(|last| last.at_ns);
+        let is_due = |(at_tick, frame_ns)| frame_ns != accepted_ns || tick >= at_tick + ECHO_TICKS;
+        self.echoed.is_none_or(is_due) || self.gate.is_overdue(now_ns)
+    }
+
+    /// Hands out at `now_ns` what the vehicle obeys, if it is to tell it now.
+    pub(crate) fn echo(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
+        if self.is_echo_due(self.ticks, now_ns) {
+            self.echoed = Some((self.ticks, self.gate.accepted().map(|last| last.at_ns)));
+            let echo = Message::GateEcho(self.gate.echo(now_ns));
+            let frame = self.transmitter.encode(&echo);
+            emit(frame.id, frame.data());
+        }
+    }
+
     fn tick(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
         if self.snapshot.running {
             self.advance(now_ns);
@@ -439,32 +474,25 @@ impl World {
 
     /// Hands out the frames that are due in this tick.
     fn transmit(&mut self, now_ns: u64, emit: &mut dyn FnMut(u16, &[u8])) {
+        self.echo(now_ns, emit);
         let Self {
             transmitter,
             sensors,
             sensor_faults,
             ego,
             ticks,
-            gate,
-            echoed,
             ..
         } = self;
         let mut send = |message: &Message| {
             let frame = transmitter.encode(message);
             emit(frame.id, frame.data());
         };
-        let accepted_ns = gate.accepted().map(|last| last.at_ns);
-        let is_due = |(tick, frame_ns)| frame_ns != accepted_ns || *ticks >= tick + ECHO_TICKS;
-        if echoed.is_none_or(is_due) || gate.is_overdue(now_ns) {
-            *echoed = Some((*ticks, accepted_ns));
-            send(&Message::GateEcho(gate.echo(now_ns)));
-        }
         if ticks.is_multiple_of(MOTION_TICKS) {
             send(&Message::EgoMotion(
                 sensors.motion(ego, self.snapshot.running),
             ));
         }
-        if *ticks % DRIVER_TICKS == 3 {
+        if *ticks % DRIVER_TICKS == DRIVER_PHASE {
             let time_s = self.snapshot.time_s;
             let here = Here {
                 time_s,

@@ -57,18 +57,21 @@ impl World {
     ) {
         let now = bus.now();
         bus.transmitted(&mut |_, _, carried| seen(self.hear(now, carried)));
-        self.step(due.as_ns(), &mut |id, data| {
-            // The world sends what the DBC has, which is always a frame.
-            if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
-                let at = bus.broadcast(&frame);
-                seen(LoggedFrame {
-                    at,
-                    sent: due,
-                    frame,
-                    verdict: None,
-                });
-            }
-        });
+        self.step(due.as_ns(), &mut |id, data| send(bus, seen, due, id, data));
+        bus.ring_receivers();
+    }
+
+    /// A period before [`World::next_frame`]: the world up to `due`. It sends nothing.
+    pub fn run_quiet_period(&mut self, due: Instant) {
+        self.step(due.as_ns(), &mut |_, _| {});
+    }
+
+    /// Between two periods: the frames of the controllers, and at once the echo of one that acts.
+    /// Call it when the periods that are due have run.
+    pub fn run_between(&mut self, bus: &mut impl VehicleBus, seen: &mut dyn FnMut(LoggedFrame)) {
+        let now = bus.now();
+        bus.transmitted(&mut |_, _, carried| seen(self.hear(now, carried)));
+        self.echo(now.as_ns(), &mut |id, data| send(bus, seen, now, id, data));
         bus.ring_receivers();
     }
 
@@ -84,6 +87,26 @@ impl World {
             frame,
             verdict: judged.map(|acceptance| acceptance.verdict),
         }
+    }
+}
+
+/// Puts a frame of the world on the bus, and tells of it.
+fn send(
+    bus: &mut impl VehicleBus,
+    seen: &mut dyn FnMut(LoggedFrame),
+    sent: Instant,
+    id: u16,
+    data: &[u8],
+) {
+    // The world sends what the DBC has, which is always a frame.
+    if let Ok(frame) = CanFrame::new(CanId::Standard(id), true, data) {
+        let at = bus.broadcast(&frame);
+        seen(LoggedFrame {
+            at,
+            sent,
+            frame,
+            verdict: None,
+        });
     }
 }
 

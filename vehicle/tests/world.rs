@@ -47,13 +47,22 @@ impl Run {
         judged.unwrap().verdict
     }
 
-    /// Lets time pass; every frame must pass the receiver's checks.
+    /// Lets time pass; every frame must pass the receiver's checks, and be foreseen.
     fn wait(&mut self, ms: u64) {
-        for _ in 0..ms {
+        for period in 0..ms {
+            let (before, now_ns) = (self.received.len(), self.now_ms * MS);
+            let foreseen_ns = self.world.next_frame(now_ns);
             let (receiver, received, now) = (&mut self.receiver, &mut self.received, self.now_ms);
             self.world.step(now * MS, &mut |id, data| {
                 received.push((now, receiver.receive(u32::from(id), data).unwrap()));
             });
+            let sends = self.received.len() > before;
+            // The first one may be late.
+            assert!(
+                period == 0 || sends == (foreseen_ns == now_ns),
+                "at {} ms",
+                self.now_ms
+            );
             self.now_ms += 1;
         }
     }

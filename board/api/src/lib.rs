@@ -38,7 +38,7 @@ pub use lines::{Edge, Line, Lines, Link, LinkFull};
 pub use supply::{ResetCause, ResetRequest, RoleLamp, Supply, watchdog_answer};
 pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
-pub use vehicle::{Carried, VehicleBus, VehiclePort};
+pub use vehicle::{Carried, Pass, VehicleBus, VehiclePort};
 
 use core::sync::atomic::AtomicU32;
 

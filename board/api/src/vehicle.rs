@@ -33,6 +33,17 @@ pub trait VehicleBus {
     fn ring_receivers(&mut self) {}
 }
 
+/// Why the vehicle was woken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pass {
+    /// A period of 1 ms was due at this time.
+    Period(Instant),
+    /// A period was due at this time, before the next frame of the vehicle: no frame is fetched.
+    Quiet(Instant),
+    /// A core has sent a frame between two periods.
+    Frames,
+}
+
 /// A whole run, seen from the vehicle.
 pub trait VehiclePort: VehicleBus {
     /// Why the board failed.
@@ -43,6 +54,16 @@ pub trait VehiclePort: VehicleBus {
     /// # Errors
     /// If the board fails.
     fn tick(&mut self) -> Result<Instant, Self::Error>;
+
+    /// Waits like [`VehiclePort::tick`], but a board may sleep until a core sends a frame or until
+    /// `event`, the period in which the vehicle sends one itself, and return the periods before it
+    /// together. Blocks.
+    ///
+    /// # Errors
+    /// If the board fails.
+    fn wait_for(&mut self, _event: Instant) -> Result<Pass, Self::Error> {
+        self.tick().map(Pass::Period)
+    }
 
     /// Connects the battery of both systems, or ends the run.
     fn set_ignition(&mut self, on: bool);

@@ -12,7 +12,7 @@ use tandem_shm::FitError;
 
 use crate::args::CoreArgs;
 use crate::backplane::{Backplane, BackplaneError};
-use crate::bell::{Bell, BellError, Ringers};
+use crate::bell::{Bell, BellError, Owner, Ringers};
 use crate::can::HostCan;
 use crate::clock;
 use crate::flash::{FlashFileError, HostFlash};
@@ -20,6 +20,7 @@ use crate::lines::{HostLines, HostLink};
 use crate::memory::{self, MemoryError};
 use crate::segment::SegmentError;
 use crate::spawn;
+use crate::supply;
 use crate::supply_client::HostSupply;
 use crate::trace_ring::TraceRing;
 
@@ -93,10 +94,10 @@ impl HostBoard {
             of,
             backplane,
             lmu,
-            bell: Bell::hang(&args.common.run, of)?,
+            bell: Bell::hang(&args.common.run, Owner::Core(of.address()))?,
             looked_around: AtomicBool::new(false),
             ringers: Arc::clone(&ringers),
-            can: HostCan::attach(backplane, of)?,
+            can: HostCan::attach(backplane, of, Arc::clone(&ringers))?,
             lines: HostLines::new(backplane, of, ringers),
             link: HostLink::attach(backplane, of)?,
             flash: HostFlash::open(&args.flash)?,
@@ -138,6 +139,7 @@ impl Board for HostBoard {
 
     fn release_core(&self, core: CoreId) {
         self.backplane.release_core(self.of.system, core);
+        supply::poke(self.backplane, self.of.system);
     }
 
     fn output_diagnosis(&self) -> OutputDiagnosis {
@@ -186,6 +188,7 @@ impl Board for HostBoard {
 impl FaultSource for HostBoard {
     fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
         self.backplane.set_fault(of, fault, present);
+        supply::poke(self.backplane, of);
     }
 }
 

@@ -1,33 +1,40 @@
 //! The CAN controller of a core: a transmit ring to the bus, a cursor in the ring from the bus.
 
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 use tandem_board::{Can, CanErrors, CanFrame, Identity, Received, TransmitFull};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::backplane::{Backplane, RINGS, TRANSMIT_WORDS, encode_transmit};
+use crate::bell::Ringers;
 use crate::clock;
 
-/// The CAN controller of one core. The bus itself is in the vehicle's process, which moves frames
-/// once a millisecond; without it nothing is received and the transmit buffer fills up.
+/// The CAN controller of one core. The bus itself is in the vehicle's process, which each frame
+/// wakes; without it nothing is received and the transmit buffer fills up.
 #[derive(Debug)]
 pub struct HostCan {
     backplane: Backplane,
     of: Identity,
+    ringers: Arc<Ringers>,
     transmit: Mutex<fifo::Producer<'static, [u32; TRANSMIT_WORDS]>>,
     receive: Mutex<broadcast::Receiver<'static, [u32; FRAME_WORDS]>>,
     overruns: AtomicU32,
 }
 
 impl HostCan {
-    pub(crate) fn attach(backplane: Backplane, of: Identity) -> Result<Self, FitError> {
+    pub(crate) fn attach(
+        backplane: Backplane,
+        of: Identity,
+        ringers: Arc<Ringers>,
+    ) -> Result<Self, FitError> {
         let transmit = RINGS.transmit[of.address().index()];
         backplane.set_wakes_on_receive(of.system, of.core, false);
         Ok(Self {
             backplane,
             of,
+            ringers,
             transmit: Mutex::new(bare::fifo_producer(
                 backplane.ring(transmit),
                 transmit.shape,
@@ -59,7 +66,9 @@ impl Can for HostCan {
         let discards = self.backplane.discards(self.of.system, self.of.core);
         transmit
             .send(&encode_transmit(&frame, discards))
-            .map_err(|fifo::Full| TransmitFull)
+            .map_err(|fifo::Full| TransmitFull)?;
+        self.ringers.ring_bus();
+        Ok(())
     }
 
     fn discard_unsent(&self) {

@@ -45,13 +45,21 @@ impl Ticker {
         }
     }
 
+    /// When the next tick is due.
+    #[must_use]
+    pub const fn next(&self) -> Instant {
+        self.next
+    }
+
     /// Sleeps until the next tick is due, and returns when it was due: consecutive ticks are
     /// exactly one period apart. Missed ticks follow at once, one by one, so that the owner may
     /// catch up.
     pub fn wait(&mut self) -> Instant {
         let due = self.next;
         self.next += self.period;
-        sleep_until(due);
+        if now() < due {
+            sleep_until(due);
+        }
         due
     }
 }

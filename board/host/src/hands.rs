@@ -21,6 +21,7 @@ use crate::memory;
 use crate::name::RunName;
 use crate::processes::{self, Process, RunError};
 use crate::segment::SegmentError;
+use crate::supply::poke;
 
 /// How long the launcher may take to start a supply.
 const SWITCHED_ON_WITHIN: Duration = Duration::from_secs(2);
@@ -132,6 +133,7 @@ impl Hands {
     /// The supply resets the system, as after an orderly request of its core 0.
     pub fn reset(&self, system: SystemId) {
         self.backplane.request_reset(system, ResetRequest::Software);
+        poke(self.backplane, system);
     }
 
     /// Cuts or mends the connections of these systems over this wire.
@@ -199,6 +201,7 @@ impl Hands {
     /// Makes a fault of a system's hardware, or mends it.
     pub fn set_fault(&self, of: SystemId, fault: HardwareFault, present: bool) {
         self.backplane.set_fault(of, fault, present);
+        poke(self.backplane, of);
     }
 
     /// Sends an edge that this system did not send to the other one.

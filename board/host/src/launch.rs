@@ -33,7 +33,7 @@ const POWER_DOWN_GRACE: Duration = Duration::from_secs(2);
 const KILL_GRACE: Duration = Duration::from_secs(5);
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// The same during the run.
-const LOOK_AGAIN_IN_RUN: Duration = Duration::from_millis(20);
+const LOOK_AGAIN_IN_RUN: Duration = Duration::from_millis(50);
 
 /// Why a run did not start.
 #[derive(Debug, thiserror::Error)]

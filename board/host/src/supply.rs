@@ -13,9 +13,12 @@
 use std::os::fd::OwnedFd;
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{Pid, Signal, kill_process};
+use signal_hook::consts::SIGURG;
 use tandem_board::{
     CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
 };
@@ -34,9 +37,22 @@ use crate::spawn::{self, Watched};
 
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
-/// The same once all cores have started. Deaths of processes and the end of the watchdog's window
-/// wake it at once; a request waits this long at most.
-const CALM_PERIOD: Duration = Duration::from_ms(4);
+/// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
+/// [`POKE`] wake it at once. A poke that arrives just before the supply sleeps is not seen: what it
+/// tells of waits this long.
+const CALM_PERIOD: Duration = Duration::from_ms(20);
+/// Tells a supply to read its registers. Without a handler, as at its start, it has no effect.
+const POKE: Signal = Signal::URG;
+
+/// Has the supply of a system read its registers now. No effect if it has none.
+pub(crate) fn poke(backplane: Backplane, system: SystemId) {
+    let pid = i32::try_from(backplane.supply_pid(system));
+    if let Some(pid) = pid.ok().and_then(Pid::from_raw) {
+        // It may have just ended.
+        let _ = kill_process(pid, POKE);
+    }
+}
+
 /// A supply that polls later than this was held up itself: the process or the machine was stopped.
 const HELD_UP: Duration = Duration::from_ms(50);
 /// Why a supply cannot work.
@@ -51,6 +67,9 @@ pub enum SupplyError {
     /// The data flash cannot be used.
     #[error(transparent)]
     Flash(#[from] FlashFileError),
+    /// The operating system refuses a handler.
+    #[error("a signal cannot be handled: {0}")]
+    Signal(std::io::Error),
     /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
@@ -73,6 +92,9 @@ impl From<FitError> for SupplyError {
 /// cannot be started is no error: it counts as dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
+    // The handler does nothing: a signal that is handled ends a sleep.
+    let poked = signal_hook::flag::register(SIGURG, Arc::default());
+    poked.map_err(SupplyError::Signal)?;
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);

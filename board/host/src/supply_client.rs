@@ -12,6 +12,7 @@ use tandem_shm::{FitError, bare, fifo};
 
 use crate::backplane::{Backplane, RINGS};
 use crate::clock;
+use crate::supply::poke;
 
 /// The registers of a system's supply. Only core 0 services the watchdog.
 #[derive(Debug)]
@@ -62,6 +63,7 @@ impl Supply for HostSupply {
 
     fn request_reset(&self, request: ResetRequest) {
         self.backplane.request_reset(self.of.system, request);
+        poke(self.backplane, self.of.system);
     }
 
     fn show_role(&self, lamp: RoleLamp) {

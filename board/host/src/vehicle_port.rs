@@ -3,8 +3,8 @@
 use core::convert::Infallible;
 
 use tandem_board::{
-    CanFrame, Carried, CoreAddress, CoreId, Duration, HardwareFault, Instant, Received, RoleLamp,
-    SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
+    CanFrame, CanState, Carried, CoreAddress, CoreId, Duration, HardwareFault, HardwareFaults,
+    Instant, Pass, Received, RoleLamp, SupplyEvent, SystemId, Traced, VehicleBus, VehiclePort,
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
@@ -15,7 +15,7 @@ use crate::args::VehicleArgs;
 use crate::backplane::{
     Backplane, BackplaneError, BusFault, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
 };
-use crate::bell::Ringers;
+use crate::bell::{Bell, BellError, Owner, Ringers};
 use crate::clock::{self, Ticker};
 use crate::spawn::Watched;
 use crate::trace_ring::Reader;
@@ -29,6 +29,9 @@ pub enum VehiclePortError {
     /// The backplane cannot be mapped.
     #[error(transparent)]
     Backplane(#[from] BackplaneError),
+    /// The bell of the bus cannot be set up.
+    #[error(transparent)]
+    Bell(#[from] BellError),
     /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
@@ -46,8 +49,9 @@ impl From<FitError> for VehiclePortError {
 /// The vehicle's connection to the controller. A run has one: it is the bus, which orders the
 /// frames of all nodes.
 ///
-/// Once a millisecond the vehicle calls [`VehicleBus::transmitted`], which moves the frames of the
-/// cores, and [`VehicleBus::broadcast`] for each frame of its own nodes.
+/// When a core has sent a frame, and when it sends one itself, the vehicle calls
+/// [`VehicleBus::transmitted`], which moves the frames of the cores, and
+/// [`VehicleBus::broadcast`] for each frame of its own nodes.
 #[derive(Debug)]
 pub struct HostVehiclePort {
     backplane: Backplane,
@@ -67,6 +71,12 @@ pub struct HostVehiclePort {
     news: bool,
     /// `None` before the first period.
     ticker: Option<Ticker>,
+    /// The cores ring it when they send.
+    bell: Bell,
+    /// It was rung.
+    rung: bool,
+    /// The vehicle sends nothing before: the periods until then may be late.
+    quiet_until: Instant,
 }
 
 #[derive(Debug)]
@@ -78,6 +88,8 @@ struct Node {
     lost: u32,
     limit: TransmitLimit,
     confinement: Confinement,
+    /// It has sent all that it may send in this millisecond.
+    is_limited: bool,
     /// A frame that the bus did not take.
     unsent: Option<[u32; TRANSMIT_WORDS]>,
 }
@@ -112,6 +124,7 @@ impl HostVehiclePort {
                 lost: backplane.lost_trace(system, core),
                 limit: TransmitLimit::default(),
                 confinement: Confinement::default(),
+                is_limited: false,
                 unsent: None,
             });
         }
@@ -129,7 +142,26 @@ impl HostVehiclePort {
             emptied: clock::now(),
             news: false,
             ticker: None,
+            bell: Bell::hang(&args.common.run, Owner::Bus)?,
+            rung: false,
+            quiet_until: Instant::ORIGIN,
         })
+    }
+
+    /// Whether the bus has work in each period: frames wait in it, or something disturbs it.
+    fn is_disturbed(&self) -> bool {
+        let waits = |node: &Node| {
+            node.unsent.is_some()
+                || node.is_limited
+                || node.confinement.state() != CanState::ErrorActive
+        };
+        let disturbs = |system| {
+            self.backplane.bus_fault(system) != BusFault::default()
+                || self.backplane.faults(system) != HardwareFaults::default()
+        };
+        !self.held_back.is_empty()
+            || self.from_cores.iter().any(waits)
+            || SystemId::ALL.into_iter().any(disturbs)
     }
 
     /// Cuts or mends a connection.
@@ -243,8 +275,10 @@ impl VehicleBus for HostVehiclePort {
                 // A reset clears the counters.
                 node.confinement = Confinement::default();
             }
+            node.is_limited = false;
             for _ in 0..RINGS.transmit[0].shape.slots() {
                 if !silent && !node.limit.allows(now) {
+                    node.is_limited = true;
                     break;
                 }
                 let Some((words, earliest)) = node.next(emptied) else {
@@ -310,6 +344,31 @@ impl VehiclePort for HostVehiclePort {
     fn tick(&mut self) -> Result<Instant, Infallible> {
         let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
         Ok(ticker.wait())
+    }
+
+    /// A disturbed bus works in each period.
+    fn wait_for(&mut self, event: Instant) -> Result<Pass, Infallible> {
+        loop {
+            let ticker = self.ticker.get_or_insert_with(|| Ticker::new(PERIOD));
+            let next = ticker.next();
+            let is_due = next <= clock::now();
+            if is_due && next < self.quiet_until {
+                return Ok(Pass::Quiet(ticker.wait()));
+            }
+            if core::mem::take(&mut self.rung) {
+                return Ok(Pass::Frames);
+            }
+            if is_due {
+                return Ok(Pass::Period(ticker.wait()));
+            }
+            if event <= next || self.is_disturbed() {
+                clock::sleep_until(next);
+                self.quiet_until = next;
+            } else {
+                self.rung = self.bell.wait(event);
+                self.quiet_until = event;
+            }
+        }
     }
 
     fn set_ignition(&mut self, on: bool) {
@@ -384,10 +443,12 @@ fn wait_until_assembled(backplane: Backplane) -> Result<(), VehiclePortError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::RunName;
     use crate::args::{Common, Schedule};
     use crate::backplane::ScratchRun;
     use crate::backplane::encode_transmit;
     use crate::can::HostCan;
+    use std::sync::Arc;
     use tandem_board::{Can, CanId, Generation, Identity};
 
     /// A run without processes, in which this process is launcher and vehicle.
@@ -403,6 +464,11 @@ mod tests {
         };
         let port = HostVehiclePort::attach(&VehicleArgs { common }).unwrap();
         (run, port)
+    }
+
+    fn attached(run: &RunName, port: &HostVehiclePort, of: Identity) -> HostCan {
+        let ringers = Arc::new(Ringers::new(run));
+        HostCan::attach(port.backplane, of, ringers).unwrap()
     }
 
     /// T-RED-8: a frame is logged with the time at which it was on the bus, whatever its sender
@@ -439,7 +505,7 @@ mod tests {
     /// the receiver's time, independent of the sender and its time.
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
-        let (_run, mut port) = port();
+        let (run, mut port) = port();
         let attach = |system, core| {
             let generation = Generation(1);
             let of = Identity {
@@ -447,7 +513,7 @@ mod tests {
                 core,
                 generation,
             };
-            HostCan::attach(port.backplane, of).unwrap()
+            attached(&run, &port, of)
         };
         let senders = [
             attach(SystemId::A, CoreId::CONTROL),
@@ -490,7 +556,7 @@ mod tests {
                 core,
                 generation,
             };
-            HostCan::attach(port.backplane, of).unwrap()
+            attached(&run, &port, of)
         };
         let [a, b] = SystemId::ALL.map(attach);
         let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
@@ -519,13 +585,13 @@ mod tests {
     /// T-RED-9: frames that wait when the output closes are not sent; later frames are.
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
-        let (_run, mut port) = port();
+        let (run, mut port) = port();
         let of = Identity {
             system: SystemId::A,
             core: CoreId::CONTROL,
             generation: Generation(1),
         };
-        let can = HostCan::attach(port.backplane, of).unwrap();
+        let can = attached(&run, &port, of);
         let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
         for id in 1..4 {
             can.try_send(&frame(id)).unwrap();
@@ -535,5 +601,55 @@ mod tests {
         let mut seen = vec![];
         port.transmitted(&mut |_, _, received| seen.push(received.frame));
         assert_eq!(seen, [frame(4)]);
+    }
+
+    /// The vehicle sleeps until the period in which it sends itself; a frame of a core wakes it
+    /// between two periods, after those that are due.
+    #[test]
+    fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
+        let (run, mut port) = port();
+        let of = Identity {
+            system: SystemId::A,
+            core: CoreId::CONTROL,
+            generation: Generation(1),
+        };
+        let can = attached(&run, &port, of);
+        let Ok(Pass::Period(first)) = port.wait_for(Instant::ORIGIN) else {
+            panic!("the first period");
+        };
+        let never = clock::now() + Duration::from_ms(60_000);
+        let sender = std::thread::spawn(move || {
+            clock::sleep_until(clock::now() + Duration::from_ms(20));
+            let before = clock::now();
+            can.try_send(&CanFrame::new(CanId::Standard(1), true, &[]).unwrap())
+                .unwrap();
+            before
+        });
+        let (mut periods, mut last) = (0, first);
+        while let Ok(Pass::Quiet(due)) = port.wait_for(never) {
+            assert_eq!(due, last + PERIOD);
+            (periods, last) = (periods + 1, due);
+        }
+        // The loop ends with `Pass::Frames`.
+        let sent = sender.join().unwrap();
+        assert!(periods > 0 && sent < never && clock::now() < never);
+        let mut seen = 0;
+        port.transmitted(&mut |_, _, _| seen += 1);
+        assert_eq!(seen, 1);
+        // Held up until the next period: the frame comes first, so that its wait is noted.
+        clock::sleep_until(clock::now() + PERIOD);
+        (port.rung, port.quiet_until) = (true, Instant::ORIGIN);
+        assert_eq!(port.wait_for(never), Ok(Pass::Frames));
+        let pass = port.wait_for(never);
+        assert!(matches!(pass, Ok(Pass::Period(_))), "{pass:?}");
+        // A disturbed bus works in each period.
+        port.backplane
+            .set_fault(SystemId::A, HardwareFault::CanTransmit, true);
+        let pass = port.wait_for(never);
+        assert!(
+            matches!(pass, Ok(Pass::Period(_) | Pass::Quiet(_))),
+            "{pass:?}"
+        );
+        assert!(clock::now() < never);
     }
 }

@@ -81,6 +81,12 @@ impl Confinement {
         self.errors
     }
 
+    /// The state at the last call.
+    #[must_use]
+    pub const fn state(&self) -> CanState {
+        self.errors.state()
+    }
+
     /// When a frame that could not be sent may be tried again.
     #[must_use]
     pub const fn due(&self) -> Instant {

@@ -111,6 +111,11 @@ impl Faults {
         }
     }
 
+    /// Whether something is held back that is due by this tick.
+    pub(crate) fn is_due(&self, tick: u64) -> bool {
+        self.held.front().is_some_and(|(due, _)| *due <= tick)
+    }
+
     /// Sends what is due by this tick.
     pub(crate) fn release(&mut self, tick: u64, send: &mut dyn FnMut(&Message)) {
         let due = self.held.iter().take_while(|(due, _)| *due <= tick).count();

@@ -16,6 +16,8 @@ use tandem_board::{
 };
 use tandem_peripherals::wires::{Cuts, Wire};
 
+#[cfg(test)]
+use crate::bell;
 use crate::name::RunName;
 use crate::segment::{Segment, SegmentError};
 use crate::trace_ring::TraceRing;
@@ -479,6 +481,7 @@ impl ScratchRun {
     pub(crate) fn create() -> (Self, Backplane) {
         let run = RunName::unique();
         let backplane = Backplane::create(&run).unwrap();
+        bell::install(&run).unwrap();
         (Self(run), backplane)
     }
 }
@@ -496,5 +499,6 @@ impl core::ops::Deref for ScratchRun {
 impl Drop for ScratchRun {
     fn drop(&mut self) {
         Backplane::remove(&self.0);
+        bell::remove(&self.0);
     }
 }

@@ -1,4 +1,4 @@
-//! Doorbells: iceoryx2 events between the cores.
+//! Doorbells: iceoryx2 events between the cores, and from the cores to the bus.
 //!
 //! A core has one bell for the whole run, created and reserved before the first process starts
 //! ([`install`]). Each incarnation of the core takes it over with [`Bell::hang`], in the same
@@ -28,7 +28,7 @@ use iceoryx2_cal::event::{Event, EventId, Listener, ListenerBuilder, ListenerWai
 #[cfg(test)]
 use iceoryx2_cal::named_concept::NamedConceptMgmt;
 use iceoryx2_cal::named_concept::{NamedConceptBuilder, NamedConceptConfiguration};
-use tandem_board::{CoreId, Identity, Instant, SystemId};
+use tandem_board::{CoreAddress, CoreId, Instant, SystemId};
 
 use crate::clock;
 use crate::name::RunName;
@@ -52,45 +52,80 @@ const RUNG: EventId = EventId::new(0);
 
 /// The bell of a core could not be set up.
 #[derive(Debug, thiserror::Error)]
-#[error("doorbell of core {core}: {reason}")]
+#[error("doorbell of {of}: {reason}")]
 pub struct BellError {
-    core: String,
+    of: String,
     reason: String,
 }
 
-/// Creates the bells of all cores and reserves their memory.
-pub(crate) fn install(run: &RunName) -> Result<(), BellError> {
-    for system in SystemId::ALL {
-        for core in CoreId::ALL {
-            listener(run, system, core)?;
-        }
-    }
-    Ok(())
+/// Whose bell it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Owner {
+    Core(CoreAddress),
+    /// The bus, which is in the vehicle's process.
+    Bus,
 }
 
-fn listener(run: &RunName, system: SystemId, core: CoreId) -> Result<BellListener, BellError> {
+impl Owner {
+    fn all() -> impl Iterator<Item = Self> {
+        CoreAddress::ALL
+            .into_iter()
+            .map(Self::Core)
+            .chain([Self::Bus])
+    }
+
+    fn name(self) -> String {
+        match self {
+            Self::Core(CoreAddress { system, core }) => format!("{system}{core}"),
+            Self::Bus => "bus".to_owned(),
+        }
+    }
+
+    fn file(self) -> FileName {
+        let name = format!("bell-{}", self.name());
+        // Letters, digits and dashes are always a valid name; the fallback is never used.
+        FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
+    }
+}
+
+/// Creates all bells of the run and reserves their memory.
+pub(crate) fn install(run: &RunName) -> Result<(), BellError> {
+    Owner::all().try_for_each(|of| listener(run, of).map(drop))
+}
+
+/// Removes the bells of a run that a test has installed.
+#[cfg(test)]
+pub(crate) fn remove(run: &RunName) {
+    for of in Owner::all() {
+        // SAFETY: POSIX shared memory keeps its content for every process that has it mapped.
+        let removed = unsafe { BellEvent::remove_cfg(&of.file(), &config(run)) };
+        assert!(removed.unwrap());
+    }
+}
+
+fn listener(run: &RunName, of: Owner) -> Result<BellListener, BellError> {
     segment::quiet();
-    <BellEvent as Event<_>>::ListenerBuilder::new(&file(system, core))
+    <BellEvent as Event<_>>::ListenerBuilder::new(&of.file())
         .config(&config(run))
         .event_id_max(RUNG)
         .create()
         .map_err(|cause| BellError {
-            core: format!("{system}{core}"),
+            of: of.name(),
             reason: format!("{cause}; is /dev/shm full?"),
         })
 }
 
-/// The bell of a core: the end of the core that it wakes.
+/// A bell: the end of its owner, which it wakes.
 pub(crate) struct Bell {
     listener: BellListener,
 }
 
 impl Bell {
-    /// Takes over the bell of this core. Earlier rings are forgotten, so the caller polls all
+    /// Takes over the bell of this owner. Earlier rings are forgotten, so the caller polls all
     /// sources before it first sleeps.
-    pub(crate) fn hang(run: &RunName, of: Identity) -> Result<Self, BellError> {
-        let listener = listener(run, of.system, of.core)?;
-        // Pairs with the fence in `Ringers::ring`: if a ring was forgotten here, this core's first
+    pub(crate) fn hang(run: &RunName, of: Owner) -> Result<Self, BellError> {
+        let listener = listener(run, of)?;
+        // Pairs with the fence in `Ringers::ring`: if a ring was forgotten here, the owner's first
         // poll sees everything that its ringer wrote before it.
         fence(SeqCst);
         Ok(Self { listener })
@@ -123,10 +158,11 @@ impl fmt::Debug for Bell {
     }
 }
 
-/// The bells of all cores: the ends of the ringers. They ring from any context.
+/// All bells: the ends of the ringers. They ring from any context.
 pub(crate) struct Ringers {
     run: RunName,
-    bells: [[Option<BellStorage>; CoreId::COUNT]; 2],
+    cores: [Option<BellStorage>; CoreAddress::COUNT],
+    bus: Option<BellStorage>,
 }
 
 impl Ringers {
@@ -135,21 +171,29 @@ impl Ringers {
         segment::quiet();
         Self {
             run: run.clone(),
-            bells: SystemId::ALL
-                .map(|system| CoreId::ALL.map(|core| storage_of(run, system, core))),
+            cores: CoreAddress::ALL.map(|core| storage_of(run, Owner::Core(core))),
+            bus: storage_of(run, Owner::Bus),
         }
     }
 
     /// Rings the current incarnation of the core. Has no effect if there is none. Never waits.
-    ///
+    pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
+        Self::wake(self.cores[CoreAddress::new(system, core).index()].as_ref());
+    }
+
+    /// Tells the bus that a frame waits. Has no effect without a vehicle. Never waits.
+    pub(crate) fn ring_bus(&self) {
+        Self::wake(self.bus.as_ref());
+    }
+
     /// It does what a notifier of iceoryx2 does, with one difference: a notifier skips the trigger
     /// if the state of the event says that the listener is notified. Another notifier sets this
     /// state after its own trigger. If it is stalled in between, the listener may take its event
     /// and sleep again; then the state says "notified" and the listener sleeps through every ring.
-    pub(crate) fn ring(&self, system: SystemId, core: CoreId) {
+    fn wake(bell: Option<&BellStorage>) {
         // Pairs with the fence in `Bell::hang`.
         fence(SeqCst);
-        if let Some(bell) = &self.bells[system.index()][core.index()] {
+        if let Some(bell) = bell {
             let bell: &BellState = bell.get();
             // Only a bell that a peer has overwritten refuses.
             let _ = bell.event.activate(RUNG);
@@ -167,12 +211,12 @@ impl fmt::Debug for Ringers {
 }
 
 /// The memory of a bell, with the name that iceoryx2's event gives it.
-fn storage_of(run: &RunName, system: SystemId, core: CoreId) -> Option<BellStorage> {
+fn storage_of(run: &RunName, of: Owner) -> Option<BellStorage> {
     let suffix = FileName::new(b".trigger_mgmt").ok()?;
     let config = crate::storage::Configuration::default()
         .prefix(&segment::prefix(run))
         .suffix(&suffix);
-    <BellStorage as DynamicStorage<_>>::Builder::new(&file(system, core))
+    <BellStorage as DynamicStorage<_>>::Builder::new(&of.file())
         .config(&config)
         .open(AccessMode::ReadWrite)
         .ok()
@@ -182,24 +226,15 @@ fn config(run: &RunName) -> Configuration<PendingBits, Futex, BellStorage> {
     Configuration::default().prefix(&segment::prefix(run))
 }
 
-fn file(system: SystemId, core: CoreId) -> FileName {
-    let name = format!("bell-{system}{core}");
-    // Letters, digits and dashes are always a valid name; the fallback is never used.
-    FileName::new(name.as_bytes()).unwrap_or(segment::FALLBACK)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use core::sync::atomic::{AtomicBool, AtomicU8};
     use std::thread;
-    use tandem_board::{Duration, Generation};
+    use tandem_board::Duration;
 
-    const OF: Identity = Identity {
-        system: SystemId::A,
-        core: CoreId::PLANNING,
-        generation: Generation(1),
-    };
+    const CORE: CoreAddress = CoreAddress::new(SystemId::A, CoreId::PLANNING);
+    const OF: Owner = Owner::Core(CORE);
 
     /// A run that has only its bells; dropping it removes its files.
     struct Bells(RunName);
@@ -212,21 +247,13 @@ mod tests {
         }
 
         fn storage(&self) -> BellStorage {
-            storage_of(&self.0, OF.system, OF.core).unwrap()
+            storage_of(&self.0, OF).unwrap()
         }
     }
 
     impl Drop for Bells {
         fn drop(&mut self) {
-            for system in SystemId::ALL {
-                for core in CoreId::ALL {
-                    // SAFETY: POSIX shared memory keeps its content for every process that has it
-                    // mapped.
-                    let removed =
-                        unsafe { BellEvent::remove_cfg(&file(system, core), &config(&self.0)) };
-                    assert!(removed.unwrap());
-                }
-            }
+            remove(&self.0);
         }
     }
 
@@ -247,7 +274,7 @@ mod tests {
             }
             thread::sleep(Span::from_millis(50));
             harm(bells.storage().get());
-            ringers.ring(OF.system, OF.core);
+            ringers.ring(CORE.system, CORE.core);
             sleeper.join().unwrap()
         })
     }
@@ -278,17 +305,17 @@ mod tests {
         for scribble in [0x00, 0x01, 0x7F, 0x80, 0xAA, 0xFF] {
             for byte in bytes {
                 let before = byte.swap(scribble, SeqCst);
-                ringers.ring(OF.system, OF.core);
+                ringers.ring(CORE.system, CORE.core);
                 bell.wait(clock::now() + Duration::from_us(10));
                 byte.store(before, SeqCst);
             }
             bytes.iter().for_each(|byte| byte.store(scribble, SeqCst));
-            ringers.ring(OF.system, OF.core);
+            ringers.ring(CORE.system, CORE.core);
             bell.wait(clock::now() + Duration::from_us(10));
             // The next incarnation.
             let bell = Bell::hang(&bells.0, OF).unwrap();
             assert!(!bell.wait(clock::now()), "silent after {scribble:#x}");
-            ringers.ring(OF.system, OF.core);
+            ringers.ring(CORE.system, CORE.core);
             assert!(bell.wait(Instant::NEVER), "rung after {scribble:#x}");
         }
     }
@@ -299,10 +326,10 @@ mod tests {
         let bells = Bells::install();
         let ringers = Ringers::new(&bells.0);
         for _incarnation in 0..3 {
-            ringers.ring(OF.system, OF.core);
+            ringers.ring(CORE.system, CORE.core);
             let bell = Bell::hang(&bells.0, OF).unwrap();
             assert!(!bell.wait(clock::now()), "rung in the incarnation before");
-            ringers.ring(OF.system, OF.core);
+            ringers.ring(CORE.system, CORE.core);
             assert!(bell.wait(Instant::NEVER));
         }
     }
@@ -310,8 +337,8 @@ mod tests {
     #[test]
     fn a_bell_that_never_hung_is_rung_in_vain() {
         let run = RunName::unique();
-        Ringers::new(&run).ring(OF.system, OF.core);
+        Ringers::new(&run).ring(CORE.system, CORE.core);
         let bells = Bells::install();
-        Ringers::new(&bells.0).ring(OF.system, OF.core);
+        Ringers::new(&bells.0).ring(CORE.system, CORE.core);
     }
 }
