@@ -384,7 +384,7 @@ fn bench(root: &Path, json: Option<&Path>, save: bool) -> Result<()> {
 }
 
 /// What a program says of its version, in one line.
-fn version(program: &str) -> Result<String> {
+pub(crate) fn version(program: &str) -> Result<String> {
     let output = Command::new(program).arg("--version").output();
     let output = output.with_context(|| format!("cannot start {program}"))?;
     let text = String::from_utf8_lossy(&output.stdout);

@@ -6,6 +6,7 @@ mod broken;
 mod failure_modes;
 mod figures;
 mod firmware;
+mod instructions;
 mod requirements;
 mod rooms;
 mod rta;
@@ -125,6 +126,13 @@ enum Task {
         /// Only say whether the page is stale
         #[arg(long)]
         check: bool,
+    },
+    /// Count the host instructions of the primitives under valgrind, and compare them with
+    /// shm/instructions.json
+    Instructions {
+        /// Make these counts the table
+        #[arg(long)]
+        save: bool,
     },
     /// Write the tables of tasks in docs/ from the task table in the code
     #[command(name = "task-tables")]
@@ -248,6 +256,7 @@ fn execute() -> Result<()> {
         Task::Figures { bench, run, check } => {
             figures::run(root, bench.as_deref(), run.as_deref(), check)
         }
+        Task::Instructions { save } => instructions::run(root, save),
         Task::Firmware(task) => firmware::run(root, task),
         Task::Rta {
             metrics,

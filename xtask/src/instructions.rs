@@ -1,0 +1,112 @@
+//! Instructions of the primitives on the host, counted by valgrind and compared with a committed
+//! table: an exact gate, which no load of the machine moves.
+
+use crate::{cargo, target_dir};
+use anyhow::{Context, Result, ensure};
+use serde_json::{Value, json};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const TABLE: &str = "shm/instructions.json";
+const PROGRAM: &str = "instructions";
+/// The cases of `shm/examples/instructions.rs`.
+const CASES: [&str; 10] = [
+    "mailbox",
+    "mailbox-empty-poll",
+    "channel-4B",
+    "channel-scene",
+    "fifo-4B",
+    "fifo-scene",
+    "broadcast-4B",
+    "pool",
+    "lock",
+    "control-frame",
+];
+/// Two runs of a case. Their difference leaves out how the program starts and ends.
+const TIMES: [u64; 2] = [1_000, 5_000];
+/// What another compiler than the table's may change, in percent. With the same one a case takes
+/// the same number of instructions in each run.
+const OTHER_COMPILER_PERCENT: f64 = 5.0;
+/// The starts of two runs differ by some hundred instructions: the size of the environment.
+const NOISE: f64 = 0.3;
+
+/// Counts, and compares with the table; `save` makes a new one. Without valgrind it says so and
+/// checks nothing.
+pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
+    if Command::new("valgrind").arg("--version").output().is_err() {
+        println!("skipped: no valgrind (apt-get install --no-install-recommends valgrind)");
+        return Ok(());
+    }
+    let built = cargo(root, &["build", "--quiet", "--release", "-p", "tandem-shm"])
+        .args(["--example", PROGRAM])
+        .status()?;
+    ensure!(
+        built.success(),
+        "the program that is measured does not build"
+    );
+    let program = target_dir(root).join("release/examples").join(PROGRAM);
+    let mut counted = Vec::new();
+    for case in CASES {
+        let [few, many] = TIMES;
+        let more = count(&program, case, many)?.saturating_sub(count(&program, case, few)?);
+        counted.push((
+            case,
+            (more as f64 / (many - few) as f64 * 10.0).round() / 10.0,
+        ));
+    }
+    let compiler = crate::firmware::version("rustc")?;
+    let place = root.join(TABLE);
+    if save {
+        let rows = counted
+            .iter()
+            .map(|(name, count)| json!({ "name": name, "count": count }));
+        let table = json!({
+            "unit": "instructions of one operation and its answer, x86-64, callgrind",
+            "compiler": compiler,
+            "results": rows.collect::<Vec<_>>(),
+        });
+        fs::write(&place, serde_json::to_string_pretty(&table)? + "\n")?;
+    }
+    let table = fs::read_to_string(&place).with_context(|| place.display().to_string())?;
+    let table: Value = serde_json::from_str(&table)?;
+    let known_compiler = table["compiler"].as_str().unwrap_or_default();
+    let percent = if known_compiler == compiler {
+        0.0
+    } else {
+        OTHER_COMPILER_PERCENT
+    };
+    println!("{compiler}; the table: {known_compiler}");
+    println!("{:<20} {:>9} {:>9}", "instructions", "now", "table");
+    let mut changed = Vec::new();
+    for (name, count) in counted {
+        let rows = table["results"].as_array().into_iter().flatten();
+        let mut known = rows.filter(|row| row["name"] == name);
+        let known = known.find_map(|row| row["count"].as_f64());
+        let known = known.with_context(|| format!("{name} is not in the table: --save"))?;
+        println!("{name:<20} {count:>9.1} {known:>9.1}");
+        if (count - known).abs() > NOISE + known * percent / 100.0 {
+            changed.push(format!("{name} {known:.1} -> {count:.1}"));
+        }
+    }
+    ensure!(
+        changed.is_empty(),
+        "not as in {TABLE}: {}; if it is meant to be so, `cargo xtask instructions --save`",
+        changed.join(", ")
+    );
+    Ok(())
+}
+
+/// The instructions of the whole program that repeats a case this often.
+fn count(program: &Path, case: &str, times: u64) -> Result<u64> {
+    let output = Command::new("valgrind")
+        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null"])
+        .arg(program)
+        .args([case, &times.to_string()])
+        .output()?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    ensure!(output.status.success(), "{case} under valgrind: {said}");
+    let collected = said.split("Collected :").nth(1);
+    let count = collected.and_then(|text| text.split_whitespace().next()?.parse().ok());
+    count.with_context(|| format!("callgrind counted nothing: {said}"))
+}
