@@ -115,6 +115,7 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
     ("eventfd", "eventfd beside shared memory", floor::eventfd),
     ("iceoryx2-event", "event with default settings", peers::iceoryx2_event),
     ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", peers::iceoryx2_event_tuned),
+    ("io-uring", "message from ring to ring", peers::io_uring),
     ("pipe", "two pipes", peers::pipe),
     ("unix-socket", "a pair of SOCK_SEQPACKET", peers::unix_socket),
 ];
@@ -133,7 +134,10 @@ const CASES: &[Cases] = &[
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",
             peers::iceoryx2_pubsub_tuned),
         ("iceoryx2-blackboard", "an entry of the blackboard, polled", peers::iceoryx2_blackboard),
+        ("iceoryx2-request", "request and response, polled", peers::iceoryx2_request),
+        ("seqlock", "sequence lock, polled", peers::seqlock),
         ("rtrb", "ring buffer between threads", peers::rtrb),
+        ("triple-buffer", "newest value between threads", peers::triple_buffer),
     ]),
     (Group::Sleep, 250, SLEEPERS),
     (Group::OneCpu, 500, SLEEPERS),

@@ -20,9 +20,12 @@ pub enum Provider {
 }
 
 /// First parts of the names of those that are neither floor nor Tandem.
-const PEERS: [(&str, Provider); 6] = [
+const PEERS: [(&str, Provider); 9] = [
     ("iceoryx2", Provider::Iceoryx2),
     ("rtrb", Provider::Threads),
+    ("triple-buffer", Provider::Threads),
+    ("seqlock", Provider::System),
+    ("io-uring", Provider::System),
     ("pipe", Provider::System),
     ("unix-socket", Provider::System),
     ("eventfd", Provider::System),

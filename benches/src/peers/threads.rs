@@ -1,4 +1,4 @@
-//! A channel between the threads of one process: rtrb's.
+//! Channels between the threads of one process: rtrb's queue, and the newest value of triple_buffer.
 
 use crate::harness::{Batch, End, Plan, between_threads};
 use crate::stream::{self, Sink, Source, Stream};
@@ -40,6 +40,44 @@ pub fn rtrb(plan: &Plan) -> io::Result<Batch> {
             inward: back_in,
         };
         let far = Rtrb {
+            out: back,
+            inward: there_in,
+        };
+        (near, far)
+    })
+}
+
+struct Triple {
+    out: triple_buffer::Input<u32>,
+    inward: triple_buffer::Output<u32>,
+}
+
+impl End for Triple {
+    fn send(&mut self, stamp: u32) {
+        self.out.write(stamp);
+    }
+
+    fn receive(&mut self) -> u32 {
+        while !self.inward.update() {
+            spin_loop();
+        }
+        *self.inward.output_buffer()
+    }
+}
+
+/// The newest value through a triple buffer, polled.
+///
+/// # Errors
+/// As [`between_threads`].
+pub fn triple_buffer(plan: &Plan) -> io::Result<Batch> {
+    between_threads(plan, || {
+        let [there, back] = [0, 0].map(|_| triple_buffer::triple_buffer(&0));
+        let ((there, there_in), (back, back_in)) = (there, back);
+        let near = Triple {
+            out: there,
+            inward: back_in,
+        };
+        let far = Triple {
             out: back,
             inward: there_in,
         };
