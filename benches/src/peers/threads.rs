@@ -1,4 +1,4 @@
-//! Channels between the threads of one process: rtrb's queue, and the newest value of triple_buffer.
+//! Channels between the threads of one process: rtrb's queue, triple_buffer's newest value.
 
 use crate::harness::{Batch, End, Plan, between_threads};
 use crate::stream::{self, Sink, Source, Stream};
