@@ -112,7 +112,7 @@ impl StateStore {
             .iter()
             .zip(0..)
             .filter_map(|(found, sector)| found.newest.map(|newest| (newest, sector)))
-            .max_by_key(|((_, sequence), _)| *sequence);
+            .reduce(|a, b| if is_newer(b.0.1, a.0.1) { b } else { a });
         let (loaded, sector, sequence) = match newest {
             Some(((state, sequence), sector)) => (Loaded::State(state), sector, sequence),
             None if sectors.iter().all(|found| found.free == 0) => (Loaded::Blank, 0, 0),
@@ -238,6 +238,12 @@ impl StateStore {
     }
 }
 
+/// Whether the record with the first sequence number was written after that with the second. The
+/// numbers wrap; the records of two sectors are near each other.
+const fn is_newer(sequence: u32, than: u32) -> bool {
+    (sequence.wrapping_sub(than) as i32) > 0
+}
+
 fn scan(
     geometry: Geometry,
     sector: u32,
@@ -255,7 +261,9 @@ fn scan(
         }
         found.free = slot + 1;
         if let Ok((state, sequence)) = decoded
-            && found.newest.is_none_or(|(_, newest)| sequence > newest)
+            && found
+                .newest
+                .is_none_or(|(_, newest)| is_newer(sequence, newest))
         {
             found.newest = Some((state, sequence));
         }

@@ -386,11 +386,11 @@ fn scribbled_words_cost_time_and_no_more() {
 #[derive(Clone, Copy, Debug)]
 enum Event {
     Take(usize),
-    Release(usize),
+    Leave(usize),
     /// It dies, wherever it is, and starts again.
     Die(usize),
     /// Those who died with the lock release it after all, as a frozen core may.
-    ReleaseLate,
+    LeaveLate,
 }
 
 /// The lock as one value.
@@ -416,9 +416,9 @@ impl ReferenceStateMachine for Owner {
     fn transitions(_: &Self) -> BoxedStrategy<Event> {
         prop_oneof![
             4 => (0..3_usize).prop_map(Event::Take),
-            3 => (0..3_usize).prop_map(Event::Release),
+            3 => (0..3_usize).prop_map(Event::Leave),
             2 => (0..3_usize).prop_map(Event::Die),
-            1 => Just(Event::ReleaseLate),
+            1 => Just(Event::LeaveLate),
         ]
         .boxed()
     }
@@ -426,9 +426,9 @@ impl ReferenceStateMachine for Owner {
     fn preconditions(owner: &Self, event: &Event) -> bool {
         match event {
             Event::Take(_) | Event::Die(_) => true,
-            Event::Release(core) => owner.core == Some(*core),
+            Event::Leave(core) => owner.core == Some(*core),
             // Before somebody is told of the death the release counts.
-            Event::ReleaseLate => !owner.orphaned,
+            Event::LeaveLate => !owner.orphaned,
         }
     }
 
@@ -438,12 +438,12 @@ impl ReferenceStateMachine for Owner {
                 owner.core = Some(*core);
                 owner.orphaned = false;
             }
-            Event::Release(_) => owner.core = None,
+            Event::Leave(_) => owner.core = None,
             Event::Die(core) if owner.core == Some(*core) => {
                 owner.core = None;
                 owner.orphaned = true;
             }
-            Event::Take(_) | Event::Die(_) | Event::ReleaseLate => {}
+            Event::Take(_) | Event::Die(_) | Event::LeaveLate => {}
         }
         owner
     }
@@ -490,7 +490,7 @@ impl StateMachineTest for Cores {
                     cores.held[core] = Some(taken.into_guard().detach());
                 }
             }
-            Event::Release(core) => drop(cores.held[core].take()),
+            Event::Leave(core) => drop(cores.held[core].take()),
             Event::Die(core) => {
                 let generation = cores.generations[core];
                 cores.bench.kill(core, generation);
@@ -507,7 +507,7 @@ impl StateMachineTest for Cores {
                     .for_each(core::mem::forget);
                 cores.locks[core] = cores.bench.start(core, cores.generations[core]);
             }
-            Event::ReleaseLate => cores.late.clear(),
+            Event::LeaveLate => cores.late.clear(),
         }
         cores.before = *owner;
         cores
