@@ -6,6 +6,7 @@ mod boot;
 mod boot_demo;
 mod chaos;
 mod chaos_args;
+mod collected;
 mod control_core;
 mod core_process;
 mod dflash;

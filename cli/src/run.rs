@@ -1,7 +1,6 @@
 //! `tandem run`: checks, starts both systems and the vehicle, waits, writes the report.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Write as _};
+use std::fs;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -13,23 +12,22 @@ use tandem_board_host::realtime::{Claim, Grant, claim};
 use tandem_board_host::{
     CoreArgs, Ended, Launcher, Leftovers, Pinning, Plan, ProcessArgs, Schedule,
 };
+use tandem_record::RunLog;
 use tandem_record::gap::Bounds;
-use tandem_record::{RunLog, file};
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
 use crate::args::{BoardKind, CpuList, RunArgs, Timing};
 use crate::boot::{self, ProgramFlash};
+use crate::collected::{Collected, read};
 use crate::failure::Failure;
 use crate::files::RunFiles;
 use crate::live::Progress;
-use crate::metrics::{self, Metrics, Surroundings};
+use crate::metrics::{Metrics, Surroundings};
 use crate::output::{self, Output};
-use crate::percentiles::Spans;
 use crate::publish::Publishing;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
-use crate::timeline::{self, Timeline};
 use crate::{core_process, emulated, report, summary, vehicle};
 
 /// For how long `--timing auto` measures the stalls of the machine.
@@ -444,7 +442,7 @@ fn drive(
         realtime: config.profile == Profile::Rt,
         pinning: checked.pinning.clone(),
     };
-    let errors = File::create(files.errors()).context("creating the log of errors")?;
+    let errors = fs::File::create(files.errors()).context("creating the log of errors")?;
     if let Some(stagger_s) = args.stagger {
         launcher.stagger(SystemId::A, Duration::from_us((stagger_s * 1e6) as u64));
     }
@@ -498,71 +496,6 @@ fn leftovers(found: &Leftovers) -> Vec<String> {
         .iter()
         .map(|p| format!("process {} ({})", p.pid, p.kind));
     processes.chain(found.files.iter().cloned()).collect()
-}
-
-/// What was taken out of the run's shared memory before that is wiped.
-struct Collected {
-    log: RunLog,
-    timeline: Timeline,
-    stage: tempfile::TempDir,
-}
-
-impl Collected {
-    fn new(out: &Output, files: &RunFiles, because: &dyn Fn() -> String) -> anyhow::Result<Self> {
-        let errors = fs::read_to_string(files.errors()).unwrap_or_default();
-        let errors = errors.trim();
-        if !errors.is_empty() {
-            eprintln!("the processes of the run said:\n{errors}");
-        }
-        let stage = out.stage()?;
-        let candump = stage.path().join(output::CANDUMP);
-        let log = read(&files.recording(), &candump).with_context(because)?;
-        let timeline = Timeline::new(&log);
-        Ok(Self {
-            log,
-            timeline,
-            stage,
-        })
-    }
-
-    fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
-        let metrics = metrics::compute(&self.log, &self.timeline, around);
-        let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
-        let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
-        let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
-        let page = report::page(&self.log, &self.timeline, &metrics);
-        let trace = timeline::encode(&self.timeline, &self.log);
-        for (name, content) in [
-            (output::REPORT, page.into_bytes()),
-            (output::METRICS, json.into_bytes()),
-            (output::CONTROL_PERIOD, period.into_bytes()),
-            (output::CHAIN, chain.into_bytes()),
-            (output::TRACE, trace),
-        ] {
-            let path = self.stage.path().join(name);
-            fs::write(&path, content).with_context(|| format!("writing {}", path.display()))?;
-        }
-        out.put(self.stage)?;
-        Ok(metrics)
-    }
-}
-
-/// The recording; its frames become the CAN log.
-fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
-    let writing = || format!("writing {}", candump.display());
-    let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);
-    let mut log = RunLog::default();
-    file::read(recording, |entry| {
-        if let file::Entry::Frame(frame) = &entry {
-            let line = file::candump_line(frame, log.header.epoch_us);
-            writeln!(lines, "{line}").with_context(writing)?;
-        }
-        log.push(entry);
-        Ok(())
-    })?;
-    lines.flush().with_context(writing)?;
-    log.sort();
-    Ok(log)
 }
 
 /// The end of the run on the terminal.

@@ -3,6 +3,7 @@
 mod coverage;
 mod merge;
 mod outcome;
+mod recording;
 mod report;
 
 use std::fs;
@@ -23,6 +24,7 @@ use tandem_sim::faults::{Fault, Group, Profile, Sequence};
 use tandem_sim::timing::Time;
 
 use crate::failure::Failure;
+use crate::output::Output;
 use crate::print;
 use outcome::Outcome;
 use report::Summary;
@@ -82,6 +84,10 @@ pub(crate) struct SimArgs {
     /// With --only: write the faults of this sequence to a TOML file
     #[arg(long, value_name = "FILE", requires = "only")]
     save: Option<PathBuf>,
+
+    /// With --only: write the report and the trace of this sequence to this folder, as of a run
+    #[arg(long, value_name = "DIR", requires = "only")]
+    out: Option<PathBuf>,
 
     /// Write {seeds, violations, simulated_s, wall_s, ratio, cpu_s, digest, groups} to this file
     #[arg(long, value_name = "FILE")]
@@ -366,8 +372,14 @@ fn tell(one: &str, sources: &[Source<'_>], arguments: &SimArgs) -> Result<(), Fa
             .write(&text)
             .map_err(|error| Failure::Run(error.into()))?;
     }
+    let out = arguments.out.as_deref().map(Output::check).transpose();
+    let out = out.map_err(Failure::Usage)?;
     let (verdict, mut bench) = sequence.run(arguments.profile(), true);
     let mut text = format!("{sequence}\n");
+    if let Some(out) = &out {
+        let written = recording::write(&mut bench, out, arguments.profile());
+        written.map_err(Failure::Run)?;
+    }
     for line in bench.story() {
         text.push_str(&line);
         text.push('\n');

@@ -6,17 +6,21 @@ use crate::timing::Time;
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Instant, Line, RoleLamp, SystemId, VehicleBus,
+    Board, Can, CanFrame, CanId, CoreId, Duration, Generation, Instant, Line, RoleLamp,
+    SupplyEvent, SystemId, Traced, VehicleBus,
 };
 use tandem_board_sim::{
-    BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEventKind,
-    Wire, WorldTick,
+    BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent,
+    SystemEventKind, Wire, WorldTick,
 };
 use tandem_bus::{EgoMotion, Message, Transmitter};
 use tandem_cores::core0::Core0;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
+use tandem_record::log::VehicleRecord;
+use tandem_record::{Entry, RunLog};
+use tandem_vehicle::LoggedFrame;
 use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
 
 /// Ends core 1 of each system that hears it. No frame of the DBC.
@@ -36,17 +40,24 @@ pub struct Vehicle {
     echoed: Option<u64>,
     silent: bool,
     poison: bool,
+    /// Every frame on the bus, if the cores' events are kept.
+    frames: Option<Vec<LoggedFrame>>,
 }
 
 impl Vehicle {
     fn tick(&mut self, tick: &mut WorldTick) {
         for on_bus in &tick.heard {
+            self.keep(on_bus.at, on_bus.frame, None);
             let CanId::Standard(id) = on_bus.frame.id() else {
                 continue;
             };
             let at_ns = on_bus.at.as_ns();
             let judged = self.gate.on_frame(at_ns, id.into(), on_bus.frame.data());
             if let Some(judged) = judged {
+                let last = self.frames.as_mut().and_then(|frames| frames.last_mut());
+                if let Some(last) = last {
+                    last.verdict = Some(judged.acceptance.verdict);
+                }
                 match judged.acceptance.verdict {
                     Verdict::Accepted => self.accepted.push(judged.acceptance),
                     Verdict::Fenced => self.fenced.push(judged.acceptance),
@@ -78,6 +89,21 @@ impl Vehicle {
             tick.broadcast(&frame_of(POISON, &[0; 8]));
         }
         self.ticks += 1;
+    }
+}
+
+impl Vehicle {
+    fn keep(&mut self, at: Instant, frame: CanFrame, verdict: Option<Verdict>) {
+        let sent = at;
+        let logged = LoggedFrame {
+            at,
+            sent,
+            frame,
+            verdict,
+        };
+        if let Some(frames) = &mut self.frames {
+            frames.push(logged);
+        }
     }
 }
 
@@ -185,6 +211,8 @@ pub struct Bench {
     pub time: Time,
     /// What its faults hit: a kind, by its label, and the state of the system.
     pub(super) covered: Vec<(Kind, State)>,
+    /// What was taken of the trace.
+    traced: Vec<Traced>,
     bus: [BusFault; 2],
     /// When the run began.
     pub(super) born: Instant,
@@ -229,7 +257,11 @@ impl Bench {
         };
         let mut pair = SimPair::new(board_config, move |board| poller(board, config, time));
         let born = pair.now();
-        let vehicle = Rc::new(RefCell::new(Vehicle::default()));
+        let vehicle = Vehicle {
+            frames: told.then(Vec::new),
+            ..Vehicle::default()
+        };
+        let vehicle = Rc::new(RefCell::new(vehicle));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
         Self {
@@ -240,6 +272,7 @@ impl Bench {
             bus: [BusFault::default(); 2],
             born,
             covered: Vec::new(),
+            traced: Vec::new(),
         }
     }
 
@@ -385,11 +418,58 @@ impl Bench {
         self.pair.disturb_bus(of, *fault);
     }
 
+    /// Every frame so far, if the cores' events are kept.
+    #[must_use]
+    pub fn frames(&self) -> Vec<LoggedFrame> {
+        self.vehicle.borrow().frames.clone().unwrap_or_default()
+    }
+
+    fn trace(&mut self) -> &[Traced] {
+        self.traced.extend(self.pair.take_trace().0);
+        &self.traced
+    }
+
+    /// The recording so far, as of a run; its world does not move.
+    #[must_use]
+    pub fn recording(&mut self) -> RunLog {
+        let mut log = RunLog::default();
+        for frame in self.frames() {
+            log.push(Entry::Frame(frame));
+        }
+        for traced in self.trace() {
+            log.push(Entry::Trace(*traced));
+        }
+        for SystemEvent { at, system, kind } in self.pair.events() {
+            let (core, generation) = (CoreId::CONTROL, Generation(1));
+            let told = match kind {
+                SystemEventKind::Started(_) => SupplyEvent::CoreStarted { core, generation },
+                SystemEventKind::Reset(cause) => SupplyEvent::Reset(cause),
+                SystemEventKind::Suspended => SupplyEvent::Suspended,
+                SystemEventKind::CoreDied(core) => SupplyEvent::CoreDied { core, signal: 0 },
+                _ => continue,
+            };
+            log.push(Entry::Supply(at, system, told));
+        }
+        let at_ns = self.vehicle.borrow().accepted.first().map(|it| it.at_ns);
+        let start = at_ns.map(|at_ns| VehicleRecord::Start { at_ns });
+        let at_ns = self.pair.now().as_ns();
+        let end = VehicleRecord::End {
+            at_ns,
+            lost_trace: 0,
+            stalled_ms: 0.0,
+        };
+        for record in start.into_iter().chain([end]) {
+            log.push(Entry::Vehicle(Box::new(record)));
+        }
+        log.sort();
+        log
+    }
+
     /// What happened so far, a line each: what the cores told, and what the supplies did.
     #[must_use]
     pub fn story(&mut self) -> Vec<String> {
         let mut lines: Vec<(Instant, String)> = Vec::new();
-        for traced in self.pair.take_trace().0 {
+        for traced in self.trace() {
             let tells = Event::decode(traced.record).filter(|event| {
                 !matches!(
                     event,

@@ -12,18 +12,22 @@ impl Sequence {
     pub fn known(&self, violation: Violation) -> Option<&'static str> {
         match violation {
             Violation::Changes if SystemId::ALL.iter().all(|of| self.loses_frames(*of)) => {
-                Some("both systems lose frames, so each relieves the other rightly")
+                Some("frames of both systems are lost or wrong, so each relieves the other rightly")
             }
             _ => None,
         }
     }
 
-    /// Whether frames of this system are lost on CAN.
+    /// Whether frames of this system are lost on CAN, or carry a wrong command.
     fn loses_frames(&self, of: SystemId) -> bool {
         self.faults.iter().any(|fault| {
             let loses = matches!(
                 fault.kind,
-                Kind::LosesSent(_) | Kind::Mute | Kind::Cut(Wire::Can) | Kind::Flap(Wire::Can, _)
+                Kind::LosesSent(_)
+                    | Kind::Mute
+                    | Kind::WrongResults
+                    | Kind::Cut(Wire::Can)
+                    | Kind::Flap(Wire::Can, _)
             );
             loses && fault.way == Way::From(of)
         })

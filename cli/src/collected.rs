@@ -1,0 +1,97 @@
+//! The recording of a run on its way into the folder of a report.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write as _};
+use std::path::Path;
+
+use anyhow::Context as _;
+use tandem_record::{RunLog, file};
+
+use crate::files::RunFiles;
+use crate::metrics::{self, Metrics, Surroundings};
+use crate::output::{self, Output};
+use crate::percentiles::Spans;
+use crate::report;
+use crate::timeline::{self, Timeline};
+
+/// What was taken out of the run's shared memory before that is wiped.
+pub(crate) struct Collected {
+    pub(crate) log: RunLog,
+    timeline: Timeline,
+    stage: tempfile::TempDir,
+}
+
+impl Collected {
+    pub(crate) fn new(
+        out: &Output,
+        files: &RunFiles,
+        because: &dyn Fn() -> String,
+    ) -> anyhow::Result<Self> {
+        let errors = fs::read_to_string(files.errors()).unwrap_or_default();
+        let errors = errors.trim();
+        if !errors.is_empty() {
+            eprintln!("the processes of the run said:\n{errors}");
+        }
+        let stage = out.stage()?;
+        let candump = stage.path().join(output::CANDUMP);
+        let log = read(&files.recording(), &candump).with_context(because)?;
+        let timeline = Timeline::new(&log);
+        Ok(Self {
+            log,
+            timeline,
+            stage,
+        })
+    }
+
+    /// A run that is not in a file: its recording, and its frames as lines.
+    pub(crate) fn of(out: &Output, log: RunLog, candump: &str) -> anyhow::Result<Self> {
+        let stage = out.stage()?;
+        let path = stage.path().join(output::CANDUMP);
+        fs::write(&path, candump).with_context(|| format!("writing {}", path.display()))?;
+        let timeline = Timeline::new(&log);
+        Ok(Self {
+            log,
+            timeline,
+            stage,
+        })
+    }
+
+    pub(crate) fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
+        let metrics = metrics::compute(&self.log, &self.timeline, around);
+        let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
+        let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
+        let chain = Spans::from_ms(metrics::chain_ms(&self.log)).to_hgrm();
+        let page = report::page(&self.log, &self.timeline, &metrics);
+        let trace = timeline::encode(&self.timeline, &self.log);
+        for (name, content) in [
+            (output::REPORT, page.into_bytes()),
+            (output::METRICS, json.into_bytes()),
+            (output::CONTROL_PERIOD, period.into_bytes()),
+            (output::CHAIN, chain.into_bytes()),
+            (output::TRACE, trace),
+        ] {
+            let path = self.stage.path().join(name);
+            fs::write(&path, content).with_context(|| format!("writing {}", path.display()))?;
+        }
+        out.put(self.stage)?;
+        Ok(metrics)
+    }
+}
+
+/// The recording; its frames become the CAN log.
+pub(crate) fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
+    let writing = || format!("writing {}", candump.display());
+    let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);
+    let mut log = RunLog::default();
+    file::read(recording, |entry| {
+        if let file::Entry::Frame(frame) = &entry {
+            let line = file::candump_line(frame, log.header.epoch_us);
+            writeln!(lines, "{line}").with_context(writing)?;
+        }
+        log.push(entry);
+        Ok(())
+    })?;
+    lines.flush().with_context(writing)?;
+    log.sort();
+    Ok(log)
+}

@@ -1,0 +1,75 @@
+//! The report of one simulated sequence: the same files as of a run.
+
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use tandem_board::Duration;
+use tandem_record::file::candump_line;
+use tandem_record::gap::Bounds;
+use tandem_sim::faults::{Bench, Profile};
+
+use crate::collected::Collected;
+use crate::metrics::Surroundings;
+use crate::output::Output;
+use crate::stall_watch::Seen;
+
+/// Writes it. The story of the bench is still to be told afterwards.
+pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result<()> {
+    let mut candump = String::new();
+    for frame in bench.frames() {
+        writeln!(candump, "{}", candump_line(&frame, 0))?;
+    }
+    let Profile { limits, time } = profile;
+    // The vehicle hears what was on the bus once a millisecond.
+    let ms = |bound: Duration| (bound + time.allowance()).as_ms_f64() + 1.0;
+    let around = Surroundings {
+        granted: format!("virtual time, {time:?}; the world does not move").to_lowercase(),
+        timing: "virtual".to_owned(),
+        detection_bound_ms: Some(ms(limits.takeover_bound())),
+        bounds: Bounds {
+            silent_ms: ms(limits.gap_bound()),
+            power_ms: ms(limits.gap_bound_power()),
+            mute_ms: ms(limits.gap_bound_mute()),
+            limits,
+        },
+        machine: Seen::default(),
+        leftovers: vec![],
+    };
+    let collected = Collected::of(out, bench.recording(), &candump)?;
+    collected.write(out, &around)?;
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::output::{METRICS, REPORT, TRACE};
+    use tandem_redundancy::Config;
+    use tandem_sim::faults::Group;
+
+    /// A takeover that was simulated stands in the same files as one of processes.
+    #[test]
+    fn a_sequence_has_the_report_of_a_run() {
+        let folder = tempfile::tempdir().unwrap();
+        let place = folder.path().join("report");
+        let profile = Profile::from(Config::rt());
+        // Power loss of the master.
+        let (verdict, mut bench) = Group::Single.sequence(1_420).run(profile, true);
+        let story = |bench: &mut Bench| bench.story().len();
+        let before = story(&mut bench);
+        write(&mut bench, &Output::check(&place).unwrap(), profile).unwrap();
+        assert_eq!(story(&mut bench), before);
+        let read = |name: &str| std::fs::read(place.join(name)).unwrap();
+        let metrics: serde_json::Value = serde_json::from_slice(&read(METRICS)).unwrap();
+        let takeover = &metrics["takeovers"][0];
+        assert_eq!(
+            (&takeover["from"], &takeover["to"]),
+            (&"A".into(), &"B".into())
+        );
+        assert_eq!(
+            metrics["takeovers"].as_array().map(Vec::len),
+            Some(verdict.changes)
+        );
+        assert!(read(TRACE).len() > 100_000 && read(REPORT).len() > 10_000);
+    }
+}
