@@ -154,7 +154,9 @@ fn a_chip_keeps_the_times_of_the_thesis() {
         (Fails::PowerLoss, false, [2.9, 3.0, 13.0]),
         (Fails::Mute, true, [12.9, 13.0, 13.0]),
     ] {
-        let runs = (0..moments()).map(|index| 137 + index * 10_000 / moments());
+        // Also at different moments of a millisecond, the distance of polls.
+        let step_us = 10_000 / moments() + 187;
+        let runs = (0..moments()).map(|index| (137 + index * step_us) % 10_000);
         let times: Vec<_> = runs
             .map(|at_us| takeover(fails, level_cut, at_us))
             .collect();
