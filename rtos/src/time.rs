@@ -27,6 +27,17 @@ impl Ticks {
         Self(self.0.wrapping_sub(earlier.0))
     }
 
+    /// The ticks from this point to `later`, over the wrap; none if that point has passed. The two
+    /// are less than 24 days apart.
+    #[must_use]
+    pub const fn until(self, later: Self) -> Self {
+        let left = later.since(self);
+        if left.0 > i32::MAX as u32 {
+            return Self::NONE;
+        }
+        left
+    }
+
     /// The point `span` after this one, over the wrap.
     #[must_use]
     pub const fn after(self, span: Self) -> Self {
@@ -64,5 +75,17 @@ mod tests {
         assert_eq!(Ticks::from(Duration::MAX), Ticks(u32::MAX - 1));
         assert_eq!(Duration::from(Ticks(7)), Duration::from_millis(7));
         assert_eq!(Ticks(2).since(Ticks(u32::MAX)), Ticks(3));
+    }
+
+    /// A task that is held up between two looks at the time finds that its release has passed.
+    #[test]
+    fn a_point_that_has_passed_is_not_waited_for() {
+        for due in [0, 7, u32::MAX] {
+            let due = Ticks(due);
+            assert_eq!(due.until(due), Ticks::NONE);
+            assert_eq!(due.after(Ticks(1)).until(due), Ticks::NONE);
+            assert_eq!(due.after(Ticks(60_000)).until(due), Ticks::NONE);
+            assert_eq!(due.until(due.after(Ticks(3))), Ticks(3));
+        }
     }
 }

@@ -224,8 +224,9 @@ fn wait<B: Board + Sync>(executor: &OfTask<'_, B>, ticks: &TickGrid, deadline: I
         _ => ticks.after(deadline),
     };
     let far = due.saturating_sub(now) > u64::from(LONGEST.0);
-    // The kernel's count may be behind the clock, and both wrap around after 49 days.
-    let left = Ticks(due as u32).since(ctx.now());
+    // The kernel's count may be behind the clock, or beyond the due tick if the machine stood still
+    // since the look at the clock. Both wrap around after 49 days.
+    let left = ctx.now().until(Ticks(due as u32));
     if far {
         ctx.take_notifications(LONGEST);
     } else if due > now {
