@@ -247,8 +247,14 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
 /// new one, and one that was held up may have a frame under way.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
+    hand_overs(takeovers) as f64 * HAND_OVER_MS
+}
+
+/// How often an old master lived when a new one took over.
+#[must_use]
+pub fn hand_overs(takeovers: &[Takeover]) -> usize {
     let lived = |of: &&Takeover| of.held_up || of.cause == Some(Evidence::MasterResigns);
-    takeovers.iter().filter(lived).count() as f64 * HAND_OVER_MS
+    takeovers.iter().filter(lived).count()
 }
 
 /// Control frames that arrived within a second after a takeover, but were made, or rest on data

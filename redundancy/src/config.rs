@@ -106,6 +106,18 @@ impl Config {
         self.control_period.times(self.mute_periods) + self.control_margin
     }
 
+    /// For how long a master that hears nothing on CAN may transmit beside the one that relieved
+    /// it. It hears the other's claim over the link only, and believes it when it has lasted for
+    /// [`Config::mute_limit`]. The vehicle refuses its frames.
+    #[must_use]
+    pub fn deaf_hand_over(&self) -> Duration {
+        let reports = self
+            .mute_limit()
+            .as_ns()
+            .div_ceil(self.report_period.as_ns()) as u32;
+        self.report_period.times(1 + reports) + self.control_period + self.poll_interval
+    }
+
     /// The number of changes of the driver with which a system starts. A reset may be the
     /// consequence of one, which the system has forgotten.
     #[must_use]
@@ -251,6 +263,7 @@ mod tests {
         assert_eq!(chip.gap_bound_power() + execution, ms(13));
         assert_eq!(chip.gap_bound_mute(), ms(13));
         assert_eq!(Config::rt().gap_bound_mute(), ms(19));
+        assert_eq!(Config::rt().deaf_hand_over(), ms(41));
     }
 
     /// T-RED-8: all profiles keep the gap at a takeover below two control periods.

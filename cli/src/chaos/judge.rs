@@ -3,7 +3,9 @@
 use serde::{Deserialize, Serialize};
 use tandem_board::SystemId;
 use tandem_cores::trace::Event;
-use tandem_record::gap::{Gap, both_transmitted_ms, hand_over_ms, periods, stale_frames};
+use tandem_record::gap::{
+    Gap, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
+};
 use tandem_record::run_log::Stall;
 use tandem_record::{RunLog, Takeover, ms_between, takeovers};
 use tandem_sim::faults::{Fault, Kind, Row, Sequence, Way, row};
@@ -123,8 +125,14 @@ impl Run<'_> {
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
         let explained = explained.into_iter().filter(|_| is_machine);
-        let mut violations: Vec<String> = beyond.into_iter().map(told).collect();
-        violations.extend(self.of_masters(&within, spares_control));
+        let is_deaf = |fault: &Fault| matches!(fault.kind, Kind::Deaf | Kind::LosesHeard(_));
+        let is_deaf = sequence.faults.iter().any(is_deaf);
+        let unexplained = |gap: &GapMetrics| match gap.evidence.is_empty() {
+            true => told(gap),
+            false => format!("{}; {} does not explain it", told(gap), gap.evidence),
+        };
+        let mut violations: Vec<String> = beyond.into_iter().map(unexplained).collect();
+        violations.extend(self.of_masters(&within, spares_control, is_deaf));
         if log.collisions_ns.iter().any(|ns| within(*ns)) {
             violations.push("the vehicle touched another one".to_owned());
         }
@@ -149,7 +157,12 @@ impl Run<'_> {
     }
 
     /// What was wrong with who drove.
-    fn of_masters(&self, within: &dyn Fn(u64) -> bool, spares_control: bool) -> Vec<String> {
+    fn of_masters(
+        &self,
+        within: &dyn Fn(u64) -> bool,
+        spares_control: bool,
+        is_deaf: bool,
+    ) -> Vec<String> {
         let log = RunLog {
             control: self
                 .log
@@ -172,7 +185,12 @@ impl Run<'_> {
             wrong.push(format!("two masters for {two_ms:.1} ms"));
         }
         let both_ms = both_transmitted_ms(&log);
-        if both_ms > hand_over_ms(&takeovers) {
+        // A deaf master hears of the new one over the link only.
+        let longest_ms = match is_deaf {
+            true => hand_overs(&takeovers) as f64 * self.bounds.limits.deaf_hand_over().as_ms_f64(),
+            false => hand_over_ms(&takeovers),
+        };
+        if both_ms > longest_ms {
             wrong.push(format!("both systems transmitted for {both_ms:.1} ms"));
         }
         let stale = stale_frames(&log, &takeovers);
