@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(chip.gap_bound_power() + execution, ms(13));
         assert_eq!(chip.gap_bound_mute(), ms(13));
         assert_eq!(Config::rt().gap_bound_mute(), ms(19));
-        assert_eq!(Config::rt().deaf_hand_over(), ms(41));
+        assert_eq!(Config::rt().deaf_hand_over(), ms(51));
     }
 
     /// T-RED-8: all profiles keep the gap at a takeover below two control periods.

@@ -92,14 +92,15 @@ impl Standby {
     }
 
     /// Whether the master drove within the third witness's limit: heard on CAN by this system or by
-    /// the vehicle, or reported by itself over the link.
+    /// the vehicle, or reported by itself over the link. A system that has just become standby knows
+    /// of none: what made it one may be a disturbance, or a system that has failed as well.
     pub(crate) fn master_drives(
         &self,
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
     ) -> bool {
-        now.since(self.last_control) <= config.witness_limit()
+        self.control_known && now.since(self.last_control) <= config.witness_limit()
             || witnesses.reports.drives(now, config.witness_limit())
     }
 

@@ -85,7 +85,7 @@ impl Bench {
             Phase::Resetting => bench.fails(FailureMode::Deadline),
             Phase::Suspended => {
                 bench = Self::of(Phase::Standby);
-                bench.fails(FailureMode::IoModule);
+                bench.fails(FailureMode::TermsExhausted);
             }
         }
         assert_eq!(bench.machine.phase(), phase);
@@ -319,6 +319,25 @@ fn faults_and_higher_terms_work_in_every_phase() {
             }
         }
     }
+}
+
+/// T-RED-9: a failed system does not suspend for one that may have failed as well: a disturbed start
+/// line looks like a system that runs.
+#[test]
+fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
+    let mut bench = Bench::of(Phase::Standby);
+    bench.fails(FailureMode::IoModule);
+    let _ = bench.poll();
+    assert_eq!(bench.machine.phase(), Phase::Standby);
+    let frame = ControlFrame {
+        system: SystemId::B,
+        term: Term::from_bits(33),
+        role: Role::Master,
+        mode: Mode::L3,
+    };
+    let _ = bench.machine.on(bench.now, Input::ControlFrame(frame));
+    let _ = bench.poll();
+    assert_eq!(bench.machine.phase(), Phase::Suspended);
 }
 
 /// T-RED-5, T-RED-9: without a term left, every cell that would open an output suspends instead.
