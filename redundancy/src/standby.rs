@@ -92,8 +92,8 @@ impl Standby {
     }
 
     /// Whether the master drove within the third witness's limit: heard on CAN by this system or by
-    /// the vehicle, or reported by itself over the link. A system that has just become standby knows
-    /// of none: what made it one may be a disturbance, or a system that has failed as well.
+    /// the vehicle, or reported by itself over the link. A system that has just become standby
+    /// knows of none: what made it one may be a disturbance, or a system that has failed as well.
     pub(crate) fn master_drives(
         &self,
         config: &Config,

@@ -321,8 +321,8 @@ fn faults_and_higher_terms_work_in_every_phase() {
     }
 }
 
-/// T-RED-9: a failed system does not suspend for one that may have failed as well: a disturbed start
-/// line looks like a system that runs.
+/// T-RED-9: a failed system does not suspend for one that may have failed as well. A disturbed
+/// start line looks like a system that runs.
 #[test]
 fn a_failed_standby_leaves_when_it_has_heard_the_other_drive() {
     let mut bench = Bench::of(Phase::Standby);
