@@ -141,8 +141,8 @@ impl Picture {
             == 1
     }
 
-    /// Shortest, mean and longest time between two changes in the same direction for who works, and
-    /// between any two for who toggles; ms.
+    /// Shortest, mean and longest time between two changes, ms: in the same direction for a task
+    /// that works, any two for one that toggles.
     fn periods(&self, channel: usize) -> Option<(f64, f64, f64)> {
         let step = 1 + usize::from(self.test.outputs[channel].burn_ms.is_some());
         let starts: Vec<f64> = self.changes[channel]

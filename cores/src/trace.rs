@@ -3,7 +3,7 @@
 //! The trace is for people and reports; nothing that drives reads it. `docs/tracing.md` shows what
 //! becomes of it. Codes of tasks and interrupts are those of [`crate::task_table`].
 //!
-//! Who schedules writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
+//! The scheduler writes [`Event::TaskIn`] and [`Event::TaskOut`] around whatever gets the CPU. For
 //! a kernel that pre-empts, its hooks map one to one: *switched in* is `TaskIn` with
 //! [`Begin::Goes`], *switched out* is `TaskOut` with [`Leaves::Gives`], *moved to ready* is
 //! `Ready`, entry and exit of an interrupt are `IrqIn` and `IrqOut`. A job of a task reaches from

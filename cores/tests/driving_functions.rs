@@ -336,8 +336,9 @@ fn brakes_for_a_standing_obstacle() {
     assert!(last.speed < 0.5 && last.x < 45.0 - 4.5, "{last:?}");
 }
 
-/// Who comes towards the vehicle or crosses its way is braked for if they would meet, and not for
-/// being in the lane at a time when the vehicle is not there, or seems to be far away.
+/// The vehicle brakes for a road user that comes towards it or crosses its way if they would meet,
+/// and not for one that is in the lane at a time when the vehicle is not there, or seems to be far
+/// away.
 #[test]
 fn only_who_would_be_met_is_braked_for() {
     let moving = |x: f32, y: f32, vx: f32, vy: f32| Object {

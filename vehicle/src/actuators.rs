@@ -28,7 +28,7 @@ const DECELERATION_MAX: f64 = 9.5;
 /// Without an accepted control frame for this long the vehicle helps itself, ns: the steering holds
 /// its angle, the brake slows it down gently.
 pub const FALLBACK_AFTER_NS: u64 = 100_000_000;
-/// Deceleration without a controller, m/s²: gentle enough for who drives behind.
+/// Deceleration without a controller, m/s²: gentle enough for the follower.
 pub const FALLBACK_DECELERATION: f64 = 2.0;
 
 /// What the controller asks for.

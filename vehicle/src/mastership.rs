@@ -1,4 +1,4 @@
-//! Who drives, from the control frames that were obeyed: gaps, changes, and two masters.
+//! Which system drives, from the control frames that were obeyed: gaps, changes, and two masters.
 //!
 //! Nothing here trusts that terms fence as they should: the frames are taken as they were obeyed.
 
@@ -14,7 +14,7 @@ struct Span {
     other_ns: Option<u64>,
 }
 
-/// What the obeyed frames say of who drives.
+/// Which system drives, by the obeyed frames.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Mastership {
     spans: Vec<Span>,

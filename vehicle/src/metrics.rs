@@ -410,7 +410,7 @@ impl Meter {
 
 /// Whether the moving ego caused that it touches `other`.
 ///
-/// Who is hit from behind did not, and who is hit in the side did not while it kept its lane.
+/// It did not if it is hit from behind, or in the side while it kept its lane.
 fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
     let apart = ego.footprint.pose.to_local(other.footprint.pose.position);
     let own_half = ego.footprint.length / 2.0;
@@ -428,7 +428,8 @@ fn is_cause(ego: &Participant, other: &Participant, keeps_lane: bool) -> bool {
     if apart.x < 0.0 && foremost < own_half && velocity.x > ego.speed {
         return false;
     }
-    // Into the ego's side: it is beside, or its front meets the flank, and it is who closes in.
+    // Into the ego's side: it is beside, or its front meets the flank, and it is the one that
+    // closes in.
     let beside = rearmost < own_half - 0.5;
     let closes_in = velocity.y * apart.y < 0.0 && velocity.y.abs() > SWERVING;
     !(beside && keeps_lane && closes_in)
@@ -502,8 +503,8 @@ mod tests {
         assert!((away.off_lane_s - 0.3).abs() < 2e-3, "{}", away.off_lane_s);
     }
 
-    /// Who runs into another is the cause, who is hit while standing, from behind or in the side
-    /// is not.
+    /// A vehicle that runs into another is the cause. One that is hit while it stands, from behind
+    /// or in the side is not.
     #[test]
     fn a_collision_is_the_egos_only_if_it_caused_it() {
         let at = |x: f64, y: f64, yaw: f64, speed: f64| Participant {

@@ -7,11 +7,12 @@
 //! - it would have to brake with more than 1.5 m/s² for the ego, or for a vehicle that drives
 //!   by itself already, ahead of it; or it is about to come too close;
 //! - it would hit one of these from the side within a second by changing lanes: it stays in
-//!   the lane that it is in, as a driver who looks first.
+//!   the lane that it is in, as a driver does who looks first.
 //!
 //! By itself it keeps its lane and follows by the Intelligent Driver Model, beginning with the
 //! speed, heading and time gap that it has at that moment. It knows the ego and all others, slows
-//! down for curves, stops at the end of a lane, and lets in who has to leave a lane that ends.
+//! down for curves, stops at the end of a lane, and lets in vehicles that must leave a lane that
+//! ends.
 
 mod idm;
 pub(crate) mod recording;
@@ -111,7 +112,7 @@ impl Vehicle {
     }
 }
 
-/// One whom a recording does not know: the ego, or who drives by itself.
+/// A vehicle that the recording does not contain: the ego, or one that has left its recording.
 #[derive(Debug)]
 struct Deviating {
     /// Its place among all, see [`Traffic::participant`].

@@ -1,4 +1,4 @@
-//! What a driver makes of the others: who is ahead, who is beside, who wants to come in.
+//! What a driver sees of the others: which one is ahead, beside, or wants to come in.
 
 use super::{Leader, Participant, Vehicle};
 use crate::geometry::{Frame, wrap_angle};
@@ -8,12 +8,12 @@ use crate::road::{Frenet, LaneId, Road};
 const SIGHT: f64 = 200.0;
 /// Smallest side distance that a driver keeps, m.
 const SIDE: f64 = 0.2;
-/// So far before the end of a lane those beside it make room, m.
+/// Distance to the end of a lane from which on vehicles beside it make room, m.
 const COURTESY_FROM: f64 = 250.0;
-/// Who is slower does not want to come in, m/s.
+/// A vehicle slower than this does not want to come in, m/s.
 const MERGING_SPEED: f64 = 3.0;
 
-/// Another one in the coordinates of the lane of who looks.
+/// Another vehicle in the coordinates of the observer's lane.
 pub(super) struct Seen {
     place: Frenet,
     /// Speed across the lane, m/s, left positive.
@@ -104,7 +104,7 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// `None` for who is behind, far, or far aside. `views`: those of `other`.
+    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`.
     pub(super) fn see(&self, other: &Participant, views: &mut Views) -> Option<Seen> {
         let vehicle = self.vehicle;
         let reach = (vehicle.participant.footprint.length + other.footprint.length) / 2.0;
@@ -133,7 +133,7 @@ impl<'a> Viewer<'a> {
         ahead.filter(|it| it.gap < leader.gap).unwrap_or(leader)
     }
 
-    /// The lanes beside that end: who is there has to come in.
+    /// The lanes beside that end: a vehicle there must come in.
     pub(super) fn ending_beside(&self) -> impl Iterator<Item = LaneId> + use<'a> {
         let road = self.road;
         let beside = road.lane(self.vehicle.lane).beside(self.vehicle.place.s);

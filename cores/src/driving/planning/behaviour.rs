@@ -2,7 +2,7 @@
 //!
 //! A. Kesting, M. Treiber, D. Helbing, "General Lane-Changing Model MOBIL for Car-Following
 //! Models", Transportation Research Record 1999 (2007): a change must be safe for the new follower
-//! and must gain acceleration for oneself, less what it costs the follower. Accelerations come from
+//! and must gain the vehicle more acceleration than it costs the follower. Accelerations come from
 //! the IDM.
 
 use super::prediction::Predicted;
@@ -11,9 +11,9 @@ use crate::driving::math::{abs, lerp, max, min};
 use crate::driving::types::{Lanes, Memory, Route};
 use crate::driving::vehicle::{LENGTH_M, WIDTH_M};
 
-/// Gain in acceleration that makes a change worth its while, m/s².
+/// Gain in acceleration from which on a change is made, m/s².
 const CHANGING_THRESHOLD: f32 = 0.45;
-/// The same for who is slow behind something that stands: it will not drive on soon.
+/// The same for a vehicle that is slow behind something that stands: it will not drive on soon.
 const PULL_OUT_THRESHOLD: f32 = 0.1;
 /// How much the follower's loss counts (politeness).
 const POLITENESS: f32 = 0.3;
@@ -435,10 +435,10 @@ impl Situation<'_> {
             })
     }
 
-    /// Whether the lane with this centre has a gap for a vehicle that must change: who closes in,
-    /// the own vehicle or the follower, has to brake by no more than `braking` to keep `share` of
-    /// the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the way in the time to
-    /// react, and that of the difference in speed.
+    /// Whether the lane with this centre has a gap for a vehicle that must change: the one that
+    /// closes in, the own vehicle or the follower, has to brake by no more than `braking` to keep
+    /// `share` of the usual distance. The form is that of UN Regulation 79, 5.6.4.7: the way in the
+    /// time to react, and that of the difference in speed.
     fn is_possible(&self, centre: f32, braking: f32, share: f32) -> bool {
         let (leader, follower) = self.neighbours(centre);
         let way = |closing: f32| closing * (REACTION_S + 0.5 * closing / braking);

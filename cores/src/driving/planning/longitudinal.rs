@@ -482,8 +482,8 @@ mod tests {
         assert!(end.value < 60.0, "{end:?}");
     }
 
-    /// A leader who is near but no danger is fallen back from in comfort; one who stands near is
-    /// braked for as hard as it takes; and the margin before a lane's end is not worth that.
+    /// The vehicle falls back in comfort from a leader that is near but no danger. It brakes as
+    /// hard as needed for one that stands near, but not to keep the margin before a lane's end.
     #[test]
     fn comfort_ends_where_danger_begins() {
         let hardest = |profile: Profile| {

@@ -61,10 +61,11 @@ const SEEKING_BRAKING: f32 = 2.8;
 const BORDER_M: f32 = 0.2;
 /// Room aside that counts as free, m.
 const SIDE_MARGIN_M: f32 = 0.35;
-/// Who comes towards the vehicle is expected to be back in its own lane when they meet, until so
-/// shortly before, s.
+/// Until this time before they meet, s, a road user that comes towards the vehicle is expected to
+/// return to its own lane.
 const MEETING_S: f32 = 2.5;
-/// Who crosses ahead or comes towards the vehicle has been passed when it is this far behind, m.
+/// A road user that crosses ahead or comes towards the vehicle has been passed when it is this far
+/// behind, m.
 const PASSED_M: f32 = 1.0;
 /// Objects farther away along the road are not looked at, m.
 const FARTHEST_M: f32 = 220.0;
@@ -236,7 +237,7 @@ impl Planner {
         };
         let (mut path, mut profile) = drive(&goal);
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
-            // Who brakes comes aside later than at the present speed.
+            // A vehicle that brakes comes aside later than at the present speed.
             profile = along(&goal, &path, Some(&profile));
         }
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
@@ -246,7 +247,7 @@ impl Planner {
                 end: view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end),
                 sought: None,
             });
-            // To stay behind who brakes is no better than to go around it.
+            // Staying behind a vehicle that brakes is no better than going around it.
             let is_worse = view.objects.iter().any(|object| {
                 touches(object, &station, &path, &profile)
                     && !touches(object, &station, &kept.0, &kept.1)
@@ -440,8 +441,8 @@ fn choose_profile(
         };
         view.objects.iter().filter(in_lane).min_by(nearer)
     });
-    // What stands beyond the end of the own lane is kept away from by stopping before the end.
-    // Who comes towards the vehicle is believed to leave its lane only when that is seen for sure.
+    // The vehicle stops before the end of its lane, and so before all that stands beyond it.
+    // A road user that comes towards the vehicle leaves its lane only if that is seen for sure.
     let seen = view.lanes.map_or(0.0, |lanes| lanes.view_range);
     let is_early = |object: &Predicted| {
         let closing = start.first - object.speed;
@@ -452,7 +453,8 @@ fn choose_profile(
     };
     for object in view.objects.iter().filter(concerns) {
         let is_sought = sought.is_some_and(|leader| leader.s == object.s && leader.d == object.d);
-        // What is beside the vehicle is given room gently: no braking keeps it from swerving in.
+        // The vehicle makes room for one beside it gently: braking cannot keep that from swerving
+        // in.
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
         for step in 0..STEPS {

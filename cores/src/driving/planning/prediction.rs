@@ -6,10 +6,10 @@ use crate::driving::types::Object;
 
 /// Slower than this across the road counts as keeping the lane, m/s.
 const WANDERING: f32 = 0.3;
-/// Who comes towards the vehicle faster than this, m/s, keeps to its lane …
+/// A road user that comes towards the vehicle faster than this, m/s, keeps to its lane …
 const ONCOMING: f32 = 1.0;
-/// … unless it moves across faster than this, m/s. So does who crosses the road, at an angle whose
-/// tangent is larger than this.
+/// … unless it moves across faster than this, m/s. So does one that crosses the road, at an angle
+/// whose tangent is larger than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
 /// Time constant with which a movement across the road ends, s.
@@ -105,7 +105,7 @@ impl Predicted {
     }
 
     /// Place across the road in `t` seconds: a cut-in ends in the middle of the own lane, a swerve
-    /// fades, and who crosses goes on.
+    /// fades, and a road user that crosses continues.
     pub(crate) fn across(&self, t: f32) -> f32 {
         match self.sideways {
             Sideways::Swerves => self.d + self.across * SWERVE_S * (1.0 - exp(-t / SWERVE_S)),
