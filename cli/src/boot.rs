@@ -22,7 +22,7 @@ use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
 
 use crate::flash::{PRIVATE_DER, key};
 
-/// What the slots of a run name the controller.
+/// The name of the controller in the slots of a run.
 pub(crate) const CONTROLLER: &str = "controller";
 /// An application that is tried before the image approves itself: one second with a role.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);

@@ -14,7 +14,7 @@ use crate::percentiles::Spans;
 use crate::report;
 use crate::timeline::{self, Timeline};
 
-/// What was taken out of the run's shared memory before that is wiped.
+/// The data of the run's shared memory, taken out before that is wiped.
 pub(crate) struct Collected {
     pub(crate) log: RunLog,
     timeline: Timeline,

@@ -9,7 +9,7 @@ use tandem_board_host::RunName;
 /// The files of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct RunFiles {
-    /// What all their paths begin with.
+    /// The beginning of all their paths.
     prefix: String,
 }
 
@@ -39,7 +39,7 @@ impl RunFiles {
         self.path("live.json")
     }
 
-    /// What the processes say when they fail.
+    /// The messages of processes that fail.
     pub(crate) fn errors(&self) -> PathBuf {
         self.path("errors.txt")
     }

@@ -19,10 +19,10 @@ pub(crate) const SCHEMA: &str = "tandem-metrics/1";
 /// Jerk is the change of acceleration over this span, s: shorter ones show the log's resolution.
 const JERK_SPAN_S: f64 = 0.1;
 
-/// What the run knows beside the vehicle's log.
+/// The knowledge of the run beside the vehicle's log.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Surroundings {
-    /// What was granted, in a line: scheduling, pinning, memory.
+    /// The permissions that were granted, in a line: scheduling, pinning, memory.
     pub(crate) granted: String,
     /// The timing profile that followed: `rt` or `desktop`.
     pub(crate) timing: String,
@@ -131,7 +131,7 @@ pub(crate) struct Metrics {
     pub(crate) wakes: Vec<WakeMetrics>,
     /// The timing profile: `rt` or `desktop`.
     pub(crate) timing: String,
-    /// What was granted, in a line.
+    /// The permissions that were granted, in a line.
     pub(crate) granted: String,
     /// Trace records that were lost because the trace was full.
     pub(crate) lost_trace: u64,

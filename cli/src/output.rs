@@ -39,7 +39,7 @@ impl Output {
     /// Checks that a report can be put at `path`, without changing anything.
     ///
     /// # Errors
-    /// What is in the way, and what to do.
+    /// The obstacle, and how to remove it.
     pub(crate) fn check(path: &Path) -> anyhow::Result<Self> {
         // A folder behind a symbolic link is replaced where it is, so that the link stays.
         let path = match fs::canonicalize(path) {

@@ -7,7 +7,7 @@ use tandem_board_host::processes::{self, Kind, Process};
 
 use crate::args::PsArgs;
 
-/// What `--json` prints of a process.
+/// A process in the output of `--json`.
 #[derive(Debug, Serialize)]
 struct Row {
     pid: u32,

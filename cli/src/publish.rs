@@ -31,7 +31,7 @@ use tandem_vehicle::LoggedFrame;
 
 /// How often the thread looks for more.
 const LOOK_AGAIN: Duration = Duration::from_millis(50);
-/// What is handed over at once, bytes. A longer entry is left out.
+/// The most that is handed over at once, bytes. A longer entry is left out.
 const AT_ONCE: usize = 48 << 10;
 /// How long the publisher may take to end.
 const ENDS_WITHIN: Duration = Duration::from_secs(1);
@@ -180,7 +180,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
     Ok(())
 }
 
-/// What observers are told, from the entries of a recording.
+/// The messages to observers, from the entries of a recording.
 struct News {
     roles: Roles,
     /// The last accepted control frame: when, ns, and of which system.

@@ -26,7 +26,7 @@ fn trace_limit_bytes(free_bytes: u64) -> u64 {
     TRACE_LIMIT_BYTES.min(free_bytes / 2)
 }
 
-/// What is handed over at once.
+/// The most that is handed over at once.
 #[derive(Debug, Default)]
 struct Batch {
     entries: Vec<Entry>,

@@ -79,7 +79,7 @@ pub(crate) fn simulated() -> Result<Vec<Picture>> {
         .collect()
 }
 
-/// What firmware has logged, as pictures.
+/// The log of firmware, as pictures.
 fn pictures_of(log: &str) -> Result<Vec<Picture>> {
     ensure!(
         log.lines().any(|line| line == COMPLETE),

@@ -74,13 +74,13 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
     conclude(args, &checked, collected, &around, ended.interrupted)
 }
 
-/// What [`recorded`] leaves.
+/// The result of [`recorded`].
 pub(crate) struct Recorded<T> {
     /// The recording.
     pub(crate) log: RunLog,
     /// What the run knows beside it.
     pub(crate) around: Surroundings,
-    /// What the hands return.
+    /// The return value of the hands.
     pub(crate) done: T,
 }
 

@@ -1,4 +1,4 @@
-//! What a run is to do, as its processes are told.
+//! The configuration of a run, as its processes receive it.
 
 use std::ffi::OsString;
 use std::fs;
@@ -36,7 +36,7 @@ impl Profile {
 }
 
 impl RunConfig {
-    /// What the limits of time follow from.
+    /// The source of the time limits.
     pub(crate) fn budget(&self) -> Budget {
         let budget = match self.profile {
             Profile::Rt => Budget::RT,
@@ -49,7 +49,7 @@ impl RunConfig {
     }
 }
 
-/// What all processes of a run are told, as one argument.
+/// The configuration of all processes of a run, as one argument.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct RunConfig {
     /// Name or path of the scenario.
@@ -122,7 +122,7 @@ pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
 }
 
 impl RunConfig {
-    /// What the command line asks for, without program flashes.
+    /// The configuration of the command line, without program flashes.
     pub(crate) fn of(args: &RunArgs, profile: Profile) -> Self {
         Self {
             scenario: args.scenario.clone(),

@@ -28,7 +28,7 @@ const PRIORITIES: [u8; 2] = [90, 80];
 /// More stalls than this are not kept: a machine in this state explains no run.
 const MOST: usize = 100_000;
 
-/// What the threads saw.
+/// The observations of the threads.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Seen {
     /// The times in which a CPU was gone, in order of each CPU.

@@ -4,7 +4,7 @@ use anyhow::Context as _;
 use tandem_board::{Duration, Supply};
 use tandem_board_host::{CoreArgs, HostBoard, HostSupply};
 
-/// What a slot names it.
+/// Its name in a slot.
 pub(crate) const NAME: &str = "three-frames";
 /// How often each core sends, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(20);

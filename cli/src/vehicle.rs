@@ -261,7 +261,7 @@ where
         }
     }
 
-    /// What cores and supplies have traced.
+    /// The trace records of cores and supplies.
     fn drain_traces(&mut self) {
         let Self { port, recorder, .. } = self;
         let mut lost = 0;

@@ -33,7 +33,7 @@ const SHORTEST: Duration = Duration::from_us(12_500);
 /// period. The rest waits for the next cycle.
 const CAN_FRAMES: u32 = 1_000;
 
-/// What core 1 has once it is attached to the LMU.
+/// The parts of core 1 that need the LMU.
 struct Attached<'b> {
     map: ControllerMap<'b>,
     to_planning: Sender<'b>,

@@ -1,4 +1,4 @@
-//! What runs on the cores of one system: the driving functions and their wiring over one board.
+//! The programs of the cores of one system: the driving functions and their wiring over one board.
 //!
 //! [`driving`] is pure computation (sensor frames in; scene, trajectory, command out), told the
 //! time. [`core0`], [`core1`] and [`core2`] wire it to a board. A board's main loop is the same for

@@ -48,7 +48,7 @@ impl TaskCode {
     }
 }
 
-/// What releases a task.
+/// The causes that release a task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReleasedBy {
     /// Its period: releases lie on a grid of absolute time.
@@ -77,7 +77,7 @@ pub struct TaskInfo {
     pub code: TaskCode,
     /// Its name; at most 23 bytes, the limit of the kernel.
     pub name: &'static str,
-    /// What releases it.
+    /// The causes that release it.
     pub released_by: &'static [ReleasedBy],
     /// Time between two releases. Control's is a tick less while its grid follows the trajectories.
     pub period: Duration,
@@ -87,7 +87,7 @@ pub struct TaskInfo {
     /// Priority of the kernel's task, 1 to 30: a higher one pre-empts a lower one. 0 on cores
     /// without a kernel.
     pub priority: u8,
-    /// What it shares with others of its core.
+    /// The parts that it shares with other tasks of its core.
     pub uses: &'static [Part],
     /// What it does, for the table in the documentation.
     pub purpose: &'static str,

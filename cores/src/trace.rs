@@ -1,4 +1,4 @@
-//! What the cores write to the board's trace: four words an event.
+//! The events that cores write to the board's trace, in four words each.
 //!
 //! The trace is for people and reports; nothing that drives reads it. `docs/tracing.md` shows what
 //! becomes of it. Codes of tasks and interrupts are those of [`crate::task_table`].

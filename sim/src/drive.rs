@@ -17,7 +17,7 @@ use tandem_record::{Entry, RunLog, Takeover, takeovers};
 use tandem_redundancy::{Geometry, Loaded, StateStore, SystemState};
 use tandem_vehicle::{Scenario, World};
 
-/// What the vehicle saw during a drive.
+/// The vehicle's log of a drive.
 pub struct Seen {
     /// The vehicle, its traffic and its gate for control frames.
     pub world: World,
@@ -31,9 +31,9 @@ pub struct Seen {
 pub struct Drive {
     /// The machine.
     pub pair: SimPair,
-    /// What the vehicle saw until now.
+    /// The vehicle's log until now.
     pub seen: Rc<RefCell<Seen>>,
-    /// What the cores traced until now, in order.
+    /// The trace events of the cores until now, in order.
     pub events: Vec<(Instant, SystemId, CoreId, Event)>,
 }
 
@@ -170,7 +170,7 @@ impl Drive {
         Duration::from_ns(seen.log.mastership().gap_max_ns(last_ns))
     }
 
-    /// What the data flash of a system holds.
+    /// The content of a system's data flash.
     ///
     /// # Panics
     /// If it holds no valid record.

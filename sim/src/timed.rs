@@ -64,14 +64,14 @@ fn trace_out(board: &SimBoard, task: TaskId, leaves: Leaves) {
     board.trace(Event::TaskOut { task, leaves }.encode());
 }
 
-/// What the scheduler knows of a task.
+/// The scheduler's state of a task.
 #[derive(Clone, Copy)]
 struct State {
     /// When it is released next.
     due: Instant,
     /// It has been released, and its job has not begun.
     ready: bool,
-    /// What is left of its job, ns.
+    /// The rest of its job, ns.
     left_ns: Option<u64>,
 }
 
@@ -81,7 +81,7 @@ struct TimedCore0 {
     tasks: Tasks<'static, SimBoard>,
     ticks: TickGrid,
     states: [State; TASKS],
-    /// What is left of the handlers of interrupts, ns.
+    /// The rest of the handlers of interrupts, ns.
     handlers_ns: u64,
     running: Option<TaskId>,
     last: Instant,

@@ -1,4 +1,4 @@
-//! What takes time in a simulated run, with the source of each figure.
+//! The times of a simulated run, with the source of each figure.
 
 use tandem_board::{Duration, SystemId};
 use tandem_board_sim::{BitRates, Bits, Wires};

@@ -31,7 +31,7 @@ pub const FALLBACK_AFTER_NS: u64 = 100_000_000;
 /// Deceleration without a controller, m/s²: gentle enough for the follower.
 pub const FALLBACK_DECELERATION: f64 = 2.0;
 
-/// What the controller asks for.
+/// The request of the controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Request {
     /// Road wheel angle, rad, left positive.

@@ -87,7 +87,7 @@ pub enum Class {
     Static = 5,
 }
 
-/// Where something was at one time.
+/// A place at one time.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TimedState {
     /// Seconds since the ego's start.
@@ -117,7 +117,7 @@ pub struct Obstacle {
     pub states: Vec<TimedState>,
 }
 
-/// What a file says.
+/// The content of a file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Map {
     /// `benchmarkID`

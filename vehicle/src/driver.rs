@@ -60,7 +60,7 @@ impl Driver {
     }
 }
 
-/// What the driver sees.
+/// The view of the driver.
 pub(crate) struct View {
     pub(crate) pose: Pose,
     /// m/s
@@ -68,7 +68,7 @@ pub(crate) struct View {
     pub(crate) lane: LaneId,
     /// Arc length in that lane, m.
     pub(crate) station: f64,
-    /// What is ahead in it.
+    /// The next object ahead in it.
     pub(crate) leader: Leader,
 }
 

@@ -13,7 +13,7 @@ pub enum ScenarioError {
         .names.join(", ")
     )]
     Unknown {
-        /// What was asked for.
+        /// The name that was asked for.
         name: String,
         /// An embedded scenario with a similar name.
         nearest: Option<&'static str>,
@@ -25,7 +25,7 @@ pub enum ScenarioError {
     Read {
         /// Path of the file.
         file: String,
-        /// What the operating system says.
+        /// The error of the operating system.
         problem: String,
     },
     /// The file is larger than any scenario.
@@ -56,7 +56,7 @@ pub enum ScenarioError {
         file: String,
         /// Counted from 1.
         line: u32,
-        /// What the XML parser says.
+        /// The error of the XML parser.
         problem: String,
     },
     /// The file does not hold what CommonRoad files have to.
@@ -68,9 +68,9 @@ pub enum ScenarioError {
         line: u32,
         /// Which element, with its id.
         element: String,
-        /// What is wrong with it.
+        /// The fault in it.
         problem: String,
-        /// What to do.
+        /// The remedy.
         advice: String,
     },
 }

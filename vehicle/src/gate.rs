@@ -46,7 +46,7 @@ const CLOCK_WAS_SET_MS: i16 = 2_000;
 /// function that does not drive.
 const COMMAND_MAX_AGE_MS: f32 = 2_000.0;
 
-/// What the actuators can do: rad, m/s².
+/// The limits of the actuators: rad, m/s².
 const MAX_STEERING: f32 = 0.61;
 const MAX_BRAKING: f32 = 10.0;
 const MAX_ACCELERATION: f32 = 4.0;
@@ -58,7 +58,7 @@ const LONGITUDINAL_JERK: (f32, f32) = (100.0, 0.5);
 /// Axle to axle, m.
 const WHEELBASE: f32 = 2.578_9;
 
-/// What became of a control frame.
+/// The verdict on a control frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// It acts.
@@ -75,7 +75,7 @@ pub enum Verdict {
     Implausible,
 }
 
-/// What became of a control frame, and when.
+/// The verdict on a control frame, and its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Acceptance {
     /// When the frame arrived, ns, on the caller's clock.
@@ -84,7 +84,7 @@ pub struct Acceptance {
     pub system: u8,
     /// The frame's term; 0 if it is invalid.
     pub term: u32,
-    /// What became of it.
+    /// The verdict on it.
     pub verdict: Verdict,
 }
 
@@ -134,7 +134,7 @@ pub struct Gate {
 /// A control frame that was judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Judged {
-    /// What became of it.
+    /// The verdict on it.
     pub acceptance: Acceptance,
     /// What it demands, if it acts.
     pub command: Option<Control>,
@@ -334,7 +334,7 @@ impl Gate {
             .is_some_and(|last| overdue.contains(&silence(last)))
     }
 
-    /// What became of the control frames so far.
+    /// The verdicts on the control frames so far.
     #[must_use]
     pub fn counts(&self) -> FrameCounts {
         self.counts

@@ -83,7 +83,7 @@ pub struct State {
     pub slip_angle: f64,
 }
 
-/// What acts on the plant, held for one step.
+/// The inputs of the plant, held for one step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Input {
     /// Rate of the road wheel angle, rad/s.

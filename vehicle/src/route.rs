@@ -43,7 +43,7 @@ pub(crate) struct Advice {
     pub(crate) lane_offset: f64,
 }
 
-/// Where the ego is.
+/// The place of the ego.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Here {
     pub(crate) time_s: f64,

@@ -74,7 +74,7 @@ pub struct VehicleSnapshot {
 }
 
 impl VehicleSnapshot {
-    /// What it covers of the road.
+    /// The area that it covers.
     #[must_use]
     pub fn footprint(&self) -> Footprint {
         Footprint {
@@ -541,7 +541,7 @@ impl World {
         self.meter.metrics()
     }
 
-    /// What became of the control frames.
+    /// The verdicts on the control frames.
     #[must_use]
     pub fn gate(&self) -> &Gate {
         &self.gate

@@ -22,11 +22,11 @@ use crate::print;
 /// Faults of one run. A longer one would fill memory with its recording.
 const FAULTS_OF_A_RUN: usize = 100;
 
-/// What became of a campaign.
+/// The result of a campaign.
 #[derive(Default)]
 pub(super) struct Found {
     pub(super) outcomes: Vec<Outcome>,
-    /// What was wrong with runs as a whole, each with the command that repeats it.
+    /// Violations of runs as a whole, each with the command that repeats it.
     pub(super) wrong: Vec<String>,
 }
 

@@ -1,4 +1,4 @@
-//! What became of each fault of a run, from the recording: the analysis that judges every run.
+//! The outcome of each fault of a run, from the recording: the analysis that judges every run.
 
 use serde::{Deserialize, Serialize};
 use tandem_board::SystemId;
@@ -15,11 +15,11 @@ use super::leg::Injected;
 use crate::metrics::{self, GapMetrics};
 use crate::run::Recorded;
 
-/// What became of one sequence of faults.
+/// The outcome of one sequence of faults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Outcome {
     pub(super) number: u64,
-    /// What failed, as `cut can of the master`.
+    /// The fault, as `cut can of the master`.
     pub(super) class: String,
     /// Whether the fault leaves the frames of the system that drives as they are.
     pub(super) spares_control: bool,
@@ -37,7 +37,7 @@ pub(super) struct Outcome {
     pub(super) violations: Vec<String>,
 }
 
-/// What became of each fault of a run, and what was wrong with the run as a whole.
+/// The outcome of each fault of a run, and the violations of the run as a whole.
 ///
 /// # Errors
 /// If a fault cannot be found again.
@@ -156,7 +156,7 @@ impl Run<'_> {
         }
     }
 
-    /// What was wrong with who drove.
+    /// Violations by the systems that drove.
     fn of_masters(
         &self,
         within: &dyn Fn(u64) -> bool,
@@ -236,7 +236,7 @@ pub(super) fn spares_control(sequence: &Sequence) -> bool {
     })
 }
 
-/// What failed, in words.
+/// The fault, in words.
 pub(super) fn class(sequence: &Sequence) -> String {
     let of = |way| match way {
         Way::From(SystemId::A) => " of the master",

@@ -150,7 +150,7 @@ fn inject_all(
             break;
         }
     }
-    // What the last fault led to is in the recording.
+    // The recording has the consequences of the last fault.
     clock::sleep_until(clock::now() + Duration::from_ms(SETTLED_MS));
     Ok(done)
 }

@@ -1,4 +1,4 @@
-//! What became of a campaign, as text of one screen and as figures.
+//! The result of a campaign, as text of one screen and as figures.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

@@ -25,7 +25,7 @@ const STANDING: f64 = 0.1;
 /// The domain ends no farther ahead of a vehicle that stopped for it, m.
 const STOPPED_BEFORE_M: f64 = 50.0;
 
-/// What became of a scenario.
+/// The verdict on a scenario.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub(crate) enum Verdict {

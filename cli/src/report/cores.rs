@@ -15,7 +15,7 @@ use super::sections::system_color;
 use crate::metrics::Metrics;
 use crate::timeline::{CoreLine, Slice, TaskMetrics, Timeline, Work};
 
-/// What the timeline shows before and after its moment, ms: a period of perception and more.
+/// The span of the timeline before and after its moment, ms: a period of perception and more.
 const WIDE_MS: (f64, f64) = (-40.0, 20.0);
 /// The same of a takeover alone.
 const CLOSE_MS: (f64, f64) = (-2.5, 0.5);

@@ -43,7 +43,7 @@ pub(crate) fn page(log: &RunLog, timeline: &Timeline, metrics: &Metrics) -> Stri
     tandem_page::document(&metrics.scenario, &content)
 }
 
-/// What was not as it must be, in words; empty if the run was good.
+/// The violations, in words; empty if the run was good.
 pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
     let mut objections = Vec::new();
     let mut object = |wrong: bool, text: String| {

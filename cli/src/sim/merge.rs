@@ -69,7 +69,7 @@ impl Totals {
     }
 }
 
-/// What another run wrote with `--json`.
+/// The output of another run with `--json`.
 #[derive(Deserialize)]
 struct Part {
     seeds: u64,

@@ -123,7 +123,7 @@ pub(crate) enum Kind {
     Swarm,
 }
 
-/// What takes time.
+/// The model of time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum Takes {
     Ideal,

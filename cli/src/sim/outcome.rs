@@ -1,8 +1,9 @@
-//! What the campaign needs of one sequence, and the line that one process tells another.
+//! The outcome of one sequence for the campaign, and the line in which one process tells it to
+//! another.
 
 use tandem_sim::faults::{Kind, State, Verdict, Violation};
 
-/// What became of one sequence.
+/// The outcome of one sequence.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Outcome {
     pub(super) number: u64,

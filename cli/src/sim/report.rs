@@ -1,4 +1,4 @@
-//! What became of a campaign, as text and as figures.
+//! The result of a campaign, as text and as figures.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;

@@ -18,7 +18,7 @@ use crate::failure::Failure;
 use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};
 
-/// What the thesis measured, and what is permitted here.
+/// The figures of the thesis, and the limits here.
 const SYNC_NS: f64 = 660.0;
 const SKEW_US: f64 = 572.0;
 /// Both systems must see the sync edge within a heartbeat period, or its first beats are missed.
@@ -44,11 +44,11 @@ const SHOWN: usize = 11;
 #[derive(Clone, Debug, Serialize)]
 struct Row {
     name: &'static str,
-    /// What the thesis measured.
+    /// The figure of the thesis.
     thesis: f64,
-    /// What was measured now.
+    /// The figure that was measured now.
     here: f64,
-    /// What `here` must not exceed.
+    /// The limit of `here`.
     bound: f64,
     unit: &'static str,
     ok: bool,

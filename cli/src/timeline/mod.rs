@@ -1,4 +1,4 @@
-//! What ran when on which core, put together from the trace records of a run.
+//! The timeline of a run: which task ran when on which core, from the trace records.
 //!
 //! Records are told apart by source and taken in the order of each. A slice is a task or a handler
 //! from its coming to the CPU to its leaving; slices of a core nest and never cross, whatever
@@ -21,7 +21,7 @@ use jobs::Jobs;
 pub(crate) use jobs::{InterruptMetrics, TaskMetrics, WakeMetrics};
 pub(crate) use perfetto::encode;
 
-/// What occupies a core.
+/// The work that occupies a core.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Work {
     /// A task.
@@ -137,7 +137,7 @@ pub(crate) struct Flow {
 pub(crate) struct Timeline {
     /// The six cores: A0, A1, A2, B0, B1, B2.
     pub(crate) cores: Vec<CoreLine>,
-    /// What the supplies did and saw, by time, ns.
+    /// The events of the supplies, by time, ns.
     pub(crate) supplies: Vec<(u64, SystemId, SupplyEvent)>,
     /// Signals from core to core; the flow of a mark is its place here plus 1.
     pub(crate) flows: Vec<Flow>,

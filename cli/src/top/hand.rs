@@ -22,7 +22,7 @@ const WIRES: [&str; 6] = [
     "can",
 ];
 
-/// What a person does to a run.
+/// An action of a person on a run.
 pub(super) struct Hand {
     run: RunName,
     /// Commands under way.
@@ -39,7 +39,7 @@ impl Hand {
         }
     }
 
-    /// What was done last.
+    /// The last action.
     pub(super) fn said(&mut self) -> String {
         self.commands
             .retain_mut(|command| matches!(command.try_wait(), Ok(None)));

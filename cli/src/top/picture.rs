@@ -28,7 +28,7 @@ pub(super) struct Picture {
     span_ns: u64,
     /// The system that keys act on.
     pub(super) selected: SystemId,
-    /// What was done last.
+    /// The last action.
     pub(super) said: String,
     /// When the last accepted frame came, ns.
     accepted_ns: Option<u64>,

@@ -4,7 +4,7 @@ use core::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
 use tandem_board::Instant;
 use tandem_cores::core0::DOORBELL_DISTANCE;
 
-/// What an interrupt of the doorbell releases.
+/// The tasks that an interrupt of the doorbell releases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Releases {
     /// All tasks of the doorbell.

@@ -40,7 +40,7 @@ const DOORBELL_PRIORITY: InterruptPriority = InterruptPriority::new(10);
 /// one that it releases, the roles, runs at every tick.
 const DOORBELL_WAITER: TaskId = TaskId::TrajectoryInput;
 
-/// What the machine decides.
+/// The choices of the machine.
 #[derive(Clone, Copy, Debug)]
 pub struct Options {
     /// Bytes of each task's stack.
@@ -90,7 +90,7 @@ impl fmt::Display for RunError {
 
 impl core::error::Error for RunError {}
 
-/// What all tasks reach.
+/// The state that all tasks reach.
 struct Runtime<B: Board + 'static> {
     board: &'static B,
     shared: Mutex<Shared<'static, B>>,
@@ -245,7 +245,7 @@ fn report<B: Board + Sync>(executor: &OfTask<'_, B>) {
     executor.runtime.trace(Event::Held { task, longest_ns });
 }
 
-/// What a task does, for ever.
+/// The loop of a task.
 fn run<B: Board + Sync>(executor: &OfTask<'_, B>, mut task: impl Task<'static, B>) {
     let board = executor.runtime.board;
     let ticks = TickGrid {

@@ -2,7 +2,7 @@
 
 use tandem_board::{CoreId, Duration, Instant};
 
-/// What is known of one supervised core.
+/// The state of one supervised core.
 #[derive(Clone, Copy)]
 struct Watched {
     core: CoreId,

@@ -16,7 +16,7 @@ pub(crate) struct Output {
     pub(crate) mode: Mode,
     /// Age of the oldest measurement it rests on; `None` if it rests on none.
     pub(crate) age: Option<Duration>,
-    /// What this system would command if it had driven all the time.
+    /// The command of this system if it had driven all the time.
     pub(crate) opinion: Command,
     /// m/s
     pub(crate) speed: f32,

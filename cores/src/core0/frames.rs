@@ -83,7 +83,7 @@ pub(super) fn heard_control(from: u8, control: &Control) -> Option<ControlFrame>
     })
 }
 
-/// What the driver wants.
+/// The request of the driver.
 pub(super) const fn driver(request: &DriverRequest) -> Driver {
     match (request.engage, request.overrides) {
         (true, false) => Driver::Engages,

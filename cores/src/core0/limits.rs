@@ -83,7 +83,7 @@ impl Throttle {
     }
 }
 
-/// What a source has done since the last report.
+/// The activity of a source since the last report.
 #[derive(Clone, Copy, Debug, Default)]
 struct Excess {
     times: u32,

@@ -117,7 +117,7 @@ impl BitOrAssign for TaskSet {
     }
 }
 
-/// What a task needs of the executor that runs it.
+/// The interface of the executor to a task.
 pub trait Executor<'b, B: Board> {
     /// Runs `body` with what all tasks share; the other tasks wait for it. Neither nested nor
     /// within [`Executor::drive`].
@@ -166,9 +166,9 @@ pub struct Tasks<'b, B: Board> {
 
 /// Core 0 in parts, for an executor.
 pub struct Parts<'b, B: Board> {
-    /// What all tasks share.
+    /// The state that all tasks share.
     pub shared: Shared<'b, B>,
-    /// What the control cycle computes with.
+    /// The state of the control cycle.
     pub drive: Drive,
     /// The tasks.
     pub tasks: Tasks<'b, B>,

@@ -1,4 +1,4 @@
-//! What the tasks of core 0 share: the redundancy and all that goes over the bus.
+//! The state that the tasks of core 0 share: the redundancy and all that goes over the bus.
 //!
 //! A task holds it for microseconds; nothing here computes a command.
 

@@ -68,7 +68,7 @@ impl DegradedControl {
         }
     }
 
-    /// What the last step would have commanded without limits.
+    /// The command of the last step without limits.
     #[must_use]
     pub(crate) fn wish(&self) -> Wish {
         self.wish
@@ -233,7 +233,7 @@ fn curve_speed(line: &CentreLine, speed: f32) -> f32 {
     slowest
 }
 
-/// What an object means for the own lane.
+/// An object in relation to the own lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Concern {
     /// Not ahead, or in another lane.

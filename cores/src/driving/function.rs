@@ -118,7 +118,7 @@ impl State {
     }
 }
 
-/// What changes the state.
+/// The causes of a change of state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Signal {
@@ -176,7 +176,7 @@ pub const NEXT: [[State; Signal::ALL.len()]; State::ALL.len()] = {
     ]
 };
 
-/// What the driver wants, as the driver's frame says it.
+/// The request of the driver, from the driver's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Driver {
     /// Nothing was heard of the driver.
@@ -188,12 +188,12 @@ pub enum Driver {
     Engages,
 }
 
-/// What the machine looks at in a cycle.
+/// The inputs of the machine in a cycle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Inputs {
-    /// What the redundancy permits.
+    /// The permission of the redundancy.
     pub permitted: Mode,
-    /// What the driver wants.
+    /// The request of the driver.
     pub driver: Driver,
     /// Lanes and the motion of the chassis are known, and fresh.
     pub sees: bool,

@@ -10,7 +10,7 @@
 
 use super::math::{clamp, exp, max, min, sqrt};
 
-/// What the driver wants.
+/// The request of the driver.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Driver {
     /// m/s

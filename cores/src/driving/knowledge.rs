@@ -22,7 +22,7 @@ pub const PLAN_POINTS: usize = 5;
 /// The begin of a plan, and what decision remembers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// What decision remembers.
+    /// The memory of decision.
     pub memory: Memory,
     /// Samples every [`super::types::TRAJECTORY_STEP_S`].
     pub points: [TrajectoryPoint; PLAN_POINTS],

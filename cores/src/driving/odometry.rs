@@ -1,4 +1,4 @@
-//! Where the vehicle has gone: poses from its own motion, and a short memory of them.
+//! Odometry: poses from the vehicle's own motion, and a short memory of them.
 
 use tandem_board::Instant;
 

@@ -191,7 +191,7 @@ pub struct Scene {
     pub objects: Vec<Object, MAX_OBJECTS>,
 }
 
-/// What decision has chosen.
+/// The decision.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Maneuver {
     /// Keep the lane and the distance.
@@ -255,13 +255,13 @@ pub struct Trajectory {
     pub cycle: u32,
     /// What it does.
     pub maneuver: Maneuver,
-    /// What decision remembers.
+    /// The memory of decision.
     pub memory: Memory,
     /// The samples.
     pub points: [TrajectoryPoint; TRAJECTORY_SAMPLES],
 }
 
-/// What core 0 asks of the actuators.
+/// The command of core 0 to the actuators.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Command {
     /// Road wheel angle, rad, left positive.

@@ -203,7 +203,7 @@ impl State {
 pub struct Bench {
     /// The machine.
     pub pair: SimPair,
-    /// What the vehicle saw until now.
+    /// The vehicle's log until now.
     pub vehicle: Rc<RefCell<Vehicle>>,
     /// The limits of both systems.
     pub config: Config,
@@ -211,7 +211,7 @@ pub struct Bench {
     pub time: Time,
     /// What its faults hit: a kind, by its label, and the state of the system.
     pub(super) covered: Vec<(Kind, State)>,
-    /// What was taken of the trace.
+    /// The trace records that were read.
     traced: Vec<Traced>,
     bus: [BusFault; 2],
     /// When the run began.

@@ -4,7 +4,7 @@ use std::fmt;
 use tandem_board::{CoreId, Duration, Edge, Line, ResetCause, SystemId};
 use tandem_board_sim::Wire;
 
-/// What fails.
+/// The kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A wire carries nothing. A level line that is cut reads as high.
@@ -137,7 +137,7 @@ impl Kind {
         Self::WrongResults,
         Self::Scribble,
     ];
-    /// What fails for both systems at once.
+    /// Faults of both systems at once.
     pub const OF_BOTH: [Self; 2] = [Self::Poison, Self::VehicleSilent];
 
     /// Whether the simulator can do it.

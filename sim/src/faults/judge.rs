@@ -1,4 +1,4 @@
-//! What a fault may cost, and what must be so in the end.
+//! The limits under each fault, and the state that must hold in the end.
 
 use super::bench::{Bench, State};
 use super::fault::{Fault, Kind, Way};
@@ -104,7 +104,7 @@ pub fn row(fault: &Fault) -> Row {
     }
 }
 
-/// What must not be.
+/// A violation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Violation {
     /// The vehicle was without control for longer than the bound.
@@ -134,7 +134,7 @@ pub enum Violation {
     Panic,
 }
 
-/// What became of one sequence.
+/// The outcome of one sequence.
 #[derive(Clone, Debug, Default)]
 pub struct Verdict {
     /// The longest time without control, from the first fault until all is mended.
@@ -147,9 +147,9 @@ pub struct Verdict {
     pub simulated: Duration,
     /// Every frame on the bus and every event of a system, as one number.
     pub digest: u64,
-    /// What the faults hit.
+    /// The states that the faults hit.
     pub covered: Vec<(Kind, State)>,
-    /// What was violated.
+    /// The violations.
     pub violations: Vec<Violation>,
 }
 

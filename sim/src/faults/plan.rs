@@ -13,7 +13,7 @@ use tandem_redundancy::Config;
 /// early master and standby are there again.
 const HEALS_WHOLLY: u64 = 16;
 
-/// What a sequence runs on.
+/// The simulated machine of a sequence.
 #[derive(Clone, Copy, Debug)]
 pub struct Profile {
     /// Limits of the redundancy.
@@ -50,7 +50,7 @@ impl Profile {
     }
 }
 
-/// What kind of sequences.
+/// The kind of sequences.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Group {
     /// One fault at one of [`PHASES`] moments of the control cycle.
@@ -357,7 +357,7 @@ impl Sequence {
         least
     }
 
-    /// What fails, without when.
+    /// The fault, without its time.
     #[must_use]
     pub fn kinds(&self) -> String {
         let kind = |fault: &Fault| format!("{:?} {:?}", fault.way, fault.kind);

@@ -1,4 +1,4 @@
-//! Where a planning problem ends: a place, a time, a speed, a direction.
+//! The goal of a planning problem: a place, a time, a speed, a direction.
 
 use std::f64::consts::TAU;
 

@@ -30,7 +30,7 @@ const CROSSING_ANGLE: std::ops::Range<f64> = 0.35..PI - 0.35;
 /// Those that are this near and run against each other are one lane for both directions, m.
 const SHARED_NEAR: f64 = 1.0;
 
-/// What ends the domain on a lane.
+/// The causes that end the domain on a lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Exit {
     /// Another lane crosses, or turns off as at a junction.

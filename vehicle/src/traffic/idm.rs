@@ -11,7 +11,7 @@ const COOLNESS: f64 = 0.99;
 /// Hardest braking, m/s².
 const DECELERATION_MAX: f64 = 9.0;
 
-/// What is ahead in the lane.
+/// The next object ahead in the lane.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Leader {
     /// Bumper to bumper, m; infinite on a free road.

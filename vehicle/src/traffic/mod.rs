@@ -53,7 +53,7 @@ const COURTESY: f64 = 1.5;
 /// What another vehicle, or the ego, is to those who drive by themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Participant {
-    /// What it covers.
+    /// The area that it covers.
     pub footprint: Footprint,
     /// m/s along its heading.
     pub speed: f64,
@@ -87,7 +87,7 @@ pub struct Vehicle {
     pub id: i64,
     /// Kind.
     pub class: Class,
-    /// Where, how large, how fast.
+    /// Place, size, speed.
     pub participant: Participant,
     /// How it moves.
     pub mode: Mode,
@@ -130,7 +130,7 @@ impl Deviating {
         }
     }
 
-    /// Where it will be, going straight on.
+    /// Its place later, straight on.
     fn predicted(&self, dt: f64) -> Footprint {
         let Footprint { pose, .. } = self.participant.footprint;
         let position = pose.position + self.velocity * dt;

@@ -3,7 +3,7 @@
 use crate::commonroad::TimedState;
 use crate::geometry::{Pose, Vec2, lerp_angle};
 
-/// Where a vehicle is and how fast.
+/// Place and speed of a vehicle.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Motion {
     pub(crate) pose: Pose,

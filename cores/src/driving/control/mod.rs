@@ -78,7 +78,7 @@ impl MotionControl {
         &self.last_step
     }
 
-    /// What the last step would have commanded without limits.
+    /// The command of the last step without limits.
     #[must_use]
     pub(crate) fn wish(&self) -> Wish {
         self.wish
@@ -174,7 +174,7 @@ pub fn is_right(step: &ControlStep, trajectory: &Trajectory, ego: &Ego) -> bool 
         && near(given.acceleration, due.acceleration, ACCELERATION_ROUNDING)
 }
 
-/// What the trajectory demands by the time the actuators answer.
+/// The demand of the trajectory at the time when the actuators answer.
 struct FeedForward {
     /// 1/m
     curvature: f32,

@@ -48,13 +48,13 @@ pub struct Perception {
     tracks: Vec<Track, MAX_TRACKS>,
     /// The time up to which tracks and lanes are predicted.
     time: Option<Instant>,
-    /// What the last cycle took in.
+    /// The inputs of the last cycle.
     round: Round,
     /// When each sensor has measured what came in last, by [`SensorId::index`]; the first cycle
     /// before that.
     measured: [Option<Instant>; SensorId::ALL.len()],
     next_id: u32,
-    /// What the driver asks for.
+    /// The request of the driver.
     request: DriverRequest,
     scene: Scene,
 }

@@ -13,7 +13,7 @@ const CUT_IN_SPEED: f32 = 0.5;
 /// An object must move in for this many cycles in a row to be believed.
 const CUT_IN_CYCLES: u8 = 5;
 
-/// Where an object is on the road.
+/// The place of an object on the road.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Place {
     pub(crate) lane: i8,

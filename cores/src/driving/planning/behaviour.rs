@@ -80,7 +80,7 @@ impl Side {
     }
 }
 
-/// What the vehicle does about its lane.
+/// The manoeuvre: keep the lane or change it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Intent {
     /// Stays in the lane.
@@ -93,7 +93,7 @@ pub(crate) enum Intent {
     },
 }
 
-/// What the decision rests on.
+/// The inputs of the decision.
 #[derive(Clone, Debug)]
 pub(crate) struct Situation<'a> {
     pub(crate) lanes: &'a Lanes,
@@ -110,7 +110,7 @@ pub(crate) struct Situation<'a> {
     pub(crate) route: Route,
 }
 
-/// What planning is to do.
+/// The task of planning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Goal {
     /// Offset to go to, m.
@@ -140,7 +140,7 @@ impl Behaviour {
         }
     }
 
-    /// What this decision remembers.
+    /// The memory of this decision.
     pub(crate) fn memory(&self) -> Memory {
         let [left, right] = self.wishes.map(|wish| u32::from(wish.min(31)));
         let intent = match self.intent {

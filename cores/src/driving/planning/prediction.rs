@@ -1,4 +1,4 @@
-//! Where the other road users will be: in the Frenet frame of the own lane.
+//! Prediction of the other road users, in the Frenet frame of the own lane.
 
 use crate::driving::math::{abs, clamp, cos, exp, max, min, sin};
 use crate::driving::road::FrenetFrame;
