@@ -56,6 +56,7 @@ fn kept_control(metrics: &Value) {
 
 const POWER: &str = "power level fell and heartbeats ended";
 const SILENT: &str = "heartbeats and control frames silent";
+const UNHEARD: &str = "no control frame reaches the vehicle";
 const RESIGNS: &str = "the master resigns";
 
 /// T-CHIP-5, T-RED-4, T-RED-9: loss of power.
@@ -109,7 +110,7 @@ fn is_core(process: &crate::fixture::Process, system: &str, core: u64) -> bool {
 }
 
 /// T-RED-3, T-RED-9: a master whose core 0 stands still has power; the other takes over because its
-/// heartbeats ended. When it thaws, it does not drive, not for one frame.
+/// heartbeats and frames ended. When it thaws, it does not drive, not for one frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     let fixture = Fixture::new();
@@ -131,7 +132,10 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
     kept_control(&metrics);
     let takeover = &metrics["takeovers"][0];
     assert_eq!(takeover["from"], master, "{metrics:#}");
-    assert_eq!(takeover["cause"], SILENT, "{metrics:#}");
+    // If its last report over the link is younger than its last frame, the vehicle's word may come
+    // first.
+    let cause = takeover["cause"].as_str().unwrap();
+    assert!([SILENT, UNHEARD].contains(&cause), "{metrics:#}");
 }
 
 /// The report of what was driven is all that is left.
