@@ -334,7 +334,7 @@ mod tests {
     fn what_is_no_item_is_refused() {
         for head in [
             0,
-            11,
+            14,
             8 | 7 << 16,
             9 | 2 << 8,
             2 | 6 << 8,
