@@ -10,15 +10,17 @@
 //! high before the ignition. When the ignition goes off, or the vehicle ends, the supply kills its
 //! cores and ends.
 
+use std::io::{self, Read as _};
 use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt as _;
 use std::process::{Child, Command};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::SIGURG;
+use signal_hook::low_level::pipe;
 use tandem_board::{
     CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SupplyEvent, SystemId,
 };
@@ -38,8 +40,7 @@ use crate::spawn::{self, Watched};
 /// How often the supply reads its registers while its system starts.
 const PERIOD: Duration = Duration::from_ms(1);
 /// The same once all cores have started. Deaths of processes, the end of the watchdog's window and
-/// [`POKE`] wake it at once. A poke that arrives just before the supply sleeps is not seen: what it
-/// tells of waits this long.
+/// [`POKE`] wake it at once.
 const CALM_PERIOD: Duration = Duration::from_ms(20);
 /// Tells a supply to read its registers. Without a handler, as at its start, it has no effect.
 const POKE: Signal = Signal::URG;
@@ -50,6 +51,25 @@ pub(crate) fn poke(backplane: Backplane, system: SystemId) {
     if let Some(pid) = pid.ok().and_then(Pid::from_raw) {
         // It may have just ended.
         let _ = kill_process(pid, POKE);
+    }
+}
+
+/// The pokes of a supply, as a stream: one that arrives just before the supply sleeps ends that
+/// sleep as well.
+struct Pokes(UnixStream);
+
+impl Pokes {
+    fn receive() -> io::Result<Self> {
+        let (read, write) = UnixStream::pair()?;
+        read.set_nonblocking(true)?;
+        pipe::register(SIGURG, write)?;
+        Ok(Self(read))
+    }
+
+    /// Forgets the pokes so far.
+    fn take(&mut self) {
+        let mut pokes = [0; 16];
+        while (&self.0).read(&mut pokes).is_ok_and(|count| count > 0) {}
     }
 }
 
@@ -69,7 +89,7 @@ pub enum SupplyError {
     Flash(#[from] FlashFileError),
     /// The operating system refuses a handler.
     #[error("a signal cannot be handled: {0}")]
-    Signal(std::io::Error),
+    Signal(io::Error),
     /// The backplane has another layout than this build.
     #[error("the rings of the backplane do not fit: {0:?}")]
     Fit(FitError),
@@ -92,9 +112,7 @@ impl From<FitError> for SupplyError {
 /// cannot be started is no error: it counts as dead.
 pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<(), SupplyError> {
     let _ = args.claim();
-    // The handler does nothing: a signal that is handled ends a sleep.
-    let poked = signal_hook::flag::register(SIGURG, Arc::default());
-    poked.map_err(SupplyError::Signal)?;
+    let pokes = Pokes::receive().map_err(SupplyError::Signal)?;
     let backplane = Backplane::open(&args.common.run)?;
     HostFlash::prepare(&args.flash)?;
     let power_on = backplane.power_on(args.system);
@@ -120,6 +138,7 @@ pub fn run(args: &SupplyArgs, command: &dyn Fn(&CoreArgs) -> Command) -> Result<
         model: Model::new(Config::DESKTOP),
         peer,
         peer_pid: backplane.supply_pid(args.system.peer()),
+        pokes,
     };
     if power_on > 1 {
         // At the first power-on no edge is older than the run, and the other system may already be
@@ -179,6 +198,7 @@ struct Supply<'a> {
     /// The other supply, and its process id; `None` if it has died.
     peer: Option<Watched>,
     peer_pid: u32,
+    pokes: Pokes,
 }
 
 struct PoweredCore {
@@ -194,6 +214,8 @@ impl Supply<'_> {
         let mut next = now + PERIOD;
         loop {
             self.sleep(vehicle.fd(), next);
+            // Before the registers are read: a later poke ends the next sleep.
+            self.pokes.take();
             let now = clock::now();
             if now.since(next) > HELD_UP {
                 self.model.was_blind(next, now);
@@ -224,7 +246,7 @@ impl Supply<'_> {
         (now + period).min(self.model.next().max(now + PERIOD))
     }
 
-    /// Sleeps until a process ends or the next tick is due.
+    /// Sleeps until a process ends, a poke arrives or the next tick is due.
     fn sleep(&self, vehicle: &OwnedFd, next: Instant) {
         let cores = self
             .cores
@@ -233,6 +255,7 @@ impl Supply<'_> {
             .filter_map(|core| core.watched.as_ref());
         let fds = cores.chain(&self.peer).map(Watched::fd).chain([vehicle]);
         let mut fds: Vec<_> = fds.map(|fd| PollFd::new(fd, PollFlags::IN)).collect();
+        fds.push(PollFd::new(&self.pokes.0, PollFlags::IN));
         let left = clock::timespec(next.since(clock::now()).as_ns());
         // Interrupted or not: the registers are polled anyway.
         let _ = poll(&mut fds, Some(&left));
@@ -442,6 +465,7 @@ mod tests {
             model: Model::new(Config::DESKTOP),
             peer: None,
             peer_pid: 0,
+            pokes: Pokes::receive().unwrap(),
         };
         // Its cores are not started here.
         assert!(supply.model.power_on(clock::now()).is_some());
@@ -473,5 +497,19 @@ mod tests {
         backplane.assemble([own; 2], own);
         backplane.set_ignition(true);
         assert!(wait_for_ignition(&args, backplane, 1).is_some());
+    }
+
+    /// T-CHIP-6: a request that is made between two sleeps does not wait for the end of the next.
+    #[test]
+    fn a_poke_that_arrives_before_the_sleep_ends_it() {
+        let mut pokes = Pokes::receive().unwrap();
+        kill_process(rustix::process::getpid(), POKE).unwrap();
+        let is_poked = |pokes: &Pokes, left| {
+            let mut fds = [PollFd::new(&pokes.0, PollFlags::IN)];
+            poll(&mut fds, Some(&left)).is_ok_and(|ready| ready > 0)
+        };
+        assert!(is_poked(&pokes, clock::timespec(60_000_000_000)));
+        pokes.take();
+        assert!(!is_poked(&pokes, clock::timespec(0)));
     }
 }

@@ -466,7 +466,14 @@ mod tests {
         (run, port)
     }
 
-    fn attached(run: &RunName, port: &HostVehiclePort, of: Identity) -> HostCan {
+    /// The CAN controller of a core in its first incarnation.
+    fn attached(run: &RunName, port: &HostVehiclePort, system: SystemId, core: CoreId) -> HostCan {
+        let generation = Generation(1);
+        let of = Identity {
+            system,
+            core,
+            generation,
+        };
         let ringers = Arc::new(Ringers::new(run));
         HostCan::attach(port.backplane, of, ringers).unwrap()
     }
@@ -506,15 +513,7 @@ mod tests {
     #[test]
     fn a_frame_is_stamped_by_the_bus_as_its_receivers_stamp_it() {
         let (run, mut port) = port();
-        let attach = |system, core| {
-            let generation = Generation(1);
-            let of = Identity {
-                system,
-                core,
-                generation,
-            };
-            attached(&run, &port, of)
-        };
+        let attach = |system, core| attached(&run, &port, system, core);
         let senders = [
             attach(SystemId::A, CoreId::CONTROL),
             attach(SystemId::B, CoreId::CONTROL),
@@ -549,15 +548,7 @@ mod tests {
     #[test]
     fn a_disturbed_connection_affects_its_own_system_alone() {
         let (run, mut port) = port();
-        let attach = |system| {
-            let (core, generation) = (CoreId::CONTROL, Generation(1));
-            let of = Identity {
-                system,
-                core,
-                generation,
-            };
-            attached(&run, &port, of)
-        };
+        let attach = |system| attached(&run, &port, system, CoreId::CONTROL);
         let [a, b] = SystemId::ALL.map(attach);
         let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
         let mut exchange = |fault: BusFault| {
@@ -586,12 +577,7 @@ mod tests {
     #[test]
     fn discarded_frames_do_not_reach_the_bus() {
         let (run, mut port) = port();
-        let of = Identity {
-            system: SystemId::A,
-            core: CoreId::CONTROL,
-            generation: Generation(1),
-        };
-        let can = attached(&run, &port, of);
+        let can = attached(&run, &port, SystemId::A, CoreId::CONTROL);
         let frame = |id| CanFrame::new(CanId::Standard(id), true, &[]).unwrap();
         for id in 1..4 {
             can.try_send(&frame(id)).unwrap();
@@ -608,12 +594,7 @@ mod tests {
     #[test]
     fn a_frame_of_a_core_wakes_a_bus_that_sleeps() {
         let (run, mut port) = port();
-        let of = Identity {
-            system: SystemId::A,
-            core: CoreId::CONTROL,
-            generation: Generation(1),
-        };
-        let can = attached(&run, &port, of);
+        let can = attached(&run, &port, SystemId::A, CoreId::CONTROL);
         let Ok(Pass::Period(first)) = port.wait_for(Instant::ORIGIN) else {
             panic!("the first period");
         };

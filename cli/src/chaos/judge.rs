@@ -125,8 +125,7 @@ impl Run<'_> {
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
         let explained = explained.into_iter().filter(|_| is_machine);
-        let is_deaf = |fault: &Fault| matches!(fault.kind, Kind::Deaf | Kind::LosesHeard(_));
-        let is_deaf = sequence.faults.iter().any(is_deaf);
+        let is_deaf = sequence.faults.iter().any(|it| it.kind == Kind::Deaf);
         let unexplained = |gap: &GapMetrics| match gap.evidence.is_empty() {
             true => told(gap),
             false => format!("{}; {} does not explain it", told(gap), gap.evidence),

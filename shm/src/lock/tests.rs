@@ -427,7 +427,7 @@ impl ReferenceStateMachine for Owner {
         match event {
             Event::Take(_) | Event::Die(_) => true,
             Event::Leave(core) => owner.core == Some(*core),
-            // Before somebody is told of the death the release counts.
+            // Until a core has been told of the death, the release counts.
             Event::LeaveLate => !owner.orphaned,
         }
     }

@@ -9,8 +9,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use tandem_board::{Duration, SystemId};
 use tandem_redundancy::Config;
 
-/// One sequence of so many is watched for all the time within which a system must drive, however
-/// early master and standby are there again.
+/// Each sequence whose number this divides is watched for the whole time within which a system must
+/// drive, even if master and standby are there earlier.
 const HEALS_WHOLLY: u64 = 16;
 
 /// The simulated machine of a sequence.

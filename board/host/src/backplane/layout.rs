@@ -133,7 +133,7 @@ pub(crate) struct Rings {
     pub(crate) trace: [Ring; TRACE_WRITERS],
 }
 
-/// Frames that wait for the bus, which fetches them every millisecond.
+/// Frames that wait for the bus, which each frame wakes; a disturbed bus fetches them every ms.
 const TRANSMIT: Shape = Shape::new(64, TRANSMIT_WORDS);
 /// Frames that a core may be behind: some hundred milliseconds at the load of the vehicle bus.
 const RECEIVE: Shape = Shape::new(1024, FRAME_WORDS);
