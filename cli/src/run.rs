@@ -183,8 +183,8 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
 
 fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let limits = core_process::config(config).redundancy;
-    // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first one
-    // after it may each be late by half a millisecond more: that is no stall yet.
+    // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
+    // one after it may each be late by half a millisecond more: that is no stall yet.
     let on_bus = |bound: Duration| bound.as_ms_f64() + 1.0 + 2.0 * stall_watch::LATE.as_ms_f64();
     Surroundings {
         granted,
