@@ -77,11 +77,22 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
         OTHER_COMPILER_PERCENT
     };
     println!("{compiler}; the table: {known_compiler}");
+    let changed = changed(&counted, &table, percent)?;
+    ensure!(
+        changed.is_empty(),
+        "not as in {TABLE}: {}; if it is meant to be so, `cargo xtask instructions --save`",
+        changed.join(", ")
+    );
+    Ok(())
+}
+
+/// Prints each case beside the table, and names those that differ by more than this percentage.
+fn changed(counted: &[(&str, f64)], table: &Value, percent: f64) -> Result<Vec<String>> {
     println!("{:<20} {:>9} {:>9}", "instructions", "now", "table");
     let mut changed = Vec::new();
     for (name, count) in counted {
         let rows = table["results"].as_array().into_iter().flatten();
-        let mut known = rows.filter(|row| row["name"] == name);
+        let mut known = rows.filter(|row| row["name"] == *name);
         let known = known.find_map(|row| row["count"].as_f64());
         let known = known.with_context(|| format!("{name} is not in the table: --save"))?;
         println!("{name:<20} {count:>9.1} {known:>9.1}");
@@ -89,12 +100,7 @@ pub(crate) fn run(root: &Path, save: bool) -> Result<()> {
             changed.push(format!("{name} {known:.1} -> {count:.1}"));
         }
     }
-    ensure!(
-        changed.is_empty(),
-        "not as in {TABLE}: {}; if it is meant to be so, `cargo xtask instructions --save`",
-        changed.join(", ")
-    );
-    Ok(())
+    Ok(changed)
 }
 
 /// The instructions of the whole program that repeats a case this often.
@@ -109,4 +115,26 @@ fn count(program: &Path, case: &str, times: u64) -> Result<u64> {
     let collected = said.split("Collected :").nth(1);
     let count = collected.and_then(|text| text.split_whitespace().next()?.parse().ok());
     count.with_context(|| format!("callgrind counted nothing: {said}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_instruction_more_or_less_is_a_change() {
+        let table = json!({ "results": [{ "name": "lock", "count": 40.0 }] });
+        for (count, percent, expected) in [
+            (40.0, 0.0, &[][..]),
+            (41.0, 0.0, &["lock 40.0 -> 41.0"]),
+            (39.0, 0.0, &["lock 40.0 -> 39.0"]),
+            // Another compiler than the table's.
+            (42.0, 5.0, &[]),
+            (43.0, 5.0, &["lock 40.0 -> 43.0"]),
+        ] {
+            let found = changed(&[("lock", count)], &table, percent).unwrap();
+            assert_eq!(found, expected, "{count}");
+        }
+        assert!(changed(&[("pool", 1.0)], &table, 0.0).is_err());
+    }
 }
