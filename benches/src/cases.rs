@@ -188,6 +188,10 @@ const CASES: &[Cases] = &[
     ]),
     // Microseconds of contention: many of the scheduler's turns.
     (Group::Lock, 40_000, &[
+        ("contended-2-floor", "one word, no turns: from wanting to having it, two CPUs",
+            |p| floor::cas::under_contention(p, 2)),
+        ("contended-3-floor", "the same by three processes on two CPUs",
+            |p| floor::cas::under_contention(p, 3)),
         ("contended-2", "from wanting to having it, two CPUs",
             |p| tandem::lock::under_contention(p, 2)),
         ("contended-3", "the same by three processes on two CPUs",

@@ -2,8 +2,8 @@
 
 use crate::cases::{self, Case, Group};
 use crate::compare::{self, CompareError, Comparison};
+use crate::load::Load;
 use crate::measure::{self, Measurement};
-use crate::output::{OutputError, OutputFile, OutputFolder};
 use crate::page;
 use crate::result::Results;
 use crate::worker;
@@ -11,6 +11,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 use tandem_board_host::{AttachError, IsolationError, UnsupervisedSystem, isolation};
+use tandem_page::output::{OutputError, OutputFile, OutputFolder};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -27,7 +28,7 @@ cannot be written, and nothing was started; 130 ended by Ctrl-C.";
 
 const COMPARE_EXAMPLES: &str = "\
 Examples:
-  cp target/release/tandem old; git switch my-change; cargo build --release
+  cp target/release/tandem-bench old; git switch my-change; cargo build --release
   target/release/tandem bench compare --against ./old spin
                                               exits with 1 if Tandem became slower
   tandem bench compare --against ./old --json - | jq .slower
@@ -59,6 +60,10 @@ pub struct BenchArgs {
     /// Let the ends have SCHED_FIFO, as the cores of a run
     #[arg(long)]
     pub realtime: bool,
+
+    /// Measure beside this many processes that spin or write memory, on both CPUs in turn
+    #[arg(long, value_name = "spin|memory:N")]
+    pub load: Option<Load>,
 
     /// Write all figures and a description of the machine to this file
     #[arg(long, value_name = "FILE")]
@@ -129,6 +134,9 @@ pub enum BenchError {
         "--realtime: SCHED_FIFO was refused; raise RLIMIT_RTPRIO (`ulimit -r 80`) or leave it out"
     )]
     Realtime,
+    /// The background load cannot be started.
+    #[error("--load: {0}")]
+    Load(std::io::Error),
     /// An output cannot be written.
     #[error(transparent)]
     Output(#[from] OutputError),
@@ -224,6 +232,9 @@ impl Outputs {
 pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     let outputs = Outputs::check(args)?;
     let cpus = ends(&args.cpus)?;
+    // Before the ends get SCHED_FIFO: the load has none.
+    let load = args.load.map(|load| load.start(cpus)).transpose();
+    let load = load.map_err(BenchError::Load)?;
     if args.realtime && !worker::ask_for_realtime() {
         return Err(BenchError::Realtime);
     }
@@ -234,7 +245,9 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     let all = measure(system, args, cpus);
     let duration_s = begin.elapsed().as_secs_f64();
     isolation.wipe();
-    let results = Results::new(&all, &cpus, duration_s, measure::was_interrupted());
+    drop(load);
+    let mut results = Results::new(&all, &cpus, duration_s, measure::was_interrupted());
+    results.load = args.load.map(|load| load.to_string());
     if results.results.is_empty() && results.noise.is_empty() {
         return Err(nothing(&results));
     }

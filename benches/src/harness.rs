@@ -5,7 +5,7 @@
 //! one-way latency. All cases of a run use this loop, so that floor, peers and Tandem differ in
 //! nothing else.
 
-use crate::clock::{ticks, to_ps_spread};
+use crate::clock::{ticks, to_ps, to_ps_spread};
 use crate::shared::{Log, Shared, note};
 use crate::system_calls::Counter;
 use crate::worker::{Part, Role, perform, pin};
@@ -175,13 +175,22 @@ pub trait End {
     fn receive(&mut self) -> u32;
 }
 
+/// The fact that says what a send takes the sender.
+pub(crate) const SEND: &str = "send takes, ns";
+/// Where the near end notes what a send took it, in ticks, beside the numbers of [`count_calls`].
+const SEND_AT: usize = 2;
+/// The last sends, of which the median counts.
+const SENDS: usize = 255;
+
 fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
+    let mut sends = [0; SENDS];
     for round in 0..plan.warm_up + plan.rounds {
         if round == plan.warm_up {
             role.begin();
         }
         let sent = ticks();
         end.send(sent);
+        sends[round % SENDS] = ticks().wrapping_sub(sent);
         let stamp = end.receive();
         let now = ticks();
         if round >= plan.warm_up {
@@ -190,6 +199,9 @@ fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
         }
     }
     role.end();
+    let sends = &mut sends[..SENDS.min(plan.warm_up + plan.rounds)];
+    sends.sort_unstable();
+    role.log.note(SEND_AT, f64::from(sends[sends.len() / 2]));
 }
 
 fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
@@ -237,7 +249,7 @@ pub fn between_processes<N: End, F: End>(
         Ok(())
     });
     perform(&shared, vec![near, far])?;
-    let mut batch = Batch::collect(&shared, 2, 2 * plan.rounds, own_bytes);
+    let mut batch = there_and_back(plan, &shared, own_bytes);
     let calls = [0, 1].map(|at| shared.log(0).noted(at));
     if calls[0] >= 0.0 {
         batch = batch
@@ -245,6 +257,20 @@ pub fn between_processes<N: End, F: End>(
             .with_fact("syscalls per send to one awake", calls[1]);
     }
     Ok(batch)
+}
+
+/// What both ends of a ping-pong have written down, with the sender's own cost and each direction.
+fn there_and_back(plan: &Plan, shared: &Shared, own_bytes: u64) -> Batch {
+    let median_ns = |end: usize| {
+        let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
+        ways.sort_unstable();
+        to_ps(ways.get(ways.len() / 2).copied().unwrap_or(0)) as f64 / 1e3
+    };
+    let send = shared.log(0).noted(SEND_AT) as u32;
+    Batch::collect(shared, 2, 2 * plan.rounds, own_bytes)
+        .with_fact(SEND, to_ps(send) as f64 / 1e3)
+        .with_fact("near to far p50, ns", median_ns(1))
+        .with_fact("far to near p50, ns", median_ns(0))
 }
 
 /// Sends of each kind whose system calls are counted, after the timed rounds.
@@ -318,7 +344,7 @@ pub fn between_threads<N: End + Send, F: End + Send>(
         Ok(())
     });
     perform(&shared, vec![part])?;
-    Ok(Batch::collect(&shared, 2, 2 * plan.rounds, 0))
+    Ok(there_and_back(plan, &shared, 0))
 }
 
 /// A number for names that no other batch of this machine uses at the same time.

@@ -8,30 +8,28 @@
 )]
 
 pub mod cases;
-pub mod clock;
 mod columns;
 pub mod command;
 pub mod compare;
 pub mod floor;
 pub mod harness;
+pub mod load;
 pub mod machine;
 pub mod measure;
 pub mod mutual_exclusion;
 pub mod noise;
 pub mod open_loop;
-pub mod output;
 pub mod page;
 pub mod peers;
 mod prose;
 pub mod provider;
 pub mod result;
 pub mod rtos;
-pub mod shared;
 pub mod stream;
 #[cfg(test)]
 mod synthetic;
 pub mod system_calls;
 pub mod table;
 pub mod tandem;
-pub mod thesis;
-pub mod worker;
+
+pub use tandem_two_cores::{clock, shared, worker};

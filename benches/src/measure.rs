@@ -1,6 +1,8 @@
-//! The cases in turn, batch by batch, so that each sees the same of the machine's moods.
+//! The cases in turn, batch by batch, in a new order in each turn: each sees the same of the
+//! machine's moods.
 
 use crate::cases::Case;
+use crate::clock::monotonic_ns;
 use crate::harness::{Batch, Plan};
 use crate::machine::stolen_ms;
 use hdrhistogram::Histogram;
@@ -160,7 +162,11 @@ pub fn run(
     let mut turns = 0;
     loop {
         let mut tried = false;
-        for measurement in all.iter_mut().filter(|one| one.skipped.is_none()) {
+        for at in order(all.len(), monotonic_ns()) {
+            let measurement = &mut all[at];
+            if measurement.skipped.is_some() {
+                continue;
+            }
             if was_interrupted() || begin.elapsed() >= span.at_most {
                 return all;
             }
@@ -174,6 +180,19 @@ pub fn run(
             return all;
         }
     }
+}
+
+/// The numbers below `count`, shuffled: no case always follows the same other one.
+fn order(count: usize, mut seed: u64) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..count).collect();
+    for at in (1..count).rev() {
+        // G. Steele and others, "Fast splittable pseudorandom number generators", 2014: SplitMix64.
+        seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (seed ^ (seed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        order.swap(at, ((mixed ^ (mixed >> 31)) % (at as u64 + 1)) as usize);
+    }
+    order
 }
 
 fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus: [usize; 2]) {
@@ -197,6 +216,18 @@ fn turn(system: &'static UnsupervisedSystem, measurement: &mut Measurement, cpus
 mod tests {
     use super::*;
     use crate::cases;
+
+    #[test]
+    fn each_turn_has_an_order_of_its_own() {
+        let orders: Vec<Vec<usize>> = (0..20).map(|seed| order(70, seed)).collect();
+        for one in &orders {
+            let mut sorted = one.clone();
+            sorted.sort_unstable();
+            assert!(sorted.into_iter().eq(0..70));
+        }
+        let firsts: std::collections::HashSet<usize> = orders.iter().map(|one| one[0]).collect();
+        assert!(firsts.len() > 10, "{firsts:?}");
+    }
 
     #[test]
     fn a_measurement_keeps_all_samples_and_each_batch() {

@@ -44,6 +44,7 @@ pub(crate) fn results(results: Vec<Row>) -> Results {
         schema: SCHEMA.to_owned(),
         machine: Machine::this(&[0, 1]),
         duration_s: 12.0,
+        load: None,
         interrupted: false,
         noise: Vec::new(),
         results,

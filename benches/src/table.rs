@@ -54,6 +54,10 @@ impl Results {
         if machine.build != "release" {
             text += "This is no release build: its figures say nothing about Tandem.\n";
         }
+        if let Some(load) = &self.load {
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "background load: {load} processes on these CPUs");
+        }
         if !self.noise.is_empty() {
             let rows: Vec<&Row> = self.noise.iter().collect();
             text.push('\n');

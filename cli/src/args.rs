@@ -3,10 +3,10 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
+use crate::bench::BenchArgs;
 use crate::chaos_args::ChaosArgs;
 use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use tandem_benches::command::BenchArgs;
 use tandem_board::SystemId;
 use tandem_vehicle::SensorFault;
 use tandem_vehicle::sensors::NoSensorFault;

@@ -11,8 +11,6 @@ pub(crate) enum Failure {
     Run(anyhow::Error),
     /// The run came to its end, and not all was as it must be. The report says more.
     Objections(Vec<String>),
-    /// These cases are slower than they were.
-    Slower(Vec<String>),
     /// A person ended it before anything was driven.
     Interrupted,
     /// A person ended the drive after this scenario time, s; the report has what was driven.
@@ -27,7 +25,6 @@ impl Failure {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),
             Self::Objections(objections) => eprintln!("run failed: {}", objections.join("; ")),
-            Self::Slower(cases) => eprintln!("slower beyond noise: {}", cases.join(", ")),
             Self::CutShort => eprintln!("interrupted: these are the figures so far"),
             Self::DrivenUntil(driven_s) => {
                 eprintln!("interrupted after {driven_s:.1} s: the report shows what was driven");
@@ -43,7 +40,7 @@ impl Failure {
     /// The exit status.
     pub(crate) fn code(&self) -> ExitCode {
         ExitCode::from(match self {
-            Self::Run(_) | Self::Objections(_) | Self::Slower(_) => 1,
+            Self::Run(_) | Self::Objections(_) => 1,
             Self::Usage(_) => 2,
             Self::Interrupted | Self::DrivenUntil(_) | Self::CutShort => 130,
         })

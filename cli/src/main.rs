@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod bench;
 mod boot;
 mod boot_demo;
 mod chaos;
@@ -51,8 +52,6 @@ use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
 
 use args::{Cli, Command};
 use failure::Failure;
-use tandem_benches::command::{self as bench, BenchArgs, BenchCommand, BenchError};
-use tandem_benches::table;
 use tandem_rtos::host::TaskAllocator;
 
 /// The tasks of a core share its thread, and with it the allocator.
@@ -85,7 +84,7 @@ fn command(command: Command) -> Result<(), Failure> {
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
         Command::Judge(args) => judge::run(&args),
-        Command::Bench(args) => bench(&args),
+        Command::Bench(args) => bench::run(&args),
         Command::BootDemo(args) => {
             let shown = boot_demo::experiment(args.board, args.images.as_deref());
             let shown = shown.map_err(Failure::Run)?;
@@ -133,31 +132,6 @@ fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
             .context("vehicle")
         }
     }
-}
-
-fn bench(args: &BenchArgs) -> Result<(), Failure> {
-    let failure = |error: BenchError| match error {
-        BenchError::Interrupted => Failure::Interrupted,
-        error if error.is_usage() => Failure::Usage(error.into()),
-        error => Failure::Run(error.into()),
-    };
-    if let Some(BenchCommand::Compare(args)) = &args.command {
-        let outcome = bench::compare(args).map_err(failure)?;
-        print(&outcome.shown).map_err(Failure::Run)?;
-        let slower = outcome.comparison.slower;
-        return if slower.is_empty() {
-            Ok(())
-        } else {
-            Err(Failure::Slower(slower))
-        };
-    }
-    let results = bench::run(args).map_err(failure)?;
-    let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
-    print(&results.table(width.unwrap_or(table::USUAL))).map_err(Failure::Run)?;
-    if results.interrupted {
-        return Err(Failure::CutShort);
-    }
-    Ok(())
 }
 
 fn scenarios() -> anyhow::Result<()> {

@@ -1,4 +1,4 @@
-//! Self-contained pages: no scripts, no fonts, no other files.
+//! Self-contained pages (no scripts, no fonts, no other files), and the files that results go to.
 //!
 //! One template, one style and one set of charts for the report of a run and for the benchmark.
 #![forbid(unsafe_code)]
@@ -6,6 +6,7 @@
 pub mod chart;
 pub mod format;
 pub mod hgrm;
+pub mod output;
 pub mod svg;
 
 use maud::{DOCTYPE, Markup, PreEscaped, html};

@@ -1,6 +1,7 @@
 //! What is wrong is said before anything starts, and nothing is changed.
 
 use std::fs;
+use std::process::Command;
 
 use crate::fixture::Fixture;
 
@@ -92,7 +93,6 @@ fn a_result_that_cannot_be_written() {
         &["sim", "--only", "random:1", "--save"],
         &["thesis", "--board", "sim", "--json"],
         &["thesis", "--board", "sim", "--svg"],
-        &["bench", "--json"],
     ] {
         refuses(&fixture, &[command, &["."]].concat(), &["it is a folder"]);
         let missing = &[command, &["no/such/file"]].concat();
@@ -100,6 +100,22 @@ fn a_result_that_cannot_be_written() {
     }
     let twice = ["thesis", "--board", "sim", "--json", "x", "--svg", "x"];
     refuses(&fixture, &twice, &["the same file"]);
+}
+
+/// The benchmark is a program of its own. Where it is missing, the command says what builds it.
+#[test]
+fn a_benchmark_that_is_not_built() {
+    let fixture = Fixture::new();
+    let alone = fixture.folder().join("alone");
+    fs::copy(env!("CARGO_BIN_EXE_tandem"), &alone).unwrap();
+    let output = Command::new(&alone).args(["bench", "--quick"]).output();
+    let output = output.unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(
+        said.contains("cargo build --release -p tandem-benches"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -7,7 +7,6 @@
     reason = "a test ends where something is not as it must be"
 )]
 
-mod bench;
 mod chaos;
 mod deaths;
 mod drive;

@@ -49,8 +49,10 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
             "tandem-page",
             "tandem-rtos",
             "tandem-shm",
+            "tandem-two-cores",
         ],
     ),
+    ("tandem-two-cores", &["tandem-shm"]),
     (
         "tandem-golden",
         &[

@@ -34,6 +34,9 @@ pub struct Results {
     pub machine: Machine,
     /// How long the measurement took, s.
     pub duration_s: f64,
+    /// The background load that was asked for, as `spin:2`.
+    #[serde(default)]
+    pub load: Option<String>,
     /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
     pub interrupted: bool,
     /// What the machine does to a program that does nothing: the rows of the group `noise`.
@@ -134,13 +137,14 @@ impl Results {
     #[must_use]
     pub fn new(all: &[Measurement], cpus: &[usize], duration_s: f64, interrupted: bool) -> Self {
         let floor = |of: &Measurement| {
-            let is_floor = |one: &&Measurement| {
-                // A group without one floor for all has `tick-floor` for `tick` and its peers.
+            let in_group = |one: &&Measurement| one.case.group == of.case.group;
+            // A case with a floor of its own has that: `tick-floor` is for `tick` and its peers.
+            let is_own = |one: &&Measurement| {
                 let own = one.case.name.strip_suffix("-floor");
-                let is_own = own.is_some_and(|what| of.case.name.starts_with(what));
-                one.case.group == of.case.group && (one.case.is_floor() || is_own)
+                own.is_some_and(|what| of.case.name.contains(what))
             };
-            all.iter().find(is_floor)
+            let own = all.iter().filter(in_group).find(is_own);
+            own.or_else(|| all.iter().filter(in_group).find(|one| one.case.is_floor()))
         };
         let measured = all.iter().filter(|one| !one.times.is_empty());
         let rows = measured.map(|one| Row::new(one, floor(one)));
@@ -155,6 +159,7 @@ impl Results {
             schema: SCHEMA.to_owned(),
             machine: Machine::this(cpus),
             duration_s: rounded(duration_s, 10.0),
+            load: None,
             interrupted,
             noise,
             results,

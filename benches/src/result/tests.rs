@@ -55,6 +55,7 @@ fn the_file_has_the_names_that_readers_rely_on() {
         [
             "duration_s",
             "interrupted",
+            "load",
             "machine",
             "noise",
             "results",

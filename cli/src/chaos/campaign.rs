@@ -10,7 +10,7 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use tandem_benches::output::OutputFile;
+use tandem_page::output::OutputFile;
 
 use super::judge::Outcome;
 use super::leg::Line;

@@ -12,7 +12,7 @@ use std::time::Duration;
 use anyhow::{Context as _, anyhow, bail};
 use drive::{Judgement, Verdict};
 use indicatif::{ProgressBar, ProgressStyle};
-use tandem_benches::output::OutputFile;
+use tandem_page::output::OutputFile;
 
 use crate::args::JudgeArgs;
 use crate::failure::Failure;

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, Result, bail};
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value, json};
-use tandem_benches::output::OutputFile;
+use tandem_page::output::OutputFile;
 
 use super::coverage::Coverage;
 use crate::failure::Failure;

@@ -18,7 +18,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
-use tandem_benches::output::OutputFile;
+use tandem_page::output::OutputFile;
 use tandem_redundancy::Config;
 use tandem_sim::faults::{Fault, Group, Profile, Sequence};
 use tandem_sim::timing::Time;

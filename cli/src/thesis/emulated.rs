@@ -1,10 +1,10 @@
 //! The experiments with firmware in emulated machines, in the emulator's time.
 
 use anyhow::Context as _;
-use tandem_benches::thesis::{Counted, Exchange};
 use tandem_board::{RoleLamp, SystemId, VehiclePort as _};
 use tandem_board_qemu::{EmulatedWorld, Layout, Options};
 use tandem_record::{Entry, RunLog};
+use tandem_two_cores::thesis::{Counted, Exchange};
 use tandem_vehicle::{Config, Scenario, World};
 
 use super::outputs::Done;

@@ -9,9 +9,9 @@ use std::fmt::Write as _;
 
 use anyhow::Context as _;
 use serde::Serialize;
-use tandem_benches::output::OutputFile;
-use tandem_benches::thesis::{self as cores, Counted, Exchange};
+use tandem_page::output::OutputFile;
 use tandem_record::{RunLog, start};
+use tandem_two_cores::thesis::{self as cores, Counted, Exchange};
 
 use crate::args::{DemoBoard, ThesisArgs, ThesisBoard};
 use crate::failure::Failure;

@@ -6,7 +6,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant as Wall;
 
 use anyhow::{Context as _, ensure};
-use tandem_benches::thesis::{Counted, Exchange, payload};
 use tandem_board::{Board, CoreId, Duration, Generation, Instant, ResetCause, RoleLamp, SystemId};
 use tandem_board_sim::{Config, Poller, SimBoard, SimPair, blocking};
 use tandem_record::{Entry, RunLog};
@@ -15,6 +14,7 @@ use tandem_shm::mailbox::{Call, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::region::{Mailbox, Region, SharedLock};
 use tandem_sim::drive::poller;
+use tandem_two_cores::thesis::{Counted, Exchange, payload};
 use tandem_vehicle::{Scenario, World};
 
 use super::outputs::Done;

@@ -1,14 +1,57 @@
 //! `tandem bench` as a person uses it: cut short, compared, and asked for what cannot be.
+#![allow(clippy::unwrap_used, reason = "a test")]
 
-use std::fs;
-use std::process::{Child, Stdio};
+use std::fs::{self, File};
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
+use tempfile::TempDir;
 
-use crate::fixture::Fixture;
+const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem-bench");
+
+/// A folder of its own, and the right to use the machine's CPUs: two measurements at a time would
+/// only measure each other.
+struct Fixture {
+    folder: TempDir,
+    _turn: File,
+}
+
+impl Fixture {
+    fn new() -> Self {
+        let turn = File::create(Path::new(env!("CARGO_TARGET_TMPDIR")).join("turn.lock")).unwrap();
+        turn.lock().unwrap();
+        Self {
+            folder: tempfile::tempdir().unwrap(),
+            _turn: turn,
+        }
+    }
+
+    fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn command(&self, args: &[&str]) -> Command {
+        let mut command = Command::new(PROGRAM);
+        command.args(args).current_dir(self.folder());
+        command
+    }
+
+    fn output(&self, args: &[&str]) -> Output {
+        self.command(args).output().unwrap()
+    }
+
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder()).unwrap();
+        let name = |entry: fs::DirEntry| entry.file_name().into_string().unwrap();
+        let mut names: Vec<String> = entries.map(|entry| name(entry.unwrap())).collect();
+        names.sort();
+        names
+    }
+}
 
 /// Presses Ctrl-C on the command, not on what it has started.
 fn interrupt(child: &Child) {
@@ -21,7 +64,7 @@ fn interrupt(child: &Child) {
 fn a_measurement_that_is_cut_short_gives_what_there_is() {
     let fixture = Fixture::new();
     let outputs = ["--json", "a.json", "--html", "a.html", "--hgrm", "h"];
-    let mut command = fixture.command(&[&["bench", "lock"][..], &outputs].concat());
+    let mut command = fixture.command(&[&["lock"][..], &outputs].concat());
     let child = command
         .stdout(Stdio::piped())
         .stderr(Stdio::piped())
@@ -55,9 +98,8 @@ fn a_measurement_that_is_cut_short_gives_what_there_is() {
 #[test]
 fn a_program_compared_with_itself_has_not_changed() {
     let fixture = Fixture::new();
-    let this = env!("CARGO_BIN_EXE_tandem");
     let options = ["--pairs", "2", "--seconds", "1", "--json", "c.json", "lock"];
-    let output = fixture.output(&[&["bench", "compare", "--against", this][..], &options].concat());
+    let output = fixture.output(&[&["compare", "--against", PROGRAM][..], &options].concat());
     let said = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(0), "{said}");
     let text = fs::read_to_string(fixture.folder().join("c.json")).unwrap();
@@ -79,12 +121,15 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
     fs::write(fixture.folder().join("other.json"), "{}").unwrap();
     let before = fixture.names();
     for (args, word) in [
-        (&["bench", "spni"][..], "possible values: spin"),
-        (&["bench", "--json", "no/such/a.json"], "create it first"),
-        (&["bench", "--html", "."], "name a file"),
-        (&["bench", "--hgrm", "other.json"], "name a folder"),
-        (&["bench", "--json", "a", "--html", "./a"], "the same file"),
-        (&["bench", "--cpus", "0,70000"], "name two of the CPUs"),
+        (&["spni"][..], "possible values: spin"),
+        (&["--json", "no/such/a.json"], "create it first"),
+        (&["--json", "."], "it is a folder"),
+        (&["--html", "."], "name a file"),
+        (&["--hgrm", "other.json"], "name a folder"),
+        (&["--json", "a", "--html", "./a"], "the same file"),
+        (&["--load", "walk:2"], "spin and memory"),
+        (&["--load", "spin:0"], "from 1 to 64"),
+        (&["--cpus", "0,70000"], "name two of the CPUs"),
         (
             &["bench", "compare", "--against", "./none"],
             "cannot run ./none",
@@ -94,7 +139,7 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
             "no `tandem` that can be compared",
         ),
         (&["bench", "compare", "--against", "/bin/false"], "failed"),
-        (&["bench", "compare"], "--against"),
+        (&["compare"], "--against"),
     ] {
         let output = fixture.output(args);
         let said = String::from_utf8_lossy(&output.stderr).into_owned();

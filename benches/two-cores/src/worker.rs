@@ -27,7 +27,8 @@ static REALTIME: AtomicBool = AtomicBool::new(false);
 const PRIORITIES: [libc::c_int; 2] = [20, 10];
 
 /// Lets this process and all parts from now on have SCHED_FIFO; `false` if it is refused.
-pub(crate) fn ask_for_realtime() -> bool {
+#[must_use]
+pub fn ask_for_realtime() -> bool {
     let granted = set_fifo(PRIORITIES[0]);
     REALTIME.store(granted, Ordering::Relaxed);
     granted
@@ -187,7 +188,7 @@ fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
 /// # Errors
 /// If there is no process to be had, or this one has more than one thread: another thread may hold
 /// a lock, for example of the allocator, which no thread of the child would ever release.
-pub(crate) fn fork() -> io::Result<libc::pid_t> {
+pub fn fork() -> io::Result<libc::pid_t> {
     if fs::read_dir("/proc/self/task")?.count() != 1 {
         return Err(io::Error::other("a process with threads is not forked"));
     }

@@ -123,7 +123,7 @@ impl Shared {
     }
 
     /// Maps every page that the harness itself writes, so that none is counted as the case's.
-    pub(crate) fn touch(&self) {
+    pub fn touch(&self) {
         for page in self.words[..CASE_AT].chunks(PAGE) {
             std::hint::black_box(page[0].load(Ordering::Relaxed));
         }
@@ -162,15 +162,15 @@ pub struct Log {
 }
 
 /// Notes that the harness takes for every part.
-pub(crate) mod note {
+pub mod note {
     /// CPU time of the part within its timed span, ns.
-    pub(crate) const CPU_NS: usize = 0;
+    pub const CPU_NS: usize = 0;
     /// Growth of its private memory, bytes.
-    pub(crate) const PRIVATE: usize = 1;
+    pub const PRIVATE: usize = 1;
     /// Growth of the shared memory that it has mapped, bytes.
-    pub(crate) const SHARED: usize = 2;
+    pub const SHARED: usize = 2;
     /// From here on the case's own.
-    pub(crate) const FIRST_OWN: usize = 3;
+    pub const FIRST_OWN: usize = 3;
 }
 
 impl Log {
@@ -185,7 +185,7 @@ impl Log {
     }
 
     /// Tells the reader how many samples there are.
-    pub(crate) fn close(&self) {
+    pub fn close(&self) {
         for (word, count) in self.page.iter().zip(self.counts) {
             word.store(count as u32, Ordering::Relaxed);
         }
@@ -209,20 +209,23 @@ impl Log {
         self.get(note::FIRST_OWN + at)
     }
 
-    pub(crate) fn set(&self, at: usize, value: f64) {
+    /// Notes number `at` of all (below [`NOTES`]; see [`note`]).
+    pub fn set(&self, at: usize, value: f64) {
         assert!(at < NOTES);
         let bits = value.to_bits();
         self.page[NOTES_AT + 2 * at].store(bits as u32, Ordering::Relaxed);
         self.page[NOTES_AT + 2 * at + 1].store((bits >> 32) as u32, Ordering::Relaxed);
     }
 
-    pub(crate) fn get(&self, at: usize) -> f64 {
+    /// Number `at` of all, as it was noted; 0 if it was not.
+    #[must_use]
+    pub fn get(&self, at: usize) -> f64 {
         let word = |at: usize| u64::from(self.page[at].load(Ordering::Relaxed));
         f64::from_bits(word(NOTES_AT + 2 * at) | word(NOTES_AT + 2 * at + 1) << 32)
     }
 
     /// Leaves a text, cut to some 250 bytes: why the part cannot go on.
-    pub(crate) fn say(&self, text: &str) {
+    pub fn say(&self, text: &str) {
         let bytes = text.as_bytes().chunks(4).take(TEXT_WORDS - 1);
         for (word, bytes) in self.page[TEXT_AT..].iter().zip(bytes) {
             let mut four = [0; 4];
@@ -232,7 +235,8 @@ impl Log {
     }
 
     /// The text; empty if none was left.
-    pub(crate) fn said(&self) -> String {
+    #[must_use]
+    pub fn said(&self) -> String {
         let words = &self.page[TEXT_AT..TEXT_AT + TEXT_WORDS];
         let bytes = words
             .iter()
