@@ -10,7 +10,10 @@ fn main() {
     let count = std::env::args().nth(1).and_then(|count| count.parse().ok());
     for time in Time::ALL {
         let limits = Config::rt();
-        let profile = Profile { limits, time };
+        let profile = Profile {
+            time,
+            ..limits.into()
+        };
         print!("{time:?}");
         for number in 0..count.unwrap_or(20) {
             let verdict = Group::Swarm.sequence(number).try_run(profile);

@@ -8,10 +8,10 @@ use crate::outbox::Output;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board::{
-    Board, Can, CanErrors, CanFrame, CoreAddress, CoreId, DataFlash, Duration, Edge, FaultSource,
-    FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line, Lines, Link,
-    LinkFull, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply, SystemId,
-    TraceRecord, Traced, TransmitFull, Wake,
+    Board, Can, CanErrors, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Duration, Edge,
+    FaultSource, FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line,
+    Lines, Link, LinkFull, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply,
+    SystemId, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
@@ -194,6 +194,16 @@ impl SimBoard {
             .port
             .alive(|machine| machine.core(self.port.place).interrupted);
         called.unwrap_or(false)
+    }
+
+    /// Whether a frame with this identifier waits in the receiver of this core.
+    #[must_use]
+    pub fn has_received(&self, id: CanId) -> bool {
+        let waits = self.port.alive(|machine| {
+            let mut waiting = machine.core(self.port.place).can_fifo.iter();
+            waiting.any(|received| received.frame.id() == id)
+        });
+        waits.unwrap_or(false)
     }
 
     /// A number below `limit`, drawn from the seed of the run; 0 if that is 0.

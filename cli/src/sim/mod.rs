@@ -20,7 +20,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use rustix::time::{ClockId, clock_gettime};
 use tandem_page::output::OutputFile;
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Fault, Group, Profile, Sequence};
+use tandem_sim::faults::{Around, Fault, Group, Profile, Sequence};
 use tandem_sim::timing::Time;
 
 use crate::failure::Failure;
@@ -69,6 +69,10 @@ pub(crate) struct SimArgs {
     #[arg(long, value_enum, default_value_t = Takes::Ideal)]
     time: Takes,
 
+    /// Run cores 1 and 2 as well, and a vehicle in its lane behind another one
+    #[arg(long)]
+    closed_loop: bool,
+
     /// Print the table of faults and the states that they hit
     #[arg(long)]
     coverage: bool,
@@ -100,14 +104,15 @@ pub(crate) struct SimArgs {
 
 const EXAMPLES: &str = "\
 Core 0 of both systems, its state store and the vehicle's gate are the real ones. Cores 1 and 2 only
-count cycles. A sequence is judged while it runs and after everything works again: gap, terms, role,
-flash.
+count cycles; with --closed-loop they drive a vehicle. A sequence is judged while it runs and after
+everything works again: gap, terms, role, flash; lane, distance and collisions.
 
   tandem sim --seeds 2000                      random sequences of up to eight faults
   tandem sim --group single                    each fault at 20 moments, with its bound
   tandem sim --only random:137 --save my.toml  one of them as a story, and as a file to change
   tandem sim --faults my.toml --seeds 20       that file
   tandem sim --group swarm --time typical      each seed chooses kinds of faults; things take time
+  tandem sim --group swarm --closed-loop       all cores, and a vehicle behind another one
   tandem sim --seeds 1000 --from 1000          the next thousand, as on another machine
   tandem sim --merge a.json b.json             both thousands as one
 
@@ -146,6 +151,11 @@ impl SimArgs {
         Profile {
             limits: self.timing.limits(),
             time: self.time.time(),
+            around: if self.closed_loop {
+                Around::ClosedLoop
+            } else {
+                Around::Core0
+            },
         }
     }
 }
@@ -247,21 +257,21 @@ impl Source<'_> {
     }
 
     /// The command that tells one of them.
-    fn repeats(&self, number: u64, time: Time) -> String {
-        let time = match time {
+    fn repeats(&self, number: u64, profile: Profile) -> String {
+        let time = match profile.time {
             Time::Ideal => "",
             Time::Typical => " --time typical",
             Time::Worst => " --time worst",
         };
-        match self {
-            Self::Numbered(kind) => format!("tandem sim --only {}:{number}{time}", name_of(*kind)),
-            Self::File { path, .. } => {
-                format!(
-                    "tandem sim --faults {} --only {number}{time}",
-                    path.display()
-                )
-            }
-        }
+        let around = match profile.around {
+            Around::Core0 => "",
+            Around::ClosedLoop => " --closed-loop",
+        };
+        let which = match self {
+            Self::Numbered(kind) => format!("--only {}:{number}", name_of(*kind)),
+            Self::File { path, .. } => format!("--faults {} --only {number}", path.display()),
+        };
+        format!("tandem sim {which}{time}{around}")
     }
 }
 
@@ -324,8 +334,13 @@ pub(crate) fn run(arguments: &SimArgs) -> Result<(), Failure> {
 fn ranges(sources: &[Source<'_>], arguments: &SimArgs) -> Result<Vec<merge::Range>> {
     let range = |source: &Source<'_>| {
         let (from, to, step) = source.numbers(arguments)?;
-        let setting = [name_of(arguments.timing), name_of(arguments.time)];
-        let name = format!("{} {}", source.name(), setting.join(" "));
+        let mut name = source.name();
+        for setting in [name_of(arguments.timing), name_of(arguments.time)] {
+            name = format!("{name} {setting}");
+        }
+        if arguments.closed_loop {
+            name.push_str(" closed-loop");
+        }
         Ok(merge::Range {
             name,
             from,
@@ -477,6 +492,7 @@ fn run_in_process(
         .args(["--timing", &name_of(arguments.timing)])
         .args(["--time", &name_of(arguments.time)])
         .args(["--every", &arguments.every.to_string()])
+        .args(arguments.closed_loop.then_some("--closed-loop"))
         .args(["--chunk", &from.to_string(), &to.to_string()])
         .output()?;
     if !output.status.success() {

@@ -19,11 +19,11 @@ pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result
     for frame in bench.frames() {
         writeln!(candump, "{}", candump_line(&frame, 0))?;
     }
-    let Profile { limits, time } = profile;
+    let Profile { limits, time, .. } = profile;
     // The vehicle hears what was on the bus once a millisecond.
     let ms = |bound: Duration| (bound + time.allowance()).as_ms_f64() + 1.0;
     let around = Surroundings {
-        granted: format!("virtual time, {time:?}; the world does not move").to_lowercase(),
+        granted: format!("virtual time, {time:?}; the world is not recorded").to_lowercase(),
         timing: "virtual".to_owned(),
         detection_bound_ms: Some(ms(limits.takeover_bound())),
         bounds: Bounds {

@@ -136,7 +136,7 @@ fn classes(
     let mut classes: Vec<_> = classes.into_iter().collect();
     classes.sort_by_key(|(_, numbers)| std::cmp::Reverse(numbers.len()));
     for (kinds, numbers) in classes.iter().take(CLASSES) {
-        let (count, repeats) = (numbers.len(), source.repeats(numbers[0], profile.time));
+        let (count, repeats) = (numbers.len(), source.repeats(numbers[0], profile));
         writeln!(text, "  {count:5} {kinds}: {repeats}")?;
     }
     Ok(())

@@ -1,149 +1,61 @@
 //! Both systems and a vehicle in virtual time, and faults that are done to them.
 
 use super::fault::{Act, Fault, Kind};
-use crate::timed;
+use super::plan::Profile;
+use super::vehicle::{POISON, Vehicle, another_command};
 use crate::timing::Time;
+use crate::{drive, timed};
 use std::cell::RefCell;
 use std::rc::Rc;
 use tandem_board::{
-    Board, Can, CanFrame, CanId, CoreId, Duration, Generation, Instant, Line, RoleLamp,
-    SupplyEvent, SystemId, Traced, VehicleBus,
+    Board, Can, CoreId, Duration, Generation, Instant, Line, RoleLamp, SupplyEvent, SystemId,
+    Traced,
 };
 use tandem_board_sim::{
     BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent,
-    SystemEventKind, Wire, WorldTick,
+    SystemEventKind, Wire,
 };
-use tandem_bus::{EgoMotion, Message, Transmitter};
-use tandem_cores::core0::Core0;
+use tandem_cores::core1::Core1;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 use tandem_record::log::VehicleRecord;
 use tandem_record::{Entry, RunLog};
 use tandem_vehicle::LoggedFrame;
-use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
+use tandem_vehicle::gate::Acceptance;
 
-/// Ends core 1 of each system that hears it. No frame of the DBC.
-const POISON: CanId = CanId::Standard(0x7E0);
-
-/// What is outside the systems: the gate, and the frames that they need to hear.
-#[derive(Default)]
-pub struct Vehicle {
-    gate: Gate,
-    transmitter: Option<Transmitter>,
-    /// Control frames that acted.
-    pub accepted: Vec<Acceptance>,
-    /// Control frames of an old term.
-    pub fenced: Vec<Acceptance>,
-    ticks: u64,
-    /// When the frame arrived of which the last echo told, ns.
-    echoed: Option<u64>,
-    silent: bool,
-    poison: bool,
-    /// Every frame on the bus, if the cores' events are kept.
-    frames: Option<Vec<LoggedFrame>>,
+/// Which cores are the real ones, and what is around them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Around {
+    /// Core 0. Cores 1 and 2 only count cycles, and no vehicle moves.
+    #[default]
+    Core0,
+    /// All cores, and a vehicle in its lane.
+    ClosedLoop,
 }
 
-impl Vehicle {
-    fn tick(&mut self, tick: &mut WorldTick) {
-        for on_bus in &tick.heard {
-            self.keep(on_bus.at, on_bus.frame, None);
-            let CanId::Standard(id) = on_bus.frame.id() else {
-                continue;
-            };
-            let at_ns = on_bus.at.as_ns();
-            let judged = self.gate.on_frame(at_ns, id.into(), on_bus.frame.data());
-            if let Some(judged) = judged {
-                let last = self.frames.as_mut().and_then(|frames| frames.last_mut());
-                if let Some(last) = last {
-                    last.verdict = Some(judged.acceptance.verdict);
-                }
-                match judged.acceptance.verdict {
-                    Verdict::Accepted => self.accepted.push(judged.acceptance),
-                    Verdict::Fenced => self.fenced.push(judged.acceptance),
-                    _ => {}
-                }
-            }
-        }
-        let at_ns = tick.at.as_ns();
-        if !self.silent {
-            let motion = EgoMotion {
-                speed: 20.0,
-                ..EgoMotion::default()
-            };
-            let cycle = self.ticks.is_multiple_of(10);
-            let accepted = self.gate.accepted().map(|last| last.at_ns);
-            let news = core::mem::replace(&mut self.echoed, accepted) != accepted;
-            let echo = cycle || news || self.gate.is_overdue(at_ns);
-            let messages = [
-                echo.then(|| Message::GateEcho(self.gate.echo(at_ns))),
-                cycle.then_some(Message::EgoMotion(motion)),
-            ];
-            let transmitter = self.transmitter.get_or_insert_with(Transmitter::new);
-            for message in messages.into_iter().flatten() {
-                let frame = transmitter.encode(&message);
-                tick.broadcast(&frame_of(CanId::Standard(frame.id), frame.data()));
-            }
-        }
-        if self.ticks.is_multiple_of(100) && self.poison {
-            tick.broadcast(&frame_of(POISON, &[0; 8]));
-        }
-        self.ticks += 1;
-    }
-}
-
-impl Vehicle {
-    fn keep(&mut self, at: Instant, frame: CanFrame, verdict: Option<Verdict>) {
-        let sent = at;
-        let logged = LoggedFrame {
-            at,
-            sent,
-            frame,
-            verdict,
-        };
-        if let Some(frames) = &mut self.frames {
-            frames.push(logged);
-        }
-    }
-}
-
-fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
-    CanFrame::new(id, true, data).expect("a frame of at most 64 bytes")
-}
-
-/// A control frame as it is, but for the steering angle. No receiver can tell.
-fn another_command(frame: &CanFrame) -> CanFrame {
-    let CanId::Standard(id) = frame.id() else {
-        return *frame;
-    };
-    let Ok(Message::Control {
-        system,
-        mut control,
-    }) = Message::decode(id.into(), frame.data())
-    else {
-        return *frame;
-    };
-    // Plausible for the gate: it does not jump.
-    control.steering_angle += 0.001;
-    let encoded = Transmitter::new().encode(&Message::Control { system, control });
-    let mut data = encoded.data().to_vec();
-    tandem_bus::e2e::protect(id, frame.data()[2], &mut data);
-    frame_of(frame.id(), &data)
-}
-
-/// The core of this board: core 0 is the real one; the others count cycles, and core 1 dies of
-/// poison.
-fn poller(board: &SimBoard, config: Config, time: Time) -> Poller {
+/// The core of this board. Core 1 dies of poison.
+fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Poller {
     // A reset ends the core but not this process: a few boards are leaked.
     let board: &'static SimBoard = Box::leak(Box::new(board.clone()));
+    match (board.identity().core, around) {
+        (CoreId::CONTROL, _) if time != Time::Ideal => timed::core_0(board, config, time),
+        (CoreId::PERCEPTION, Around::ClosedLoop) => {
+            let mut core = Core1::new(board);
+            let mut dead = false;
+            Box::new(move |_| {
+                dead |= board.has_received(POISON);
+                if dead { Instant::NEVER } else { core.poll() }
+            })
+        }
+        (core, Around::Core0) if core != CoreId::CONTROL => counter(board),
+        _ => drive::poller(board, config),
+    }
+}
+
+/// A core that only counts cycles.
+fn counter(board: &'static SimBoard) -> Poller {
     let core = board.identity().core;
-    if core == CoreId::CONTROL && time != Time::Ideal {
-        return timed::core_0(board, config, time);
-    }
-    if core == CoreId::CONTROL {
-        let mut core = Core0::new(board, config);
-        return Box::new(move |_| core.poll());
-    }
     let (mut map, mut dead) = (None, false);
     Box::new(move |_| {
         while let Some(received) = board.can().try_receive() {
@@ -209,6 +121,8 @@ pub struct Bench {
     pub config: Config,
     /// How long things take.
     pub time: Time,
+    /// What is around core 0.
+    pub around: Around,
     /// What its faults hit: a kind, by its label, and the state of the system.
     pub(super) covered: Vec<(Kind, State)>,
     /// The trace records that were read.
@@ -219,16 +133,25 @@ pub struct Bench {
 }
 
 impl Bench {
-    /// Limits of the campaign: those of `redundancy`, with short waits at the start.
+    /// Limits of the campaign with core 0 alone: those of `redundancy`, with short waits at the
+    /// start.
     #[must_use]
     pub fn config(redundancy: tandem_redundancy::Config) -> Config {
+        Self::config_of(redundancy, Around::Core0)
+    }
+
+    fn config_of(redundancy: tandem_redundancy::Config, around: Around) -> Config {
+        let boot_limit = match around {
+            // There are no sensors to wait for.
+            Around::Core0 => Duration::from_ms(60),
+            Around::ClosedLoop => Config::rt().boot_limit,
+        };
         Config {
             redundancy: tandem_redundancy::Config {
                 start_limit: Duration::from_ms(300),
                 ..redundancy
             },
-            // There are no sensors to wait for.
-            boot_limit: Duration::from_ms(60),
+            boot_limit,
             ..Config::rt()
         }
     }
@@ -237,12 +160,21 @@ impl Bench {
     /// events are kept.
     #[must_use]
     pub fn new(config: Config, seed: u64, told: bool) -> Self {
-        Self::timed(config, Time::Ideal, seed, told)
+        Self::made(config, Time::Ideal, Around::Core0, seed, told)
     }
 
-    /// As [`Bench::new`]; `time`: how long things take.
+    /// Two systems without power, as this profile says.
     #[must_use]
-    pub fn timed(config: Config, time: Time, seed: u64, told: bool) -> Self {
+    pub(super) fn of(profile: Profile, told: bool) -> Self {
+        let Profile {
+            limits,
+            time,
+            around,
+        } = profile;
+        Self::made(Self::config_of(limits, around), time, around, 0, told)
+    }
+
+    fn made(config: Config, time: Time, around: Around, seed: u64, told: bool) -> Self {
         // Far from zero, so that a clock may slow down.
         let clock = |offset_s: u64, of| Clock {
             offset_ns: offset_s * 1_000_000_000,
@@ -255,12 +187,11 @@ impl Bench {
             trace_records: if told { 1 << 20 } else { 0 },
             ..BoardConfig::default()
         };
-        let mut pair = SimPair::new(board_config, move |board| poller(board, config, time));
+        let mut pair = SimPair::new(board_config, move |board| {
+            poller(board, config, time, around)
+        });
         let born = pair.now();
-        let vehicle = Vehicle {
-            frames: told.then(Vec::new),
-            ..Vehicle::default()
-        };
+        let vehicle = Vehicle::new(around == Around::ClosedLoop, told);
         let vehicle = Rc::new(RefCell::new(vehicle));
         let shared = Rc::clone(&vehicle);
         pair.set_world(move |tick| shared.borrow_mut().tick(tick));
@@ -269,6 +200,7 @@ impl Bench {
             vehicle,
             config,
             time,
+            around,
             bus: [BusFault::default(); 2],
             born,
             covered: Vec::new(),
@@ -282,24 +214,26 @@ impl Bench {
     /// If they do not begin.
     #[must_use]
     pub fn dual(config: Config, seed: u64, told: bool) -> Self {
-        Self::timed_dual(config, Time::Ideal, seed, told)
+        let mut bench = Self::new(config, seed, told);
+        bench.begin();
+        bench
     }
 
-    /// As [`Bench::dual`]; `time`: how long things take.
+    /// Switches both on, and runs until both are in dual operation, A driving.
     ///
     /// # Panics
     /// If they do not begin.
-    #[must_use]
-    pub fn timed_dual(config: Config, time: Time, seed: u64, told: bool) -> Self {
-        let mut bench = Self::timed(config, time, seed, told);
+    pub(super) fn begin(&mut self) {
         SystemId::ALL
             .into_iter()
-            .for_each(|system| bench.pair.power_on(system));
-        bench.pair.run_for(Duration::from_ms(300));
-        let roles = SystemId::ALL.map(|system| bench.pair.lamp(system));
+            .for_each(|system| self.pair.power_on(system));
+        self.pair.run_for(match self.around {
+            Around::Core0 => Duration::from_ms(300),
+            Around::ClosedLoop => Duration::from_ms(700),
+        });
+        let roles = SystemId::ALL.map(|system| self.pair.lamp(system));
         let dual = [RoleLamp::Master, RoleLamp::Standby].map(Some);
         assert_eq!(roles, dual, "no dual operation");
-        bench
     }
 
     /// Runs for `span` while these faults, whose times count from now, come and go; then everything
@@ -421,7 +355,7 @@ impl Bench {
     /// Every frame so far, if the cores' events are kept.
     #[must_use]
     pub fn frames(&self) -> Vec<LoggedFrame> {
-        self.vehicle.borrow().frames.clone().unwrap_or_default()
+        self.vehicle.borrow().frames()
     }
 
     fn trace(&mut self) -> &[Traced] {
@@ -473,7 +407,13 @@ impl Bench {
             let tells = Event::decode(traced.record).filter(|event| {
                 !matches!(
                     event,
-                    Event::ControlCycle { .. } | Event::TaskIn { .. } | Event::TaskOut { .. }
+                    Event::ControlCycle { .. }
+                        | Event::Chain { .. }
+                        | Event::TaskIn { .. }
+                        | Event::TaskOut { .. }
+                        | Event::Wake { .. }
+                        | Event::Ring { .. }
+                        | Event::Woken { .. }
                 )
             });
             let (system, core) = (traced.system, traced.core);
@@ -500,6 +440,15 @@ impl Bench {
                 ));
             }
             last = Some(*frame);
+        }
+        if let Some(world) = vehicle.world() {
+            let (drive, speed) = (world.metrics(), world.snapshot().speed);
+            let told = format!(
+                "vehicle at {speed:.1} m/s after {:.1} m, at least {:.2} s behind the next one; \
+                 {} collisions, {:.2} m beside its lanes",
+                drive.distance_m, vehicle.headway_s, drive.collisions, drive.excursion_max_m,
+            );
+            lines.push((self.pair.now(), told));
         }
         lines.sort_by_key(|(at, _)| *at);
         let line =

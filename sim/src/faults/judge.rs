@@ -132,6 +132,12 @@ pub enum Violation {
     FlashWorn,
     /// A core panicked, or the cores wake each other for ever.
     Panic,
+    /// The vehicle caused a collision.
+    Collision,
+    /// A side of the vehicle crossed the line of its lane.
+    LeftLane,
+    /// The vehicle came too close to the one in front.
+    TooClose,
 }
 
 /// The outcome of one sequence.
@@ -155,7 +161,7 @@ pub struct Verdict {
 
 impl Violation {
     /// All.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 15] = [
         Self::Gap,
         Self::NoneObeyed,
         Self::BothSuspended,
@@ -168,6 +174,9 @@ impl Violation {
         Self::StateLost,
         Self::FlashWorn,
         Self::Panic,
+        Self::Collision,
+        Self::LeftLane,
+        Self::TooClose,
     ];
 }
 
@@ -192,6 +201,12 @@ impl fmt::Display for Verdict {
 const CHANGES_OF_A_FAULT: usize = 2;
 /// Programs of the flash that one fault explains, in each system.
 const PROGRAMS_OF_A_FAULT: usize = 12;
+
+/// The vehicle must be at least this long behind the place of the one in front, s: the time gap that
+/// planning asks for at more than 60 km/h.
+const LEAST_HEADWAY_S: f64 = 1.6;
+/// At this distance from the centre of its lane a side of the vehicle reaches the line, m.
+const AT_THE_LINE_M: f64 = 0.85;
 
 impl Bench {
     /// How long after everything was mended a system must drive: longer than a start of both.
@@ -249,6 +264,13 @@ impl Bench {
             let worn = programs > PROGRAMS_OF_A_FAULT * (faults.len() + 1);
             check(!destroyed && lost, Violation::StateLost);
             check(!destroyed && worn, Violation::FlashWorn);
+        }
+        if let Some(world) = vehicle.world() {
+            let drive = world.metrics();
+            check(drive.collisions_by_ego > 0, Violation::Collision);
+            let left = drive.excursion_max_m > 0.0 || drive.lateral_error_max_m > AT_THE_LINE_M;
+            check(left, Violation::LeftLane);
+            check(vehicle.headway_s < LEAST_HEADWAY_S, Violation::TooClose);
         }
         drop(vehicle);
         violations.extend(self.judge_end());

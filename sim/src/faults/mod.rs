@@ -1,7 +1,7 @@
 //! Faults as data, what they may cost, and the campaign that tries them on the real control core.
 //!
 //! Core 0, its state store and the vehicle's gate are the real ones; cores 1 and 2 only count
-//! cycles. Wires, bus, flash, supplies and clocks are those of the simulator. Real processes suffer
+//! cycles, or are the real ones too and drive a vehicle ([`Around::ClosedLoop`]). Wires, bus, flash, supplies and clocks are those of the simulator. Real processes suffer
 //! the same faults (`processes.rs` draws them, `tandem chaos` injects them).
 
 mod bench;
@@ -11,10 +11,12 @@ mod judge;
 mod known;
 mod plan;
 mod processes;
+mod vehicle;
 
-pub use bench::{Bench, State, Vehicle};
+pub use bench::{Around, Bench, State};
 pub use fault::{Act, Fault, Kind, Way};
 pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
 pub use plan::{DISTANCES, Group, PHASES, Profile, Sequence};
 pub use processes::{MATRIX, cell_of_matrix, drawn};
+pub use vehicle::Vehicle;

@@ -1,6 +1,6 @@
 //! Which sequences of faults a campaign tries: each has a number.
 
-use super::bench::Bench;
+use super::bench::{Around, Bench};
 use super::fault::{Fault, Kind, Way};
 use super::judge::{Row, Verdict, Violation, containment_bound, row};
 use crate::timing::Time;
@@ -20,12 +20,17 @@ pub struct Profile {
     pub limits: Config,
     /// How long things take.
     pub time: Time,
+    /// What is around core 0.
+    pub around: Around,
 }
 
 impl From<Config> for Profile {
     fn from(limits: Config) -> Self {
-        let time = Time::Ideal;
-        Self { limits, time }
+        Self {
+            limits,
+            time: Time::Ideal,
+            around: Around::Core0,
+        }
     }
 }
 
@@ -33,7 +38,7 @@ impl Profile {
     /// Both systems have just been switched on.
     #[must_use]
     pub fn at_power_on(self, told: bool) -> Bench {
-        let mut bench = Bench::timed(Bench::config(self.limits), self.time, 0, told);
+        let mut bench = Bench::of(self, told);
         SystemId::ALL
             .into_iter()
             .for_each(|system| bench.pair.power_on(system));
@@ -46,7 +51,9 @@ impl Profile {
     /// If they do not begin.
     #[must_use]
     pub fn in_dual_operation(self, told: bool) -> Bench {
-        Bench::timed_dual(Bench::config(self.limits), self.time, 0, told)
+        let mut bench = Bench::of(self, told);
+        bench.begin();
+        bench
     }
 }
 

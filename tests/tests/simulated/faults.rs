@@ -5,20 +5,20 @@ use tandem_board_sim::{SystemEvent, SystemEventKind, Wire};
 use tandem_cores::task_table::{CORE_0, TaskCode};
 use tandem_cores::trace::{Begin, Event, Leaves};
 use tandem_redundancy::Config;
-use tandem_sim::faults::{Bench, Fault, Group, Kind, Profile, Row, Sequence, Verdict, Way};
+use tandem_sim::faults::{Around, Bench, Fault, Group, Kind, Profile, Row, Sequence, Verdict, Way};
 use tandem_sim::timing::Time;
 
 fn try_all(group: Group, numbers: impl Iterator<Item = u64>) {
-    try_in(Time::Ideal, group, numbers);
+    try_in(Config::rt(), group, numbers);
 }
 
 /// Runs these sequences. Fails on what is not known to be violated.
-fn try_in(time: Time, group: Group, numbers: impl Iterator<Item = u64>) {
-    let limits = Config::rt();
+fn try_in(profile: impl Into<Profile>, group: Group, numbers: impl Iterator<Item = u64>) {
+    let profile = profile.into();
     let mut bad = vec![];
     for number in numbers {
         let sequence: Sequence = group.sequence(number);
-        let verdict = sequence.try_run(Profile { limits, time });
+        let verdict = sequence.try_run(profile);
         if verdict
             .violations
             .iter()
@@ -56,28 +56,45 @@ fn in_the_end_the_vehicle_obeys_a_master() {
     try_all(Group::Random, 0..200);
 }
 
+fn at(time: Time) -> Profile {
+    Profile {
+        time,
+        ..Config::rt().into()
+    }
+}
+
 /// T-RED-9: the bounds hold, with what time adds to them, where jobs, the bus and the lines take
 /// time and the clocks drift apart.
 #[test]
 fn the_bounds_hold_where_things_take_time() {
     let count = Group::Single.count().expect("a finite group");
     for time in [Time::Typical, Time::Worst] {
-        try_in(time, Group::Single, (0..count).step_by(171));
-        try_in(time, Group::Swarm, 0..12);
+        try_in(at(time), Group::Single, (0..count).step_by(171));
+        try_in(at(time), Group::Swarm, 0..12);
     }
     // A loses power while its status frame is on the bus. What arrived of it in a bus that finishes
     // such a frame made B distrust the level line.
-    try_in(Time::Typical, Group::Single, 1420..1421);
+    try_in(at(Time::Typical), Group::Single, 1420..1421);
+}
+
+/// T-RED-9: the same with all cores and a vehicle behind another one: it keeps its lane and its
+/// distance, whatever has failed.
+#[test]
+fn the_vehicle_keeps_lane_and_distance_under_faults() {
+    let profile = Profile {
+        around: Around::ClosedLoop,
+        ..Config::rt().into()
+    };
+    let count = Group::Single.count().expect("a finite group");
+    try_in(profile, Group::Single, (0..count).step_by(211));
+    try_in(profile, Group::Random, 0..4);
+    try_in(profile, Group::Swarm, 0..4);
 }
 
 /// A job of control is interrupted by the roles, and what it sends leaves when it ends.
 #[test]
 fn the_roles_pre_empt_what_is_less_urgent() {
-    let profile = Profile {
-        limits: Config::rt(),
-        time: Time::Worst,
-    };
-    let mut bench = profile.in_dual_operation(true);
+    let mut bench = at(Time::Worst).in_dual_operation(true);
     for _ in 0..40 {
         // The doorbell rings at other moments of the millisecond each time.
         bench.pair.run_for(Duration::from_us(10_050));

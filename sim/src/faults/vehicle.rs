@@ -1,0 +1,185 @@
+//! What is outside the systems: a gate alone, or a whole vehicle in its lane.
+
+use std::sync::OnceLock;
+use tandem_board::{CanFrame, CanId, VehicleBus as _};
+use tandem_board_sim::WorldTick;
+use tandem_bus::{EgoMotion, Message, Transmitter};
+use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
+use tandem_vehicle::{LoggedFrame, Scenario, World};
+
+/// Ends core 1 of each system that hears it. No frame of the DBC.
+pub(super) const POISON: CanId = CanId::Standard(0x7E0);
+
+/// The scenario of the closed loop: the leader begins to brake to a stop after three seconds. The
+/// road is straight for as long as a sequence lasts.
+const SCENARIO: &str = "stop-and-go";
+
+/// What is outside the systems, and what it heard of them.
+pub struct Vehicle {
+    outside: Outside,
+    /// Control frames that acted.
+    pub accepted: Vec<Acceptance>,
+    /// Control frames of an old term.
+    pub fenced: Vec<Acceptance>,
+    /// The shortest time, s, in which the vehicle would have reached the place of the one in front.
+    pub(super) headway_s: f64,
+    ticks: u64,
+    pub(super) silent: bool,
+    pub(super) poison: bool,
+    /// Every frame on the bus, if the cores' events are kept.
+    frames: Option<Vec<LoggedFrame>>,
+}
+
+/// Who judges the control frames, and sends what the systems need to hear.
+enum Outside {
+    Gate(Box<Alone>),
+    World(Box<World>),
+}
+
+/// A gate without a vehicle, which tells of a constant speed.
+struct Alone {
+    gate: Gate,
+    transmitter: Transmitter,
+    /// When the frame arrived of which the last echo told, ns.
+    echoed: Option<u64>,
+}
+
+impl Vehicle {
+    /// In a lane of the embedded scenario if `moves`, else a gate alone. `told`: whether each frame
+    /// is kept.
+    pub(super) fn new(moves: bool, told: bool) -> Self {
+        static LOADED: OnceLock<Scenario> = OnceLock::new();
+        let outside = if moves {
+            let loaded = LOADED.get_or_init(|| Scenario::load(SCENARIO).expect("embedded"));
+            let config = tandem_vehicle::Config::default();
+            Outside::World(Box::new(World::new(loaded, config)))
+        } else {
+            Outside::Gate(Box::new(Alone {
+                gate: Gate::new(),
+                transmitter: Transmitter::new(),
+                echoed: None,
+            }))
+        };
+        Self {
+            outside,
+            accepted: Vec::new(),
+            fenced: Vec::new(),
+            headway_s: f64::INFINITY,
+            ticks: 0,
+            silent: false,
+            poison: false,
+            frames: told.then(Vec::new),
+        }
+    }
+
+    /// The vehicle with its traffic; `None` if there is a gate alone.
+    #[must_use]
+    pub fn world(&self) -> Option<&World> {
+        match &self.outside {
+            Outside::World(world) => Some(world),
+            Outside::Gate(_) => None,
+        }
+    }
+
+    /// Every frame so far, if the cores' events are kept.
+    pub(super) fn frames(&self) -> Vec<LoggedFrame> {
+        self.frames.clone().unwrap_or_default()
+    }
+
+    /// One millisecond: what was on the bus is judged, then what the vehicle sends is sent.
+    pub(super) fn tick(&mut self, tick: &mut WorldTick) {
+        for on_bus in &tick.heard {
+            let (at, frame) = (on_bus.at, on_bus.frame);
+            let judged = match frame.id() {
+                CanId::Standard(id) => self.outside.hear(at.as_ns(), id.into(), frame.data()),
+                CanId::Extended(_) => None,
+            };
+            if let Some(frames) = &mut self.frames {
+                frames.push(LoggedFrame {
+                    at,
+                    sent: at,
+                    frame,
+                    verdict: judged.map(|judged| judged.verdict),
+                });
+            }
+            match judged {
+                Some(judged) if judged.verdict == Verdict::Accepted => self.accepted.push(judged),
+                Some(judged) if judged.verdict == Verdict::Fenced => self.fenced.push(judged),
+                _ => {}
+            }
+        }
+        let (at_ns, silent) = (tick.at.as_ns(), self.silent);
+        let mut send = |id, data: &[u8]| {
+            if !silent {
+                tick.broadcast(&frame_of(CanId::Standard(id), data));
+            }
+        };
+        match &mut self.outside {
+            Outside::World(world) => {
+                world.step(at_ns, &mut send);
+                let now = world.snapshot();
+                self.headway_s = self.headway_s.min(now.gap / now.speed);
+            }
+            Outside::Gate(_) if silent => {}
+            Outside::Gate(alone) => alone.step(at_ns, self.ticks, &mut send),
+        }
+        if self.ticks.is_multiple_of(100) && self.poison {
+            tick.broadcast(&frame_of(POISON, &[0; 8]));
+        }
+        self.ticks += 1;
+    }
+}
+
+impl Outside {
+    fn hear(&mut self, at_ns: u64, id: u32, data: &[u8]) -> Option<Acceptance> {
+        match self {
+            Self::World(world) => world.on_frame(at_ns, id, data),
+            Self::Gate(alone) => Some(alone.gate.on_frame(at_ns, id, data)?.acceptance),
+        }
+    }
+}
+
+impl Alone {
+    fn step(&mut self, at_ns: u64, ticks: u64, send: &mut dyn FnMut(u16, &[u8])) {
+        let motion = EgoMotion {
+            speed: 20.0,
+            ..EgoMotion::default()
+        };
+        let cycle = ticks.is_multiple_of(10);
+        let accepted = self.gate.accepted().map(|last| last.at_ns);
+        let news = core::mem::replace(&mut self.echoed, accepted) != accepted;
+        let echo = cycle || news || self.gate.is_overdue(at_ns);
+        let messages = [
+            echo.then(|| Message::GateEcho(self.gate.echo(at_ns))),
+            cycle.then_some(Message::EgoMotion(motion)),
+        ];
+        for message in messages.into_iter().flatten() {
+            let frame = self.transmitter.encode(&message);
+            send(frame.id, frame.data());
+        }
+    }
+}
+
+fn frame_of(id: CanId, data: &[u8]) -> CanFrame {
+    CanFrame::new(id, true, data).expect("a frame of at most 64 bytes")
+}
+
+/// A control frame as it is, but for the steering angle. No receiver can tell.
+pub(super) fn another_command(frame: &CanFrame) -> CanFrame {
+    let CanId::Standard(id) = frame.id() else {
+        return *frame;
+    };
+    let Ok(Message::Control {
+        system,
+        mut control,
+    }) = Message::decode(id.into(), frame.data())
+    else {
+        return *frame;
+    };
+    // Plausible for the gate: it does not jump.
+    control.steering_angle += 0.001;
+    let encoded = Transmitter::new().encode(&Message::Control { system, control });
+    let mut data = encoded.data().to_vec();
+    tandem_bus::e2e::protect(id, frame.data()[2], &mut data);
+    frame_of(frame.id(), &data)
+}
