@@ -141,6 +141,8 @@ impl Event {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Actions {
     list: [Option<Action>; Self::CAPACITY],
+    /// How many the list has, from its start.
+    count: u8,
     deadline: Instant,
 }
 
@@ -155,6 +157,7 @@ impl Actions {
     pub(crate) fn none() -> Self {
         Self {
             list: [None; Self::CAPACITY],
+            count: 0,
             deadline: Instant::NEVER,
         }
     }
@@ -162,9 +165,10 @@ impl Actions {
     /// Adds an action unless it is in the list.
     pub(crate) fn push(&mut self, action: Action) {
         if !self.contains(action)
-            && let Some(place) = self.list.iter_mut().find(|place| place.is_none())
+            && let Some(place) = self.list.get_mut(usize::from(self.count))
         {
             *place = Some(action);
+            self.count += 1;
         }
     }
 
@@ -180,7 +184,8 @@ impl Actions {
 
     /// The actions, in order.
     pub fn iter(&self) -> impl Iterator<Item = Action> + '_ {
-        self.list.iter().flatten().copied()
+        let list = self.list.iter().take(usize::from(self.count));
+        list.flatten().copied()
     }
 
     /// The events among them.

@@ -45,9 +45,15 @@ impl Port {
 
     /// Virtual time that a blocking core pays for reading something that may change: the others run
     /// in that time.
+    #[inline]
     fn look(&self) {
+        if let Some(baton) = &self.baton {
+            self.pay_for_look(baton);
+        }
+    }
+
+    fn pay_for_look(&self, baton: &Baton) {
         let pays = self.shared.config.look_at_clock;
-        let Some(baton) = &self.baton else { return };
         if pays.as_ns() > 0 {
             let until = self.shared.glance.local(self.place.system) + pays;
             baton.park(until);
@@ -333,6 +339,11 @@ impl Can for SimCan {
     }
 
     fn try_receive(&self) -> Option<Received> {
+        let waits = self.0.shared.glance.can(self.0.place);
+        if !waits.load(Ordering::Relaxed) {
+            self.0.look();
+            return None;
+        }
         let received = self
             .0
             .alive(|machine| machine.receive_can(self.0.place))
@@ -382,7 +393,8 @@ impl Lines for SimLines {
 
     fn peer_powered(&self) -> bool {
         self.0.look();
-        self.0.shared.lock().level(self.0.place.system.peer())
+        let level = self.0.shared.glance.level(self.0.place.system.peer());
+        level.load(Ordering::Relaxed)
     }
 }
 
@@ -412,11 +424,13 @@ impl Link for SimLink {
 
     fn try_receive(&self, words: &mut [u32]) -> Option<usize> {
         let system = self.0.place.system;
-        let Some(datagram) = self
-            .0
-            .alive(|machine| machine.receive_link(system, words.len()))
-            .flatten()
-        else {
+        let waits = self.0.shared.glance.link(system);
+        let datagram = waits.load(Ordering::Relaxed).then(|| {
+            self.0
+                .alive(|machine| machine.receive_link(system, words.len()))
+                .flatten()
+        });
+        let Some(datagram) = datagram.flatten() else {
             self.0.look();
             return None;
         };
@@ -456,17 +470,16 @@ impl DataFlash for SimFlash {
 
     fn status(&self) -> FlashStatus {
         self.0.look();
-        match self
-            .0
-            .shared
-            .lock()
-            .system(self.0.place.system)
-            .flash
-            .is_busy()
-        {
-            true => FlashStatus::Busy,
-            false => FlashStatus::Idle,
+        let Port { shared, place, .. } = &self.0;
+        let may_be_busy = shared.glance.flash(place.system);
+        if !may_be_busy.load(Ordering::Relaxed) {
+            return FlashStatus::Idle;
         }
+        if shared.lock().system(place.system).flash.is_busy() {
+            return FlashStatus::Busy;
+        }
+        may_be_busy.store(false, Ordering::Relaxed);
+        FlashStatus::Idle
     }
 }
 

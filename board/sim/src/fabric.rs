@@ -86,6 +86,8 @@ impl Machine {
             last[..half].swap_with_slice(&mut datagram[..half]);
         }
         inbox.push_back(datagram);
+        self.glance.link(to).store(true, Ordering::Relaxed);
+        let inbox = &mut self.system(to).inbox;
         if overtakes {
             inbox.make_contiguous().reverse();
         }
@@ -96,11 +98,16 @@ impl Machine {
     pub(crate) fn receive_link(&mut self, system: SystemId, room: usize) -> Option<Vec<u32>> {
         let splits = self.has(Defect::LinkSplits);
         let inbox = &mut self.system(system).inbox;
-        let datagram = inbox.pop_front()?;
-        if splits && datagram.len() > room {
+        let datagram = inbox.pop_front();
+        if let Some(datagram) = &datagram
+            && splits
+            && datagram.len() > room
+        {
             inbox.push_front(datagram[room..].to_vec());
         }
-        Some(datagram)
+        let waits = !inbox.is_empty();
+        self.glance.link(system).store(waits, Ordering::Relaxed);
+        datagram
     }
 
     pub(crate) fn discard_unsent(&mut self, from: CoreAddress) {
@@ -214,15 +221,22 @@ impl Machine {
             core.overruns = core.overruns.wrapping_add(u32::from(!uncounted));
         } else {
             core.can_fifo.push_back(Received { frame, at });
+            self.glance.can(place).store(true, Ordering::Relaxed);
+            let core = self.core(place);
             if let (true, Some(before)) = (swapped, core.can_fifo.len().checked_sub(2)) {
                 core.can_fifo.swap(before, before + 1);
             }
         }
+        let core = self.core(place);
         core.pending |= (core.can_wakes && !mute) || eager;
     }
 
     pub(crate) fn receive_can(&mut self, place: CoreAddress) -> Option<Received> {
-        self.core(place).can_fifo.pop_front()
+        let fifo = &mut self.core(place).can_fifo;
+        let received = fifo.pop_front();
+        let waits = !fifo.is_empty();
+        self.glance.can(place).store(waits, Ordering::Relaxed);
+        received
     }
 
     pub(crate) fn wake_on_receive(&mut self, place: CoreAddress, on: bool) {

@@ -163,7 +163,7 @@ impl Machine {
     fn hold_level_low(&mut self, system: SystemId, held: bool) {
         let before = self.level(system);
         self.system(system).level_held_low = held;
-        if self.level(system) != before {
+        if self.show_level(system) != before {
             self.raise_peer(system);
         }
     }

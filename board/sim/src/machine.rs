@@ -9,7 +9,7 @@ use crate::transit::Transit;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
     CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, Received,
@@ -149,6 +149,14 @@ impl System {
 /// the right to run orders the rest.
 #[derive(Default)]
 pub(crate) struct Glance {
+    /// Whether a frame may wait in the receiver of each core: false if certainly none does.
+    can: [AtomicBool; CoreAddress::ALL.len()],
+    /// Whether a datagram may wait at each system.
+    link: [AtomicBool; 2],
+    /// Whether an operation of the flash of each system may be under way.
+    flash: [AtomicBool; 2],
+    /// The level line of each system, as its peer sees it.
+    level: [AtomicBool; 2],
     /// The time on the clock of each system, ns.
     local_ns: [AtomicU64; 2],
     /// Counts of the edges that each system has received, by line and edge.
@@ -158,6 +166,22 @@ pub(crate) struct Glance {
 impl Glance {
     pub(crate) fn local(&self, system: SystemId) -> Instant {
         Instant::from_ns(self.local_ns[system.index()].load(Ordering::Relaxed))
+    }
+
+    pub(crate) fn can(&self, place: CoreAddress) -> &AtomicBool {
+        &self.can[place.index()]
+    }
+
+    pub(crate) fn link(&self, system: SystemId) -> &AtomicBool {
+        &self.link[system.index()]
+    }
+
+    pub(crate) fn flash(&self, system: SystemId) -> &AtomicBool {
+        &self.flash[system.index()]
+    }
+
+    pub(crate) fn level(&self, system: SystemId) -> &AtomicBool {
+        &self.level[system.index()]
     }
 
     pub(crate) fn edges(&self, system: SystemId, line: Line, edge: Edge) -> &AtomicU32 {
@@ -233,7 +257,16 @@ impl Shared {
             digest: Digest::new(),
         };
         machine.set_now(0);
-        let lmus = CoreAddress::ALL.map(|_| lmu()).into();
+        for system in SystemId::ALL {
+            machine.show_level(system);
+        }
+        // The cores of a system share one, unless a defect gives each its own.
+        let own = config.defect == Some(Defect::PrivateLmu);
+        let lmu_of = |place: CoreAddress| {
+            let has_one = own || place.core == CoreId::CONTROL;
+            if has_one { lmu() } else { Vec::new() }
+        };
+        let lmus = CoreAddress::ALL.map(lmu_of).into();
         Self {
             config,
             lmus,
@@ -271,12 +304,15 @@ impl Shared {
         if machine.systems[system.index()].supply.power() != Power::Off {
             return;
         }
-        for core in CoreId::ALL {
-            for (index, word) in self.lmu(CoreAddress { system, core }).iter().enumerate() {
-                let dirt = u32::from(self.has(Defect::DirtyLmu) && index == LMU_WORDS - 7);
-                // Relaxed: the lock orders the store before the start of the cores.
-                word.store(dirt, Ordering::Relaxed);
+        let own = self.has(Defect::PrivateLmu);
+        for core in &CoreId::ALL[..if own { CoreId::COUNT } else { 1 }] {
+            let lmu = self.lmu(CoreAddress::new(system, *core));
+            // Relaxed: the lock orders the stores before the start of the cores.
+            for word in lmu {
+                word.store(0, Ordering::Relaxed);
             }
+            let dirt = u32::from(self.has(Defect::DirtyLmu));
+            lmu[LMU_WORDS - 7].store(dirt, Ordering::Relaxed);
         }
         machine.power_on(system);
     }
@@ -304,6 +340,18 @@ impl Machine {
         for (clock, local) in self.config.clocks.iter().zip(&self.glance.local_ns) {
             local.store(clock.local_ns(now_ns), Ordering::Relaxed);
         }
+    }
+
+    /// Moves the clock to the next thing that happens, by itself or in the world, if that is not
+    /// after `until`; returns whether it is. If not, moves the clock to `until`.
+    pub(crate) fn advance(&mut self, world: Instant, until: Instant) -> bool {
+        let next = Instant::from_ns(self.next_ns()).min(world);
+        let goes_on = next <= until && next != Instant::NEVER;
+        let to = if goes_on { next } else { until };
+        if to != Instant::NEVER {
+            self.set_now(self.now_ns.max(to.as_ns()));
+        }
+        goes_on
     }
 
     /// The time on a system's clock.

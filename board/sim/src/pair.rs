@@ -3,13 +3,13 @@
 use crate::board::{Poller, Port, SimBoard};
 use crate::config::{Config, Order};
 use crate::event::{OnBus, SystemEvent};
-use crate::machine::{Attention, Shared};
+use crate::machine::{Attention, Machine, Shared};
 use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use std::sync::Arc;
 use std::sync::atomic::AtomicU32;
+use std::sync::{Arc, MutexGuard};
 use tandem_board::{
     CoreAddress, CoreId, Duration, Generation, Instant, RoleLamp, SystemId, Traced,
 };
@@ -124,7 +124,8 @@ impl SimPair {
     /// # Panics
     /// If a core panics, or if the cores wake each other endlessly at one instant.
     pub fn run_until(&mut self, until: Instant) {
-        self.run_while(until, |_| true);
+        let shared = Arc::clone(&self.shared);
+        while self.settle(&shared, |machine, world| machine.advance(world, until)) {}
     }
 
     /// Runs up to and including `until`, but stops at the first instant after which `goes_on` is
@@ -133,51 +134,44 @@ impl SimPair {
     /// # Panics
     /// See [`SimPair::run_until`].
     pub fn run_while(&mut self, until: Instant, mut goes_on: impl FnMut(&Self) -> bool) -> bool {
+        let shared = Arc::clone(&self.shared);
         loop {
-            self.settle();
+            self.settle(&shared, |_, _| ());
             if !goes_on(self) {
                 return false;
             }
-            let mut machine = self.shared.lock();
-            let next = Instant::from_ns(machine.next_ns()).min(self.world_next);
-            if next > until || next == Instant::NEVER {
-                let end = if until == Instant::NEVER {
-                    machine.at()
-                } else {
-                    until
-                };
-                let now_ns = machine.now_ns.max(end.as_ns());
-                machine.set_now(now_ns);
+            if !shared.lock().advance(self.world_next, until) {
                 return true;
             }
-            let now_ns = machine.now_ns.max(next.as_ns());
-            machine.set_now(now_ns);
         }
     }
 
-    /// Runs everything that happens at this instant.
-    fn settle(&mut self) {
+    /// Runs everything that happens at this instant. `then` gets the machine, and when the world is
+    /// called next.
+    fn settle<R>(&mut self, shared: &Shared, then: impl FnOnce(&mut Machine, Instant) -> R) -> R {
         let mut polls = 0;
+        // Released only while others act on the machine: a lock costs as much as a small poll.
+        let mut machine = shared.lock();
         loop {
-            let mut machine = self.shared.lock();
             machine.settle();
-            if self.world_next <= machine.at() || machine.incarnations != self.followed {
+            if self.world_next <= machine.at() {
+                machine = self.tick_world(shared, machine);
+            }
+            if machine.incarnations != self.followed {
                 drop(machine);
-                self.tick_world();
                 self.follow_incarnations();
-                machine = self.shared.lock();
+                machine = shared.lock();
             }
             if self.world.is_none() {
                 machine.unheard.clear();
             }
             let mut due = CoreAddress::ALL;
             let count = machine.due(&mut due);
-            drop(machine);
             let due = &mut due[..count];
             if due.is_empty() {
-                return;
+                return then(&mut machine, self.world_next);
             }
-            if self.shared.config.order == Order::Shuffled {
+            if shared.config.order == Order::Shuffled {
                 due.shuffle(&mut self.order);
             }
             for place in due {
@@ -185,42 +179,43 @@ impl SimPair {
                 assert!(
                     polls < LIVELOCK_POLLS,
                     "cores wake each other for ever at {:?}, last core {}{}",
-                    self.now(),
+                    machine.at(),
                     place.system,
                     place.core
                 );
-                self.poll(*place);
+                machine = self.poll(*place, shared, machine);
             }
         }
     }
 
-    fn tick_world(&mut self) {
-        let mut machine = self.shared.lock();
-        let at = machine.at();
-        let Some(world) = &mut self.world else { return };
-        if at < self.world_next {
-            return;
-        }
+    fn tick_world<'a>(
+        &mut self,
+        shared: &'a Shared,
+        mut machine: MutexGuard<'a, Machine>,
+    ) -> MutexGuard<'a, Machine> {
+        let Some(world) = &mut self.world else {
+            return machine;
+        };
         let lamp = |system: SystemId| {
             machine
                 .is_powered(system)
                 .then_some(machine.systems[system.index()].lamp)
         };
         let lamps = SystemId::ALL.map(lamp);
-        let heard = core::mem::take(&mut machine.unheard);
-        drop(machine);
         let mut tick = WorldTick {
-            at,
-            heard,
+            at: machine.at(),
+            heard: core::mem::take(&mut machine.unheard),
             lamps,
             sent: Vec::new(),
         };
+        drop(machine);
         world(&mut tick);
-        let mut machine = self.shared.lock();
+        self.world_next += WORLD_PERIOD;
+        let mut machine = shared.lock();
         for frame in &tick.sent {
             machine.offer(Sender::Vehicle, frame);
         }
-        self.world_next += WORLD_PERIOD;
+        machine
     }
 
     /// Drops the code of cores whose incarnation is over, and makes the code of cores that began
@@ -256,29 +251,33 @@ impl SimPair {
         }
     }
 
-    fn poll(&mut self, place: CoreAddress) {
+    fn poll<'a>(
+        &mut self,
+        place: CoreAddress,
+        shared: &'a Shared,
+        mut machine: MutexGuard<'a, Machine>,
+    ) -> MutexGuard<'a, Machine> {
         let slot = &mut self.cores[place.system.index()][place.core.index()];
-        let Some(running) = slot else { return };
-        {
-            let mut machine = self.shared.lock();
-            let now_ns = machine.now_ns;
-            let core = machine.core(place);
-            // An earlier poll at this instant may have ended this incarnation.
-            if core.incarnation != running.incarnation || !core.is_due(now_ns) {
-                return;
-            }
-            if core.attention == Attention::Polled {
-                core.interrupted = core::mem::take(&mut core.pending);
-            }
-            core.deadline_ns = u64::MAX;
+        let Some(running) = slot else { return machine };
+        let now_ns = machine.now_ns;
+        let core = machine.core(place);
+        // An earlier poll at this instant may have ended this incarnation.
+        if core.incarnation != running.incarnation || !core.is_due(now_ns) {
+            return machine;
         }
+        if core.attention == Attention::Polled {
+            core.interrupted = core::mem::take(&mut core.pending);
+        }
+        core.deadline_ns = u64::MAX;
+        drop(machine);
         let deadline = (running.poll)(&running.board);
-        let mut machine = self.shared.lock();
+        let mut machine = shared.lock();
         let clock = machine.config.clocks[place.system.index()];
         let now_ns = machine.now_ns;
         let core = machine.core(place);
         core.deadline_ns = clock.virtual_ns(deadline.as_ns());
         core.frozen_until_ns = core.frozen_until_ns.max(now_ns + core.rest.as_ns());
+        machine
     }
 }
 

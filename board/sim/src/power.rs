@@ -4,6 +4,7 @@ use crate::config::Defect;
 use crate::event::SystemEventKind;
 use crate::flash::Flash;
 use crate::machine::{Core, Machine};
+use std::sync::atomic::Ordering;
 use tandem_board::{
     CoreAddress, CoreId, FlashError, ResetCause, ResetRequest, RoleLamp, SystemId, watchdog_answer,
 };
@@ -40,15 +41,22 @@ impl Machine {
             Some(Change::Suspend) => self.stop(system, SystemEventKind::Suspended),
             Some(Change::PowerOff) => self.stop(system, SystemEventKind::PowerLost),
         }
-        if self.level(system) != before && !self.has(Defect::SilentLevel) {
+        if self.show_level(system) != before && !self.has(Defect::SilentLevel) {
             self.raise_peer(system);
         }
+    }
+
+    /// Shows the level line as it is now to the cores of the other system, and returns it.
+    pub(crate) fn show_level(&self, system: SystemId) -> bool {
+        let level = self.level(system);
+        self.glance.level(system).store(level, Ordering::Relaxed);
+        level
     }
 
     pub(crate) fn set_cut(&mut self, wire: Wire, from: SystemId, cut: bool) {
         let before = self.level(from);
         self.cuts.set(wire, from, cut);
-        if self.level(from) != before {
+        if self.show_level(from) != before {
             self.raise_peer(from);
         }
     }
@@ -223,6 +231,9 @@ impl Machine {
 
     fn settle_flash(&mut self, system: SystemId) {
         let now_ns = self.now_ns;
+        if !self.systems[system.index()].flash.is_busy() {
+            return;
+        }
         if self
             .flash_dies_ns(system)
             .is_some_and(|dies| now_ns >= dies)
@@ -265,6 +276,8 @@ impl Machine {
             flash.abandon();
         }
         flash.start_erase(sector, now)?;
+        self.glance.flash(system).store(true, Ordering::Relaxed);
+        let flash = &mut self.system(system).flash;
         if defect == Some(Defect::EraseToZero) {
             flash.spoil(|_, target| target.fill(0));
         }
@@ -287,6 +300,8 @@ impl Machine {
             _ => offset,
         };
         flash.start_program(offset, data, now)?;
+        self.glance.flash(system).store(true, Ordering::Relaxed);
+        let flash = &mut self.system(system).flash;
         if defect == Some(Defect::ProgramSets) {
             flash.spoil(|_, target| target.copy_from_slice(data));
         }

@@ -138,6 +138,8 @@ pub enum Violation {
     LeftLane,
     /// The vehicle came too close to the one in front.
     TooClose,
+    /// In the end no system stands by, though none has suspended itself.
+    NoStandby,
 }
 
 /// The outcome of one sequence.
@@ -161,7 +163,7 @@ pub struct Verdict {
 
 impl Violation {
     /// All.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Gap,
         Self::NoneObeyed,
         Self::BothSuspended,
@@ -177,6 +179,7 @@ impl Violation {
         Self::Collision,
         Self::LeftLane,
         Self::TooClose,
+        Self::NoStandby,
     ];
 }
 

@@ -6,7 +6,7 @@ use super::judge::{Row, Verdict, Violation, containment_bound, row};
 use crate::timing::Time;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use tandem_board::{Duration, SystemId};
+use tandem_board::{Duration, RoleLamp, SystemId};
 use tandem_redundancy::Config;
 
 /// Each sequence whose number this divides is watched for the whole time within which a system must
@@ -344,7 +344,11 @@ impl Sequence {
         bench.heal(self.number.is_multiple_of(HEALS_WHOLLY));
         let bound = self.bound(&bench.config.redundancy);
         let bound = bound.map(|(_, bound)| bound + bench.time.allowance());
-        let verdict = bench.judge(&self.faults, [begin, mended], bound);
+        let mut verdict = bench.judge(&self.faults, [begin, mended], bound);
+        let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
+        if verdict.suspended == 0 && !SystemId::ALL.iter().any(stands_by) {
+            verdict.violations.push(Violation::NoStandby);
+        }
         (verdict, bench)
     }
 
