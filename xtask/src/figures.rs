@@ -49,6 +49,14 @@ const PATHS: &[(&str, &str)] = &[
         "fifo/4-bytes",
         "the same through a queue; from time to time an end reads the other's index",
     ),
+    (
+        "heapless/spsc-4-bytes",
+        "peer: `heapless::spsc` and the doorbell; it does not say who sent, nor survives a reset of one end",
+    ),
+    (
+        "embassy/channel-4-bytes",
+        "peer: `embassy_sync::channel` under a spin lock, and the doorbell",
+    ),
     ("lock/free", "lock and unlock"),
     (
         "lock/contended-3",

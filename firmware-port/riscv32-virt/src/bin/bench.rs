@@ -7,7 +7,11 @@
 #![no_main]
 #![deny(unsafe_code)]
 
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::cell::UnsafeCell;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_sync::channel::Channel;
+use heapless::spsc;
 use tandem_board::SystemId;
 use tandem_board_riscv32_virt::{clint, doorbell, entry, exit, hart, log, memory, must, trap};
 use tandem_shm::incarnation::Incarnation;
@@ -50,10 +54,58 @@ const WFI: u32 = 1;
 const DOORBELL: u32 = 2;
 const MAILBOX: u32 = 3;
 const CONTEND: u32 = 4;
+const SPSC: u32 = 5;
+const CHANNEL: u32 = 6;
 /// Rounds of the contended lock that may begin, and that each hart has ended.
 static GO: AtomicU32 = AtomicU32::new(0);
 static ENDED: AtomicU32 = AtomicU32::new(0);
 static LAST_AT: AtomicU32 = AtomicU32::new(0);
+
+/// A peer's queue, and the end of it that hart 1 takes.
+struct Handed<T>(UnsafeCell<T>);
+
+// SAFETY: hart 0 uses it until it stores `PART`, with Release; hart 1 takes it over when it sees
+// that, with Acquire, and hart 0 never uses it again.
+#[allow(unsafe_code)]
+unsafe impl<T: Send> Sync for Handed<T> {}
+
+impl<T> Handed<T> {
+    /// The value, for the hart whose it is.
+    ///
+    /// # Safety
+    /// Each hart calls it once, and hart 1 after it has seen its part.
+    #[allow(unsafe_code, clippy::mut_from_ref)]
+    unsafe fn value(&self) -> &mut T {
+        // SAFETY: as above.
+        unsafe { &mut *self.0.get() }
+    }
+}
+
+static QUEUE: Handed<spsc::Queue<u32, 5>> = Handed(UnsafeCell::new(spsc::Queue::new()));
+static CONSUMER: Handed<Option<spsc::Consumer<'static, u32>>> = Handed(UnsafeCell::new(None));
+
+/// The least that embassy-sync needs between several cores: a spin lock with interrupts off.
+struct HartMutex(AtomicBool);
+
+// SAFETY: one hart is inside at a time, and no interrupt of it comes between.
+#[allow(unsafe_code)]
+unsafe impl RawMutex for HartMutex {
+    const INIT: Self = Self(AtomicBool::new(false));
+
+    fn lock<R>(&self, work: impl FnOnce() -> R) -> R {
+        hart::without_interrupts(|| {
+            // Acquire pairs with the Release of the hart that was inside before.
+            while self.0.swap(true, Ordering::Acquire) {
+                hart::yield_turn();
+            }
+            let result = work();
+            self.0.store(false, Ordering::Release);
+            result
+        })
+    }
+}
+
+static EMBASSY: Channel<HartMutex, u32, 4> = Channel::new();
 
 fn main(hart: usize) -> ! {
     match hart {
@@ -139,6 +191,7 @@ fn measure() {
     part(DOORBELL);
     bench("doorbell/floor", |_| reach(|| clint::post(1)));
 
+    peers(part);
     part(MAILBOX);
     bench("mailbox/signal-to-handler", |_| {
         reach(|| ring(to.signal(PLAIN)))
@@ -184,6 +237,30 @@ fn measure() {
     });
 }
 
+/// What others use for the same between two cores; the board's doorbell wakes the receiver.
+#[inline(never)]
+#[allow(unsafe_code)]
+fn peers(part: impl Fn(u32)) {
+    // SAFETY: hart 0 calls this once, and hart 1 has not seen its part.
+    let (mut producer, consumer) = unsafe { QUEUE.value() }.split();
+    // SAFETY: as above.
+    *unsafe { CONSUMER.value() } = Some(consumer);
+    part(SPSC);
+    bench("heapless/spsc-4-bytes", |number| {
+        reach(|| {
+            must(producer.enqueue(number));
+            clint::post(1);
+        })
+    });
+    part(CHANNEL);
+    bench("embassy/channel-4-bytes", |number| {
+        reach(|| {
+            must(EMBASSY.try_send(number));
+            clint::post(1);
+        })
+    });
+}
+
 /// Takes the lock, lets the others find it taken, and releases it.
 fn take(lock: &mut Lock<'_>) {
     let guard = must(lock.lock(10_000, |_| hart::yield_turn()));
@@ -193,7 +270,8 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first it does nothing but wake, in three ways, then the mailbox, then it contends.
+/// Hart 1: first it does nothing but wake, in three ways, then two peers, then the mailbox, then it
+/// contends.
 fn answer() -> ! {
     let (map, own) = memory::attach(1, LAYOUT);
     trap::on_doorbell(reached);
@@ -204,6 +282,8 @@ fn answer() -> ! {
     trap::on_doorbell(|| ());
     wake_by_wfi();
     wake_by_doorbell();
+    wake_by_spsc();
+    wake_by_embassy();
     wake_by_mailbox(&map, own)
 }
 
@@ -225,6 +305,33 @@ fn wake_by_doorbell() {
     while PART.load(Ordering::Acquire) == DOORBELL {
         doorbell::wait(None);
         reached();
+    }
+}
+
+#[inline(never)]
+#[allow(unsafe_code)]
+fn wake_by_spsc() {
+    // SAFETY: hart 1 calls this once, after it has seen its part.
+    let Some(mut consumer) = unsafe { CONSUMER.value() }.take() else {
+        return;
+    };
+    while PART.load(Ordering::Acquire) == SPSC {
+        doorbell::wait(None);
+        if let Some(value) = consumer.dequeue() {
+            core::hint::black_box(value);
+            reached();
+        }
+    }
+}
+
+#[inline(never)]
+fn wake_by_embassy() {
+    while PART.load(Ordering::Acquire) == CHANNEL {
+        doorbell::wait(None);
+        if let Ok(value) = EMBASSY.try_receive() {
+            core::hint::black_box(value);
+            reached();
+        }
     }
 }
 
