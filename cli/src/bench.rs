@@ -45,7 +45,8 @@ fn build(folder: &Path) -> anyhow::Result<()> {
     let target = folder.parent().context("a target folder")?;
     let cargo = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut command = Command::new(cargo);
-    command.args(["build", "--quiet", "--package", "tandem-benches"]);
+    // Both packages: with the features of both, cargo uses what it has built for this program.
+    command.args(["build", "--quiet", "-p", "tandem", "-p", "tandem-benches"]);
     command.args(["--bin", "tandem-bench", "--manifest-path", sources]);
     command.arg("--target-dir").arg(target);
     if !cfg!(debug_assertions) {
