@@ -1,6 +1,5 @@
 //! The figures of a row, for the terminal and for the page.
 
-use crate::harness::SEND;
 use crate::result::Row;
 use tandem_page::format;
 
@@ -75,7 +74,7 @@ const fn text(
 }
 
 /// In the order of showing.
-const COLUMNS: [Column; 14] = [
+const COLUMNS: [Column; 13] = [
     percentile("p50", "median", 0, 0.5, |row| Some(row.p50_ns)),
     percentile("p90", "one in 10 takes longer", 4, 0.1, |row| {
         Some(row.p90_ns)
@@ -98,9 +97,6 @@ const COLUMNS: [Column; 14] = [
     },
     time("and back", "median of the round trip", 1, |row| {
         row.round_trip.map(|trip| trip.p50_ns)
-    }),
-    time("send", "median of what a send takes the sender", 2, |row| {
-        row.facts.get(SEND).copied()
     }),
     text("M msg/s", "messages per second at the median", 0, |row| {
         row.messages_per_second

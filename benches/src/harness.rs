@@ -175,8 +175,6 @@ pub trait End {
     fn receive(&mut self) -> u32;
 }
 
-/// The fact that says what a send takes the sender.
-pub(crate) const SEND: &str = "send takes, ns";
 /// Where the near end notes what a send took it, in ticks, beside the numbers of [`count_calls`].
 const SEND_AT: usize = 2;
 /// The last sends, of which the median counts.
@@ -268,7 +266,7 @@ fn there_and_back(plan: &Plan, shared: &Shared, own_bytes: u64) -> Batch {
     };
     let send = shared.log(0).noted(SEND_AT) as u32;
     Batch::collect(shared, 2, 2 * plan.rounds, own_bytes)
-        .with_fact(SEND, to_ps(send) as f64 / 1e3)
+        .with_fact("send takes, ns", to_ps(send) as f64 / 1e3)
         .with_fact("near to far p50, ns", median_ns(1))
         .with_fact("far to near p50, ns", median_ns(0))
 }

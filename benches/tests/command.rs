@@ -114,6 +114,26 @@ fn a_program_compared_with_itself_has_not_changed() {
     assert_eq!(fixture.names(), ["c.json"]);
 }
 
+/// Under SCHED_FIFO an end that spins keeps all others from its CPU. The measurement ends all the
+/// same, beside a load that has no such priority, and says which load it was.
+#[test]
+fn a_measurement_under_sched_fifo_ends() {
+    let fixture = Fixture::new();
+    let options = ["--realtime", "--load", "spin:2", "--seconds", "1"];
+    let output = fixture.output(&[&options[..], &["--json", "a.json", "one-cpu", "lock"]].concat());
+    let said = String::from_utf8_lossy(&output.stderr);
+    if said.contains("SCHED_FIFO was refused") {
+        return;
+    }
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    let table = String::from_utf8(output.stdout).unwrap();
+    assert!(table.contains("background load: spin:2"), "{table}");
+    let text = fs::read_to_string(fixture.folder().join("a.json")).unwrap();
+    let results: Value = serde_json::from_str(&text).unwrap();
+    assert_eq!(results["load"], "spin:2");
+    assert_eq!(results["skipped"], Value::Array(Vec::new()));
+}
+
 /// What is wrong is said at once, with exit status 2, and leaves nothing behind.
 #[test]
 fn a_benchmark_that_cannot_be_is_refused_at_once() {

@@ -22,10 +22,41 @@ pub struct OutputError {
 
 /// A file to be written.
 #[derive(Debug)]
-pub struct OutputFile {
+pub struct OutputFile(Place);
+
+/// A folder to be filled.
+#[derive(Debug)]
+pub struct OutputFolder(Place);
+
+/// What an option names.
+#[derive(Debug)]
+struct Place {
     option: &'static str,
     path: PathBuf,
     target: Target,
+}
+
+impl Place {
+    fn new(option: &'static str, path: &Path, target: Why) -> Result<Self, OutputError> {
+        let path = path.to_owned();
+        match target {
+            Ok(target) => Ok(Self {
+                option,
+                path,
+                target,
+            }),
+            Err(why) => Err(OutputError { option, path, why }),
+        }
+    }
+
+    fn write(self, write: impl FnOnce(Target) -> io::Result<()>) -> Result<(), OutputError> {
+        let (option, path) = (self.option, self.path);
+        write(self.target).map_err(|error| OutputError {
+            option,
+            path,
+            why: error.to_string(),
+        })
+    }
 }
 
 #[derive(Debug)]
@@ -34,14 +65,6 @@ enum Target {
     Present(File),
     /// It does not exist; the folder is open.
     Absent(File, OsString),
-}
-
-/// A folder to be filled.
-#[derive(Debug)]
-pub struct OutputFolder {
-    option: &'static str,
-    path: PathBuf,
-    target: Target,
 }
 
 /// What makes a message of an error.
@@ -62,15 +85,7 @@ impl OutputFile {
             Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path),
             Err(error) => Err(error.to_string()),
         };
-        Ok(Self {
-            option,
-            path: path.to_owned(),
-            target: target.map_err(|why| OutputError {
-                option,
-                path: path.to_owned(),
-                why,
-            })?,
-        })
+        Ok(Self(Place::new(option, path, target)?))
     }
 
     /// Checks the files that these options name, if they name one, and changes nothing.
@@ -94,14 +109,9 @@ impl OutputFile {
     /// # Errors
     /// [`OutputError`], such as a disk that is full by now.
     pub fn write(self, text: &str) -> Result<(), OutputError> {
-        let written = match self.target {
+        self.0.write(|target| match target {
             Target::Present(file) => overwrite(file, text),
             Target::Absent(folder, name) => create(&folder, &name, text),
-        };
-        written.map_err(|error| OutputError {
-            option: self.option,
-            path: self.path,
-            why: error.to_string(),
         })
     }
 }
@@ -119,15 +129,7 @@ impl OutputFolder {
             Err(error) if error.kind() == io::ErrorKind::NotFound => absent(path),
             Err(error) => Err(error.to_string()),
         };
-        Ok(Self {
-            option,
-            path: path.to_owned(),
-            target: target.map_err(|why| OutputError {
-                option,
-                path: path.to_owned(),
-                why,
-            })?,
-        })
+        Ok(Self(Place::new(option, path, target)?))
     }
 
     /// Writes these files, by name, and creates the folder if need be. Others in it stay.
@@ -135,8 +137,8 @@ impl OutputFolder {
     /// # Errors
     /// [`OutputError`], such as a disk that is full by now.
     pub fn fill(self, files: &[(String, String)]) -> Result<(), OutputError> {
-        let fill = || -> io::Result<()> {
-            let folder = match self.target {
+        self.0.write(|target| {
+            let folder = match target {
                 Target::Present(folder) => folder,
                 Target::Absent(parent, name) => {
                     mkdirat(&parent, &name, Mode::from_raw_mode(0o777))?;
@@ -148,11 +150,6 @@ impl OutputFolder {
                 create(&folder, name.as_ref(), text)?;
             }
             Ok(())
-        };
-        fill().map_err(|error| OutputError {
-            option: self.option,
-            path: self.path,
-            why: error.to_string(),
         })
     }
 }
@@ -160,12 +157,12 @@ impl OutputFolder {
 /// Refuses two outputs that would go to the same file.
 fn distinct(places: &[&OutputFile]) -> Result<(), OutputError> {
     for (i, place) in places.iter().enumerate() {
-        let same = |other: &&&OutputFile| same(&other.path, &place.path);
+        let same = |other: &&&OutputFile| same(&other.0.path, &place.0.path);
         if let Some(other) = places[..i].iter().find(same) {
             return Err(OutputError {
-                option: place.option,
-                path: place.path.clone(),
-                why: format!("{} goes to the same file", other.option),
+                option: place.0.option,
+                path: place.0.path.clone(),
+                why: format!("{} goes to the same file", other.0.option),
             });
         }
     }
