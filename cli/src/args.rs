@@ -4,6 +4,7 @@ use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
 use crate::bench::BenchArgs;
+use crate::board_kind::{BoardKind, DemoBoard};
 use crate::chaos_args::ChaosArgs;
 use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -440,28 +441,6 @@ pub(crate) struct PsArgs {
     /// Print a JSON array of objects with pid, kind, system, core, role, cpu
     #[arg(long)]
     pub(crate) json: bool,
-}
-
-/// Values of `--board`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum BoardKind {
-    /// Processes of this machine, in real time
-    Host,
-    /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time; core
-    /// 0 under FreeRTOS
-    Qemu,
-    /// Firmware in one emulated machine with both systems in it, in the emulator's time; all cores
-    /// bare
-    QemuOne,
-}
-
-/// Values of `--board` of the demonstrations.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum DemoBoard {
-    /// This process, in real time
-    Host,
-    /// Firmware in an emulated RISC-V machine, in the emulator's time
-    Qemu,
 }
 
 /// Values of `--timing`.

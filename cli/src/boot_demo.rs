@@ -13,7 +13,7 @@ use tandem_board_qemu::{BootFrom, EmulatedWorld};
 use tandem_boot::{FIRST_ID, Slot};
 use tandem_boot_host::{FlashFile, Sender, SigningKey, ToDo, records};
 
-use crate::args::DemoBoard;
+use crate::board_kind::DemoBoard;
 use crate::boot::{self, ProgramFlash};
 use crate::emulated;
 use crate::files::RunFiles;

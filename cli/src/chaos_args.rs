@@ -5,6 +5,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 
+use crate::board_kind::DemoBoard;
+
 /// Arguments of `tandem chaos`.
 #[derive(Debug, Args)]
 #[command(after_help = EXAMPLES)]
@@ -16,6 +18,10 @@ pub(crate) struct ChaosArgs {
     /// Decides which faults
     #[arg(long, value_name = "S", default_value_t = 1)]
     pub(crate) seed: u64,
+
+    /// What suffers them: processes of this machine, or emulated machines with firmware
+    #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
+    pub(crate) board: DemoBoard,
 
     /// The number of the first fault
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -57,6 +63,7 @@ violation if the evidence shows that the machine itself stood still for that lon
   tandem chaos --count 200 --seed 7          random faults, about 4 s each
   tandem chaos --only 137 --seed 7           one of them again
   tandem chaos --matrix --every 10           each fault at some phases of the 10 ms cycle
+  tandem chaos --board qemu --count 100      firmware in two emulated machines, in virtual time
   tandem chaos --faults my.toml --count 20   a file of `tandem sim --save`, where A is the system
                                              that drives, and B the standby
 

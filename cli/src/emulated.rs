@@ -10,7 +10,8 @@ use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options};
 use tandem_boot_host::{FlashFile, records};
 use tandem_vehicle::Scenario;
 
-use crate::args::{BoardKind, RunArgs};
+use crate::args::RunArgs;
+use crate::board_kind::BoardKind;
 use crate::boot;
 use crate::files::RunFiles;
 use crate::live::Progress;

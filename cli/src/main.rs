@@ -3,6 +3,7 @@
 
 mod args;
 mod bench;
+mod board_kind;
 mod boot;
 mod boot_demo;
 mod chaos;

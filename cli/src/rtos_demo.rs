@@ -14,7 +14,8 @@ use tandem_rtos::demo::{COMPLETE, Edge, Output, SPAN_MS, TESTS, Test, toggle};
 use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
 
-use crate::args::{DemoBoard, RtosDemoArgs};
+use crate::args::RtosDemoArgs;
+use crate::board_kind::DemoBoard;
 use crate::emulated;
 
 /// Columns of a trace in the terminal.

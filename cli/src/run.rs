@@ -17,7 +17,8 @@ use tandem_record::gap::Bounds;
 use tandem_redundancy::Budget;
 use tandem_vehicle::Scenario;
 
-use crate::args::{BoardKind, CpuList, RunArgs, Timing};
+use crate::args::{CpuList, RunArgs, Timing};
+use crate::board_kind::BoardKind;
 use crate::boot::{self, ProgramFlash};
 use crate::collected::{Collected, read};
 use crate::failure::Failure;
@@ -181,7 +182,7 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
     })
 }
 
-fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
+pub(crate) fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let limits = core_process::config(config).redundancy;
     // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
     // one after it may each be late by half a millisecond more: that is no stall yet.

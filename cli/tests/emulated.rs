@@ -250,3 +250,58 @@ fn outputs_of_the_firmware_are_drawn() {
         assert!(text.contains("time (QEMU, riscv32)"), "{text}");
     }
 }
+
+fn chaos(arguments: &[&str]) -> (Option<i32>, String) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    command.args(["chaos", "--board", "qemu"]).args(arguments);
+    let output = command.output().unwrap();
+    let told = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.code(), told.concat())
+}
+
+/// A file with one fault at the beginning.
+fn fault(folder: &Path, what: &str, of: &str) -> String {
+    let file = folder.join("fault.toml");
+    let text =
+        format!("mended-at-ms = 300.0\n[[fault]]\nwhat = \"{what}\"\nof = \"{of}\"\nat-ms = 0.0\n");
+    fs::write(&file, text).unwrap();
+    file.into_os_string().into_string().unwrap()
+}
+
+/// A campaign on firmware: faults of both systems and of the wires between them, each in its bound.
+/// Without power on both sides no system drives, and that is told.
+#[test]
+#[ignore = "needs QEMU and the images: cargo xtask firmware test"]
+fn faults_of_emulated_machines_are_judged() {
+    let folder = tempfile::tempdir().unwrap();
+    let json = folder.path().join("chaos.json");
+    let arguments = ["--matrix", "--every", "167", "--json"];
+    let (status, told) = chaos(&[&arguments[..], &[json.to_str().unwrap()]].concat());
+    assert_eq!(status, Some(0), "{told}");
+    let figures: Value = serde_json::from_str(&fs::read_to_string(json).unwrap()).unwrap();
+    assert_eq!(
+        (&figures["faults"], &figures["violations"]),
+        (&6.into(), &0.into())
+    );
+    let of_master = |class: &&Value| class["name"] == "power-loss of the master";
+    let classes = figures["classes"].as_array().unwrap();
+    let gap = classes.iter().find(of_master).expect(&told)["gap_max_ms"].as_f64();
+    assert!(gap.is_some_and(|ms| ms > 9.0), "{told}");
+    let both = fault(folder.path(), "power-loss", "both");
+    let (status, told) = chaos(&["--faults", &both, "--count", "1"]);
+    assert_eq!(status, Some(1), "{told}");
+    assert!(told.contains("ms without control (bound"), "{told}");
+    assert!(told.contains("--board qemu --only 0"), "{told}");
+}
+
+#[test]
+fn what_emulated_machines_cannot_suffer_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = fault(folder.path(), "flash-lost", "a");
+    let (status, told) = chaos(&["--faults", &file]);
+    assert_eq!(status, Some(2), "{told}");
+    assert!(
+        told.contains("flash-lost: emulated machines cannot suffer it"),
+        "{told}"
+    );
+}

@@ -44,7 +44,7 @@ mod vehicle_port;
 pub use args::{
     Common, CoreArgs, InvalidArgs, Pinning, ProcessArgs, Schedule, SupplyArgs, VehicleArgs,
 };
-pub use backplane::{Backplane, BackplaneError, BusFault};
+pub use backplane::{Backplane, BackplaneError};
 pub use bell::BellError;
 pub use board::{AttachError, HostBoard};
 pub use can::HostCan;
@@ -57,6 +57,6 @@ pub use name::{InvalidRunName, RunName};
 pub use observe::BusTap;
 pub use segment::SegmentError;
 pub use supply_client::HostSupply;
-pub use tandem_peripherals::wires::Wire;
+pub use tandem_peripherals::wires::{BusFault, Wire};
 pub use unsupervised::UnsupervisedSystem;
 pub use vehicle_port::{HostVehiclePort, VehiclePortError};

@@ -8,12 +8,12 @@ use tandem_board::{
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::codec::{BusFrame, FRAME_WORDS, Sender};
-use tandem_peripherals::wires::Wire;
+use tandem_peripherals::wires::{BusFault, Wire};
 use tandem_shm::{FitError, bare, broadcast, fifo};
 
 use crate::args::VehicleArgs;
 use crate::backplane::{
-    Backplane, BackplaneError, BusFault, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
+    Backplane, BackplaneError, RINGS, TRANSMIT_WORDS, decode_transmit, supply_trace_ring,
 };
 use crate::bell::{Bell, BellError, Owner, Ringers};
 use crate::clock::{self, Ticker};
@@ -234,17 +234,14 @@ impl HostVehiclePort {
         }
         let mut held = core::mem::take(&mut self.held_back);
         for (system, core, sent) in core::mem::take(&mut self.sent) {
-            let BusFault {
-                lost_out, late_ms, ..
-            } = faults[system.index()];
+            let BusFault { lost_out, late, .. } = faults[system.index()];
             if !self.loses(lost_out) {
-                let due = now + Duration::from_ms(late_ms.into());
-                held.push((due, system, core, sent));
+                held.push((now + late, system, core, sent));
             }
         }
         for (due, system, core, sent) in held {
             // A connection that is no longer slow delivers at once what it held back.
-            if due <= now || faults[system.index()].late_ms == 0 {
+            if due <= now || faults[system.index()].late == Duration::ZERO {
                 self.sent.push((system, core, sent));
             } else {
                 self.held_back.push((due, system, core, sent));
@@ -565,10 +562,10 @@ mod tests {
         assert_eq!(exchange(BusFault { lost_out, ..sound }), (1, 0), "mute");
         let lost_in = 1_000;
         assert_eq!(exchange(BusFault { lost_in, ..sound }), (0, 1), "deaf");
-        let late_ms = 3;
-        assert_eq!(exchange(BusFault { late_ms, ..sound }), (1, 0), "late");
-        clock::sleep_until(clock::now() + Duration::from_ms(late_ms.into()));
-        assert_eq!(exchange(BusFault { late_ms, ..sound }), (1, 1), "one came");
+        let late = Duration::from_ms(3);
+        assert_eq!(exchange(BusFault { late, ..sound }), (1, 0), "late");
+        clock::sleep_until(clock::now() + late);
+        assert_eq!(exchange(BusFault { late, ..sound }), (1, 1), "one came");
         assert_eq!(exchange(sound), (1, 2), "what was held back comes");
         Backplane::remove(&run);
     }

@@ -1,6 +1,6 @@
 //! The connections of the systems to each other and to the bus, and the effect of a cut.
 
-use tandem_board::{Line, SystemId};
+use tandem_board::{Duration, Line, SystemId};
 
 /// Largest number of datagrams under way on the link, in each direction.
 pub const LINK_DATAGRAMS: usize = 16;
@@ -68,6 +68,19 @@ impl Cuts {
     pub const fn level(self, of: SystemId, is_on: bool) -> bool {
         is_on || self.is_cut(Wire::Level, of)
     }
+}
+
+/// The faults of a system's connection to the CAN bus. The default is none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct BusFault {
+    /// Of a thousand frames that the system sends, this many do not reach the bus. 1000: its
+    /// transmitter is dead.
+    pub lost_out: u16,
+    /// Of a thousand frames on the bus, this many do not reach the system. 1000: its receiver is
+    /// dead.
+    pub lost_in: u16,
+    /// Its frames reach the bus this much later.
+    pub late: Duration,
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@
 
 mod alone;
 mod machine;
+mod wires;
 mod world;
 
 pub use alone::run_to_end;

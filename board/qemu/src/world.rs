@@ -5,13 +5,15 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use tandem_board::{
-    CanFrame, Carried, CoreId, HardwareFault, Instant, Received, RoleLamp, SystemId, Traced,
-    VehicleBus, VehiclePort,
+    CanFrame, Carried, CoreId, Edge, HardwareFault, Instant, Line, Received, RoleLamp, SystemId,
+    Traced, VehicleBus, VehiclePort,
 };
 use tandem_cosim::{Item, PERIOD_NS};
 use tandem_peripherals::codec::{BusFrame, Sender, decode_trace};
+use tandem_peripherals::wires::{BusFault, Wire};
 
 use crate::machine::{BootFrom, Machine, MachineError, Options};
+use crate::wires::{OnBus, Wires};
 
 /// How many emulators run the systems.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,8 +31,10 @@ pub struct EmulatedWorld {
     machines: Vec<Node>,
     /// The number of the last step.
     step: u64,
-    /// Frames on the bus since the last step, with their senders.
-    sent: Vec<(SystemId, CoreId, Received)>,
+    /// Frames on the bus since the last step.
+    sent: Vec<OnBus>,
+    /// What lies between the machines.
+    wires: Wires,
     /// When the last frame was on the bus.
     carried: Instant,
     traced: Vec<Traced>,
@@ -107,6 +111,7 @@ impl EmulatedWorld {
             machines,
             step: 0,
             sent: vec![],
+            wires: Wires::default(),
             carried: Instant::ORIGIN,
             traced: vec![],
             lamps: [RoleLamp::Starting; 2],
@@ -162,11 +167,14 @@ impl EmulatedWorld {
             self.answer()?;
         }
         self.step += 1;
+        for frame in self.wires.due(self.now()) {
+            self.put_on_bus(frame);
+        }
         for index in 0..self.machines.len() {
             self.hear(index)?;
         }
         // Stable: the frames of one core stay in their order even at equal times.
-        self.sent.sort_by_key(|(_, _, sent)| sent.at);
+        self.sent.sort_by_key(|sent| sent.at);
         Ok(self.now())
     }
 
@@ -212,7 +220,7 @@ impl EmulatedWorld {
             self.set_level(system, report.powered[system.index()]);
         }
         for item in items {
-            self.take(index, item);
+            self.take(item);
         }
         Ok(())
     }
@@ -224,11 +232,43 @@ impl EmulatedWorld {
         }
     }
 
-    /// Sets the level line of a system, as the other one sees it.
+    /// Sets the level line of a system.
     fn set_level(&mut self, of: SystemId, high: bool) {
-        if self.powered[of.index()] != high {
-            self.powered[of.index()] = high;
+        self.powered[of.index()] = high;
+        self.show_level(of);
+    }
+
+    /// Tells the other system of the level line, if it has changed there.
+    fn show_level(&mut self, of: SystemId) {
+        if let Some(high) = self.wires.level_changed(of, self.powered[of.index()]) {
             self.tell(of.peer(), of, Item::Level { of, high });
+        }
+    }
+
+    /// The frame of a core is on the bus: the other machines receive it.
+    fn put_on_bus(&mut self, on_bus: OnBus) {
+        let OnBus {
+            from, frame, at, ..
+        } = on_bus;
+        let received = Received { frame, at };
+        self.carry(received, Sender::Core(from));
+        self.sent.push(on_bus);
+    }
+
+    /// Brings a frame to all machines but that of its sender.
+    fn carry(&mut self, received: Received, sender: Sender) {
+        let frame = BusFrame {
+            received,
+            sender,
+            reaches: [true; 2],
+        };
+        let item = Item::Frame(frame.encode());
+        for node in &mut self.machines {
+            let is_own =
+                matches!(sender, Sender::Core(from) if node.systems.contains(&from.system));
+            if !is_own && node.systems.iter().any(|system| self.wires.hears(*system)) {
+                node.outgoing.push(item);
+            }
         }
     }
 
@@ -241,20 +281,25 @@ impl EmulatedWorld {
         }
     }
 
-    fn take(&mut self, index: usize, item: Item) {
+    fn take(&mut self, item: Item) {
         match item {
             Item::Frame(words) => {
                 let Some(frame) = BusFrame::decode(&words) else {
                     return;
                 };
-                let Sender::Core(sender) = frame.sender else {
+                let Sender::Core(from) = frame.sender else {
                     return;
                 };
-                self.sent.push((sender.system, sender.core, frame.received));
-                for (other, node) in self.machines.iter_mut().enumerate() {
-                    if other != index {
-                        node.outgoing.push(item);
-                    }
+                let Received { frame, at } = frame.received;
+                let sent = at;
+                let on_bus = OnBus {
+                    from,
+                    frame,
+                    sent,
+                    at,
+                };
+                if let Some(on_bus) = self.wires.send(on_bus) {
+                    self.put_on_bus(on_bus);
                 }
             }
             Item::Trace { from, words } => {
@@ -266,7 +311,17 @@ impl EmulatedWorld {
                     record,
                 });
             }
-            Item::Edges { to, .. } | Item::Datagram { to, .. } => self.tell(to, to.peer(), item),
+            Item::Edges { to, line, .. } => {
+                let is_cut = |line| self.wires.cuts.is_cut(Wire::Line(line), to.peer());
+                if !Line::ALL.get(line).is_some_and(|line| is_cut(*line)) {
+                    self.tell(to, to.peer(), item);
+                }
+            }
+            Item::Datagram { to, .. } => {
+                if !self.wires.cuts.is_cut(Wire::Link, to.peer()) {
+                    self.tell(to, to.peer(), item);
+                }
+            }
             Item::Level { .. }
             | Item::Feed { .. }
             | Item::Fault { .. }
@@ -304,6 +359,34 @@ impl EmulatedWorld {
         self.tell_machine_of(of, Item::CutLevel { of, cut: true });
     }
 
+    /// Cuts a wire that begins at a system, or mends it. Only of what lies between two machines.
+    pub fn set_cut(&mut self, wire: Wire, from: SystemId, is_cut: bool) {
+        self.wires.cuts.set(wire, from, is_cut);
+        self.show_level(from);
+    }
+
+    /// Holds the level line of a system low, or releases it. Only between two machines.
+    pub fn hold_level_low(&mut self, of: SystemId, is_held: bool) {
+        self.wires.held_low[of.index()] = is_held;
+        self.show_level(of);
+    }
+
+    /// Sets the faults of a system's connection to the bus. Only between two machines.
+    pub fn disturb_bus(&mut self, of: SystemId, fault: BusFault) {
+        self.wires.bus[of.index()] = fault;
+    }
+
+    /// A system hears an edge that no system has sent.
+    pub fn stray_edge(&mut self, to: SystemId, line: Line, edge: Edge) {
+        let edges = Item::Edges {
+            to,
+            line: line.index(),
+            edge: usize::from(edge == Edge::Falling),
+            count: 1,
+        };
+        self.tell_machine_of(to, edges);
+    }
+
     /// What is done to a system next happens this much after the next step. `us`: less than 1,000.
     pub fn later(&mut self, of: SystemId, us: u32) {
         self.tell_machine_of(of, Item::Later { us });
@@ -337,33 +420,32 @@ impl VehicleBus for EmulatedWorld {
     }
 
     fn transmitted(&mut self, seen: &mut dyn FnMut(SystemId, CoreId, Carried)) {
-        for (system, core, Received { frame, at }) in self.sent.drain(..) {
+        for on_bus in self.sent.drain(..) {
+            let OnBus {
+                from,
+                frame,
+                sent,
+                at,
+            } = on_bus;
             // A frame that missed the last step is on the bus with this one.
             self.carried = self.carried.max(at);
             let carried = Carried {
                 frame,
-                sent: at,
+                sent,
                 at: self.carried,
             };
-            seen(system, core, carried);
+            seen(from.system, from.core, carried);
         }
     }
 
     /// The cores receive it with the next step.
     fn broadcast(&mut self, frame: &CanFrame) -> Instant {
-        self.carried = self.carried.max(self.now());
-        let frame = BusFrame {
-            received: Received {
-                frame: *frame,
-                at: self.now(),
-            },
-            sender: Sender::Vehicle,
-            reaches: [true; 2],
+        let received = Received {
+            frame: *frame,
+            at: self.now(),
         };
-        let item = Item::Frame(frame.encode());
-        for node in &mut self.machines {
-            node.outgoing.push(item);
-        }
+        self.carried = self.carried.max(received.at);
+        self.carry(received, Sender::Vehicle);
         self.carried
     }
 }

@@ -49,19 +49,6 @@ impl Clock {
     }
 }
 
-/// The faults of a system's connection to the CAN bus. The default is none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusFault {
-    /// Of a thousand frames that the system sends, this many do not reach the bus. 1000: its
-    /// transmitter is dead.
-    pub lost_out: u16,
-    /// Of a thousand frames on the bus, this many do not reach the system. 1000: its receiver is
-    /// dead.
-    pub lost_in: u16,
-    /// Its frames reach the bus this much later.
-    pub late: Duration,
-}
-
 /// What becomes of a frame.
 pub type Tamper = fn(&CanFrame) -> CanFrame;
 

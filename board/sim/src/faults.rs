@@ -1,6 +1,6 @@
 //! Faults: power, cores, wires, the bus, the flash, the clock.
 
-use crate::config::{BusFault, Clock, Defect, Tamper};
+use crate::config::{Clock, Defect, Tamper};
 use crate::machine::Machine;
 use crate::pair::SimPair;
 use rand::RngExt;
@@ -9,7 +9,7 @@ use tandem_board::{
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::memory::scribble;
-use tandem_peripherals::wires::Wire;
+use tandem_peripherals::wires::{BusFault, Wire};
 
 /// Faults.
 impl SimPair {

@@ -1,6 +1,6 @@
 //! The state of the two systems and of their connections.
 
-use crate::config::{BusFault, Config, Defect, Tamper};
+use crate::config::{Config, Defect, Tamper};
 use crate::digest::Digest;
 use crate::event::{OnBus, SystemEvent, SystemEventKind};
 use crate::flash::Flash;
@@ -17,7 +17,7 @@ use tandem_board::{
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::supply::{self, Power, Supply};
-use tandem_peripherals::wires::Cuts;
+use tandem_peripherals::wires::{BusFault, Cuts};
 
 /// Words of one LMU: 32 KiB, as on the TC297.
 const LMU_WORDS: usize = 8192;

@@ -117,7 +117,10 @@ impl<'h> Injector<'h> {
                 self.disturb(self.real(of), |bus| bus.lost_out = permille);
             }
             Act::LostIn(of, permille) => self.disturb(self.real(of), |bus| bus.lost_in = permille),
-            Act::Late(of, ms) => self.disturb(self.real(of), |bus| bus.late_ms = ms),
+            Act::Late(of, ms) => {
+                let late = Duration::from_ms(ms.into());
+                self.disturb(self.real(of), |bus| bus.late = late);
+            }
             Act::Power(of, true) => hands.request_power(self.real(of)),
             Act::Power(of, false) => {
                 hands.signal(Target::Supply(self.real(of)), Signal::KILL);

@@ -1,8 +1,7 @@
 //! One run of a campaign: a process of its own, which tells the campaign what became of each fault.
 
 use std::io::Write as _;
-use std::num::NonZero;
-use std::ops::Range;
+use std::path::Path;
 use std::time::Instant;
 
 use anyhow::Context as _;
@@ -22,9 +21,9 @@ use crate::files::RunFiles;
 use crate::run;
 
 /// After the last fault was mended, the systems must be master and standby again within this time.
-const HEALED_WITHIN: std::time::Duration = std::time::Duration::from_secs(60);
+pub(super) const HEALED_WITHIN: std::time::Duration = std::time::Duration::from_secs(60);
 /// A system that has suspended itself for this long is switched off and on.
-const SUSPENDED_FOR: std::time::Duration = std::time::Duration::from_secs(3);
+pub(super) const SUSPENDED_FOR: std::time::Duration = std::time::Duration::from_secs(3);
 const LOOK_AGAIN: Duration = Duration::from_ms(10);
 /// The systems have been master and standby for at least this long before a fault, ms.
 const SETTLED_MS: u64 = 300;
@@ -58,19 +57,23 @@ pub(super) struct Injected {
     pub(super) roles: [RoleLamp; 2],
 }
 
-fn tell(line: &Line) -> anyhow::Result<()> {
+pub(super) fn tell(line: &Line) -> anyhow::Result<()> {
     let text = serde_json::to_string(line).context("a line")?;
     let mut stdout = std::io::stdout().lock();
     writeln!(stdout, "{text}").context("stdout")?;
     stdout.flush().context("stdout")
 }
 
-fn arguments(faults: u64, out: &std::path::Path) -> anyhow::Result<RunArgs> {
-    let duration_s = (faults as f64 * LONGEST_FAULT_S + 60.0).min(3_600.0);
-    let line = format!(
-        "tandem run --scenario free-lane --duration {duration_s}s --reintegrate --quiet --out"
-    );
-    let words = line.split(' ').map(Into::into).chain([out.into()]);
+/// The arguments of a run that is long enough for these faults.
+pub(super) fn arguments(numbers: &[u64], out: &Path, further: &[&str]) -> anyhow::Result<RunArgs> {
+    let duration_s = (numbers.len() as f64 * LONGEST_FAULT_S + 60.0).min(3_600.0);
+    let line =
+        format!("tandem run --scenario free-lane --duration {duration_s}s --reintegrate --quiet");
+    let words = line
+        .split(' ')
+        .chain(further.iter().copied())
+        .chain(["--out"]);
+    let words = words.map(Into::into).chain([out.into()]);
     match Cli::try_parse_from::<_, std::ffi::OsString>(words)?.command {
         Command::Run(args) => Ok(args),
         _ => anyhow::bail!("`{line}` is no run"),
@@ -81,19 +84,13 @@ fn arguments(faults: u64, out: &std::path::Path) -> anyhow::Result<RunArgs> {
 ///
 /// # Errors
 /// If the run does not start or leaves no recording.
-pub(super) fn run(
-    source: &Source<'_>,
-    numbers: Range<u64>,
-    every: NonZero<u64>,
-) -> anyhow::Result<()> {
+pub(super) fn run(source: &Source<'_>, numbers: &[u64]) -> anyhow::Result<()> {
     // The campaign may be killed: its run then ends as by Ctrl-C.
     set_parent_process_death_signal(Some(Signal::TERM))?;
-    let every = usize::try_from(every.get())?;
-    let numbers: Vec<u64> = numbers.step_by(every).collect();
     let folder = tempfile::tempdir().context("a folder")?;
-    let args = arguments(numbers.len() as u64, &folder.path().join("report"))?;
+    let args = arguments(numbers, &folder.path().join("report"), &[])?;
     let recorded = run::recorded(&args, |hands, files| {
-        let done = inject_all(source, &numbers, &hands, files);
+        let done = inject_all(source, numbers, &hands, files);
         hands.backplane().request_stop();
         done
     })?;
@@ -123,10 +120,9 @@ fn inject_all(
     heal(hands, &mut begun);
     for (index, number) in numbers.iter().enumerate() {
         let (sequence, phase) = source.sequence(*number)?;
-        let settled_ms = SETTLED_MS + number.wrapping_mul(7_919) % 311;
-        clock::sleep_until(clock::now() + Duration::from_ms(settled_ms));
+        clock::sleep_until(clock::now() + settled(*number));
         // A stall of the machine may have changed the roles again.
-        let Some(driver) = driver(backplane).or_else(|| heal(hands, &mut begun)) else {
+        let Some(driver) = driver(roles(backplane)).or_else(|| heal(hands, &mut begun)) else {
             break;
         };
         if let Some(phase) = phase {
@@ -155,13 +151,22 @@ fn inject_all(
     Ok(done)
 }
 
-/// The system that drives, if the other is its standby.
-fn driver(backplane: Backplane) -> Option<SystemId> {
-    let roles = SystemId::ALL.map(|system| backplane.role(system));
+/// How long the systems have been master and standby before a fault: another time for each, so that
+/// the faults meet the control cycle everywhere.
+pub(super) fn settled(number: u64) -> Duration {
+    Duration::from_ms(SETTLED_MS + number.wrapping_mul(7_919) % 311)
+}
+
+/// The system that drives, if the other is its standby. By the roles of A and B.
+pub(super) fn driver(roles: [RoleLamp; 2]) -> Option<SystemId> {
     SystemId::ALL.into_iter().find(|system| {
         let of = |system: SystemId| roles[system.index()];
         of(*system) == RoleLamp::Master && of(system.peer()) == RoleLamp::Standby
     })
+}
+
+fn roles(backplane: Backplane) -> [RoleLamp; 2] {
+    SystemId::ALL.map(|system| backplane.role(system))
 }
 
 /// Waits until one system is master and the other its standby; the master. A system that has no
@@ -171,8 +176,8 @@ fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
     let begin = Instant::now();
     let mut suspended = [begin; 2];
     while begin.elapsed() < HEALED_WITHIN && !backplane.stop_requested() {
-        injected.roles = SystemId::ALL.map(|system| backplane.role(system));
-        if let Some(driver) = driver(backplane) {
+        injected.roles = roles(backplane);
+        if let Some(driver) = driver(injected.roles) {
             injected.healed_ns = Some(clock::now().as_ns());
             return Some(driver);
         }

@@ -197,7 +197,10 @@ mod tests {
 
     #[test]
     fn a_violation_is_told_with_the_command_that_repeats_it() {
-        let source = Source::Drawn { seed: 7 };
+        let source = Source {
+            kind: SourceKind::Drawn { seed: 7 },
+            victim: Victim::Processes,
+        };
         let mut found = Found {
             outcomes: vec![
                 outcome(1, "power-loss of the master", 14.0),
@@ -231,7 +234,10 @@ mod tests {
     /// A thousand faults of every kind fit on one screen.
     #[test]
     fn the_report_of_a_thousand_faults_is_one_screen() {
-        let source = Source::Drawn { seed: 7 };
+        let source = Source {
+            kind: SourceKind::Drawn { seed: 7 },
+            victim: Victim::Processes,
+        };
         let outcomes = (0..1_000).map(|number| {
             let (sequence, _) = source.sequence(number).expect("a sequence");
             let class = super::super::judge::class(&sequence);

@@ -13,7 +13,8 @@ use tandem_page::output::OutputFile;
 use tandem_record::{RunLog, start};
 use tandem_two_cores::thesis::{self as cores, Counted, Exchange};
 
-use crate::args::{DemoBoard, ThesisArgs, ThesisBoard};
+use crate::args::{ThesisArgs, ThesisBoard};
+use crate::board_kind::DemoBoard;
 use crate::failure::Failure;
 use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};

@@ -164,6 +164,30 @@ impl Kind {
         )
     }
 
+    /// Whether emulated machines can suffer it. Core 0 that stands still does so until its watchdog
+    /// resets it.
+    #[must_use]
+    pub const fn is_for_machines(self) -> bool {
+        match self {
+            Self::CoreDies(core) | Self::CoreHangs(core) => core.index() == CoreId::CONTROL.index(),
+            Self::Reset(cause) => matches!(cause, ResetCause::Watchdog | ResetCause::Trap),
+            Self::Cut(_)
+            | Self::Flap(..)
+            | Self::LevelLow
+            | Self::StrayBeats(_)
+            | Self::StraySync
+            | Self::Mute
+            | Self::Deaf
+            | Self::LosesSent(_)
+            | Self::LosesHeard(_)
+            | Self::Late(_)
+            | Self::PowerLoss
+            | Self::BrownOut(_)
+            | Self::Scribble => true,
+            _ => false,
+        }
+    }
+
     /// Whether it is a fault of what both systems share.
     #[must_use]
     pub const fn is_of_both(self) -> bool {

@@ -18,5 +18,5 @@ pub use fault::{Act, Fault, Kind, Way};
 pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
 pub use plan::{DISTANCES, Group, PHASES, Profile, Sequence};
-pub use processes::{MATRIX, cell_of_matrix, drawn};
+pub use processes::Victim;
 pub use vehicle::Vehicle;

@@ -1,5 +1,5 @@
-//! Sequences of one fault for real processes: drawn from a seed, or each fault at each phase of the
-//! control cycle.
+//! Sequences of one fault for real processes and emulated machines: drawn from a seed, or each
+//! fault at each phase of the control cycle.
 
 use super::fault::{Fault, Kind, Way};
 use super::plan::{Draw, Group, PHASES, Sequence};
@@ -49,34 +49,66 @@ const KINDS: [Kind; 34] = {
         K::LauncherHangs(0),
     ]
 };
-/// How many sequences the matrix has: each fault, of the master and of the standby, at each phase.
-pub const MATRIX: u64 = KINDS.len() as u64 * 2 * PHASES;
 /// The time after the last fault until all is mended, without what the fault lasts, ms.
 const AFTERWARDS_MS: u64 = 300;
 
-/// The `number`-th sequence of this seed: one fault of the master, which is A here, or of the
-/// standby, at its beginning.
-#[must_use]
-pub fn drawn(seed: u64, number: u64) -> Sequence {
-    let mut draw = Draw::new(seed ^ number.wrapping_mul(0xD1B5_4A32_D192_ED03));
-    let kind = KINDS[draw.below(KINDS.len() as u64) as usize];
-    // Most can happen to a master.
-    let of = if draw.below(3) < 2 {
-        SystemId::A
-    } else {
-        SystemId::B
-    };
-    sequence(number, kind, of, &mut draw)
+/// What suffers the faults.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Victim {
+    /// Processes of this machine.
+    Processes,
+    /// Emulated machines with firmware.
+    Machines,
 }
 
-/// A cell of the matrix, and when in the control cycle its fault begins; `None` from [`MATRIX`] on.
-#[must_use]
-pub fn cell_of_matrix(number: u64) -> Option<(Sequence, Duration)> {
-    let (fault, phase) = (number / PHASES, number % PHASES);
-    let kind = *KINDS.get((fault / 2) as usize)?;
-    let of = SystemId::ALL[(fault % 2) as usize];
-    let phase = Duration::from_us(phase * (10_000 / PHASES));
-    Some((sequence(number, kind, of, &mut Draw::new(number)), phase))
+impl Victim {
+    /// Whether it can suffer this kind of fault.
+    #[must_use]
+    pub const fn suffers(self, kind: Kind) -> bool {
+        match self {
+            Self::Processes => kind.is_for_processes(),
+            Self::Machines => kind.is_for_machines(),
+        }
+    }
+
+    fn kinds(self) -> impl Iterator<Item = Kind> + Clone {
+        KINDS.into_iter().filter(move |kind| self.suffers(*kind))
+    }
+
+    /// How many sequences the matrix has: each fault, of the master and of the standby, at each
+    /// phase.
+    #[must_use]
+    pub fn cells(self) -> u64 {
+        self.kinds().count() as u64 * 2 * PHASES
+    }
+
+    /// The `number`-th sequence of this seed: one fault of the master, which is A here, or of the
+    /// standby, at its beginning.
+    #[must_use]
+    pub fn drawn(self, seed: u64, number: u64) -> Sequence {
+        let mut draw = Draw::new(seed ^ number.wrapping_mul(0xD1B5_4A32_D192_ED03));
+        let kinds = self.kinds();
+        let at = draw.below(kinds.clone().count() as u64);
+        let kind = kinds.clone().nth(at as usize).unwrap_or(Kind::PowerLoss);
+        // Most can happen to a master.
+        let of = if draw.below(3) < 2 {
+            SystemId::A
+        } else {
+            SystemId::B
+        };
+        sequence(number, kind, of, &mut draw)
+    }
+
+    /// A cell of the matrix, and when in the control cycle its fault begins; `None` from
+    /// [`Victim::cells`] on.
+    #[must_use]
+    pub fn cell(self, number: u64) -> Option<(Sequence, Duration)> {
+        let (fault, phase) = (number / PHASES, number % PHASES);
+        let kind = self.kinds().nth((fault / 2) as usize)?;
+        let of = SystemId::ALL[(fault % 2) as usize];
+        let phase = Duration::from_us(phase * (10_000 / PHASES));
+        Some((sequence(number, kind, of, &mut Draw::new(number)), phase))
+    }
 }
 
 fn sequence(number: u64, kind: Kind, of: SystemId, draw: &mut Draw) -> Sequence {
@@ -120,23 +152,25 @@ mod tests {
     /// draws nothing that processes cannot suffer or a file cannot hold.
     #[test]
     fn drawn_sequences_repeat_and_cover_the_matrix() {
-        let mut missing: Vec<(String, Way)> = (0..MATRIX)
-            .step_by(PHASES as usize)
-            .filter_map(cell_of_matrix)
-            .map(|(cell, _)| (cell.faults[0].kind.label(), cell.faults[0].way))
-            .collect();
-        for number in 0..2_000 {
-            let sequence = drawn(977, number);
-            let fault = sequence.faults[0];
-            assert!(fault.kind.is_for_processes(), "{fault}");
-            assert_eq!(drawn(977, number).faults, sequence.faults);
-            let text = sequence.to_toml().expect("TOML");
-            let read = Sequence::from_toml(&text, 0).expect("what was written can be read");
-            assert_eq!(read.faults, sequence.faults, "{text}");
-            missing.retain(|(label, way)| (label, way) != (&fault.kind.label(), &fault.way));
+        for victim in [Victim::Processes, Victim::Machines] {
+            let mut missing: Vec<(String, Way)> = (0..victim.cells())
+                .step_by(PHASES as usize)
+                .filter_map(|number| victim.cell(number))
+                .map(|(cell, _)| (cell.faults[0].kind.label(), cell.faults[0].way))
+                .collect();
+            for number in 0..2_000 {
+                let sequence = victim.drawn(977, number);
+                let fault = sequence.faults[0];
+                assert!(victim.suffers(fault.kind), "{fault}");
+                assert_eq!(victim.drawn(977, number).faults, sequence.faults);
+                let text = sequence.to_toml().expect("TOML");
+                let read = Sequence::from_toml(&text, 0).expect("what was written can be read");
+                assert_eq!(read.faults, sequence.faults, "{text}");
+                missing.retain(|(label, way)| (label, way) != (&fault.kind.label(), &fault.way));
+            }
+            assert!(missing.is_empty(), "never drawn: {missing:?}");
+            assert!(victim.cell(victim.cells()).is_none());
+            assert_ne!(victim.drawn(1, 0).faults, victim.drawn(2, 0).faults);
         }
-        assert!(missing.is_empty(), "never drawn: {missing:?}");
-        assert!(cell_of_matrix(MATRIX).is_none());
-        assert_ne!(drawn(1, 0).faults, drawn(2, 0).faults);
     }
 }

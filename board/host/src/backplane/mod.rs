@@ -14,7 +14,7 @@ use tandem_board::{
     CanErrors, CoreId, Duration, Edge, Generation, HardwareFault, HardwareFaults, Line, ResetCause,
     ResetRequest, RoleLamp, SystemId,
 };
-use tandem_peripherals::wires::{Cuts, Wire};
+use tandem_peripherals::wires::{BusFault, Cuts, Wire};
 
 #[cfg(test)]
 use crate::bell;
@@ -51,17 +51,6 @@ impl fmt::Debug for Backplane {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("Backplane")
     }
-}
-
-/// What is wrong with a system's connection to the CAN bus; by default nothing.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct BusFault {
-    /// Of a thousand frames that it sends, this many are lost.
-    pub lost_out: u16,
-    /// Of a thousand frames on the bus, this many do not reach it.
-    pub lost_in: u16,
-    /// What it sends reaches the bus this many milliseconds later.
-    pub late_ms: u16,
 }
 
 /// A word of the backplane with one writer and several readers: a level, a count, a request.
@@ -243,15 +232,15 @@ impl Backplane {
         self.system(system, System::LostIn)
             .set(fault.lost_in.into());
         self.system(system, System::LateMs)
-            .set(fault.late_ms.into());
+            .set((fault.late.as_us() / 1_000) as u32);
     }
 
     pub(crate) fn bus_fault(self, system: SystemId) -> BusFault {
-        let of = |register| self.system(system, register).get() as u16;
+        let of = |register| self.system(system, register).get();
         BusFault {
-            lost_out: of(System::LostOut),
-            lost_in: of(System::LostIn),
-            late_ms: of(System::LateMs),
+            lost_out: of(System::LostOut) as u16,
+            lost_in: of(System::LostIn) as u16,
+            late: Duration::from_ms(of(System::LateMs).into()),
         }
     }
 

@@ -8,7 +8,7 @@ use crate::memory::{self, stack_used};
 use crate::{clint, doorbell, log, trap};
 use core::sync::atomic::Ordering::{Acquire, Relaxed};
 use tandem_board::{
-    CoreAddress, CoreId, HardwareFault, Instant, Line, ResetCause, ResetRequest, SystemId,
+    CoreAddress, CoreId, HardwareFault, Instant, Line, ResetCause, ResetRequest, RoleLamp, SystemId,
 };
 use tandem_cosim::Item;
 use tandem_peripherals::bus::Confinement;
@@ -282,12 +282,14 @@ impl Peripherals {
         match change {
             None => {}
             Some(Change::Start(cause)) => self.release(which, cause),
-            Some(Change::Reset(_) | Change::Suspend | Change::PowerOff) => self.hold(which),
+            Some(Change::Reset(_) | Change::PowerOff) => self.hold(which, RoleLamp::Starting),
+            Some(Change::Suspend) => self.hold(which, RoleLamp::Suspended),
         }
     }
 
-    /// Stops a system and lets its level line fall.
-    fn hold(&mut self, which: SystemId) {
+    /// Stops a system and lets its level line fall. Its supply shows the lamp: a chip in reset does
+    /// not.
+    fn hold(&mut self, which: SystemId, lamp: RoleLamp) {
         let registers = system(which);
         for core in CoreId::ALL {
             trap::hold(CoreAddress::new(which, core).index());
@@ -295,8 +297,7 @@ impl Peripherals {
         Self::until_stopped(which, &CoreId::ALL);
         registers.request.store(0, Relaxed);
         registers.released.store(0, Relaxed);
-        // Outputs of a chip in reset are low.
-        registers.lamp.store(0, Relaxed);
+        registers.lamp.store(lamp.code(), Relaxed);
         self.set_power(which, false);
     }
 
