@@ -178,7 +178,9 @@ pub(super) fn json(source: &Source<'_>, found: &Found) -> serde_json::Value {
 
 #[cfg(test)]
 mod tests {
+    use super::super::SourceKind;
     use super::*;
+    use tandem_sim::faults::Victim;
 
     fn outcome(number: u64, class: &str, gap_ms: f64) -> Outcome {
         Outcome {
