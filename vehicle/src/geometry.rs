@@ -176,6 +176,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// The unit vector with this frame's heading.
+    pub(crate) const fn forward(&self) -> Vec2 {
+        self.forward
+    }
+
     /// The world's point in this frame; equal to [`Pose::to_local`] to the bit.
     #[must_use]
     pub fn to_local(&self, world: Vec2) -> Vec2 {
@@ -199,7 +204,11 @@ impl Footprint {
     /// The four corners: front left, front right, rear right, rear left.
     #[must_use]
     pub fn corners(&self) -> [Vec2; 4] {
-        let along = Vec2::from_angle(self.pose.yaw);
+        self.corners_along(Vec2::from_angle(self.pose.yaw))
+    }
+
+    /// [`Footprint::corners`], with the unit vector of its heading.
+    pub(crate) fn corners_along(&self, along: Vec2) -> [Vec2; 4] {
         let forward = along * (self.length / 2.0);
         let left = along.left() * (self.width / 2.0);
         let centre = self.pose.position;

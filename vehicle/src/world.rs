@@ -452,7 +452,7 @@ impl World {
                     lane: vehicle.lane,
                     mode: vehicle.mode,
                 }));
-            let leader = leader(&self.road, &self.ego, &self.snapshot.vehicles);
+            let leader = leader(&self.road, &self.ego, &mut self.traffic);
             (self.snapshot.gap, self.snapshot.leader_speed) = leader;
         }
         let (ego, snapshot) = (&self.ego, &mut self.snapshot);
@@ -582,23 +582,27 @@ fn participant(ego: &EgoTruth) -> Participant {
 
 /// Bumper distance and speed of the nearest vehicle that is ahead in the ego's lane: with its
 /// centre in the lane, or in the way of the ego's body.
-fn leader(road: &Road, ego: &EgoTruth, vehicles: &[VehicleSnapshot]) -> (f64, f64) {
+fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
     let lane = road.lane(ego.lane);
     let frame = ego.pose.frame();
     let mut nearest = (f64::INFINITY, 0.0);
-    for vehicle in vehicles {
-        let apart = frame.to_local(vehicle.pose.position);
-        if apart.x <= 0.0 || apart.x > 300.0 || apart.y.abs() > 20.0 + 0.3 * apart.x {
+    for index in 0..traffic.vehicles().len() {
+        let vehicle = &traffic.vehicles()[index];
+        let Participant {
+            footprint, speed, ..
+        } = vehicle.participant;
+        let apart = frame.to_local(footprint.pose.position);
+        let is_aside = apart.y.abs() > 20.0 + 0.3 * apart.x;
+        if !vehicle.is_present() || apart.x <= 0.0 || apart.x > 300.0 || is_aside {
             continue;
         }
-        let near = ego.place.s + apart.x;
-        let Foot { place, point } = lane.foot_near(vehicle.pose.position, near);
+        let Foot { place, point } = traffic.foot(index, ego.lane, ego.place.s + apart.x);
         let in_lane = place.d.abs() < lane.width_at(place.s) / 2.0;
-        let in_the_way = (place.d - ego.place.d).abs() < (vehicle.width + BMW_320I.width) / 2.0;
-        let gap = place.s - ego.place.s - (vehicle.length + BMW_320I.length) / 2.0;
+        let in_the_way = (place.d - ego.place.d).abs() < (footprint.width + BMW_320I.width) / 2.0;
+        let gap = place.s - ego.place.s - (footprint.length + BMW_320I.length) / 2.0;
         if (in_lane || in_the_way) && place.s > ego.place.s && gap < nearest.0 {
-            let along = wrap_angle(vehicle.pose.yaw - point.heading).cos();
-            nearest = (gap, vehicle.speed * along);
+            let along = wrap_angle(footprint.pose.yaw - point.heading).cos();
+            nearest = (gap, speed * along);
         }
     }
     nearest

@@ -211,7 +211,8 @@ impl Detector {
                 near: f64::INFINITY,
                 edges: (0.0, 0.0),
             };
-            let corners = footprint.corners().map(|corner| frame.to_local(corner));
+            let corners = footprint.corners_along(vehicle.frame().forward());
+            let corners = corners.map(|corner| frame.to_local(corner));
             for corner in corners {
                 sight.near = sight.near.min(corner.dot(corner));
             }
@@ -286,7 +287,7 @@ impl Detector {
         let direction = angle + self.noise.normal(accuracy.angle);
         let position = mount.to_world(Vec2::from_angle(direction) * measured);
 
-        let over_ground = Vec2::from_angle(footprint.pose.yaw) * vehicle.participant.speed;
+        let over_ground = vehicle.frame().forward() * vehicle.participant.speed;
         let relative = ego.pose.unrotate(over_ground - ego.velocity());
         let sight = Vec2::from_angle(angle + mount.yaw);
         let velocity = relative

@@ -23,15 +23,16 @@ use std::sync::Arc;
 pub use idm::{Driver, Leader};
 
 use crate::commonroad::{Class, Obstacle};
-use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
-use crate::road::{Frenet, LaneId, Road};
+use crate::geometry::{Footprint, Frame, Pose, Vec2, wrap_angle};
+use crate::road::{Foot, Frenet, LaneId, Road};
 use recording::Track;
 use sight::{Viewer, Views};
 
 /// A replayed vehicle gives up its recording rather than rely on others' braking, m/s².
 const REPLAY_BRAKES: f64 = 1.5;
-/// How far a replayed lane change is checked in advance, s.
+/// A replayed lane change is checked so far in advance, and on the way there, s.
 const LOOK_AHEAD_S: f64 = 1.0;
+const LOOK_AHEADS_S: [f64; 4] = [0.25, 0.5, 0.75, LOOK_AHEAD_S];
 /// Room around a replayed vehicle in that check, along and across it, m.
 const ROOM: (f64, f64) = (1.0, 0.2);
 /// Comfortable lateral acceleration in curves, m/s².
@@ -59,12 +60,6 @@ pub struct Participant {
     pub speed: f64,
     /// m/s² along its heading.
     pub acceleration: f64,
-}
-
-impl Participant {
-    fn velocity(&self) -> Vec2 {
-        Vec2::from_angle(self.footprint.pose.yaw) * self.speed
-    }
 }
 
 /// How a vehicle moves.
@@ -95,6 +90,8 @@ pub struct Vehicle {
     pub lane: LaneId,
     /// Its place in that lane.
     pub place: Frenet,
+    /// Its pose as a frame.
+    frame: Frame,
     /// Change of `place.d`, m/s.
     lateral_speed: f64,
     /// The offset from the lane's centre that the driver goes to, m.
@@ -110,6 +107,16 @@ impl Vehicle {
     pub fn is_present(&self) -> bool {
         self.mode != Mode::Absent
     }
+
+    /// Its pose as a frame.
+    pub(crate) const fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    fn set_pose(&mut self, pose: Pose) {
+        self.participant.footprint.pose = pose;
+        self.frame = pose.frame();
+    }
 }
 
 /// A vehicle that the recording does not contain: the ego, or one that has left its recording.
@@ -122,11 +129,11 @@ struct Deviating {
 }
 
 impl Deviating {
-    fn new(index: usize, participant: Participant) -> Self {
+    fn new(index: usize, participant: Participant, frame: &Frame) -> Self {
         Self {
             index,
             participant,
-            velocity: participant.velocity(),
+            velocity: frame.forward() * participant.speed,
         }
     }
 
@@ -150,7 +157,7 @@ pub struct Traffic {
     vehicles: Vec<Vehicle>,
     /// In the order of the vehicles, the ego last. Renewed in each step.
     deviating: Vec<Deviating>,
-    /// Views of each vehicle, and of the ego at the end. Renewed in each step.
+    /// Views of each vehicle, and of the ego at the end. Forgotten when it moves.
     views: Vec<Views>,
 }
 
@@ -184,12 +191,13 @@ impl Traffic {
 
     /// Moves all vehicles to time `t`, which is `dt` after the last call (s).
     pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
-        self.views.iter_mut().for_each(Views::forget);
+        self.views[self.vehicles.len()].forget();
         self.deviating.clear();
         let driving = self.vehicles.iter().enumerate();
         let driving = driving.filter(|(_, v)| v.mode == Mode::Driving);
-        let driving = driving.map(|(index, v)| Deviating::new(index, v.participant));
-        let last = Deviating::new(self.vehicles.len(), *ego);
+        let driving = driving.map(|(index, v)| Deviating::new(index, v.participant, &v.frame));
+        let frame = ego.footprint.pose.frame();
+        let last = Deviating::new(self.vehicles.len(), *ego, &frame);
         self.deviating.extend(driving.chain([last]));
         for index in 0..self.vehicles.len() {
             self.leave_recording_if_needed(index, t, ego);
@@ -205,13 +213,23 @@ impl Traffic {
                 vehicle.participant.acceleration += change.clamp(-JERK.1 * dt, JERK.0 * dt);
             }
         }
-        for (vehicle, track) in self.vehicles.iter_mut().zip(&self.tracks) {
+        let all = self.vehicles.iter_mut().zip(&mut self.views);
+        for ((vehicle, views), track) in all.zip(&self.tracks) {
             match vehicle.mode {
                 Mode::Absent | Mode::Standing => {}
-                Mode::Replay => replay(vehicle, track, &self.road, t),
-                Mode::Driving => drive(vehicle, &self.road, dt),
+                Mode::Replay => replay(vehicle, views, track, &self.road, t),
+                Mode::Driving => {
+                    drive(vehicle, &self.road, dt);
+                    views.forget();
+                }
             }
         }
+    }
+
+    /// [`Lane::foot_near`](crate::road::Lane::foot_near) of the place of a vehicle.
+    pub(crate) fn foot(&mut self, index: usize, lane: LaneId, near: f64) -> Foot {
+        let pose = self.vehicles[index].participant.footprint.pose;
+        self.views[index].foot(&self.road, lane, pose.position, near)
     }
 
     fn leave_recording_if_needed(&mut self, index: usize, t: f64, ego: &Participant) {
@@ -236,13 +254,9 @@ impl Traffic {
         if !recording.is_static && (t < begin || over) {
             return;
         }
-        replay(
-            &mut self.vehicles[index],
-            &self.tracks[index],
-            &self.road,
-            t,
-        );
-        self.views[index].forget();
+        let views = &mut self.views[index];
+        let track = &self.tracks[index];
+        replay(&mut self.vehicles[index], views, track, &self.road, t);
         let own = self.vehicles[index].participant;
         let claimed = own.footprint.grown(2.0 * own.speed.max(2.0), 0.5);
         let is_free = |other: &Deviating| !claimed.overlaps(&other.participant.footprint);
@@ -277,10 +291,14 @@ impl Traffic {
         if closing > -0.5 && leader.gap < 0.3 * speed {
             return true;
         }
-        let others = self.deviating.iter();
-        others
-            .filter(|other| self.may_meet(index, other))
-            .any(|other| self.would_hit_from_the_side(index, t, other))
+        let mut around = None;
+        let mut others = { self.deviating.iter() }.filter(|other| self.may_meet(index, other));
+        others.any(|other| {
+            let track = &self.tracks[index];
+            let around =
+                around.get_or_insert_with(|| LOOK_AHEADS_S.map(|dt| (dt, track.around(t + dt))));
+            self.would_hit_from_the_side(index, t, around, other)
+        })
     }
 
     /// Whether the two can touch within the time that is looked ahead; yes, if in doubt.
@@ -293,13 +311,18 @@ impl Traffic {
         apart.dot(apart) < farthest * farthest
     }
 
-    fn would_hit_from_the_side(&self, index: usize, t: f64, other: &Deviating) -> bool {
+    /// `around`: [`Track::around`] at all the times that are looked ahead.
+    fn would_hit_from_the_side(
+        &self,
+        index: usize,
+        t: f64,
+        around: &[(f64, (Vec2, f64))],
+        other: &Deviating,
+    ) -> bool {
         let vehicle = &self.vehicles[index];
         let reach = reach(&vehicle.participant.footprint, &other.participant.footprint);
-        let overlaps = [0.25, 0.5, 0.75, 1.0].iter().any(|share| {
-            let dt = share * LOOK_AHEAD_S;
+        let overlaps = around.iter().any(|&(dt, (near, by))| {
             let predicted = other.predicted(dt);
-            let (near, by) = self.tracks[index].around(t + dt);
             let farthest = by + reach;
             let apart = predicted.pose.position - near;
             if apart.dot(apart) > farthest * farthest {
@@ -339,7 +362,7 @@ impl Traffic {
         vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
         self.views[index].forget();
         let place = self.deviating.partition_point(|it| it.index < index);
-        let own = Deviating::new(index, vehicle.participant);
+        let own = Deviating::new(index, vehicle.participant, &vehicle.frame);
         self.deviating.insert(place, own);
     }
 
@@ -366,9 +389,9 @@ impl Traffic {
         let mut leader = self.end_of_lane(vehicle);
         let mut courtesy = f64::INFINITY;
         let mut may_return = true;
-        for (other, views) in others(&self.vehicles, &mut self.views, index, ego) {
+        others(&self.vehicles, &mut self.views, index, ego).for_each(|(other, views)| {
             let Some(seen) = viewer.see(other, views) else {
-                continue;
+                return;
             };
             if let Some(ahead) = sight::ahead(vehicle, other, &seen)
                 && ahead.gap < leader.gap
@@ -382,7 +405,7 @@ impl Traffic {
                 courtesy = courtesy.min(driver.follow(speed, &merging).max(-COURTESY));
             }
             may_return &= !sight::blocks_return(vehicle, other, &seen);
-        }
+        });
         let in_the_middle = vehicle.place.d.abs() < 0.2;
         let wanted = driver.follow(speed, &leader).min(courtesy);
         (wanted, in_the_middle || may_return)
@@ -463,6 +486,7 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
         mode: Mode::Absent,
         lane,
         place,
+        frame: motion.pose.frame(),
         lateral_speed: 0.0,
         aim: 0.0,
         driver: Driver {
@@ -474,14 +498,15 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
 }
 
 /// Puts a vehicle where its recording has it at time `t`.
-fn replay(vehicle: &mut Vehicle, track: &Track, road: &Road, t: f64) {
+fn replay(vehicle: &mut Vehicle, views: &mut Views, track: &Track, road: &Road, t: f64) {
     let motion = track.motion(t);
-    vehicle.participant.footprint.pose = motion.pose;
+    vehicle.set_pose(motion.pose);
+    views.forget();
     vehicle.participant.speed = motion.speed;
     vehicle.participant.acceleration = motion.acceleration;
-    let lane = road.lane(vehicle.lane);
-    let width = lane.width_at(vehicle.place.s);
-    vehicle.place = lane.project_near(motion.pose.position, vehicle.place.s);
+    let width = road.lane(vehicle.lane).width_at(vehicle.place.s);
+    let (position, near) = (motion.pose.position, vehicle.place.s);
+    vehicle.place = views.foot(road, vehicle.lane, position, near).place;
     if vehicle.place.d.abs() > width / 2.0 {
         (vehicle.lane, vehicle.place) = road.locate(motion.pose.position, motion.pose.yaw);
     }
@@ -512,10 +537,10 @@ fn drive(vehicle: &mut Vehicle, road: &Road, dt: f64) {
     let turn = (TURN.0 * mean).min(TURN.1) * dt;
     let yaw = before + wrap_angle(yaw - before).clamp(-turn, turn);
     let position = line.beside(vehicle.place.d);
-    vehicle.participant.footprint.pose = Pose {
+    vehicle.set_pose(Pose {
         position,
         yaw: wrap_angle(yaw),
-    };
+    });
     vehicle.participant.speed = speed;
 }
 

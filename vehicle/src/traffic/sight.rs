@@ -1,8 +1,8 @@
 //! What a driver sees of the others: which one is ahead, beside, or wants to come in.
 
 use super::{Leader, Participant, Vehicle};
-use crate::geometry::{Frame, wrap_angle};
-use crate::road::{Frenet, LaneId, Road};
+use crate::geometry::{Vec2, wrap_angle};
+use crate::road::{Foot, Frenet, LaneId, Road};
 
 /// A driver sees no vehicle farther ahead, m.
 const SIGHT: f64 = 200.0;
@@ -30,10 +30,9 @@ struct View {
     /// the samples that are known to lead to that one.
     sample: usize,
     from: (usize, usize),
-    place: Frenet,
-    /// Speeds across the lane, left positive, and along it, m/s.
-    drift: f64,
-    along: f64,
+    foot: Foot,
+    /// Speeds across the lane, left positive, and along it, m/s, if they were asked for.
+    speeds: Option<(f64, f64)>,
 }
 
 /// How one vehicle is seen from the lanes around it, until it moves: those who look are in few
@@ -54,75 +53,99 @@ impl Views {
         self.next = 0;
     }
 
-    fn view(&mut self, road: &Road, id: LaneId, other: &Participant, near: f64) -> View {
+    /// The place in a lane of the vehicle that is at `position`: [`Lane::foot_near`].
+    ///
+    /// [`Lane::foot_near`]: crate::road::Lane::foot_near
+    pub(super) fn foot(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> Foot {
+        self.find(road, id, position, near).foot
+    }
+
+    /// Its place, and its speeds across the lane and along it.
+    fn view(
+        &mut self,
+        road: &Road,
+        id: LaneId,
+        other: &Participant,
+        near: f64,
+    ) -> (Frenet, (f64, f64)) {
         let pose = other.footprint.pose;
+        let view = self.find(road, id, pose.position, near);
+        let speeds = view.speeds.get_or_insert_with(|| {
+            let (sin, cos) = wrap_angle(pose.yaw - view.foot.point.heading).sin_cos();
+            (other.speed * sin, (other.speed * cos).max(0.0))
+        });
+        (view.foot.place, *speeds)
+    }
+
+    fn find(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> &mut View {
         let lane = road.lane(id);
         let start = lane.sample_at(near);
-        let leads = |view: &&View| view.lane == id && view.from.0 <= start && start <= view.from.1;
-        if let Some(known) = self.known.iter().find(leads) {
-            return *known;
+        let leads = |view: &View| view.lane == id && view.from.0 <= start && start <= view.from.1;
+        if let Some(known) = self.known.iter().position(leads) {
+            return &mut self.known[known];
         }
-        let sample = lane.sample_near(pose.position, start);
-        let is_it = |view: &&mut View| view.lane == id && view.sample == sample;
-        if let Some(known) = self.known.iter_mut().find(is_it) {
+        let sample = lane.sample_near(position, start);
+        let is_it = |view: &View| view.lane == id && view.sample == sample;
+        if let Some(known) = self.known.iter().position(is_it) {
+            let known = &mut self.known[known];
             known.from = (known.from.0.min(start), known.from.1.max(start));
-            return *known;
+            return known;
         }
-        let foot = lane.foot(pose.position, sample);
-        let (sin, cos) = wrap_angle(pose.yaw - foot.point.heading).sin_cos();
         let view = View {
             lane: id,
             sample,
             from: (sample.min(start), sample.max(start)),
-            place: foot.place,
-            drift: other.speed * sin,
-            along: (other.speed * cos).max(0.0),
+            foot: lane.foot(position, sample),
+            speeds: None,
         };
-        if self.known.len() < Self::LANES {
+        let mut place = self.known.len();
+        if place < Self::LANES {
             self.known.push(view);
         } else {
-            self.known[self.next] = view;
-            self.next = (self.next + 1) % Self::LANES;
+            place = self.next;
+            self.known[place] = view;
+            self.next = (place + 1) % Self::LANES;
         }
-        view
+        &mut self.known[place]
     }
 }
 
-/// Who looks, with what is the same for all that is looked at.
+/// The vehicle that looks.
 pub(super) struct Viewer<'a> {
     road: &'a Road,
     vehicle: &'a Vehicle,
-    frame: Frame,
 }
 
 impl<'a> Viewer<'a> {
-    pub(super) fn new(road: &'a Road, vehicle: &'a Vehicle) -> Self {
-        Self {
-            road,
-            vehicle,
-            frame: vehicle.participant.footprint.pose.frame(),
-        }
+    pub(super) const fn new(road: &'a Road, vehicle: &'a Vehicle) -> Self {
+        Self { road, vehicle }
     }
 
     /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`.
+    #[inline]
     pub(super) fn see(&self, other: &Participant, views: &mut Views) -> Option<Seen> {
         let vehicle = self.vehicle;
         let reach = (vehicle.participant.footprint.length + other.footprint.length) / 2.0;
-        let apart = self.frame.to_local(other.footprint.pose.position);
+        let apart = vehicle.frame.to_local(other.footprint.pose.position);
         if apart.x < -reach || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x.abs() {
             return None;
         }
-        let near = vehicle.place.s + apart.x;
-        let view = views.view(self.road, vehicle.lane, other, near);
-        Some(Seen {
-            place: view.place,
-            drift: view.drift,
+        Some(self.look(other, views, apart.x, reach))
+    }
+
+    /// At a vehicle that is `ahead` m ahead and not aside.
+    fn look(&self, other: &Participant, views: &mut Views, ahead: f64, reach: f64) -> Seen {
+        let own = self.vehicle.place.s;
+        let (place, (drift, along)) = views.view(self.road, self.vehicle.lane, other, own + ahead);
+        Seen {
+            place,
+            drift,
             leader: Leader {
-                gap: view.place.s - vehicle.place.s - reach,
-                speed: view.along,
+                gap: place.s - own - reach,
+                speed: along,
                 acceleration: other.acceleration,
             },
-        })
+        }
     }
 
     /// `other` if it is ahead, in the way now or within a second, and nearer than `leader`, which
@@ -218,10 +241,9 @@ mod tests {
                 let near = station + (ask * 37 % 120) as f64 - 60.0;
                 let view = views.view(road, id, &other, near);
                 let fresh = Views::default().view(road, id, &other, near);
-                assert_eq!(view.place, fresh.place, "{ask}");
-                assert_eq!((view.drift, view.along), (fresh.drift, fresh.along));
+                assert_eq!(view, fresh, "{ask}");
                 let position = other.footprint.pose.position;
-                assert_eq!(view.place, road.lane(id).project_near(position, near));
+                assert_eq!(view.0, road.lane(id).project_near(position, near));
             }
         }
     }
