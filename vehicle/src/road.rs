@@ -20,13 +20,13 @@ mod smooth;
 
 pub use domain::Exit;
 use line::Line;
-pub(crate) use line::{Foot, Point};
+pub(crate) use line::{Foot, Point, Rough};
 
 /// Distance between two samples of a centre line, m.
 const STEP: f64 = 2.0;
 /// Straight piece that is put before and after the mapped lane and is smoothed with it, m.
 const RUN_OUT: f64 = 120.0;
-/// Lanes that are longer together are refused, m: each metre takes 50 bytes, and each look at the
+/// Lanes that are longer together are refused, m: each metre takes 90 bytes, and each look at the
 /// whole road some nanoseconds.
 pub const ROAD_MAX: f64 = 1e6;
 /// An end of the domain is behind the vehicle when it is this far behind its centre, m.
@@ -125,6 +125,11 @@ impl Lane {
         width(a, b, t)
     }
 
+    /// No width is larger, m.
+    pub(crate) const fn width_max(&self) -> f64 {
+        self.width_max
+    }
+
     /// The curvature at `s`, as [`Lane::at`] has it, 1/m.
     pub(crate) fn curvature_at(&self, s: f64) -> f64 {
         let (a, b, t, beyond) = self.around(s);
@@ -182,6 +187,11 @@ impl Lane {
     /// The foot of the perpendicular from `point`, found from this sample.
     pub(crate) fn foot(&self, point: Vec2, sample: usize) -> Foot {
         self.line.foot(point, sample)
+    }
+
+    /// Bounds of [`Lane::foot`].
+    pub(crate) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
+        self.line.rough(point, sample)
     }
 
     /// The point with these coordinates.

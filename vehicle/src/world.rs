@@ -12,7 +12,7 @@ use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
 use crate::metrics::{HARD_BRAKING, Meter, Metrics, Sample};
 use crate::plant::{self, BMW_320I};
-use crate::road::{Foot, LaneId, Road};
+use crate::road::{Foot, LaneId, Road, Rough};
 use crate::route::{Here, Navigation};
 use crate::scenario::Scenario;
 use crate::sensors::{
@@ -596,9 +596,17 @@ fn leader(road: &Road, ego: &EgoTruth, traffic: &mut Traffic) -> (f64, f64) {
         if !vehicle.is_present() || apart.x <= 0.0 || apart.x > 300.0 || is_aside {
             continue;
         }
-        let Foot { place, point } = traffic.foot(index, ego.lane, ego.place.s + apart.x);
+        let near = ego.place.s + apart.x;
+        let side = (footprint.width + BMW_320I.width) / 2.0;
+        if let Some(Rough { d, by, .. }) = traffic.rough(index, ego.lane, near)
+            && d.abs() - by > lane.width_max() / 2.0
+            && (d - ego.place.d).abs() - by > side
+        {
+            continue;
+        }
+        let Foot { place, point } = traffic.foot(index, ego.lane, near);
         let in_lane = place.d.abs() < lane.width_at(place.s) / 2.0;
-        let in_the_way = (place.d - ego.place.d).abs() < (footprint.width + BMW_320I.width) / 2.0;
+        let in_the_way = (place.d - ego.place.d).abs() < side;
         let gap = place.s - ego.place.s - (footprint.length + BMW_320I.length) / 2.0;
         if (in_lane || in_the_way) && place.s > ego.place.s && gap < nearest.0 {
             let along = wrap_angle(footprint.pose.yaw - point.heading).cos();

@@ -12,6 +12,10 @@ const PIECE: usize = 32;
 const COARSE: usize = 4;
 /// Newton steps from the nearest sample.
 const NEWTON_STEPS: usize = 3;
+/// Samples on each side for which [`Bend`] holds, and the largest way from the sample for which
+/// it is used, m.
+const AROUND: usize = 8;
+const AROUND_M: f64 = 14.0;
 /// A bound is taken to be wrong by rounding by no more than this, m.
 const ROUNDING: f64 = 1e-6;
 
@@ -25,6 +29,18 @@ struct Sample {
     /// To the next sample; zero at the last.
     way: Vec2,
     turn: f64,
+    bend: Bend,
+}
+
+/// How the line bends within [`AROUND`] samples.
+#[derive(Clone, Copy, Debug)]
+struct Bend {
+    /// Largest angle to the direction at the sample, rad; infinite if it is large.
+    angle: f64,
+    /// Largest curvature, 1/m.
+    curvature: f64,
+    /// Largest difference of 1 and the way along the line's own direction for a metre of arc length.
+    stretch: f64,
 }
 
 /// A point of the line.
@@ -47,6 +63,17 @@ impl Point {
 pub(crate) struct Foot {
     pub(crate) place: Frenet,
     pub(crate) point: Point,
+}
+
+/// Bounds of the foot of a perpendicular, from the sample at which its search begins.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rough {
+    /// The foot's `d` is no farther from this one than `by`, m.
+    pub(crate) d: f64,
+    pub(crate) by: f64,
+    /// Direction of the line at the sample, and how much it differs at the foot, rad.
+    pub(crate) along: Vec2,
+    pub(crate) turn: f64,
 }
 
 /// A box along the axes.
@@ -96,11 +123,49 @@ fn distance_squared(a: Vec2, b: Vec2) -> f64 {
     apart.dot(apart)
 }
 
+impl Bend {
+    const STRAIGHT: Self = Self {
+        angle: 0.0,
+        curvature: 0.0,
+        stretch: 0.0,
+    };
+}
+
+/// The bend around this sample.
+fn bend(samples: &[Sample], index: usize) -> Bend {
+    let along = samples[index].along;
+    // An angle of up to 0.5 rad is no larger than 1.05 times its sine.
+    let angle = |other: Vec2, length: f64| {
+        let sine = along.cross(other).abs() / length;
+        let is_small = along.dot(other) > 0.0 && sine < 0.47;
+        if is_small { 1.05 * sine } else { f64::INFINITY }
+    };
+    let around = &samples[index.saturating_sub(AROUND)..(index + AROUND + 1).min(samples.len())];
+    around.iter().fold(Bend::STRAIGHT, |it, sample| {
+        let length = sample.way.norm();
+        if length == 0.0 {
+            // The last one.
+            let angle = it.angle.max(angle(sample.along, 1.0));
+            return Bend { angle, ..it };
+        }
+        let angle = angle(sample.along, 1.0).max(angle(sample.way, length));
+        // The direction of the line and that of the way differ by at most twice the angle.
+        let share = length / STEP;
+        Bend {
+            angle: it.angle.max(angle),
+            curvature: it.curvature.max(sample.turn.abs() / STEP),
+            stretch: it
+                .stretch
+                .max((share - 1.0).abs() + 2.0 * share * angle * angle),
+        }
+    })
+}
+
 impl Line {
     /// The line through these points, with their headings; at least one.
     pub(super) fn new(centres: &[Vec2], headings: &[f64]) -> Self {
         let last = centres.len() - 1;
-        let samples: Vec<Sample> = (0..=last)
+        let mut samples: Vec<Sample> = (0..=last)
             .map(|index| {
                 let next = (index + 1).min(last);
                 Sample {
@@ -109,9 +174,13 @@ impl Line {
                     along: Vec2::from_angle(wrap_angle(headings[index])),
                     way: centres[next] - centres[index],
                     turn: wrap_angle(headings[next] - headings[index]),
+                    bend: Bend::STRAIGHT,
                 }
             })
             .collect();
+        for index in 0..=last {
+            samples[index].bend = bend(&samples, index);
+        }
         let pieces = (0..samples.len()).step_by(PIECE).map(|first| {
             let end = (first + PIECE + 1).min(samples.len());
             Bounds::around(centres[first..end].iter().copied())
@@ -250,6 +319,29 @@ impl Line {
         }
     }
 
+    /// Bounds of what [`Line::foot`] finds from this sample; `None` if the line bends too much.
+    ///
+    /// A Newton step maps `s` to g(s) = s + along(s) · (point - at(s)). If the slope of g is at most
+    /// a half for twice the first step to both sides, then no step leaves that range (Banach).
+    pub(super) fn rough(&self, point: Vec2, sample: usize) -> Option<Rough> {
+        let Sample {
+            centre,
+            along,
+            bend,
+            ..
+        } = self.samples[sample];
+        let apart = point - centre;
+        let distance = apart.x.abs() + apart.y.abs();
+        let within = 2.0 * along.dot(apart).abs();
+        let slope = bend.stretch + bend.curvature * (distance + 2.0 * within);
+        (within < AROUND_M && slope < 0.5).then(|| Rough {
+            d: along.cross(apart),
+            by: bend.angle * (distance + 3.0 * within) + ROUNDING,
+            along,
+            turn: bend.angle,
+        })
+    }
+
     /// Whether each point of the line is farther from `point` than `distance`, m. If some box is
     /// nearer, it may say no where yes is right.
     pub(super) fn is_farther(&self, point: Vec2, distance: f64) -> bool {
@@ -312,6 +404,27 @@ mod tests {
             farther[usize::from(line.is_farther(point, distance - 30.0))] += 1;
         }
         assert!(farther[1] > farther[0], "the boxes are of use: {farther:?}");
+    }
+
+    /// The bounds hold wherever the search begins, also where Newton's steps do not reach the foot.
+    #[test]
+    fn the_foot_is_within_its_bounds() {
+        let line = winding();
+        let mut known = [0; 2];
+        for point in places(&line).map(|it| it * 0.2) {
+            for start in (0..700).step_by(13) {
+                let sample = line.sample_near(point, start);
+                let foot = line.foot(point, sample);
+                let rough = line.rough(point, sample);
+                known[usize::from(rough.is_some())] += 1;
+                if let Some(Rough { d, by, along, turn }) = rough {
+                    assert!((foot.place.d - d).abs() <= by, "{point:?} {sample}");
+                    let sine = along.cross(Vec2::from_angle(foot.point.heading));
+                    assert!(sine.abs() <= turn, "{point:?} {sample}");
+                }
+            }
+        }
+        assert!(known[1] > 1_000, "the bounds are of use: {known:?}");
     }
 
     #[test]

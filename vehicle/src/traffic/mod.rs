@@ -24,7 +24,7 @@ pub use idm::{Driver, Leader};
 
 use crate::commonroad::{Class, Obstacle};
 use crate::geometry::{Footprint, Frame, Pose, Vec2, wrap_angle};
-use crate::road::{Foot, Frenet, LaneId, Road};
+use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 use recording::Track;
 use sight::{Viewer, Views};
 
@@ -191,12 +191,12 @@ impl Traffic {
 
     /// Moves all vehicles to time `t`, which is `dt` after the last call (s).
     pub fn step(&mut self, t: f64, dt: f64, ego: &Participant) {
-        self.views[self.vehicles.len()].forget();
         self.deviating.clear();
         let driving = self.vehicles.iter().enumerate();
         let driving = driving.filter(|(_, v)| v.mode == Mode::Driving);
         let driving = driving.map(|(index, v)| Deviating::new(index, v.participant, &v.frame));
         let frame = ego.footprint.pose.frame();
+        self.views[self.vehicles.len()].renew(frame.forward());
         let last = Deviating::new(self.vehicles.len(), *ego, &frame);
         self.deviating.extend(driving.chain([last]));
         for index in 0..self.vehicles.len() {
@@ -220,7 +220,7 @@ impl Traffic {
                 Mode::Replay => replay(vehicle, views, track, &self.road, t),
                 Mode::Driving => {
                     drive(vehicle, &self.road, dt);
-                    views.forget();
+                    views.renew(vehicle.frame.forward());
                 }
             }
         }
@@ -230,6 +230,12 @@ impl Traffic {
     pub(crate) fn foot(&mut self, index: usize, lane: LaneId, near: f64) -> Foot {
         let pose = self.vehicles[index].participant.footprint.pose;
         self.views[index].foot(&self.road, lane, pose.position, near)
+    }
+
+    /// Bounds of that foot.
+    pub(crate) fn rough(&mut self, index: usize, lane: LaneId, near: f64) -> Option<Rough> {
+        let pose = self.vehicles[index].participant.footprint.pose;
+        self.views[index].rough(&self.road, lane, pose.position, near)
     }
 
     fn leave_recording_if_needed(&mut self, index: usize, t: f64, ego: &Participant) {
@@ -271,7 +277,7 @@ impl Traffic {
         let vehicle = &mut self.vehicles[index];
         vehicle.mode = Mode::Standing;
         (vehicle.participant.speed, vehicle.participant.acceleration) = (0.0, 0.0);
-        self.views[index].forget();
+        self.views[index].renew(vehicle.frame.forward());
     }
 
     /// Whether a replayed vehicle would need others to get out of its way.
@@ -360,7 +366,7 @@ impl Traffic {
         vehicle.mode = Mode::Driving;
         let gap = (leader.gap - vehicle.driver.standstill_gap) / speed.max(1.0);
         vehicle.begun = (gap.clamp(0.4, vehicle.driver.time_gap), t);
-        self.views[index].forget();
+        self.views[index].renew(vehicle.frame.forward());
         let place = self.deviating.partition_point(|it| it.index < index);
         let own = Deviating::new(index, vehicle.participant, &vehicle.frame);
         self.deviating.insert(place, own);
@@ -389,8 +395,10 @@ impl Traffic {
         let mut leader = self.end_of_lane(vehicle);
         let mut courtesy = f64::INFINITY;
         let mut may_return = true;
+        let ending = viewer.ending_beside();
+        let passes = ending == [None; 2];
         others(&self.vehicles, &mut self.views, index, ego).for_each(|(other, views)| {
-            let Some(seen) = viewer.see(other, views) else {
+            let Some(seen) = viewer.see(other, views, passes) else {
                 return;
             };
             if let Some(ahead) = sight::ahead(vehicle, other, &seen)
@@ -398,9 +406,8 @@ impl Traffic {
             {
                 leader = ahead;
             }
-            let merging = viewer
-                .ending_beside()
-                .find_map(|lane| sight::merging(&self.road, vehicle, lane, other, &seen));
+            let merging = { ending.iter().flatten() }
+                .find_map(|lane| sight::merging(&self.road, vehicle, *lane, other, &seen));
             if let Some(merging) = merging {
                 courtesy = courtesy.min(driver.follow(speed, &merging).max(-COURTESY));
             }
@@ -501,7 +508,7 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
 fn replay(vehicle: &mut Vehicle, views: &mut Views, track: &Track, road: &Road, t: f64) {
     let motion = track.motion(t);
     vehicle.set_pose(motion.pose);
-    views.forget();
+    views.renew(vehicle.frame.forward());
     vehicle.participant.speed = motion.speed;
     vehicle.participant.acceleration = motion.acceleration;
     let width = road.lane(vehicle.lane).width_at(vehicle.place.s);

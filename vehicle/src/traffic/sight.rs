@@ -2,7 +2,7 @@
 
 use super::{Leader, Participant, Vehicle};
 use crate::geometry::{Vec2, wrap_angle};
-use crate::road::{Foot, Frenet, LaneId, Road};
+use crate::road::{Foot, Frenet, LaneId, Road, Rough};
 
 /// A driver sees no vehicle farther ahead, m.
 const SIGHT: f64 = 200.0;
@@ -30,15 +30,25 @@ struct View {
     /// the samples that are known to lead to that one.
     sample: usize,
     from: (usize, usize),
-    foot: Foot,
-    /// Speeds across the lane, left positive, and along it, m/s, if they were asked for.
+    rough: Option<Rough>,
+    /// If it was asked for, and so the speeds across the lane, left positive, and along it, m/s.
+    foot: Option<Foot>,
     speeds: Option<(f64, f64)>,
+}
+
+impl View {
+    fn foot(&mut self, road: &Road, position: Vec2) -> &Foot {
+        let (lane, sample) = (road.lane(self.lane), self.sample);
+        { &mut self.foot }.get_or_insert_with(|| lane.foot(position, sample))
+    }
 }
 
 /// How one vehicle is seen from the lanes around it, until it moves: those who look are in few
 /// lanes.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Views {
+    /// Unit vector of the vehicle's heading.
+    forward: Vec2,
     known: Vec<View>,
     next: usize,
 }
@@ -47,8 +57,9 @@ impl Views {
     /// Views that are kept; more replace the oldest ones.
     const LANES: usize = 8;
 
-    /// The vehicle has moved.
-    pub(super) fn forget(&mut self) {
+    /// The vehicle has moved, and heads there now.
+    pub(super) fn renew(&mut self, forward: Vec2) {
+        self.forward = forward;
         self.known.clear();
         self.next = 0;
     }
@@ -57,7 +68,18 @@ impl Views {
     ///
     /// [`Lane::foot_near`]: crate::road::Lane::foot_near
     pub(super) fn foot(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> Foot {
-        self.find(road, id, position, near).foot
+        *self.find(road, id, position, near).foot(road, position)
+    }
+
+    /// Bounds of this place.
+    pub(super) fn rough(
+        &mut self,
+        road: &Road,
+        id: LaneId,
+        position: Vec2,
+        near: f64,
+    ) -> Option<Rough> {
+        self.find(road, id, position, near).rough
     }
 
     /// Its place, and its speeds across the lane and along it.
@@ -70,20 +92,26 @@ impl Views {
     ) -> (Frenet, (f64, f64)) {
         let pose = other.footprint.pose;
         let view = self.find(road, id, pose.position, near);
+        let Foot { place, point } = *view.foot(road, pose.position);
         let speeds = view.speeds.get_or_insert_with(|| {
-            let (sin, cos) = wrap_angle(pose.yaw - view.foot.point.heading).sin_cos();
+            let (sin, cos) = wrap_angle(pose.yaw - point.heading).sin_cos();
             (other.speed * sin, (other.speed * cos).max(0.0))
         });
-        (view.foot.place, *speeds)
+        (place, *speeds)
     }
 
+    #[inline]
     fn find(&mut self, road: &Road, id: LaneId, position: Vec2, near: f64) -> &mut View {
-        let lane = road.lane(id);
-        let start = lane.sample_at(near);
+        let start = road.lane(id).sample_at(near);
         let leads = |view: &View| view.lane == id && view.from.0 <= start && start <= view.from.1;
-        if let Some(known) = self.known.iter().position(leads) {
-            return &mut self.known[known];
+        match self.known.iter().position(leads) {
+            Some(known) => &mut self.known[known],
+            None => self.find_from(road, id, position, start),
         }
+    }
+
+    fn find_from(&mut self, road: &Road, id: LaneId, position: Vec2, start: usize) -> &mut View {
+        let lane = road.lane(id);
         let sample = lane.sample_near(position, start);
         let is_it = |view: &View| view.lane == id && view.sample == sample;
         if let Some(known) = self.known.iter().position(is_it) {
@@ -95,7 +123,8 @@ impl Views {
             lane: id,
             sample,
             from: (sample.min(start), sample.max(start)),
-            foot: lane.foot(position, sample),
+            rough: lane.rough(position, sample),
+            foot: None,
             speeds: None,
         };
         let mut place = self.known.len();
@@ -121,16 +150,35 @@ impl<'a> Viewer<'a> {
         Self { road, vehicle }
     }
 
-    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`.
+    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`. `passes`: also for
+    /// one that neither [`ahead`] nor [`blocks_return`] is about.
     #[inline]
-    pub(super) fn see(&self, other: &Participant, views: &mut Views) -> Option<Seen> {
+    pub(super) fn see(&self, other: &Participant, views: &mut Views, passes: bool) -> Option<Seen> {
         let vehicle = self.vehicle;
         let reach = (vehicle.participant.footprint.length + other.footprint.length) / 2.0;
         let apart = vehicle.frame.to_local(other.footprint.pose.position);
         if apart.x < -reach || apart.x > SIGHT || apart.y.abs() > 12.0 + 0.3 * apart.x.abs() {
             return None;
         }
+        if passes && self.passes(other, views, apart.x) {
+            return None;
+        }
         Some(self.look(other, views, apart.x, reach))
+    }
+
+    /// Whether the two pass each other for sure, now and within a second, and `other` leaves the
+    /// middle of the lane free.
+    fn passes(&self, other: &Participant, views: &mut Views, ahead: f64) -> bool {
+        let Frenet { s, d } = self.vehicle.place;
+        let position = other.footprint.pose.position;
+        let forward = views.forward;
+        let rough = views.rough(self.road, self.vehicle.lane, position, s + ahead);
+        rough.is_some_and(|rough| {
+            let drift = other.speed.abs() * (rough.along.cross(forward).abs() + rough.turn);
+            let moves = drift + self.vehicle.lateral_speed.abs();
+            let clearance = clearance(self.vehicle, other) + rough.by + moves;
+            (rough.d - d).abs() > clearance && rough.d.abs() > d.abs() + clearance
+        })
     }
 
     /// At a vehicle that is `ahead` m ahead and not aside.
@@ -151,17 +199,18 @@ impl<'a> Viewer<'a> {
     /// `other` if it is ahead, in the way now or within a second, and nearer than `leader`, which
     /// is returned otherwise.
     pub(super) fn nearer(&self, leader: Leader, other: &Participant, views: &mut Views) -> Leader {
-        let seen = self.see(other, views);
+        let seen = self.see(other, views, true);
         let ahead = seen.and_then(|seen| ahead(self.vehicle, other, &seen));
         ahead.filter(|it| it.gap < leader.gap).unwrap_or(leader)
     }
 
     /// The lanes beside that end: a vehicle there must come in.
-    pub(super) fn ending_beside(&self) -> impl Iterator<Item = LaneId> + use<'a> {
-        let road = self.road;
-        let beside = road.lane(self.vehicle.lane).beside(self.vehicle.place.s);
-        let beside = beside.into_iter().flatten();
-        beside.filter(move |lane| road.lane(*lane).end.is_some())
+    pub(super) fn ending_beside(&self) -> [Option<LaneId>; 2] {
+        let beside = self
+            .road
+            .lane(self.vehicle.lane)
+            .beside(self.vehicle.place.s);
+        beside.map(|lane| lane.filter(|lane| self.road.lane(*lane).end.is_some()))
     }
 }
 
