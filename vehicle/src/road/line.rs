@@ -207,9 +207,10 @@ impl Line {
     /// the way beyond all samples, m.
     pub(super) fn around(&self, s: f64) -> (usize, f64, f64) {
         let last = self.last();
-        let place = (s / STEP).clamp(0.0, last as f64);
-        let index = (place as usize).min(last.saturating_sub(1));
-        (index, place - index as f64, s - place * STEP)
+        let place = (s / STEP).clamp(0.0, f64::from(last as u32));
+        // There are fewer samples than metres of road: conversions of 32 bits, which are fast.
+        let index = (place as i32).min(last as i32 - 1).max(0);
+        (index as usize, place - f64::from(index), s - place * STEP)
     }
 
     /// The line at arc length `s`.
@@ -231,10 +232,10 @@ impl Line {
 
     /// The sample that is nearest to arc length `s`.
     pub(super) fn sample_at(&self, s: f64) -> usize {
-        let place = (s / STEP).clamp(0.0, self.last() as f64);
-        let before = place as usize;
+        let place = (s / STEP).clamp(0.0, f64::from(self.last() as u32));
+        let before = place as i32;
         // As `round` does, which is a call on many machines.
-        before + usize::from(place - before as f64 >= 0.5)
+        before as usize + usize::from(place - f64::from(before) >= 0.5)
     }
 
     /// The sample from which a walk from sample `start` gets no nearer to `point`. All samples on

@@ -132,9 +132,35 @@ fn model(sensor: SensorId) -> Model {
     }
 }
 
+/// Directions of the right and the left edge of a vehicle, rad, in the frame of the sensor.
+fn edges(centre: Vec2, corners: &[Vec2; 4]) -> (f64, f64) {
+    let middle = centre.angle();
+    // In front of the sensor the sides decide which corners are the edges.
+    let side = |corner: &Vec2| centre.cross(*corner) / centre.dot(*corner);
+    let is_in_front = corners.iter().all(|corner| centre.dot(*corner) > 0.0);
+    let by_side = |a: &&Vec2, b: &&Vec2| side(a).total_cmp(&side(b));
+    let ends = [
+        corners.iter().min_by(by_side),
+        corners.iter().max_by(by_side),
+    ];
+    let ends = ends.iter().flatten().copied().filter(|_| is_in_front);
+    let all = corners.iter().filter(|_| !is_in_front);
+    let offsets = ends
+        .chain(all)
+        .map(|corner| wrap_angle(corner.angle() - middle));
+    let (right, left) = offsets.fold((0.0_f64, 0.0_f64), |(right, left), offset| {
+        (right.min(offset), left.max(offset))
+    });
+    (middle + right, middle + left)
+}
+
 /// A vehicle as one sensor sees it.
 struct Sight {
     index: usize,
+    centre: Vec2,
+    corners: [Vec2; 4],
+    /// Its centre is in the field of view.
+    in_view: bool,
     /// Square of the distance of the nearest corner, m².
     near: f64,
     /// Directions of its right and its left edge, rad.
@@ -144,6 +170,8 @@ struct Sight {
 /// One sensor that makes object lists.
 pub(super) struct Detector {
     model: Model,
+    /// Range and slope of its sides for each lobe, a little larger than it is.
+    in_view: [(f64, f64); 2],
     noise: Noise,
     sights: Vec<Sight>,
     /// Directions that nearer objects cover, apart from each other.
@@ -153,8 +181,14 @@ pub(super) struct Detector {
 
 impl Detector {
     pub(super) fn new(sensor: SensorId, seed: u64) -> Self {
+        let model = model(sensor);
+        let mut in_view = [(0.0, 0.0); 2];
+        for (wide, lobe) in in_view.iter_mut().zip(model.lobes) {
+            *wide = (lobe.range * 1.001, lobe.half_angle.tan() * 1.001);
+        }
         Self {
-            model: model(sensor),
+            model,
+            in_view,
             noise: Noise::new(seed, sensor.index() as u64),
             sights: Vec::new(),
             covered: Vec::new(),
@@ -185,8 +219,8 @@ impl Detector {
         &self.list
     }
 
-    /// Collects what is around, nearest first, without regard to the field of view: what is outside
-    /// of it may still stand in the way.
+    /// Collects, nearest first, what is in the field of view, and what is outside of it and may
+    /// still stand in the way.
     fn look(&mut self, origin: Pose, vehicles: &[Vehicle]) {
         let reach = self
             .model
@@ -205,34 +239,42 @@ impl Detector {
             if centre.dot(centre) > farthest * farthest * 1.001 || centre.norm() > farthest {
                 continue;
             }
-            let middle = centre.angle();
-            let mut sight = Sight {
-                index,
-                near: f64::INFINITY,
-                edges: (0.0, 0.0),
-            };
             let corners = footprint.corners_along(vehicle.frame().forward());
             let corners = corners.map(|corner| frame.to_local(corner));
-            for corner in corners {
-                sight.near = sight.near.min(corner.dot(corner));
-            }
-            // In front of the sensor the sides decide which corners are the edges.
-            let side = |corner: &Vec2| centre.cross(*corner) / centre.dot(*corner);
-            let is_in_front = corners.iter().all(|corner| centre.dot(*corner) > 0.0);
-            let by_side = |a: &&Vec2, b: &&Vec2| side(a).total_cmp(&side(b));
-            let ends = [
-                corners.iter().min_by(by_side),
-                corners.iter().max_by(by_side),
-            ];
-            let edges = ends.iter().flatten().copied().filter(|_| is_in_front);
-            let all = corners.iter().filter(|_| !is_in_front);
-            for corner in edges.chain(all) {
-                let offset = wrap_angle(corner.angle() - middle);
-                sight.edges = (sight.edges.0.min(offset), sight.edges.1.max(offset));
-            }
-            sight.edges = (middle + sight.edges.0, middle + sight.edges.1);
-            self.sights.push(sight);
+            let near = corners.map(|corner| corner.dot(corner));
+            let in_view = self.in_view.iter().any(|(range, slope)| {
+                centre.dot(centre) < range * range && centre.y.abs() <= slope * centre.x
+            });
+            self.sights.push(Sight {
+                index,
+                in_view,
+                near: near.into_iter().fold(f64::INFINITY, f64::min),
+                edges: if in_view {
+                    edges(centre, &corners)
+                } else {
+                    (f64::INFINITY, f64::NEG_INFINITY)
+                },
+                centre,
+                corners,
+            });
         }
+        // What is in the field of view is between these directions.
+        let nothing = (f64::INFINITY, f64::NEG_INFINITY);
+        let view = self.sights.iter().fold(nothing, |view, sight| {
+            (view.0.min(sight.edges.0), view.1.max(sight.edges.1))
+        });
+        let is_narrow = view.1 - view.0 < 3.0;
+        let (right, left) = (Vec2::from_angle(view.0), Vec2::from_angle(view.1));
+        self.sights.retain_mut(|sight| {
+            let corners = &sight.corners;
+            let is_aside = corners.iter().all(|it| right.cross(*it) < -1e-6)
+                || corners.iter().all(|it| left.cross(*it) > 1e-6);
+            let stays = sight.in_view || view.0 < view.1 && !(is_narrow && is_aside);
+            if stays && !sight.in_view {
+                sight.edges = edges(sight.centre, corners);
+            }
+            stays
+        });
         self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
     }
 

@@ -126,6 +126,8 @@ struct Deviating {
     index: usize,
     participant: Participant,
     velocity: Vec2,
+    /// How far it gets within the time that is looked ahead, and its body, m.
+    farthest: f64,
 }
 
 impl Deviating {
@@ -134,6 +136,7 @@ impl Deviating {
             index,
             participant,
             velocity: frame.forward() * participant.speed,
+            farthest: farthest(participant.speed.abs(), &participant.footprint),
         }
     }
 
@@ -286,9 +289,10 @@ impl Traffic {
         let speed = vehicle.participant.speed;
         let viewer = Viewer::new(&self.road, vehicle);
         let views = &mut self.views;
-        let leader = self.deviating.iter().fold(Leader::NONE, |leader, other| {
-            viewer.nearer(leader, &other.participant, &mut views[other.index])
-        });
+        let mut leader = Leader::NONE;
+        for other in &self.deviating {
+            viewer.nearer(&mut leader, &other.participant, &mut views[other.index]);
+        }
         let closing = speed - leader.speed;
         let room = (leader.gap - 2.0).max(0.1);
         if closing > 0.0 && closing * closing / (2.0 * room) > REPLAY_BRAKES {
@@ -297,24 +301,22 @@ impl Traffic {
         if closing > -0.5 && leader.gap < 0.3 * speed {
             return true;
         }
+        let track = &self.tracks[index];
+        let own = vehicle.participant.footprint.grown(ROOM.0, ROOM.1);
+        let own_farthest = farthest(track.speed_max(), &own);
+        // Whether the two can touch within the time that is looked ahead; yes, if in doubt.
+        let may_meet = |other: &&Deviating| {
+            let apart = other.participant.footprint.pose.position - own.pose.position;
+            let farthest = own_farthest + other.farthest;
+            apart.dot(apart) < farthest * farthest
+        };
         let mut around = None;
-        let mut others = { self.deviating.iter() }.filter(|other| self.may_meet(index, other));
+        let mut others = self.deviating.iter().filter(may_meet);
         others.any(|other| {
-            let track = &self.tracks[index];
             let around =
                 around.get_or_insert_with(|| LOOK_AHEADS_S.map(|dt| (dt, track.around(t + dt))));
             self.would_hit_from_the_side(index, t, around, other)
         })
-    }
-
-    /// Whether the two can touch within the time that is looked ahead; yes, if in doubt.
-    fn may_meet(&self, index: usize, other: &Deviating) -> bool {
-        let own = self.vehicles[index].participant.footprint;
-        let apart = other.participant.footprint.pose.position - own.pose.position;
-        let speeds = self.tracks[index].speed_max() + other.participant.speed.abs();
-        // The own place is that of the last step.
-        let farthest = speeds * (LOOK_AHEAD_S * 1.1) + reach(&own, &other.participant.footprint);
-        apart.dot(apart) < farthest * farthest
     }
 
     /// `around`: [`Track::around`] at all the times that are looked ahead.
@@ -422,9 +424,10 @@ impl Traffic {
         let vehicle = &self.vehicles[index];
         let viewer = Viewer::new(&self.road, vehicle);
         let end = self.end_of_lane(vehicle);
-        others(&self.vehicles, &mut self.views, index, ego).fold(end, |leader, (other, views)| {
-            viewer.nearer(leader, other, views)
-        })
+        let mut leader = end;
+        others(&self.vehicles, &mut self.views, index, ego)
+            .for_each(|(other, views)| viewer.nearer(&mut leader, other, views));
+        leader
     }
 
     /// The end of the lane as a leader that stands.
@@ -432,6 +435,12 @@ impl Traffic {
         let end = self.road.distance_to_end(vehicle.lane, vehicle.place.s);
         Leader::standing(end - vehicle.participant.footprint.length / 2.0)
     }
+}
+
+/// How far a part of the vehicle can be from its place within the time that is looked ahead, and a
+/// step more, m.
+fn farthest(speed_max: f64, footprint: &Footprint) -> f64 {
+    speed_max * (LOOK_AHEAD_S * 1.1) + (footprint.length + footprint.width) / 2.0
 }
 
 /// A replayed vehicle with room around it and another one overlap only if their centres are nearer

@@ -98,7 +98,7 @@ impl Track {
         let knots = &self.knots;
         // States are recorded at equal distances, nearly always.
         let guess = (t - knots[0].t) * self.rate;
-        let mut count = (guess.max(0.0) as usize).min(knots.len());
+        let mut count = (guess.max(0.0) as u32 as usize).min(knots.len());
         while knots.get(count).is_some_and(|knot| knot.t <= t) {
             count += 1;
         }

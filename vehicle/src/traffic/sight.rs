@@ -110,6 +110,7 @@ impl Views {
         }
     }
 
+    #[inline(never)]
     fn find_from(&mut self, road: &Road, id: LaneId, position: Vec2, start: usize) -> &mut View {
         let lane = road.lane(id);
         let sample = lane.sample_near(position, start);
@@ -168,6 +169,7 @@ impl<'a> Viewer<'a> {
 
     /// Whether the two pass each other for sure, now and within a second, and `other` leaves the
     /// middle of the lane free.
+    #[inline]
     fn passes(&self, other: &Participant, views: &mut Views, ahead: f64) -> bool {
         let Frenet { s, d } = self.vehicle.place;
         let position = other.footprint.pose.position;
@@ -182,6 +184,7 @@ impl<'a> Viewer<'a> {
     }
 
     /// At a vehicle that is `ahead` m ahead and not aside.
+    #[inline(never)]
     fn look(&self, other: &Participant, views: &mut Views, ahead: f64, reach: f64) -> Seen {
         let own = self.vehicle.place.s;
         let (place, (drift, along)) = views.view(self.road, self.vehicle.lane, other, own + ahead);
@@ -196,12 +199,15 @@ impl<'a> Viewer<'a> {
         }
     }
 
-    /// `other` if it is ahead, in the way now or within a second, and nearer than `leader`, which
-    /// is returned otherwise.
-    pub(super) fn nearer(&self, leader: Leader, other: &Participant, views: &mut Views) -> Leader {
-        let seen = self.see(other, views, true);
-        let ahead = seen.and_then(|seen| ahead(self.vehicle, other, &seen));
-        ahead.filter(|it| it.gap < leader.gap).unwrap_or(leader)
+    /// Makes `other` the leader if it is ahead, in the way now or within a second, and nearer.
+    #[inline]
+    pub(super) fn nearer(&self, leader: &mut Leader, other: &Participant, views: &mut Views) {
+        if let Some(seen) = self.see(other, views, true)
+            && let Some(ahead) = ahead(self.vehicle, other, &seen)
+            && ahead.gap < leader.gap
+        {
+            *leader = ahead;
+        }
     }
 
     /// The lanes beside that end: a vehicle there must come in.
