@@ -176,6 +176,11 @@ pub struct Frame {
 }
 
 impl Frame {
+    /// A frame with the same heading at another place.
+    pub(crate) const fn moved(self, position: Vec2) -> Self {
+        Self { position, ..self }
+    }
+
     /// The unit vector with this frame's heading.
     pub(crate) const fn forward(&self) -> Vec2 {
         self.forward
@@ -232,8 +237,13 @@ impl Footprint {
         if apart.dot(apart) * 4.0 > reach * reach {
             return false;
         }
-        let a = Vec2::from_angle(self.pose.yaw);
-        let b = Vec2::from_angle(other.pose.yaw);
+        let [a, b] = [self, other].map(|it| Vec2::from_angle(it.pose.yaw));
+        self.overlaps_along(a, other, b)
+    }
+
+    /// [`Footprint::overlaps`], with the unit vectors of their headings.
+    pub(crate) fn overlaps_along(&self, a: Vec2, other: &Self, b: Vec2) -> bool {
+        let apart = other.pose.position - self.pose.position;
         [a, a.left(), b, b.left()].iter().all(|axis| {
             let reach = |shape: &Self, forward: Vec2| {
                 forward.dot(*axis).abs() * shape.length + forward.cross(*axis).abs() * shape.width

@@ -114,8 +114,18 @@ impl Vehicle {
     }
 
     fn set_pose(&mut self, pose: Pose) {
+        let turns = self.participant.footprint.pose.yaw.to_bits() != pose.yaw.to_bits();
         self.participant.footprint.pose = pose;
-        self.frame = pose.frame();
+        self.frame = if turns {
+            pose.frame()
+        } else {
+            self.frame.moved(pose.position)
+        };
+    }
+
+    /// What its views depend on.
+    const fn motion(&self) -> (Pose, f64) {
+        (self.participant.footprint.pose, self.participant.speed)
     }
 }
 
@@ -125,6 +135,7 @@ struct Deviating {
     /// Its place among all, see [`Traffic::participant`].
     index: usize,
     participant: Participant,
+    forward: Vec2,
     velocity: Vec2,
     /// How far it gets within the time that is looked ahead, and its body, m.
     farthest: f64,
@@ -135,6 +146,7 @@ impl Deviating {
         Self {
             index,
             participant,
+            forward: frame.forward(),
             velocity: frame.forward() * participant.speed,
             farthest: farthest(participant.speed.abs(), &participant.footprint),
         }
@@ -148,6 +160,39 @@ impl Deviating {
             pose: Pose { position, ..pose },
             ..self.participant.footprint
         }
+    }
+}
+
+/// Where a replayed vehicle will be.
+struct Ahead {
+    /// So far in the future, at scenario time `t`, s.
+    dt: f64,
+    t: f64,
+    /// It is no farther from there than by this, m.
+    near: Vec2,
+    by: f64,
+    /// The pose and the unit vector of its heading, once they were asked for.
+    pose: Option<(Pose, Vec2)>,
+}
+
+impl Ahead {
+    fn new(track: &Track, now: f64, dt: f64) -> Self {
+        let t = now + dt;
+        let (near, by) = track.around(t);
+        Self {
+            dt,
+            t,
+            near,
+            by,
+            pose: None,
+        }
+    }
+
+    fn pose(&mut self, track: &Track) -> (Pose, Vec2) {
+        *self.pose.get_or_insert_with(|| {
+            let pose = track.motion(self.t).pose;
+            (pose, Vec2::from_angle(pose.yaw))
+        })
     }
 }
 
@@ -174,9 +219,13 @@ impl Traffic {
             .zip(&tracks)
             .map(|(recording, track)| vehicle(&road, recording, track))
             .collect();
+        let mut views = vec![Views::default(); vehicles.len() + 1];
+        for (views, vehicle) in views.iter_mut().zip(&vehicles) {
+            views.renew(vehicle.frame.forward());
+        }
         let mut traffic = Self {
             deviating: Vec::with_capacity(vehicles.len() + 1),
-            views: vec![Views::default(); vehicles.len() + 1],
+            views,
             road,
             recordings,
             tracks,
@@ -222,8 +271,11 @@ impl Traffic {
                 Mode::Absent | Mode::Standing => {}
                 Mode::Replay => replay(vehicle, views, track, &self.road, t),
                 Mode::Driving => {
+                    let before = vehicle.motion();
                     drive(vehicle, &self.road, dt);
-                    views.renew(vehicle.frame.forward());
+                    if vehicle.motion() != before {
+                        views.renew(vehicle.frame.forward());
+                    }
                 }
             }
         }
@@ -310,37 +362,34 @@ impl Traffic {
             let farthest = own_farthest + other.farthest;
             apart.dot(apart) < farthest * farthest
         };
-        let mut around = None;
+        let mut ahead = None;
         let mut others = self.deviating.iter().filter(may_meet);
         others.any(|other| {
-            let around =
-                around.get_or_insert_with(|| LOOK_AHEADS_S.map(|dt| (dt, track.around(t + dt))));
-            self.would_hit_from_the_side(index, t, around, other)
+            let ahead =
+                ahead.get_or_insert_with(|| LOOK_AHEADS_S.map(|dt| Ahead::new(track, t, dt)));
+            self.would_hit_from_the_side(index, ahead, other)
         })
     }
 
-    /// `around`: [`Track::around`] at all the times that are looked ahead.
     fn would_hit_from_the_side(
         &self,
         index: usize,
-        t: f64,
-        around: &[(f64, (Vec2, f64))],
+        ahead: &mut [Ahead],
         other: &Deviating,
     ) -> bool {
         let vehicle = &self.vehicles[index];
         let reach = reach(&vehicle.participant.footprint, &other.participant.footprint);
-        let overlaps = around.iter().any(|&(dt, (near, by))| {
-            let predicted = other.predicted(dt);
-            let farthest = by + reach;
-            let apart = predicted.pose.position - near;
+        let track = &self.tracks[index];
+        let overlaps = ahead.iter_mut().any(|it| {
+            let predicted = other.predicted(it.dt);
+            let farthest = it.by + reach;
+            let apart = predicted.pose.position - it.near;
             if apart.dot(apart) > farthest * farthest {
                 return false;
             }
-            let own = Footprint {
-                pose: self.tracks[index].motion(t + dt).pose,
-                ..vehicle.participant.footprint
-            };
-            own.grown(ROOM.0, ROOM.1).overlaps(&predicted)
+            let (pose, forward) = it.pose(track);
+            let own = vehicle.participant.footprint.grown(ROOM.0, ROOM.1);
+            Footprint { pose, ..own }.overlaps_along(forward, &predicted, other.forward)
         });
         overlaps && {
             let place = self
@@ -515,11 +564,14 @@ fn vehicle(road: &Road, recording: &Obstacle, track: &Track) -> Vehicle {
 
 /// Puts a vehicle where its recording has it at time `t`.
 fn replay(vehicle: &mut Vehicle, views: &mut Views, track: &Track, road: &Road, t: f64) {
+    let before = vehicle.motion();
     let motion = track.motion(t);
     vehicle.set_pose(motion.pose);
-    views.renew(vehicle.frame.forward());
     vehicle.participant.speed = motion.speed;
     vehicle.participant.acceleration = motion.acceleration;
+    if vehicle.motion() != before {
+        views.renew(vehicle.frame.forward());
+    }
     let width = road.lane(vehicle.lane).width_at(vehicle.place.s);
     let (position, near) = (motion.pose.position, vehicle.place.s);
     vehicle.place = views.foot(road, vehicle.lane, position, near).place;

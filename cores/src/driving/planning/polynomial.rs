@@ -58,6 +58,7 @@ impl Polynomial {
     }
 
     /// Value and derivatives at `t` ≥ 0.
+    #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
         if t > self.end {
             let end = self.inside(self.end);
@@ -72,6 +73,7 @@ impl Polynomial {
         self.inside(t)
     }
 
+    #[inline]
     fn inside(&self, t: f32) -> Jet {
         let [c0, c1, c2, c3, c4, c5] = self.c;
         Jet {
