@@ -42,6 +42,8 @@ struct Model {
     classifies: bool,
 }
 
+/// Edges of nothing.
+const NOWHERE: (f64, f64) = (f64::INFINITY, f64::NEG_INFINITY);
 const DEGREE: f64 = std::f64::consts::PI / 180.0;
 
 /// Long range radar: a narrow far lobe and a wide near one.
@@ -159,7 +161,7 @@ struct Sight {
     index: usize,
     centre: Vec2,
     corners: [Vec2; 4],
-    /// Its centre is in the field of view.
+    /// Its centre is in the field of view, or nearly.
     in_view: bool,
     /// Square of the distance of the nearest corner, m².
     near: f64,
@@ -204,6 +206,14 @@ impl Detector {
             yaw: ego.pose.yaw + self.model.mount.yaw,
         };
         self.look(origin, vehicles);
+        self.leave_out_aside();
+        self.tell(origin, ego, vehicles)
+    }
+
+    /// The list of what is not hidden.
+    fn tell(&mut self, origin: Pose, ego: &EgoTruth, vehicles: &[Vehicle]) -> &[SensorObject] {
+        self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
+        self.covered.clear();
         for sight in 0..self.sights.len() {
             let (index, edges) = (self.sights[sight].index, self.sights[sight].edges);
             let hidden = self.covered_share(edges) > HIDDEN_SHARE;
@@ -219,8 +229,7 @@ impl Detector {
         &self.list
     }
 
-    /// Collects, nearest first, what is in the field of view, and what is outside of it and may
-    /// still stand in the way.
+    /// Collects what is around. What is outside of the field of view has no edges yet.
     fn look(&mut self, origin: Pose, vehicles: &[Vehicle]) {
         let reach = self
             .model
@@ -229,7 +238,6 @@ impl Detector {
             .map(|lobe| lobe.range)
             .fold(0.0, f64::max);
         self.sights.clear();
-        self.covered.clear();
         let frame = origin.frame();
         for (index, vehicle) in vehicles.iter().enumerate().filter(|(_, v)| v.is_present()) {
             let footprint = &vehicle.participant.footprint;
@@ -252,30 +260,38 @@ impl Detector {
                 edges: if in_view {
                     edges(centre, &corners)
                 } else {
-                    (f64::INFINITY, f64::NEG_INFINITY)
+                    NOWHERE
                 },
                 centre,
                 corners,
             });
         }
-        // What is in the field of view is between these directions.
-        let nothing = (f64::INFINITY, f64::NEG_INFINITY);
-        let view = self.sights.iter().fold(nothing, |view, sight| {
-            (view.0.min(sight.edges.0), view.1.max(sight.edges.1))
+    }
+
+    /// Leaves out what cannot stand before anything in the field of view: it is to the right or to
+    /// the left of all of that. The others get their edges.
+    fn leave_out_aside(&mut self) {
+        let (right, left) = { self.sights.iter() }.fold(NOWHERE, |(right, left), sight| {
+            (right.min(sight.edges.0), left.max(sight.edges.1))
         });
-        let is_narrow = view.1 - view.0 < 3.0;
-        let (right, left) = (Vec2::from_angle(view.0), Vec2::from_angle(view.1));
+        // Directions that are less than half a turn apart have sides.
+        let (is_empty, is_narrow) = (right > left, left - right < 3.0);
+        let (right, left) = (Vec2::from_angle(right), Vec2::from_angle(left));
         self.sights.retain_mut(|sight| {
-            let corners = &sight.corners;
-            let is_aside = corners.iter().all(|it| right.cross(*it) < -1e-6)
-                || corners.iter().all(|it| left.cross(*it) > 1e-6);
-            let stays = sight.in_view || view.0 < view.1 && !(is_narrow && is_aside);
-            if stays && !sight.in_view {
-                sight.edges = edges(sight.centre, corners);
+            if sight.in_view {
+                return true;
             }
-            stays
+            if is_empty {
+                return false;
+            }
+            let is_aside = sight.corners.iter().all(|it| right.cross(*it) < -1e-6)
+                || sight.corners.iter().all(|it| left.cross(*it) > 1e-6);
+            if is_narrow && is_aside {
+                return false;
+            }
+            sight.edges = edges(sight.centre, &sight.corners);
+            true
         });
-        self.sights.sort_by(|a, b| a.near.total_cmp(&b.near));
     }
 
     /// Which share of the directions is covered.
@@ -355,5 +371,75 @@ impl Detector {
             x_deviation: (range_deviation * cos).hypot(across * sin) as f32,
             y_deviation: (range_deviation * sin).hypot(across * cos) as f32,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand_chacha::rand_core::Rng;
+
+    use super::*;
+    use crate::Scenario;
+    use crate::commonroad::{Class, Obstacle, TimedState};
+    use crate::traffic::{Participant, Traffic};
+
+    /// What is left out changes no list: with the edges of all that is around, lists are the same.
+    #[test]
+    fn what_is_aside_hides_nothing() {
+        let road = Scenario::load("free-lane").unwrap().road;
+        let mut noise = Noise::new(1, 99);
+        let mut random = |from: f64, to: f64| {
+            from + (to - from) * (noise.0.next_u32() as f64 / f64::from(u32::MAX))
+        };
+        let (mut told, mut left_out) = (0, 0);
+        for world in 0..60 {
+            let reach = [12.0, 40.0, 120.0][world % 3];
+            let standing = |id| Obstacle {
+                id,
+                class: Class::Car,
+                is_static: true,
+                length: random(0.5, 15.0),
+                width: random(0.5, 3.0),
+                states: vec![TimedState {
+                    t: 0.0,
+                    position: Vec2::new(random(-reach, reach), random(-reach, reach)),
+                    yaw: random(-3.0, 3.0),
+                    speed: None,
+                }],
+            };
+            let obstacles: Vec<Obstacle> = (0..30).map(standing).collect();
+            let ego = EgoTruth::default();
+            let body = obstacles[0].length;
+            let footprint = crate::geometry::Footprint {
+                pose: ego.pose,
+                length: body,
+                width: 1.0,
+            };
+            let ego_seen = Participant {
+                footprint,
+                speed: 0.0,
+                acceleration: 0.0,
+            };
+            let traffic = Traffic::new(road.clone(), obstacles.into(), &ego_seen);
+            for sensor in SensorId::ALL {
+                let [mut one, mut all] = [7, 7].map(|seed| Detector::new(sensor, seed));
+                let expected = {
+                    let mount = all.model.mount;
+                    all.look(mount, traffic.vehicles());
+                    for sight in &mut all.sights {
+                        sight.edges = edges(sight.centre, &sight.corners);
+                    }
+                    all.tell(mount, &ego, traffic.vehicles()).to_vec()
+                };
+                assert_eq!(
+                    one.measure(&ego, traffic.vehicles()),
+                    expected,
+                    "{sensor:?}"
+                );
+                told += expected.len();
+                left_out += all.sights.len() - one.sights.len();
+            }
+        }
+        assert!(told > 500 && left_out > 2_000, "{told} {left_out}");
     }
 }

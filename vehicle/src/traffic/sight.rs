@@ -151,8 +151,8 @@ impl<'a> Viewer<'a> {
         Self { road, vehicle }
     }
 
-    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`. `passes`: also for
-    /// one that neither [`ahead`] nor [`blocks_return`] is about.
+    /// `None` for a vehicle behind, far, or far aside. `views`: those of `other`. With `passes`
+    /// also for one that neither [`ahead`] nor [`blocks_return`] is about.
     #[inline]
     pub(super) fn see(&self, other: &Participant, views: &mut Views, passes: bool) -> Option<Seen> {
         let vehicle = self.vehicle;

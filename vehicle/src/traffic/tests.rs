@@ -81,7 +81,8 @@ fn run(
     let mut traffic = Traffic::new(road(drop), recordings.into(), &start);
     for step in 1..=(seconds / STEP) as u32 {
         let t = f64::from(step) * STEP;
-        let footprint = Deviating::new(0, start).predicted(t);
+        let frame = start.footprint.pose.frame();
+        let footprint = Deviating::new(0, start, &frame).predicted(t);
         let ego = Participant { footprint, ..start };
         traffic.step(t, STEP, &ego);
         look(t, traffic.vehicles(), &ego);
@@ -252,4 +253,39 @@ fn a_vehicle_stops_at_the_end_of_its_lane() {
         last.speed < 0.1 && (290.0..301.0).contains(&bumper),
         "{last:?}"
     );
+}
+
+/// A vehicle that passes for sure is neither ahead nor in the way back to the middle.
+#[test]
+fn one_that_passes_is_no_leader_and_blocks_nothing() {
+    let (mut passed, mut meets) = (0, 0);
+    let road = road(Some(300.0));
+    let sides = (-8..=8).map(|side| f64::from(side) * 0.7);
+    for (y, other_y) in sides
+        .clone()
+        .flat_map(|y| sides.clone().map(move |it| (y, it)))
+    {
+        for yaw in [-0.4, -0.02, 0.0, 0.1, 2.9] {
+            let recordings = vec![car(1, 1.0, |t| (10.0 * t, y))];
+            let traffic = Traffic::new(Arc::clone(&road), recordings.into(), &ego(-90.0, 9.0, 0.0));
+            let mut vehicle = traffic.vehicles[0].clone();
+            vehicle.lateral_speed = 0.3;
+            let mut other = ego(20.0, other_y, 15.0);
+            other.footprint.pose.yaw = yaw;
+            let viewer = Viewer::new(&traffic.road, &vehicle);
+            let see = |passes| {
+                let mut views = Views::default();
+                views.renew(other.footprint.pose.frame().forward());
+                viewer.see(&other, &mut views, passes)
+            };
+            let seen = see(false).unwrap();
+            let matters = sight::ahead(&vehicle, &other, &seen).is_some()
+                || sight::blocks_return(&vehicle, &other, &seen);
+            let passes = see(true).is_none();
+            assert!(!(matters && passes), "{y} {other_y} {yaw}");
+            passed += u32::from(passes);
+            meets += u32::from(matters);
+        }
+    }
+    assert!(passed > 200 && meets > 200, "{passed} {meets}");
 }
