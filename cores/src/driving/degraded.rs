@@ -7,7 +7,7 @@
 use tandem_board::{Duration, Instant};
 
 use super::control::{
-    PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, Wish, driven_curvature, steer,
+    HARD_BRAKING, PathError, STANDSTILL_BRAKE, Shaper, SlipFilter, Wish, driven_curvature, steer,
 };
 use super::idm::{self, Driver, Leader};
 use super::math::{abs, max, min, sqrt, wrap_angle};
@@ -115,8 +115,7 @@ impl DegradedControl {
             acceleration: min(own.acceleration, other.acceleration),
         };
         // The own wish stays: it is this system's opinion.
-        let urgent = self.wish.urgent;
-        self.shaper.shape(&Wish { command, urgent }, ego)
+        self.shaper.shape(&wish(command), ego)
     }
 
     /// Keeps lane and distance, and accelerates by no more than `limit`, m/s².
@@ -198,16 +197,19 @@ impl DegradedControl {
         )
     }
 
-    fn shape(&mut self, ego: &Ego, mut wish: Command) -> Command {
-        if ego.speed < 0.3 && wish.acceleration < 0.2 {
-            wish.acceleration = STANDSTILL_BRAKE;
+    fn shape(&mut self, ego: &Ego, mut command: Command) -> Command {
+        if ego.speed < 0.3 && command.acceleration < 0.2 {
+            command.acceleration = STANDSTILL_BRAKE;
         }
-        self.wish = Wish {
-            command: wish,
-            urgent: false,
-        };
+        self.wish = wish(command);
         self.shaper.shape(&self.wish, ego)
     }
+}
+
+/// Without a plan hard braking is an emergency.
+fn wish(command: Command) -> Wish {
+    let urgent = command.acceleration < HARD_BRAKING;
+    Wish { command, urgent }
 }
 
 /// Road wheel angle that keeps the vehicle, now at `pose`, on the line.

@@ -4,7 +4,7 @@ mod lateral;
 mod shaping;
 
 pub(crate) use lateral::{PathError, SlipFilter, steer};
-pub(crate) use shaping::{STANDSTILL_BRAKE, Shaper, Wish};
+pub(crate) use shaping::{HARD_BRAKING, STANDSTILL_BRAKE, Shaper, Wish};
 
 use tandem_board::{Duration, Instant};
 

@@ -1,6 +1,6 @@
 //! Limits of what is asked of the actuators: amplitude and rate, so that no command ever jumps.
 
-use crate::driving::math::{bound, clamp, max, min};
+use crate::driving::math::{bound, clamp, max, min, sqrt};
 use crate::driving::types::{Command, Ego};
 use crate::driving::vehicle::{MAX_STEERING_RAD, MAX_STEERING_RATE, WHEELBASE_M};
 
@@ -15,10 +15,17 @@ const MAX_ACCELERATION: f32 = 3.0;
 const MAX_BRAKING: f32 = 9.5;
 /// Jerk of comfortable driving, m/s³.
 const COMFORT_JERK: f32 = 6.0;
-/// Jerk of hard braking, m/s³: full braking after 0.2 s.
-const BRAKING_JERK: f32 = 45.0;
-/// A wish for braking beyond this is no comfort matter any more, m/s²: as in planning.
-const HARD_BRAKING: f32 = -4.0;
+/// Jerk where the vehicle brakes hard, or lets go of a hard brake, but it is no emergency, m/s³.
+const FIRM_JERK: f32 = 9.0;
+/// Jerk of an emergency, m/s³: full braking after 0.2 s.
+const EMERGENCY_JERK: f32 = 45.0;
+/// Beyond this braking is hard, m/s²: as in planning.
+pub(crate) const HARD_BRAKING: f32 = -4.0;
+/// A brake that is not let go before standstill ends with a jolt. So it is let go with this jerk,
+/// m/s³, down to the braking that holds the vehicle. From 2.5 m/s² that costs 4 cm, from 4 m/s² 17.
+const SOFT_STOP_JERK: f32 = 4.0;
+/// The brake answers so late, s.
+const BRAKE_DELAY_S: f32 = 0.2;
 /// From this speed on the wheels may be turned as fast as they can, m/s.
 const ROLLING_SPEED: f32 = 4.0;
 /// Lateral jerk that a change of steering may cause, m/s³.
@@ -28,7 +35,7 @@ const LATERAL_JERK: f32 = 12.0;
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Wish {
     pub(crate) command: Command,
-    /// Any braking may have the jerk of hard braking.
+    /// An emergency: the brake may jerk.
     pub(crate) urgent: bool,
 }
 
@@ -76,16 +83,17 @@ impl Shaper {
             self.last.steering_angle + turn,
         );
 
-        let wished = clamp(wish.acceleration, -MAX_BRAKING, MAX_ACCELERATION);
-        let hard = wished < self.last.acceleration && (urgent || wished < HARD_BRAKING);
-        let down = if hard { BRAKING_JERK } else { COMFORT_JERK };
-        // Brakes are let go quickly: holding them longer than needed only costs way to the
-        // follower.
-        let up = if self.last.acceleration < HARD_BRAKING {
-            3.0 * COMFORT_JERK
+        let mut wished = clamp(wish.acceleration, -MAX_BRAKING, MAX_ACCELERATION);
+        if !urgent {
+            wished = max(wished, self.softest(ego.speed));
+        }
+        let firm = |is_hard| if is_hard { FIRM_JERK } else { COMFORT_JERK };
+        let down = if urgent {
+            EMERGENCY_JERK
         } else {
-            COMFORT_JERK
+            firm(wished < HARD_BRAKING)
         };
+        let up = firm(self.last.acceleration < HARD_BRAKING);
         let acceleration = clamp(
             wished,
             self.last.acceleration - down * PERIOD_S,
@@ -96,6 +104,12 @@ impl Shaper {
             acceleration,
         };
         self.last
+    }
+
+    /// The hardest braking from which the vehicle comes to a soft stop, m/s², negative.
+    fn softest(&self, speed: f32) -> f32 {
+        let soon = max(speed + BRAKE_DELAY_S * min(self.last.acceleration, 0.0), 0.0);
+        STANDSTILL_BRAKE - sqrt(2.0 * SOFT_STOP_JERK * soon)
     }
 }
 

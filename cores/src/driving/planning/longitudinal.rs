@@ -49,14 +49,17 @@ const END_S: f32 = 1.0;
 const MAX_ACCELERATION: f32 = 2.0;
 /// Strongest braking of candidates that are no emergency, m/s².
 const MAX_BRAKING: f32 = 8.0;
-/// Beyond this braking, m/s², and this jerk, m/s³, a motion is not comfortable: it is only chosen
-/// if each comfortable one is more dangerous than this.
+/// Beyond this braking, m/s², a motion is not comfortable: it is only chosen if each comfortable one
+/// is more dangerous than this.
 const COMFORTABLE_BRAKING: f32 = 4.0;
-const COMFORTABLE_JERK: f32 = 8.0;
 const TOLERABLE_DANGER: f32 = 40.0;
+/// Beyond this jerk, m/s³, a motion is an emergency: it is only chosen if each other one is more
+/// dangerous than this. To come into the space of another costs at least three times as much.
+const SMOOTH_JERK: f32 = 8.0;
+const EMERGENCY_DANGER: f32 = 400.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
-/// Jerk of gentle and of hard braking ramps, m/s³.
+/// Jerk of smooth braking ramps and of those of an emergency, m/s³.
 const RAMP_JERK: f32 = 6.0;
 const EMERGENCY_JERK: f32 = 40.0;
 
@@ -324,17 +327,24 @@ impl Profile {
         ))
     }
 
-    /// Whether this motion, which begins with `acceleration` (m/s²), is comfortable.
-    fn is_comfortable(&self, acceleration: f32) -> bool {
-        match self {
-            Self::Brake(ramp) => abs(ramp.jerk) <= COMFORTABLE_JERK,
-            Self::Keep(polynomial) => {
-                let hardest = min(-COMFORTABLE_BRAKING, acceleration);
-                [0.0, 0.25, 0.5, 0.75, 1.0].iter().all(|share| {
+    /// How rough this motion is, which begins with `acceleration` (m/s²).
+    fn manner(&self, acceleration: f32) -> Manner {
+        let (hardest, jerk) = match self {
+            Self::Brake(ramp) => (ramp.goal, abs(ramp.jerk)),
+            Self::Keep(polynomial) => [0.0, 0.25, 0.5, 0.75, 1.0].iter().fold(
+                (0.0, 0.0),
+                |(hardest, jerk): (f32, f32), share| {
                     let motion = polynomial.at(share * polynomial.end());
-                    abs(motion.third) <= COMFORTABLE_JERK && motion.second >= hardest
-                })
-            }
+                    (min(hardest, motion.second), max(jerk, abs(motion.third)))
+                },
+            ),
+        };
+        if jerk > SMOOTH_JERK {
+            Manner::Emergency
+        } else if hardest < min(-COMFORTABLE_BRAKING, acceleration) {
+            Manner::Firm
+        } else {
+            Manner::Comfortable
         }
     }
 
@@ -381,29 +391,33 @@ const SPEED_CHANGES: [f32; 19] = [
 ];
 /// Durations of these changes, s.
 const DURATIONS_S: [f32; 5] = [1.2, 2.2, 3.5, 5.0, 7.0];
-/// Decelerations of braking ramps, m/s².
-const BRAKINGS: [f32; 6] = [1.5, 2.5, 3.5, 5.0, 7.0, 9.0];
+/// Decelerations of smooth braking ramps and of those of an emergency, m/s².
+const SMOOTH_BRAKINGS: [f32; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
+const EMERGENCY_BRAKINGS: [f32; 3] = [5.0, 7.0, 9.0];
 
-/// The cheapest profile from this start (way 0): the comfortable one if it is no danger, else the
-/// cheapest of all.
-pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> Profile {
-    let mut best = (Profile::emergency(start), f32::INFINITY);
-    let mut comfortable = (best.0, f32::INFINITY, f32::INFINITY);
+/// How rough a motion is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Manner {
+    /// Neither brakes hard nor jerks.
+    Comfortable,
+    /// Brakes hard, but does not jerk.
+    Firm,
+    /// Jerks: brakes as hard as needed, at once.
+    Emergency,
+}
+
+/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if that is no
+/// danger, else one without a jerk if that keeps a distance, else the cheapest of all.
+pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
+    let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
+    // The cheapest of each manner, with its cost and its danger.
+    let mut best = [none; 3];
     let mut consider = |profile: Profile| {
-        let is_comfortable = profile.is_comfortable(start.second);
-        let limit = if is_comfortable {
-            comfortable.1
-        } else {
-            best.1
-        };
-        let Some((cost, danger)) = profile.cost(corridor, limit) else {
-            return;
-        };
-        if is_comfortable {
-            comfortable = (profile, cost, danger);
-        }
-        if cost < best.1 {
-            best = (profile, cost);
+        let best = &mut best[profile.manner(start.second) as usize];
+        if let Some((cost, danger)) = profile.cost(corridor, best.1)
+            && cost < best.1
+        {
+            *best = (profile, cost, danger);
         }
     };
     for &duration in &DURATIONS_S {
@@ -415,23 +429,25 @@ pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> Profile {
             consider(Profile::Keep(Polynomial::quartic(start, speed, duration)));
         }
     }
-    for &braking in &BRAKINGS {
-        let jerk = if braking > 4.0 {
-            EMERGENCY_JERK
-        } else {
-            RAMP_JERK
-        };
-        consider(Profile::Brake(Ramp::new(
-            start.first,
-            start.second,
-            braking,
-            jerk,
-        )));
+    let smooth = SMOOTH_BRAKINGS.map(|braking| (braking, RAMP_JERK));
+    let hard = EMERGENCY_BRAKINGS.map(|braking| (braking, EMERGENCY_JERK));
+    for (braking, jerk) in smooth.into_iter().chain(hard) {
+        let ramp = Ramp::new(start.first, start.second, braking, jerk);
+        consider(Profile::Brake(ramp));
     }
+    let [comfortable, firm, emergency] = best;
     if comfortable.2 < TOLERABLE_DANGER {
-        comfortable.0
+        return (comfortable.0, Manner::Comfortable);
+    }
+    let (smooth, manner) = if firm.1 < comfortable.1 {
+        (firm, Manner::Firm)
     } else {
-        best.0
+        (comfortable, Manner::Comfortable)
+    };
+    if smooth.2 < EMERGENCY_DANGER || smooth.1 <= emergency.1 && smooth.1.is_finite() {
+        (smooth.0, manner)
+    } else {
+        (emergency.0, Manner::Emergency)
     }
 }
 
@@ -460,9 +476,9 @@ mod tests {
             first: 30.0,
             ..Jet::default()
         };
-        let profile = cheapest(&start, &Corridor::free(30.0));
+        let (profile, _) = cheapest(&start, &Corridor::free(30.0));
         assert!((profile.at(4.0).first - 30.0).abs() < 0.3);
-        let profile = cheapest(&start, &Corridor::free(33.0));
+        let (profile, _) = cheapest(&start, &Corridor::free(33.0));
         let motion = profile.at(4.0);
         assert!(motion.first > 30.5, "{motion:?}");
     }
@@ -477,7 +493,7 @@ mod tests {
             first: 25.0,
             ..Jet::default()
         };
-        let profile = cheapest(&start, &corridor);
+        let (profile, _) = cheapest(&start, &corridor);
         let end = profile.at(8.0);
         assert!(end.value < 60.0, "{end:?}");
     }
@@ -502,7 +518,7 @@ mod tests {
                 let t = (step + 1) as f32 * STEP_S;
                 corridor.limit(step, bound + speed * t, speed);
             }
-            hardest(cheapest(&start, &corridor))
+            hardest(cheapest(&start, &corridor).0)
         };
         let near = behind(11.0, 14.0);
         assert!(near.0 > 0.2 && near.0 <= 4.0 && near.1 <= 8.0, "{near:?}");
@@ -511,7 +527,7 @@ mod tests {
         let mut margin = Corridor::free(15.0);
         margin.stop = [20.0; STEPS];
         margin.end = [45.0; STEPS];
-        let margin = hardest(cheapest(&start, &margin));
+        let margin = hardest(cheapest(&start, &margin).0);
         assert!(margin.0 <= 4.0 && margin.1 <= 8.0, "{margin:?}");
     }
 }

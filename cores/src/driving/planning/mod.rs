@@ -26,7 +26,7 @@ use super::types::{
 use super::vehicle::{LENGTH_M, WIDTH_M};
 use behaviour::{Behaviour, Goal, Intent, Side, Situation};
 use lateral::{Path, Station, to_cartesian, to_frenet};
-use longitudinal::{Corridor, Profile, STEP_S, STEPS, cheapest};
+use longitudinal::{Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
 use polynomial::Jet;
 use prediction::Predicted;
 
@@ -70,8 +70,6 @@ const PASSED_M: f32 = 1.0;
 /// Objects farther away along the road are not looked at, m.
 const FARTHEST_M: f32 = 220.0;
 const FARTHEST_BEHIND_M: f32 = 90.0;
-/// A plan with stronger braking than this is an emergency, m/s².
-const HARD_BRAKING: f32 = 4.0;
 /// Times in which the lane is regained, s.
 const KEEP_S: [f32; 3] = [2.0, 3.0, 4.5];
 /// The shortest way for it, m.
@@ -232,13 +230,13 @@ impl Planner {
         };
         let drive = |goal: &Goal| {
             let path = choose_path(&station, goal, first.first);
-            let profile = along(goal, &path, None);
-            (path, profile)
+            let (profile, manner) = along(goal, &path, None);
+            (path, profile, manner)
         };
-        let (mut path, mut profile) = drive(&goal);
+        let (mut path, mut profile, mut manner) = drive(&goal);
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
             // A vehicle that brakes comes aside later than at the present speed.
-            profile = along(&goal, &path, Some(&profile));
+            (profile, manner) = along(&goal, &path, Some(&profile));
         }
         if self.behaviour.is_leaving() && view.touches(&station, &path, &profile) {
             let kept = drive(&Goal {
@@ -254,7 +252,7 @@ impl Planner {
             });
             if is_worse {
                 self.behaviour.abort();
-                (path, profile) = kept;
+                (path, profile, manner) = kept;
             }
         }
 
@@ -262,7 +260,7 @@ impl Planner {
             at: scene.at,
             measured: scene.measured,
             cycle: scene.cycle,
-            maneuver: self.maneuver(&profile),
+            maneuver: self.maneuver(manner),
             memory: self.behaviour.memory(),
             points: points(&view.frame, &station, &path, &profile),
         };
@@ -336,10 +334,9 @@ impl Planner {
         }
     }
 
-    fn maneuver(&self, profile: &Profile) -> Maneuver {
-        let hardest = min(profile.at(0.3).second, profile.at(0.8).second);
+    fn maneuver(&self, manner: Manner) -> Maneuver {
         match self.behaviour.intent {
-            _ if hardest < -HARD_BRAKING => Maneuver::Brake,
+            _ if manner == Manner::Emergency => Maneuver::Brake,
             Intent::Change {
                 side: Side::Left, ..
             } => Maneuver::ChangeLeft,
@@ -412,7 +409,7 @@ fn choose_profile(
     goal: &Goal,
     before: Option<&Profile>,
     mut corridor: Corridor,
-) -> Profile {
+) -> (Profile, Manner) {
     let aside_at = |t: f32| {
         let way = before.map_or(start.first * t, |profile| profile.at(t).value);
         path.at(station.s + way).value
