@@ -56,7 +56,7 @@ const TOLERABLE_DANGER: f32 = 40.0;
 /// Beyond this jerk, m/s³, a motion is an emergency: it is only chosen if each other one is more
 /// dangerous than this. To come into the space of another costs at least three times as much.
 const SMOOTH_JERK: f32 = 8.0;
-const EMERGENCY_DANGER: f32 = 400.0;
+const EMERGENCY_DANGER: f32 = 200.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
 /// Jerk of smooth braking ramps and of those of an emergency, m/s³.

@@ -12,6 +12,9 @@ const ONCOMING: f32 = 1.0;
 /// whose tangent is larger than this.
 const CROSSING: f32 = 1.5;
 const CROSSING_SLOPE: f32 = 0.35;
+/// Slower than this against the own direction is noise of a road user that has just come to a stop,
+/// m/s: it stands.
+const ROLLS_BACK: f32 = 0.5;
 /// Time constant with which a movement across the road ends, s.
 const SWERVE_S: f32 = 1.2;
 /// Gentle braking is expected to last this long …
@@ -69,7 +72,11 @@ impl Predicted {
         Self {
             s,
             d,
-            speed,
+            speed: if abs(speed) < ROLLS_BACK {
+                max(speed, 0.0)
+            } else {
+                speed
+            },
             across: if keeps_lane { 0.0 } else { across },
             acceleration: clamp(object.ax, -9.0, 0.0),
             half_length: 0.5 * max(object.length, 1.0),
@@ -145,6 +152,26 @@ mod tests {
         assert!((s - 30.0 - 25.0).abs() < 0.1 && speed == 0.0, "{s} {speed}");
         let (_, speed) = predicted(20.0, -1.0).along(8.0);
         assert!((speed - 18.2).abs() < 0.01, "{speed}");
+    }
+
+    /// The tracks of vehicles that brake to a stop swing to small speeds backwards. They are not
+    /// continued for seconds into the own bumper.
+    #[test]
+    fn a_leader_that_has_just_stopped_does_not_roll_back() {
+        let line = crate::driving::road::CentreLine::of_curvature(0.0);
+        let place_in_8_s = |vx: f32| {
+            let object = Object {
+                x: 7.7,
+                y: 0.0,
+                vx,
+                vy: 0.0,
+                cuts_in: false,
+                ..Object::truck()
+            };
+            Predicted::new(&object, &FrenetFrame::new(line)).along(8.0).0
+        };
+        assert!((place_in_8_s(-0.3) - 7.7).abs() < 0.01);
+        assert!(place_in_8_s(-1.5) < 0.0, "it comes towards the vehicle");
     }
 
     #[test]
