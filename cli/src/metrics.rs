@@ -338,7 +338,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
         duration_s: log.driven_s(),
         duration_asked_s: log.header.duration_s,
         complete: log.end_ns.is_some(),
-        drive: log.figures,
+        drive: log.figures.clone(),
         control_frames: count(Verdict::Accepted),
         fenced_frames: count(Verdict::Fenced),
         invalid_frames: count(Verdict::Invalid),

@@ -35,8 +35,12 @@ pub(crate) fn figures(metrics: &Metrics) -> DriveFigures {
             accel_max: metrics.acceleration_max,
             brake_max: metrics.deceleration_max,
             lat_accel_max: metrics.lateral_acceleration_max,
+            calm_brake_max: metrics.calm_deceleration_max,
             jerk_p99: metrics.jerk_p99,
+            jerk_max: metrics.jerk_max.0,
+            calm_jerk_max: metrics.calm_jerk_max,
         },
+        brake_reason: metrics.hard_braking.map(|it| it.reason()),
     }
 }
 

@@ -81,7 +81,7 @@ pub struct Other {
 }
 
 /// The vehicle's own figures of the drive, taken at every millisecond.
-#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct DriveFigures {
     /// Contacts of the own vehicle.
     pub collisions: u32,
@@ -124,6 +124,9 @@ pub struct DriveFigures {
     pub distance_m: f64,
     /// Accelerations and jerk that passengers feel.
     pub comfort: Comfort,
+    /// For what the vehicle braked hardest, if above 4 m/s², and the deceleration that this needed.
+    #[serde(default)]
+    pub brake_reason: Option<String>,
 }
 
 /// Extremes of the accelerations and the jerk that passengers feel.
@@ -135,8 +138,17 @@ pub struct Comfort {
     pub brake_max: f64,
     /// Strongest lateral acceleration to either side, m/s².
     pub lat_accel_max: f64,
+    /// Strongest braking outside emergencies, m/s², positive. An emergency needs more than 3 m/s².
+    #[serde(default)]
+    pub calm_brake_max: f64,
     /// 99th percentile of the longitudinal jerk at each millisecond, m/s³.
     pub jerk_p99: f64,
+    /// Largest longitudinal jerk over 100 ms, m/s³, …
+    #[serde(default)]
+    pub jerk_max: f64,
+    /// … and the largest outside emergencies.
+    #[serde(default)]
+    pub calm_jerk_max: f64,
 }
 
 /// A record of the vehicle itself, beside the trace and the frames.

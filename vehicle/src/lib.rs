@@ -25,6 +25,7 @@
 pub mod actuators;
 pub mod commonroad;
 mod driver;
+mod emergency;
 mod error;
 pub mod gate;
 pub mod geometry;

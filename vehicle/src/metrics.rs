@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use crate::commonroad::{Goal, Nearest};
+use crate::emergency::EMERGENCY_BRAKING;
 use crate::geometry::{Pose, Vec2};
 use crate::road::LaneId;
 use crate::traffic::{Participant, Vehicle};
@@ -23,6 +24,11 @@ const STANDING: f64 = 0.1;
 const SWERVING: f64 = 0.3;
 /// Stronger braking is named with its reason, m/s².
 pub(crate) const HARD_BRAKING: f64 = 4.0;
+/// Braking from which on it is asked whether the situation needs it, m/s².
+pub(crate) const NOTED_BRAKING: f64 = 0.5;
+/// An emergency lasts so much longer than the situation that is one, s: until the vehicle has let go
+/// of its brake, or stands.
+const EMERGENCY_ENDS_S: f64 = 1.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
 const STANDING_REASON_M: f64 = 30.0;
@@ -92,6 +98,16 @@ pub struct Metrics {
     pub jerk_p99: f64,
     /// Largest longitudinal jerk over 100 ms, m/s³, and when, s.
     pub jerk_max: (f64, f64),
+    /// Largest deceleration, m/s², positive, and largest longitudinal jerk over 100 ms, m/s³, outside
+    /// emergencies.
+    ///
+    /// An emergency is a situation in which the ego needs more than 3 m/s² all the way to stay 1 m
+    /// behind what is ahead in its path, or enters it within 2 s, if that goes on braking as it
+    /// does; or to stand 1 m before the end of the lane or of the domain. It counts until 1 s
+    /// after.
+    pub calm_deceleration_max: f64,
+    /// See there.
+    pub calm_jerk_max: f64,
     /// The hardest braking above 4 m/s²: when it began to be so hard, and for what.
     pub hard_braking: Option<HardBraking>,
     /// Distance driven, m.
@@ -124,6 +140,8 @@ impl Default for Metrics {
             lateral_acceleration_max: 0.0,
             jerk_p99: 0.0,
             jerk_max: (0.0, 0.0),
+            calm_deceleration_max: 0.0,
+            calm_jerk_max: 0.0,
             hard_braking: None,
             distance_m: 0.0,
         }
@@ -143,12 +161,18 @@ pub struct HardBraking {
     pub end_m: f64,
     /// Distance to the nearest other road user in front, in any lane, m; infinite without one.
     pub beside_m: f64,
+    /// Constant deceleration that the situation needed then or within the second before, m/s².
+    pub needed: f64,
 }
 
 impl HardBraking {
     /// In words.
     #[must_use]
     pub fn reason(&self) -> String {
+        format!("{}; {:.1} m/s² needed", self.what(), self.needed)
+    }
+
+    fn what(&self) -> String {
         match self {
             Self { ttc_s, gap_m, .. } if *ttc_s < 6.0 => {
                 format!("vehicle {gap_m:.0} m ahead, {ttc_s:.1} s to a collision")
@@ -197,6 +221,10 @@ pub(crate) struct Meter {
     excursion: Excursion,
     lane: Option<LaneId>,
     stopped_since: Option<f64>,
+    /// The last emergency, s.
+    emergency_s: Option<f64>,
+    /// The newest deceleration that was needed, m/s², and when, s.
+    needed: (f64, f64),
     accelerations: [f64; JERK_SPAN_MS],
     /// Of the last 100 ms, for the largest jerk.
     smooth: [f64; JERK_MAX_SPAN_MS],
@@ -226,6 +254,8 @@ impl Meter {
             goals,
             lane: None,
             stopped_since: None,
+            emergency_s: None,
+            needed: (0.0, 0.0),
             smooth: [0.0; JERK_MAX_SPAN_MS],
             accelerations: [0.0; JERK_SPAN_MS],
             steps: 0,
@@ -250,6 +280,7 @@ impl Meter {
                 gap_m: sample.gap,
                 end_m: sample.end.min(sample.domain_end),
                 beside_m: sample.beside,
+                needed: self.needed.0,
             });
         }
         let Sample { pose, speed, .. } = *sample;
@@ -273,6 +304,17 @@ impl Meter {
             .lateral_acceleration_max
             .max(sample.lat_acceleration.abs());
         m.distance_m += sample.speed * 1e-3;
+    }
+
+    /// The ego brakes, and needs this deceleration, m/s².
+    pub(crate) fn needs(&mut self, time_s: f64, deceleration: f64) {
+        let (largest, at_s) = self.needed;
+        if deceleration >= largest || time_s - at_s > EMERGENCY_ENDS_S {
+            self.needed = (deceleration, time_s);
+        }
+        if deceleration > EMERGENCY_BRAKING {
+            self.emergency_s = Some(time_s);
+        }
     }
 
     /// When a goal was reached, s.
@@ -329,8 +371,20 @@ impl Meter {
         let change = (sample.long_acceleration - self.smooth[slot]).abs();
         self.smooth[slot] = sample.long_acceleration;
         let jerk = change / (JERK_MAX_SPAN_MS as f64 * 1e-3);
-        if self.steps >= JERK_MAX_SPAN_MS && jerk > self.metrics.jerk_max.0 {
-            self.metrics.jerk_max = (jerk, sample.time_s);
+        let m = &mut self.metrics;
+        let is_emergency = |since_s: f64| sample.time_s - since_s <= EMERGENCY_ENDS_S;
+        let is_calm = !self.emergency_s.is_some_and(is_emergency);
+        if is_calm {
+            m.calm_deceleration_max = m.calm_deceleration_max.max(-sample.long_acceleration);
+        }
+        if self.steps < JERK_MAX_SPAN_MS {
+            return;
+        }
+        if jerk > m.jerk_max.0 {
+            m.jerk_max = (jerk, sample.time_s);
+        }
+        if is_calm {
+            m.calm_jerk_max = m.calm_jerk_max.max(jerk);
         }
     }
 
@@ -440,6 +494,98 @@ mod tests {
     use super::*;
     use crate::geometry::Footprint;
 
+    const CRUISING: Sample = Sample {
+        time_s: 0.0,
+        speed: 30.0,
+        long_acceleration: 0.0,
+        lat_acceleration: 0.0,
+        lane: LaneId(0),
+        offset: 0.0,
+        width: 3.5,
+        wrong_way: false,
+        pose: Pose {
+            position: Vec2::new(0.0, 0.0),
+            yaw: 0.0,
+        },
+        gap: f64::INFINITY,
+        ttc: f64::INFINITY,
+        beside: f64::INFINITY,
+        end: f64::INFINITY,
+        domain_end: f64::INFINITY,
+    };
+
+    /// The brake jerks with 20 m/s³ to 6 m/s² at 1 s, and again at 5 s. Only the first time is an
+    /// emergency.
+    #[test]
+    fn braking_in_an_emergency_is_told_apart() {
+        let figures = |needed: f64| {
+            let mut meter = Meter::new(0, Arc::new([]));
+            for ms in 0..8_000_u32 {
+                let time_s = f64::from(ms) * 1e-3;
+                let since_s = if time_s < 4.0 {
+                    time_s - 1.0
+                } else {
+                    time_s - 5.0
+                };
+                let hardest = if time_s < 4.0 { 6.0 } else { 3.0 };
+                let ramp = |from_s: f64| (20.0 * (since_s - from_s)).clamp(0.0, hardest);
+                let braking = ramp(0.0) - ramp(0.8);
+                if braking > NOTED_BRAKING {
+                    meter.needs(time_s, if time_s < 4.0 { needed } else { 2.0 });
+                }
+                meter.step(&Sample {
+                    time_s,
+                    long_acceleration: -braking,
+                    ..CRUISING
+                });
+            }
+            meter.metrics()
+        };
+        let near = |a: f64, b: f64| (a - b).abs() < 0.1;
+        for (needed, calm) in [(3.5, 3.0), (2.5, 6.0)] {
+            let it = figures(needed);
+            assert!(near(it.jerk_max.0, 20.0) && near(it.deceleration_max, 6.0));
+            assert!(near(it.calm_deceleration_max, calm), "{it:?}");
+            assert!(near(it.calm_jerk_max, 20.0), "{it:?}");
+            assert!(near(it.hard_braking.unwrap().needed, needed), "{it:?}");
+        }
+    }
+
+    /// Each reason, and the order in which they are looked for.
+    #[test]
+    fn the_reason_of_hard_braking_is_what_is_nearest_in_time() {
+        const FREE: f64 = f64::INFINITY;
+        for (ttc_s, gap_m, end_m, beside_m, reason) in [
+            (
+                1.4,
+                13.0,
+                20.0,
+                9.0,
+                "vehicle 13 m ahead, 1.4 s to a collision",
+            ),
+            (6.5, 30.0, 22.0, 9.0, "the lane ends in 22 m"),
+            (FREE, 17.0, 60.0, 9.0, "vehicle 17 m ahead"),
+            (
+                FREE,
+                55.0,
+                60.0,
+                9.0,
+                "road user 9 m away, not in the lane yet",
+            ),
+            (FREE, FREE, FREE, 51.0, "nothing seen ahead"),
+        ] {
+            let braking = HardBraking {
+                at_s: 1.0,
+                ttc_s,
+                gap_m,
+                end_m,
+                beside_m,
+                needed: 4.25,
+            };
+            assert_eq!(braking.reason(), format!("{reason}; 4.2 m/s² needed"));
+        }
+    }
+
     /// Feeds (offset, lane) every 100 ms, each for 100 steps of a millisecond.
     fn lateral(samples: &[(f64, usize)]) -> Metrics {
         let mut meter = Meter::new(0, Arc::new([]));
@@ -447,19 +593,9 @@ mod tests {
             for ms in 0..100 {
                 meter.step(&Sample {
                     time_s: (index * 100 + ms) as f64 * 1e-3,
-                    speed: 30.0,
-                    long_acceleration: 0.0,
-                    lat_acceleration: 0.0,
                     lane: LaneId(*lane),
                     offset: *offset,
-                    width: 3.5,
-                    wrong_way: false,
-                    pose: Pose::default(),
-                    gap: f64::INFINITY,
-                    ttc: f64::INFINITY,
-                    beside: f64::INFINITY,
-                    end: f64::INFINITY,
-                    domain_end: f64::INFINITY,
+                    ..CRUISING
                 });
             }
         }

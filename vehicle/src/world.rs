@@ -8,9 +8,10 @@ use tandem_bus::{self as bus, Message, SensorHeader, SensorId, Transmitter};
 use crate::actuators::{Actuators, FALLBACK_AFTER_NS, FALLBACK_DECELERATION, Request};
 use crate::commonroad::Class;
 use crate::driver::{self, Driver, Habit, View};
+use crate::emergency;
 use crate::gate::{Acceptance, Gate};
 use crate::geometry::{Footprint, Pose, Vec2, wrap_angle};
-use crate::metrics::{HARD_BRAKING, Meter, Metrics, Sample};
+use crate::metrics::{HARD_BRAKING, Meter, Metrics, NOTED_BRAKING, Sample};
 use crate::plant::{self, BMW_320I};
 use crate::road::{Foot, LaneId, Road, Rough};
 use crate::route::{Here, Navigation};
@@ -366,6 +367,19 @@ impl World {
         } else {
             f64::INFINITY
         };
+        let end = self.road.distance_to_end(self.ego.lane, self.ego.place.s);
+        let domain_end = domain_end.map_or(f64::INFINITY, |(distance, _)| distance);
+        if self.ego.long_acceleration < -NOTED_BRAKING {
+            let ego = emergency::Ego {
+                pose: self.ego.pose,
+                speed,
+                curvature: self.ego.yaw_rate / speed.max(1.0),
+                end: end.min(domain_end),
+            };
+            let now = &self.snapshot;
+            let needed = emergency::needed(&ego, (now.gap, now.leader_speed), &now.vehicles);
+            self.meter.needs(self.snapshot.time_s, needed);
+        }
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
             speed,
@@ -379,8 +393,8 @@ impl World {
             gap: self.snapshot.gap,
             ttc: self.snapshot.ttc,
             beside,
-            end: self.road.distance_to_end(self.ego.lane, self.ego.place.s),
-            domain_end: domain_end.map_or(f64::INFINITY, |(distance, _)| distance),
+            end,
+            domain_end,
         });
     }
 

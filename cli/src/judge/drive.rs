@@ -72,6 +72,9 @@ pub(crate) struct Judgement {
     pub(crate) brake_reason: String,
     /// Largest jerk over 100 ms, m/s³.
     pub(crate) jerk_max: f64,
+    /// The same two outside emergencies: situations that need more than 3 m/s².
+    pub(crate) calm_brake_max: f64,
+    pub(crate) calm_jerk_max: f64,
     pub(crate) lat_accel_max: f64,
     pub(crate) lane_changes: u32,
     /// Scenario time and way that were driven, s and m.
@@ -169,6 +172,8 @@ fn figures(file: &str, metrics: &Metrics) -> Judgement {
         brake_max: metrics.deceleration_max,
         brake_reason: metrics.hard_braking.map_or(String::new(), |it| it.reason()),
         jerk_max: metrics.jerk_max.0,
+        calm_brake_max: metrics.calm_deceleration_max,
+        calm_jerk_max: metrics.calm_jerk_max,
         lat_accel_max: metrics.lateral_acceleration_max,
         lane_changes: metrics.lane_changes,
         driven_s: 0.0,

@@ -143,7 +143,8 @@ fn sums(judged: &[Judgement]) -> String {
     let of = |verdict| count(&|it| it.verdict == verdict);
     format!(
         "{} files: {} driven, {} stopped, {} refused; {} collisions, {} caused; {} excursions; \
-         {} of {} goals reached",
+         {} of {} goals reached; outside emergencies {} braked above 4 m/s², {} jerked above \
+         10 m/s³",
         judged.len(),
         of(Verdict::Driven),
         of(Verdict::Stopped),
@@ -153,6 +154,8 @@ fn sums(judged: &[Judgement]) -> String {
         count(&|it| it.excursion_m > 0.0),
         count(&|it| it.goal_reached == Some(true)),
         count(&|it| it.goal_reached.is_some()),
+        count(&|it| it.calm_brake_max > 4.0),
+        count(&|it| it.calm_jerk_max > 10.0),
     )
 }
 

@@ -69,6 +69,7 @@ fn card(it: &Judgement) -> Markup {
                 @if it.verdict != Verdict::Refused {
                     (format!(" · {:.0} m in {:.0} s", it.distance_m, it.driven_s))
                     (format!(" · brake {:.1} · jerk {:.1}", it.brake_max, it.jerk_max))
+                    (format!(" · calm {:.1}, {:.1}", it.calm_brake_max, it.calm_jerk_max))
                 }
                 @if it.excursion_m > 0.0 { (format!(" · excursion {:.2} m", it.excursion_m)) }
                 @let remark = it.remark();

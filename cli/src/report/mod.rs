@@ -393,9 +393,17 @@ fn conditions(metrics: &Metrics) -> Markup {
                     (row("Smallest time to collision", unit(metrics.drive.ttc_min_s, "s")))
                     (row("Strongest acceleration", unit(Some(comfort.accel_max), "m/s²")))
                     (row("Strongest braking", unit(Some(comfort.brake_max), "m/s²")))
+                    @if let Some(reason) = &metrics.drive.brake_reason {
+                        (row("Braked hard for", reason.clone()))
+                    }
+                    (row("Strongest braking outside emergencies",
+                        unit(Some(comfort.calm_brake_max), "m/s²")))
                     (row("Strongest lateral acceleration",
                         unit(Some(comfort.lat_accel_max), "m/s²")))
                     (row("Jerk, 99 % of the time below", unit(Some(comfort.jerk_p99), "m/s³")))
+                    (row("Largest jerk", unit(Some(comfort.jerk_max), "m/s³")))
+                    (row("Largest jerk outside emergencies",
+                        unit(Some(comfort.calm_jerk_max), "m/s³")))
                     (row("Lane changes", metrics.drive.lane_changes.to_string()))
                     (row("Distance driven", format!("{:.0} m", metrics.drive.distance_m)))
                 }

@@ -66,7 +66,8 @@ fn constant_acceleration(driver: &Driver, speed: f32, leader: Leader, accelerate
     let gap = max(leader.gap, 0.1);
     let accelerates = min(accelerates, driver.max_acceleration);
     let closing = speed - leader.speed;
-    if leader.speed * closing <= -2.0 * gap * accelerates {
+    // Not for what stands: there both sides are zero.
+    if leader.speed * closing < -2.0 * gap * accelerates {
         let divisor = leader.speed * leader.speed - 2.0 * gap * accelerates;
         return speed * speed * accelerates / max(divisor, 0.01);
     }
@@ -177,6 +178,12 @@ mod tests {
             -3.0,
         );
         assert!(hard < -6.0, "{hard}");
+        let stands = Leader {
+            gap: 25.0,
+            speed: 0.0,
+        };
+        let hard = adaptive(&DRIVER, 20.0, stands, 0.0);
+        assert!(hard < -6.0, "what stands: {hard}");
     }
 
     #[test]

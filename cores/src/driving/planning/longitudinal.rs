@@ -51,12 +51,12 @@ const MAX_ACCELERATION: f32 = 2.0;
 const MAX_BRAKING: f32 = 8.0;
 /// Beyond this braking, m/s², a motion is not comfortable: it is only chosen if each comfortable one
 /// is more dangerous than this.
-const COMFORTABLE_BRAKING: f32 = 4.0;
+pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
 /// Beyond this jerk, m/s³, a motion is an emergency: it is only chosen if each other one is more
 /// dangerous than this. To come into the space of another costs at least three times as much.
 const SMOOTH_JERK: f32 = 8.0;
-const EMERGENCY_DANGER: f32 = 200.0;
+const EMERGENCY_DANGER: f32 = 100.0;
 /// Full braking, m/s².
 pub(crate) const EMERGENCY_BRAKING: f32 = 9.0;
 /// Jerk of smooth braking ramps and of those of an emergency, m/s³.
@@ -496,6 +496,26 @@ mod tests {
         let (profile, _) = cheapest(&start, &corridor);
         let end = profile.at(8.0);
         assert!(end.value < 60.0, "{end:?}");
+    }
+
+    /// What stands ahead may need hard braking, but no jerk while there is still room to build it
+    /// up. It is an emergency only when it is too near for that.
+    #[test]
+    fn braking_jerks_only_where_a_ramp_comes_too_late() {
+        let start = Jet {
+            first: 20.0,
+            ..Jet::default()
+        };
+        let manner = |gap: f32| {
+            let mut corridor = Corridor::free(20.0);
+            for step in 0..STEPS {
+                corridor.limit(step, gap, 0.0);
+            }
+            cheapest(&start, &corridor).1
+        };
+        assert_eq!(manner(95.0), Manner::Comfortable);
+        assert_eq!(manner(55.0), Manner::Firm);
+        assert_eq!(manner(30.0), Manner::Emergency);
     }
 
     /// The vehicle falls back in comfort from a leader that is near but no danger. It brakes as

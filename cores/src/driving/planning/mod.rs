@@ -26,7 +26,7 @@ use super::types::{
 use super::vehicle::{LENGTH_M, WIDTH_M};
 use behaviour::{Behaviour, Goal, Intent, Side, Situation};
 use lateral::{Path, Station, to_cartesian, to_frenet};
-use longitudinal::{Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
+use longitudinal::{COMFORTABLE_BRAKING, Corridor, Manner, Profile, STEP_S, STEPS, cheapest};
 use polynomial::Jet;
 use prediction::Predicted;
 
@@ -260,7 +260,7 @@ impl Planner {
             at: scene.at,
             measured: scene.measured,
             cycle: scene.cycle,
-            maneuver: self.maneuver(manner),
+            maneuver: self.maneuver(&profile, manner),
             memory: self.behaviour.memory(),
             points: points(&view.frame, &station, &path, &profile),
         };
@@ -334,9 +334,11 @@ impl Planner {
         }
     }
 
-    fn maneuver(&self, manner: Manner) -> Maneuver {
+    fn maneuver(&self, profile: &Profile, manner: Manner) -> Maneuver {
+        let hardest = min(profile.at(0.3).second, profile.at(0.8).second);
+        let brakes = hardest < -COMFORTABLE_BRAKING;
         match self.behaviour.intent {
-            _ if manner == Manner::Emergency => Maneuver::Brake,
+            _ if brakes && manner == Manner::Emergency => Maneuver::Brake,
             Intent::Change {
                 side: Side::Left, ..
             } => Maneuver::ChangeLeft,

@@ -168,7 +168,9 @@ mod tests {
                 cuts_in: false,
                 ..Object::truck()
             };
-            Predicted::new(&object, &FrenetFrame::new(line)).along(8.0).0
+            Predicted::new(&object, &FrenetFrame::new(line))
+                .along(8.0)
+                .0
         };
         assert!((place_in_8_s(-0.3) - 7.7).abs() < 0.01);
         assert!(place_in_8_s(-1.5) < 0.0, "it comes towards the vehicle");
