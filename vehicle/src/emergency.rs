@@ -1,8 +1,8 @@
 //! Whether a situation is an emergency: the deceleration that it needs.
 
-use crate::geometry::{Pose, wrap_angle};
+use crate::geometry::{Footprint, Pose, wrap_angle};
 use crate::plant::BMW_320I;
-use crate::world::VehicleSnapshot;
+use crate::traffic::Participant;
 
 /// A situation that needs more than this is an emergency, m/s². It is below the 3.5 m/s² that ISO
 /// 15622 permits a cruise control.
@@ -30,22 +30,31 @@ pub(crate) struct Ego {
 
 /// The constant deceleration, m/s², that the ego needs from now on for all that is ahead. `leader`:
 /// distance to the one in its lane, which may bend before that, m, and its speed, m/s.
-pub(crate) fn needed(ego: &Ego, leader: (f64, f64), others: &[VehicleSnapshot]) -> f64 {
+pub(crate) fn needed<'a>(
+    ego: &Ego,
+    leader: (f64, f64),
+    others: impl IntoIterator<Item = &'a Participant>,
+) -> f64 {
     let end = behind(ego.speed, ego.end - BMW_320I.length / 2.0, 0.0, 0.0);
     let leader = behind(ego.speed, leader.0, leader.1, 0.0);
-    let others = others.iter().map(|other| needed_for(ego, other));
+    let others = others.into_iter().map(|other| needed_for(ego, other));
     others.fold(end.max(leader), f64::max)
 }
 
 /// The same for one other road user; 0 if it is not in the way.
-fn needed_for(ego: &Ego, other: &VehicleSnapshot) -> f64 {
-    let place = ego.pose.to_local(other.pose.position);
+fn needed_for(ego: &Ego, other: &Participant) -> f64 {
+    let Footprint {
+        pose,
+        length,
+        width,
+    } = other.footprint;
+    let place = ego.pose.to_local(pose.position);
     if place.x <= 0.0 {
         return 0.0;
     }
-    let turned = wrap_angle(other.pose.yaw - ego.pose.yaw - ego.curvature * place.x);
+    let turned = wrap_angle(pose.yaw - ego.pose.yaw - ego.curvature * place.x);
     let (sine, cosine) = turned.sin_cos();
-    let half = |along: f64, across: f64| (other.length * along + other.width * across).abs() / 2.0;
+    let half = |along: f64, across: f64| (length * along + width * across).abs() / 2.0;
     let reach = half(sine.abs(), cosine.abs()) + BMW_320I.width / 2.0 + ASIDE_M;
     let now = place.y - ego.curvature * place.x * place.x / 2.0;
     let soon = now + SOON_S * other.speed * sine;
@@ -74,25 +83,18 @@ fn behind(speed: f64, gap: f64, leader: f64, acceleration: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::commonroad::Class;
     use crate::geometry::Vec2;
-    use crate::road::LaneId;
-    use crate::traffic::Mode;
 
-    fn other(x: f64, y: f64, yaw: f64, speed: f64, acceleration: f64) -> VehicleSnapshot {
-        VehicleSnapshot {
-            id: 1,
-            class: Class::Car,
-            pose: Pose {
-                position: Vec2::new(x, y),
-                yaw,
+    fn other(x: f64, y: f64, yaw: f64, speed: f64, acceleration: f64) -> Participant {
+        let position = Vec2::new(x, y);
+        Participant {
+            footprint: Footprint {
+                pose: Pose { position, yaw },
+                length: BMW_320I.length,
+                width: 1.8,
             },
             speed,
             acceleration,
-            length: BMW_320I.length,
-            width: 1.8,
-            lane: LaneId(0),
-            mode: Mode::Replay,
         }
     }
 
@@ -110,7 +112,7 @@ mod tests {
         let at = |gap: f64| gap + ROOM_M + BMW_320I.length;
         let stands = other(at(40.0), 0.0, 0.0, 0.0, 0.0);
         let cases = [
-            ("stands 40 m ahead", stands.clone(), 5.0),
+            ("stands 40 m ahead", stands, 5.0),
             ("as fast", other(at(5.0), 0.0, 0.0, 20.0, 0.0), 0.0),
             ("10 m/s slower", other(at(10.0), 0.0, 0.0, 10.0, 0.0), 5.0),
             // It stands after 50 m: 400 / (2 * (50 + 10)).
@@ -141,7 +143,7 @@ mod tests {
             curvature: 0.01,
             ..ego
         };
-        assert_eq!(needed(&bend, FREE, std::slice::from_ref(&stands)), 0.0);
+        assert_eq!(needed(&bend, FREE, &[stands]), 0.0);
         let ends = Ego {
             end: 40.0 + ROOM_M + BMW_320I.length / 2.0,
             ..ego

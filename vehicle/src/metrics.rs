@@ -26,8 +26,8 @@ const SWERVING: f64 = 0.3;
 pub(crate) const HARD_BRAKING: f64 = 4.0;
 /// Braking from which on it is asked whether the situation needs it, m/s².
 pub(crate) const NOTED_BRAKING: f64 = 0.5;
-/// An emergency lasts so much longer than the situation that is one, s: until the vehicle has let go
-/// of its brake, or stands.
+/// An emergency lasts so much longer than the situation that is one, s: until the vehicle has let
+/// go of its brake, or stands.
 const EMERGENCY_ENDS_S: f64 = 1.0;
 /// Standing this long without a reason ahead counts, s, and a reason is no farther than this, m.
 const STANDING_S: f64 = 3.0;
@@ -98,8 +98,8 @@ pub struct Metrics {
     pub jerk_p99: f64,
     /// Largest longitudinal jerk over 100 ms, m/s³, and when, s.
     pub jerk_max: (f64, f64),
-    /// Largest deceleration, m/s², positive, and largest longitudinal jerk over 100 ms, m/s³, outside
-    /// emergencies.
+    /// Largest deceleration, m/s², positive, and largest longitudinal jerk over 100 ms, m/s³,
+    /// outside emergencies.
     ///
     /// An emergency is a situation in which the ego needs more than 3 m/s² all the way to stay 1 m
     /// behind what is ahead in its path, or enters it within 2 s, if that goes on braking as it

@@ -377,7 +377,9 @@ impl World {
                 end: end.min(domain_end),
             };
             let now = &self.snapshot;
-            let needed = emergency::needed(&ego, (now.gap, now.leader_speed), &now.vehicles);
+            let present = self.traffic.vehicles().iter().filter(|it| it.is_present());
+            let others = present.map(|vehicle| &vehicle.participant);
+            let needed = emergency::needed(&ego, (now.gap, now.leader_speed), others);
             self.meter.needs(self.snapshot.time_s, needed);
         }
         self.meter.step(&Sample {

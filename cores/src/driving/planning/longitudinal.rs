@@ -49,12 +49,12 @@ const END_S: f32 = 1.0;
 const MAX_ACCELERATION: f32 = 2.0;
 /// Strongest braking of candidates that are no emergency, m/s².
 const MAX_BRAKING: f32 = 8.0;
-/// Beyond this braking, m/s², a motion is not comfortable: it is only chosen if each comfortable one
-/// is more dangerous than this.
+/// Beyond this braking, m/s², a motion is not comfortable: it is only chosen if each comfortable
+/// one is more dangerous than this.
 pub(crate) const COMFORTABLE_BRAKING: f32 = 4.0;
 const TOLERABLE_DANGER: f32 = 40.0;
 /// Beyond this jerk, m/s³, a motion is an emergency: it is only chosen if each other one is more
-/// dangerous than this. To come into the space of another costs at least three times as much.
+/// dangerous than this. To touch another costs ten times as much.
 const SMOOTH_JERK: f32 = 8.0;
 const EMERGENCY_DANGER: f32 = 100.0;
 /// Full braking, m/s².
@@ -406,8 +406,8 @@ pub(crate) enum Manner {
     Emergency,
 }
 
-/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if that is no
-/// danger, else one without a jerk if that keeps a distance, else the cheapest of all.
+/// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if that is
+/// no danger, else one without a jerk if that keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
     // The cheapest of each manner, with its cost and its danger.
