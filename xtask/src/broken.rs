@@ -1,8 +1,9 @@
 //! Broken variants of the product, kept as patches: each must be caught by the test that it names.
 //!
 //! A patch begins with two lines: `Broken: what is wrong`, and `Caught by: arguments of cargo
-//! nextest run`. A person starts the tests, because each variant is a separate build. The gate only
-//! checks that each patch still applies.
+//! nextest run`, or `Caught by: simulator GROUP`: one of 1,000 sequences of faults of that group is
+//! violated, and at most three faults remain when it is shrunk. A person starts the tests, because
+//! each variant is a separate build. The gate only checks that each patch still applies.
 
 use anyhow::{Context, Result, bail, ensure};
 use std::fs;
@@ -10,6 +11,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 const FOLDER: &str = "tests/broken";
+/// The first word of what catches a variant, if it is no test.
+const SIMULATOR: &str = "simulator";
 
 /// One variant.
 struct Variant {
@@ -54,7 +57,8 @@ impl Variant {
     }
 }
 
-/// Tests the variants whose name contains `filter`, or only checks that all patches apply.
+/// Tests the variants whose name contains `filter`, or all that the simulator catches if it is
+/// `simulator`; or only checks that all patches apply.
 pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
     let mut variants = Vec::new();
     for entry in fs::read_dir(root.join(FOLDER)).context(FOLDER)? {
@@ -66,7 +70,7 @@ pub(crate) fn run(root: &Path, filter: &str, only_check: bool) -> Result<()> {
             variants.push(Variant::read(path)?);
         }
     }
-    variants.retain(|variant| variant.name.contains(filter));
+    variants.retain(|it| it.name.contains(filter) || it.caught_by[..1] == [filter]);
     variants.sort_by(|a, b| a.name.cmp(&b.name));
     ensure!(!variants.is_empty(), "no broken variant is called {filter}");
     let mut wrong = Vec::new();
@@ -108,16 +112,28 @@ fn is_caught(root: &Path, variant: &Variant) -> Result<bool> {
         "{} does not apply",
         variant.patch.display()
     );
-    let nextest = |further: &[&str]| {
+    let cargo = |what: &str| {
         let mut command = Command::new("cargo");
         command
-            .args(["nextest"])
-            .args(further)
-            .args(&variant.caught_by)
+            .arg(what)
             .current_dir(&copy)
             // Not the developer's: cargo tells crates of two copies of a workspace apart by the
             // times of their files alone, and would build broken ones into the developer's command.
             .env("CARGO_TARGET_DIR", root.join("target/broken/build"));
+        command
+    };
+    if let [first, group] = &variant.caught_by[..]
+        && first == SIMULATOR
+    {
+        let find = ["--quiet", "-p", "tandem-sim", "--example", "find"];
+        let built = cargo("build").args(find).status().context("cargo build")?;
+        ensure!(built.success(), "{} does not compile", variant.name);
+        let found = cargo("run").args(find).args(["--", group]).status();
+        return Ok(found.context("cargo run")?.success());
+    }
+    let nextest = |further: &[&str]| {
+        let mut command = cargo("nextest");
+        command.args(further).args(&variant.caught_by);
         command
     };
     let listed = nextest(&["list"])

@@ -140,6 +140,10 @@ pub enum Violation {
     TooClose,
     /// In the end no system stands by, though none has suspended itself.
     NoStandby,
+    /// In the end the vehicle is stopped by a system with a fault, though the other one had none.
+    Stopped,
+    /// A system that is no master has sent a control frame.
+    Chatters,
 }
 
 /// The outcome of one sequence.
@@ -163,7 +167,7 @@ pub struct Verdict {
 
 impl Violation {
     /// All.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::Gap,
         Self::NoneObeyed,
         Self::BothSuspended,
@@ -180,6 +184,8 @@ impl Violation {
         Self::LeftLane,
         Self::TooClose,
         Self::NoStandby,
+        Self::Stopped,
+        Self::Chatters,
     ];
 }
 
@@ -205,8 +211,8 @@ const CHANGES_OF_A_FAULT: usize = 2;
 /// Programs of the flash that one fault explains, in each system.
 const PROGRAMS_OF_A_FAULT: usize = 12;
 
-/// The vehicle must be at least this long behind the place of the one in front, s: the time gap that
-/// planning asks for at more than 60 km/h.
+/// The vehicle must be at least this long behind the place of the one in front, s: the time gap
+/// that planning asks for at more than 60 km/h.
 const LEAST_HEADWAY_S: f64 = 1.6;
 /// At this distance from the centre of its lane a side of the vehicle reaches the line, m.
 const AT_THE_LINE_M: f64 = 0.85;
@@ -249,6 +255,7 @@ impl Bench {
             vehicle.accepted.windows(2).any(old_term),
             Violation::OldTerm,
         );
+        check(vehicle.chatters, Violation::Chatters);
         let changed = |pair: &&[Acceptance]| pair[0].system != pair[1].system;
         let changes = vehicle.accepted.windows(2).filter(changed).count();
         check(

@@ -349,6 +349,9 @@ impl Sequence {
         if verdict.suspended == 0 && !SystemId::ALL.iter().any(stands_by) {
             verdict.violations.push(Violation::NoStandby);
         }
+        if bound.is_some() && bench.vehicle.borrow().is_stopped() {
+            verdict.violations.push(Violation::Stopped);
+        }
         (verdict, bench)
     }
 

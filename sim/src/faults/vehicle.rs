@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 use tandem_board::{CanFrame, CanId, VehicleBus as _};
 use tandem_board_sim::WorldTick;
-use tandem_bus::{EgoMotion, Message, Transmitter};
+use tandem_bus::{EgoMotion, Message, Mode, Transmitter};
 use tandem_vehicle::gate::{Acceptance, Gate, Verdict};
 use tandem_vehicle::{LoggedFrame, Scenario, World};
 
@@ -21,8 +21,12 @@ pub struct Vehicle {
     pub accepted: Vec<Acceptance>,
     /// Control frames of an old term.
     pub fenced: Vec<Acceptance>,
+    /// A system that is no master has sent a control frame.
+    pub(super) chatters: bool,
     /// The shortest time, s, in which the vehicle would have reached the place of the one in front.
     pub(super) headway_s: f64,
+    /// The last frame that acted.
+    last: Option<CanFrame>,
     ticks: u64,
     pub(super) silent: bool,
     pub(super) poison: bool,
@@ -64,7 +68,9 @@ impl Vehicle {
             outside,
             accepted: Vec::new(),
             fenced: Vec::new(),
+            chatters: false,
             headway_s: f64::INFINITY,
+            last: None,
             ticks: 0,
             silent: false,
             poison: false,
@@ -79,6 +85,15 @@ impl Vehicle {
             Outside::World(world) => Some(world),
             Outside::Gate(_) => None,
         }
+    }
+
+    /// Whether the last frame that acted stops the vehicle, because its sender has a fault.
+    pub(super) fn is_stopped(&self) -> bool {
+        let message = self.last.and_then(|frame| match frame.id() {
+            CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
+            CanId::Extended(_) => None,
+        });
+        matches!(message, Some(Message::Control { control, .. }) if control.mode == Mode::SafeStop)
     }
 
     /// Every frame so far, if the cores' events are kept.
@@ -103,9 +118,13 @@ impl Vehicle {
                 });
             }
             match judged {
-                Some(judged) if judged.verdict == Verdict::Accepted => self.accepted.push(judged),
+                Some(judged) if judged.verdict == Verdict::Accepted => {
+                    self.accepted.push(judged);
+                    self.last = Some(frame);
+                }
                 Some(judged) if judged.verdict == Verdict::Fenced => self.fenced.push(judged),
-                _ => {}
+                Some(judged) => self.chatters |= judged.verdict == Verdict::NotMaster,
+                None => {}
             }
         }
         let (at_ns, silent) = (tick.at.as_ns(), self.silent);

@@ -1,0 +1,48 @@
+//! Tries sequences of one group until one is violated, and shrinks it: what `cargo xtask broken`
+//! runs on a broken variant. Arguments: the group, and how many sequences. Fails if it finds none.
+#![allow(clippy::print_stdout, reason = "its output is its purpose")]
+
+use std::process::ExitCode;
+use tandem_redundancy::Config;
+use tandem_sim::faults::{Group, Profile};
+
+/// A violation counts as explained if it has no more faults than this.
+const FAULTS: usize = 3;
+
+fn main() -> ExitCode {
+    let mut arguments = std::env::args().skip(1);
+    let group = match arguments.next().as_deref() {
+        Some("single") => Group::Single,
+        Some("pair") => Group::Pair,
+        Some("random") => Group::Random,
+        _ => Group::Swarm,
+    };
+    let seeds = arguments.next().and_then(|seeds| seeds.parse().ok());
+    let seeds: u64 = seeds.unwrap_or(1_000);
+    let profile = Profile::from(Config::rt());
+    // A finite group is covered evenly.
+    let step = group.count().map_or(1, |count| count.div_ceil(seeds));
+    // The panics of a broken variant are told as violations.
+    std::panic::set_hook(Box::new(|_| {}));
+    let count = group.count().unwrap_or(u64::MAX);
+    for seed in (0..seeds).take_while(|seed| seed * step < count) {
+        let sequence = group.sequence(seed * step);
+        let new = |violation: &_| sequence.known(*violation).is_none();
+        let verdict = sequence.try_run(profile);
+        if let Some(violation) = verdict.violations.into_iter().find(new) {
+            let least = sequence.shrunk(profile, violation);
+            println!(
+                "{violation:?} in {group:?} {} after {} sequences: {}",
+                sequence.number,
+                seed + 1,
+                least.kinds()
+            );
+            return match least.faults.len() {
+                0..=FAULTS => ExitCode::SUCCESS,
+                _ => ExitCode::FAILURE,
+            };
+        }
+    }
+    println!("none of {seeds} {group:?} sequences is violated");
+    ExitCode::FAILURE
+}
