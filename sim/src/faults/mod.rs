@@ -1,9 +1,9 @@
 //! Faults as data, what they may cost, and the campaign that tries them on the real control core.
 //!
-//! Core 0, its state store and the vehicle's gate are the real ones; cores 1 and 2 only count
-//! cycles, or are the real ones too and drive a vehicle ([`Around::ClosedLoop`]). Wires, bus, flash,
-//! supplies and clocks are those of the simulator. Real processes suffer the same faults
-//! (`processes.rs` draws them, `tandem chaos` injects them).
+//! Core 0, its state store and the vehicle's gate are the real ones. Cores 1 and 2 only count
+//! cycles, or drive a vehicle ([`Around::ClosedLoop`]). Wires, bus, flash, supplies and clocks are
+//! those of the simulator. Real processes suffer the same faults (`processes.rs` draws them,
+//! `tandem chaos` injects them).
 
 mod bench;
 mod fault;
