@@ -89,6 +89,22 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
     try_in(profile, Group::Single, (0..count).step_by(211));
     try_in(profile, Group::Random, 0..4);
     try_in(profile, Group::Swarm, 0..4);
+    // The master loses power while the vehicle in front brakes.
+    let sequence = Sequence {
+        group: Group::Random,
+        number: 1,
+        faults: vec![Fault {
+            kind: Kind::PowerLoss,
+            way: Way::From(SystemId::A),
+            at: Duration::from_ms(5_000),
+            lasts: None,
+        }],
+        from_power_on: false,
+        span: Duration::from_ms(7_000),
+    };
+    let verdict = sequence.try_run(profile);
+    assert!(verdict.violations.is_empty(), "{verdict}");
+    assert!(verdict.gap <= Duration::from_ms(13), "{verdict}");
 }
 
 /// A job of control is interrupted by the roles, and what it sends leaves when it ends.
