@@ -312,8 +312,8 @@ impl World {
         self.ticks += 1;
     }
 
-    /// One millisecond of the running world.
-    fn advance(&mut self, now_ns: u64) {
+    /// By hand the driver steers and brakes; without control frames the vehicle brakes by itself.
+    fn choose_request(&mut self, now_ns: u64) {
         let silence = self
             .gate
             .accepted()
@@ -336,6 +336,10 @@ impl World {
         } else if self.snapshot.fallback {
             self.request.acceleration = -FALLBACK_DECELERATION;
         }
+    }
+
+    /// The ego obeys for one millisecond.
+    fn move_ego(&mut self) {
         let input = self.actuators.step(self.request, &self.state, &BMW_320I);
         let before = self.state;
         self.state = before.stepped(input, TICK_S, &BMW_320I);
@@ -351,7 +355,12 @@ impl World {
         self.ego.long_acceleration = (speed - before.speed) / TICK_S;
         self.ego.lat_acceleration = speed * (self.state.yaw_rate + slip_rate);
         self.follow_plant();
+    }
 
+    /// One millisecond of the running world.
+    fn advance(&mut self, now_ns: u64) {
+        self.choose_request(now_ns);
+        self.move_ego();
         self.world_ticks += 1;
         let traffic_moves = self.world_ticks.is_multiple_of(TRAFFIC_TICKS);
         if traffic_moves {
@@ -372,8 +381,8 @@ impl World {
         if self.ego.long_acceleration < -NOTED_BRAKING {
             let ego = emergency::Ego {
                 pose: self.ego.pose,
-                speed,
-                curvature: self.ego.yaw_rate / speed.max(1.0),
+                speed: self.ego.speed,
+                curvature: self.ego.yaw_rate / self.ego.speed.max(1.0),
                 end: end.min(domain_end),
             };
             let now = &self.snapshot;
@@ -384,7 +393,7 @@ impl World {
         }
         self.meter.step(&Sample {
             time_s: self.snapshot.time_s,
-            speed,
+            speed: self.ego.speed,
             long_acceleration: self.ego.long_acceleration,
             lat_acceleration: self.ego.lat_acceleration,
             lane: self.ego.lane,
