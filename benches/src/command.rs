@@ -35,7 +35,8 @@ Examples:
 Both programs measure in turn, in pairs of short runs. A change counts if it is beyond what pairs
 differ by chance, and larger than 2 %. Floors and peers are shown, and do not count.
 
-Exit status: 0 nothing of Tandem became slower; 1 something did; 2 OLD cannot measure.";
+Exit status: 0 nothing of Tandem became slower; 1 something did; 2 OLD cannot measure, or no case
+was measured in all runs.";
 
 /// Arguments of `tandem bench`.
 #[derive(Clone, Debug, clap::Args)]
@@ -372,7 +373,7 @@ pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
         });
     }
     bar.finish_and_clear();
-    let comparison = compare::compare(&pairs);
+    let comparison = compare::compare(&pairs).with_cases()?;
     let json = serde_json::to_string_pretty(&comparison)? + "\n";
     if let Some(place) = place {
         place.write(&json).map_err(BenchError::NotWritten)?;

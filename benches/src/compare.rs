@@ -56,6 +56,9 @@ pub enum CompareError {
         /// What is wrong with its figures.
         why: String,
     },
+    /// Each case is missing from a run, so nothing is known.
+    #[error("no case was measured in all runs: the machine was too busy, or the builds share none")]
+    NothingInAllRuns,
 }
 
 /// What became of a figure.
@@ -187,6 +190,20 @@ pub fn compare(pairs: &[[Results; 2]]) -> Comparison {
         faster: names(&|case| !case.is_peer && has(case, faster)),
         peers_changed: names(&|case| case.is_peer && (has(case, slower) || has(case, faster))),
         cases,
+    }
+}
+
+impl Comparison {
+    /// The comparison, if it has compared something: one without a case has found nothing slower.
+    ///
+    /// # Errors
+    /// [`CompareError::NothingInAllRuns`]
+    pub fn with_cases(self) -> Result<Self, CompareError> {
+        if self.cases.is_empty() {
+            Err(CompareError::NothingInAllRuns)
+        } else {
+            Ok(self)
+        }
     }
 }
 
@@ -384,6 +401,17 @@ mod tests {
     use rand_distr::{Distribution as _, Normal};
 
     /// Worked by hand.
+    #[test]
+    fn a_comparison_without_a_case_is_an_error() {
+        let run = |name: &str| results(vec![row(name, 100.0)]);
+        let common = [[run("spin/floor"), run("spin/floor")]];
+        assert!(compare(&common).with_cases().is_ok());
+        // Each case is missing from one of the runs.
+        let none = [[run("spin/floor"), run("spin/tandem")]];
+        let error = compare(&none).with_cases().unwrap_err();
+        assert!(error.to_string().contains("in all runs"), "{error}");
+    }
+
     #[test]
     fn chance_and_interval_are_those_of_the_definitions() {
         // Of eight choices of signs only +++ and --- have a mean as far from 0.
