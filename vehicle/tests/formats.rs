@@ -73,8 +73,28 @@ fn version_2020a_with_sign_and_obstacles() {
     assert_eq!(map.obstacles.len(), 2);
     assert!(map.obstacles[0].is_static && map.obstacles[0].class == Class::Car);
     assert_eq!(map.obstacles[1].class, Class::Motorcycle);
-    let scenario = Scenario::parse(SIGN, "test.xml").unwrap();
-    assert_eq!(scenario.set_speed(), 13.89, "the speed limit");
+}
+
+/// The driver's speed is that of the sign; without one the highest in the file, the ego's own or
+/// another's, and not below that of a town.
+#[test]
+fn the_set_speed_is_that_of_the_sign_or_else_of_the_traffic() {
+    let unsigned = SIGN.replace("<trafficSignRef ref=\"70\"/>", "");
+    let (before, ego) = unsigned.rsplit_once("<exact>12</exact>").unwrap();
+    let of_ego = |speed: f64| format!("{before}<exact>{speed}</exact>{ego}");
+    let of_other = |speed: f64| {
+        let others = before.replace("<exact>12</exact>", &format!("<exact>{speed}</exact>"));
+        format!("{others}<exact>12</exact>{ego}")
+    };
+    for (name, text, expected) in [
+        ("the sign", SIGN.to_owned(), 13.89),
+        ("a town", unsigned.clone(), 13.9),
+        ("the ego", of_ego(17.0), 17.0),
+        ("another", of_other(19.0), 19.0),
+    ] {
+        let scenario = Scenario::parse(&text, "test.xml").unwrap();
+        assert_eq!(scenario.set_speed(), expected, "{name}");
+    }
 }
 
 /// Each bad file is refused with its line, its element, and what to do.

@@ -18,6 +18,8 @@ pub(crate) const STEP_S: f32 = 0.25;
 /// the distances of UN Regulation 157, 5.2.3.3.
 const TIME_GAP_S: (f32, f32) = (1.0, 1.6);
 const TIME_GAP_RISE: f32 = 0.036;
+/// Slower is standing, m/s.
+const STANDING: f32 = 0.1;
 /// Distance to the leader at standstill, m.
 const STANDSTILL_GAP_M: f32 = 3.5;
 /// The shorter distance that a driver may ask for: at standstill, m, and the time gap, s. The least
@@ -173,7 +175,9 @@ impl Corridor {
     fn danger(&self, step: usize, motion: &Jet) -> f32 {
         let speed = max(motion.first, 0.0);
         let mut cost = 0.0;
-        if self.bound[step] < f32::INFINITY {
+        // A vehicle that stands cannot do more about one that drives towards it.
+        let waits = speed < STANDING && self.bound_speed[step] < 0.0;
+        if self.bound[step] < f32::INFINITY && !waits {
             let gap = self.bound[step] - motion.value;
             let ahead = max(self.bound_speed[step], 0.0);
             let braking = speed * speed / 14.0 - ahead * ahead / 16.0;
@@ -516,6 +520,25 @@ mod tests {
         assert_eq!(manner(95.0), Manner::Comfortable);
         assert_eq!(manner(55.0), Manner::Firm);
         assert_eq!(manner(30.0), Manner::Emergency);
+    }
+
+    /// One that turns across the lane ahead is waited for. That it then would drive on into the
+    /// standing vehicle is no reason to brake harder.
+    #[test]
+    fn who_drives_towards_a_standing_vehicle_is_no_emergency() {
+        let start = Jet {
+            first: 3.5,
+            second: -1.0,
+            ..Jet::default()
+        };
+        let mut corridor = Corridor::free(14.0);
+        for step in 4..STEPS {
+            let t = (step + 1) as f32 * STEP_S;
+            corridor.limit(step, 16.4 - 6.7 * t, -6.7);
+        }
+        let (profile, manner) = cheapest(&start, &corridor);
+        assert_ne!(manner, Manner::Emergency, "{profile:?}");
+        assert!(profile.at(1.8).first < 0.3, "{profile:?}");
     }
 
     /// The vehicle falls back in comfort from a leader that is near but no danger. It brakes as
