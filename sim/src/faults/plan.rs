@@ -345,9 +345,16 @@ impl Sequence {
         let bound = self.bound(&bench.config.redundancy);
         let bound = bound.map(|(_, bound)| bound + bench.time.allowance());
         let mut verdict = bench.judge(&self.faults, [begin, mended], bound);
-        let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
-        if verdict.suspended == 0 && !SystemId::ALL.iter().any(stands_by) {
-            verdict.violations.push(Violation::NoStandby);
+        let is_alone = |bench: &Bench| {
+            let stands_by = |system: &SystemId| bench.pair.lamp(*system) == Some(RoleLamp::Standby);
+            !SystemId::ALL.iter().any(stands_by)
+        };
+        if verdict.suspended == 0 && is_alone(&bench) {
+            // A long hold-down may have let the other start only now.
+            bench.pair.run_for(bench.settles_within());
+            if is_alone(&bench) {
+                verdict.violations.push(Violation::NoStandby);
+            }
         }
         if bound.is_some() && bench.vehicle.borrow().is_stopped() {
             verdict.violations.push(Violation::Stopped);
