@@ -295,7 +295,7 @@ impl Bench {
         }
     }
 
-    fn suspended(&self) -> usize {
+    pub(super) fn suspended(&self) -> usize {
         let suspended = |system: &SystemId| self.pair.power(*system) == Power::Suspended;
         SystemId::ALL.into_iter().filter(suspended).count()
     }

@@ -350,9 +350,10 @@ impl Sequence {
             !SystemId::ALL.iter().any(stands_by)
         };
         if verdict.suspended == 0 && is_alone(&bench) {
-            // A long hold-down may have let the other start only now.
+            // A long hold-down may have let the other start only now, to stand by or to suspend
+            // itself.
             bench.pair.run_for(bench.settles_within());
-            if is_alone(&bench) {
+            if bench.suspended() == 0 && is_alone(&bench) {
                 verdict.violations.push(Violation::NoStandby);
             }
         }
