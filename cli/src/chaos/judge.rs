@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 use tandem_board::SystemId;
+use tandem_board_host::Wire;
 use tandem_cores::trace::Event;
 use tandem_record::gap::{
     Gap, both_transmitted_ms, hand_over_ms, hand_overs, periods, stale_frames,
@@ -72,6 +73,26 @@ pub(super) fn judge(
     ))
 }
 
+/// How an old master learns of the new one. The later, the greater.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Hears {
+    All,
+    /// It is cut off the bus. Mended, it sends until it hears the next frame.
+    WhenMended,
+    /// Its receiver is dead.
+    OverTheLink,
+}
+
+impl Hears {
+    const fn under(kind: Kind) -> Self {
+        match kind {
+            Kind::Deaf => Self::OverTheLink,
+            Kind::Cut(Wire::Can) | Kind::Flap(Wire::Can, _) => Self::WhenMended,
+            _ => Self::All,
+        }
+    }
+}
+
 struct Run<'r> {
     log: &'r RunLog,
     takeovers: Vec<Takeover>,
@@ -125,13 +146,14 @@ impl Run<'_> {
         let bus_hangs = |fault: &Fault| matches!(fault.kind, Kind::VehicleHangs(_));
         let is_machine = !sequence.faults.iter().any(bus_hangs);
         let explained = explained.into_iter().filter(|_| is_machine);
-        let is_deaf = sequence.faults.iter().any(|it| it.kind == Kind::Deaf);
+        let hears = sequence.faults.iter().map(|fault| Hears::under(fault.kind));
+        let hears = hears.max().unwrap_or(Hears::All);
         let unexplained = |gap: &GapMetrics| match gap.evidence.is_empty() {
             true => told(gap),
             false => format!("{}; {} does not explain it", told(gap), gap.evidence),
         };
         let mut violations: Vec<String> = beyond.into_iter().map(unexplained).collect();
-        violations.extend(self.of_masters(&within, spares_control, is_deaf));
+        violations.extend(self.of_masters(&within, spares_control, hears));
         if log.collisions_ns.iter().any(|ns| within(*ns)) {
             violations.push("the vehicle touched another one".to_owned());
         }
@@ -160,7 +182,7 @@ impl Run<'_> {
         &self,
         within: &dyn Fn(u64) -> bool,
         spares_control: bool,
-        is_deaf: bool,
+        hears: Hears,
     ) -> Vec<String> {
         let log = RunLog {
             control: self
@@ -184,10 +206,16 @@ impl Run<'_> {
             wrong.push(format!("two masters for {two_ms:.1} ms"));
         }
         let both_ms = both_transmitted_ms(&log);
-        // A deaf master hears of the new one over the link only.
-        let longest_ms = match is_deaf {
-            true => hand_overs(&takeovers) as f64 * self.bounds.limits.deaf_hand_over().as_ms_f64(),
-            false => hand_over_ms(&takeovers),
+        let limits = &self.bounds.limits;
+        let longest_ms = match hears {
+            Hears::All => hand_over_ms(&takeovers),
+            Hears::OverTheLink => {
+                hand_overs(&takeovers) as f64 * limits.deaf_hand_over().as_ms_f64()
+            }
+            Hears::WhenMended => {
+                let next_frame = limits.control_period + limits.poll_interval;
+                takeovers.len() as f64 * next_frame.as_ms_f64()
+            }
         };
         if both_ms > longest_ms {
             wrong.push(format!("both systems transmitted for {both_ms:.1} ms"));
