@@ -79,7 +79,8 @@ extern "C" fn on_fault(signal: i32, info: *mut libc::siginfo_t, context: *mut li
         && let Some(low) = current_stack()
     {
         // SAFETY: the operating system passes both to a handler with SA_SIGINFO.
-        let (address, pointer) = unsafe { ((*info).si_addr() as usize, stack_pointer(context)) };
+        let (address, pointer) =
+            unsafe { ((*info).si_addr() as usize, stack_pointer(context.cast())) };
         let guard = low - page()..low;
         // Either the task touched the guard, or a signal found no room for its frame.
         let no_room =
@@ -113,10 +114,11 @@ fn on_stack(address: usize, low: usize) -> bool {
     (low..low + FRAME_BYTES).contains(&address)
 }
 
+/// The stack pointer of interrupted code.
+///
 /// # Safety
 /// `context` is what a handler of signals was given.
-unsafe fn stack_pointer(context: *mut libc::c_void) -> usize {
-    let context = context.cast::<libc::ucontext_t>();
+pub(super) unsafe fn stack_pointer(context: *const libc::ucontext_t) -> usize {
     #[cfg(target_arch = "x86_64")]
     // SAFETY: the caller's promise.
     return unsafe { (*context).uc_mcontext.gregs[libc::REG_RSP as usize] as usize };

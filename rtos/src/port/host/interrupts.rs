@@ -8,7 +8,7 @@
 //! are on a stack.
 
 use super::state::{self, PENDING};
-use super::tick;
+use super::{fault, tick};
 use crate::context::InterruptContext;
 use crate::ffi;
 use crate::interrupt::{AttachError, Interrupt, InterruptPriority};
@@ -18,6 +18,8 @@ use core::mem::MaybeUninit;
 use core::ptr;
 use core::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 
+/// A handler of a signal: its number, what sent it, and the interrupted code.
+type Action = extern "C" fn(i32, *mut libc::siginfo_t, *mut libc::ucontext_t);
 /// A handler: `FnMut`, since an interrupt never interrupts itself.
 pub(super) type Handler = dyn FnMut(&InterruptContext) + Send;
 
@@ -170,7 +172,7 @@ pub(super) fn run(number: u32) {
 
 /// The handler of both signals. It may interrupt a task anywhere, even in a system call, which is
 /// restarted when the task continues (SA_RESTART) or returns EINTR.
-extern "C" fn on_signal(signal: i32) {
+extern "C" fn on_signal(signal: i32, _: *mut libc::siginfo_t, context: *mut libc::ucontext_t) {
     // A stray signal for a thread that is no longer a core.
     if !state::on_core() {
         return;
@@ -180,14 +182,16 @@ extern "C" fn on_signal(signal: i32) {
     } else {
         ARRIVED.store(true, Ordering::Relaxed);
     }
-    let mut frame = MaybeUninit::<usize>::uninit();
-    let frame = core::hint::black_box(frame.as_mut_ptr()).addr();
+    // SAFETY: the operating system passes the context that it put on this stack.
+    let interrupted = unsafe { fault::stack_pointer(context) };
     // The interrupted code may be between a failed call and its read of errno.
-    super::keeping_errno(|| state::interrupt(frame));
+    super::keeping_errno(|| state::interrupt(context.addr(), interrupted));
 }
 
 /// Blocks or unblocks both signals, on the core's thread.
 pub(super) fn block(on: bool) {
+    #[cfg(test)]
+    tests::BLOCKED.fetch_add(u32::from(on), Ordering::Relaxed);
     let how = if on {
         libc::SIG_BLOCK
     } else {
@@ -205,8 +209,7 @@ pub(super) fn block(on: bool) {
 
 /// Makes this thread the core: signals are handled, and `raise` finds it.
 pub(super) fn begin() -> Result<(), i32> {
-    let handler: extern "C" fn(i32) = on_signal;
-    state::prepare_frames();
+    let handler: Action = on_signal;
     ARRIVED.store(false, Ordering::Relaxed);
     // Before the first signal can arrive. Interrupts are masked until the first task runs.
     state::set_on_core(true);
@@ -218,7 +221,7 @@ pub(super) fn begin() -> Result<(), i32> {
 }
 
 /// Sets `handler` for both signals, on this thread.
-fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
+fn set_up(handler: Action) -> Result<(), i32> {
     let mut unblocked = MaybeUninit::<libc::sigset_t>::uninit();
     // SAFETY: the set and the actions are valid places; the handler is async-signal-safe: it
     // touches atomics, the core's own state, and the stacks of tasks.
@@ -227,7 +230,7 @@ fn set_up(handler: extern "C" fn(i32)) -> Result<(), i32> {
         for signal in [raise_signal(), tick_signal()] {
             let mut action: libc::sigaction = core::mem::zeroed();
             action.sa_sigaction = handler as *const () as usize;
-            action.sa_flags = libc::SA_NODEFER | libc::SA_RESTART;
+            action.sa_flags = libc::SA_NODEFER | libc::SA_RESTART | libc::SA_SIGINFO;
             libc::sigemptyset(&mut action.sa_mask);
             if libc::sigaction(signal, &action, ptr::null_mut()) != 0 {
                 return Err(super::errno());
@@ -255,8 +258,95 @@ pub(super) fn this_thread() -> i32 {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
+    use std::sync::atomic::{AtomicU32, AtomicUsize};
+    use std::thread;
+
+    /// How often a handler left with its signals blocked.
+    pub(super) static BLOCKED: AtomicU32 = AtomicU32::new(0);
+
+    /// How often the end of a handler is still interrupted.
+    static TO_COME: AtomicU32 = AtomicU32::new(0);
+    /// The deepest stack pointer of interrupted code.
+    static DEEPEST: AtomicUsize = AtomicUsize::new(usize::MAX);
+
+    /// A signal to this thread, with nothing to serve.
+    fn signal() {
+        // SAFETY: handled before the call returns, unless it is blocked.
+        let sent = unsafe {
+            libc::syscall(
+                libc::SYS_tgkill,
+                libc::getpid(),
+                this_thread(),
+                raise_signal(),
+            )
+        };
+        assert_eq!(sent, 0);
+    }
+
+    /// Called where a handler can be interrupted that has served everything.
+    pub(in super::super) fn at_an_end(interrupted: usize) {
+        DEEPEST.fetch_min(interrupted, Ordering::Relaxed);
+        let counted = |left: u32| left.checked_sub(1);
+        if TO_COME
+            .try_update(Ordering::Relaxed, Ordering::Relaxed, counted)
+            .is_ok()
+        {
+            signal();
+        }
+    }
+
+    /// T-RTOS-2: however often a handler is interrupted at its end, at most one frame is added.
+    #[test]
+    fn frames_of_interrupts_do_not_pile_up() {
+        assert_eq!(begin(), Ok(()));
+        state::unmask();
+        let deepest_of = |count| {
+            DEEPEST.store(usize::MAX, Ordering::Relaxed);
+            TO_COME.store(count, Ordering::Relaxed);
+            signal();
+            assert_eq!(TO_COME.load(Ordering::Relaxed), 0);
+            DEEPEST.load(Ordering::Relaxed)
+        };
+        let once = deepest_of(1);
+        let often = deepest_of(20);
+        state::mask();
+        end();
+        state::reset();
+        assert_eq!(often, once);
+    }
+
+    fn doorbell_rings() {
+        let rang = thread::spawn(|| raise(Interrupt::DOORBELL));
+        rang.join().unwrap();
+    }
+
+    /// As [`doorbell_rings`], some bytes further down the stack.
+    #[inline(never)]
+    fn doorbell_rings_deeper() {
+        let room = core::hint::black_box([0_u8; 512]);
+        doorbell_rings();
+        core::hint::black_box(room);
+    }
+
+    /// A handler that has ended is not taken for one that has been interrupted at its end, which
+    /// would cost a system call in each interrupt from then on.
+    #[test]
+    fn interrupts_of_code_further_down_the_stack_block_nothing() {
+        assert_eq!(begin(), Ok(()));
+        state::unmask();
+        doorbell_rings();
+        let before = BLOCKED.load(Ordering::Relaxed);
+        for _ in 0..10 {
+            doorbell_rings_deeper();
+        }
+        let blocked = BLOCKED.load(Ordering::Relaxed) - before;
+        state::mask();
+        end();
+        state::reset();
+        assert_eq!(blocked, 0, "of 10 handlers");
+    }
 
     /// A doorbell between `begin` and the first task is not lost, and does not suppress later ones:
     /// the core records that there is something to serve.
@@ -264,9 +354,7 @@ mod tests {
     fn a_signal_while_the_core_starts_is_noted() {
         assert_eq!(begin(), Ok(()));
         assert!(!state::needs_attention());
-        std::thread::spawn(|| raise(Interrupt::DOORBELL))
-            .join()
-            .unwrap();
+        doorbell_rings();
         let noted = state::needs_attention();
         end();
         state::reset();

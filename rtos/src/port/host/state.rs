@@ -47,11 +47,11 @@ static DEFERRED: AtomicU32 = AtomicU32::new(0);
 static YIELD: AtomicBool = AtomicBool::new(false);
 /// Where the thread was when it started the scheduler.
 static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
-/// Address of the variables of the last handler that was left with signals unblocked. If the
-/// running task is still at the end of that handler, the handler's variables are at this address.
+/// Address of the context that the last handler that was left with signals unblocked returns to.
+/// The handler's variables are below it, and those of the interrupted code above.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
-/// A handler that interrupts the end of another one is closer to it than this, in bytes.
-static NEAR: AtomicUsize = AtomicUsize::new(0);
+/// At its end a handler has fewer bytes than this on the stack below its context.
+const AT_AN_END: usize = 4 << 10;
 /// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -213,22 +213,22 @@ pub(super) fn poll() {
     }
 }
 
-/// A signal arrived. Its handler has its variables at the address `frame`, and has checked that
-/// this is the core's thread.
+/// A signal arrived on the core's thread. Its handler returns to the context at the address
+/// `context`, whose stack pointer is `interrupted`.
 ///
 /// A signal that arrives between the last read of `attention` and the end of the handler is served
 /// in its own frame, below this one; and another one may arrive at the end of that. So that frames
 /// do not pile up while interrupts keep arriving, a handler that may have interrupted such an end
 /// returns with both signals blocked. The operating system unblocks them when it removes the frame,
 /// and then delivers the pending ones.
-pub(super) fn interrupt(frame: usize) {
+pub(super) fn interrupt(context: usize, interrupted: usize) {
     if tandem_port.masked.load(Relaxed) != 0 {
         tandem_port.attention.store(1, Relaxed);
         return;
     }
     tandem_port.masked.store(1, Relaxed);
     let leaving = LEAVING.load(Relaxed);
-    let at_an_end = leaving > frame && leaving - frame < NEAR.load(Relaxed);
+    let at_an_end = interrupted <= leaving && leaving - interrupted < AT_AN_END;
     loop {
         compiler_fence(Ordering::SeqCst);
         tandem_port.attention.store(0, Relaxed);
@@ -240,12 +240,14 @@ pub(super) fn interrupt(frame: usize) {
             // The interrupted code is still at its end.
             LEAVING.store(leaving, Relaxed);
         } else {
-            LEAVING.store(frame, Relaxed);
+            LEAVING.store(context, Relaxed);
         }
         compiler_fence(Ordering::SeqCst);
         tandem_port.masked.store(0, Relaxed);
         compiler_fence(Ordering::SeqCst);
         if tandem_port.attention.load(Relaxed) == 0 {
+            #[cfg(test)]
+            interrupts::tests::at_an_end(interrupted);
             return;
         }
         tandem_port.masked.store(1, Relaxed);
@@ -253,15 +255,6 @@ pub(super) fn interrupt(frame: usize) {
             interrupts::block(false);
         }
     }
-}
-
-/// Called before the first signal: reads the size of the operating system's frames.
-pub(super) fn prepare_frames() {
-    /// Bytes that handlers put on the stack around a frame.
-    const AROUND: usize = 4 << 10;
-    // SAFETY: asks for a number; zero if it is not known.
-    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
-    NEAR.store(frame.max(8 << 10) + AROUND, Relaxed);
 }
 
 /// As `portYIELD_FROM_ISR`, for the port's own interrupts.
