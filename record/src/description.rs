@@ -9,6 +9,21 @@ use tandem_redundancy::{Evidence, Phase};
 use crate::roles::State;
 use crate::takeover::{Takeover, detected_ms, is_late};
 
+/// Whether a core tells of this in every cycle, or its scheduler does: a story leaves it out.
+#[must_use]
+pub const fn is_routine(event: &Event) -> bool {
+    matches!(
+        event,
+        Event::ControlCycle { .. }
+            | Event::Chain { .. }
+            | Event::TaskIn { .. }
+            | Event::TaskOut { .. }
+            | Event::Wake { .. }
+            | Event::Ring { .. }
+            | Event::Woken { .. }
+    )
+}
+
 /// A core's event in words; `None` for those of every cycle and those of a scheduler.
 #[must_use]
 pub fn core_event(event: Event) -> Option<String> {

@@ -1,6 +1,6 @@
 //! What lies between the machines: the bus, the level lines, edges and the link, with their faults.
 
-use tandem_board::{CanFrame, CoreAddress, Instant, SystemId};
+use tandem_board::{CanFrame, CoreAddress, Duration, Instant, SystemId};
 use tandem_peripherals::wires::{BusFault, Cuts, Wire};
 
 /// A frame of a core.
@@ -56,7 +56,7 @@ impl Wires {
     pub(crate) fn due(&mut self, now: Instant) -> Vec<OnBus> {
         let bus = self.bus;
         let is_due = |frame: &mut OnBus| {
-            frame.at <= now || bus[frame.from.system.index()] == BusFault::default()
+            frame.at <= now || bus[frame.from.system.index()].late == Duration::ZERO
         };
         let due = self.late.extract_if(.., is_due);
         due.map(|frame| OnBus { at: now, ..frame }).collect()
@@ -84,7 +84,7 @@ impl Wires {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tandem_board::{CanId, CoreId, Duration};
+    use tandem_board::{CanId, CoreId};
 
     fn frame(system: SystemId, ms: u64) -> OnBus {
         let sent = Instant::ORIGIN + Duration::from_ms(ms);

@@ -15,7 +15,7 @@ use tandem_board_host::{BusFault, Wire};
 use tandem_board_qemu::{EmulatedWorld, Layout, MachineError, Options};
 use tandem_bus::Control;
 use tandem_record::gap::Bounds;
-use tandem_sim::faults::{Act, Sequence};
+use tandem_sim::faults::{Act, BusFaults, Sequence};
 use tandem_vehicle::Scenario;
 
 use super::Source;
@@ -110,7 +110,7 @@ struct Disturbed {
     done: Vec<Injected>,
     /// The system that is A in the faults: the one that drives.
     driver: SystemId,
-    bus: [BusFault; 2],
+    bus: BusFaults,
     /// Since when a system has been suspended.
     suspended: [Option<Instant>; 2],
     /// When a system gets power again.
@@ -125,12 +125,12 @@ impl Disturbed {
             world,
             left,
             doing: Doing::Heal {
-                until: Instant::ORIGIN + healed_within(),
+                until: Instant::ORIGIN + HEALED_WITHIN,
             },
             injected: None,
             done: Vec::new(),
             driver: SystemId::A,
-            bus: [BusFault::default(); 2],
+            bus: BusFaults::default(),
             suspended: [None; 2],
             power_on: [None; 2],
             control: [Instant::ORIGIN; 2],
@@ -236,7 +236,7 @@ impl Disturbed {
 
     fn heal(&mut self, now: Instant) {
         self.doing = Doing::Heal {
-            until: now + healed_within(),
+            until: now + HEALED_WITHIN,
         };
     }
 
@@ -253,7 +253,7 @@ impl Disturbed {
                 continue;
             }
             let since = *self.suspended[index].get_or_insert(now);
-            if now >= since + of_std(SUSPENDED_FOR) {
+            if now >= since + SUSPENDED_FOR {
                 self.suspended[index] = None;
                 self.power_on[index] = Some(now + OFF);
                 self.world.set_feed(system, false);
@@ -266,12 +266,13 @@ impl Disturbed {
 
     /// Ends whatever is under way. A system without power is switched on.
     fn mend(&mut self) {
+        self.bus = BusFaults::default();
         for system in SystemId::ALL {
             for wire in Wire::ALL {
                 self.world.set_cut(wire, system, false);
             }
             self.world.hold_level_low(system, false);
-            self.disturb(system, |bus| *bus = BusFault::default());
+            self.world.disturb_bus(system, BusFault::default());
             self.world.set_feed(system, true);
         }
     }
@@ -298,11 +299,10 @@ impl Disturbed {
             Act::Cut(wire, of, cut) => self.world.set_cut(wire, real(of), cut),
             Act::LevelLow(of, held) => self.world.hold_level_low(real(of), held),
             Act::Edge(to, line, edge) => self.world.stray_edge(real(to), line, edge),
-            Act::LostOut(of, permille) => self.disturb(real(of), |bus| bus.lost_out = permille),
-            Act::LostIn(of, permille) => self.disturb(real(of), |bus| bus.lost_in = permille),
-            Act::Late(of, ms) => {
-                let late = Duration::from_ms(ms.into());
-                self.disturb(real(of), |bus| bus.late = late);
+            Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
+                if let Some((of, fault)) = self.bus.follow(act) {
+                    self.world.disturb_bus(real(of), fault);
+                }
             }
             Act::Power(of, on) => self.world.set_feed(real(of), on),
             Act::Reset(of, ResetCause::Watchdog) | Act::FreezeCore(of, _, true) => {
@@ -326,20 +326,6 @@ impl Disturbed {
             | Act::VehicleSilent(_) => unreachable!("Kind::is_for_machines refused it"),
         }
     }
-
-    fn disturb(&mut self, of: SystemId, change: impl FnOnce(&mut BusFault)) {
-        let fault = &mut self.bus[of.index()];
-        change(fault);
-        self.world.disturb_bus(of, *fault);
-    }
-}
-
-fn of_std(span: std::time::Duration) -> Duration {
-    Duration::from_ms(span.as_millis() as u64)
-}
-
-fn healed_within() -> Duration {
-    of_std(HEALED_WITHIN)
 }
 
 impl VehicleBus for Disturbed {

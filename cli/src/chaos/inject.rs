@@ -9,7 +9,7 @@ use rustix::process::Signal;
 use tandem_board::{CoreId, Duration, ResetCause, SystemId};
 use tandem_board_host::hands::{Hands, Target};
 use tandem_board_host::{BusFault, Wire, clock};
-use tandem_sim::faults::{Act, Fault};
+use tandem_sim::faults::{Act, BusFaults, Fault};
 
 /// Does the acts of faults to a run.
 pub(super) struct Injector<'h> {
@@ -18,7 +18,7 @@ pub(super) struct Injector<'h> {
     flash: [PathBuf; 2],
     /// Lets the process that started the run stand still for the given number of milliseconds.
     hold_launcher: &'h dyn Fn(u16) -> anyhow::Result<()>,
-    bus: [BusFault; 2],
+    bus: BusFaults,
     /// The system that is A in the faults: the one that drives.
     driver: SystemId,
 }
@@ -33,7 +33,7 @@ impl<'h> Injector<'h> {
             hands,
             flash,
             hold_launcher,
-            bus: [BusFault::default(); 2],
+            bus: BusFaults::default(),
             driver: SystemId::A,
         }
     }
@@ -80,12 +80,15 @@ impl<'h> Injector<'h> {
     /// Ends whatever is under way. A system without power is switched on.
     pub(super) fn mend(&mut self) {
         self.hands.signal(Target::Vehicle, Signal::CONT);
+        self.bus = BusFaults::default();
         for system in SystemId::ALL {
             for wire in Wire::ALL {
                 self.hands.set_cut(wire, &[system], false);
             }
             self.hands.hold_level_low(system, false);
-            self.disturb(system, |bus| *bus = BusFault::default());
+            self.hands
+                .backplane()
+                .disturb_bus(system, BusFault::default());
             self.hands.signal(Target::Supply(system), Signal::CONT);
             for core in CoreId::ALL {
                 self.hands.signal(Target::Core(system, core), Signal::CONT);
@@ -113,13 +116,10 @@ impl<'h> Injector<'h> {
             Act::Cut(wire, of, cut) => hands.set_cut(wire, &[self.real(of)], cut),
             Act::LevelLow(of, held) => hands.hold_level_low(self.real(of), held),
             Act::Edge(to, line, edge) => hands.stray_edge(self.real(to).peer(), line, edge),
-            Act::LostOut(of, permille) => {
-                self.disturb(self.real(of), |bus| bus.lost_out = permille);
-            }
-            Act::LostIn(of, permille) => self.disturb(self.real(of), |bus| bus.lost_in = permille),
-            Act::Late(of, ms) => {
-                let late = Duration::from_ms(ms.into());
-                self.disturb(self.real(of), |bus| bus.late = late);
+            Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
+                if let Some((of, fault)) = self.bus.follow(act) {
+                    hands.backplane().disturb_bus(self.real(of), fault);
+                }
             }
             Act::Power(of, true) => hands.request_power(self.real(of)),
             Act::Power(of, false) => {
@@ -151,12 +151,6 @@ impl<'h> Injector<'h> {
             | Act::VehicleSilent(_) => unreachable!("Kind::is_for_processes refused it"),
         }
         Ok(())
-    }
-
-    fn disturb(&mut self, of: SystemId, change: impl FnOnce(&mut BusFault)) {
-        let fault = &mut self.bus[of.index()];
-        change(fault);
-        self.hands.backplane().disturb_bus(of, *fault);
     }
 
     fn lose_flash(&self, of: SystemId) -> anyhow::Result<()> {

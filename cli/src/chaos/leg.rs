@@ -2,7 +2,6 @@
 
 use std::io::Write as _;
 use std::path::Path;
-use std::time::Instant;
 
 use anyhow::Context as _;
 use clap::Parser as _;
@@ -21,9 +20,9 @@ use crate::files::RunFiles;
 use crate::run;
 
 /// After the last fault was mended, the systems must be master and standby again within this time.
-pub(super) const HEALED_WITHIN: std::time::Duration = std::time::Duration::from_secs(60);
+pub(super) const HEALED_WITHIN: Duration = Duration::from_ms(60_000);
 /// A system that has suspended itself for this long is switched off and on.
-pub(super) const SUSPENDED_FOR: std::time::Duration = std::time::Duration::from_secs(3);
+pub(super) const SUSPENDED_FOR: Duration = Duration::from_ms(3_000);
 const LOOK_AGAIN: Duration = Duration::from_ms(10);
 /// The systems have been master and standby for at least this long before a fault, ms.
 const SETTLED_MS: u64 = 300;
@@ -173,9 +172,9 @@ fn roles(backplane: Backplane) -> [RoleLamp; 2] {
 /// power is switched on, one that has suspended itself off and on.
 fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
     let backplane = hands.backplane();
-    let begin = Instant::now();
+    let begin = clock::now();
     let mut suspended = [begin; 2];
-    while begin.elapsed() < HEALED_WITHIN && !backplane.stop_requested() {
+    while clock::now().since(begin) < HEALED_WITHIN && !backplane.stop_requested() {
         injected.roles = roles(backplane);
         if let Some(driver) = driver(injected.roles) {
             injected.healed_ns = Some(clock::now().as_ns());
@@ -184,9 +183,9 @@ fn heal(hands: &Hands, injected: &mut Injected) -> Option<SystemId> {
         for system in SystemId::ALL {
             let since = &mut suspended[system.index()];
             if injected.roles[system.index()] != RoleLamp::Suspended {
-                *since = Instant::now();
-            } else if since.elapsed() > SUSPENDED_FOR {
-                *since = Instant::now();
+                *since = clock::now();
+            } else if clock::now().since(*since) > SUSPENDED_FOR {
+                *since = clock::now();
                 injected.power_cycles += 1;
                 hands.signal(Target::Supply(system), Signal::KILL);
             }

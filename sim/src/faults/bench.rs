@@ -1,6 +1,6 @@
 //! Both systems and a vehicle in virtual time, and faults that are done to them.
 
-use super::fault::{Act, Fault, Kind};
+use super::fault::{Act, BusFaults, Fault, Kind};
 use super::plan::Profile;
 use super::vehicle::{POISON, Vehicle, another_command};
 use crate::timing::Time;
@@ -12,15 +12,15 @@ use tandem_board::{
     Traced,
 };
 use tandem_board_sim::{
-    BusFault, Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent,
-    SystemEventKind, Wire,
+    Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent, SystemEventKind,
+    Wire,
 };
 use tandem_cores::core1::Core1;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
 use tandem_cores::{Config, Core};
 use tandem_record::log::VehicleRecord;
-use tandem_record::{Entry, RunLog};
+use tandem_record::{Entry, RunLog, description};
 use tandem_vehicle::LoggedFrame;
 use tandem_vehicle::gate::Acceptance;
 
@@ -127,7 +127,7 @@ pub struct Bench {
     pub(super) covered: Vec<(Kind, State)>,
     /// The trace records that were read.
     traced: Vec<Traced>,
-    bus: [BusFault; 2],
+    bus: BusFaults,
     /// When the run began.
     pub(super) born: Instant,
 }
@@ -201,7 +201,7 @@ impl Bench {
             config,
             time,
             around,
-            bus: [BusFault::default(); 2],
+            bus: BusFaults::default(),
             born,
             covered: Vec::new(),
             traced: Vec::new(),
@@ -313,9 +313,11 @@ impl Bench {
             Act::Cut(wire, from, false) => pair.mend(wire, from),
             Act::LevelLow(of, held) => pair.hold_level_low(of, held),
             Act::Edge(to, line, edge) => pair.stray_edge(to, line, edge),
-            Act::LostOut(of, permille) => self.disturb(of, |bus| bus.lost_out = permille),
-            Act::LostIn(of, permille) => self.disturb(of, |bus| bus.lost_in = permille),
-            Act::Late(of, ms) => self.disturb(of, |bus| bus.late = Duration::from_ms(ms.into())),
+            Act::LostOut(..) | Act::LostIn(..) | Act::Late(..) => {
+                if let Some((of, fault)) = self.bus.follow(act) {
+                    pair.disturb_bus(of, fault);
+                }
+            }
             Act::Power(of, true) => pair.power_on(of),
             Act::Power(of, false) => pair.power_off(of),
             Act::Reset(of, cause) => pair.reset(of, cause),
@@ -344,12 +346,6 @@ impl Bench {
                 unreachable!("Kind::is_for_simulator refused it")
             }
         }
-    }
-
-    fn disturb(&mut self, of: SystemId, change: impl FnOnce(&mut BusFault)) {
-        let fault = &mut self.bus[of.index()];
-        change(fault);
-        self.pair.disturb_bus(of, *fault);
     }
 
     /// Every frame so far, if the cores' events are kept.
@@ -404,18 +400,8 @@ impl Bench {
     pub fn story(&mut self) -> Vec<String> {
         let mut lines: Vec<(Instant, String)> = Vec::new();
         for traced in self.trace() {
-            let tells = Event::decode(traced.record).filter(|event| {
-                !matches!(
-                    event,
-                    Event::ControlCycle { .. }
-                        | Event::Chain { .. }
-                        | Event::TaskIn { .. }
-                        | Event::TaskOut { .. }
-                        | Event::Wake { .. }
-                        | Event::Ring { .. }
-                        | Event::Woken { .. }
-                )
-            });
+            let event = Event::decode(traced.record);
+            let tells = event.filter(|event| !description::is_routine(event));
             let (system, core) = (traced.system, traced.core);
             lines.extend(tells.map(|event| (traced.at, format!("{system}{core} {event:?}"))));
         }

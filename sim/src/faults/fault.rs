@@ -2,7 +2,7 @@
 
 use std::fmt;
 use tandem_board::{CoreId, Duration, Edge, Line, ResetCause, SystemId};
-use tandem_board_sim::Wire;
+use tandem_board_sim::{BusFault, Wire};
 
 /// The kind of fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -303,6 +303,27 @@ pub enum Act {
     Poison(bool),
     /// The vehicle sends nothing.
     VehicleSilent(bool),
+}
+
+/// The faults of the connections to the CAN bus of A and B, as acts change them in turn.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct BusFaults([BusFault; 2]);
+
+impl BusFaults {
+    /// Follows an act: the system whose connection it changes, and the faults that this has now.
+    pub fn follow(&mut self, act: Act) -> Option<(SystemId, BusFault)> {
+        let (Act::LostOut(of, _) | Act::LostIn(of, _) | Act::Late(of, _)) = act else {
+            return None;
+        };
+        let fault = &mut self.0[of.index()];
+        match act {
+            Act::LostOut(_, permille) => fault.lost_out = permille,
+            Act::LostIn(_, permille) => fault.lost_in = permille,
+            Act::Late(_, ms) => fault.late = Duration::from_ms(ms.into()),
+            _ => {}
+        }
+        Some((of, *fault))
+    }
 }
 
 impl Fault {

@@ -15,7 +15,7 @@ mod processes;
 mod vehicle;
 
 pub use bench::{Around, Bench, State};
-pub use fault::{Act, Fault, Kind, Way};
+pub use fault::{Act, BusFaults, Fault, Kind, Way};
 pub use file::FileError;
 pub use judge::{Row, Verdict, Violation, containment_bound, row};
 pub use plan::{DISTANCES, Group, PHASES, Profile, Sequence};

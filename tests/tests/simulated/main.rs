@@ -23,7 +23,7 @@ use tandem_bus::{Control, Mode, Role, Transmitter};
 use tandem_cores::trace::Event;
 use tandem_record::gap::both_transmitted_ms;
 use tandem_record::run_log::ControlFrame;
-use tandem_record::takeovers;
+use tandem_record::{description, takeovers};
 use tandem_redundancy::{Evidence, FailureMode, Phase};
 use tandem_sim::drive::Drive;
 
@@ -33,17 +33,7 @@ const S: fn(u64) -> Duration = |seconds| Duration::from_ms(seconds * 1000);
 
 fn print_story(drive: &Drive) {
     for (at, system, core, event) in &drive.events {
-        let routine = matches!(
-            event,
-            Event::ControlCycle { .. }
-                | Event::Chain { .. }
-                | Event::TaskIn { .. }
-                | Event::TaskOut { .. }
-                | Event::Wake { .. }
-                | Event::Ring { .. }
-                | Event::Woken { .. }
-        );
-        if !routine {
+        if !description::is_routine(event) {
             println!(
                 "{:9.3} ms {system}{core} {event:?}",
                 at.as_ns() as f64 / 1e6
