@@ -8,6 +8,7 @@ use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
 use crate::run_log::{ControlFrame, CoreEvent, Stall};
+use crate::takeover::report_of;
 use crate::{RunLog, Takeover, ms_between};
 
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
@@ -48,25 +49,30 @@ impl Default for Bounds {
 }
 
 impl Bounds {
-    /// The bound of a takeover on this evidence.
-    #[must_use]
-    pub const fn of(&self, cause: Option<Evidence>) -> f64 {
-        match cause {
-            Some(Evidence::PeerOff) => self.power_ms,
-            Some(Evidence::MasterMute) => self.mute_ms,
-            _ => self.silent_ms,
-        }
-    }
-
     /// The bound of this takeover.
     #[must_use]
     pub fn of_takeover(&self, log: &RunLog, takeover: &Takeover) -> f64 {
-        let bound_ms = self.of(takeover.cause);
+        let bound_ms = match takeover.cause {
+            Some(Evidence::PeerOff) if !self.was_silent(log, takeover) => self.power_ms,
+            Some(Evidence::MasterMute) => self.mute_ms,
+            _ => self.silent_ms,
+        };
         if self.is_held(log, takeover) {
             bound_ms.max(self.mute_ms)
         } else {
             bound_ms
         }
+    }
+
+    /// Whether the heartbeats had been silent when the power level fell: a heartbeat that does not
+    /// come confirms nothing then, so the level must be low for the third witness's limit.
+    fn was_silent(&self, log: &RunLog, takeover: &Takeover) -> bool {
+        let before = self.limits.silent_limit() + self.limits.witness_limit();
+        let report = report_of(log, takeover.to, takeover.at_ns);
+        report.is_some_and(|report| {
+            matches!(report, Event::TookOver { since_heartbeat_us, .. }
+                if u64::from(since_heartbeat_us) * 1_000 >= before.as_ns())
+        })
     }
 
     /// Whether the hold-down of the new master lasted when the old one's last frame was accepted.
@@ -322,16 +328,20 @@ mod tests {
         gaps(log, &takeovers(log), &BOUNDS, stalls)
     }
 
-    /// T-RED-8: each gap is compared with the bound of its cause.
+    /// T-RED-8: each gap is compared with the bound of its cause. A level that falls when the
+    /// heartbeats were silent already is believed as late as silence is.
     #[test]
     fn a_gap_is_judged_by_the_bound_of_the_sign_that_ended_it() {
-        for (cause, to_ms, is_beyond) in [
-            (Evidence::PeerOff, 26, false),
-            (Evidence::PeerOff, 27, true),
-            (Evidence::MasterMute, 29, false),
-            (Evidence::MasterMute, 30, true),
-            (Evidence::PeerSilent, 30, false),
-            (Evidence::PeerSilent, 31, true),
+        for (cause, since_heartbeat_us, to_ms, is_beyond) in [
+            (Evidence::PeerOff, 11_000, 26, false),
+            (Evidence::PeerOff, 11_000, 27, true),
+            (Evidence::PeerOff, 24_000, 27, true),
+            (Evidence::PeerOff, 129_000, 30, false),
+            (Evidence::PeerOff, 129_000, 31, true),
+            (Evidence::MasterMute, 0, 29, false),
+            (Evidence::MasterMute, 0, 30, true),
+            (Evidence::PeerSilent, 9_000, 30, false),
+            (Evidence::PeerSilent, 9_000, 31, true),
         ] {
             let mut log = log(&[(0, A), (10, A), (to_ms, B)], to_ms);
             log.events = vec![CoreEvent {
@@ -340,12 +350,13 @@ mod tests {
                 core: CoreId::CONTROL,
                 event: Event::TookOver {
                     cause,
-                    since_heartbeat_us: 0,
+                    since_heartbeat_us,
                     since_control_us: 0,
                     term: 3,
                 },
             }];
-            assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{cause:?} {to_ms}");
+            let what = format!("{cause:?} {since_heartbeat_us} {to_ms}");
+            assert_eq!(!found(&log, &[]).is_empty(), is_beyond, "{what}");
         }
         let same = log(&[(0, A), (21, A)], 21);
         assert_eq!(found(&same, &[])[0].ended_by, EndedBy::SameSystem);

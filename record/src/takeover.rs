@@ -88,9 +88,12 @@ pub fn detected_ms(report: Event) -> Option<f64> {
             since_control_us,
             ..
         } => Some(f64::from(since_control_us) * 1e-3),
+        // Heartbeats whose lines were cut before say nothing about the master.
         Event::TookOver {
-            since_heartbeat_us, ..
-        } => Some(f64::from(since_heartbeat_us) * 1e-3),
+            since_heartbeat_us,
+            since_control_us,
+            ..
+        } => Some(f64::from(since_heartbeat_us.min(since_control_us)) * 1e-3),
         _ => None,
     }
 }
@@ -102,7 +105,7 @@ pub const fn is_late(event: Event) -> bool {
 }
 
 /// The new master's report of the takeover.
-fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<Event> {
+pub(crate) fn report_of(log: &RunLog, system: SystemId, near_ns: u64) -> Option<Event> {
     log.events
         .iter()
         .filter(|event| event.system == system && event.at_ns.abs_diff(near_ns) < REPORT_WINDOW_NS)
@@ -223,14 +226,18 @@ mod tests {
     #[test]
     fn a_takeover_has_its_gap_and_what_the_new_master_says_of_it() {
         let mut log = log(vec![frame(0, A, 2), frame(10, A, 2), frame(23, B, 3)]);
-        let report = |cause| Event::TookOver {
+        let report = |cause, since_heartbeat_us| Event::TookOver {
             cause,
-            since_heartbeat_us: 2_000,
+            since_heartbeat_us,
             since_control_us: 11_000,
             term: 3,
         };
-        for (cause, detected_ms) in [(Evidence::PeerOff, 2.0), (Evidence::MasterMute, 11.0)] {
-            log.events = vec![event(22_000_000, B, report(cause))];
+        for (cause, since_heartbeat_us, detected_ms) in [
+            (Evidence::PeerOff, 2_000, 2.0),
+            (Evidence::PeerOff, 129_000, 11.0),
+            (Evidence::MasterMute, 2_000, 11.0),
+        ] {
+            log.events = vec![event(22_000_000, B, report(cause, since_heartbeat_us))];
             let found = takeovers(&log);
             assert_eq!(found.len(), 1);
             assert_eq!((found[0].from, found[0].to), (A, B));
