@@ -103,13 +103,16 @@ fn a_short_drive_ends_with_a_report() {
 #[test]
 fn a_second_run_beside_the_first_is_none_of_its_business() {
     let fixture = Fixture::new();
-    let mut first = fixture.run(&["--duration", "6", "--out", "first", "--timing", "desktop"]);
+    let first = fixture.run(&["--duration", "6", "--out", "first", "--timing", "desktop"]);
     first.until_dual();
-    let mut second = fixture.run(&["--duration", "2", "--out", "second", "--timing", "desktop"]);
+    let second = fixture.run(&["--duration", "2", "--out", "second", "--timing", "desktop"]);
     second.until_dual();
     assert_eq!(first.processes().len(), 9);
     assert_eq!(second.processes().len(), 9);
-    for metrics in [second.metrics(), first.metrics()] {
+    for mut run in [second, first] {
+        // How long each stands still without real-time priority is the machine's matter.
+        assert!(matches!(run.end().code(), Some(0 | 1)), "{}", run.said());
+        let metrics = run.told();
         assert_eq!(metrics["collisions"], 0);
         assert_eq!(metrics["two_masters_ms"], 0.0);
         assert_eq!(
