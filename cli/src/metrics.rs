@@ -30,6 +30,8 @@ pub(crate) struct Surroundings {
     pub(crate) detection_bound_ms: Option<f64>,
     /// How long the vehicle can be without control at most, by cause.
     pub(crate) bounds: Bounds,
+    /// A stall longer than this may cost a takeover that was not needed, ms.
+    pub(crate) tolerated_ms: f64,
     /// What the machine did, on a board of processes.
     pub(crate) machine: Seen,
     /// Files and processes that were still there after the end.
@@ -113,7 +115,7 @@ pub(crate) struct Metrics {
     pub(crate) stalls: StallMetrics,
     /// Changes of the system that is obeyed.
     pub(crate) takeovers: Vec<TakeoverMetrics>,
-    /// How many of them replaced a master that had not failed.
+    /// How many of them replaced a master that had not failed, and no stall explains it.
     pub(crate) false_takeovers: usize,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
     pub(crate) detection_bound_ms: Option<f64>,
@@ -192,8 +194,18 @@ pub(crate) struct TakeoverMetrics {
     pub(crate) bound_ms: f64,
     /// The old master had not failed.
     pub(crate) is_false: bool,
+    /// What stood still for longer than is tolerated before a false one, in words; empty if nothing
+    /// did.
+    pub(crate) evidence: String,
     /// The old master found later that its core had been held up: frozen, or not scheduled.
     pub(crate) held_up: bool,
+}
+
+impl TakeoverMetrics {
+    /// The old master had not failed, and no stall explains the takeover.
+    pub(crate) const fn is_needless(&self) -> bool {
+        self.is_false && self.evidence.is_empty()
+    }
 }
 
 /// Times between two control frames that follow each other in one mastership, by the sender's
@@ -271,48 +283,72 @@ fn stall_ms(stall: &Stall) -> f64 {
     ms_between(stall.from_ns, stall.to_ns)
 }
 
+/// All that stood still in a run.
+fn stalls(log: &RunLog, around: &Surroundings) -> Vec<Stall> {
+    let machine = around.machine.stalls.iter();
+    machine.chain(&log.held_up).copied().collect()
+}
+
+/// What stood still within this time, ns, in words: each stall of at least this length, ms.
+fn evidence(log: &RunLog, stalls: &[Stall], [from_ns, to_ns]: [u64; 2], least_ms: f64) -> String {
+    let within = |stall: &&Stall| stall.from_ns < to_ns && from_ns < stall.to_ns;
+    let told = stalls.iter().filter(within).filter_map(|stall| {
+        let what = match stall.of {
+            Stood::Cpu(cpu) => format!("CPU {cpu}"),
+            Stood::Bus => "the vehicle's process".to_owned(),
+        };
+        let (ms, at_s) = (stall_ms(stall), log.seconds(stall.from_ns));
+        (ms >= least_ms).then(|| format!("{what} gone for {ms:.1} ms at {at_s:.3} s"))
+    });
+    told.collect::<Vec<_>>().join(", ")
+}
+
 /// The gaps beyond their bounds, with the evidence of what stood still then.
 pub(crate) fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
-    let stalls: Vec<Stall> = around
-        .machine
-        .stalls
-        .iter()
-        .chain(&log.held_up)
-        .copied()
-        .collect();
-    let of_gap = |gap: gap::Gap| {
-        let within = |stall: &&Stall| stall.from_ns < gap.to_ns && gap.from_ns < stall.to_ns;
-        let mut evidence: Vec<String> = Vec::new();
-        for stall in stalls.iter().filter(within) {
-            let what = match stall.of {
-                Stood::Cpu(cpu) => format!("CPU {cpu}"),
-                Stood::Bus => "the vehicle's process".to_owned(),
-            };
-            evidence.push(format!(
-                "{what} gone for {:.1} ms at {:.3} s",
-                stall_ms(stall),
-                log.seconds(stall.from_ns)
-            ));
-        }
-        GapMetrics {
-            at_s: log.seconds(gap.from_ns),
-            gap_ms: gap.ms(),
-            bound_ms: gap.bound_ms,
-            ended_by: match gap.ended_by {
-                EndedBy::SameSystem => "the same system".to_owned(),
-                EndedBy::Nothing => "the end of the run".to_owned(),
-                EndedBy::Takeover(None) => "a takeover, sign not reported".to_owned(),
-                EndedBy::Takeover(Some(sign)) => {
-                    format!("a takeover: {}", description::evidence(sign))
-                }
-            },
-            stalled_ms: gap.stalled_ms,
-            evidence: evidence.join(", "),
-            explained: gap.is_explained(),
-        }
+    let stalls = stalls(log, around);
+    let of_gap = |gap: gap::Gap| GapMetrics {
+        at_s: log.seconds(gap.from_ns),
+        gap_ms: gap.ms(),
+        bound_ms: gap.bound_ms,
+        ended_by: match gap.ended_by {
+            EndedBy::SameSystem => "the same system".to_owned(),
+            EndedBy::Nothing => "the end of the run".to_owned(),
+            EndedBy::Takeover(None) => "a takeover, sign not reported".to_owned(),
+            EndedBy::Takeover(Some(sign)) => {
+                format!("a takeover: {}", description::evidence(sign))
+            }
+        },
+        stalled_ms: gap.stalled_ms,
+        evidence: evidence(log, &stalls, [gap.from_ns, gap.to_ns], 0.0),
+        explained: gap.is_explained(),
     };
     let found = gap::gaps(log, takeovers, &around.bounds, &stalls);
     found.into_iter().map(of_gap).collect()
+}
+
+/// The takeovers, with the evidence of what stood still before those that were not needed.
+fn changes(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<TakeoverMetrics> {
+    let stalls = stalls(log, around);
+    let patience_ns = (around.bounds.silent_ms * 1e6) as u64;
+    let of_takeover = |takeover: &Takeover| {
+        let before = [takeover.at_ns.saturating_sub(patience_ns), takeover.at_ns];
+        TakeoverMetrics {
+            from: takeover.from.to_string(),
+            to: takeover.to.to_string(),
+            at_s: log.seconds(takeover.at_ns),
+            cause: takeover.cause_in_words().to_owned(),
+            detected_ms: takeover.detected_ms,
+            gap_ms: takeover.gap_ms,
+            bound_ms: around.bounds.of_takeover(log, takeover),
+            is_false: takeover.is_false,
+            evidence: match takeover.is_false {
+                true => evidence(log, &stalls, before, around.tolerated_ms),
+                false => String::new(),
+            },
+            held_up: takeover.held_up,
+        }
+    };
+    takeovers.iter().map(of_takeover).collect()
 }
 
 /// Computes all figures of a run.
@@ -325,6 +361,7 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
     } = reaction(log);
     let (reaction, age) = (Spans::from_ms(reaction_ms), Spans::from_ms(age_ms));
     let takeovers = takeovers(log);
+    let changes = changes(log, &takeovers, around);
     let count = |verdict| {
         log.control
             .iter()
@@ -374,24 +411,8 @@ pub(crate) fn compute(log: &RunLog, timeline: &Timeline, around: &Surroundings) 
                 .fold(0.0, f64::max),
             bus_count: log.held_up.len(),
         },
-        false_takeovers: takeovers
-            .iter()
-            .filter(|takeover| takeover.is_false)
-            .count(),
-        takeovers: takeovers
-            .iter()
-            .map(|takeover| TakeoverMetrics {
-                from: takeover.from.to_string(),
-                to: takeover.to.to_string(),
-                at_s: log.seconds(takeover.at_ns),
-                cause: takeover.cause_in_words().to_owned(),
-                detected_ms: takeover.detected_ms,
-                gap_ms: takeover.gap_ms,
-                bound_ms: around.bounds.of_takeover(log, takeover),
-                is_false: takeover.is_false,
-                held_up: takeover.held_up,
-            })
-            .collect(),
+        false_takeovers: changes.iter().filter(|it| it.is_needless()).count(),
+        takeovers: changes,
         detection_bound_ms: around.detection_bound_ms,
         gap_bound_ms: Some(around.bounds.silent_ms).filter(|ms| ms.is_finite()),
         start_skew_us: start::skew_ns(log).map(|ns| ns as f64 * 1e-3),

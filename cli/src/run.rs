@@ -198,6 +198,7 @@ pub(crate) fn surroundings(config: &RunConfig, granted: String) -> Surroundings 
             mute_ms: on_bus(limits.gap_bound_mute()),
             limits,
         },
+        tolerated_ms: config.budget().tolerated_stall().as_ms_f64(),
         machine: Seen::default(),
         leftovers: vec![],
     }

@@ -117,16 +117,19 @@ pub(crate) fn objections(metrics: &Metrics) -> Vec<String> {
 /// What the machine did to a run that has no fault of the product, in words; empty if it did
 /// nothing that anyone drove without.
 pub(crate) fn machine_stalled(metrics: &Metrics) -> Vec<String> {
+    let stalled = |evidence: &str, what| format!("machine stalled (evidence: {evidence}): {what}");
     let explained = metrics.gaps.iter().filter(|gap| gap.explained);
-    explained
-        .map(|gap| {
-            format!(
-                "machine stalled (evidence: {}): {}",
-                gap.evidence,
-                without_control(gap)
-            )
-        })
-        .collect()
+    let gaps = explained.map(|gap| stalled(&gap.evidence, without_control(gap)));
+    let changes = metrics.takeovers.iter();
+    let unneeded = changes.filter(|it| it.is_false && !it.is_needless());
+    let unneeded = unneeded.map(|it| {
+        let what = format!(
+            "{} took over at {:.3} s from a master that had not failed",
+            it.to, it.at_s
+        );
+        stalled(&it.evidence, what)
+    });
+    gaps.chain(unneeded).collect()
 }
 
 /// How automated driving ended by itself, or asked to be ended; `None` if it did not.

@@ -6,7 +6,8 @@ use crate::stall_watch::Seen;
 use crate::timeline::Timeline;
 use crate::{metrics, synthetic, timeline};
 use tandem_record::gap::Bounds;
-use tandem_record::run_log::{Stall, Stood};
+use tandem_record::run_log::{ControlFrame, Stall, Stood};
+use tandem_vehicle::Verdict;
 
 fn synthetic_page() -> String {
     let log = synthetic::with_takeover(60.0);
@@ -20,8 +21,7 @@ fn synthetic_page() -> String {
             mute_ms: 20.0,
             ..Bounds::default()
         },
-        machine: Seen::default(),
-        leftovers: Vec::new(),
+        ..Surroundings::default()
     };
     let moment = takeovers(&log)[0].at_ns;
     let timeline = timeline::tests::around(moment);
@@ -154,6 +154,61 @@ fn a_gap_that_a_stall_explains_is_told_with_its_evidence() {
     let said = objections(&metrics);
     assert!(
         said[0].ends_with("gone for 2000.0 ms at 4.000 s does not explain it"),
+        "{said:?}"
+    );
+}
+
+/// A stall longer than the tolerated one costs a takeover that was not needed: the run does not
+/// fail by it, and does not say that all was well.
+#[test]
+fn a_takeover_that_was_not_needed_is_told_with_the_stall_before_it() {
+    let mut log = synthetic::with_takeover(8.0);
+    let (first, last) = {
+        let takeover = takeovers(&log)[0];
+        (takeover.at_ns, takeover.from_ns)
+    };
+    // The old master sends on, so it had not failed.
+    let of_old = log.control.iter().position(|frame| frame.at_ns == last);
+    let sent_on = ControlFrame {
+        at_ns: last + 10_000_000,
+        verdict: Verdict::Fenced,
+        ..log.control[of_old.unwrap()]
+    };
+    log.control.push(sent_on);
+    log.control.sort_by_key(|frame| frame.at_ns);
+    let compute = |stalled_ms: u64| {
+        let (from_ns, to_ns) = (
+            first - 1_000_000 - stalled_ms * 1_000_000,
+            first - 1_000_000,
+        );
+        let of = Stood::Bus;
+        let around = Surroundings {
+            bounds: Bounds {
+                silent_ms: 20.0,
+                ..Bounds::default()
+            },
+            tolerated_ms: 3.0,
+            machine: Seen {
+                stalls: vec![Stall { of, from_ns, to_ns }],
+                watched_by: "a test".into(),
+            },
+            ..Surroundings::default()
+        };
+        metrics::compute(&log, &Timeline::default(), &around)
+    };
+    let needless = compute(2);
+    assert_eq!(needless.false_takeovers, 1);
+    let said = objections(&needless);
+    assert!(
+        said[0].contains("from a master that had not failed"),
+        "{said:?}"
+    );
+    let unneeded = compute(4);
+    assert!(unneeded.takeovers[0].is_false && unneeded.false_takeovers == 0);
+    assert_eq!(objections(&unneeded), Vec::<String>::new());
+    let said = machine_stalled(&unneeded);
+    assert!(
+        said[0].contains("process gone for 4.0 ms") && said.len() == 1,
         "{said:?}"
     );
 }

@@ -11,7 +11,6 @@ use tandem_sim::faults::{Bench, Profile};
 use crate::collected::Collected;
 use crate::metrics::Surroundings;
 use crate::output::Output;
-use crate::stall_watch::Seen;
 
 /// Writes it. The story of the bench is still to be told afterwards.
 pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result<()> {
@@ -32,8 +31,8 @@ pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result
             mute_ms: ms(limits.gap_bound_mute()),
             limits,
         },
-        machine: Seen::default(),
-        leftovers: vec![],
+        // Nothing stands still in virtual time.
+        ..Surroundings::default()
     };
     let collected = Collected::of(out, bench.recording(), &candump)?;
     collected.write(out, &around)?;
