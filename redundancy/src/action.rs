@@ -217,3 +217,60 @@ impl Actions {
         self.deadline
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Event as E;
+
+    /// The words of each event are as firmware in C and old traces know them.
+    #[test]
+    fn events_have_these_words() {
+        let term = Term::from_bits(77);
+        let takeover = |since_us| {
+            E::Takeover(Takeover {
+                cause: Evidence::PeerSilent,
+                since_heartbeat: Duration::from_us(since_us),
+                since_control: Duration::ZERO,
+                term,
+            })
+        };
+        let change = E::Phase {
+            from: Phase::Standby,
+            to: Phase::DegradedMaster,
+            on: Evidence::PeerOff,
+        };
+        for (event, words) in [
+            (change, [1, 0x0103, 4]),
+            (takeover(4_500), [2, 77, 4_500]),
+            (takeover(1 << 32), [2, 77, u32::MAX]),
+            (E::LineSilent(1), [3, 1, 0]),
+            (E::LineBack(2), [4, 2, 0]),
+            (E::LinesSplit, [5, 0, 0]),
+            (E::PeerFailed(true), [6, 1, 0]),
+            (E::Implausible, [7, 0, 0]),
+            (E::StaleTerm(term), [8, 77, 0]),
+            (E::TermRaised(term), [9, 77, 0]),
+            (E::CanSilent(true), [10, 1, 0]),
+            (E::StateLost, [11, 0, 0]),
+            (E::LevelBroken(false), [12, 0, 0]),
+            (E::StartLineSilent, [13, 0, 0]),
+            (E::ClockWrong(Clock::Vehicle), [14, 2, 0]),
+        ] {
+            assert_eq!(event.to_words(), words);
+        }
+    }
+
+    /// Each action is listed once; of the events there are the first eight.
+    #[test]
+    fn actions_are_listed_once_and_events_leave_room() {
+        let mut actions = Actions::none();
+        for line in 0..20 {
+            actions.record(Event::LineSilent(line));
+            actions.push(Action::Transmit);
+        }
+        assert_eq!(actions.events().count(), Actions::EVENTS);
+        assert_eq!(actions.iter().count(), Actions::EVENTS + 1);
+        assert!(actions.contains(Action::Transmit) && !actions.contains(Action::DiscardUnsent));
+    }
+}

@@ -225,8 +225,45 @@ mod tests {
                 assert!(tolerated <= budget.stall && budget.stall > Duration::from_us(us));
                 let needed = budget.heartbeat_period.times(2) + budget.lateness + tolerated;
                 assert_eq!(silent, needed, "{us} us");
+
+                // Each limit is the machine's need, or the least or greatest that is permitted.
+                let need = MS + budget.stall;
+                let until_goal = GOAL - config.gap_bound_mute() == MS;
+                assert!(
+                    config.control_margin == need || config.control_margin < need && until_goal
+                );
+                let need = budget.heartbeat_period.times(2) + budget.stall;
+                assert_eq!(config.standby_limit, need.max(STANDBY_LIMIT));
+                let (beats, polls) = (budget.heartbeat_period, budget.poll_interval);
+                let need = beats.times(4) + polls.times(2) + budget.stall;
+                let tens = (0..).map(|n| Duration::from_ms(10).times(n));
+                let stagger = tens.into_iter().find(|it| *it >= need.max(STAGGER));
+                assert_eq!(Some(config.stagger), stagger, "{us} us");
+                assert_eq!(config.promote_limit, config.stagger);
+                let quarter = config.sync_stagger.times(4);
+                assert!(quarter <= config.stagger && config.stagger < quarter + MS.times(4));
             }
         }
+    }
+
+    #[test]
+    fn profiles_differ_in_these_limits() {
+        let limits = ALL.map(|budget| {
+            let config = budget.config();
+            let (period, start) = (config.handshake_period, config.start_limit);
+            [period, config.report_period, start, config.stagger].map(|it| it.as_us() / 1_000)
+        });
+        let expected = [[5, 1, 2500, 20], [5, 10, 2500, 20], [10, 10, 4500, 60]];
+        assert_eq!(limits, expected);
+        let stalls = [0, 1, 249, 250, 251, 6_000].map(|us| {
+            let budget = Budget::RT.measured(Duration::from_us(us));
+            budget.stall.as_us() / 1_000
+        });
+        assert_eq!(
+            stalls,
+            [1, 2, 2, 2, 3, 25],
+            "four times the longest, and 1 ms"
+        );
     }
 
     /// T-RED-8: a machine that stalls for less gets shorter bounds, down to those of a chip.

@@ -231,7 +231,6 @@ impl Config {
             && self.poll_interval <= self.heartbeat_period
             && self.standby_limit >= self.silent_limit()
             && self.lease() < self.witness_limit()
-            && self.lease() >= self.poll_interval
             && self.stagger >= hears_other
             && self.sync_stagger >= self.poll_interval.times(4)
             && self.promote_limit > self.sync_stagger + self.poll_interval.times(2)
@@ -280,36 +279,50 @@ mod tests {
         }
     }
 
+    /// A limit is permitted up to its bound, and not a nanosecond (or one) beyond.
     #[test]
     fn check_refuses_limits_that_do_not_fit() {
+        let (rt, ms, ns) = (Config::rt(), Duration::from_ms, Duration::from_ns(1));
+        let slow = Config {
+            standby_limit: ms(18),
+            ..rt
+        };
+        macro_rules! bound {
+            ($base:ident, $field:ident, $good:expr, $bad:expr) => {{
+                let with = |$field| Config { $field, ..$base }.check();
+                (stringify!($field), with($good), with($bad))
+            }};
+        }
+        let (silent, mute) = (rt.silent_limit(), rt.mute_limit());
+        let lead = rt.sync_stagger + rt.poll_interval.times(2);
+        for result in [
+            bound!(rt, heartbeat_misses, 2, 1),
+            bound!(rt, poll_interval, rt.heartbeat_period, ms(1) + ns),
+            bound!(rt, standby_limit, silent, silent - ns),
+            // The lease is below the third witness's limit, 17 ms.
+            bound!(slow, heartbeat_jitter, ms(12) - ns, ms(12)),
+            bound!(rt, stagger, ms(6), ms(6) - ns),
+            bound!(rt, sync_stagger, ms(4), ms(4) - ns),
+            bound!(rt, promote_limit, lead + ns, lead),
+            bound!(rt, can_open_limit, mute + ns, mute),
+            bound!(rt, status_limit, mute + ns, mute),
+            bound!(rt, report_limit, rt.link_limit() + ns, rt.link_limit()),
+            bound!(rt, hold_down, mute + ns, mute),
+            bound!(rt, abnormal_limit, 1, 0),
+        ] {
+            assert_eq!((result.1, result.2), (true, false), "{}", result.0);
+        }
+    }
+
+    #[test]
+    fn the_hold_down_grows_with_changes_that_follow_each_other() {
         let rt = Config::rt();
-        assert!(
-            !Config {
-                heartbeat_misses: 1,
-                ..rt
-            }
-            .check()
-        );
-        assert!(
-            !Config {
-                stagger: Duration::from_ms(1),
-                ..rt
-            }
-            .check()
-        );
-        assert!(
-            !Config {
-                poll_interval: Duration::from_ms(5),
-                ..rt
-            }
-            .check()
-        );
-        assert!(
-            !Config {
-                standby_limit: Duration::from_ms(1),
-                ..rt
-            }
-            .check()
-        );
+        let long = rt.healthy_after;
+        assert_eq!(rt.changes_after(3, long - Duration::from_ns(1)), 4);
+        assert_eq!(rt.changes_after(3, long), 1);
+        assert_eq!(rt.changes_after(u8::MAX, Duration::ZERO), u8::MAX);
+        let hold_downs =
+            [0, 1, 2, 3, 6, 7, u8::MAX].map(|changes| rt.hold_down_after(changes).as_us() / 1_000);
+        assert_eq!(hold_downs, [0, 100, 200, 400, 3200, 3200, 3200]);
     }
 }

@@ -61,11 +61,6 @@ impl Driving {
         leased
     }
 
-    /// The output opens again.
-    pub(crate) fn reopen(&mut self, now: Instant) {
-        self.last_permit = now;
-    }
-
     /// Whether the last transmission was refused.
     pub(crate) const fn is_refused(&self) -> bool {
         self.refused
@@ -83,12 +78,9 @@ impl Driving {
         config: &Config,
         now: Instant,
         witnesses: &Witnesses,
-        heartbeats: u32,
     ) -> bool {
         let off = witnesses.peer_is_off(config, now);
-        let others = heartbeats > 0
-            || witnesses.peer_is_there(config, now)
-            || witnesses.reports.was_standby();
+        let others = !witnesses.beats.both_silent() || witnesses.reports.was_standby();
         let earliest = self.last_permit + config.witness_limit();
         others && !off && now >= earliest
     }

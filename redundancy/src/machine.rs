@@ -378,7 +378,7 @@ impl Redundancy {
         let (config, witnesses) = (&self.config, &self.witnesses);
         if let Some(driving) = self.phase.driving()
             && seen.since_last.is_some_and(|span| span > config.lease())
-            && driving.may_be_deposed(config, now, witnesses, seen.heartbeats())
+            && driving.may_be_deposed(config, now, witnesses)
         {
             return Some(Evidence::Stalled);
         }
@@ -582,10 +582,7 @@ impl Redundancy {
     /// The mastership in which to drive: the current one, or a new one in a term above all known
     /// ones.
     fn drive(&mut self, now: Instant) -> Result<Driving, NoTermLeft> {
-        if let Some(mut driving) = self.phase.mastership() {
-            if let PhaseState::Thawed(_) = self.phase {
-                driving.reopen(now);
-            }
+        if let Some(driving) = self.phase.mastership() {
             return Ok(driving);
         }
         let step = match self.phase {

@@ -251,6 +251,28 @@ mod tests {
         assert_eq!(receive(&mut receiver), Ok(None));
     }
 
+    /// Where a receiver continues that misses the value at its cursor, and how many it lost.
+    #[test]
+    fn a_receiver_continues_behind_what_it_lost() {
+        const FAR: u32 = u32::MAX / 2;
+        for (cursor, head, expected) in [
+            (5, 5, (5, 1)),
+            (5, 4, (4, 1)),
+            (5, 6, (6, 1)),
+            (5, 7, (6, 1)),
+            (5, 8, (6, 1)),
+            (5, 9, (7, 2)),
+            (0, FAR, (FAR - 2, FAR - 2)),
+            (0, FAR + 1, (FAR + 1, 1)),
+        ] {
+            let (words, _, mut receiver) = ring();
+            words[0].store(head, Ordering::Relaxed);
+            receiver.cursor = cursor;
+            let Lost { count } = receiver.skip();
+            assert_eq!((receiver.cursor, count), expected, "{cursor} of {head}");
+        }
+    }
+
     #[test]
     fn a_receiver_frozen_at_every_step_gets_whole_values_and_counts_the_rest() {
         for at in 0.. {

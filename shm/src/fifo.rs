@@ -406,7 +406,7 @@ mod interleavings;
 #[cfg(not(loom))]
 mod tests {
     use super::*;
-    use crate::fault::{kill_at, zeroed};
+    use crate::fault::{freeze_at, kill_at, zeroed};
     use std::vec::Vec;
 
     const SHAPE: Shape = Shape::new(4, 2);
@@ -451,7 +451,11 @@ mod tests {
         loan.words().set(0, 1);
         drop(loan);
         assert!(consumer.item().is_none());
-        producer.send(&[3, 0]).unwrap();
+        assert_eq!(producer.sent(), 0);
+        let mut loan = producer.loan().unwrap();
+        loan.words().set(0, 3);
+        loan.send();
+        assert_eq!(producer.sent(), 1);
         assert_eq!(consumer.item().unwrap().words().get(0), 3);
         let item = consumer.item().unwrap();
         assert_eq!(item.words().iter().collect::<Vec<_>>(), [3, 0]);
@@ -570,6 +574,27 @@ mod tests {
                     assert_eq!(values, [[7, 7], [8, 8]], "{scribble} at {at:?} {successor}");
                 }
             }
+        }
+    }
+
+    /// A consumer that searches because it does not find the next value finds it if its stamp is
+    /// mended before the search ends: it skips no value that is there.
+    #[test]
+    fn a_value_that_is_mended_during_the_search_is_not_skipped() {
+        for at in 0.. {
+            let (words, mut producer, mut consumer) = queue();
+            (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
+            words[SLOTS_AT + 2].store(0, Ordering::Relaxed);
+            let mend = move || assert_eq!(producer.send(&[4, 4]), Err(Full));
+            let (_, hit) = freeze_at(at, mend, || {
+                (0..LOOKS_PER_DOUBT).find(|_| consumer.item().is_some())
+            });
+            let first = drain(&mut consumer)[0];
+            if !hit {
+                assert_eq!(first, [1, 1], "the search was over");
+                break;
+            }
+            assert_eq!(first, [0, 0], "mended before access {at}");
         }
     }
 

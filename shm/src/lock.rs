@@ -69,7 +69,7 @@ const ONE_TURN: u32 = 1 << TURN_SHIFT;
 /// Core and generation of a token whose owner is dead: no core.
 const ORPHAN: u32 = GENERATION_MASK << GENERATION_SHIFT;
 
-const _: () = assert!(CORES == 3 && ATTACHED_AT + CORES == WORDS);
+const _: () = assert!(CORES == 3 && MAX_WAITED_TURNS == 2 && ATTACHED_AT + CORES == WORDS);
 
 /// The core that the token names; [`CORES`] if it names none.
 const fn core_of(token: u32) -> usize {
@@ -157,14 +157,11 @@ impl<'a> Lock<'a> {
         self.patience = polls;
     }
 
-    #[cfg(loom)]
+    #[cfg_attr(not(loom), allow(clippy::unused_self, reason = "models have one each"))]
     const fn patience(&self) -> u32 {
-        self.patience
-    }
-
-    #[cfg(not(loom))]
-    #[allow(clippy::unused_self, reason = "models have one for each end")]
-    const fn patience(&self) -> u32 {
+        #[cfg(loom)]
+        return self.patience;
+        #[cfg(not(loom))]
         PATIENCE
     }
 

@@ -412,6 +412,24 @@ mod tests {
         Map::format(zeroed(LAYOUT.total_words()), LAYOUT).unwrap()
     }
 
+    /// A small channel is one line; a slot of another crosses a line only if it must.
+    #[test]
+    fn a_channel_takes_no_more_words_than_it_needs() {
+        for (slots, slot_words, expected) in [
+            (4, 2, [13, 13, 32]),
+            (2, 6, [15, 15, 32]),
+            (2, 7, [48, 32, 32]),
+            (4, 3, [80, 32, 32]),
+            (2, 15, [48, 48, 48]),
+            (2, 16, [80, 50, 80]),
+        ] {
+            let shape = Shape::new(slots, slot_words);
+            let words = [newest::words, broadcast::words, fifo::words].map(|words| words(shape));
+            assert_eq!(words, expected, "{shape:?}");
+        }
+        assert_eq!([1, 16, 17, 511].map(pool::words), [48, 288, 320, 8704]);
+    }
+
     #[test]
     fn values_of_each_kind_of_region_go_from_core_to_core() {
         let map = map();

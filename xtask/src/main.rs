@@ -7,6 +7,7 @@ mod failure_modes;
 mod figures;
 mod firmware;
 mod instructions;
+mod mutants;
 mod requirements;
 mod rooms;
 mod rta;
@@ -216,6 +217,15 @@ enum Campaign {
         #[arg(long, default_value_t = 2)]
         faults: u32,
     },
+    /// Change one expression or function after the other (needs cargo-mutants): fails if the tests
+    /// of the crate miss more than 5 % of the changes
+    Mutants {
+        /// Only these packages; without one, tandem-bus, tandem-redundancy and tandem-shm
+        packages: Vec<String>,
+        /// Only each N-th change
+        #[arg(long, default_value_t = 1)]
+        every: u32,
+    },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
         /// After how long
@@ -322,6 +332,9 @@ fn execute() -> Result<()> {
             let mut command = one_test(root, "tandem-redundancy", "pair", name);
             command.env("TANDEM_EXPLORE", faults.to_string());
             run(command)
+        }
+        Task::Campaign(Campaign::Mutants { packages, every }) => {
+            mutants::run(root, &packages, every)
         }
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
             let name = "the_tick_does_not_drift";

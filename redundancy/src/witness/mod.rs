@@ -164,11 +164,6 @@ impl Witnesses {
         self.can.is_silent(now, config.can_open_limit)
     }
 
-    /// The other system is powered and its heartbeats arrive.
-    pub(crate) fn peer_is_there(&self, config: &Config, now: Instant) -> bool {
-        !self.peer_is_off(config, now) && !self.beats.both_silent()
-    }
-
     /// Both heartbeat lines have been silent for so long that a master gives up its standby.
     pub(crate) fn standby_is_gone(&self, config: &Config, now: Instant) -> bool {
         self.beats.both_silent() && self.beats.silent_for(now) > config.standby_limit

@@ -104,7 +104,9 @@ fn a_master_that_is_asked_offers_its_role() {
     assert_eq!(bench.machine.report().mode, Mode::SafeStop);
     assert_eq!(bench.machine.mode(), Mode::L3);
     assert!(bench.machine.may_transmit(bench.now));
-    bench.run_with_beats(CONFIG.report_limit.as_ms_f64() as u64 + 1);
+    bench.run_with_beats(CONFIG.report_limit.as_ms_f64() as u64 - 1);
+    assert_eq!(bench.machine.report().mode, Mode::SafeStop);
+    bench.run_with_beats(1);
     assert_eq!(bench.machine.report().mode, Mode::L3, "not for ever");
     assert_eq!(bench.machine.phase(), Phase::Master);
 }

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod leave;
+mod limits;
 
 use tandem_board::{Duration, Edge, Instant, Line, ResetCause, ResetRequest, SystemId};
 use tandem_redundancy::{
@@ -42,9 +43,13 @@ struct Bench {
 
 impl Bench {
     fn new(system: SystemId, state: SystemState) -> Self {
+        Self::with(CONFIG, system, state)
+    }
+
+    fn with(config: Config, system: SystemId, state: SystemState) -> Self {
         let now = Instant::from_ns(5_000_000_000);
         let loaded = Loaded::State(state);
-        let machine = Redundancy::new(CONFIG, system, ResetCause::PowerOn, loaded, now);
+        let machine = Redundancy::new(config, system, ResetCause::PowerOn, loaded, now);
         Self {
             machine,
             snapshot: QUIET,
@@ -62,7 +67,15 @@ impl Bench {
 
     /// System A, started by handshakes of B, some milliseconds into dual operation.
     fn master() -> Self {
-        let mut bench = Self::new(SystemId::A, SystemState::factory(SystemId::A));
+        Self::master_with(CONFIG)
+    }
+
+    fn master_with(config: Config) -> Self {
+        Self::master_from(config, SystemState::factory(SystemId::A))
+    }
+
+    fn master_from(config: Config, state: SystemState) -> Self {
+        let mut bench = Self::with(config, SystemId::A, state);
         let _ = bench.poll();
         let actions = bench.handshakes();
         assert!(actions.contains(SYNC) && actions.contains(Action::Transmit));
@@ -73,7 +86,11 @@ impl Bench {
 
     /// System B, started by the sync edge of A, with control frames every 10 ms.
     fn standby() -> Self {
-        let mut bench = Self::new(SystemId::B, SystemState::factory(SystemId::B));
+        Self::standby_with(CONFIG)
+    }
+
+    fn standby_with(config: Config) -> Self {
+        let mut bench = Self::with(config, SystemId::B, SystemState::factory(SystemId::B));
         let _ = bench.poll();
         bench.snapshot.syncs += 1;
         assert!(bench.poll().contains(Action::AlignControl));
@@ -405,7 +422,10 @@ fn a_master_held_up_listens_first() {
             let _ = bench.control(higher.bits());
             assert_eq!(bench.machine.phase(), Phase::Standby);
         } else {
-            bench.run_with_beats(30);
+            let listened = CONFIG.mute_limit().as_us() / 1_000 - 5;
+            bench.run_with_beats(listened);
+            assert_eq!(bench.machine.phase(), Phase::Thawed);
+            bench.run_with_beats(1);
             assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
             assert_eq!(
                 bench.machine.term(),

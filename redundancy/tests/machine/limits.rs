@@ -1,0 +1,168 @@
+//! What happens when a limit of time ends, and not before.
+
+use super::{Bench, CONFIG};
+use tandem_board::{Duration, SystemId};
+use tandem_redundancy::{
+    Action, Config, Event, Input, Mode, PeerReport, Phase, Role, SystemState, Term,
+};
+
+/// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
+/// no longer than it lasts.
+#[test]
+fn a_standby_polls_when_a_limit_ends() {
+    let chip = Config::chip();
+    let after = |limit: Duration| limit + Duration::from_ns(1);
+    for (link, level, expected) in [
+        (false, false, after(chip.witness_limit())),
+        (true, false, after(chip.link_limit())),
+        (true, true, after(chip.level_limit())),
+    ] {
+        let mut bench = Bench::standby_with(chip);
+        let _ = bench.control(16);
+        bench.run_with_beats(1);
+        let last = bench.now;
+        let _ = bench.control(16);
+        if link {
+            let _ = bench.linked(PeerReport {
+                role: Role::Master,
+                mode: Mode::L3,
+                term: Term::from_bits(16),
+                can_alive: true,
+            });
+        }
+        bench.snapshot.peer_powered = !level;
+        let mut actions = bench.on(Input::Poll(bench.snapshot));
+        let mut line_silent = None;
+        while bench.machine.phase() == Phase::Standby {
+            bench.now = actions.deadline();
+            actions = bench.on(Input::Poll(bench.snapshot));
+            if actions.events().any(|it| it == Event::LineSilent(1)) {
+                line_silent.get_or_insert(bench.now.since(last));
+            }
+        }
+        assert_eq!(bench.now.since(last), expected, "link {link} level {level}");
+        assert_eq!(line_silent, (!level).then_some(after(chip.silent_limit())));
+    }
+}
+
+/// Each report tells a later time than the one before, also two of the same moment.
+#[test]
+fn reports_tell_times_that_rise() {
+    let mut bench = Bench::master();
+    let mut sent = |after_us| {
+        bench.now += Duration::from_us(after_us);
+        bench.machine.link_report(bench.now).sent_us
+    };
+    let first = sent(10);
+    assert_eq!([0, 0, 1, 10].map(sent), [1, 2, 3, 11].map(|us| first + us));
+}
+
+/// T-RED-6: a master that no longer hears CAN, while the other does, stops the vehicle until it
+/// hears CAN again. The limit doubles with each reset that did not cure it, three times at most.
+#[test]
+fn a_master_stops_the_vehicle_while_its_can_is_open() {
+    for (abn_in_a_row, times) in [(0, 1), (1, 2), (2, 4), (3, 8)] {
+        let mut bench = Bench::master_from(
+            CONFIG,
+            SystemState {
+                abn_in_a_row,
+                ..SystemState::factory(SystemId::A)
+            },
+        );
+        let last_heard = bench.now;
+        while bench.machine.mode() != Mode::SafeStop {
+            let _ = bench.linked(PeerReport {
+                role: Role::Standby,
+                mode: Mode::L3,
+                term: Term::NONE,
+                can_alive: true,
+            });
+            bench.now += CONFIG.poll_interval;
+            bench.snapshot.beats[0] += 1;
+            let _ = bench.on(Input::Poll(bench.snapshot));
+        }
+        let limit = CONFIG.can_open_limit.times(times);
+        assert_eq!(
+            bench.now.since(last_heard),
+            limit + CONFIG.poll_interval,
+            "{abn_in_a_row} resets"
+        );
+        bench.run_with_beats(1);
+        assert_eq!(bench.machine.mode(), Mode::DegradedL2);
+    }
+}
+
+/// T-RED-9: a master that was held up resumes at the vehicle's word: its last frame is too recent
+/// for a takeover, or so old that a takeover would have happened.
+#[test]
+fn the_vehicle_tells_a_master_that_was_held_up_whether_it_is_deposed() {
+    let under_way = CONFIG.poll_interval.times(2);
+    let recent = (CONFIG.witness_limit() - under_way).as_us() / 1_000;
+    let old = (CONFIG.gap_bound() + under_way).as_us() / 1_000;
+    for (age_ms, resumes) in [
+        (recent - 1, true),
+        (recent, false),
+        (old, false),
+        (old + 1, true),
+    ] {
+        for dual in [true, false] {
+            let mut bench = Bench::master();
+            if !dual {
+                bench.snapshot.beats[0] += 1;
+                for _ in 0..CONFIG.standby_limit.as_us() / 1_000 + 2 {
+                    let _ = bench.poll();
+                }
+                bench.run_with_beats(5);
+            }
+            let (phase, term) = (bench.machine.phase(), bench.machine.term());
+            assert_eq!(phase == Phase::Master, dual);
+            assert!(bench.machine.may_transmit(bench.now));
+            bench.now += Duration::from_ms(30);
+            bench.run_with_beats(1);
+            assert_eq!(bench.machine.phase(), Phase::Thawed);
+            let actions = bench.obeyed(term, age_ms);
+            let expected = if resumes { phase } else { Phase::Thawed };
+            assert_eq!(bench.machine.phase(), expected, "{age_ms} ms, {dual}");
+            assert_eq!(actions.contains(Action::Transmit), resumes);
+        }
+    }
+}
+
+/// T-RED-9: the other counts as sound again when it was heard for a second, and as the standby,
+/// where that is permitted, after two.
+#[test]
+fn a_standby_that_is_back_counts_again_after_its_time() {
+    for reintegrate in [false, true] {
+        let mut bench = Bench::master_with(Config {
+            reintegrate,
+            ..CONFIG
+        });
+        while bench.machine.phase() == Phase::Master {
+            let _ = bench.poll();
+        }
+        assert!(bench.machine.state().cpsys_failure);
+        let (back, mut sound_after, mut standby_after) = (bench.now, None, None);
+        for ms in 0..3_000 {
+            if ms % 100 == 0 {
+                let _ = bench.on(Input::StatusFrame(PeerReport {
+                    role: Role::Standby,
+                    mode: Mode::L3,
+                    term: Term::NONE,
+                    can_alive: true,
+                }));
+            }
+            bench.run_with_beats(1);
+            // The first heartbeat is heard a poll later.
+            let heard_for = bench.now.since(back + CONFIG.poll_interval);
+            if !bench.machine.state().cpsys_failure {
+                sound_after.get_or_insert(heard_for);
+            }
+            if bench.machine.phase() == Phase::Master {
+                standby_after.get_or_insert(heard_for);
+            }
+        }
+        assert_eq!(sound_after, Some(CONFIG.recover_after));
+        let expected = reintegrate.then_some(CONFIG.recover_after.times(2));
+        assert_eq!(standby_after, expected);
+    }
+}

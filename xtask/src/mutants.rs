@@ -1,0 +1,65 @@
+//! Mutants: one small change of a crate each, which its tests must notice.
+//!
+//! What is no behaviour, and each change that no test can notice, is left out in
+//! `.cargo/mutants.toml`, with the reason.
+
+use crate::{cargo, target_dir};
+use anyhow::{Context, Result, bail};
+use std::fs;
+use std::path::Path;
+
+const PACKAGES: [&str; 3] = ["tandem-bus", "tandem-redundancy", "tandem-shm"];
+/// Of a crate's mutants that compile, at least this share must be noticed.
+const CAUGHT_PERCENT: usize = 95;
+/// Longer than the tests of a crate run on a loaded machine.
+const TIMEOUT_SECONDS: &str = "120";
+/// The exit status of cargo-mutants says what it found: 2 missed, 3 time-outs. Others are errors.
+const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];
+
+/// Tests each `every`-th mutant of these packages, by default of all three.
+pub(crate) fn run(root: &Path, packages: &[String], every: u32) -> Result<()> {
+    let version = cargo(root, &["mutants", "--version"]).output();
+    if !version.is_ok_and(|output| output.status.success()) {
+        println!("SKIPPED: mutants (cargo install --locked cargo-mutants)");
+        return Ok(());
+    }
+    let mut packages: Vec<&str> = packages.iter().map(String::as_str).collect();
+    if packages.is_empty() {
+        packages.extend(PACKAGES);
+    }
+    let mut table = String::from("package             caught  timeout  missed  unviable  rate\n");
+    let mut poor = Vec::new();
+    for package in packages {
+        let folder = target_dir(root).join("mutants").join(package);
+        fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
+        let mut command = cargo(root, &["mutants", "--package", package, "--baseline=skip"]);
+        command.args(["--timeout", TIMEOUT_SECONDS, "--sharding=round-robin"]);
+        command.arg(format!("--shard=0/{every}"));
+        command.arg("--output").arg(&folder);
+        println!("$ {command:?}");
+        let status = command.status().context("cargo mutants")?;
+        if !FOUND.contains(&status.code()) {
+            bail!("{command:?} ended with {status}");
+        }
+        let count = |name: &str| {
+            let path = folder.join("mutants.out").join(name);
+            let text = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
+            Ok::<_, anyhow::Error>(text.lines().count())
+        };
+        let (caught, timeout) = (count("caught.txt")?, count("timeout.txt")?);
+        let (missed, unviable) = (count("missed.txt")?, count("unviable.txt")?);
+        let (noticed, all) = (caught + timeout, caught + timeout + missed);
+        if all == 0 || noticed * 100 < all * CAUGHT_PERCENT {
+            poor.push(package);
+        }
+        let rate = noticed as f64 * 100.0 / all.max(1) as f64;
+        table += &format!(
+            "{package:<18}{caught:>8}{timeout:>9}{missed:>8}{unviable:>10}{rate:>5.1} %\n"
+        );
+    }
+    print!("{table}");
+    if !poor.is_empty() {
+        bail!("less than {CAUGHT_PERCENT} % noticed: {}", poor.join(", "));
+    }
+    Ok(())
+}
