@@ -3,9 +3,8 @@
 use crate::harness::{Batch, Plan};
 use crate::peers::{Death, contended_mutex};
 use crate::tandem::Way::{Channel, Signal};
-use crate::tandem::fifo::messages;
-use crate::tandem::size::in_place;
-use crate::tandem::sync;
+use crate::tandem::channels::{broadcast, fifo, in_place};
+use crate::tandem::{lock, sync};
 use crate::{floor, noise, peers, rtos, tandem};
 use std::io;
 use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
@@ -83,7 +82,10 @@ impl Case {
     /// If the case cannot be measured.
     pub fn run_batch(&self, plan: &Plan) -> io::Result<Batch> {
         match self.group {
-            Group::OneCpu => (self.run)(&plan.on_one_cpu()),
+            Group::OneCpu => (self.run)(&Plan {
+                cpus: [plan.cpus[0]; 2],
+                ..*plan
+            }),
             _ => (self.run)(plan),
         }
     }
@@ -112,7 +114,7 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
         |p| sync::<1>(p, ADAPTIVE, Signal)),
     ("tandem-scene", "as the controller sends: channel of 266 words, signal, doorbell, handler",
         |p| sync::<266>(p, Sleep, Channel)),
-    ("eventfd", "eventfd beside shared memory", floor::eventfd),
+    ("eventfd", "eventfd beside shared memory", peers::eventfd),
     ("iceoryx2-event", "event with default settings", peers::iceoryx2_event),
     ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", peers::iceoryx2_event_tuned),
     ("io-uring", "message from ring to ring", peers::io_uring),
@@ -165,37 +167,37 @@ const CASES: &[Cases] = &[
     ]),
     (Group::Throughput, 400, &[
         ("floor", "8 bytes each, by full cache lines", floor::full_lines),
-        ("fifo-8B", "FIFO between processes", |p| messages::<2, 512, 1>(p, 4096)),
+        ("fifo-8B", "FIFO between processes", |p| fifo::<2, 512, 1>(p, 4096)),
         ("rtrb-8B", "ring buffer between threads", peers::rtrb_stream),
     ]),
     (Group::Throughput, 200, &[
-        ("fifo-64B", "FIFO, copied in and out", |p| messages::<16, 256, 1>(p, 4096)),
-        ("fifo-4KiB", "FIFO, copied in and out", |p| messages::<1024, 32, 1>(p, 64)),
+        ("fifo-64B", "FIFO, copied in and out", |p| fifo::<16, 256, 1>(p, 4096)),
+        ("fifo-4KiB", "FIFO, copied in and out", |p| fifo::<1024, 32, 1>(p, 64)),
         ("broadcast-1-to-2", "time per message that a receiver got; the two share a CPU",
-            tandem::broadcast::to_two),
+            broadcast),
         ("fifo-2-to-1", "two FIFOs polled by one; two senders share a CPU",
-            |p| messages::<2, 512, 2>(p, 4096)),
+            |p| fifo::<2, 512, 2>(p, 4096)),
     ]),
     (Group::Throughput, 20, &[
         ("pipe-8B", "one write, one read each", peers::pipe_stream),
         ("iceoryx2-8B", "publish-subscribe that waits when full", peers::iceoryx2_stream),
     ]),
     (Group::Lock, 10_000, &[
-        ("floor", "CAS and release store", floor::cas::lock),
-        ("free", "taken and given back", tandem::lock::free),
+        ("floor", "CAS and release store", floor::lock),
+        ("free", "taken and given back", lock::free),
         ("pthread", "mutex shared by processes, free", |p| peers::mutex(p, Death::Fatal)),
         ("pthread-robust", "robust mutex, free", |p| peers::mutex(p, Death::Robust)),
     ]),
     // Microseconds of contention: many of the scheduler's turns.
     (Group::Lock, 40_000, &[
         ("contended-2-floor", "one word, no turns: from wanting to having it, two CPUs",
-            |p| floor::cas::under_contention(p, 2)),
+            |p| floor::contended_word(p, 2)),
         ("contended-3-floor", "the same by three processes on two CPUs",
-            |p| floor::cas::under_contention(p, 3)),
+            |p| floor::contended_word(p, 3)),
         ("contended-2", "from wanting to having it, two CPUs",
-            |p| tandem::lock::under_contention(p, 2)),
+            |p| lock::under_contention(p, 2)),
         ("contended-3", "the same by three processes on two CPUs",
-            |p| tandem::lock::under_contention(p, 3)),
+            |p| lock::under_contention(p, 3)),
         ("pthread-contended-2", "from wanting to having it, two CPUs",
             |p| contended_mutex(p, 2, Death::Fatal)),
         ("pthread-contended-3", "the same by three processes on two CPUs",
@@ -205,7 +207,7 @@ const CASES: &[Cases] = &[
     ]),
     // Deaths of an owner.
     (Group::Lock, 20, &[
-        ("recovery", "from the kill of the owner to the guard", tandem::lock::recovery),
+        ("recovery", "from the kill of the owner to the guard", lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",
             peers::mutex_recovery),
     ]),

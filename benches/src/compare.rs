@@ -16,7 +16,6 @@ use crate::provider::Provider;
 use crate::result::{Results, Row, SCHEMA};
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::fs::File;
 use std::io::{self, Read as _, Seek as _};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -106,6 +105,12 @@ pub struct Compared {
     pub p99: Change,
 }
 
+impl Compared {
+    fn has(&self, verdict: Verdict) -> bool {
+        self.p50.verdict == verdict || self.p99.verdict == verdict
+    }
+}
+
 /// Two builds side by side.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
@@ -124,10 +129,7 @@ pub struct Comparison {
 }
 
 /// Runs `program bench` with these arguments and returns its figures.
-///
-/// # Errors
-/// [`CompareError`]
-pub fn figures_of(program: &Path, args: &[String]) -> Result<Results, CompareError> {
+pub(crate) fn figures_of(program: &Path, args: &[String]) -> Result<Results, CompareError> {
     let cannot_start = |source| CompareError::Start {
         program: program.to_owned(),
         source,
@@ -146,64 +148,42 @@ pub fn figures_of(program: &Path, args: &[String]) -> Result<Results, CompareErr
             said: said.trim().to_owned(),
         });
     }
-    read(&mut file).map_err(|why| CompareError::Foreign {
+    let mut text = String::new();
+    let read = file.rewind().and_then(|()| file.read_to_string(&mut text));
+    let results: Result<Results, String> = read
+        .map_err(|error| error.to_string())
+        .and_then(|_| serde_json::from_str(&text).map_err(|error| error.to_string()));
+    let why = match results {
+        Ok(results) if results.schema == SCHEMA => return Ok(results),
+        Ok(results) => format!("its schema is {:?}, not {SCHEMA:?}", results.schema),
+        Err(why) => why,
+    };
+    Err(CompareError::Foreign {
         program: program.to_owned(),
         why,
     })
 }
 
-fn read(file: &mut File) -> Result<Results, String> {
-    let mut text = String::new();
-    file.rewind().map_err(|error| error.to_string())?;
-    file.read_to_string(&mut text)
-        .map_err(|error| error.to_string())?;
-    let results: Results = serde_json::from_str(&text).map_err(|error| error.to_string())?;
-    if results.schema != SCHEMA {
-        return Err(format!(
-            "its schema is {:?}, not {SCHEMA:?}",
-            results.schema
-        ));
-    }
-    Ok(results)
-}
-
 /// Compares pairs of runs, the old build's first in each.
-#[must_use]
-pub fn compare(pairs: &[[Results; 2]]) -> Comparison {
+pub(crate) fn compare(pairs: &[[Results; 2]]) -> Comparison {
     let first = pairs.first().map_or(&[][..], |pair| &pair[0].results[..]);
     let mut cases: Vec<Compared> = first.iter().filter_map(|row| case(row, pairs)).collect();
     judge(&mut cases);
-    let names = |those: &dyn Fn(&Compared) -> bool| {
-        let those = cases.iter().filter(|case| those(case));
+    let names = |are_peers, verdicts: &[Verdict]| {
+        let has = |case: &&Compared| verdicts.iter().any(|of| case.has(*of));
+        let those = cases
+            .iter()
+            .filter(|case| case.is_peer == are_peers)
+            .filter(has);
         those.map(|case| case.name.clone()).collect()
     };
-    let has = |case: &Compared, verdict| {
-        [&case.p50, &case.p99]
-            .iter()
-            .any(|of| of.verdict == verdict)
-    };
-    let (slower, faster) = (Verdict::Slower, Verdict::Faster);
     Comparison {
         schema: COMPARE_SCHEMA,
         pairs: pairs.len(),
-        slower: names(&|case| !case.is_peer && has(case, slower)),
-        faster: names(&|case| !case.is_peer && has(case, faster)),
-        peers_changed: names(&|case| case.is_peer && (has(case, slower) || has(case, faster))),
+        slower: names(false, &[Verdict::Slower]),
+        faster: names(false, &[Verdict::Faster]),
+        peers_changed: names(true, &[Verdict::Slower, Verdict::Faster]),
         cases,
-    }
-}
-
-impl Comparison {
-    /// The comparison, if it has compared something: one without a case has found nothing slower.
-    ///
-    /// # Errors
-    /// [`CompareError::NothingInAllRuns`]
-    pub fn with_cases(self) -> Result<Self, CompareError> {
-        if self.cases.is_empty() {
-            Err(CompareError::NothingInAllRuns)
-        } else {
-            Ok(self)
-        }
     }
 }
 
@@ -321,9 +301,20 @@ fn judge(cases: &mut [Compared]) {
 }
 
 impl Comparison {
+    /// The comparison, if it has compared something: one without a case has found nothing slower.
+    ///
+    /// # Errors
+    /// [`CompareError::NothingInAllRuns`]
+    pub(crate) fn with_cases(self) -> Result<Self, CompareError> {
+        if self.cases.is_empty() {
+            Err(CompareError::NothingInAllRuns)
+        } else {
+            Ok(self)
+        }
+    }
+
     /// The table for the terminal, 100 columns wide, and what it comes to.
-    #[must_use]
-    pub fn table(&self) -> String {
+    pub(crate) fn table(&self) -> String {
         let group = |case: &Compared| case.name.split('/').next().unwrap_or("").to_owned();
         let mut text = String::new();
         for cases in self.cases.chunk_by(|a, b| group(a) == group(b)) {
@@ -400,7 +391,6 @@ mod tests {
     use rand_chacha::rand_core::SeedableRng as _;
     use rand_distr::{Distribution as _, Normal};
 
-    /// Worked by hand.
     #[test]
     fn a_comparison_without_a_case_is_an_error() {
         let run = |name: &str| results(vec![row(name, 100.0)]);
@@ -412,6 +402,7 @@ mod tests {
         assert!(error.to_string().contains("in all runs"), "{error}");
     }
 
+    /// Worked by hand.
     #[test]
     fn chance_and_interval_are_those_of_the_definitions() {
         // Of eight choices of signs only +++ and --- have a mean as far from 0.
@@ -455,7 +446,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let comparisons = 400;
         let errors = (0..comparisons).filter(|_| {
-            let found = compare(&pairs(&mut random, 10, 1.0));
+            let found = compare(&pairs(&mut random, 8, 1.0));
             // Medians and 99th percentiles are the same here: one family.
             !found.slower.is_empty() || !found.faster.is_empty()
         });

@@ -6,9 +6,10 @@
 //! nothing else.
 
 use crate::clock::{ticks, to_ps, to_ps_spread};
-use crate::shared::{Log, Shared, note};
+use crate::shared::{CPU_NS, Log, Shared};
 use crate::system_calls::Counter;
 use crate::worker::{Part, Role, perform, pin};
+use std::hint::spin_loop;
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
 use tandem_board_host::UnsupervisedSystem;
@@ -26,26 +27,6 @@ pub struct Plan {
     pub system: Option<&'static UnsupervisedSystem>,
 }
 
-impl Plan {
-    /// The system whose cores Tandem's ends are.
-    ///
-    /// # Panics
-    /// If the plan has none: those of the command have.
-    #[must_use]
-    pub fn system(&self) -> &'static UnsupervisedSystem {
-        self.system.expect("a system with power")
-    }
-
-    /// The same with both ends on the near end's CPU.
-    #[must_use]
-    pub const fn on_one_cpu(self) -> Self {
-        Self {
-            cpus: [self.cpus[0]; 2],
-            ..self
-        }
-    }
-}
-
 /// One batch of a case: what some 10 to 50 ms have shown.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Batch {
@@ -55,8 +36,6 @@ pub struct Batch {
     pub round_trips_ps: Vec<u64>,
     /// CPU time (user and system, all ends) per message in ns, where it means something.
     pub cpu_ns_per_message: Option<f64>,
-    /// Memory that the ends used: shared segments and growth of private resident memory, bytes.
-    pub memory_bytes: Option<u64>,
     /// Bytes of payload per message.
     pub payload_bytes: u64,
     /// Further facts by name. Of those whose name begins with `longest` the largest of all batches
@@ -66,25 +45,19 @@ pub struct Batch {
 
 impl Batch {
     /// What the parts of a batch of `messages` messages have written down: samples from track 0,
-    /// round trips from track 1, CPU time and memory. The case itself uses `own_bytes` of the
-    /// words that the harness shares.
-    #[must_use]
-    pub fn collect(shared: &Shared, parts: usize, messages: usize, own_bytes: u64) -> Self {
+    /// round trips from track 1, and CPU time.
+    pub(crate) fn collect(shared: &Shared, parts: usize, messages: usize) -> Self {
         let logs: Vec<Log> = (0..parts).map(|number| shared.log(number)).collect();
         let all = |track| {
             let samples = logs.iter().flat_map(move |log| log.samples(track));
             let spread = |(n, ticks)| to_ps_spread(n, ticks);
             samples.enumerate().map(spread).collect()
         };
-        let sum = |at| logs.iter().map(|log| log.get(at)).sum::<f64>();
-        // The parts map the same segments.
-        let segments = logs.iter().map(|log| log.get(note::SHARED));
-        let segments = segments.fold(0.0, f64::max);
+        let cpu_ns: f64 = logs.iter().map(|log| log.noted(CPU_NS)).sum();
         Self {
             samples_ps: all(0),
             round_trips_ps: all(1),
-            cpu_ns_per_message: Some(sum(note::CPU_NS) / messages.max(1) as f64),
-            memory_bytes: Some((sum(note::PRIVATE) + segments) as u64 + own_bytes),
+            cpu_ns_per_message: Some(cpu_ns / messages.max(1) as f64),
             payload_bytes: 4,
             facts: vec![],
         }
@@ -92,8 +65,7 @@ impl Batch {
 
     /// The same with samples that are the mean of `chunk` operations each; CPU time likewise is
     /// that of one operation.
-    #[must_use]
-    pub fn per_operation(mut self, chunk: usize) -> Self {
+    pub(crate) fn per_operation(mut self, chunk: usize) -> Self {
         for sample in &mut self.samples_ps {
             *sample /= chunk as u64;
         }
@@ -102,77 +74,87 @@ impl Batch {
     }
 
     /// The same with this payload.
-    #[must_use]
-    pub fn carrying(mut self, payload_bytes: u64) -> Self {
+    pub(crate) fn carrying(mut self, payload_bytes: u64) -> Self {
         self.payload_bytes = payload_bytes;
         self
     }
 
     /// The same without facts that another group tells already.
-    #[must_use]
-    pub fn without_facts(mut self) -> Self {
+    pub(crate) fn without_facts(mut self) -> Self {
         self.facts.clear();
         self
     }
 
     /// The same with another fact.
-    #[must_use]
-    pub fn with_fact(mut self, name: &'static str, value: f64) -> Self {
+    pub(crate) fn with_fact(mut self, name: &'static str, value: f64) -> Self {
         self.facts.push((name, value));
         self
     }
 }
 
 /// Gives the CPU to another process.
-pub fn give_way() {
-    // SAFETY: no arguments, no memory.
-    unsafe { libc::sched_yield() };
+pub(crate) fn give_way() {
+    std::thread::yield_now();
+}
+
+/// Polls until there is something.
+#[inline(always)]
+pub(crate) fn polled<T>(mut look: impl FnMut() -> Option<T>) -> T {
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        spin_loop();
+    }
 }
 
 /// Times an operation that one process does by itself on the near CPU: each round is a chunk of
 /// `chunk` operations, so that the clock's own time does not count. The sample is the mean of one.
-///
-/// # Errors
-/// If the process or the shared memory cannot be had, or `prepare` fails.
-pub fn alone<T>(
+pub(crate) fn alone<F: FnMut()>(
     plan: &Plan,
+    shared: &Shared,
     chunk: usize,
-    own_bytes: u64,
-    prepare: impl FnOnce(&Shared) -> io::Result<T>,
-    operation: impl Fn(&mut T),
+    prepare: impl FnOnce() -> F,
 ) -> io::Result<Batch> {
-    let shared = Shared::new()?;
     let part = Part::on(plan.cpus[0], |role| {
-        let mut on = prepare(role.shared)?;
-        time_chunks(plan, chunk, role, || operation(&mut on));
+        let mut operation = prepare();
+        for round in 0..plan.warm_up + plan.rounds {
+            if round == plan.warm_up {
+                role.begin();
+            }
+            let begin = ticks();
+            (0..chunk).for_each(|_| operation());
+            let took = ticks().wrapping_sub(begin);
+            if round >= plan.warm_up {
+                role.log.push(0, took);
+            }
+        }
+        role.end();
         Ok(())
     });
-    perform(&shared, vec![part])?;
-    Ok(Batch::collect(&shared, 1, plan.rounds, own_bytes).per_operation(chunk))
-}
-
-/// The loop of [`alone`], for parts that have company.
-pub fn time_chunks(plan: &Plan, chunk: usize, role: &mut Role<'_>, mut operation: impl FnMut()) {
-    for round in 0..plan.warm_up + plan.rounds {
-        if round == plan.warm_up {
-            role.begin();
-        }
-        let begin = ticks();
-        (0..chunk).for_each(|_| operation());
-        let took = ticks().wrapping_sub(begin);
-        if round >= plan.warm_up {
-            role.log.push(0, took);
-        }
-    }
-    role.end();
+    perform(shared, vec![part])?;
+    Ok(Batch::collect(shared, 1, plan.rounds).per_operation(chunk))
 }
 
 /// One end of a way of passing 4 bytes in both directions.
-pub trait End {
+pub(crate) trait End {
     /// Sends a stamp to the other end.
     fn send(&mut self, stamp: u32);
     /// Waits for the next stamp of the other end.
     fn receive(&mut self) -> u32;
+}
+
+/// What sends, and what receives.
+impl<S: FnMut(u32), R: FnMut() -> u32> End for (S, R) {
+    #[inline(always)]
+    fn send(&mut self, stamp: u32) {
+        self.0(stamp);
+    }
+
+    #[inline(always)]
+    fn receive(&mut self) -> u32 {
+        self.1()
+    }
 }
 
 /// Where the near end notes what a send took it, in ticks, beside the numbers of [`count_calls`].
@@ -217,17 +199,25 @@ fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
     role.end();
 }
 
-/// Passes a stamp to and fro between two processes. `own_bytes` of the words that the harness
-/// shares belong to the case.
+/// Passes a stamp to and fro between two processes, whose ends are of one kind: the near one writes
+/// by way 0 and reads from way 1.
+pub(crate) fn between_processes<E: End>(
+    plan: &Plan,
+    end: impl Fn(&Shared, [usize; 2]) -> E,
+) -> io::Result<Batch> {
+    between_unlike(
+        plan,
+        |shared| end(shared, [0, 1]),
+        |shared| end(shared, [1, 0]),
+    )
+}
+
+/// The same with ends of two kinds.
 ///
 /// Each end is made in a process of its own, which lives for this batch only: it inherits nothing
 /// from earlier batches but what the caller had opened before.
-///
-/// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
-pub fn between_processes<N: End, F: End>(
+pub(crate) fn between_unlike<N: End, F: End>(
     plan: &Plan,
-    own_bytes: u64,
     near: impl FnOnce(&Shared) -> N,
     far: impl FnOnce(&Shared) -> F,
 ) -> io::Result<Batch> {
@@ -247,7 +237,7 @@ pub fn between_processes<N: End, F: End>(
         Ok(())
     });
     perform(&shared, vec![near, far])?;
-    let mut batch = there_and_back(plan, &shared, own_bytes);
+    let mut batch = there_and_back(plan, &shared);
     let calls = [0, 1].map(|at| shared.log(0).noted(at));
     if calls[0] >= 0.0 {
         batch = batch
@@ -258,14 +248,14 @@ pub fn between_processes<N: End, F: End>(
 }
 
 /// What both ends of a ping-pong have written down, with the sender's own cost and each direction.
-fn there_and_back(plan: &Plan, shared: &Shared, own_bytes: u64) -> Batch {
+fn there_and_back(plan: &Plan, shared: &Shared) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
         ways.sort_unstable();
         to_ps(ways.get(ways.len() / 2).copied().unwrap_or(0)) as f64 / 1e3
     };
     let send = shared.log(0).noted(SEND_AT) as u32;
-    Batch::collect(shared, 2, 2 * plan.rounds, own_bytes)
+    Batch::collect(shared, 2, 2 * plan.rounds)
         .with_fact("send takes, ns", to_ps(send) as f64 / 1e3)
         .with_fact("near to far p50, ns", median_ns(1))
         .with_fact("far to near p50, ns", median_ns(0))
@@ -317,17 +307,14 @@ fn be_counted(end: &mut impl End, role: &Role<'_>) {
     }
 }
 
-/// The same between two threads of one process, for peers that only work there.
-///
-/// # Errors
-/// As [`between_processes`].
-pub fn between_threads<N: End + Send, F: End + Send>(
+/// Between two threads of one process, for peers that only work there.
+pub(crate) fn between_threads<E: End + Send>(
     plan: &Plan,
-    ends: impl FnOnce() -> (N, F),
+    ends: impl FnOnce() -> [E; 2],
 ) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let part = Part::on(plan.cpus[0], |role| {
-        let (mut near, mut far) = ends();
+        let [mut near, mut far] = ends();
         let mut far_role = role.beside(1);
         std::thread::scope(|scope| {
             scope.spawn(|| {
@@ -342,11 +329,11 @@ pub fn between_threads<N: End + Send, F: End + Send>(
         Ok(())
     });
     perform(&shared, vec![part])?;
-    Ok(there_and_back(plan, &shared, 0))
+    Ok(there_and_back(plan, &shared))
 }
 
 /// A number for names that no other batch of this machine uses at the same time.
-pub fn next_run() -> u32 {
+pub(crate) fn next_run() -> u32 {
     static RUNS: AtomicU32 = AtomicU32::new(0);
     (std::process::id() << 8) | (RUNS.fetch_add(1, Ordering::Relaxed) & 0xFF)
 }

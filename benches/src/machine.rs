@@ -50,16 +50,11 @@ pub struct Machine {
 
 impl Machine {
     /// This machine, as the calling process sees it.
-    #[must_use]
-    pub fn this(pinned_to: &[usize]) -> Self {
+    pub(crate) fn this(pinned_to: &[usize]) -> Self {
         let info = read("/proc/cpuinfo");
         let first = pinned_to.first().copied().unwrap_or(0);
         let governor = format!("/sys/devices/system/cpu/cpu{first}/cpufreq/scaling_governor");
-        let build = if cfg!(debug_assertions) {
-            "debug"
-        } else {
-            "release"
-        };
+        let build = ["release", "debug"][usize::from(cfg!(debug_assertions))];
         Self {
             cpu: field(&info, "model name").unwrap_or("unknown").to_owned(),
             cpus: core_affinity::get_core_ids().map_or(1, |ids| ids.len()),
@@ -82,22 +77,28 @@ impl Machine {
     }
 
     /// In words: one line for each kind of fact.
-    #[must_use]
-    pub fn facts(&self) -> Vec<(&'static str, String)> {
+    pub(crate) fn facts(&self) -> Vec<(&'static str, String)> {
         let pinned: Vec<String> = self.pinned_to.iter().map(usize::to_string).collect();
         let versions = self.versions.iter();
         let versions: Vec<String> = versions.map(|(name, v)| format!("{name} {v}")).collect();
         let governor = self.governor.as_deref().unwrap_or("not visible");
         let locked = if self.memory_locked { "" } else { "not " };
+        let cpus = format!("{} usable, pinned to {}", self.cpus, pinned.join(" and "));
+        let build = [
+            &self.build[..],
+            " of ",
+            &self.commit,
+            ", ",
+            &self.compiler,
+            ", ",
+            &self.flags,
+        ];
         vec![
             ("Processor", self.cpu.clone()),
-            (
-                "CPUs",
-                format!("{} usable, pinned to {}", self.cpus, pinned.join(" and ")),
-            ),
+            ("CPUs", cpus),
             (
                 "Hypervisor",
-                if self.hypervisor { "yes" } else { "none seen" }.to_owned(),
+                ["none seen", "yes"][usize::from(self.hypervisor)].to_owned(),
             ),
             ("Clock governor", governor.to_owned()),
             ("Kernel", format!("Linux {}", self.kernel)),
@@ -107,13 +108,7 @@ impl Machine {
             ),
             ("Huge pages for shared memory", self.huge_pages.clone()),
             ("Topology", self.topology.join("; ")),
-            (
-                "Build",
-                format!(
-                    "{} of {}, {}, {}",
-                    self.build, self.commit, self.compiler, self.flags
-                ),
-            ),
+            ("Build", build.concat()),
             ("Versions", versions.join(", ")),
         ]
     }

@@ -2,56 +2,46 @@
 //! machine's moods.
 
 use crate::cases::Case;
-use crate::clock::monotonic_ns;
 use crate::harness::{Batch, Plan};
 use crate::machine::stolen_ms;
+use crate::shared::draw;
 use hdrhistogram::Histogram;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tandem_board_host::UnsupervisedSystem;
 
 /// What was measured of one case so far.
-pub struct Measurement {
+pub(crate) struct Measurement {
     /// The case.
-    pub case: Case,
+    pub(crate) case: Case,
     /// All samples, in picoseconds.
-    pub times: Histogram<u64>,
+    pub(crate) times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
-    pub round_trips: Histogram<u64>,
+    pub(crate) round_trips: Histogram<u64>,
     /// What each batch has shown, in order.
-    pub batches: Vec<BatchSummary>,
+    pub(crate) batches: Vec<BatchSummary>,
     /// Why the case could not be measured; it is not tried again.
-    pub skipped: Option<String>,
+    pub(crate) skipped: Option<String>,
 }
 
 /// What one batch has shown, without its samples.
-#[derive(Clone, Debug, PartialEq)]
-pub struct BatchSummary {
-    /// Number of samples.
-    pub samples: usize,
+#[derive(Debug)]
+pub(crate) struct BatchSummary {
     /// Median, picoseconds.
-    pub p50_ps: u64,
-    /// 99th percentile, picoseconds.
-    pub p99_ps: u64,
+    pub(crate) p50_ps: u64,
     /// Time that the hypervisor took during the batch, all CPUs, ms, in steps of 10.
-    pub steal_ms: f64,
+    pub(crate) steal_ms: f64,
     /// As [`Batch::cpu_ns_per_message`].
-    pub cpu_ns_per_message: Option<f64>,
-    /// As [`Batch::memory_bytes`].
-    pub memory_bytes: Option<u64>,
+    pub(crate) cpu_ns_per_message: Option<f64>,
     /// As [`Batch::payload_bytes`].
-    pub payload_bytes: u64,
+    pub(crate) payload_bytes: u64,
     /// As [`Batch::facts`].
-    pub facts: Vec<(&'static str, f64)>,
+    pub(crate) facts: Vec<(&'static str, f64)>,
 }
 
 impl Measurement {
     /// Nothing yet.
-    ///
-    /// # Panics
-    /// Never: 3 significant digits make a histogram.
-    #[must_use]
-    pub fn new(case: Case) -> Self {
+    pub(crate) fn new(case: Case) -> Self {
         let histogram = || Histogram::new(3).expect("3 digits are allowed");
         Self {
             case,
@@ -63,7 +53,7 @@ impl Measurement {
     }
 
     /// Adds a batch during which the hypervisor took so much.
-    pub fn add(&mut self, mut batch: Batch, steal_ms: f64) {
+    pub(crate) fn add(&mut self, mut batch: Batch, steal_ms: f64) {
         for (into, samples) in [
             (&mut self.times, &batch.samples_ps),
             (&mut self.round_trips, &batch.round_trips_ps),
@@ -75,17 +65,10 @@ impl Measurement {
         }
         let samples = &mut batch.samples_ps;
         samples.sort_unstable();
-        let at = |quantile: f64| {
-            let place = (samples.len() as f64 * quantile) as usize;
-            samples.get(place).or(samples.last()).copied().unwrap_or(0)
-        };
         self.batches.push(BatchSummary {
-            samples: samples.len(),
-            p50_ps: at(0.5),
-            p99_ps: at(0.99),
+            p50_ps: samples.get(samples.len() / 2).copied().unwrap_or(0),
             steal_ms,
             cpu_ns_per_message: batch.cpu_ns_per_message,
-            memory_bytes: batch.memory_bytes,
             payload_bytes: batch.payload_bytes,
             facts: batch.facts,
         });
@@ -94,13 +77,13 @@ impl Measurement {
 
 /// How long to measure.
 #[derive(Clone, Copy, Debug)]
-pub struct Span {
+pub(crate) struct Span {
     /// Turns continue until this time has passed,
-    pub at_least: Duration,
+    pub(crate) at_least: Duration,
     /// and each case has had this number of turns,
-    pub turns: usize,
+    pub(crate) turns: usize,
     /// but never longer than this.
-    pub at_most: Duration,
+    pub(crate) at_most: Duration,
 }
 
 impl Span {
@@ -116,14 +99,14 @@ impl Span {
 }
 
 /// `tandem bench --quick`: under 40 seconds in all cases.
-pub const QUICK: Span = Span {
+pub(crate) const QUICK: Span = Span {
     at_least: Duration::from_secs(28),
     turns: 3,
     at_most: Duration::from_secs(35),
 };
 
 /// `tandem bench`.
-pub const FULL: Span = Span {
+pub(crate) const FULL: Span = Span {
     at_least: Duration::from_secs(230),
     turns: 20,
     at_most: Duration::from_secs(400),
@@ -136,8 +119,7 @@ extern "C" fn interrupt(_signal: libc::c_int) {
 }
 
 /// Whether Ctrl-C was pressed since [`run`] began.
-#[must_use]
-pub fn was_interrupted() -> bool {
+pub(crate) fn was_interrupted() -> bool {
     INTERRUPTED.load(Ordering::Relaxed)
 }
 
@@ -145,7 +127,7 @@ pub fn was_interrupted() -> bool {
 /// of the span (0 to 1) has passed, and the case. Ctrl-C ends it early with what there is.
 ///
 /// To be called while the process has one thread.
-pub fn run(
+pub(crate) fn run(
     system: &'static UnsupervisedSystem,
     cases: impl IntoIterator<Item = Case>,
     cpus: [usize; 2],
@@ -162,7 +144,7 @@ pub fn run(
     let mut turns = 0;
     loop {
         let mut tried = false;
-        for at in order(all.len(), monotonic_ns()) {
+        for at in order(all.len()) {
             let measurement = &mut all[at];
             if measurement.skipped.is_some() {
                 continue;
@@ -183,14 +165,10 @@ pub fn run(
 }
 
 /// The numbers below `count`, shuffled: no case always follows the same other one.
-fn order(count: usize, mut seed: u64) -> Vec<usize> {
+fn order(count: usize) -> Vec<usize> {
     let mut order: Vec<usize> = (0..count).collect();
     for at in (1..count).rev() {
-        // G. Steele and others, "Fast splittable pseudorandom number generators", 2014: SplitMix64.
-        seed = seed.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mixed = (seed ^ (seed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        order.swap(at, ((mixed ^ (mixed >> 31)) % (at as u64 + 1)) as usize);
+        order.swap(at, draw(at + 1));
     }
     order
 }
@@ -219,7 +197,7 @@ mod tests {
 
     #[test]
     fn each_turn_has_an_order_of_its_own() {
-        let orders: Vec<Vec<usize>> = (0..20).map(|seed| order(70, seed)).collect();
+        let orders: Vec<Vec<usize>> = (0..20).map(|_| order(70)).collect();
         for one in &orders {
             let mut sorted = one.clone();
             sorted.sort_unstable();
@@ -243,7 +221,6 @@ mod tests {
         assert_eq!(measurement.times.len(), 300);
         let medians: Vec<_> = measurement.batches.iter().map(|b| b.p50_ps).collect();
         assert_eq!(medians, [51_000, 102_000, 153_000]);
-        assert_eq!(measurement.batches[2].p99_ps, 300_000);
         assert_eq!(measurement.batches[1].facts, [("k", 2.0)]);
     }
 }

@@ -23,7 +23,6 @@ pub fn contended<E: Exclusion>(
     plan: &Plan,
     shared: &Shared,
     processes: usize,
-    own_bytes: u64,
     enter: impl Fn(usize) -> E,
 ) -> io::Result<Batch> {
     let span = from_ns(1_000 * plan.rounds as u64);
@@ -63,7 +62,7 @@ pub fn contended<E: Exclusion>(
         return Err(io::Error::other("two were inside at once"));
     }
     let longest = (0..processes).map(|n| shared.log(n).noted(1));
-    let batch = Batch::collect(shared, processes, all as usize, own_bytes).carrying(0);
+    let batch = Batch::collect(shared, processes, all as usize).carrying(0);
     Ok(batch
         .with_fact("share of the least served, 1 is fair", least_share(&stays))
         .with_fact("longest wait, ns", longest.fold(0.0, f64::max))
@@ -75,13 +74,9 @@ pub fn contended<E: Exclusion>(
 /// kernel's. `own` makes the end of the owner of this number, `bury` tells of its death once it has
 /// ended, and what `take` makes takes the lock, gives it back, and says whether its last owner had
 /// died.
-///
-/// # Errors
-/// If the processes or the shared memory cannot be had, or an end failed.
-pub fn recovered<E: Exclusion, F: FnMut() -> bool>(
+pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     plan: &Plan,
     shared: &Shared,
-    own_bytes: u64,
     own: impl Fn(u32) -> E,
     bury: impl Fn(u32),
     take: impl FnOnce() -> F,
@@ -110,7 +105,7 @@ pub fn recovered<E: Exclusion, F: FnMut() -> bool>(
             // The taker gets time to notice that the lock is held, and to back off.
             std::thread::sleep(std::time::Duration::from_micros(100));
             killed.store(ticks(), Ordering::Relaxed);
-            owner.kill();
+            drop(owner);
             bury(death);
             wait_for(taken, death);
         }
@@ -135,9 +130,10 @@ pub fn recovered<E: Exclusion, F: FnMut() -> bool>(
         Ok(())
     });
     perform(shared, vec![supervisor, taker])?;
-    let mut batch = Batch::collect(shared, 2, plan.rounds, own_bytes).carrying(0);
-    batch.cpu_ns_per_message = None;
-    Ok(batch)
+    Ok(Batch {
+        cpu_ns_per_message: None,
+        ..Batch::collect(shared, 2, plan.rounds).carrying(0)
+    })
 }
 
 /// What the least served had of its fair share: 1 if all had the same, 0 if it had nothing.

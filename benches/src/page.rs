@@ -1,7 +1,6 @@
 //! The results as one HTML page.
 
 use crate::columns::{self, PAGE};
-use crate::prose;
 use crate::provider::{Headline, Provider, first_of_tandem};
 use crate::result::{Results, Row};
 use maud::{Markup, html};
@@ -10,8 +9,7 @@ use tandem_page::svg::{Color, Stroke, Svg};
 use tandem_page::{document, format, legend, section, tile};
 
 /// The page.
-#[must_use]
-pub fn page(results: &Results) -> String {
+pub(crate) fn page(results: &Results) -> String {
     let content = html! {
         (header(results))
         div class="tiles large" {
@@ -22,7 +20,7 @@ pub fn page(results: &Results) -> String {
         @for (name, rows) in results.groups() { (group(name, &rows)) }
         (noise(results))
         (conditions(results))
-        (prose::explanations(results))
+        (explanations(results))
     };
     document("time from core to core", &content)
 }
@@ -77,13 +75,13 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
     };
     html! {
         a href=(format!("#{group}")) {
-            (tile(prose::about(group).title, "", &value, unit, &below))
+            (tile(about(group).title, "", &value, unit, &below))
         }
     }
 }
 
 fn group(name: &str, rows: &[&Row]) -> Markup {
-    let about = prose::about(name);
+    let about = about(name);
     let providers = Provider::ALL
         .into_iter()
         .filter(|provider| rows.iter().any(|row| Provider::of(row) == *provider))
@@ -94,6 +92,68 @@ fn group(name: &str, rows: &[&Row]) -> Markup {
         (table(rows))
     };
     html! { div id=(name) { (section(about.title, &aside, about.note, &content)) } }
+}
+
+/// What a group is about: its heading, what one sample is, and what to look for. One that is not
+/// known here explains itself by its cases.
+struct About {
+    title: &'static str,
+    measures: &'static str,
+    note: &'static str,
+}
+
+#[rustfmt::skip]
+fn about(group: &str) -> About {
+    let one_way = "one way, from send to the running handler";
+    let (title, measures, note) = match group {
+        "spin" => ("Spinning, two CPUs", one_way,
+            "The receiver polls on a CPU of its own. The floor is one cache line that two processes \
+             write in turn."),
+        "sleep" => ("Sleeping, two CPUs", one_way,
+            "The receiver sleeps in the kernel until it is woken, on a CPU of its own. The floor is a \
+             futex. What spins a while before it sleeps (adaptive) can be faster than the floor: it \
+             never sleeps if the answer comes soon."),
+        "one-cpu" => ("Sleeping, one CPU", one_way,
+            "Both ends share one CPU, so each message is a change of process. Spinning only keeps the \
+             other from running."),
+        "size" => ("Payload size", "one way, by bytes of payload",
+            "Each word is written and read where it lies, and only its place is told."),
+        "throughput" => ("Throughput", "time per message, messages in a row",
+            "As many messages as go, one after the other. Less time is more messages."),
+        "lock" => ("Lock", "time to take and give back",
+            "The floor is a compare-and-swap and a store. Contended: the others want it all the time. \
+             Recovery: from the death of its owner to the next one that has it."),
+        "rate" => ("Fixed rate", "one way, from the intended time of sending",
+            "Messages are due on a schedule, whether the last one has arrived or not. Naive figures \
+             count from the actual sending: they hide what the schedule has lost."),
+        "rtos" => ("Real-time operating system", "time per operation", ""),
+        _ => ("Further cases", "time per operation", ""),
+    };
+    About { title, measures, note }
+}
+
+/// How to read the page.
+fn explanations(results: &Results) -> Markup {
+    let has_rate = results.results.iter().any(|row| row.group == "rate");
+    let content = html! {
+        p {
+            "Each group does one thing in several ways. Its floor is the bare mechanism between the \
+             same CPUs in the same run: 1.2× means that a fifth is added to it. Quote ratios: the \
+             times belong to this machine. All cases take turns in batches of 10 to 50 ms. A curve \
+             ends where fewer than ten samples lie beyond it; figures that rest on fewer are grey \
+             and slanted. These are processes of a host; on a TriCore no kernel stands between a \
+             signal and its handler, and only the ratios carry over. "
+            @if has_rate {
+                "A ping-pong leaves out the messages that a stall would have delayed; the group at a \
+                 fixed rate counts them."
+            }
+        }
+        p {
+            code { "tandem bench compare --against OLD" } " tells whether a change of the code made a \
+             difference: two pages side by side prove nothing. More is in docs/performance.md."
+        }
+    };
+    section("How to read this page", &html! {}, "", &content)
 }
 
 /// Powers of ten of 1 / (1 - q) at the median.

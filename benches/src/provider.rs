@@ -6,7 +6,7 @@ use tandem_page::svg::Color;
 
 /// Who provides what a case measures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Provider {
+pub(crate) enum Provider {
     /// The hardware's or the kernel's alone: what nothing can beat.
     Floor,
     /// Tandem's.
@@ -34,7 +34,7 @@ const PEERS: [(&str, Provider); 9] = [
 
 impl Provider {
     /// All, in the order of legends.
-    pub const ALL: [Self; 5] = [
+    pub(crate) const ALL: [Self; 5] = [
         Self::Floor,
         Self::Tandem,
         Self::Iceoryx2,
@@ -43,8 +43,7 @@ impl Provider {
     ];
 
     /// That of a row.
-    #[must_use]
-    pub fn of(row: &Row) -> Self {
+    pub(crate) fn of(row: &Row) -> Self {
         // In `rtos` a floor is one of the tick alone, and peers are named after what they do.
         if row.is_floor() || row.case().ends_with("-floor") {
             return Self::Floor;
@@ -56,52 +55,52 @@ impl Provider {
         known.map_or(Self::Tandem, |(_, provider)| *provider)
     }
 
-    /// As it stands in legends.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
+    /// Its name in legends, the colour of its marks, and how its curves are drawn.
+    const fn look(self) -> (&'static str, Color, Style) {
         match self {
-            Self::Floor => "floor",
-            Self::Tandem => "Tandem",
-            Self::Iceoryx2 => "iceoryx2",
-            Self::Threads => "libraries between threads",
-            Self::System => "the system's own means",
+            Self::Floor => ("floor", Color::FLOOR, Style::Line(2.0)),
+            Self::Tandem => ("Tandem", Color::TANDEM, Style::Line(1.7)),
+            Self::Iceoryx2 => ("iceoryx2", Color::ICEORYX2, Style::Line(1.7)),
+            Self::Threads => (
+                "libraries between threads",
+                Color::THREADS,
+                Style::Dashed(1.7, "7 3"),
+            ),
+            Self::System => (
+                "the system's own means",
+                Color::SYSTEM,
+                Style::Dashed(1.7, "2.5 2.5"),
+            ),
         }
+    }
+
+    /// As it stands in legends.
+    pub(crate) const fn name(self) -> &'static str {
+        self.look().0
     }
 
     /// Colour of its marks on the page.
-    #[must_use]
-    pub const fn color(self) -> Color {
-        match self {
-            Self::Floor => Color::FLOOR,
-            Self::Tandem => Color::TANDEM,
-            Self::Iceoryx2 => Color::ICEORYX2,
-            Self::Threads => Color::THREADS,
-            Self::System => Color::SYSTEM,
-        }
+    pub(crate) const fn color(self) -> Color {
+        self.look().1
     }
 
     /// How its curves are drawn; Tandem's first case is the thickest.
-    #[must_use]
-    pub const fn style(self, is_first: bool) -> Style {
-        match self {
-            _ if is_first => Style::Line(3.6),
-            Self::Floor => Style::Line(2.0),
-            Self::Tandem | Self::Iceoryx2 => Style::Line(1.7),
-            Self::Threads => Style::Dashed(1.7, "7 3"),
-            Self::System => Style::Dashed(1.7, "2.5 2.5"),
+    pub(crate) const fn style(self, is_first: bool) -> Style {
+        if is_first {
+            Style::Line(3.6)
+        } else {
+            self.look().2
         }
     }
 
     /// Whether it is what one would use instead.
-    #[must_use]
-    pub const fn is_peer(self) -> bool {
+    pub(crate) const fn is_peer(self) -> bool {
         !matches!(self, Self::Floor | Self::Tandem)
     }
 }
 
 /// The case that stands for Tandem in a group.
-#[must_use]
-pub fn first_of_tandem<'a>(rows: &[&'a Row]) -> Option<&'a str> {
+pub(crate) fn first_of_tandem<'a>(rows: &[&'a Row]) -> Option<&'a str> {
     let first = rows
         .iter()
         .find(|row| Provider::of(row) == Provider::Tandem);
@@ -110,19 +109,18 @@ pub fn first_of_tandem<'a>(rows: &[&'a Row]) -> Option<&'a str> {
 
 /// The three that a group is summed up by.
 #[derive(Clone, Copy, Debug)]
-pub struct Headline<'a> {
+pub(crate) struct Headline<'a> {
     /// The floor.
-    pub floor: Option<&'a Row>,
+    pub(crate) floor: Option<&'a Row>,
     /// Tandem's first case.
-    pub tandem: &'a Row,
+    pub(crate) tandem: &'a Row,
     /// The peer with the smallest median.
-    pub peer: Option<&'a Row>,
+    pub(crate) peer: Option<&'a Row>,
 }
 
 impl<'a> Headline<'a> {
     /// Of these rows of one group; `None` if Tandem has none.
-    #[must_use]
-    pub fn of(rows: &[&'a Row]) -> Option<Self> {
+    pub(crate) fn of(rows: &[&'a Row]) -> Option<Self> {
         let tandem = rows
             .iter()
             .find(|row| Provider::of(row) == Provider::Tandem)?;

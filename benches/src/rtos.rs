@@ -7,119 +7,79 @@
 
 use crate::clock;
 use crate::harness::{Batch, Plan};
-use crate::worker::fork;
+use crate::shared::Shared;
+use crate::worker::{Part, ask_for_fifo, perform, pin};
 use std::fs::File;
-use std::io::{self, Read, Write};
+use std::io::{self, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering::Relaxed};
+use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use tandem_rtos::{Clock, Kernel, Priority, TaskContext, TaskOptions, Ticks, host};
 
 /// The peer, built by the build script.
 const POSIX_PORT: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/freertos-posix"));
-/// Priority of the batches among the processes of SCHED_FIFO: above the kernel's own threads of 1.
-const FIFO_PRIORITY: i32 = 10;
 /// Nanoseconds of a tick.
 const TICK_NS: u64 = 1_000_000;
-/// Samples of a batch at most.
-const CAPACITY: usize = 1 << 16;
 
-/// Samples of the tasks of a process.
-struct Samples {
-    places: [AtomicU64; CAPACITY],
-    count: AtomicU32,
-}
-
-static SAMPLES: Samples = Samples {
-    places: [const { AtomicU64::new(0) }; CAPACITY],
-    count: AtomicU32::new(0),
-};
-/// When what is timed began.
-static STAMP: AtomicU32 = AtomicU32::new(0);
+/// Samples of the tasks of a process: their count, then the samples.
+#[derive(Clone, Copy)]
+struct Samples(&'static [AtomicU32]);
 
 impl Samples {
     /// Notes a sample; whether these were enough.
-    fn take(&self, sample: u64, wanted: usize) -> bool {
-        let count = self.count.load(Relaxed);
-        if let Some(place) = self.places.get(count as usize) {
+    fn take(self, sample: u32) -> bool {
+        let count = 1 + self.0[0].load(Relaxed);
+        if let Some(place) = self.0.get(count as usize) {
             place.store(sample, Relaxed);
         }
-        self.count.store(count + 1, Relaxed);
-        count as usize + 1 >= wanted.min(CAPACITY)
-    }
-
-    fn write(&self, mut to: impl Write) -> io::Result<()> {
-        let taken = &self.places[..(self.count.load(Relaxed) as usize).min(CAPACITY)];
-        let bytes: Vec<u8> = taken
-            .iter()
-            .flat_map(|it| it.load(Relaxed).to_le_bytes())
-            .collect();
-        to.write_all(&bytes)
+        self.0[0].store(count, Relaxed);
+        count as usize + 1 >= self.0.len()
     }
 }
 
-/// Makes this process one of the measured: on one CPU, and before all ordinary ones if permitted.
-fn prepare(cpu: usize) {
-    core_affinity::set_for_current(core_affinity::CoreId { id: cpu });
-    let priority = libc::sched_param {
-        sched_priority: FIFO_PRIORITY,
-    };
-    // SAFETY: this process, and a valid parameter. If it is refused, all batches run without.
-    unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &priority) };
-}
+/// When what is timed began.
+static STAMP: AtomicU32 = AtomicU32::new(0);
 
 /// Runs `body` in a process of its own and returns the samples that it leaves.
-fn in_process(plan: &Plan, body: impl FnOnce(usize) -> io::Result<()>) -> io::Result<Vec<u64>> {
-    let (mut from_child, to_parent) = io::pipe()?;
-    let wanted = plan.warm_up + plan.rounds;
-    let child = fork()?;
-    if child == 0 {
-        // SAFETY: only sets this process's own death signal: it dies with its parent.
-        unsafe { libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL) };
-        drop(from_child);
-        prepare(plan.cpus[0]);
-        let ended = body(wanted).and_then(|()| SAMPLES.write(to_parent));
-        // SAFETY: ends the child without running the parent's exit handlers.
-        unsafe { libc::_exit(i32::from(ended.is_err())) };
-    }
-    drop(to_parent);
-    let mut bytes = vec![];
-    let read = from_child.read_to_end(&mut bytes);
-    let mut status = 0;
-    // SAFETY: waits for the child above; `status` is a valid place.
-    unsafe { libc::waitpid(child, &mut status, 0) };
-    read?;
-    samples(&bytes, plan, status == 0)
+fn in_process(
+    plan: &Plan,
+    in_ps: fn(u32) -> u64,
+    body: impl FnOnce(Samples) -> io::Result<()>,
+) -> io::Result<Batch> {
+    let shared = Shared::with_case_words(1 + plan.warm_up + plan.rounds)?;
+    let part = Part::on(plan.cpus[0], |role| {
+        ask_for_fifo();
+        body(Samples(role.shared.case()))
+    });
+    perform(&shared, vec![part])?;
+    let samples = shared.case()[1 + plan.warm_up..].iter();
+    Ok(batch(samples.map(|sample| sample.load(Relaxed)), in_ps))
 }
 
-/// The samples after the warm-up.
-fn samples(bytes: &[u8], plan: &Plan, ended_well: bool) -> io::Result<Vec<u64>> {
-    let (words, _) = bytes.as_chunks::<8>();
-    if !ended_well || words.len() <= plan.warm_up {
-        return Err(io::Error::other("the measured process failed"));
+fn batch(samples: impl Iterator<Item = u32>, in_ps: fn(u32) -> u64) -> Batch {
+    Batch {
+        samples_ps: samples.map(in_ps).collect(),
+        ..Batch::default()
     }
-    Ok(words[plan.warm_up..]
-        .iter()
-        .map(|word| u64::from_le_bytes(*word))
-        .collect())
+}
+
+fn of_ns(ns: u32) -> u64 {
+    u64::from(ns) * 1000
 }
 
 /// What the peer's program measures, and the unit of its samples.
-pub type OfPosixPort = (&'static str, fn(Vec<u64>) -> Batch);
+pub(crate) type OfPosixPort = (&'static str, fn(u32) -> u64);
 /// How late a task wakes, from one period after it last did: this port counts time by sleeping, so
 /// that its ticks drift and have no absolute time.
-pub const TICK: OfPosixPort = ("tick", of_ns);
+pub(crate) const TICK: OfPosixPort = ("tick", of_ns);
 /// From one task to another by a yield.
-pub const SWITCH: OfPosixPort = ("switch", of_ticks);
+pub(crate) const SWITCH: OfPosixPort = ("switch", clock::to_ps);
 /// From the interrupt of the tick to the task that it wakes.
-pub const INTERRUPT: OfPosixPort = ("interrupt", of_ticks);
+pub(crate) const INTERRUPT: OfPosixPort = ("interrupt", clock::to_ps);
 
 /// Runs the peer's program.
-///
-/// # Errors
-/// If it cannot be started.
-pub fn posix_port(plan: &Plan, (what, of): OfPosixPort) -> io::Result<Batch> {
+pub(crate) fn posix_port(plan: &Plan, (what, in_ps): OfPosixPort) -> io::Result<Batch> {
     // SAFETY: a name closed with a zero; the descriptor is ours.
     let program = unsafe {
         let descriptor = libc::memfd_create(c"freertos-posix".as_ptr(), libc::MFD_CLOEXEC);
@@ -128,58 +88,48 @@ pub fn posix_port(plan: &Plan, (what, of): OfPosixPort) -> io::Result<Batch> {
         }
         OwnedFd::from_raw_fd(descriptor)
     };
-    let path = format!("/proc/self/fd/{}", program.as_raw_fd());
+    let mut command = Command::new(format!("/proc/self/fd/{}", program.as_raw_fd()));
     File::from(program.try_clone()?).write_all(POSIX_PORT)?;
     let cpu = plan.cpus[0];
-    let mut command = Command::new(path);
+    let rounds = (plan.warm_up + plan.rounds).to_string();
     command
-        .arg(what)
-        .arg((plan.warm_up + plan.rounds).to_string());
-    command.stdin(Stdio::null()).stderr(Stdio::null());
+        .args([what, &rounds])
+        .stdin(Stdio::null())
+        .stderr(Stdio::null());
     // SAFETY: between fork and exec only system calls for the process itself.
     let output = unsafe {
         command
             .pre_exec(move || {
                 libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
-                prepare(cpu);
+                pin(cpu);
+                ask_for_fifo();
                 Ok(())
             })
             .output()?
     };
-    samples(&output.stdout, plan, output.status.success()).map(of)
-}
-
-fn batch(samples_ps: impl Iterator<Item = u64>) -> Batch {
-    Batch {
-        samples_ps: samples_ps.collect(),
-        ..Batch::default()
+    let (samples, _) = output.stdout.as_chunks::<8>();
+    if !output.status.success() || samples.len() <= plan.warm_up {
+        return Err(io::Error::other("FreeRTOS's POSIX port failed"));
     }
-}
-
-fn of_ns(samples: Vec<u64>) -> Batch {
-    batch(samples.into_iter().map(|ns| ns * 1000))
-}
-
-fn of_ticks(samples: Vec<u64>) -> Batch {
-    batch(samples.into_iter().map(|ticks| clock::to_ps(ticks as u32)))
+    let samples = samples[plan.warm_up..].iter();
+    Ok(batch(
+        samples.map(|sample| u64::from_le_bytes(*sample) as u32),
+        in_ps,
+    ))
 }
 
 /// How late a bare `clock_nanosleep` to each absolute millisecond returns.
-///
-/// # Errors
-/// If the process cannot be had.
-pub fn tick_floor(plan: &Plan) -> io::Result<Batch> {
-    let floor = |wanted| {
+pub(crate) fn tick_floor(plan: &Plan) -> io::Result<Batch> {
+    in_process(plan, of_ns, |samples| {
         let mut due = clock::monotonic_ns();
         loop {
             due += TICK_NS;
             clock::sleep_until(due);
-            if SAMPLES.take(clock::monotonic_ns() - due, wanted) {
+            if samples.take((clock::monotonic_ns() - due) as u32) {
                 return Ok(());
             }
         }
-    };
-    in_process(plan, floor).map(of_ns)
+    })
 }
 
 /// Runs a kernel with these tasks, of one priority, until one stops it.
@@ -194,37 +144,43 @@ fn kernel<F: Fn(&TaskContext) + Send + 'static>(
     kernel.start(Clock::Wall).map_err(io::Error::other)
 }
 
-/// How late a task of ours wakes that delays until each tick, from the tick's absolute time.
-///
-/// # Errors
-/// If the process cannot be had, or the kernel does not start.
-pub fn tick(plan: &Plan) -> io::Result<Batch> {
-    let periodic = |wanted| {
-        kernel([move |ctx: &TaskContext| {
-            let mut wake = ctx.now();
-            loop {
-                ctx.delay_until(&mut wake, Ticks(1));
-                let late = host::elapsed_ns() - u64::from(wake.0) * TICK_NS;
-                if SAMPLES.take(late, wanted) {
-                    ctx.stop();
-                }
+/// A task that delays until each tick and takes what `sample` says of this one.
+fn each_tick(samples: Samples, sample: fn(Ticks) -> u32) -> io::Result<()> {
+    kernel([move |ctx: &TaskContext| {
+        let mut wake = ctx.now();
+        loop {
+            ctx.delay_until(&mut wake, Ticks(1));
+            if samples.take(sample(wake)) {
+                ctx.stop();
             }
-        }])
-    };
-    in_process(plan, periodic).map(of_ns)
+        }
+    }])
+}
+
+/// How late a task of ours wakes that delays until each tick, from the tick's absolute time.
+pub(crate) fn tick(plan: &Plan) -> io::Result<Batch> {
+    let late = |wake: Ticks| (host::elapsed_ns() - u64::from(wake.0) * TICK_NS) as u32;
+    in_process(plan, of_ns, |samples| each_tick(samples, late))
+}
+
+/// From the interrupt of the tick to the task that it wakes; the idle task is interrupted.
+pub(crate) fn switch_from_interrupt(plan: &Plan) -> io::Result<Batch> {
+    in_process(plan, clock::to_ps, |samples| {
+        host::observe_ticks(Some(|_| STAMP.store(clock::ticks(), Relaxed)));
+        each_tick(samples, |_| {
+            clock::ticks().wrapping_sub(STAMP.load(Relaxed))
+        })
+    })
 }
 
 /// From the call of a yield in one task to its end in the other.
-///
-/// # Errors
-/// If the process cannot be had, or the kernel does not start.
-pub fn switch(plan: &Plan) -> io::Result<Batch> {
-    let yielders = |wanted| {
+pub(crate) fn switch(plan: &Plan) -> io::Result<Batch> {
+    in_process(plan, clock::to_ps, |samples| {
         let yielder = move |ctx: &TaskContext| {
             loop {
                 let began = STAMP.load(Relaxed);
                 let took = clock::ticks().wrapping_sub(began);
-                if began != 0 && SAMPLES.take(u64::from(took), wanted) {
+                if began != 0 && samples.take(took) {
                     ctx.stop();
                 }
                 STAMP.store(clock::ticks(), Relaxed);
@@ -232,27 +188,5 @@ pub fn switch(plan: &Plan) -> io::Result<Batch> {
             }
         };
         kernel([yielder, yielder])
-    };
-    in_process(plan, yielders).map(of_ticks)
-}
-
-/// From the interrupt of the tick to the task that it wakes; the idle task is interrupted.
-///
-/// # Errors
-/// If the process cannot be had, or the kernel does not start.
-pub fn switch_from_interrupt(plan: &Plan) -> io::Result<Batch> {
-    let interrupted = |wanted| {
-        host::observe_ticks(Some(|_| STAMP.store(clock::ticks(), Relaxed)));
-        kernel([move |ctx: &TaskContext| {
-            let mut wake = ctx.now();
-            loop {
-                ctx.delay_until(&mut wake, Ticks(1));
-                let took = clock::ticks().wrapping_sub(STAMP.load(Relaxed));
-                if SAMPLES.take(u64::from(took), wanted) {
-                    ctx.stop();
-                }
-            }
-        }])
-    };
-    in_process(plan, interrupted).map(of_ticks)
+    })
 }

@@ -11,27 +11,13 @@ use crate::worker::{Part, Role, perform, pin};
 use std::hint::spin_loop;
 use std::io;
 
-/// The sending end.
-pub trait Source {
-    /// Sends message number `k`; `false` if there is no room now.
-    fn send(&mut self, k: u32) -> bool;
-}
-
-/// The receiving end.
-pub trait Sink {
-    /// The number of the next message; `None` if there is none now.
-    fn receive(&mut self) -> Option<u32>;
-}
-
 /// How messages stream.
 #[derive(Clone, Copy, Debug)]
-pub struct Stream {
+pub(crate) struct Stream {
     /// Messages of a chunk, the plan's round.
-    pub chunk: usize,
+    pub(crate) chunk: usize,
     /// Bytes of a message.
-    pub payload_bytes: u64,
-    /// Bytes that the case uses of the memory that the harness shares.
-    pub own_bytes: u64,
+    pub(crate) payload_bytes: usize,
 }
 
 impl Stream {
@@ -40,38 +26,40 @@ impl Stream {
     }
 
     fn batch(&self, plan: &Plan, shared: &Shared, parts: usize) -> Batch {
-        Batch::collect(shared, parts, plan.rounds, self.own_bytes)
+        Batch::collect(shared, parts, plan.rounds)
             .per_operation(self.chunk)
-            .carrying(self.payload_bytes)
+            .carrying(self.payload_bytes as u64)
     }
 }
 
-/// Sends all messages of the plan.
-pub fn pour(source: &mut impl Source, messages: usize, role: &mut Role<'_>, pause: fn()) {
+/// Sends messages by their numbers; `send` returns `false` if there is no room now.
+fn pour(mut send: impl FnMut(u32) -> bool, messages: usize, role: &mut Role<'_>, pause: fn()) {
     role.begin();
     for k in 0..messages as u32 {
-        while !source.send(k) {
+        while !send(k) {
             pause();
         }
     }
     role.end();
 }
 
-/// Receives all messages of the plan, from one sink after the other when one has none.
-///
-/// # Panics
-/// If a message is missing or comes out of order.
-pub fn drain<S: Sink>(plan: &Plan, chunk: usize, sinks: &mut [S], role: &mut Role<'_>) {
-    let mut next = vec![0u32; sinks.len()];
+/// Receives all messages of the plan, from one source after the other when one has none.
+fn drain<R: FnMut() -> Option<u32>>(
+    plan: &Plan,
+    chunk: usize,
+    sources: &mut [R],
+    role: &mut Role<'_>,
+) {
+    let mut next = vec![0u32; sources.len()];
     let mut from = 0;
     let mut one = || {
         loop {
-            if let Some(k) = sinks[from].receive() {
+            if let Some(k) = sources[from]() {
                 assert_eq!(k, next[from], "a message was lost");
                 next[from] += 1;
                 return;
             }
-            from = (from + 1) % sinks.len();
+            from = (from + 1) % sources.len();
             spin_loop();
         }
     };
@@ -87,32 +75,34 @@ pub fn drain<S: Sink>(plan: &Plan, chunk: usize, sinks: &mut [S], role: &mut Rol
 
 /// From `WAYS` processes to one, each by a way of its own: the senders share the near CPU, the
 /// receiver has the far one to itself and polls all ways. Each sender sends its share of the
-/// messages.
-///
-/// # Errors
-/// If the processes cannot be had, or an end failed.
-pub fn from_processes<F: Source, T: Sink, const WAYS: usize>(
+/// messages. `sender` makes what sends a message of this number, or returns `false` if there is no
+/// room now; `receiver` makes what returns the number of the next message, if there is one.
+pub(crate) fn from_processes<S, R, const WAYS: usize>(
     plan: &Plan,
     shared: &Shared,
     stream: Stream,
-    source: impl Fn(usize) -> F,
-    sink: impl Fn(usize) -> T,
-) -> io::Result<Batch> {
-    let (source, count) = (&source, WAYS as u32 + 1);
+    sender: impl Fn(usize) -> S,
+    receiver: impl Fn(usize) -> R,
+) -> io::Result<Batch>
+where
+    S: FnMut(u32) -> bool,
+    R: FnMut() -> Option<u32>,
+{
+    let (sender, count) = (&sender, WAYS as u32 + 1);
     let pause = if WAYS == 1 { spin_loop } else { give_way };
-    let sender = |way| {
+    let part = |way| {
         Part::on(plan.cpus[0], move |role: &mut Role<'_>| {
-            let mut source = source(way);
+            let send = sender(way);
             role.shared.meet(count);
-            pour(&mut source, stream.messages(plan) / WAYS, role, pause);
+            pour(send, stream.messages(plan) / WAYS, role, pause);
             Ok(())
         })
     };
-    let mut parts: Vec<Part<'_>> = (0..WAYS).map(sender).collect();
+    let mut parts: Vec<Part<'_>> = (0..WAYS).map(part).collect();
     parts.push(Part::on(plan.cpus[1], |role| {
-        let mut sinks: [T; WAYS] = std::array::from_fn(sink);
+        let mut sources: [R; WAYS] = std::array::from_fn(receiver);
         role.shared.meet(count);
-        drain(plan, stream.chunk, &mut sinks, role);
+        drain(plan, stream.chunk, &mut sources, role);
         Ok(())
     }));
     perform(shared, parts)?;
@@ -120,27 +110,22 @@ pub fn from_processes<F: Source, T: Sink, const WAYS: usize>(
 }
 
 /// From one thread to another of the same process.
-///
-/// # Errors
-/// As [`from_processes`].
-pub fn between_threads<F: Source + Send, T: Sink + Send>(
+pub(crate) fn between_threads(
     plan: &Plan,
     stream: Stream,
-    ends: impl FnOnce() -> (F, T),
+    (send, receive): (impl FnMut(u32) -> bool + Send, impl FnMut() -> Option<u32>),
 ) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let part = Part::on(plan.cpus[1], |role| {
-        let (mut source, mut sink) = ends();
-        let mut source_role = role.beside(1);
+        let mut sender = role.beside(1);
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 pin(plan.cpus[0]);
-                source_role.shared.meet(2);
-                let messages = stream.messages(plan);
-                pour(&mut source, messages, &mut source_role, spin_loop);
+                sender.shared.meet(2);
+                pour(send, stream.messages(plan), &mut sender, spin_loop);
             });
             role.shared.meet(2);
-            drain(plan, stream.chunk, std::slice::from_mut(&mut sink), role);
+            drain(plan, stream.chunk, &mut [receive], role);
         });
         Ok(())
     });

@@ -235,49 +235,37 @@ mod tests {
     }
 
     #[test]
-    fn narrow_terminals_keep_what_counts() {
-        let table = run().table(80);
-        let head = table.lines().find(|line| line.starts_with("spin")).unwrap();
-        for kept in ["p50", "p99", "p99.9", "x p50", "x p99.9"] {
-            assert!(head.contains(kept), "{head}");
-        }
-        assert!(!head.contains("p90"));
-    }
-
-    #[test]
-    fn the_table_holds_every_case_and_all_remarks() {
+    fn each_width_shows_what_fits() {
         let mut run = run();
         run.interrupted = true;
-        let table = run.table(120);
-        for part in [
-            "tandem-of-some-length",
-            "fifo-8B",
-            "cpu0",
-            "120",
-            "963",
-            "share of the least served: 0.31",
-            "skipped: sleep/ddsperf: not installed",
-            "interrupted",
-            "held up",
+        let all = "tandem-of-some-length|fifo-8B|cpu0|120|963|share of the least served: 0.31|\
+            skipped: sleep/ddsperf: not installed|interrupted|held up";
+        for (width, parts, absent) in [
+            (
+                80,
+                "p50|p99|p99.9|x p50|x p99.9",
+                &["p90", "what spin/floor is"][..],
+            ),
+            (120, all, &["best peer"]),
+            (200, "what spin/floor is", &[]),
         ] {
-            assert!(table.contains(part), "{part}\n{table}");
+            let table = run.table(width);
+            for part in parts.split('|') {
+                assert!(table.contains(part), "{part}\n{table}");
+            }
+            for part in absent {
+                assert!(!table.contains(part), "{part}\n{table}");
+            }
         }
     }
 
     #[test]
     fn the_best_peer_is_named_under_its_group() {
         let mut run = run();
-        assert!(!run.table(120).contains("best peer"));
         for (name, ns) in [("spin/pipe", 300.0), ("spin/iceoryx2-pubsub", 168.4)] {
             run.results.insert(2, row(name, ns));
         }
         let line = "best peer: iceoryx2-pubsub (iceoryx2), 2.00 times tandem-of";
         assert!(run.table(80).contains(line), "{}", run.table(80));
-    }
-
-    #[test]
-    fn what_a_case_is_stands_beside_it_where_there_is_room() {
-        assert!(run().table(200).contains("what spin/floor is"));
-        assert!(!run().table(80).contains("what spin/floor is"));
     }
 }

@@ -1,11 +1,23 @@
-//! Every case runs once with a tiny plan, so that none is dead; no figure is judged.
-#![allow(clippy::unwrap_used, clippy::print_stdout, reason = "test code")]
+//! Every case runs once with a tiny plan, so that none is dead; no figure is judged. And the
+//! processes of a batch: how they end, and what is counted in them.
+//!
+//! They are forked, which is sound only in a process with one thread: the tests run one after the
+//! other on the main thread.
+#![allow(clippy::unwrap_used, reason = "test code")]
 
+use libtest_mimic::{Arguments, Trial};
 use std::alloc::System;
 use std::collections::HashMap;
+use std::io;
 use std::ops::RangeInclusive;
+use std::process::ExitCode;
+use std::time::Duration;
 use tandem_benches::cases::{self, Case};
 use tandem_benches::harness::Plan;
+use tandem_benches::mutual_exclusion::{Exclusion, contended};
+use tandem_benches::shared::Shared;
+use tandem_benches::system_calls::Counter;
+use tandem_benches::worker::{Part, perform, perform_within};
 use tandem_board_host::{UnsupervisedSystem, isolation};
 use tandem_rtos::host::TaskAllocator;
 
@@ -14,19 +26,12 @@ use tandem_rtos::host::TaskAllocator;
 static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
 
 /// Facts that a case must have, with what they may be.
+#[rustfmt::skip]
 const FACTS: [(&str, &str, RangeInclusive<f64>); 4] = [
-    (
-        "lock/contended-2",
-        "share of the least served, 1 is fair",
-        0.0..=1.0,
-    ),
+    ("lock/contended-2", "share of the least served, 1 is fair", 0.0..=1.0),
     ("noise/cpu0", "lost share of the time", 0.0..=1.0),
     ("rate/tandem", "naive p50, ns", 1.0..=f64::MAX),
-    (
-        "throughput/broadcast-1-to-2",
-        "share received by receiver 2",
-        0.0..=1.0,
-    ),
+    ("throughput/broadcast-1-to-2", "share received by receiver 2", 0.0..=1.0),
 ];
 
 /// System calls of a send: to a receiver that waits as the case does, and to one that is awake.
@@ -44,54 +49,57 @@ const CALLS: [(&str, RangeInclusive<f64>, f64); 8] = [
     ("one-cpu/tandem", 1.0..=2.0, 0.0),
 ];
 
-/// Without the harness of the test runner, whose process has threads: the cases fork. Each case is
-/// a test by its name. `cargo nextest` asks for the list and then for one test in each process.
-fn main() {
-    let args: Vec<String> = std::env::args().skip(1).collect();
-    let has = |flag: &str| args.iter().any(|arg| arg == flag);
-    let wanted = |name: &str| {
-        // `--format terse` is the only flag with a value.
-        let is_filter = |arg: &&String| !arg.starts_with('-') && *arg != "terse";
-        let mut filters = args.iter().filter(is_filter).peekable();
-        let fits = |filter: &String| {
-            let is_exact = has("--exact");
-            name == filter || !is_exact && name.contains(filter.as_str())
-        };
-        filters.peek().is_none() || filters.any(fits)
+fn main() -> ExitCode {
+    let test = |name: &str, test: Box<dyn FnOnce() + Send>| {
+        Trial::test(name, || {
+            test();
+            Ok(())
+        })
     };
-    // None is marked as ignored.
-    let cases = cases::all().filter(|case| wanted(&case.full_name()) && !has("--ignored"));
-    if has("--list") {
-        cases.for_each(|case| println!("{}: test", case.full_name()));
-        return;
-    }
+    let processes: [(&str, fn()); 5] = [
+        (
+            "processes/a_part_that_fails_ends_the_others",
+            a_part_that_fails_ends_the_others,
+        ),
+        (
+            "processes/a_part_that_panics_says_so",
+            a_part_that_panics_says_so,
+        ),
+        ("processes/a_dead_end_ends", a_dead_end_ends),
+        (
+            "processes/calls_are_counted_and_made",
+            calls_are_counted_and_made,
+        ),
+        (
+            "processes/stays_that_get_lost_are_noticed",
+            stays_that_get_lost_are_noticed,
+        ),
+    ];
+    let mut trials: Vec<Trial> = processes
+        .into_iter()
+        .map(|(name, run)| test(name, Box::new(run)))
+        .collect();
+    trials.extend(cases::all().map(|case| test(&case.full_name(), Box::new(move || run(&case)))));
+    let mut args = Arguments::from_args();
+    args.test_threads = Some(1);
+    libtest_mimic::run(&args, trials).exit_code()
+}
+
+fn run(case: &Case) {
+    let name = case.full_name();
     let place = isolation::enter().unwrap();
     let system: &'static UnsupervisedSystem =
         Box::leak(Box::new(UnsupervisedSystem::power_on(&place).unwrap()));
     let cpus = core_affinity::get_core_ids().unwrap();
-    let cpus = [cpus[0].id, cpus[cpus.len() - 1].id];
-    let ran = cases.map(|case| run(&case, system, cpus)).count();
-    place.wipe();
-    println!("test result: ok. {ran} passed; 0 failed");
-}
-
-fn run(case: &Case, system: &'static UnsupervisedSystem, cpus: [usize; 2]) {
-    let name = case.full_name();
     let plan = Plan {
         rounds: case.rounds.min(20),
         warm_up: 2,
-        cpus,
+        cpus: [cpus[0].id, cpus[cpus.len() - 1].id],
         system: Some(system),
     };
-    let batch = match case.run_batch(&plan) {
-        Ok(batch) => batch,
-        // What is not installed is skipped by the benchmark, too.
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            println!("{name} skipped: {error}");
-            return;
-        }
-        Err(error) => panic!("{name}: {error}"),
-    };
+    let batch = case.run_batch(&plan);
+    place.wipe();
+    let batch = batch.unwrap_or_else(|error| panic!("{name}: {error}"));
     assert!(!batch.samples_ps.is_empty(), "{name} has no samples");
     assert!(
         batch.samples_ps.iter().sum::<u64>() > 0,
@@ -106,12 +114,86 @@ fn run(case: &Case, system: &'static UnsupervisedSystem, cpus: [usize; 2]) {
         assert!(range.contains(&value), "{name}: {fact} is {value}");
     }
     for (_, waiting, awake) in CALLS.into_iter().filter(|(case, ..)| *case == name) {
-        let Some(calls) = facts.get("syscalls per send") else {
-            println!("{name}: this kernel cannot count system calls");
-            continue;
-        };
-        assert!(waiting.contains(calls), "{name}: {calls} calls to wake");
-        assert_eq!(facts.get("syscalls per send to one awake"), Some(&awake));
+        // Some kernels cannot count system calls.
+        if let Some(calls) = facts.get("syscalls per send") {
+            assert!(waiting.contains(calls), "{name}: {calls} calls to wake");
+            assert_eq!(facts.get("syscalls per send to one awake"), Some(&awake));
+        }
     }
-    println!("{name}: ok");
+}
+
+fn sleep_for_ever() -> ! {
+    loop {
+        std::thread::sleep(Duration::from_secs(60));
+    }
+}
+
+fn a_part_that_fails_ends_the_others() {
+    let shared = Shared::new().unwrap();
+    let parts = vec![
+        Part::on(0, |_| sleep_for_ever()),
+        Part::on(0, |_| Err(io::Error::other("no line"))),
+    ];
+    let error = perform(&shared, parts).unwrap_err();
+    assert_eq!(error.to_string(), "no line");
+}
+
+fn a_part_that_panics_says_so() {
+    let shared = Shared::new().unwrap();
+    let parts = vec![Part::on(0, |_| panic!("cannot start: {}", 7))];
+    let error = perform(&shared, parts).unwrap_err();
+    assert_eq!(error.to_string(), "cannot start: 7");
+}
+
+fn a_dead_end_ends() {
+    let shared = Shared::new().unwrap();
+    let parts = vec![Part::on(0, |_| sleep_for_ever())];
+    let error = perform_within(Duration::from_millis(50), &shared, parts).unwrap_err();
+    assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+}
+
+/// In a process of its own: the counter is the process's.
+fn calls_are_counted_and_made() {
+    let shared = Shared::new().unwrap();
+    let part = Part::on(0, |role| {
+        let Some(mut counter) = Counter::new() else {
+            role.log.note(0, -1.0);
+            return Ok(());
+        };
+        let none = counter.count(|| drop(std::hint::black_box(vec![1u8, 2, 3])));
+        let mut parents = [0; 3];
+        let some = counter.count(|| {
+            for parent in &mut parents {
+                *parent = std::os::unix::process::parent_id();
+            }
+        });
+        drop(counter);
+        assert_eq!(parents, [std::os::unix::process::parent_id(); 3]);
+        role.log.note(0, f64::from(none));
+        role.log.note(1, f64::from(some));
+        Ok(())
+    });
+    perform(&shared, vec![part]).unwrap();
+    let noted = [0, 1].map(|at| shared.log(0).noted(at));
+    assert!(noted == [0.0, 3.0] || noted[0] == -1.0, "{noted:?}");
+}
+
+/// Lets no process in and says that it has.
+struct Absent;
+
+impl Exclusion for Absent {
+    fn inside(&mut self, _stay: impl FnOnce()) {}
+}
+
+/// The guarded word finds out whether the lock works.
+fn stays_that_get_lost_are_noticed() {
+    let plan = Plan {
+        rounds: 100,
+        warm_up: 0,
+        cpus: [0, 0],
+        system: None,
+    };
+    let shared = Shared::new().unwrap();
+    let error = contended(&plan, &shared, 2, |_| Absent).unwrap_err();
+    assert_eq!(error.to_string(), "two were inside at once");
 }

@@ -150,6 +150,8 @@ fn a_benchmark_that_cannot_be_is_refused_at_once() {
         (&["--load", "walk:2"], "spin and memory"),
         (&["--load", "spin:0"], "from 1 to 64"),
         (&["--cpus", "0,70000"], "name two of the CPUs"),
+        (&["--cpus", "0,0"], "name two of the CPUs"),
+        (&["--cpus", "0"], "name two of the CPUs"),
         (
             &["bench", "compare", "--against", "./none"],
             "cannot run ./none",

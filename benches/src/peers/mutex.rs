@@ -1,7 +1,7 @@
 //! The mutex of the POSIX threads in shared memory, plain and robust: see pthread_mutex_lock(3p)
 //! and pthread_mutexattr_setrobust(3).
 
-use crate::floor::cas::CHUNK;
+use crate::floor::CHUNK;
 use crate::harness::{Batch, Plan, alone};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
 use crate::shared::Shared;
@@ -9,7 +9,7 @@ use std::io;
 
 /// Whether the death of an owner is told to the next taker.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Death {
+pub(crate) enum Death {
     /// It is not: the mutex stays locked.
     Fatal,
     /// The kernel unlocks it, and the next taker is told (PTHREAD_MUTEX_ROBUST).
@@ -67,47 +67,33 @@ impl Exclusion for Mutex {
 }
 
 /// Taking and giving back a mutex that no other process wants.
-///
-/// # Errors
-/// As [`alone`].
-pub fn mutex(plan: &Plan, death: Death) -> io::Result<Batch> {
-    let prepare = |shared: &Shared| Ok(Mutex::create(shared, death));
-    alone(plan, CHUNK, 64, prepare, |mutex| {
-        mutex.lock();
-        mutex.unlock();
+pub(crate) fn mutex(plan: &Plan, death: Death) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    let mutex = Mutex::create(&shared, death);
+    alone(plan, &shared, CHUNK, || {
+        || {
+            mutex.lock();
+            mutex.unlock();
+        }
     })
 }
 
 /// `processes` want it all the time.
-///
-/// # Errors
-/// As [`contended`].
-pub fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
+pub(crate) fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, death);
-    contended(plan, &shared, processes, 64, |_| mutex)
+    contended(plan, &shared, processes, |_| mutex)
 }
 
 /// An owner takes the robust mutex and is killed while another process waits for it; the kernel
 /// sees the death.
-///
-/// # Errors
-/// As [`recovered`].
-pub fn mutex_recovery(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn mutex_recovery(plan: &Plan) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, Death::Robust);
-    recovered(
-        plan,
-        &shared,
-        64,
-        |_| mutex,
-        |_| (),
-        || {
-            move || {
-                let died = mutex.lock();
-                mutex.unlock();
-                died
-            }
-        },
-    )
+    let take = || {
+        let died = mutex.lock();
+        mutex.unlock();
+        died
+    };
+    recovered(plan, &shared, |_| mutex, |_| (), || take)
 }

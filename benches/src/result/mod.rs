@@ -87,16 +87,12 @@ pub struct Row {
     pub round_trip: Option<RoundTrip>,
     /// CPU time of all ends per message, where it means something.
     pub cpu_ns_per_message: Option<f64>,
-    /// Memory used by the ends.
-    pub memory_bytes: Option<u64>,
     /// At the median time per message; throughput only.
     pub messages_per_second: Option<f64>,
     /// Payload at the median time per message; throughput and size only.
     pub bytes_per_second: Option<f64>,
     /// Median of each batch, in the order of measuring.
     pub batch_p50_ns: Vec<f64>,
-    /// 99th percentile of each batch, in the order of measuring.
-    pub batch_p99_ns: Vec<f64>,
     /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
     #[serde(default)]
     pub batch_steal_ms: Vec<f64>,
@@ -134,8 +130,12 @@ impl Row {
 
 impl Results {
     /// The rows of all cases that have samples, each beside its floor.
-    #[must_use]
-    pub fn new(all: &[Measurement], cpus: &[usize], duration_s: f64, interrupted: bool) -> Self {
+    pub(crate) fn new(
+        all: &[Measurement],
+        cpus: &[usize],
+        duration_s: f64,
+        interrupted: bool,
+    ) -> Self {
         let floor = |of: &Measurement| {
             let in_group = |one: &&Measurement| one.case.group == of.case.group;
             // A case with a floor of its own has that: `tick-floor` is for `tick` and its peers.
@@ -183,8 +183,7 @@ impl Results {
 
 impl Row {
     /// The figures of one case, beside those of its group's floor.
-    #[must_use]
-    pub fn new(of: &Measurement, floor: Option<&Measurement>) -> Self {
+    fn new(of: &Measurement, floor: Option<&Measurement>) -> Self {
         let at = |quantile| of.times.value_at_quantile(quantile);
         let ratio = |quantile| {
             let floor = floor.filter(|floor| !floor.times.is_empty())?;
@@ -201,8 +200,6 @@ impl Row {
             .iter()
             .filter_map(|b| b.cpu_ns_per_message)
             .collect();
-        // In full: rounding would tie what a test tells apart.
-        let exact = |ps: u64| ps as f64 / 1e3;
         Self {
             name: of.case.full_name(),
             group: group.to_owned(),
@@ -218,11 +215,9 @@ impl Row {
             ratio_to_floor_p99_9: ratio(0.999),
             round_trip: RoundTrip::new(&of.round_trips),
             cpu_ns_per_message: median(&cpu).map(|cpu| rounded(cpu, 10.0)),
-            memory_bytes: batches.iter().filter_map(|batch| batch.memory_bytes).max(),
             messages_per_second: rate.map(f64::round),
             bytes_per_second: bytes.map(|rate| (rate * payload_bytes as f64).round()),
-            batch_p50_ns: batches.iter().map(|batch| exact(batch.p50_ps)).collect(),
-            batch_p99_ns: batches.iter().map(|batch| exact(batch.p99_ps)).collect(),
+            batch_p50_ns: batches.iter().map(|batch| ns(batch.p50_ps)).collect(),
             batch_steal_ms: batches.iter().map(|batch| batch.steal_ms).collect(),
             curve: curve(&of.times),
             facts: facts(of),

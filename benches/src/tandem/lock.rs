@@ -1,10 +1,9 @@
 //! The lock: free, contended, and after the death of its owner.
 
-use super::lmu;
-use crate::floor::cas::CHUNK;
-use crate::harness::{Batch, Plan, give_way, time_chunks};
+use super::{announce, case_lmu};
+use crate::floor::CHUNK;
+use crate::harness::{Batch, Plan, alone, give_way};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
-use crate::worker::{Part, perform};
 use std::hint::black_box;
 use std::io;
 use tandem_shm::incarnation::Incarnation;
@@ -17,26 +16,19 @@ const LOCK: Region<SharedLock> = Region::first("lock");
 const LAYOUT: Layout = LOCK.end();
 
 fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
-    let incarnation = lmu::announce(map, core, generation);
+    let incarnation = announce(map, core, generation);
     LOCK.attach(map, incarnation).expect("it fits")
 }
 
 /// Taking and giving back a lock that no other core wants.
-///
-/// # Errors
-/// If the process or the shared memory cannot be had.
-pub fn free(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = lmu::shared(LAYOUT)?;
-    let part = Part::on(plan.cpus[0], |role| {
+pub(crate) fn free(plan: &Plan) -> io::Result<Batch> {
+    let (shared, map) = case_lmu(LAYOUT)?;
+    alone(plan, &shared, CHUNK, || {
         let mut lock = attach(&map, 0, 1);
-        time_chunks(plan, CHUNK, role, || {
+        move || {
             black_box(lock.try_lock().is_some());
-        });
-        Ok(())
-    });
-    perform(&shared, vec![part])?;
-    let batch = Batch::collect(&shared, 1, plan.rounds, lmu::bytes(LAYOUT));
-    Ok(batch.per_operation(CHUNK))
+        }
+    })
 }
 
 /// The lock of one core. Beside others on its CPU it gives way when it has waited for a while.
@@ -61,16 +53,11 @@ impl Exclusion for Contender {
 }
 
 /// `processes` cores want the lock all the time.
-///
-/// # Errors
-/// As [`contended`].
-pub fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
-    let (shared, map) = lmu::shared(LAYOUT)?;
-    contended(plan, &shared, processes, lmu::bytes(LAYOUT), |core| {
-        Contender {
-            lock: attach(&map, core, 1),
-            shares_cpu: processes > 2,
-        }
+pub(crate) fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
+    let (shared, map) = case_lmu(LAYOUT)?;
+    contended(plan, &shared, processes, |core| Contender {
+        lock: attach(&map, core, 1),
+        shares_cpu: processes > 2,
     })
 }
 
@@ -78,11 +65,8 @@ const OWNER: usize = 0;
 
 /// An owner takes the lock and is killed; the supervisor, which has seen it end, marks its
 /// incarnation as dead; a core that waits on another CPU takes the lock over.
-///
-/// # Errors
-/// As [`recovered`].
-pub fn recovery(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = lmu::shared(LAYOUT)?;
+pub(crate) fn recovery(plan: &Plan) -> io::Result<Batch> {
+    let (shared, map) = case_lmu(LAYOUT)?;
     let own = |generation| Contender {
         lock: attach(&map, OWNER, generation),
         shares_cpu: false,
@@ -91,7 +75,7 @@ pub fn recovery(plan: &Plan) -> io::Result<Batch> {
         let dead = Incarnation::new(OWNER, generation).expect("an incarnation");
         map.incarnations().mark_dead(dead);
     };
-    recovered(plan, &shared, lmu::bytes(LAYOUT), own, bury, || {
+    recovered(plan, &shared, own, bury, || {
         let mut lock = attach(&map, 1, 1);
         move || {
             let acquired = lock.lock(u32::MAX, spin);

@@ -1,45 +1,80 @@
 //! Tandem itself: 4 bytes with a signal of the sync mailbox, or a payload through a newest-value
 //! channel and a signal, on the host board, from the sender's call to the running handler. T-SYNC-4
 
-pub mod broadcast;
-pub mod fifo;
-mod lmu;
-pub mod lock;
-pub mod size;
+pub(crate) mod channels;
+pub(crate) mod lock;
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::open_loop::at_fixed_rate;
-use crate::shared::Shared;
-use crate::tandem::size::{sum_from, word};
+use crate::shared::{PAIR, Shared, draw};
 use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
-use tandem_board_host::{HostBoard, UnsupervisedSystem};
-use tandem_shm::mailbox::{Call, Receiver, Ring, Sender, TaskId, TaskTable};
+use tandem_board_host::{HostBoard, LMU_WORDS, UnsupervisedSystem};
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::mailbox::{Call, Receiver, Ring, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
-use tandem_shm::newest::{Reader, Writer};
+use tandem_shm::newest::Reader;
 use tandem_shm::region::{Mailbox, Newest, Region};
 use tandem_shm::wait::{Event, WaitPolicy};
 
-/// The mailbox towards each core, and a channel of `WORDS` words.
+/// The word at this place of a payload.
+#[inline]
+pub(crate) const fn word(stamp: u32, at: usize) -> u32 {
+    stamp.wrapping_add(at as u32)
+}
+
+/// The stamp of a payload, after all its words were read.
+///
+/// # Panics
+/// If a word is not what was written.
+#[inline]
+pub(crate) fn sum_from(words: impl ExactSizeIterator<Item = u32>) -> u32 {
+    let count = words.len() as u32;
+    let (mut sum, mut stamp) = (0u32, 0);
+    for (at, word) in words.enumerate() {
+        if at == 0 {
+            stamp = word;
+        }
+        sum = sum.wrapping_add(word);
+    }
+    let places = (u64::from(count) * (u64::from(count) - 1) / 2) as u32;
+    assert_eq!(
+        sum,
+        stamp.wrapping_mul(count).wrapping_add(places),
+        "a payload arrived torn"
+    );
+    stamp
+}
+
+/// Memory for a batch, with a formatted LMU in the words of the case.
+fn case_lmu(layout: Layout) -> io::Result<(Shared, Map<'static>)> {
+    let shared = Shared::with_case_words(layout.total_words())?;
+    let map = Map::format(shared.case(), layout).map_err(|_| io::Error::other("no room"))?;
+    Ok((shared, map))
+}
+
+/// Announces an incarnation of a core.
+fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
+    let incarnation = Incarnation::new(core, generation).expect("an incarnation");
+    let announced = map.incarnations().announce(incarnation);
+    announced.expect("the latest incarnation");
+    incarnation
+}
+
+/// The mailbox towards a core, and a channel of `WORDS` words.
 type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
 
 struct Regions<const WORDS: usize>;
 
 impl<const WORDS: usize> Regions<WORDS> {
-    const INWARD: [Inward<WORDS>; CoreId::COUNT] = {
-        let mailbox = Region::first("mailbox");
-        let to_0 = (mailbox, mailbox.then("channel"));
-        let to_1 = Self::after(to_0);
-        [to_0, to_1, Self::after(to_1)]
-    };
-    const LAYOUT: Layout = Self::INWARD[CoreId::COUNT - 1].1.end();
-
-    const fn after((_, channel): Inward<WORDS>) -> Inward<WORDS> {
-        let mailbox = channel.then("mailbox");
-        (mailbox, mailbox.then("channel"))
-    }
+    const MAILBOX: Region<Mailbox> = Region::first("mailbox");
+    const THERE: Inward<WORDS> = (Self::MAILBOX, Self::MAILBOX.then("channel"));
+    const BACK_MAILBOX: Region<Mailbox> = Self::THERE.1.then("mailbox");
+    const BACK: Inward<WORDS> = (Self::BACK_MAILBOX, Self::BACK_MAILBOX.then("channel"));
+    const WAYS: [Inward<WORDS>; 2] = [Self::THERE, Self::BACK];
+    const LAYOUT: Layout = Self::BACK.1.end();
 }
 
 const TASK: TaskId = TaskId::FIRST;
@@ -61,33 +96,11 @@ fn handle_channel<const WORDS: usize>(inbox: &mut Inbox<WORDS>, _: u32, _: Call)
 
 /// By which way the payload goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
+pub(crate) enum Way {
     /// 4 bytes as the value of the signal.
     Signal,
     /// Through a newest-value channel, with a signal.
     Channel,
-}
-
-/// How a core waits, by which way it sends, and in which company.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct How {
-    pub(crate) policy: WaitPolicy,
-    pub(crate) way: Way,
-    /// Cores of the case.
-    pub(crate) parts: u32,
-    pub(crate) incarnation: u32,
-}
-
-impl How {
-    /// By signals, in the next incarnation.
-    fn new(policy: WaitPolicy, parts: u32) -> Self {
-        Self {
-            policy,
-            way: Way::Signal,
-            parts,
-            incarnation: next_incarnation(),
-        }
-    }
 }
 
 /// What a core waits for: a signal that its handler has taken.
@@ -125,115 +138,123 @@ impl<const WORDS: usize> Event for Waiting<WORDS> {
     }
 }
 
-/// One core: sends to its peer and waits for what its peer sends.
-pub(crate) struct Core<const WORDS: usize> {
-    board: &'static HostBoard,
-    peer: CoreId,
-    how: How,
-    payload: Writer<'static, [u32; WORDS]>,
-    signal: Sender<'static>,
-    waiting: Waiting<WORDS>,
+/// A place in the LMU for this layout, drawn anew for each batch.
+fn place(layout: Layout) -> usize {
+    draw((LMU_WORDS - layout.total_words()) / PAIR + 1) * PAIR
 }
 
-impl<const WORDS: usize> Core<WORDS> {
-    /// The planning core, which takes part in each case, formats the LMU.
-    pub(crate) fn start(
-        system: &UnsupervisedSystem,
-        shared: &Shared,
-        [core, peer]: [CoreId; 2],
-        how: How,
-    ) -> Self {
-        let board = system
-            .attach(core, Generation(how.incarnation))
-            .expect("the bare system is powered");
-        let board: &'static HostBoard = Box::leak(Box::new(board));
-        if core == CoreId::PLANNING {
-            Map::format(board.lmu(), Regions::<WORDS>::LAYOUT).expect("it fits");
+/// How the cores of a batch wait and send, and where.
+#[derive(Clone, Copy)]
+struct How {
+    system: &'static UnsupervisedSystem,
+    policy: WaitPolicy,
+    way: Way,
+    incarnation: u32,
+    place: usize,
+}
+
+impl How {
+    /// For the next batch. Incarnations rise from batch to batch, as those of a core that is reset.
+    fn new<const WORDS: usize>(plan: &Plan, policy: WaitPolicy, way: Way) -> Self {
+        static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
+        Self {
+            system: plan.system.expect("a system with power"),
+            policy,
+            way,
+            incarnation: INCARNATIONS.fetch_add(1, Relaxed),
+            place: place(Regions::<WORDS>::LAYOUT),
         }
-        shared.meet(how.parts);
-        let map = Map::attach(board.lmu(), Regions::<WORDS>::LAYOUT).expect("it was formatted");
-        let own = lmu::announce(&map, core.index(), how.incarnation);
-        let [out, inward] = [peer, core].map(|core| Regions::<WORDS>::INWARD[core.index()]);
+    }
+
+    /// The end of core 1 towards core 2, or of core 2, which formats the LMU, towards core 1.
+    fn end<const WORDS: usize>(self, shared: &Shared, ways: [usize; 2]) -> impl End + use<WORDS> {
+        let [core, peer] = ways.map(|way| [CoreId::PERCEPTION, CoreId::PLANNING][way]);
+        let board = self.system.attach(core, Generation(self.incarnation));
+        let board: &'static HostBoard = Box::leak(Box::new(board.expect("the system has power")));
+        let (words, layout) = (&board.lmu()[self.place..], Regions::<WORDS>::LAYOUT);
+        if core == CoreId::PLANNING {
+            Map::format(words, layout).expect("it fits");
+        }
+        shared.meet(2);
+        let map = Map::attach(words, layout).expect("it was formatted");
+        let own = announce(&map, core.index(), self.incarnation);
+        let [out, inward] = ways.map(|way| Regions::<WORDS>::WAYS[way]);
         let mut tasks = TaskTable::new();
-        let handler = match how.way {
+        let handler = match self.way {
             Way::Signal => handle,
             Way::Channel => handle_channel,
         };
         tasks.add(TASK, handler, 0).expect("the table is empty");
-        let inbox = Inbox {
-            payload: inward.1.reader(&map).expect("it fits"),
-            received: None,
-        };
-        let signals = inward.0.receiver(&map, own).expect("it is free");
-        Self {
+        let mut payload = out.1.writer(&map, own).expect("it is free");
+        let mut signal = out.0.sender(&map, own).expect("it is free");
+        let mut waiting = Waiting {
             board,
-            peer,
-            how,
-            payload: out.1.writer(&map, own).expect("it is free"),
-            signal: out.0.sender(&map, own).expect("it is free"),
-            waiting: Waiting {
-                board,
-                signals,
-                tasks,
-                inbox,
-                way: how.way,
+            signals: inward.0.receiver(&map, own).expect("it is free"),
+            tasks,
+            inbox: Inbox {
+                payload: inward.1.reader(&map).expect("it fits"),
+                received: None,
             },
-        }
-    }
-}
-
-impl<const WORDS: usize> End for Core<WORDS> {
-    fn send(&mut self, stamp: u32) {
-        let ring = match self.how.way {
-            Way::Signal => self.signal.signal_with(TASK, stamp),
-            Way::Channel => {
-                self.payload
-                    .publish(&std::array::from_fn(|at| word(stamp, at)));
-                self.signal.signal(TASK)
+            way: self.way,
+        };
+        let send = move |stamp| {
+            let ring = match self.way {
+                Way::Signal => signal.signal_with(TASK, stamp),
+                Way::Channel => {
+                    payload.publish(&std::array::from_fn(|at| word(stamp, at)));
+                    signal.signal(TASK)
+                }
+            };
+            if ring == Ring::Needed {
+                board.ring(peer);
             }
         };
-        if ring == Ring::Needed {
-            self.board.ring(self.peer);
-        }
+        (send, move || self.policy.wait(&mut waiting))
     }
-
-    fn receive(&mut self) -> u32 {
-        self.how.policy.wait(&mut self.waiting)
-    }
-}
-
-/// Core 1 towards core 2, and core 2 towards core 1.
-fn both<const WORDS: usize>(plan: &Plan, how: How) -> [impl FnOnce(&Shared) -> Core<WORDS>; 2] {
-    let system = plan.system();
-    let ways = [CoreId::PERCEPTION, CoreId::PLANNING];
-    [ways, [ways[1], ways[0]]]
-        .map(|ways| move |shared: &Shared| Core::start(system, shared, ways, how))
 }
 
 /// One-way time from core 1 to core 2 and back under this waiting policy.
-///
-/// # Errors
-/// As [`between_processes`].
-pub fn sync<const WORDS: usize>(plan: &Plan, policy: WaitPolicy, way: Way) -> io::Result<Batch> {
-    let how = How {
-        way,
-        ..How::new(policy, 2)
-    };
-    let [near, far] = both::<WORDS>(plan, how);
-    Ok(between_processes(plan, 0, near, far)?.carrying(4 * WORDS as u64))
+pub(crate) fn sync<const WORDS: usize>(
+    plan: &Plan,
+    policy: WaitPolicy,
+    way: Way,
+) -> io::Result<Batch> {
+    let how = How::new::<WORDS>(plan, policy, way);
+    let batch = between_processes(plan, |shared, ways| how.end::<WORDS>(shared, ways))?;
+    Ok(batch.carrying(4 * WORDS as u64))
 }
 
 /// From core 1 to core 2 at a fixed rate.
-///
-/// # Errors
-/// As [`at_fixed_rate`].
-pub fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
-    let [near, far] = both::<1>(plan, How::new(policy, 2));
-    at_fixed_rate(plan, 0, near, far)
+pub(crate) fn at_rate(plan: &Plan, policy: WaitPolicy) -> io::Result<Batch> {
+    let how = How::new::<1>(plan, policy, Way::Signal);
+    at_fixed_rate(plan, |shared, ways| how.end::<1>(shared, ways))
 }
 
-/// Incarnations rise from batch to batch, as those of a core that is reset.
-fn next_incarnation() -> u32 {
-    static INCARNATIONS: AtomicU32 = AtomicU32::new(1);
-    INCARNATIONS.fetch_add(1, Relaxed)
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_payload_is_known_by_all_its_words() {
+        let stamp = u32::MAX - 3;
+        let words: Vec<u32> = (0..10).map(|at| word(stamp, at)).collect();
+        assert_eq!(sum_from(words.iter().copied()), stamp);
+        let torn = [words[0], words[1] + 1];
+        assert!(std::panic::catch_unwind(|| sum_from(torn.into_iter())).is_err());
+    }
+
+    #[test]
+    fn each_batch_has_a_place_of_its_own_in_the_lmu() {
+        let words: Vec<AtomicU32> = (0..LMU_WORDS + PAIR).map(|_| AtomicU32::new(0)).collect();
+        let skipped = words.as_ptr().align_offset(4 * PAIR);
+        for layout in [Regions::<1>::LAYOUT, Regions::<266>::LAYOUT] {
+            let places = (0..30).map(|_| place(layout));
+            let places: std::collections::HashSet<usize> = places.collect();
+            // One place is drawn 30 times once in 10^60 runs.
+            assert!(places.len() > 1, "{places:?}");
+            for place in places {
+                Map::format(&words[skipped..][..LMU_WORDS][place..], layout).unwrap();
+            }
+        }
+    }
 }

@@ -1,17 +1,22 @@
 //! The memory that the processes of one batch share: words of the case, and what each writes down.
 
+use crate::clock::monotonic_ns;
 use std::io;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
 /// Processes of a batch at most.
 pub const PARTS: usize = 4;
 /// Samples that one track of a part keeps; further ones are dropped.
 pub const TRACK: usize = 1 << 16;
 /// Numbers that a part can note besides its samples.
-pub const NOTES: usize = 8;
+pub const NOTES: usize = 6;
+/// The one that the harness notes: CPU time of the part within its timed span, ns.
+pub const CPU_NS: usize = NOTES - 1;
 
 /// Words in a cache line.
 pub const LINE: usize = 16;
+/// Words in two cache lines, which some processors fetch together.
+pub const PAIR: usize = 2 * LINE;
 /// Words of a page.
 const PAGE: usize = 1024;
 /// Word 0 counts the parts that have met.
@@ -28,16 +33,30 @@ const NOTES_AT: usize = LINE;
 const TEXT_AT: usize = 4 * LINE;
 const TEXT_WORDS: usize = 64;
 const TRACKS_AT: usize = PAGES_AT + PARTS * PAGE;
-const CASE_AT: usize = TRACKS_AT + PARTS * 2 * TRACK;
+const TRACKS_END: usize = TRACKS_AT + PARTS * 2 * TRACK;
 /// Words of a case that asks for no more.
 const CASE_WORDS: usize = 4 * PAGE;
 /// Beyond this, pages of the case come when they are touched.
 const POPULATE_UP_TO: usize = 1 << 20;
 
-/// Memory that the parts of a batch share, zero at first. Each batch has its own.
+/// A number below `count`, drawn anew by each call.
+#[must_use]
+pub fn draw(count: usize) -> usize {
+    static DRAWN: AtomicU64 = AtomicU64::new(0);
+    // G. Steele and others, "Fast splittable pseudorandom number generators", 2014: SplitMix64.
+    let step = DRAWN.fetch_add(0x9E37_79B9_7F4A_7C15, Ordering::Relaxed);
+    let seed = monotonic_ns().wrapping_add(step);
+    let mixed = (seed ^ (seed >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+    ((mixed ^ (mixed >> 31)) % count as u64) as usize
+}
+
+/// Memory that the parts of a batch share, zero at first. Each batch has its own, and its case
+/// begins at a place in the page that is drawn anew: a multiple of [`PAIR`].
 #[derive(Debug)]
 pub struct Shared {
     words: &'static [AtomicU32],
+    case_at: usize,
 }
 
 impl Shared {
@@ -54,7 +73,8 @@ impl Shared {
     /// # Errors
     /// If there is not enough memory.
     pub fn with_case_words(case_words: usize) -> io::Result<Self> {
-        let total = CASE_AT + case_words;
+        let case_at = TRACKS_END + draw(PAGE / PAIR) * PAIR;
+        let total = case_at + case_words;
         let populate = if case_words <= POPULATE_UP_TO {
             libc::MAP_POPULATE
         } else {
@@ -77,13 +97,13 @@ impl Shared {
         // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped
         // only by `drop`, after which its batch uses no word of it any more.
         let words = unsafe { std::slice::from_raw_parts(base.cast(), total) };
-        Ok(Self { words })
+        Ok(Self { words, case_at })
     }
 
-    /// The words of the case, aligned to a page.
+    /// The words of the case, aligned to two cache lines.
     #[must_use]
     pub fn case(&self) -> &'static [AtomicU32] {
-        &self.words[CASE_AT..]
+        &self.words[self.case_at..]
     }
 
     /// One word of the case on a cache line of its own.
@@ -122,9 +142,9 @@ impl Shared {
         &self.words[SPARE_AT + number * LINE]
     }
 
-    /// Maps every page that the harness itself writes, so that none is counted as the case's.
+    /// Maps every page that the harness itself writes, so that no fault is timed.
     pub fn touch(&self) {
-        for page in self.words[..CASE_AT].chunks(PAGE) {
+        for page in self.words[..self.case_at].chunks(PAGE) {
             std::hint::black_box(page[0].load(Ordering::Relaxed));
         }
     }
@@ -161,18 +181,6 @@ pub struct Log {
     counts: [usize; 2],
 }
 
-/// Notes that the harness takes for every part.
-pub mod note {
-    /// CPU time of the part within its timed span, ns.
-    pub const CPU_NS: usize = 0;
-    /// Growth of its private memory, bytes.
-    pub const PRIVATE: usize = 1;
-    /// Growth of the shared memory that it has mapped, bytes.
-    pub const SHARED: usize = 2;
-    /// From here on the case's own.
-    pub const FIRST_OWN: usize = 3;
-}
-
 impl Log {
     /// Appends a sample to track 0 or 1; drops it when the track is full.
     #[inline]
@@ -198,28 +206,17 @@ impl Log {
         samples.map(|word| word.load(Ordering::Relaxed))
     }
 
-    /// Notes the case's own number `at` (below 5).
+    /// Notes the number `at`, below [`NOTES`].
     pub fn note(&self, at: usize, value: f64) {
-        self.set(note::FIRST_OWN + at, value);
-    }
-
-    /// The case's own number `at`, as it was noted; 0 if it was not.
-    #[must_use]
-    pub fn noted(&self, at: usize) -> f64 {
-        self.get(note::FIRST_OWN + at)
-    }
-
-    /// Notes number `at` of all (below [`NOTES`]; see [`note`]).
-    pub fn set(&self, at: usize, value: f64) {
         assert!(at < NOTES);
         let bits = value.to_bits();
         self.page[NOTES_AT + 2 * at].store(bits as u32, Ordering::Relaxed);
         self.page[NOTES_AT + 2 * at + 1].store((bits >> 32) as u32, Ordering::Relaxed);
     }
 
-    /// Number `at` of all, as it was noted; 0 if it was not.
+    /// The number `at`, as it was noted; 0 if it was not.
     #[must_use]
-    pub fn get(&self, at: usize) -> f64 {
+    pub fn noted(&self, at: usize) -> f64 {
         let word = |at: usize| u64::from(self.page[at].load(Ordering::Relaxed));
         f64::from_bits(word(NOTES_AT + 2 * at) | word(NOTES_AT + 2 * at + 1) << 32)
     }
@@ -280,10 +277,16 @@ mod tests {
     }
 
     #[test]
-    fn words_of_the_case_are_aligned_and_zero() {
-        let shared = Shared::with_case_words(100).unwrap();
-        assert_eq!(shared.case().len(), 100);
-        assert_eq!(shared.case().as_ptr().addr() % 4096, 0);
-        assert!(shared.case().iter().all(|w| w.load(Ordering::Relaxed) == 0));
+    fn the_words_of_each_case_are_zero_and_lie_elsewhere() {
+        let places = (0..30).map(|_| {
+            let shared = Shared::with_case_words(100).unwrap();
+            assert_eq!(shared.case().len(), 100);
+            assert!(shared.case().iter().all(|w| w.load(Ordering::Relaxed) == 0));
+            shared.case().as_ptr().addr() % (4 * PAGE)
+        });
+        let places: std::collections::HashSet<usize> = places.collect();
+        assert!(places.iter().all(|place| place % (4 * PAIR) == 0));
+        // One place is drawn 30 times once in 10^45 runs.
+        assert!(places.len() > 1, "{places:?}");
     }
 }

@@ -1,0 +1,173 @@
+//! The floors: what the hardware and the kernel alone need.
+
+use crate::harness::{Batch, End, Plan, alone, between_processes, give_way, polled};
+use crate::mutual_exclusion::{Exclusion, contended};
+use crate::open_loop::at_fixed_rate;
+use crate::shared::{LINE, Shared};
+use crate::stream::{Stream, from_processes};
+use std::hint::{black_box, spin_loop};
+use std::io;
+use std::sync::atomic::AtomicU32;
+use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+
+/// One-way time of a cache line between two CPUs that spin on the value itself.
+pub(crate) fn cache_line(plan: &Plan) -> io::Result<Batch> {
+    between_processes(plan, |shared, ways| {
+        let [out, inward] = ways.map(|way| shared.line(2 * way));
+        let mut last = 0;
+        // Zero means "nothing yet". Release pairs with the Acquire of the other end.
+        let send = |stamp| out.store(stamp | 1, Release);
+        let receive = move || {
+            let new = |stamp: &u32| *stamp != last;
+            last = polled(|| Some(inward.load(Acquire)).filter(new));
+            last
+        };
+        (send, receive)
+    })
+}
+
+/// The same two lines; the receiver sleeps in the kernel until the word changes.
+fn futex_ends(shared: &Shared, ways: [usize; 2]) -> impl End + use<> {
+    let [out, inward] = ways.map(|way| shared.line(2 * way));
+    let mut last = 0;
+    let send = |stamp| {
+        out.store(stamp | 1, Release);
+        // SAFETY: FUTEX_WAKE on a word of the shared mapping; it reads no further argument.
+        unsafe { libc::syscall(libc::SYS_futex, out.as_ptr(), libc::FUTEX_WAKE, 1) };
+    };
+    let receive = move || {
+        loop {
+            let stamp = inward.load(Acquire);
+            if stamp != last {
+                last = stamp;
+                return stamp;
+            }
+            let (word, forever) = (inward.as_ptr(), std::ptr::null::<libc::timespec>());
+            // SAFETY: FUTEX_WAIT on a word of the shared mapping, without a time limit.
+            unsafe { libc::syscall(libc::SYS_futex, word, libc::FUTEX_WAIT, stamp, forever) };
+        }
+    };
+    (send, receive)
+}
+
+/// One-way time of a futex wake to a sleeping process.
+pub(crate) fn futex(plan: &Plan) -> io::Result<Batch> {
+    between_processes(plan, futex_ends)
+}
+
+/// The same at a fixed rate.
+pub(crate) fn futex_at_rate(plan: &Plan) -> io::Result<Batch> {
+    at_fixed_rate(plan, futex_ends)
+}
+
+const PER_LINE: u32 = 8;
+const LINES: u32 = 64;
+
+/// The floor of throughput: a ring whose cache lines are handed over one by one, full. Eight
+/// messages of 8 bytes fill a line; only then the producer says so. That is what the lines
+/// themselves cost; it delays each message until its line is full, so it is no channel to use.
+pub(crate) fn full_lines(plan: &Plan) -> io::Result<Batch> {
+    let shared = Shared::with_case_words((2 + LINES as usize) * LINE)?;
+    // The producer's count of lines, the consumer's, and the lines.
+    let (made, taken) = (shared.line(0), shared.line(1));
+    let lines = &shared.case()[2 * LINE..];
+    let message = |k: u32| {
+        let line = (k / PER_LINE % LINES) as usize;
+        let at = line * LINE + 2 * (k % PER_LINE) as usize;
+        [&lines[at], &lines[at + 1]]
+    };
+    let stream = Stream {
+        chunk: 4096,
+        payload_bytes: 8,
+    };
+    let sender = |_| {
+        let (mut mine, mut theirs) = (0u32, 0);
+        move |k: u32| {
+            if k.is_multiple_of(PER_LINE) && mine - theirs == LINES {
+                // Acquire pairs with the receiver's Release: the line has been read.
+                theirs = taken.load(Acquire);
+                if mine - theirs == LINES {
+                    return false;
+                }
+            }
+            let [low, high] = message(k);
+            low.store(k, Relaxed);
+            high.store(!k, Relaxed);
+            if k % PER_LINE == PER_LINE - 1 {
+                mine += 1;
+                // Release pairs with the receiver's Acquire: the line is full.
+                made.store(mine, Release);
+            }
+            true
+        }
+    };
+    let receiver = |_| {
+        let (mut k, mut theirs) = (0u32, 0);
+        move || {
+            if k.is_multiple_of(PER_LINE) && k / PER_LINE == theirs {
+                // Acquire pairs with the sender's Release.
+                theirs = made.load(Acquire);
+                if k / PER_LINE == theirs {
+                    return None;
+                }
+            }
+            let [low, high] = message(k).map(|word| word.load(Relaxed));
+            assert_eq!(low, !high);
+            k += 1;
+            if k.is_multiple_of(PER_LINE) {
+                // Release pairs with the sender's Acquire.
+                taken.store(k / PER_LINE, Release);
+            }
+            Some(low)
+        }
+    };
+    from_processes::<_, _, 1>(plan, &shared, stream, sender, receiver)
+}
+
+/// Operations of a sample of a lock.
+pub(crate) const CHUNK: usize = 64;
+
+/// A compare-and-swap that takes a free word and a store that gives it back: the least a lock
+/// does.
+pub(crate) fn lock(plan: &Plan) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    let word = shared.line(0);
+    alone(plan, &shared, CHUNK, || {
+        || {
+            let taken = word.compare_exchange(0, 1, Acquire, Relaxed);
+            black_box(taken.is_ok());
+            word.store(0, Release);
+        }
+    })
+}
+
+/// Polls of a word that another process has, before the CPU goes to others.
+const POLLS: u32 = 1000;
+
+/// A word that is 1 while one process is inside.
+struct Word(&'static AtomicU32);
+
+impl Exclusion for Word {
+    fn inside(&mut self, stay: impl FnOnce()) {
+        let mut polls = 0;
+        // Acquire pairs with the Release of the process that was inside before.
+        while self.0.swap(1, Acquire) == 1 {
+            while self.0.load(Relaxed) == 1 {
+                polls += 1;
+                if polls % POLLS == 0 {
+                    give_way();
+                } else {
+                    spin_loop();
+                }
+            }
+        }
+        stay();
+        self.0.store(0, Release);
+    }
+}
+
+/// One word that several processes want: no turns, so the one that leaves is often the next inside.
+pub(crate) fn contended_word(plan: &Plan, processes: usize) -> io::Result<Batch> {
+    let shared = Shared::new()?;
+    contended(plan, &shared, processes, |_| Word(shared.line(0)))
+}

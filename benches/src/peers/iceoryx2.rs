@@ -1,0 +1,353 @@
+//! iceoryx2: events, publish-subscribe, blackboard, request and response.
+
+use crate::harness::{Batch, End, Plan, between_processes, between_unlike, next_run, polled};
+use crate::open_loop::at_fixed_rate;
+use crate::peers::iceoryx2_semaphore::BySemaphore;
+use crate::shared::Shared;
+use crate::stream::{Stream, from_processes};
+use crate::tandem::{sum_from, word};
+use core::mem::MaybeUninit;
+use iceoryx2::config::Config;
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::*;
+use iceoryx2::sample_mut_uninit::SampleMutUninit;
+use iceoryx2::service::Service;
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2_bb_system_types::path::Path;
+use std::cell::RefCell;
+use std::io;
+use std::rc::Rc;
+use std::sync::atomic::Ordering::{Acquire, Release};
+
+type Error = Box<dyn core::error::Error>;
+type Ipc = ipc::Service;
+
+/// Where its files go: the benchmark's own `/dev/shm`, so that nothing is left behind.
+const ROOT: &[u8] = b"/dev/shm/iceoryx2";
+
+/// What `open` makes of a node with default settings, but for the place of its files and for
+/// signals: Ctrl-C is the benchmark's.
+fn with_node<S: Service, T>(open: impl FnOnce(Node<S>) -> Result<T, Error>) -> T {
+    let start = || {
+        set_log_level(LogLevel::Fatal);
+        let mut config = Config::default();
+        config.global.set_root_path(&Path::new(ROOT)?);
+        let node = NodeBuilder::new().config(&config);
+        open(
+            node.signal_handling_mode(SignalHandlingMode::Disabled)
+                .create::<S>()?,
+        )
+    };
+    start().unwrap_or_else(|error| panic!("iceoryx2 cannot start: {error}"))
+}
+
+fn name(run: u32, way: usize) -> Result<ServiceName, Error> {
+    Ok(ServiceName::new(&format!("tandem-bench/{run}/{way}"))?)
+}
+
+/// Events in both directions, with the stamp in shared memory beside them. `lean`: room for one
+/// notifier and one listener, and one event id.
+fn event_ends<S: Service>(
+    run: u32,
+    lean: bool,
+    shared: &Shared,
+    ways: [usize; 2],
+) -> impl End + use<S> {
+    let [stamp_out, stamp_in] = ways.map(|way| shared.line(2 * way));
+    with_node::<S, _>(|node| {
+        let service = |way| {
+            let mut builder = node.service_builder(&name(run, way)?).event();
+            if lean {
+                builder = builder.max_notifiers(1).max_listeners(1).max_nodes(2);
+                builder = builder.event_id_max_value(0);
+            }
+            Ok::<_, Error>(builder.open_or_create()?)
+        };
+        let listener = service(ways[1])?.listener_builder().create()?;
+        let notifier = service(ways[0])?.notifier_builder().create()?;
+        let send = move |stamp| {
+            stamp_out.store(stamp, Release);
+            let _notified = notifier.notify();
+        };
+        let receive = move || {
+            let _open = &node;
+            let mut came = false;
+            while !came {
+                let _waited = listener.blocking_wait(|_| came = true);
+            }
+            stamp_in.load(Acquire)
+        };
+        Ok((send, receive))
+    })
+}
+
+/// An event to a sleeping listener with default settings: a Unix datagram socket wakes.
+pub(crate) fn event(plan: &Plan) -> io::Result<Batch> {
+    let run = next_run();
+    between_processes(plan, |shared, ways| {
+        event_ends::<Ipc>(run, false, shared, ways)
+    })
+}
+
+/// The same with the leanest settings, woken by the semaphore of iceoryx2-cal.
+pub(crate) fn event_tuned(plan: &Plan) -> io::Result<Batch> {
+    let run = next_run();
+    between_processes(plan, |shared, ways| {
+        event_ends::<BySemaphore>(run, true, shared, ways)
+    })
+}
+
+/// Events with default settings at a fixed rate.
+pub(crate) fn event_at_rate(plan: &Plan) -> io::Result<Batch> {
+    let run = next_run();
+    at_fixed_rate(plan, |shared, ways| {
+        event_ends::<Ipc>(run, false, shared, ways)
+    })
+}
+
+/// What is asked of a publish-subscribe service.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Settings {
+    /// As the library comes: room for 8 subscribers, a buffer of 2 that overflows safely.
+    Default,
+    /// One publisher, one subscriber, one sample in the buffer and one in hand, no overflow, no
+    /// history.
+    Lean,
+    /// A long buffer that does not overflow: the publisher waits when it is full.
+    Lossless,
+}
+
+impl Settings {
+    fn service(
+        self,
+        node: &Node<Ipc>,
+        name: &ServiceName,
+    ) -> Result<PortFactory<Ipc, [u32], ()>, Error> {
+        let builder = node.service_builder(name).publish_subscribe::<[u32]>();
+        let buffer = match self {
+            Self::Default => return Ok(builder.open_or_create()?),
+            Self::Lean => 1,
+            Self::Lossless => 256,
+        };
+        let builder = builder.max_publishers(1).max_subscribers(1).max_nodes(2);
+        let builder = builder.enable_safe_overflow(false).history_size(0);
+        let builder = builder.subscriber_max_borrowed_samples(1);
+        Ok(builder
+            .subscriber_max_buffer_size(buffer)
+            .open_or_create()?)
+    }
+
+    fn publisher(self, service: &PortFactory<Ipc, [u32], ()>, words: usize) -> Result<Out, Error> {
+        let builder = service.publisher_builder().initial_max_slice_len(words);
+        let builder = match self {
+            Self::Default => builder,
+            Self::Lean => builder.max_loaned_samples(1),
+            Self::Lossless => {
+                builder.backpressure_strategy(BackpressureStrategy::RetryUntilDelivered)
+            }
+        };
+        let mut out = Out {
+            publisher: builder.create()?,
+            lent: None,
+            words,
+        };
+        out.lend();
+        Ok(out)
+    }
+}
+
+/// A publisher. As in iceoryx2's own benchmark it lends the next sample before it is timed: a send
+/// fills and delivers it.
+struct Out {
+    publisher: Publisher<Ipc, [u32], ()>,
+    lent: Option<SampleMutUninit<Ipc, [MaybeUninit<u32>], ()>>,
+    words: usize,
+}
+
+impl Out {
+    fn lend(&mut self) {
+        self.lent = self.publisher.loan_slice_uninit(self.words).ok();
+    }
+
+    /// Fills and delivers the sample that was lent; whether a subscriber got it.
+    #[inline]
+    fn deliver(&mut self, stamp: u32) -> bool {
+        let sample = self.lent.take();
+        let sent = sample.map(|sample| sample.write_from_fn(|at| word(stamp, at)).send());
+        matches!(sent, Some(Ok(receivers)) if receivers > 0)
+    }
+}
+
+/// The stamp of the next sample, all of whose words were read.
+#[inline]
+fn try_receive(subscriber: &Subscriber<Ipc, [u32], ()>) -> Option<u32> {
+    let sample = subscriber.receive().ok().flatten()?;
+    Some(sum_from(sample.iter().copied()))
+}
+
+fn publish_subscribe(plan: &Plan, settings: Settings, words: usize) -> io::Result<Batch> {
+    let run = next_run();
+    between_processes(plan, |_, [out, inward]| {
+        with_node(|node| {
+            let inward = settings.service(&node, &name(run, inward)?)?;
+            let inward = inward.subscriber_builder().create()?;
+            let out = settings.service(&node, &name(run, out)?)?;
+            let mut out = settings.publisher(&out, words)?;
+            let send = move |stamp| {
+                out.deliver(stamp);
+                // While the message is under way.
+                out.lend();
+            };
+            let receive = move || {
+                let _open = &node;
+                polled(|| try_receive(&inward))
+            };
+            Ok((send, receive))
+        })
+    })
+}
+
+/// Zero-copy publish-subscribe with default settings; the subscriber polls.
+pub(crate) fn pubsub(plan: &Plan) -> io::Result<Batch> {
+    publish_subscribe(plan, Settings::Default, 1)
+}
+
+/// The same with the leanest settings.
+pub(crate) fn pubsub_tuned(plan: &Plan) -> io::Result<Batch> {
+    publish_subscribe(plan, Settings::Lean, 1)
+}
+
+/// Payloads of `bytes`, a multiple of 4, with the leanest settings: each word is written into the
+/// sample that was lent, and read where it lies.
+pub(crate) fn size(plan: &Plan, bytes: usize) -> io::Result<Batch> {
+    let batch = publish_subscribe(plan, Settings::Lean, bytes / 4)?;
+    Ok(batch.carrying(bytes as u64).without_facts())
+}
+
+/// A stream of messages of 8 bytes that loses nothing: the publisher waits when the buffer is full.
+pub(crate) fn stream(plan: &Plan) -> io::Result<Batch> {
+    const SETTINGS: Settings = Settings::Lossless;
+    let name = &name(next_run(), 0).map_err(|error| io::Error::other(error.to_string()))?;
+    let stream = Stream {
+        chunk: 1024,
+        payload_bytes: 8,
+    };
+    let sender = |_| {
+        with_node(|node| {
+            let mut out = SETTINGS.publisher(&SETTINGS.service(&node, name)?, 2)?;
+            Ok(move |k| {
+                let _open = &node;
+                if out.lent.is_none() {
+                    out.lend();
+                }
+                // Delivered to no subscriber: the buffer was full.
+                out.deliver(k)
+            })
+        })
+    };
+    let receiver = |_| {
+        with_node(|node| {
+            let inward = SETTINGS
+                .service(&node, name)?
+                .subscriber_builder()
+                .create()?;
+            Ok(move || {
+                let _open = &node;
+                try_receive(&inward)
+            })
+        })
+    };
+    from_processes::<_, _, 1>(plan, &Shared::new()?, stream, sender, receiver)
+}
+
+/// A value of 4 bytes on the blackboard; the reader polls. Each direction has an entry, which only
+/// its writer changes.
+pub(crate) fn blackboard(plan: &Plan) -> io::Result<Batch> {
+    const KEY: u64 = 1;
+    let run = next_run();
+    between_processes(plan, |shared, [out, inward]| {
+        with_node::<Ipc, _>(|node| {
+            let service = node.service_builder(&name(run, out)?);
+            let service = service.blackboard_creator::<u64>().add::<u32>(KEY, 0);
+            let writer = service.create()?.writer_builder().create()?;
+            // Both have created theirs.
+            shared.meet(2);
+            let service = node.service_builder(&name(run, inward)?);
+            let reader = service
+                .blackboard_opener::<u64>()
+                .open()?
+                .reader_builder()
+                .create()?;
+            let (out, inward) = (writer.entry::<u32>(&KEY)?, reader.entry::<u32>(&KEY)?);
+            let mut last = 0;
+            // Zero means "nothing yet".
+            let send = move |stamp: u32| out.update_with_copy(stamp | 1);
+            let receive = move || {
+                let _open = (&node, &writer, &reader);
+                last = polled(|| Some(*inward.get()).filter(|stamp| *stamp != last));
+                last
+            };
+            Ok((send, receive))
+        })
+    })
+}
+
+type Asks = Client<Ipc, u32, (), u32, ()>;
+type Pending = PendingResponse<Ipc, u32, (), u32, ()>;
+
+/// 4 bytes as a request, and 4 bytes as its response; both ends poll.
+pub(crate) fn request(plan: &Plan) -> io::Result<Batch> {
+    let run = next_run();
+    let service = |node: &Node<Ipc>| {
+        let service = node.service_builder(&name(run, 0)?);
+        Ok::<_, Error>(service.request_response::<u32, u32>().open_or_create()?)
+    };
+    let asks = |shared: &Shared| {
+        with_node(|node| {
+            let client: Asks = service(&node)?.client_builder().create()?;
+            // Both have their ports before the first request.
+            shared.meet(2);
+            let pending: Rc<RefCell<Option<Pending>>> = Rc::default();
+            let answer = pending.clone();
+            let send = move |stamp| *pending.borrow_mut() = client.send_copy(stamp).ok();
+            let receive = move || {
+                let (_open, answer) = (&node, answer.borrow());
+                polled(|| {
+                    answer
+                        .as_ref()?
+                        .receive()
+                        .ok()
+                        .flatten()
+                        .map(|response| *response)
+                })
+            };
+            Ok((send, receive))
+        })
+    };
+    let answers = |shared: &Shared| {
+        with_node(|node| {
+            let server = service(&node)?.server_builder().create()?;
+            shared.meet(2);
+            let request = Rc::new(RefCell::new(None));
+            let asked = request.clone();
+            let send = move |stamp| {
+                let request: Option<
+                    iceoryx2::active_request::ActiveRequest<Ipc, u32, (), u32, ()>,
+                > = asked.borrow_mut().take();
+                let _sent = request.map(|request| request.send_copy(stamp));
+            };
+            let receive = move || {
+                let _open = &node;
+                let came = polled(|| server.receive().ok().flatten());
+                let stamp = *came;
+                *request.borrow_mut() = Some(came);
+                stamp
+            };
+            Ok((send, receive))
+        })
+    };
+    between_unlike(plan, asks, answers)
+}

@@ -1,0 +1,169 @@
+//! Channels in memory of the harness, so that any payload fits: an LMU has 32 KiB. The code is the
+//! same. Newest values of any size, FIFOs, and the broadcast ring.
+
+use super::{announce, case_lmu, sum_from, word};
+use crate::clock::ticks;
+use crate::harness::{Batch, Plan, between_processes, give_way, polled};
+use crate::stream::{Stream, from_processes};
+use crate::worker::{Part, Role, perform};
+use std::io;
+use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
+use tandem_shm::mailbox::{Ring, TaskId};
+use tandem_shm::map::{Layout, Map};
+use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region};
+
+/// In a ping-pong one value is written while the other one may still be read.
+const SLOTS: usize = 2;
+
+/// A mailbox, and the channel beside it.
+type Way<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS], SLOTS>>);
+
+/// Those of both directions.
+struct InPlace<const WORDS: usize>;
+
+impl<const WORDS: usize> InPlace<WORDS> {
+    const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
+    const BACK: Region<Mailbox> = Self::MAILBOX.then("mailbox 1 to 0");
+    const CHANNEL: Region<Newest<[u32; WORDS], SLOTS>> = Self::BACK.then("0 to 1");
+    const CHANNEL_BACK: Region<Newest<[u32; WORDS], SLOTS>> = Self::CHANNEL.then("1 to 0");
+    const WAYS: [Way<WORDS>; 2] = [
+        (Self::MAILBOX, Self::CHANNEL),
+        (Self::BACK, Self::CHANNEL_BACK),
+    ];
+}
+
+/// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
+/// is written until its last word was read: it is written and read where it lies.
+pub(crate) fn in_place<const WORDS: usize>(plan: &Plan) -> io::Result<Batch> {
+    let (_payloads, map) = case_lmu(InPlace::<WORDS>::CHANNEL_BACK.end())?;
+    let batch = between_processes(plan, |_, [core, peer]| {
+        let own = announce(&map, core, 1);
+        let [out, inward] = [core, peer].map(|way| InPlace::<WORDS>::WAYS[way]);
+        let mut signal = out.0.sender(&map, own).expect("it is free");
+        let mut payload = out.1.writer(&map, own).expect("it is free");
+        let mut signals = inward.0.receiver(&map, own).expect("it is free");
+        let payloads = inward.1.reader(&map).expect("it fits");
+        let send = move |stamp| {
+            let mut loan = payload.loan();
+            for (at, place) in loan.words().as_slice().iter().enumerate() {
+                place.store(word(stamp, at), Relaxed);
+            }
+            loan.publish();
+            // The receiver spins: no doorbell is needed.
+            let _: Ring = signal.signal(TaskId::FIRST);
+        };
+        let receive = move || {
+            polled(|| {
+                payloads.prefetch();
+                (signals.poll(|_| {}) > 0).then_some(())
+            });
+            let view = payloads.view().expect("a signal follows its payload");
+            let stamp = sum_from(view.words().iter());
+            view.finish().expect("no second payload is under way");
+            stamp
+        };
+        (send, receive)
+    })?;
+    Ok(batch.carrying(4 * WORDS as u64).without_facts())
+}
+
+/// Messages of `WORDS` words, copied in and out, in chunks of `chunk`, from one process or two
+/// (`WAYS`) to one, by a FIFO of `SLOTS` slots each.
+pub(crate) fn fifo<const WORDS: usize, const SLOTS: usize, const WAYS: usize>(
+    plan: &Plan,
+    chunk: usize,
+) -> io::Result<Batch> {
+    let first = Region::<Fifo<[u32; WORDS], SLOTS>>::first("first");
+    let ways = [first, first.then("second")];
+    let (shared, map) = case_lmu(ways[WAYS - 1].end())?;
+    let stream = Stream {
+        chunk,
+        payload_bytes: 4 * WORDS,
+    };
+    let sender = |way: usize| {
+        let producer = ways[way].producer(&map, announce(&map, way, 1));
+        let (mut producer, mut message) = (producer.expect("it is free"), [7; WORDS]);
+        move |k| {
+            message[0] = k;
+            producer.send(&message).is_ok()
+        }
+    };
+    let receiver = |way: usize| {
+        let consumer = ways[way].consumer(&map, announce(&map, 2, 1));
+        let mut consumer = consumer.expect("it is free");
+        move || Some(std::hint::black_box(&consumer.receive().ok()??)[0])
+    };
+    from_processes::<_, _, WAYS>(plan, &shared, stream, sender, receiver)
+}
+
+const RING: Region<Broadcast<[u32; 2], 1024>> = Region::first("ring");
+const RING_LAYOUT: Layout = RING.end();
+/// Messages of a sample.
+const CHUNK: usize = 256;
+/// Messages of a round.
+const SENT: usize = 4096;
+
+/// The broadcast ring from one process to two, which share the far CPU; the writer never waits. A
+/// sample is a receiver's time per message that it received; what it had missed when it was late is
+/// a fact.
+pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
+    let (shared, map) = case_lmu(RING_LAYOUT)?;
+    let sent = (plan.warm_up + plan.rounds) * SENT;
+    let writer = Part::on(plan.cpus[0], |role| {
+        let writer = RING.writer(&map, announce(&map, 0, 1));
+        let mut writer = writer.expect("it is free");
+        role.shared.meet(3);
+        let mut k = 0;
+        role.begin();
+        for _ in 0..sent {
+            k = writer.publish(&[k, !k]).0.wrapping_add(1);
+        }
+        role.end();
+        // Release pairs with the Acquire in `receive`: all values are there.
+        role.shared.flag().store(1, Release);
+        Ok(())
+    });
+    let receiver = || Part::on(plan.cpus[1], |role| receive(&map, role));
+    perform(&shared, vec![writer, receiver(), receiver()])?;
+    let share = |part| shared.log(part).noted(0) / sent as f64;
+    Ok(Batch::collect(&shared, 3, plan.rounds)
+        .per_operation(CHUNK)
+        .carrying(8)
+        .with_fact("share received by receiver 1", share(1))
+        .with_fact("share received by receiver 2", share(2)))
+}
+
+fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
+    let mut receiver = RING.receiver(map).expect("it fits");
+    role.shared.meet(3);
+    role.begin();
+    let mut received = 0u32;
+    let mut turn = ticks();
+    let mut begin = turn;
+    loop {
+        // Read before the ring: what was sent before is then seen.
+        let last = role.shared.flag().load(Acquire) != 0;
+        match receiver.receive() {
+            Ok(Some((k, value))) => {
+                assert_eq!(value, [k.0, !k.0], "a torn value");
+                received += 1;
+                if received.is_multiple_of(CHUNK as u32) {
+                    let now = ticks();
+                    role.log.push(0, now.wrapping_sub(begin));
+                    begin = now;
+                }
+            }
+            Ok(None) if last => break,
+            Ok(None) => give_way(),
+            Err(_lost) => {}
+        }
+        // The other receiver's turn, every 100 us or so.
+        if ticks().wrapping_sub(turn) > 250_000 {
+            give_way();
+            turn = ticks();
+        }
+    }
+    role.end();
+    role.log.note(0, f64::from(received));
+    Ok(())
+}
