@@ -460,6 +460,9 @@ typedef struct tandem_state_t {
   uint32_t total_resets;
   // Abnormal resets since the last time that this system ran well for long enough, 0 ..= 255.
   uint32_t abn_in_a_row;
+  // Incarnations that found their own command wrong, since the last time that this system ran
+  // well for long enough, 0 ..= 255.
+  uint32_t wrong_in_a_row;
   // The highest mastership term seen or used.
   uint32_t term;
 } tandem_state_t;

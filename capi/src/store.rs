@@ -34,6 +34,9 @@ pub struct TandemState {
     pub total_resets: u32,
     /// Abnormal resets since the last time that this system ran well for long enough, 0 ..= 255.
     pub abn_in_a_row: u32,
+    /// Incarnations that found their own command wrong, since the last time that this system ran
+    /// well for long enough, 0 ..= 255.
+    pub wrong_in_a_row: u32,
     /// The highest mastership term seen or used.
     pub term: u32,
 }
@@ -146,6 +149,7 @@ impl TandemState {
             abn_resets: state.abn_resets,
             total_resets: state.total_resets,
             abn_in_a_row: state.abn_in_a_row as u32,
+            wrong_in_a_row: state.wrong_in_a_row as u32,
             term: state.term.bits(),
         }
     }
@@ -184,6 +188,7 @@ impl TandemState {
             abn_resets: self.abn_resets,
             total_resets: self.total_resets,
             abn_in_a_row: u8::try_from(self.abn_in_a_row).map_err(|_| S::OutOfRange)?,
+            wrong_in_a_row: u8::try_from(self.wrong_in_a_row).map_err(|_| S::OutOfRange)?,
             term: Term::from_bits(self.term),
         })
     }

@@ -119,12 +119,14 @@ fn show(text: &mut String, system: SystemId, path: &Path) -> anyhow::Result<()> 
         abn_resets,
         total_resets,
         abn_in_a_row,
+        wrong_in_a_row,
         term,
     } = state;
     let _ = writeln!(
         text,
         "{system}  master {}, own failure {} ({failure_mode:?}), other's failure {}, \
-         resets {total_resets}, abnormal {abn_resets} ({abn_in_a_row} in a row), term {}",
+         resets {total_resets}, abnormal {abn_resets} ({abn_in_a_row} in a row), \
+         wrong commands {wrong_in_a_row} in a row, term {}",
         yes(is_master),
         yes(sys_failure),
         yes(cpsys_failure),

@@ -4,6 +4,10 @@ use crate::starting::StartKind;
 use crate::{Config, FailureMode, Loaded, SystemState};
 use tandem_board::{ResetCause, SystemId};
 
+/// A system that has found its command wrong in this many incarnations in a row is not cured by a
+/// further reset. It starts into the safe stop, or suspends beside a system that drives.
+pub(crate) const WRONG_COMMANDS: u8 = 2;
+
 /// How to begin the start protocol, as the result of the checks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Boot {
@@ -35,15 +39,18 @@ pub(crate) fn check(
     {
         state.sys_failure = false;
         state.abn_in_a_row = config.abnormal_limit;
+        state.wrong_in_a_row = state.wrong_in_a_row.min(WRONG_COMMANDS - 1);
     }
     // 1. Abnormal reset?
     if cause.is_abnormal() {
         state.abn_resets = state.abn_resets.saturating_add(1);
         state.abn_in_a_row = state.abn_in_a_row.saturating_add(1);
-        if state.abn_in_a_row > config.abnormal_limit && !state.sys_failure {
+        let wrong = state.wrong_in_a_row >= WRONG_COMMANDS;
+        if (wrong || state.abn_in_a_row > config.abnormal_limit) && !state.sys_failure {
             state.sys_failure = true;
-            // These resets may have been made to cure the connection to the bus.
             state.failure_mode = match state.failure_mode {
+                _ if wrong => FailureMode::WrongCommand,
+                // These resets may have been made to cure the connection to the bus.
                 mode @ (FailureMode::CanOpenCircuit | FailureMode::CanBusOff) => mode,
                 _ => FailureMode::AbnormalResets,
             };
@@ -144,6 +151,30 @@ mod tests {
         assert_eq!(verdict.fault, None, "a power cycle gives one more attempt");
         assert_eq!(boot(PowerOn, after).1.fault, None);
         assert_eq!(boot(Trap, after).1.fault, fails, "and only one");
+    }
+
+    /// T-RED-5: a system that has twice left for its command fails at its next abnormal start. A
+    /// power cycle gives it one more attempt; one wrong command is none too many.
+    #[test]
+    fn resets_that_do_not_cure_the_command_are_limited() {
+        for (cause, wrong_in_a_row, fails) in [
+            (Trap, 1, false),
+            (Trap, 2, true),
+            (Watchdog, 2, true),
+            (PowerOn, 2, false),
+            (Software, 2, false),
+        ] {
+            let before = SystemState {
+                wrong_in_a_row,
+                ..SystemState::factory(SystemId::A)
+            };
+            let (after, verdict) = boot(cause, before);
+            let fault = fails.then_some(FailureMode::WrongCommand);
+            assert_eq!(verdict.fault, fault, "{cause:?} {wrong_in_a_row}");
+            let (after, verdict) = boot(PowerOn, after);
+            assert_eq!(verdict.fault, None);
+            assert_eq!(after.wrong_in_a_row, if fails { 1 } else { wrong_in_a_row });
+        }
     }
 
     /// T-RED-1: a system whose flash is blank or lost begins with the factory state.

@@ -110,6 +110,8 @@ pub struct Redundancy {
     running_since: Option<Instant>,
     /// Until when this master offers its role to the standby.
     hands_over_until: Option<Instant>,
+    /// This incarnation has counted that its command is wrong.
+    wrong_counted: bool,
 }
 
 impl Redundancy {
@@ -150,6 +152,7 @@ impl Redundancy {
             witnesses: Witnesses::new(&config, now),
             running_since: None,
             hands_over_until: None,
+            wrong_counted: false,
         }
     }
 
@@ -250,6 +253,14 @@ impl Redundancy {
     #[must_use]
     pub const fn highest_term(&self) -> Term {
         self.state.term
+    }
+
+    /// Whether resets have not cured this system's command, so that it only drives to stop the
+    /// vehicle. It then sends commands though they differ from what the vehicle obeys, if they
+    /// differ little: a stop that steers is better than one that does not.
+    #[must_use]
+    pub fn stops_for_its_command(&self) -> bool {
+        self.state.sys_failure && self.state.wrong_in_a_row >= boot::WRONG_COMMANDS
     }
 
     /// The persistent state as it is now; it is in flash when the store is settled.
@@ -416,6 +427,9 @@ impl Redundancy {
     fn own_fault(&mut self, now: Instant, mode: FailureMode, actions: &mut Actions) {
         if mode == FailureMode::None || self.phase() == Phase::Suspended {
             return;
+        }
+        if mode == FailureMode::WrongCommand && !core::mem::replace(&mut self.wrong_counted, true) {
+            self.state.wrong_in_a_row = self.state.wrong_in_a_row.saturating_add(1);
         }
         let stays = !mode.reset_may_cure();
         // The first fault counts, and after it the first permanent one.
@@ -621,7 +635,8 @@ impl Redundancy {
         }
     }
 
-    /// A long time without a reset subtracts one from the count of abnormal resets. A system that
+    /// A long time without a reset subtracts one from the counts of abnormal resets and of wrong
+    /// commands. A system that
     /// crashes more often than that suspends in the end, even if it crashes regularly. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
@@ -630,6 +645,7 @@ impl Redundancy {
         if healthy && self.fault.is_none() && self.phase().sends_heartbeats() {
             self.running_since = Some(now);
             self.state.abn_in_a_row = self.state.abn_in_a_row.saturating_sub(1);
+            self.state.wrong_in_a_row = self.state.wrong_in_a_row.saturating_sub(1);
         }
     }
 }

@@ -113,6 +113,9 @@ pub struct SystemState {
     pub total_resets: u32,
     /// Abnormal resets since this system last ran well for long enough; saturates.
     pub abn_in_a_row: u8,
+    /// Incarnations that found their own command wrong, since this system last ran well for long
+    /// enough; saturates.
+    pub wrong_in_a_row: u8,
     /// The highest mastership term seen or used.
     pub term: Term,
 }
@@ -142,6 +145,7 @@ impl SystemState {
             abn_resets: 0,
             total_resets: 0,
             abn_in_a_row: 0,
+            wrong_in_a_row: 0,
             term: Term::NONE,
         }
     }
@@ -157,6 +161,7 @@ impl SystemState {
             | u8::from(self.cpsys_failure) << 2;
         bytes[9] = self.failure_mode.code();
         bytes[10] = self.abn_in_a_row;
+        bytes[11] = self.wrong_in_a_row;
         bytes[12..16].copy_from_slice(&self.abn_resets.to_le_bytes());
         bytes[16..20].copy_from_slice(&self.total_resets.to_le_bytes());
         bytes[20..24].copy_from_slice(&self.term.bits().to_le_bytes());
@@ -177,7 +182,7 @@ impl SystemState {
         let word = |at: usize| {
             u32::from_le_bytes([bytes[at], bytes[at + 1], bytes[at + 2], bytes[at + 3]])
         };
-        let reserved_zero = bytes[8] & !0b111 == 0 && bytes[11] == 0 && word(24) == 0;
+        let reserved_zero = bytes[8] & !0b111 == 0 && word(24) == 0;
         if word(0) != MAGIC || word(28) != CRC.checksum(&bytes[..28]) || !reserved_zero {
             return Err(DecodeError::Invalid);
         }
@@ -187,6 +192,7 @@ impl SystemState {
             cpsys_failure: bytes[8] & 4 != 0,
             failure_mode: FailureMode::from_code(bytes[9]),
             abn_in_a_row: bytes[10],
+            wrong_in_a_row: bytes[11],
             abn_resets: word(12),
             total_resets: word(16),
             term: Term::from_bits(word(20)),
@@ -203,7 +209,7 @@ mod tests {
     prop_compose! {
         fn any_state()(
             flags in 0u8..8, mode in 0usize..FailureMode::ALL.len(), abn: u32, total: u32,
-            row: u8, term: u32,
+            row: u8, wrong: u8, term: u32,
         ) -> SystemState {
             SystemState {
                 is_master: flags & 1 != 0,
@@ -213,6 +219,7 @@ mod tests {
                 abn_resets: abn,
                 total_resets: total,
                 abn_in_a_row: row,
+                wrong_in_a_row: wrong,
                 term: Term::from_bits(term),
             }
         }

@@ -147,15 +147,13 @@ impl Drive {
             Mode::L3 | Mode::DegradedL2 if fresh.is_none() => Mode::SafeStop,
             mode => mode,
         };
-        let sees = fresh.is_some() && permitted != Mode::SafeStop;
-        let stops = mode == Mode::SafeStop;
+        let stops = fresh.is_some() && mode == Mode::SafeStop;
         let (command, mode, age) = match (&self.scene, other) {
-            (Some(scene), _) if stops && sees => {
-                let command = self.degraded.stop(now, &ego, scene);
-                (command, mode, Some(now.since(scene.measured)))
-            }
-            (Some(scene), Some(other)) if stops && fresh.is_some() => {
-                let command = self.degraded.stop_between(now, &ego, scene, &other);
+            (Some(scene), other) if stops => {
+                let command = match other {
+                    Some(other) => self.degraded.stop_between(now, &ego, scene, &other),
+                    None => self.degraded.stop(now, &ego, scene),
+                };
                 (command, mode, Some(now.since(scene.measured)))
             }
             _ => self.by_best_function(now, mode, &ego),

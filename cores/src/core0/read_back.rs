@@ -5,6 +5,8 @@
 //! for instance) shows here within some control periods. An echo may come late: the frames of the
 //! last 0.3 s are remembered, and what is older is not judged.
 
+use super::agreement::Deviation;
+use crate::driving::types::Command;
 use tandem_bus::{Control, GateEcho};
 
 /// Commands that are remembered, by the counter of their frames.
@@ -19,8 +21,8 @@ const ACCELERATION_STEP: f32 = 0.75e-3;
 #[derive(Clone, Debug)]
 pub(super) struct ReadBack {
     term: u32,
-    /// Steering angle and acceleration, by the counter.
-    sent: [(f32, f32); REMEMBERED],
+    /// By the counter of the frame.
+    sent: [Command; REMEMBERED],
     /// How many of these are of this term, and the counter of the newest.
     count: u8,
     newest: u8,
@@ -34,7 +36,10 @@ impl ReadBack {
     pub(super) const fn new() -> Self {
         Self {
             term: 0,
-            sent: [(0.0, 0.0); REMEMBERED],
+            sent: [Command {
+                steering_angle: 0.0,
+                acceleration: 0.0,
+            }; REMEMBERED],
             count: 0,
             newest: 0,
             wrong: 0,
@@ -49,14 +54,17 @@ impl ReadBack {
             (self.term, self.count) = (control.term, 0);
             (self.wrong, self.refused) = (0, None);
         }
-        self.sent[usize::from(counter) % REMEMBERED] =
-            (control.steering_angle, control.acceleration);
+        self.sent[usize::from(counter) % REMEMBERED] = Command {
+            steering_angle: control.steering_angle,
+            acceleration: control.acceleration,
+        };
         self.count = (self.count + 1).min(REMEMBERED as u8);
         self.newest = counter;
     }
 
     /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
-    pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho) -> bool {
+    /// `tolerant_at`: a difference that two systems may have at this speed, m/s, is none.
+    pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, tolerant_at: Option<f32>) -> bool {
         // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
         // is all that was sent.
         let in_term = echo.term == term;
@@ -67,12 +75,19 @@ impl ReadBack {
         let before = self.refused.replace(echo.refused);
         let refuses = before.is_some_and(|count| count != echo.refused);
         let ago = self.newest.wrapping_sub(echo.obeyed_counter);
-        let (steering_angle, acceleration) =
-            self.sent[usize::from(echo.obeyed_counter) % REMEMBERED];
-        let obeyed = !in_term
-            || ago >= self.count
-            || (steering_angle - echo.steering_angle).abs() < STEERING_STEP
-                && (acceleration - echo.acceleration).abs() < ACCELERATION_STEP;
+        let sent = self.sent[usize::from(echo.obeyed_counter) % REMEMBERED];
+        let obeyed = Command {
+            steering_angle: echo.steering_angle,
+            acceleration: echo.acceleration,
+        };
+        let is_same = match tolerant_at {
+            Some(speed) => Deviation::of(&sent, &obeyed, speed).is_tolerated(),
+            None => {
+                (sent.steering_angle - obeyed.steering_angle).abs() < STEERING_STEP
+                    && (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP
+            }
+        };
+        let obeyed = !in_term || ago >= self.count || is_same;
         let before = core::mem::replace(&mut self.obeyed, echo.obeyed_counter);
         if !obeyed || refuses {
             self.wrong += 1;
@@ -120,10 +135,17 @@ mod tests {
 
     /// Sends 400 frames, and hears for each what `obeyed` makes of it; when that was found wrong.
     fn found(obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
+        found_at(None, obeyed)
+    }
+
+    fn found_at(
+        tolerant_at: Option<f32>,
+        obeyed: impl Fn(u32, GateEcho) -> GateEcho,
+    ) -> Option<u32> {
         let mut read_back = ReadBack::new();
         (0..400).find(|cycle| {
             read_back.on_sent(*cycle as u8, &control(*cycle));
-            read_back.on_echo(TERM, &obeyed(*cycle, echo(*cycle)))
+            read_back.on_echo(TERM, &obeyed(*cycle, echo(*cycle)), tolerant_at)
         })
     }
 
@@ -155,6 +177,16 @@ mod tests {
             ..it
         };
         assert_eq!(found(refused), Some(12));
+        // A system that stops the vehicle because no reset has cured its command.
+        let differs = |_, it: GateEcho| GateEcho {
+            steering_angle: it.steering_angle + 0.001,
+            acceleration: it.acceleration + 0.5,
+            ..it
+        };
+        assert_eq!(found(differs), Some(1));
+        assert_eq!(found_at(Some(25.0), differs), None);
+        assert_eq!(found_at(Some(40.0), differs), Some(1));
+        assert_eq!(found_at(Some(5.0), refused), Some(12));
         let others = |_, it| GateEcho {
             steering_angle: 0.5,
             term: TERM + 1,

@@ -376,6 +376,16 @@ impl<'b, B: Board> Shared<'b, B> {
         Some(if stops { Mode::SafeStop } else { mode })
     }
 
+    /// The speed at which this system's command may differ a little from what the vehicle obeys,
+    /// m/s: it stops the vehicle because no reset has cured its command.
+    fn tolerant_at(&self) -> Option<f32> {
+        let stops = self
+            .redundancy
+            .as_ref()
+            .is_some_and(Redundancy::stops_for_its_command);
+        self.last_output.filter(|_| stops).map(|last| last.speed)
+    }
+
     /// This system's command is wrong. It sends none any more and leaves, and the other drives.
     pub(super) fn on_wrong_command(&mut self, witness: u8) -> TaskSet {
         if core::mem::replace(&mut self.wrong_command, true) {
@@ -432,7 +442,8 @@ impl<'b, B: Board> Shared<'b, B> {
                     });
                 }
                 let term = self.redundancy.as_ref().map(|it| it.term().bits());
-                if term.is_some_and(|term| self.read_back.on_echo(term, &echo)) {
+                let tolerant_at = self.tolerant_at();
+                if term.is_some_and(|term| self.read_back.on_echo(term, &echo, tolerant_at)) {
                     released |= self.on_wrong_command(0);
                 }
                 released

@@ -88,7 +88,8 @@ impl Vehicle {
     }
 
     /// Whether the last frame that acted stops the vehicle, because its sender has a fault.
-    pub(super) fn is_stopped(&self) -> bool {
+    #[must_use]
+    pub fn is_stopped(&self) -> bool {
         let message = self.last.and_then(|frame| match frame.id() {
             CanId::Standard(id) => Message::decode(id.into(), frame.data()).ok(),
             CanId::Extended(_) => None,

@@ -107,6 +107,44 @@ fn the_vehicle_keeps_lane_and_distance_under_faults() {
     assert!(verdict.gap <= Duration::from_ms(13), "{verdict}");
 }
 
+/// T-RED-5, T-RED-9: no reset cures the commands of either system. Each is reset for them twice;
+/// then one stops the vehicle in its lane. One reset for a fault that has passed stops nothing.
+#[test]
+fn systems_whose_commands_no_reset_cures_stop_in_the_lane() {
+    let profile = Profile {
+        around: Around::ClosedLoop,
+        ..Config::rt().into()
+    };
+    for (of, lasts_ms, stops) in [
+        (&SystemId::ALL[..], 12_000, true),
+        (&SystemId::ALL, 50, false),
+        (&[SystemId::A], 12_000, false),
+    ] {
+        let fault = |of: &SystemId| Fault {
+            kind: Kind::WrongResults,
+            way: Way::From(*of),
+            at: Duration::from_ms(5),
+            lasts: Some(Duration::from_ms(lasts_ms)),
+        };
+        let sequence = Sequence {
+            group: Group::Random,
+            number: 1,
+            faults: of.iter().map(fault).collect(),
+            from_power_on: false,
+            span: Duration::from_ms(12_000),
+        };
+        let (verdict, bench) = sequence.run(profile, false);
+        let what = format!("{of:?} for {lasts_ms} ms: {verdict}");
+        assert!(verdict.violations.is_empty(), "{what}");
+        let vehicle = bench.vehicle.borrow();
+        assert_eq!(vehicle.is_stopped(), stops, "{what}");
+        let stands = vehicle
+            .world()
+            .is_some_and(|world| world.snapshot().speed < 0.1);
+        assert!(stands || !stops, "{what}");
+    }
+}
+
 /// A job of control is interrupted by the roles, and what it sends leaves when it ends.
 #[test]
 fn the_roles_pre_empt_what_is_less_urgent() {
