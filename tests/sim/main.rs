@@ -52,6 +52,31 @@ fn a_saved_sequence_is_tried_from_its_file() {
     assert_eq!(story(&told), story(&again));
 }
 
+/// The line that is printed for a violation has every option that the violation needs.
+#[test]
+fn the_printed_line_repeats_a_violation() {
+    let folder = tempfile::tempdir().unwrap();
+    // Both systems lose power as the vehicle in front begins to brake.
+    let off = |of| format!("[[fault]]\nwhat = \"power-loss\"\nof = \"{of}\"\nat-ms = 3000.0\n");
+    let faults = format!("mended-at-ms = 9000.0\n{}{}", off("a"), off("b"));
+    fs::write(folder.path().join("off.toml"), faults).unwrap();
+    let profile = ["--closed-loop", "--timing", "chip", "--time", "worst"];
+    let campaign = ["--faults", "off.toml", "--seeds", "1"];
+    let told = sim(&[&campaign[..], &profile].concat(), folder.path());
+    let text = said(&told.stdout);
+    let line = text
+        .lines()
+        .find_map(|line| line.split_once(": tandem sim "));
+    let (_, arguments) = line.expect("a line that repeats it");
+    let arguments: Vec<&str> = arguments.split(' ').collect();
+    let again = sim(&arguments, folder.path());
+    assert_eq!(again.status.code(), Some(1), "{}", said(&again.stderr));
+    // Of the number 0, the digest of the campaign is that of its one sequence.
+    let digest = |text: &str| text.trim_end().rsplit(' ').next().unwrap().to_owned();
+    assert!(text.contains("TooClose"), "{text}");
+    assert_eq!(digest(&said(&again.stdout)), digest(&text), "{arguments:?}");
+}
+
 #[test]
 fn wrong_arguments_are_refused_before_anything_runs() {
     let folder = tempfile::tempdir().unwrap();

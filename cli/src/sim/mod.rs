@@ -158,6 +158,14 @@ impl SimArgs {
             },
         }
     }
+
+    /// The arguments with which another process has the same profile.
+    fn profile_arguments(&self) -> Vec<String> {
+        let mut words = vec!["--timing".to_owned(), name_of(self.timing)];
+        words.extend(["--time".to_owned(), name_of(self.time)]);
+        words.extend(self.closed_loop.then(|| "--closed-loop".to_owned()));
+        words
+    }
 }
 
 impl Kind {
@@ -257,21 +265,19 @@ impl Source<'_> {
     }
 
     /// The command that tells one of them.
-    fn repeats(&self, number: u64, profile: Profile) -> String {
-        let time = match profile.time {
-            Time::Ideal => "",
-            Time::Typical => " --time typical",
-            Time::Worst => " --time worst",
-        };
-        let around = match profile.around {
-            Around::Core0 => "",
-            Around::ClosedLoop => " --closed-loop",
-        };
+    fn repeats(&self, number: u64, arguments: &SimArgs) -> String {
         let which = match self {
-            Self::Numbered(kind) => format!("--only {}:{number}", name_of(*kind)),
-            Self::File { path, .. } => format!("--faults {} --only {number}", path.display()),
+            Self::Numbered(kind) => {
+                vec!["--only".to_owned(), format!("{}:{number}", name_of(*kind))]
+            }
+            Self::File { .. } => {
+                let mut words = self.arguments().to_vec();
+                words.extend(["--only".to_owned(), number.to_string()]);
+                words
+            }
         };
-        format!("tandem sim {which}{time}{around}")
+        let profile = arguments.profile_arguments();
+        format!("tandem sim {} {}", which.join(" "), profile.join(" "))
     }
 }
 
@@ -489,10 +495,8 @@ fn run_in_process(
     let output = Command::new(std::env::current_exe()?)
         .arg("sim")
         .args(source.arguments())
-        .args(["--timing", &name_of(arguments.timing)])
-        .args(["--time", &name_of(arguments.time)])
+        .args(arguments.profile_arguments())
         .args(["--every", &arguments.every.to_string()])
-        .args(arguments.closed_loop.then_some("--closed-loop"))
         .args(["--chunk", &from.to_string(), &to.to_string()])
         .output()?;
     if !output.status.success() {

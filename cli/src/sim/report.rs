@@ -88,7 +88,7 @@ pub(super) fn of(
         }
         if !new.is_empty() {
             writeln!(text, "{name}: {violation:?} {}", new.len())?;
-            classes(source, violation, &new, profile, &mut text)?;
+            classes(source, violation, &new, arguments, &mut text)?;
             summary
                 .violations
                 .insert(format!("{violation:?}"), new.len());
@@ -120,7 +120,7 @@ fn classes(
     source: &Source<'_>,
     violation: Violation,
     sequences: &[Sequence],
-    profile: Profile,
+    arguments: &SimArgs,
     text: &mut String,
 ) -> Result<()> {
     let numbered = matches!(source, Source::Numbered(Kind::Single | Kind::Pair));
@@ -129,14 +129,14 @@ fn classes(
         let kinds = match numbered {
             true => sequence.kinds(),
             false if index >= SHRUNK => continue,
-            false => sequence.shrunk(profile, violation).kinds(),
+            false => sequence.shrunk(arguments.profile(), violation).kinds(),
         };
         classes.entry(kinds).or_default().push(sequence.number);
     }
     let mut classes: Vec<_> = classes.into_iter().collect();
     classes.sort_by_key(|(_, numbers)| std::cmp::Reverse(numbers.len()));
     for (kinds, numbers) in classes.iter().take(CLASSES) {
-        let (count, repeats) = (numbers.len(), source.repeats(numbers[0], profile));
+        let (count, repeats) = (numbers.len(), source.repeats(numbers[0], arguments));
         writeln!(text, "  {count:5} {kinds}: {repeats}")?;
     }
     Ok(())

@@ -385,6 +385,7 @@ impl Sequence {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::faults::Row;
 
     #[test]
     fn every_sequence_survives_the_file() {
@@ -397,6 +398,28 @@ mod tests {
             assert_eq!(read.faults, sequence.faults, "{text}");
             assert_eq!(read.span, sequence.span);
             assert_eq!(read.from_power_on, sequence.from_power_on);
+        }
+    }
+
+    /// The bound of a file is that of the groups whose faults it has.
+    #[test]
+    fn a_file_has_a_bound_if_a_table_has_it() {
+        let of = |of: &str, what: &str| format!("[[fault]]\nof = \"{of}\"\nat-ms = 1.0\n{what}\n");
+        let slow = of("a", "what = \"clock\"\namount = -500");
+        let cut = of("both", "what = \"cut\"\nwire = \"link\"");
+        let hang = of("both", "what = \"hang\"\namount = 9");
+        let ms = Duration::from_ms;
+        for (faults, row) in [
+            (of("both", "what = \"power-loss\""), None),
+            (of("a", "what = \"power-loss\""), Some(Row::Power)),
+            (hang, Some(Row::Stall(ms(9)))),
+            (cut.clone(), Some(Row::None)),
+            (slow + &cut, Some(Row::Refused(ms(20)))),
+        ] {
+            let text = format!("mended-at-ms = 100.0\n{faults}");
+            let sequence = Sequence::from_toml(&text, 0).expect("faults");
+            let bound = sequence.bound(&tandem_redundancy::Config::rt());
+            assert_eq!(bound.map(|(row, _)| row), row, "{text}");
         }
     }
 

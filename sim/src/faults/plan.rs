@@ -289,18 +289,20 @@ impl Sequence {
                 let row = row(&self.faults[0]);
                 Some((row, row.bound(config)))
             }
-            Group::Pair => {
-                let rows = self.faults.iter().map(|fault| match fault.kind {
-                    Kind::Clock(permille @ ..=-2) => Row::of_refused_clock(permille),
-                    _ => Row::Mute,
-                });
-                let bounds =
-                    rows.map(|row| (row, row.bound(config).max(containment_bound(config))));
-                bounds.max_by_key(|(_, bound)| *bound)
-            }
+            Group::Pair => self.bound_within_a_system(config),
             Group::Random | Group::Swarm => None,
             Group::File => self.bound_of_a_file(config),
         }
+    }
+
+    /// Of faults that are all within one system.
+    fn bound_within_a_system(&self, config: &Config) -> Option<(Row, Duration)> {
+        let rows = self.faults.iter().map(|fault| match fault.kind {
+            Kind::Clock(permille @ ..=-2) => Row::of_refused_clock(permille),
+            _ => Row::Mute,
+        });
+        let bounds = rows.map(|row| (row, row.bound(config).max(containment_bound(config))));
+        bounds.max_by_key(|(_, bound)| *bound)
     }
 
     /// As of the other groups, if what they presume is so: in dual operation A drives.
@@ -308,7 +310,16 @@ impl Sequence {
         if self.from_power_on || self.faults.iter().any(|it| it.kind == Kind::VehicleSilent) {
             return None;
         }
-        if let [one] = &self.faults[..] {
+        // A fault that hits both systems has a bound only where a row says so.
+        let has_row = |it: &Fault| {
+            it.way != Way::Both
+                || it.kind.is_of_wire()
+                || it.kind.is_of_both()
+                || matches!(it.kind, Kind::Hang(_))
+        };
+        if let [one] = &self.faults[..]
+            && has_row(one)
+        {
             let row = row(one);
             return Some((row, row.bound(config)));
         }
@@ -319,7 +330,7 @@ impl Sequence {
             })
         };
         let contained = SystemId::ALL.into_iter().any(within);
-        contained.then(|| (Row::Mute, containment_bound(config)))
+        contained.then(|| self.bound_within_a_system(config))?
     }
 
     /// Runs it. `told`: whether the cores' events are kept.
