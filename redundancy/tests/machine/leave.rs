@@ -1,8 +1,8 @@
 //! A system leaves, or hands its role over, without a pause of control. T-BOOT-1
 
 use super::{Bench, CONFIG};
-use tandem_board::SystemId;
-use tandem_redundancy::{Input, Mode, PeerReport, Phase, Role};
+use tandem_board::{Duration, SystemId};
+use tandem_redundancy::{Input, Mode, PeerReport, Phase, Role, Term};
 
 /// T-BOOT-1: a standby may leave only while every witness says that the master drives.
 #[test]
@@ -93,6 +93,37 @@ fn a_standby_may_leave_only_a_master_that_drives() {
     }
     let driving = Bench::master();
     assert!(!driving.machine.may_leave(driving.now), "a master");
+}
+
+/// T-BOOT-1: a heartbeat may be as late as its jitter, and so may a control frame; no later.
+#[test]
+fn a_standby_may_leave_while_no_sign_of_the_master_is_late() {
+    let ms = |span: Duration| span.as_us() / 1_000;
+    let beat_ms = ms(CONFIG.heartbeat_period + CONFIG.heartbeat_jitter);
+    let frame_ms = ms(CONFIG.control_period + CONFIG.heartbeat_jitter);
+    for (beat_ms, frame_ms, expected) in [
+        (beat_ms, frame_ms, true),
+        (beat_ms + 1, frame_ms, false),
+        (beat_ms, frame_ms + 1, false),
+    ] {
+        let mut bench = Bench::standby();
+        let term = Term::from_bits(16);
+        for left_ms in (0..20).rev() {
+            bench.snapshot.beats[0] += u32::from(left_ms >= beat_ms);
+            let _ = bench.poll();
+            if left_ms >= frame_ms {
+                let _ = bench.control(term.bits());
+            }
+            let _ = bench.obeyed(term, frame_ms.saturating_sub(left_ms));
+        }
+        let _ = bench.linked(PeerReport {
+            role: Role::Master,
+            mode: Mode::L3,
+            term,
+            can_alive: true,
+        });
+        assert_eq!(bench.machine.may_leave(bench.now), expected);
+    }
 }
 
 /// T-BOOT-1: a master that is asked resigns over the link, for a while, and drives on as before.

@@ -34,6 +34,7 @@ fn a_standby_polls_when_a_limit_ends() {
         let mut actions = bench.on(Input::Poll(bench.snapshot));
         let mut line_silent = None;
         while bench.machine.phase() == Phase::Standby {
+            assert!(actions.deadline() > bench.now);
             bench.now = actions.deadline();
             actions = bench.on(Input::Poll(bench.snapshot));
             if actions.events().any(|it| it == Event::LineSilent(1)) {
@@ -164,5 +165,101 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
         assert_eq!(sound_after, Some(CONFIG.recover_after));
         let expected = reintegrate.then_some(CONFIG.recover_after.times(2));
         assert_eq!(standby_after, expected);
+    }
+}
+
+/// T-RED-2: a handshake shows a standby that has heard no master that the other starts too: then it
+/// leads. First it listens, and neither the other nor the vehicle may say that a system drives.
+#[test]
+fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
+    let limit = CONFIG.witness_limit().as_us() / 1_000;
+    for (after_ms, reports, obeys, expected) in [
+        (1, false, false, Phase::Standby),
+        (limit, false, false, Phase::Standby),
+        (limit + 1, false, false, Phase::Master),
+        (limit + 1, true, false, Phase::Standby),
+        (limit + 1, false, true, Phase::Standby),
+    ] {
+        let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
+        let _ = bench.poll();
+        bench.snapshot.syncs += 1;
+        bench.run_with_beats(after_ms);
+        let (own, term) = (Term::from_bits(17), Term::from_bits(16));
+        if reports {
+            let _ = bench.linked(PeerReport {
+                role: Role::Master,
+                mode: Mode::L3,
+                term,
+                can_alive: true,
+            });
+        }
+        if obeys {
+            let _ = bench.obeyed(own, 0);
+        }
+        bench.snapshot.handshakes += 1;
+        bench.run_with_beats(1);
+        assert_eq!(
+            bench.machine.phase(),
+            expected,
+            "{after_ms} {reports} {obeys}"
+        );
+    }
+}
+
+/// T-RED-8: a master that lives and is not heard is mute when the vehicle says so; without an echo,
+/// when this system hears CAN or the other says that it does not drive. Nothing is early.
+#[test]
+fn a_mute_master_is_relieved_when_its_limit_ends() {
+    let (mute, witness) = (CONFIG.mute_limit(), CONFIG.witness_limit());
+    let no_master = CONFIG.no_master_limit(SystemId::B);
+    for (heard, echo, can, report, limit) in [
+        (true, true, true, None, Some(witness)),
+        (true, false, true, None, Some(mute)),
+        (true, false, true, Some(Role::Master), Some(mute)),
+        (true, false, false, Some(Role::Standby), Some(mute)),
+        (true, false, false, Some(Role::Master), None),
+        (true, false, false, None, None),
+        (false, false, true, None, Some(no_master)),
+    ] {
+        let mut bench = if heard {
+            Bench::standby()
+        } else {
+            let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
+            let _ = bench.poll();
+            bench.snapshot.syncs += 1;
+            let _ = bench.poll();
+            bench
+        };
+        let term = Term::from_bits(16);
+        if heard {
+            let _ = bench.control(term.bits());
+        }
+        let since = bench.now;
+        let mut took = None;
+        for ms in 1..100 {
+            bench.now += CONFIG.poll_interval;
+            if echo {
+                let _ = bench.obeyed(term, ms);
+            }
+            if let Some(role) = report {
+                let mode = Mode::L3;
+                let can_alive = false;
+                let _ = bench.linked(PeerReport {
+                    role,
+                    mode,
+                    term,
+                    can_alive,
+                });
+            }
+            bench.snapshot.beats[0] += 1;
+            bench.snapshot.can_frames += u32::from(can);
+            let _ = bench.on(Input::Poll(bench.snapshot));
+            if bench.machine.phase() != Phase::Standby {
+                took = Some(bench.now.since(since));
+                break;
+            }
+        }
+        let expected = limit.map(|limit| limit + CONFIG.poll_interval);
+        assert_eq!(took, expected, "{heard} {echo} {can} {report:?}");
     }
 }

@@ -207,6 +207,36 @@ fn a_dead_owner_is_replaced_after_any_number_of_incarnations() {
     }
 }
 
+/// An incarnation that attaches takes back its predecessors' waiting bit, and disowns a token that
+/// looks like its own and is not released. The turn and the other waiting bits stay.
+#[test]
+fn an_incarnation_disowns_what_its_predecessors_left_and_no_more() {
+    for first in 1..=16 {
+        for (later, is_released) in [(1, false), (16, false), (16, true), (32, false)] {
+            let bench = Bench::new();
+            let [_, _, mut a] = [1, 2, 0].map(|core| bench.start(core, first));
+            drop(a.try_lock());
+            let held = a.try_lock().unwrap().into_guard().detach();
+            match is_released {
+                true => drop(held),
+                false => core::mem::forget(held),
+            }
+            let others = waiting_bit(1) | waiting_bit(2);
+            let token = bench.token().load(Ordering::Relaxed) | others;
+            bench
+                .token()
+                .store(token | waiting_bit(0), Ordering::Relaxed);
+            bench.start(0, first + later);
+            let expected = match (later, is_released) {
+                (1, _) | (_, true) => token,
+                _ => token & !CORE_MASK | ORPHAN,
+            };
+            let left = bench.token().load(Ordering::Relaxed);
+            assert_eq!(left, expected, "{first} and {later} later, {is_released}");
+        }
+    }
+}
+
 /// T-LOCK-3: an owner killed at any step leaves a lock that the next taker gets.
 #[test]
 fn an_owner_killed_at_every_step_leaves_a_lock_to_be_had() {
@@ -344,6 +374,59 @@ fn waiting_backs_off_and_ends() {
 
 /// The number of turns wraps around; a core whose turn returns to the same number does not hold a
 /// lock that its last release has already released.
+/// T-LOCK-3: a free lock that is another's turn is taken after `PATIENCE` polls, not before. A new
+/// turn, or an owner, begins the count anew.
+#[test]
+fn a_waiting_core_is_patient_in_each_turn() {
+    const AT: u32 = 10;
+    for (new_turn, owner, expected) in [
+        (false, false, PATIENCE),
+        (true, false, AT + PATIENCE),
+        (false, true, AT + 1 + PATIENCE),
+    ] {
+        let bench = Bench::new();
+        let [mut a, _b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        drop(a.try_lock());
+        bench.token().fetch_or(waiting_bit(1), Ordering::Relaxed);
+        assert_eq!(c.lock(PATIENCE, |_| ()).unwrap_err(), TimedOut);
+        let released = &bench.words[released_at(0, 1)];
+        let mut polls = 0;
+        let taken = c.lock(2 * PATIENCE, |_| {
+            polls += 1;
+            if new_turn && polls == AT {
+                bench.token().fetch_add(ONE_TURN, Ordering::Relaxed);
+                released.fetch_add(ONE_TURN, Ordering::Relaxed);
+            }
+            if owner && (AT..=AT + 1).contains(&polls) {
+                let turn = if polls == AT { ONE_TURN } else { !ONE_TURN + 1 };
+                released.fetch_add(turn, Ordering::Relaxed);
+            }
+        });
+        assert!(!taken.unwrap().is_recovered());
+        assert_eq!(polls, expected, "{new_turn} {owner}");
+    }
+}
+
+/// A guard tells how many turns others took while its core waited.
+#[test]
+fn a_guard_counts_the_turns_that_it_waited() {
+    for turns in [0, 1] {
+        let bench = Bench::new();
+        let [mut a, mut b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        let mut held = [a.try_lock().map(|it| it.into_guard().detach()), None];
+        let mut polls = 0;
+        let guard = c.lock(5, |_| {
+            polls += 1;
+            held[0] = None;
+            // B is before C after A.
+            let taken = (polls == 1 && turns == 1).then(|| b.try_lock().unwrap());
+            held[1] = taken.map(|it| it.into_guard().detach());
+        });
+        assert_eq!(guard.unwrap().into_guard().waited_turns(), turns);
+        assert_eq!(polls, 1 + turns);
+    }
+}
+
 #[test]
 fn turns_wrap_around() {
     let bench = Bench::new();
