@@ -207,6 +207,15 @@ mod tests {
         assert_ne!(Layout::EMPTY.hash(), A.hash());
     }
 
+    /// A value of FNV-1a that its authors publish.
+    #[test]
+    fn the_hash_is_fnv_1a() {
+        let hash = b"foobar"
+            .iter()
+            .fold(0x811C_9DC5, |hash, byte| fnv(hash, *byte));
+        assert_eq!(hash, 0xBF9C_F968);
+    }
+
     #[test]
     fn attach_says_what_is_wrong() {
         let words = zeroed(WORDS);

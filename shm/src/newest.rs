@@ -232,9 +232,13 @@ mod tests {
 
     #[test]
     fn readers_get_the_newest_value() {
-        let (_, mut writer, reader) = channel();
-        assert_eq!(reader.view().unwrap_err(), ReadError::Empty);
-        assert_eq!(reader.newest(), None);
+        let (words, mut writer, reader) = channel();
+        for (head, error) in [(7, ReadError::Overrun), (0, ReadError::Empty)] {
+            words[0].store(head, Ordering::Relaxed);
+            assert_eq!(reader.view().unwrap_err(), error);
+            assert_eq!(reader.read(), Err(error));
+            assert_eq!(reader.newest(), None);
+        }
         for k in 0..20 {
             assert_eq!(writer.publish(&[k, k, 0]), Stamp(k));
             assert_eq!(read(&reader), Some((k, [k, k, 0])));

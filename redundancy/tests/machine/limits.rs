@@ -169,21 +169,27 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
 }
 
 /// T-RED-2: a handshake shows a standby that has heard no master that the other starts too: then it
-/// leads. First it listens, and neither the other nor the vehicle may say that a system drives.
+/// leads. First it listens, and neither the other nor the vehicle may say that a system drives. A
+/// master that it has heard has failed.
 #[test]
 fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
     let limit = CONFIG.witness_limit().as_us() / 1_000;
-    for (after_ms, reports, obeys, expected) in [
-        (1, false, false, Phase::Standby),
-        (limit, false, false, Phase::Standby),
-        (limit + 1, false, false, Phase::Master),
-        (limit + 1, true, false, Phase::Standby),
-        (limit + 1, false, true, Phase::Standby),
+    for (known, after_ms, reports, obeys, expected) in [
+        (false, 1, false, false, Phase::Standby),
+        (false, limit, false, false, Phase::Standby),
+        (false, limit + 1, false, false, Phase::Master),
+        (false, limit + 1, true, false, Phase::Standby),
+        (false, limit + 1, false, true, Phase::Standby),
+        (true, limit + 1, false, false, Phase::DegradedMaster),
     ] {
         let mut bench = Bench::new(SystemId::B, SystemState::factory(SystemId::B));
         let _ = bench.poll();
         bench.snapshot.syncs += 1;
-        bench.run_with_beats(after_ms);
+        bench.run_with_beats(1);
+        if known {
+            let _ = bench.control(16);
+        }
+        bench.run_with_beats(after_ms - 1);
         let (own, term) = (Term::from_bits(17), Term::from_bits(16));
         if reports {
             let _ = bench.linked(PeerReport {
@@ -201,7 +207,7 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
         assert_eq!(
             bench.machine.phase(),
             expected,
-            "{after_ms} {reports} {obeys}"
+            "{known} {after_ms} {reports} {obeys}"
         );
     }
 }
@@ -261,5 +267,28 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
         }
         let expected = limit.map(|limit| limit + CONFIG.poll_interval);
         assert_eq!(took, expected, "{heard} {echo} {can} {report:?}");
+    }
+}
+
+/// T-RED-9: an echo counts as a control frame only for a standby that has missed one: a frame is
+/// late by less than its margin.
+#[test]
+fn an_echo_replaces_a_control_frame_that_was_missed() {
+    let ms = |span: Duration| span.as_us() / 1_000;
+    let (margin, witness) = (ms(CONFIG.control_margin), ms(CONFIG.witness_limit()));
+    for age in [0, 2] {
+        for (told_at, counts_from) in [(age + margin, 0), (age + margin + 1, margin + 1)] {
+            let mut bench = Bench::standby();
+            let _ = bench.control(16);
+            let last = bench.now;
+            while bench.machine.phase() == Phase::Standby {
+                let _ = bench.poll();
+                if ms(bench.now.since(last)) == told_at {
+                    let _ = bench.obeyed(Term::from_bits(16), age);
+                }
+            }
+            let took = ms(bench.now.since(last));
+            assert_eq!(took, counts_from + witness + 1, "{age} {told_at}");
+        }
     }
 }
