@@ -213,19 +213,25 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
 }
 
 /// T-RED-8: a master that lives and is not heard is mute when the vehicle says so; without an echo,
-/// when this system hears CAN or the other says that it does not drive. Nothing is early.
+/// when this system hears CAN or the other says that it does not drive. After an outage of CAN the
+/// master has time to be heard again.
 #[test]
 fn a_mute_master_is_relieved_when_its_limit_ends() {
     let (mute, witness) = (CONFIG.mute_limit(), CONFIG.witness_limit());
+    const NEVER: u64 = u64::MAX;
+    let outage = Duration::from_ms(30);
+    let (told, listened) = (CONFIG.control_period + CONFIG.poll_interval, witness);
     let no_master = CONFIG.no_master_limit(SystemId::B);
-    for (heard, echo, can, report, limit) in [
-        (true, true, true, None, Some(witness)),
-        (true, false, true, None, Some(mute)),
-        (true, false, true, Some(Role::Master), Some(mute)),
-        (true, false, false, Some(Role::Standby), Some(mute)),
-        (true, false, false, Some(Role::Master), None),
-        (true, false, false, None, None),
-        (false, false, true, None, Some(no_master)),
+    for (heard, echo, can_from_ms, report, limit) in [
+        (true, true, 0, None, Some(witness)),
+        (true, true, 30, None, Some(outage + told)),
+        (true, false, 30, None, Some(outage + listened)),
+        (true, false, 0, None, Some(mute)),
+        (true, false, 0, Some(Role::Master), Some(mute)),
+        (true, false, NEVER, Some(Role::Standby), Some(mute)),
+        (true, false, NEVER, Some(Role::Master), None),
+        (true, false, NEVER, None, None),
+        (false, false, 0, None, Some(no_master)),
     ] {
         let mut bench = if heard {
             Bench::standby()
@@ -244,7 +250,7 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
         let mut took = None;
         for ms in 1..100 {
             bench.now += CONFIG.poll_interval;
-            if echo {
+            if echo && ms >= can_from_ms {
                 let _ = bench.obeyed(term, ms);
             }
             if let Some(role) = report {
@@ -258,7 +264,7 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
                 });
             }
             bench.snapshot.beats[0] += 1;
-            bench.snapshot.can_frames += u32::from(can);
+            bench.snapshot.can_frames += u32::from(ms >= can_from_ms);
             let _ = bench.on(Input::Poll(bench.snapshot));
             if bench.machine.phase() != Phase::Standby {
                 took = Some(bench.now.since(since));
@@ -266,7 +272,7 @@ fn a_mute_master_is_relieved_when_its_limit_ends() {
             }
         }
         let expected = limit.map(|limit| limit + CONFIG.poll_interval);
-        assert_eq!(took, expected, "{heard} {echo} {can} {report:?}");
+        assert_eq!(took, expected, "{heard} {echo} {can_from_ms} {report:?}");
     }
 }
 
@@ -291,4 +297,22 @@ fn an_echo_replaces_a_control_frame_that_was_missed() {
             assert_eq!(took, counts_from + witness + 1, "{age} {told_at}");
         }
     }
+}
+
+/// T-RED-3: two lines that fall silent beside a master that drives are cut: told once each time.
+#[test]
+fn cut_lines_are_told_once() {
+    let mut bench = Bench::standby();
+    let mut told = Vec::new();
+    for cut in [false, true, false, true] {
+        let mut times = 0;
+        for _ in 0..30 {
+            let _ = bench.control(16);
+            bench.snapshot.beats[0] += u32::from(!cut);
+            let split = |it: &Event| *it == Event::LinesSplit;
+            times += bench.poll().events().filter(split).count();
+        }
+        told.push(times);
+    }
+    assert_eq!(told, [0, 1, 0, 1]);
 }
