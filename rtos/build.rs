@@ -21,6 +21,9 @@ fn main() -> Result<(), Box<dyn Error>> {
     let os = env::var("CARGO_CFG_TARGET_OS")?;
     let arch = env::var("CARGO_CFG_TARGET_ARCH")?;
     let mut build = cc::Build::new();
+    build.include("kernel").include(kernel.join("include"));
+    // The kernel's own code; its warnings are not reported.
+    build.warnings(false).opt_level(2).debug(true);
     match (os.as_str(), arch.as_str()) {
         ("linux", "x86_64" | "aarch64") => host(&mut build),
         ("none", "riscv32") => riscv32(&mut build, &kernel)?,
@@ -29,7 +32,6 @@ fn main() -> Result<(), Box<dyn Error>> {
             return Err(format!("no port for {os} on {arch}, only for {targets}").into());
         }
     }
-    build.include("kernel").include(kernel.join("include"));
     for (name, words) in SIZES {
         build.define(&format!("TANDEM_{name}"), words.to_string().as_str());
     }
@@ -37,8 +39,6 @@ fn main() -> Result<(), Box<dyn Error>> {
         build.file(kernel.join(source));
     }
     build.file("kernel/shim.c");
-    // The kernel's own code; its warnings are not reported.
-    build.warnings(false).opt_level(2).debug(true);
     // The whole archive: the trap handlers in shim.c replace weak ones.
     build.link_lib_modifier("+whole-archive");
     build.try_compile("tandem_freertos")?;
@@ -69,6 +69,9 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
         build.flag(flag);
     }
     for flag in [
+        // Without default flags the level of optimisation is not passed either.
+        "-O2",
+        "-g",
         "-mcmodel=medany",
         "-ffreestanding",
         "-ffunction-sections",
@@ -82,7 +85,22 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
         .include("kernel/riscv32/libc")
         .include("kernel/riscv32");
     build.include(&port).include(chip);
+    message_buffer(build.clone(), kernel)?;
     build.file(port.join("port.c")).file(port.join("portASM.S"));
+    Ok(())
+}
+
+/// FreeRTOS's message buffer between cores, which the firmware's benchmark alone links as a peer. No
+/// task waits at either end: the benchmark rings the doorbell itself.
+fn message_buffer(mut build: cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
+    build.file(kernel.join("stream_buffer.c"));
+    build.define("configUSE_STREAM_BUFFERS", "1");
+    build.define("sbSEND_COMPLETED(x)", "");
+    build.define("sbRECEIVE_COMPLETED(x)", "");
+    build.cargo_metadata(false);
+    build.try_compile("tandem_message_buffer")?;
+    let archive = PathBuf::from(env::var("OUT_DIR")?).join("libtandem_message_buffer.a");
+    println!("cargo::metadata=MESSAGE_BUFFER={}", archive.display());
     Ok(())
 }
 

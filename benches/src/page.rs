@@ -107,8 +107,8 @@ fn about(group: &str) -> About {
     let one_way = "one way, from send to the running handler";
     let (title, measures, note) = match group {
         "spin" => ("Spinning, two CPUs", one_way,
-            "The receiver polls on a CPU of its own. The floor is one cache line that two processes \
-             write in turn."),
+            "The receiver polls on a CPU of its own. The floor is one cache line that two \
+             processes write in turn."),
         "sleep" => ("Sleeping, two CPUs", one_way,
             "The receiver sleeps in the kernel until it is woken, on a CPU of its own. The floor is a \
              futex. What spins a while before it sleeps (adaptive) can be faster than the floor: it \

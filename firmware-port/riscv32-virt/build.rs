@@ -19,6 +19,10 @@ fn main() {
         println!("cargo:rustc-link-arg-bin={name}=-L{folder}");
         println!("cargo:rustc-link-arg-bin={name}=-T{folder}/{script}");
     }
+    // A peer in C, which no other image links.
+    if let Ok(archive) = std::env::var("DEP_TANDEM_FREERTOS_MESSAGE_BUFFER") {
+        println!("cargo:rustc-link-arg-bin=bench={archive}");
+    }
     for file in [
         "link.x",
         "link-slot.x",

@@ -25,7 +25,9 @@
 #define configUSE_TASK_NOTIFICATIONS               1
 #define configTASK_NOTIFICATION_ARRAY_ENTRIES      1
 #define configUSE_EVENT_GROUPS                     0
+#ifndef configUSE_STREAM_BUFFERS
 #define configUSE_STREAM_BUFFERS                   0
+#endif
 #define configUSE_CO_ROUTINES                      0
 #define configENABLE_BACKWARD_COMPATIBILITY        0
 

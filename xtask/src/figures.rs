@@ -57,6 +57,10 @@ const PATHS: &[(&str, &str)] = &[
         "embassy/channel-4-bytes",
         "peer: `embassy_sync::channel` under a spin lock, and the doorbell",
     ),
+    (
+        "freertos/message-buffer-4-bytes",
+        "peer: FreeRTOS's message buffer and the doorbell; it has no fence, and loses its state with a core",
+    ),
     ("lock/free", "lock and unlock"),
     (
         "lock/contended-3",

@@ -23,12 +23,13 @@ const TOLERANCE_PERCENT: u64 = 5;
 const MAILBOX_PER_FLOOR: u64 = 2;
 /// Each way to wake a core has its own floor: what waking costs when nothing is handed over. By the
 /// first part of a path's name.
-const FLOORS: [(&str, &str); 9] = [
+const FLOORS: [(&str, &str); 10] = [
     ("wfi", "wfi/floor"),
     ("doorbell", "doorbell/floor"),
     ("mailbox", "doorbell/floor"),
     ("heapless", "doorbell/floor"),
     ("embassy", "doorbell/floor"),
+    ("freertos", "doorbell/floor"),
     ("channel", "doorbell/floor"),
     ("fifo", "doorbell/floor"),
     ("interrupt", "interrupt/floor"),

@@ -8,7 +8,9 @@
 #![deny(unsafe_code)]
 
 use core::cell::UnsafeCell;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::ffi::c_void;
+use core::ptr::null_mut;
+use core::sync::atomic::{AtomicBool, AtomicPtr, AtomicU32, Ordering};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::channel::Channel;
 use heapless::spsc;
@@ -56,6 +58,7 @@ const MAILBOX: u32 = 3;
 const CONTEND: u32 = 4;
 const SPSC: u32 = 5;
 const CHANNEL: u32 = 6;
+const BUFFER: u32 = 7;
 /// Rounds of the contended lock that may begin, and that each hart has ended.
 static GO: AtomicU32 = AtomicU32::new(0);
 static ENDED: AtomicU32 = AtomicU32::new(0);
@@ -106,6 +109,33 @@ unsafe impl RawMutex for HartMutex {
 }
 
 static EMBASSY: Channel<HartMutex, u32, 4> = Channel::new();
+
+/// Bytes of FreeRTOS's message buffer: room for each message of a run and its length. A message that
+/// begins again at the front takes 4 instructions more.
+const BYTES: usize = 8 * (WARM_UP + ROUNDS + 1) as usize;
+/// The buffer, of the kernel's own sources: its memory, and that of its state.
+static MESSAGES: Handed<([u8; BYTES], [u32; 16])> = Handed(UnsafeCell::new(([0; BYTES], [0; 16])));
+/// What the kernel made of it.
+static BUFFER_AT: AtomicPtr<c_void> = AtomicPtr::new(null_mut());
+/// Its type, as `xStreamBufferGenericCreateStatic` takes it.
+const MESSAGE_BUFFER: i32 = 1;
+
+// SAFETY: stream_buffer.h of the kernel: `size_t` and pointers have 32 bits here, and so have
+// `BaseType_t` and `TickType_t`. One hart may send and one receive.
+#[allow(unsafe_code)]
+unsafe extern "C" {
+    fn xStreamBufferGenericCreateStatic(
+        bytes: usize,
+        trigger: usize,
+        kind: i32,
+        memory: *mut u8,
+        state: *mut u32,
+        sent: *const c_void,
+        received: *const c_void,
+    ) -> *mut c_void;
+    fn xStreamBufferSend(buffer: *mut c_void, data: *const u32, bytes: usize, ticks: u32) -> usize;
+    fn xStreamBufferReceive(buffer: *mut c_void, to: *mut u32, bytes: usize, ticks: u32) -> usize;
+}
 
 fn main(hart: usize) -> ! {
     match hart {
@@ -259,6 +289,23 @@ fn peers(part: impl Fn(u32)) {
             clint::post(1);
         })
     });
+    // SAFETY: as above; the memory has these bytes, and the state no more than the kernel's 9 words.
+    let buffer = unsafe {
+        let (memory, state) = MESSAGES.value();
+        let (memory, state) = (memory.as_mut_ptr(), state.as_mut_ptr());
+        let none = null_mut();
+        xStreamBufferGenericCreateStatic(BYTES, 1, MESSAGE_BUFFER, memory, state, none, none)
+    };
+    BUFFER_AT.store(buffer, Ordering::Release);
+    part(BUFFER);
+    bench("freertos/message-buffer-4-bytes", |number| {
+        reach(|| {
+            // SAFETY: this hart alone sends, 4 bytes from a valid place, without waiting.
+            let sent = unsafe { xStreamBufferSend(buffer, &number, 4, 0) };
+            assert!(sent == 4);
+            clint::post(1);
+        })
+    });
 }
 
 /// Takes the lock, lets the others find it taken, and releases it.
@@ -270,7 +317,7 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first it does nothing but wake, in three ways, then two peers, then the mailbox, then it
+/// Hart 1: first it does nothing but wake, in three ways, then three peers, then the mailbox, then it
 /// contends.
 fn answer() -> ! {
     let (map, own) = memory::attach(1, LAYOUT);
@@ -284,6 +331,7 @@ fn answer() -> ! {
     wake_by_doorbell();
     wake_by_spsc();
     wake_by_embassy();
+    wake_by_message_buffer();
     wake_by_mailbox(&map, own)
 }
 
@@ -329,6 +377,21 @@ fn wake_by_embassy() {
     while PART.load(Ordering::Acquire) == CHANNEL {
         doorbell::wait(None);
         if let Ok(value) = EMBASSY.try_receive() {
+            core::hint::black_box(value);
+            reached();
+        }
+    }
+}
+
+#[inline(never)]
+#[allow(unsafe_code)]
+fn wake_by_message_buffer() {
+    let buffer = BUFFER_AT.load(Ordering::Acquire);
+    while PART.load(Ordering::Acquire) == BUFFER {
+        doorbell::wait(None);
+        let mut value = 0;
+        // SAFETY: this hart alone receives, 4 bytes into a valid place, without waiting.
+        if unsafe { xStreamBufferReceive(buffer, &mut value, 4, 0) } == 4 {
             core::hint::black_box(value);
             reached();
         }
