@@ -2,9 +2,8 @@
 
 use crate::driving::knowledge::Knowledge;
 use crate::driving::types::{ControlStep, Scene, Trajectory};
-use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
-use tandem_board::{Board, CoreId, Instant};
+use tandem_board::{Board, CoreId, Instant, LmuWord};
 use tandem_shm::LINE_WORDS;
 use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::TaskId;
@@ -53,7 +52,7 @@ pub struct ControllerMap<'a> {
     pub map: Map<'a>,
     /// This incarnation, which was announced.
     pub incarnation: Incarnation,
-    alive: &'a [AtomicU32],
+    alive: &'a [LmuWord],
 }
 
 impl<'a> ControllerMap<'a> {

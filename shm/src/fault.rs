@@ -1,6 +1,7 @@
 //! Tests only: atomics that count accesses, so that a test can kill or freeze at each step.
 //!
-//! They wrap the machine's atomics in unit tests, and loom's in loom models.
+//! They wrap the machine's atomics in unit tests and in builds with `--cfg stepped`, and loom's in
+//! loom models.
 #![allow(unreachable_pub, reason = "loom models are outside of the crate")]
 
 use core::cell::RefCell;
@@ -28,7 +29,7 @@ enum Mode {
 std::thread_local! {
     static MODE: RefCell<Mode> = const { RefCell::new(Mode::Free) };
 }
-#[cfg(not(any(loom, miri)))]
+#[cfg(all(test, not(any(loom, miri))))]
 std::thread_local! {
     static SWITCHING: core::cell::Cell<bool> = const { core::cell::Cell::new(false) };
 }
@@ -47,7 +48,7 @@ fn step() -> bool {
     let mode = set_mode(Mode::Free);
     // The only point at which another core of a random schedule runs. This core's mode is on its
     // stack.
-    #[cfg(not(any(loom, miri)))]
+    #[cfg(all(test, not(any(loom, miri))))]
     if SWITCHING.get() && !matches!(mode, Mode::Dead) {
         shuttle::thread::yield_now();
     }
@@ -89,7 +90,7 @@ pub fn kill_at<T>(at: usize, operation: impl FnOnce() -> T) -> Option<T> {
 }
 
 /// Runs a shuttle model: another of its threads may run before each access.
-#[cfg(not(any(loom, miri)))]
+#[cfg(all(test, not(any(loom, miri))))]
 pub fn switch_cores(model: impl FnOnce()) {
     SWITCHING.set(true);
     model();

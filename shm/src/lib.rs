@@ -86,14 +86,14 @@
 #![cfg_attr(not(test), no_std)]
 #![forbid(unsafe_code)]
 
-#[cfg(loom)]
+#[cfg(any(loom, stepped))]
 extern crate std;
 
 pub mod bare;
 pub mod broadcast;
-#[cfg(all(test, not(loom)))]
+#[cfg(all(test, not(any(loom, stepped))))]
 mod fault;
-#[cfg(loom)]
+#[cfg(any(loom, stepped))]
 pub mod fault;
 pub mod fifo;
 pub mod incarnation;

@@ -2,15 +2,15 @@
 
 pub use core::sync::atomic::Ordering;
 
-#[cfg(not(any(loom, test)))]
+#[cfg(not(any(loom, stepped, test)))]
 pub use core::sync::atomic::{AtomicU32, fence};
 
 #[cfg(loom)]
 pub use loom::sync::atomic::fence;
 
-#[cfg(any(loom, test))]
+#[cfg(any(loom, stepped, test))]
 pub use crate::fault::AtomicU32;
-#[cfg(all(test, not(loom)))]
+#[cfg(all(any(stepped, test), not(loom)))]
 pub use core::sync::atomic::fence;
 
 /// Tells the processor (or loom) that this is a spin loop, `rounds` times. Never blocks.

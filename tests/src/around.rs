@@ -2,10 +2,9 @@
 
 use std::cell::Cell;
 use std::rc::Rc;
-use std::sync::atomic::AtomicU32;
 use tandem_board::{
-    Board, Can, CoreId, Duration, Identity, Instant, Link, OutputDiagnosis, Supply, TraceRecord,
-    Wake,
+    Board, Can, CoreId, Duration, Identity, Instant, Link, LmuWord, OutputDiagnosis, Supply,
+    TraceRecord, Wake,
 };
 use tandem_board_sim::SimBoard;
 
@@ -58,7 +57,7 @@ impl<C: Can, L: Link, S: Supply> Board for Around<C, L, S> {
         self.board.now() + self.ahead.get()
     }
 
-    fn lmu(&self) -> &[AtomicU32] {
+    fn lmu(&self) -> &[LmuWord] {
         self.board.lmu()
     }
 

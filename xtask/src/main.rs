@@ -211,6 +211,12 @@ enum Campaign {
         #[arg(long, default_value_t = 20)]
         count: u64,
     },
+    /// Stop a core of a system at each access to shared memory, while it drives and while it starts
+    Stops {
+        /// Stop at each N-th access only
+        #[arg(long, default_value_t = 97)]
+        every: usize,
+    },
     /// Explore every state that two systems reach with this many faults of systems and wires
     States {
         /// How many faults in each sequence
@@ -326,6 +332,11 @@ fn execute() -> Result<()> {
             command.args(targets);
             run(command)
         }
+        Task::Campaign(Campaign::Stops { every }) => {
+            let mut command = one_test(root, "tandem-tests", "stops", "at_each_access");
+            command.env("TANDEM_EVERY", every.to_string());
+            run(with_cfg(root, command, "stepped"))
+        }
         Task::Campaign(Campaign::SimDigest { count }) => sim_digest(root, count),
         Task::Campaign(Campaign::States { faults }) => {
             let name = "every_state_of_bounded_faults_is_safe_and_leads_to_a_driver";
@@ -405,15 +416,17 @@ fn generated(root: &Path, package: &str, test: &str, write: &str, check: bool) -
 }
 
 fn loom(root: &Path) -> Result<()> {
-    let mut command = cargo(
-        root,
-        &["test", "--release", "-p", "tandem-shm", "--test", "loom*"],
-    );
-    // A separate target folder: the flag would rebuild everything in the shared one.
+    let arguments = ["test", "--release", "-p", "tandem-shm", "--test", "loom*"];
+    run(with_cfg(root, cargo(root, &arguments), "loom"))
+}
+
+/// The same in a build with this `--cfg`, in a target folder of its own: the flag would rebuild
+/// everything in the shared one.
+fn with_cfg(root: &Path, mut command: Command, cfg: &str) -> Command {
     command
-        .env("RUSTFLAGS", "--cfg loom")
-        .env("CARGO_TARGET_DIR", target_dir(root).join("loom"));
-    run(command)
+        .env("RUSTFLAGS", format!("--cfg {cfg}"))
+        .env("CARGO_TARGET_DIR", target_dir(root).join(cfg));
+    command
 }
 
 fn miri(root: &Path, quick: bool) -> Result<()> {

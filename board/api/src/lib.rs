@@ -40,7 +40,12 @@ pub use time::{Duration, Instant};
 pub use trace::{SupplyEvent, TraceRecord, Traced};
 pub use vehicle::{Carried, Pass, VehicleBus, VehiclePort};
 
-use core::sync::atomic::AtomicU32;
+/// A word of the LMU: the machine's atomic. In a build with `--cfg stepped` it is one at which a
+/// test can stop a core, before each access.
+#[cfg(not(stepped))]
+pub use core::sync::atomic::AtomicU32 as LmuWord;
+#[cfg(stepped)]
+pub use tandem_shm::sync::AtomicU32 as LmuWord;
 
 /// Why a [`Board::wait`] ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,7 +84,7 @@ pub trait Board {
     /// bytes on. Any context. On the TC297 it has 32 KiB at 0xB000_0000. It is zero at power-on,
     /// and keeps its content over the reset of single cores. Any core may write any word at any
     /// time.
-    fn lmu(&self) -> &[AtomicU32];
+    fn lmu(&self) -> &[LmuWord];
 
     /// Rings the doorbell of another core of this system (the inter-core interrupt), or this core's
     /// own. Any context.

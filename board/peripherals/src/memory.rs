@@ -1,10 +1,10 @@
 //! What can happen to shared memory.
 
-use core::sync::atomic::AtomicU32;
 use core::sync::atomic::Ordering::Relaxed;
+use tandem_board::LmuWord;
 
 /// Overwrites all of these words, as a core out of control does. The words follow from `seed`.
-pub fn scribble(words: &[AtomicU32], seed: u32) {
+pub fn scribble(words: &[LmuWord], seed: u32) {
     let mut word = seed | 1;
     for place in words {
         // Marsaglia's xorshift: the words are arbitrary, but the same each time.

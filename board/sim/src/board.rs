@@ -6,12 +6,12 @@ use crate::event::SystemEventKind;
 use crate::machine::{Attention, Shared};
 use crate::outbox::Output;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::atomic::Ordering;
 use tandem_board::{
     Board, Can, CanErrors, CanFrame, CanId, CoreAddress, CoreId, DataFlash, Duration, Edge,
     FaultSource, FlashError, FlashStatus, Generation, HardwareFault, Identity, Instant, Line,
-    Lines, Link, LinkFull, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp, Supply,
-    SystemId, TraceRecord, Traced, TransmitFull, Wake,
+    Lines, Link, LinkFull, LmuWord, OutputDiagnosis, Received, ResetCause, ResetRequest, RoleLamp,
+    Supply, SystemId, TraceRecord, Traced, TransmitFull, Wake,
 };
 use tandem_peripherals::codec::DATAGRAM_MAX_WORDS;
 use tandem_peripherals::flash;
@@ -244,7 +244,7 @@ impl Board for SimBoard {
         }
     }
 
-    fn lmu(&self) -> &[AtomicU32] {
+    fn lmu(&self) -> &[LmuWord] {
         self.port.shared.lmu(self.port.place)
     }
 

@@ -12,8 +12,8 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use tandem_board::{
-    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, Received,
-    RoleLamp, SystemId, Traced,
+    CanFrame, CoreAddress, CoreId, Duration, Edge, HardwareFaults, Instant, Line, LmuWord,
+    Received, RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::bus::{Confinement, TransmitLimit};
 use tandem_peripherals::supply::{self, Power, Supply};
@@ -224,7 +224,7 @@ const LINE_BYTES: usize = 64;
 /// The machine, shared by the pair and its boards.
 pub(crate) struct Shared {
     pub(crate) config: Config,
-    lmus: Vec<Vec<AtomicU32>>,
+    lmus: Vec<Vec<LmuWord>>,
     pub(crate) glance: Arc<Glance>,
     machine: Mutex<Machine>,
 }
@@ -233,8 +233,8 @@ impl Shared {
     pub(crate) fn new(config: Config) -> Self {
         let lmu = || {
             // One extra line, so that `lmu` can start at a line.
-            (0..LMU_WORDS + LINE_BYTES / size_of::<AtomicU32>())
-                .map(|_| AtomicU32::new(0xDEAD_BEEF))
+            (0..LMU_WORDS + LINE_BYTES / size_of::<LmuWord>())
+                .map(|_| LmuWord::new(0xDEAD_BEEF))
                 .collect()
         };
         let supply = config.supply();
@@ -284,7 +284,7 @@ impl Shared {
         self.config.defect == Some(defect)
     }
 
-    pub(crate) fn lmu(&self, place: CoreAddress) -> &[AtomicU32] {
+    pub(crate) fn lmu(&self, place: CoreAddress) -> &[LmuWord] {
         let system = if self.has(Defect::OneLmu) {
             SystemId::A
         } else {

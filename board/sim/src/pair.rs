@@ -8,10 +8,9 @@ use crate::world::WorldTick;
 use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use std::sync::atomic::AtomicU32;
 use std::sync::{Arc, MutexGuard};
 use tandem_board::{
-    CoreAddress, CoreId, Duration, Generation, Instant, RoleLamp, SystemId, Traced,
+    CoreAddress, CoreId, Duration, Generation, Instant, LmuWord, RoleLamp, SystemId, Traced,
 };
 use tandem_peripherals::codec::Sender;
 use tandem_peripherals::supply::Power;
@@ -300,7 +299,7 @@ impl SimPair {
 
     /// The LMU of a system.
     #[must_use]
-    pub fn lmu(&self, system: SystemId) -> &[AtomicU32] {
+    pub fn lmu(&self, system: SystemId) -> &[LmuWord] {
         self.shared.lmu(CoreAddress {
             system,
             core: CoreId::CONTROL,
