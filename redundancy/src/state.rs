@@ -277,6 +277,20 @@ mod tests {
         assert_eq!(SystemState::decode(&[0; 32]), Err(DecodeError::Invalid));
     }
 
+    /// T-RED-1: a whole record with a bit that this layout does not use is of another layout.
+    #[test]
+    fn a_record_of_another_layout_is_refused() {
+        let good = SystemState::factory(SystemId::A).encode(7);
+        for (byte, bit) in [(0, 1), (8, 8), (8, 0x80), (24, 1), (27, 0x80)] {
+            let mut bytes = good;
+            bytes[byte] ^= bit;
+            let crc = CRC.checksum(&bytes[..28]);
+            bytes[28..].copy_from_slice(&crc.to_le_bytes());
+            let decoded = SystemState::decode(&bytes);
+            assert_eq!(decoded, Err(DecodeError::Invalid), "byte {byte}");
+        }
+    }
+
     #[test]
     fn failure_modes_have_their_own_codes() {
         for mode in FailureMode::ALL {

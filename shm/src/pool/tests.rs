@@ -121,13 +121,14 @@ fn the_words_of_the_dead_are_reclaimed() {
     assert_eq!(successor.open(old).unwrap_err(), HandleError::Stale);
     assert!(other.open(kept).is_ok() && other.open(handed).is_ok());
     // Also without an explicit call, where the words are needed.
-    let _ = bench.start(2, 1).get(48).unwrap();
+    let lent = bench.start(2, 1).get(48).unwrap();
     assert!(
         bench
             .incarnations
             .mark_dead(Incarnation::new(2, 1).unwrap())
     );
-    assert!(other.get(48).is_ok());
+    let taken = other.get(48).unwrap();
+    assert_eq!(taken.stamp, lent.stamp + 1, "at the first attempt");
 }
 
 /// Killed at any step of get, hand over and give back: no word stays lost, and none is given twice.
