@@ -82,8 +82,8 @@ impl Column {
 }
 
 /// The columns of at most this rank that one of these rows fills.
-pub(crate) fn filled(rows: &[&Row], rank: u8) -> Vec<&'static Column> {
-    let fills = |column: &Column, row: &&Row| column.cell(row, format::time).is_some();
+pub(crate) fn filled(rows: &[Row], rank: u8) -> Vec<&'static Column> {
+    let fills = |column: &Column, row: &Row| column.cell(row, format::time).is_some();
     let columns = COLUMNS.iter().filter(|column| column.rank <= rank);
     columns
         .filter(|column| rows.iter().any(|row| fills(column, row)))

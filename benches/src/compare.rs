@@ -81,9 +81,6 @@ pub struct Change {
     pub new_ns: f64,
     /// New over old minus 1: of the ratio to the floor, or of the time where there is no floor.
     pub change: f64,
-    /// Ends of the interval that holds the true change in at least 95 of 100 comparisons; `None`
-    /// for fewer than 6 pairs.
-    pub interval: Option<[f64; 2]>,
     /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
     pub p: f64,
     /// What became of it.
@@ -231,7 +228,6 @@ impl Change {
             old_ns,
             new_ns,
             change: median(differences).unwrap_or(0.0).exp_m1(),
-            interval: interval(differences).map(|ends| ends.map(f64::exp_m1)),
             p: chance(differences),
             verdict: Verdict::NoChange,
         }
@@ -251,24 +247,6 @@ fn chance(differences: &[f64]) -> f64 {
     let measured = mean_of(0) * (1.0 - 1e-12);
     let as_far = (0..choices).filter(|signs| mean_of(*signs) >= measured);
     as_far.count() as f64 / f64::from(choices)
-}
-
-/// An interval for the median by the sign test: between the k-th lowest and the k-th highest.
-fn interval(differences: &[f64]) -> Option<[f64; 2]> {
-    let count = differences.len();
-    let mut sorted = differences.to_vec();
-    sorted.sort_unstable_by(f64::total_cmp);
-    // The probability that fewer than k of the numbers lie below the true median.
-    let (mut below, mut ways, mut k) = (0.0, 1.0, 0);
-    loop {
-        below += ways / 2_f64.powi(count as i32);
-        if 2.0 * below > ALPHA {
-            break;
-        }
-        ways *= (count - k) as f64 / (k + 1) as f64;
-        k += 1;
-    }
-    (k > 0).then(|| [sorted[k - 1], sorted[count - k]])
 }
 
 /// Corrects the p-values for their number, and says what each change is. Medians and 99th
@@ -324,8 +302,8 @@ impl Comparison {
             // Writing to a string cannot fail.
             let _ = writeln!(
                 text,
-                "{head:<34} {:>8} {:>8} {:>9} {:>21}  verdict",
-                "old", "new", "change", "95 % interval"
+                "{head:<34} {:>8} {:>8} {:>9} {:>7}  verdict",
+                "old", "new", "change", "p"
             );
             for case in cases {
                 for (percentile, of) in [("p50", &case.p50), ("p99", &case.p99)] {
@@ -336,16 +314,14 @@ impl Comparison {
                         Verdict::Slower => "SLOWER",
                         Verdict::NoChange => "no change",
                     };
-                    let interval = of.interval.map_or("-".to_owned(), |[low, high]| {
-                        format!("{} .. {}", percent(low), percent(high))
-                    });
                     let _ = writeln!(
                         text,
-                        "  {:<27} {percentile:>4} {:>8} {:>8} {:>9} {interval:>21}  {verdict}",
+                        "  {:<27} {percentile:>4} {:>8} {:>8} {:>9} {:>7}  {verdict}",
                         if percentile == "p50" { name } else { "" },
                         unit.show(of.old_ns),
                         unit.show(of.new_ns),
                         percent(of.change),
+                        format!("{:.3}", of.p),
                     );
                 }
             }
@@ -404,17 +380,12 @@ mod tests {
 
     /// Worked by hand.
     #[test]
-    fn chance_and_interval_are_those_of_the_definitions() {
+    fn chance_is_that_of_the_definition() {
         // Of eight choices of signs only +++ and --- have a mean as far from 0.
         assert_eq!(chance(&[1.0, 2.0, 4.0]), 0.25);
         // |-1 + 2 + 4| = 5 is reached by +++, -++ and their opposites.
         assert_eq!(chance(&[-1.0, 2.0, 4.0]), 0.5);
         assert_eq!(chance(&[0.0; 4]), 1.0);
-        // 2 x P(fewer than 3 of 12 below the median) = 0.039, fewer than 4: 0.146.
-        let twelve: Vec<f64> = (1..=12).rev().map(f64::from).collect();
-        assert_eq!(interval(&twelve), Some([3.0, 10.0]));
-        assert_eq!(interval(&twelve[..6]), Some([7.0, 12.0]));
-        assert_eq!(interval(&twelve[..5]), None);
     }
 
     const CASES: [&str; 4] = [

@@ -1,7 +1,7 @@
 //! The results as one HTML page.
 
 use crate::columns::{self, PAGE};
-use crate::provider::{Headline, Provider, first_of_tandem};
+use crate::provider::{Headline, Provider};
 use crate::result::{Results, Row};
 use maud::{Markup, html};
 use tandem_page::chart::{Axis, Chart, Series};
@@ -14,10 +14,10 @@ pub(crate) fn page(results: &Results) -> String {
         (header(results))
         div class="tiles large" {
             @for (name, rows) in results.groups() {
-                @if let Some(headline) = Headline::of(&rows) { (group_tile(name, headline)) }
+                @if let Some(headline) = Headline::of(rows) { (group_tile(name, headline)) }
             }
         }
-        @for (name, rows) in results.groups() { (group(name, &rows)) }
+        @for (name, rows) in results.groups() { (group(name, rows)) }
         (noise(results))
         (conditions(results))
         (explanations(results))
@@ -80,7 +80,7 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
     }
 }
 
-fn group(name: &str, rows: &[&Row]) -> Markup {
+fn group(name: &str, rows: &[Row]) -> Markup {
     let about = about(name);
     let providers = Provider::ALL
         .into_iter()
@@ -179,8 +179,8 @@ fn time_label(power: f64) -> String {
 }
 
 /// The distributions from the median on; `None` if no case has samples enough for a curve.
-fn curves(rows: &[&Row]) -> Option<Chart> {
-    let first = first_of_tandem(rows);
+fn curves(rows: &[Row]) -> Option<Chart> {
+    let first = Headline::of(rows).map(|headline| &headline.tandem.name[..]);
     let mut series: Vec<(u8, Series)> = rows
         .iter()
         .filter_map(|row| {
@@ -229,9 +229,9 @@ fn curves(rows: &[&Row]) -> Option<Chart> {
 const SHOWN: (f64, f64) = (0.3, 30.0);
 
 /// The table of a group, with the ratios as dots where it has a floor.
-fn table(rows: &[&Row]) -> Markup {
+fn table(rows: &[Row]) -> Markup {
     let columns = columns::filled(rows, PAGE);
-    let first = first_of_tandem(rows);
+    let first = Headline::of(rows).map(|headline| &headline.tandem.name[..]);
     let has_floor = rows.iter().any(|row| row.is_floor());
     html! {
         table.bench {
@@ -290,9 +290,13 @@ fn noise(results: &Results) -> Markup {
     if results.noise.is_empty() {
         return html! {};
     }
-    let rows: Vec<&Row> = results.noise.iter().collect();
     let note = results.noise_in_words();
-    section("The machine's own noise", &html! {}, &note, &table(&rows))
+    section(
+        "The machine's own noise",
+        &html! {},
+        &note,
+        &table(&results.noise),
+    )
 }
 
 fn conditions(results: &Results) -> Markup {

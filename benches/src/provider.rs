@@ -99,14 +99,6 @@ impl Provider {
     }
 }
 
-/// The case that stands for Tandem in a group.
-pub(crate) fn first_of_tandem<'a>(rows: &[&'a Row]) -> Option<&'a str> {
-    let first = rows
-        .iter()
-        .find(|row| Provider::of(row) == Provider::Tandem);
-    first.map(|row| row.name.as_str())
-}
-
 /// The three that a group is summed up by.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Headline<'a> {
@@ -120,24 +112,22 @@ pub(crate) struct Headline<'a> {
 
 impl<'a> Headline<'a> {
     /// Of these rows of one group; `None` if Tandem has none.
-    pub(crate) fn of(rows: &[&'a Row]) -> Option<Self> {
+    pub(crate) fn of(rows: &'a [Row]) -> Option<Self> {
         let tandem = rows
             .iter()
             .find(|row| Provider::of(row) == Provider::Tandem)?;
-        let is_peer = |row: &&&Row| Provider::of(row).is_peer();
+        let is_peer = |row: &&Row| Provider::of(row).is_peer();
         // In `rtos` a case has a floor and a peer of its own: `tick-floor`, `tick-posix-port`.
         let own = format!("{}-", tandem.case());
-        let is_own = |row: &&&Row| row.case().starts_with(&own);
-        let is_floor = |row: &&&Row| Provider::of(row) == Provider::Floor;
+        let is_own = |row: &&Row| row.case().starts_with(&own);
+        let is_floor = |row: &&Row| Provider::of(row) == Provider::Floor;
         let peers = || rows.iter().filter(is_peer);
         let best = peers().min_by(|a, b| a.p50_ns.total_cmp(&b.p50_ns));
         let floor = rows.iter().find(|row| row.is_floor());
         Some(Self {
-            floor: floor
-                .or_else(|| rows.iter().filter(is_floor).find(is_own))
-                .copied(),
+            floor: floor.or_else(|| rows.iter().filter(is_floor).find(is_own)),
             tandem,
-            peer: peers().find(is_own).or(best).copied(),
+            peer: peers().find(is_own).or(best),
         })
     }
 }
@@ -173,7 +163,6 @@ mod tests {
             row("sleep/pipe", 30.0),
             row("sleep/iceoryx2-event", 25.0),
         ];
-        let rows: Vec<&Row> = rows.iter().collect();
         let headline = Headline::of(&rows).unwrap();
         assert_eq!(headline.tandem.name, "sleep/tandem");
         assert_eq!(headline.peer.unwrap().name, "sleep/eventfd");
@@ -188,7 +177,7 @@ mod tests {
             row("rtos/tick-posix-port", 50.0),
             row("rtos/switch-posix-port", 1.0),
         ];
-        let headline = Headline::of(&rows.iter().collect::<Vec<_>>()).unwrap();
+        let headline = Headline::of(&rows).unwrap();
         assert_eq!(headline.floor.unwrap().name, "rtos/tick-floor");
         assert_eq!(headline.peer.unwrap().name, "rtos/tick-posix-port");
     }

@@ -21,7 +21,7 @@ impl Results {
         let mut text = self.heading();
         for (group, rows) in self.groups() {
             text.push('\n');
-            text += &group_table(group, &rows, width);
+            text += &group_table(group, rows, width);
         }
         text.push('\n');
         for skipped in &self.skipped {
@@ -59,9 +59,8 @@ impl Results {
             let _ = writeln!(text, "background load: {load} processes on these CPUs");
         }
         if !self.noise.is_empty() {
-            let rows: Vec<&Row> = self.noise.iter().collect();
             text.push('\n');
-            text += &group_table("noise of the machine itself", &rows, NARROWEST);
+            text += &group_table("noise of the machine itself", &self.noise, NARROWEST);
         }
         text += &self.noise_in_words();
         text += "x: times the floor, the bare mechanism of the same run. And back: both ways.\n";
@@ -89,7 +88,7 @@ impl Results {
     }
 }
 
-fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
+fn group_table(group: &str, rows: &[Row], width: usize) -> String {
     let medians: Vec<f64> = rows.iter().map(|row| row.p50_ns).collect();
     let unit = Unit::of(&medians);
     let head = format!("{group} ({})", unit.name());
@@ -129,7 +128,7 @@ fn group_table(group: &str, rows: &[&Row], width: usize) -> String {
 }
 
 /// Tandem's first case beside the fastest of what one would use instead.
-fn best_peer(rows: &[&Row]) -> Option<String> {
+fn best_peer(rows: &[Row]) -> Option<String> {
     let Headline { tandem, peer, .. } = Headline::of(rows)?;
     let peer = peer?;
     let factor = format::ratio(peer.p50_ns / tandem.p50_ns.max(1e-3));
@@ -157,7 +156,7 @@ fn facts(row: &Row, width: usize) -> String {
 }
 
 /// The columns that these rows fill and that fit.
-fn fitting(rows: &[&Row], width: usize) -> Vec<&'static Column> {
+fn fitting(rows: &[Row], width: usize) -> Vec<&'static Column> {
     let ranks = (0..columns::PAGE).rev();
     let mut choices = ranks.map(|rank| columns::filled(rows, rank));
     let fits = |columns: &Vec<&Column>| columns.len() * WIDTH <= width;

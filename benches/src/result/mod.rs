@@ -167,17 +167,10 @@ impl Results {
         }
     }
 
-    /// The groups in the order of measuring, each with its rows.
-    #[must_use]
-    pub fn groups(&self) -> Vec<(&str, Vec<&Row>)> {
-        let mut groups: Vec<(&str, Vec<&Row>)> = Vec::new();
-        for row in &self.results {
-            match groups.iter_mut().find(|(name, _)| *name == row.group) {
-                Some((_, rows)) => rows.push(row),
-                None => groups.push((&row.group, vec![row])),
-            }
-        }
-        groups
+    /// The groups in the order of measuring, each with its rows, which follow each other.
+    pub(crate) fn groups(&self) -> impl Iterator<Item = (&str, &[Row])> {
+        let groups = self.results.chunk_by(|a, b| a.group == b.group);
+        groups.map(|rows| (&rows[0].group[..], rows))
     }
 }
 
