@@ -90,8 +90,8 @@ fn riscv32(build: &mut cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     Ok(())
 }
 
-/// FreeRTOS's message buffer between cores, which the firmware's benchmark alone links as a peer. No
-/// task waits at either end: the benchmark rings the doorbell itself.
+/// FreeRTOS's message buffer between cores, which the firmware's benchmark alone links as a peer.
+/// No task waits at either end: the benchmark rings the doorbell itself.
 fn message_buffer(mut build: cc::Build, kernel: &Path) -> Result<(), Box<dyn Error>> {
     build.file(kernel.join("stream_buffer.c"));
     build.define("configUSE_STREAM_BUFFERS", "1");

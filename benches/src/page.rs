@@ -110,9 +110,9 @@ fn about(group: &str) -> About {
             "The receiver polls on a CPU of its own. The floor is one cache line that two \
              processes write in turn."),
         "sleep" => ("Sleeping, two CPUs", one_way,
-            "The receiver sleeps in the kernel until it is woken, on a CPU of its own. The floor is a \
-             futex. What spins a while before it sleeps (adaptive) can be faster than the floor: it \
-             never sleeps if the answer comes soon."),
+            "The receiver sleeps in the kernel until it is woken, on a CPU of its own. The floor is \
+             a futex. What spins a while before it sleeps (adaptive) can be faster than the floor: \
+             it never sleeps if the answer comes soon."),
         "one-cpu" => ("Sleeping, one CPU", one_way,
             "Both ends share one CPU, so each message is a change of process. Spinning only keeps the \
              other from running."),

@@ -43,8 +43,8 @@ fn pour(mut send: impl FnMut(u32) -> bool, messages: usize, role: &mut Role<'_>,
     role.end();
 }
 
-/// Receives all messages of the plan, from one source after the other when one has none. It receives
-/// in one place, which the compiler then inlines: a call took as long as a message.
+/// Receives all messages of the plan, from one source after the other when one has none. It
+/// receives in one place, which the compiler then inlines: a call took as long as a message.
 fn drain<R: FnMut() -> Option<u32>, const WAYS: usize>(
     plan: &Plan,
     chunk: usize,

@@ -110,8 +110,8 @@ unsafe impl RawMutex for HartMutex {
 
 static EMBASSY: Channel<HartMutex, u32, 4> = Channel::new();
 
-/// Bytes of FreeRTOS's message buffer: room for each message of a run and its length. A message that
-/// begins again at the front takes 4 instructions more.
+/// Bytes of FreeRTOS's message buffer: room for each message of a run and its length. A message
+/// that begins again at the front takes 4 instructions more.
 const BYTES: usize = 8 * (WARM_UP + ROUNDS + 1) as usize;
 /// The buffer, of the kernel's own sources: its memory, and that of its state.
 static MESSAGES: Handed<([u8; BYTES], [u32; 16])> = Handed(UnsafeCell::new(([0; BYTES], [0; 16])));
@@ -289,7 +289,7 @@ fn peers(part: impl Fn(u32)) {
             clint::post(1);
         })
     });
-    // SAFETY: as above; the memory has these bytes, and the state no more than the kernel's 9 words.
+    // SAFETY: as above; the memory has these bytes, and the kernel's state has 9 words at most.
     let buffer = unsafe {
         let (memory, state) = MESSAGES.value();
         let (memory, state) = (memory.as_mut_ptr(), state.as_mut_ptr());
@@ -317,8 +317,8 @@ fn take(lock: &mut Lock<'_>) {
     ENDED.fetch_add(1, Ordering::Release);
 }
 
-/// Hart 1: first it does nothing but wake, in three ways, then three peers, then the mailbox, then it
-/// contends.
+/// Hart 1: first it does nothing but wake, in three ways, then three peers, then the mailbox, then
+/// it contends.
 fn answer() -> ! {
     let (map, own) = memory::attach(1, LAYOUT);
     trap::on_doorbell(reached);
