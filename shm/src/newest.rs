@@ -245,6 +245,8 @@ mod tests {
         }
         let mut loan = writer.loan();
         loan.words().set(2, 99);
+        let stamp = words[LINE_WORDS].load(Ordering::Relaxed);
+        assert_eq!(stamp, 20 << 1, "value 20 is being written");
         assert_eq!(
             read(&reader),
             Some((19, [19, 19, 0])),

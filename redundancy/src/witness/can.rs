@@ -71,3 +71,29 @@ impl CanWatch {
         core::mem::replace(&mut self.told_silent, silent) != silent
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Traffic begins anew after more than the pause, and counts from its first frame.
+    #[test]
+    fn a_pause_ends_the_traffic() {
+        let at = |ms: u64| Instant::from_ns(ms * 1_000_000);
+        let pause = Duration::from_ms(17);
+        for (gap_ms, since_ms) in [(17, 5), (18, 23)] {
+            let mut can = CanWatch::new(at(0));
+            assert!(!can.is_alive() && !can.is_deaf(at(60), pause));
+            can.update(at(5), 3, pause);
+            can.update(at(5 + gap_ms), 1, pause);
+            assert_eq!(can.alive_for(at(40)), at(40).since(at(since_ms)));
+            let last = 5 + gap_ms;
+            assert!(!can.is_silent(at(last + 17), pause) && can.is_silent(at(last + 18), pause));
+            for (ms, alive) in [(17, true), (18, false)] {
+                can.update(at(last + ms), 0, pause);
+                assert_eq!(can.is_alive(), alive);
+            }
+            assert!(can.is_deaf(at(last + 18), pause));
+        }
+    }
+}

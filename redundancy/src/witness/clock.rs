@@ -164,3 +164,72 @@ impl Clocks {
         (holds && !core::mem::replace(&mut self.is_told, true)).then_some(clock)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    const START_US: u32 = 7_000_000;
+
+    fn at(ms: u32) -> Instant {
+        Instant::from_ns(u64::from(ms) * 1_000_000)
+    }
+
+    /// Of three clocks the one that differs from both others is wrong, and told once. A drift of
+    /// 0.05 % is permitted for ever.
+    #[test]
+    fn the_clock_that_differs_from_both_others_is_wrong() {
+        for (peer, vehicle, expected) in [
+            (0, 0, None),
+            (5, -5, None),
+            (100, 100, Some(Clock::Own)),
+            (-100, -100, Some(Clock::Own)),
+            (100, 0, Some(Clock::Peer)),
+            (-100, 0, Some(Clock::Peer)),
+            (0, 100, Some(Clock::Vehicle)),
+            (0, -100, Some(Clock::Vehicle)),
+        ] {
+            let mut clocks = Clocks::default();
+            // Hundredths of a percent.
+            let us = |ms: u32, drift: i32| (ms * 1_000).wrapping_add_signed(ms as i32 * drift / 10);
+            let mut told = Vec::new();
+            for ms in (0..60_000).step_by(10) {
+                if expected.is_some() && ms > 5_000 {
+                    break;
+                }
+                clocks.on_vehicle(at(ms), (us(ms, vehicle) / 1_000) as u8);
+                let _late = clocks.on_peer(at(ms), START_US + us(ms, peer));
+                told.extend(clocks.judge(at(ms)));
+            }
+            assert_eq!(told, Vec::from_iter(expected), "{peer} {vehicle}");
+        }
+    }
+
+    /// The first windows find the offset: a report that was late at first is no drift.
+    #[test]
+    fn a_late_first_report_is_no_drift() {
+        let mut clocks = Clocks::default();
+        for ms in (0..2_000).step_by(10) {
+            let late_us = if ms == 0 { 30_000 } else { 0 };
+            clocks.on_vehicle(at(ms), ms as u8);
+            let _late = clocks.on_peer(at(ms), START_US + ms * 1_000 - late_us);
+            assert_eq!(clocks.judge(at(ms)), None, "after {ms} ms");
+        }
+    }
+
+    /// After more than a window without a report its clock is compared anew.
+    #[test]
+    fn a_clock_that_paused_is_compared_anew() {
+        const LATE_US: u32 = 50_000;
+        for (pause_ms, expected_us) in [(100, LATE_US), (101, 0)] {
+            let mut clocks = Clocks::default();
+            let mut hear = |ms, late_us| clocks.on_peer(at(ms), START_US + ms * 1_000 - late_us);
+            for ms in (0..=400).step_by(10) {
+                assert_eq!(hear(ms, 0), Duration::ZERO);
+            }
+            let late = hear(400 + pause_ms, LATE_US);
+            assert_eq!(late, Duration::from_us(expected_us.into()), "{pause_ms} ms");
+        }
+    }
+}

@@ -71,6 +71,8 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
             },
         );
         let last_heard = bench.now;
+        let mut told = Vec::new();
+        let silent = |it: &Event| matches!(it, Event::CanSilent(_));
         while bench.machine.mode() != Mode::SafeStop {
             let _ = bench.linked(PeerReport {
                 role: Role::Standby,
@@ -80,7 +82,8 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
             });
             bench.now += CONFIG.poll_interval;
             bench.snapshot.beats[0] += 1;
-            let _ = bench.on(Input::Poll(bench.snapshot));
+            let actions = bench.on(Input::Poll(bench.snapshot));
+            told.extend(actions.events().filter(silent));
         }
         let limit = CONFIG.can_open_limit.times(times);
         assert_eq!(
@@ -88,8 +91,10 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
             limit + CONFIG.poll_interval,
             "{abn_in_a_row} resets"
         );
-        bench.run_with_beats(1);
+        bench.snapshot.beats[0] += 1;
+        told.extend(bench.poll().events().filter(silent));
         assert_eq!(bench.machine.mode(), Mode::DegradedL2);
+        assert_eq!(told, [Event::CanSilent(true), Event::CanSilent(false)]);
     }
 }
 
