@@ -50,8 +50,9 @@ static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
 /// Address of the context that the last handler that was left with signals unblocked returns to.
 /// The handler's variables are below it, and those of the interrupted code above.
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
-/// At its end a handler has fewer bytes than this on the stack below its context.
-const AT_AN_END: usize = 4 << 10;
+/// What is interrupted at the end of a handler has its stack pointer less than this below that
+/// handler's context, bytes.
+static AT_AN_END: AtomicUsize = AtomicUsize::new(0);
 /// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -228,7 +229,7 @@ pub(super) fn interrupt(context: usize, interrupted: usize) {
     }
     tandem_port.masked.store(1, Relaxed);
     let leaving = LEAVING.load(Relaxed);
-    let at_an_end = interrupted <= leaving && leaving - interrupted < AT_AN_END;
+    let at_an_end = interrupted <= leaving && leaving - interrupted < AT_AN_END.load(Relaxed);
     loop {
         compiler_fence(Ordering::SeqCst);
         tandem_port.attention.store(0, Relaxed);
@@ -255,6 +256,18 @@ pub(super) fn interrupt(context: usize, interrupted: usize) {
             interrupts::block(false);
         }
     }
+}
+
+/// Called before the first signal: reads the size of the operating system's frames.
+///
+/// The doorbell's signal and those of both timers may arrive together. The last of them interrupts
+/// the first instruction of the one before it, so two more frames are between it and that end.
+pub(super) fn prepare_frames() {
+    /// Bytes that a handler has on the stack below its frame.
+    const BELOW: usize = 4 << 10;
+    // SAFETY: asks for a number; zero if it is not known.
+    let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
+    AT_AN_END.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
 }
 
 /// As `portYIELD_FROM_ISR`, for the port's own interrupts.
