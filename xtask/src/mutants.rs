@@ -27,7 +27,8 @@ pub(crate) fn run(root: &Path, packages: &[String], every: u32) -> Result<()> {
     if packages.is_empty() {
         packages.extend(PACKAGES);
     }
-    let mut table = String::from("package             caught  timeout  missed  unviable  rate\n");
+    let mut table =
+        String::from("package             caught  timeout  missed  unviable     rate\n");
     let mut poor = Vec::new();
     for package in packages {
         let folder = target_dir(root).join("mutants").join(package);
@@ -54,7 +55,7 @@ pub(crate) fn run(root: &Path, packages: &[String], every: u32) -> Result<()> {
         }
         let rate = noticed as f64 * 100.0 / all.max(1) as f64;
         table += &format!(
-            "{package:<18}{caught:>8}{timeout:>9}{missed:>8}{unviable:>10}{rate:>5.1} %\n"
+            "{package:<18}{caught:>8}{timeout:>9}{missed:>8}{unviable:>10}{rate:>7.1} %\n"
         );
     }
     print!("{table}");
