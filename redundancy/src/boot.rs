@@ -32,14 +32,14 @@ pub(crate) fn check(
     };
     state.total_resets = state.total_resets.saturating_add(1);
 
-    // A power cycle gives one more attempt: the next abnormal reset suspends again.
-    if cause == ResetCause::PowerOn
-        && state.sys_failure
-        && state.failure_mode.power_cycle_may_cure()
-    {
-        state.sys_failure = false;
-        state.abn_in_a_row = config.abnormal_limit;
+    // A power cycle gives one more attempt: the next abnormal reset, or wrong command, suspends
+    // again.
+    if cause == ResetCause::PowerOn {
         state.wrong_in_a_row = state.wrong_in_a_row.min(WRONG_COMMANDS - 1);
+        if state.sys_failure && state.failure_mode.power_cycle_may_cure() {
+            state.sys_failure = false;
+            state.abn_in_a_row = config.abnormal_limit;
+        }
     }
     // 1. Abnormal reset?
     if cause.is_abnormal() {
@@ -173,7 +173,8 @@ mod tests {
             assert_eq!(verdict.fault, fault, "{cause:?} {wrong_in_a_row}");
             let (after, verdict) = boot(PowerOn, after);
             assert_eq!(verdict.fault, None);
-            assert_eq!(after.wrong_in_a_row, if fails { 1 } else { wrong_in_a_row });
+            assert_eq!(after.wrong_in_a_row, 1);
+            assert_eq!(boot(Trap, after).1.fault.is_some(), fails, "one more reset");
         }
     }
 

@@ -89,11 +89,6 @@ impl Deviation {
             longitudinal: command.acceleration - other.acceleration,
         }
     }
-
-    /// Whether it may last for ever.
-    pub(super) fn is_tolerated(&self) -> bool {
-        self.lateral.abs() <= LATERAL.tolerance && self.longitudinal.abs() <= LONGITUDINAL.tolerance
-    }
 }
 
 /// Compares, and decides what follows.

@@ -5,8 +5,8 @@
 //! for instance) shows here within some control periods. An echo may come late: the frames of the
 //! last 0.3 s are remembered, and what is older is not judged.
 
-use super::agreement::Deviation;
 use crate::driving::types::Command;
+use crate::driving::vehicle::WHEELBASE_M;
 use tandem_bus::{Control, GateEcho};
 
 /// Commands that are remembered, by the counter of their frames.
@@ -16,6 +16,13 @@ const WRONG_ECHOES: u8 = 2;
 /// Half a step of the signals, and what rounding adds, rad and m/s².
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
+/// In a stop with a wrong command: how far aside the wheel may be, rad, and the lateral
+/// acceleration that may follow, m/s²; two healthy systems differ by as much.
+const ASIDE: f32 = 5e-3;
+const ASIDE_ACCELERATION: f32 = 0.4;
+/// In such a stop: the least share of the braking that is told, and how much more may come, m/s².
+const LEAST_BRAKING: f32 = 0.5;
+const MORE_BRAKING: f32 = 1.5;
 
 /// The commands that were sent, and what the vehicle said of them.
 #[derive(Clone, Debug)]
@@ -63,8 +70,9 @@ impl ReadBack {
     }
 
     /// The vehicle's word. `term`: in which this system drives. Whether its command is wrong.
-    /// `tolerant_at`: a difference that two systems may have at this speed, m/s, is none.
-    pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, tolerant_at: Option<f32>) -> bool {
+    /// `stops_at`: this system stops the vehicle though its command is wrong; the vehicle's speed,
+    /// m/s. Then a difference is none with which the vehicle stops in its lane.
+    pub(super) fn on_echo(&mut self, term: u32, echo: &GateEcho, stops_at: Option<f32>) -> bool {
         // In a lower term, the vehicle has not yet accepted a frame of this one: what it refuses
         // is all that was sent.
         let in_term = echo.term == term;
@@ -80,14 +88,10 @@ impl ReadBack {
             steering_angle: echo.steering_angle,
             acceleration: echo.acceleration,
         };
-        let is_same = match tolerant_at {
-            Some(speed) => Deviation::of(&sent, &obeyed, speed).is_tolerated(),
-            None => {
-                (sent.steering_angle - obeyed.steering_angle).abs() < STEERING_STEP
-                    && (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP
-            }
-        };
-        let obeyed = !in_term || ago >= self.count || is_same;
+        let is_same = (sent.steering_angle - obeyed.steering_angle).abs() < STEERING_STEP
+            && (sent.acceleration - obeyed.acceleration).abs() < ACCELERATION_STEP;
+        let stops = stops_at.is_some_and(|speed| stops_with(&sent, &obeyed, speed));
+        let obeyed = !in_term || ago >= self.count || is_same || stops;
         let before = core::mem::replace(&mut self.obeyed, echo.obeyed_counter);
         if !obeyed || refuses {
             self.wrong += 1;
@@ -101,6 +105,16 @@ impl ReadBack {
         self.wrong = 0;
         true
     }
+}
+
+/// Whether a vehicle that is told to stop still does in its lane: it obeys another command at this
+/// speed, m/s.
+fn stops_with(told: &Command, obeyed: &Command, speed: f32) -> bool {
+    let aside = (told.steering_angle - obeyed.steering_angle).abs();
+    let brakes = told.acceleration < 0.0
+        && obeyed.acceleration <= LEAST_BRAKING * told.acceleration
+        && obeyed.acceleration >= told.acceleration - MORE_BRAKING;
+    aside <= ASIDE && aside * speed * speed <= ASIDE_ACCELERATION * WHEELBASE_M && brakes
 }
 
 #[cfg(test)]
@@ -138,14 +152,11 @@ mod tests {
         found_at(None, obeyed)
     }
 
-    fn found_at(
-        tolerant_at: Option<f32>,
-        obeyed: impl Fn(u32, GateEcho) -> GateEcho,
-    ) -> Option<u32> {
+    fn found_at(stops_at: Option<f32>, obeyed: impl Fn(u32, GateEcho) -> GateEcho) -> Option<u32> {
         let mut read_back = ReadBack::new();
         (0..400).find(|cycle| {
             read_back.on_sent(*cycle as u8, &control(*cycle));
-            read_back.on_echo(TERM, &obeyed(*cycle, echo(*cycle)), tolerant_at)
+            read_back.on_echo(TERM, &obeyed(*cycle, echo(*cycle)), stops_at)
         })
     }
 
@@ -177,15 +188,29 @@ mod tests {
             ..it
         };
         assert_eq!(found(refused), Some(12));
-        // A system that stops the vehicle because no reset has cured its command.
-        let differs = |_, it: GateEcho| GateEcho {
-            steering_angle: it.steering_angle + 0.001,
-            acceleration: it.acceleration + 0.5,
-            ..it
+        // A system that stops the vehicle because no reset has cured its command, with -1 m/s².
+        let differs = |aside: f32, more: f32| {
+            move |_, it: GateEcho| GateEcho {
+                steering_angle: it.steering_angle + aside,
+                acceleration: it.acceleration + more,
+                ..it
+            }
         };
-        assert_eq!(found(differs), Some(1));
-        assert_eq!(found_at(Some(25.0), differs), None);
-        assert_eq!(found_at(Some(40.0), differs), Some(1));
+        for (aside, more, stops_at, at) in [
+            (0.001, -0.5, None, Some(1)),
+            (0.001, -0.5, Some(25.0), None),
+            (0.001, -0.5, Some(40.0), Some(1)),
+            (0.004, 0.0, Some(10.0), None),
+            (-0.004, 0.0, Some(20.0), Some(1)),
+            // Nearly standing, or the speed is not known.
+            (0.1, 0.0, Some(0.0), Some(1)),
+            (0.0, 0.45, Some(25.0), None),
+            (0.0, 0.55, Some(25.0), Some(1)),
+            (0.0, -1.6, Some(25.0), Some(1)),
+        ] {
+            let found = found_at(stops_at, differs(aside, more));
+            assert_eq!(found, at, "{aside} {more} {stops_at:?}");
+        }
         assert_eq!(found_at(Some(5.0), refused), Some(12));
         let others = |_, it| GateEcho {
             steering_angle: 0.5,

@@ -376,9 +376,8 @@ impl<'b, B: Board> Shared<'b, B> {
         Some(if stops { Mode::SafeStop } else { mode })
     }
 
-    /// The speed at which this system's command may differ a little from what the vehicle obeys,
-    /// m/s: it stops the vehicle because no reset has cured its command.
-    fn tolerant_at(&self) -> Option<f32> {
+    /// The vehicle's speed, m/s, while this system stops it because no reset has cured its command.
+    fn stops_at(&self) -> Option<f32> {
         let stops = self
             .redundancy
             .as_ref()
@@ -442,8 +441,8 @@ impl<'b, B: Board> Shared<'b, B> {
                     });
                 }
                 let term = self.redundancy.as_ref().map(|it| it.term().bits());
-                let tolerant_at = self.tolerant_at();
-                if term.is_some_and(|term| self.read_back.on_echo(term, &echo, tolerant_at)) {
+                let stops_at = self.stops_at();
+                if term.is_some_and(|term| self.read_back.on_echo(term, &echo, stops_at)) {
                     released |= self.on_wrong_command(0);
                 }
                 released

@@ -3,7 +3,7 @@
 use super::{Bench, CONFIG};
 use tandem_board::{Duration, SystemId};
 use tandem_redundancy::{
-    Action, Config, Event, Input, Mode, PeerReport, Phase, Role, SystemState, Term,
+    Action, Config, Event, FailureMode, Input, Mode, PeerReport, Phase, Role, SystemState, Term,
 };
 
 /// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
@@ -320,4 +320,28 @@ fn cut_lines_are_told_once() {
         told.push(times);
     }
     assert_eq!(told, [0, 1, 0, 1]);
+}
+
+/// T-RED-5: an incarnation counts its wrong command once, however often it finds it. A power cycle
+/// leaves one attempt. Good operation takes one off.
+#[test]
+fn wrong_commands_are_counted_by_incarnation_and_fade() {
+    let before = |wrong_in_a_row| SystemState {
+        wrong_in_a_row,
+        ..SystemState::factory(SystemId::A)
+    };
+    for (of_before, then) in [(0, 1), (1, 2), (u8::MAX, 2)] {
+        let mut bench = Bench::new(SystemId::A, before(of_before));
+        for _ in 0..3 {
+            let _ = bench.on(Input::OwnFault(FailureMode::WrongCommand));
+        }
+        let counted = bench.machine.state().wrong_in_a_row;
+        assert_eq!(counted, then, "{of_before}");
+    }
+    let mut bench = Bench::master_from(CONFIG, before(1));
+    let healthy_ms = CONFIG.healthy_after.as_ns() / 1_000_000;
+    bench.run_with_beats(healthy_ms - 1_000);
+    assert_eq!(bench.machine.state().wrong_in_a_row, 1);
+    bench.run_with_beats(2_000);
+    assert_eq!(bench.machine.state().wrong_in_a_row, 0);
 }
