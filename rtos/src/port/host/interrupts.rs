@@ -267,7 +267,7 @@ pub(super) mod tests {
     /// How often a handler left with its signals blocked.
     pub(super) static BLOCKED: AtomicU32 = AtomicU32::new(0);
 
-    /// How often the end of a handler is still interrupted, and by how many ticks with the doorbell.
+    /// How often the end of a handler is still interrupted, and by how many ticks each time.
     static TO_COME: AtomicU32 = AtomicU32::new(0);
     static TICKS: AtomicU32 = AtomicU32::new(0);
     /// The deepest stack pointer of interrupted code.
