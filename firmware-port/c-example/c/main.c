@@ -126,7 +126,7 @@ static void on_die(void *context, uint32_t task, uint32_t count, uint32_t value)
 static void on_lead(void *context, uint32_t task, uint32_t count, uint32_t value)
 {
     tandem_config_t config;
-    tandem_loaded_t loaded = {TANDEM_LOADED_BLANK, {0, 0, 0, 0, 0, 0, 0, 0}};
+    tandem_loaded_t loaded = {TANDEM_LOADED_BLANK, {0}};
     tandem_snapshot_t seen = {0, 0, {0, 0}, 1, 0};
     tandem_actions_t actions;
     uint64_t now = now_ns();
