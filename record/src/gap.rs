@@ -14,6 +14,8 @@ use crate::{RunLog, Takeover, ms_between};
 /// A system that sends no control frame for longer than this does not transmit, ns: one and a half
 /// control periods.
 const SILENT_NS: u64 = 15_000_000;
+/// A stall may have been longer than was seen by this, ns.
+const NOT_SEEN_NS: u64 = 2_000_000;
 /// A refused frame belongs to a takeover if it arrives within this time after it, ns: by then every
 /// frame under way has arrived.
 const AFTER_TAKEOVER_NS: u64 = 1_000_000_000;
@@ -193,7 +195,14 @@ pub fn periods(
                 ended_by,
                 bound_ms,
                 stalled_ms: if is_beyond {
-                    stalled_ms(stalls, from_ns, to_ns)
+                    let patience_ns = match ended_by {
+                        EndedBy::Takeover(_) => {
+                            let limit = bounds.limits.stall_limit();
+                            limit.as_ns().saturating_sub(NOT_SEEN_NS)
+                        }
+                        EndedBy::SameSystem | EndedBy::Nothing => u64::MAX,
+                    };
+                    stalled_ms(stalls, [from_ns, to_ns], patience_ns)
                 } else {
                     0.0
                 },
@@ -202,12 +211,19 @@ pub fn periods(
         .collect()
 }
 
-/// How much of this time something stood still, ms. Overlapping times count once.
-fn stalled_ms(stalls: &[Stall], from_ns: u64, to_ns: u64) -> f64 {
+/// How much of this time something stood still, ms. Overlapping times count once. After a stall of
+/// more than `patience_ns` a standby begins its limits anew, once: then all before its end counts.
+fn stalled_ms(stalls: &[Stall], [from_ns, to_ns]: [u64; 2], patience_ns: u64) -> f64 {
     let within = stalls
         .iter()
         .map(|stall| (stall.from_ns.max(from_ns), stall.to_ns.min(to_ns)));
     let mut within: Vec<(u64, u64)> = within.filter(|(from, to)| from < to).collect();
+    let long = stalls
+        .iter()
+        .filter(|stall| stall.to_ns - stall.from_ns > patience_ns)
+        .map(|stall| stall.to_ns)
+        .filter(|end_ns| (from_ns..to_ns).contains(end_ns));
+    within.extend(long.min().map(|end_ns| (from_ns, end_ns)));
     within.sort_unstable();
     let (mut counted_ns, mut until_ns) = (0, 0);
     for (from, to) in within {
@@ -448,6 +464,22 @@ mod tests {
             stall(Stood::Cpu(0), 0, 20)
         ]));
         assert!(explained(&[stall(cpu, 0, 20), stall(Stood::Bus, 10, 30)]));
+    }
+
+    /// The limits of a standby that was held up count from then on. A master's do not.
+    #[test]
+    fn a_standby_that_was_held_up_has_the_bound_from_then_on() {
+        let cpu = Stood::Cpu(1);
+        for (to, stall, is_explained) in [
+            (B, stall(cpu, 19, 22), true),
+            (B, stall(cpu, 21, 22), false),
+            (B, stall(cpu, 5, 8), false),
+            (A, stall(cpu, 19, 22), false),
+        ] {
+            let log = log(&[(0, A), (10, A), (41, to)], 41);
+            let found = found(&log, &[stall]);
+            assert_eq!(found[0].is_explained(), is_explained, "{to} {stall:?}");
+        }
     }
 
     /// T-CHIP-7, T-RED-9: counted before the vehicle fences off any frame.
