@@ -7,7 +7,7 @@ use tandem_redundancy::{Config, Evidence, Phase};
 use tandem_vehicle::Verdict;
 use tandem_vehicle::mastership::Mastership;
 
-use crate::run_log::{ControlFrame, CoreEvent, Stall};
+use crate::run_log::{ControlFrame, CoreEvent, Stall, Stood};
 use crate::takeover::report_of;
 use crate::{RunLog, Takeover, ms_between};
 
@@ -212,7 +212,8 @@ pub fn periods(
 }
 
 /// How much of this time something stood still, ms. Overlapping times count once. After a stall of
-/// more than `patience_ns` a standby begins its limits anew, once: then all before its end counts.
+/// a CPU of more than `patience_ns` a standby begins its limits anew, once: all before its end
+/// counts then.
 fn stalled_ms(stalls: &[Stall], [from_ns, to_ns]: [u64; 2], patience_ns: u64) -> f64 {
     let within = stalls
         .iter()
@@ -220,6 +221,7 @@ fn stalled_ms(stalls: &[Stall], [from_ns, to_ns]: [u64; 2], patience_ns: u64) ->
     let mut within: Vec<(u64, u64)> = within.filter(|(from, to)| from < to).collect();
     let long = stalls
         .iter()
+        .filter(|stall| matches!(stall.of, Stood::Cpu(_)))
         .filter(|stall| stall.to_ns - stall.from_ns > patience_ns)
         .map(|stall| stall.to_ns)
         .filter(|end_ns| (from_ns..to_ns).contains(end_ns));
@@ -298,7 +300,6 @@ pub fn stale_frames(log: &RunLog, takeovers: &[Takeover]) -> usize {
 mod tests {
     use super::*;
     use crate::log::Sample;
-    use crate::run_log::Stood;
     use crate::takeovers;
     use tandem_bus::Mode;
 
@@ -474,6 +475,7 @@ mod tests {
             (B, stall(cpu, 19, 22), true),
             (B, stall(cpu, 21, 22), false),
             (B, stall(cpu, 5, 8), false),
+            (B, stall(Stood::Bus, 19, 22), false),
             (A, stall(cpu, 19, 22), false),
         ] {
             let log = log(&[(0, A), (10, A), (41, to)], 41);

@@ -25,22 +25,22 @@ const TOLD_TIMES: u8 = 3;
 const PERIOD_S: f32 = 0.01;
 
 /// Limits of one axis of the comparison.
-struct Limits {
+pub(super) struct Limits {
     /// Difference of the accelerations that is tolerated for ever, m/s².
-    tolerance: f32,
+    pub(super) tolerance: f32,
     /// What exceeds it may add up to this, m/s.
     limit: f32,
 }
 
 /// Across: two healthy systems differ by up to 0.47 m/s² for 30 ms, which adds up to 0.001 m/s. A
 /// wheel that is stuck 0.01 rad aside at 25 m/s exceeds the limit after 50 ms.
-const LATERAL: Limits = Limits {
+pub(super) const LATERAL: Limits = Limits {
     tolerance: 0.4,
     limit: 0.1,
 };
 /// Along: two healthy systems may begin to brake hard at different times. Their excess adds up to
 /// 2.0 m/s.
-const LONGITUDINAL: Limits = Limits {
+pub(super) const LONGITUDINAL: Limits = Limits {
     tolerance: 1.5,
     limit: 4.0,
 };
@@ -75,9 +75,9 @@ impl Excess {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Deviation {
     /// Difference of the lateral accelerations that they ask for, m/s².
-    lateral: f32,
+    pub(super) lateral: f32,
     /// Difference of the longitudinal accelerations, m/s².
-    longitudinal: f32,
+    pub(super) longitudinal: f32,
 }
 
 impl Deviation {

@@ -5,8 +5,8 @@
 //! for instance) shows here within some control periods. An echo may come late: the frames of the
 //! last 0.3 s are remembered, and what is older is not judged.
 
+use super::agreement::{Deviation, LATERAL, LONGITUDINAL};
 use crate::driving::types::Command;
-use crate::driving::vehicle::WHEELBASE_M;
 use tandem_bus::{Control, GateEcho};
 
 /// Commands that are remembered, by the counter of their frames.
@@ -16,13 +16,10 @@ const WRONG_ECHOES: u8 = 2;
 /// Half a step of the signals, and what rounding adds, rad and m/s².
 const STEERING_STEP: f32 = 1.5e-5;
 const ACCELERATION_STEP: f32 = 0.75e-3;
-/// In a stop with a wrong command: how far aside the wheel may be, rad, and the lateral
-/// acceleration that may follow, m/s²; two healthy systems differ by as much.
+/// In a stop with a wrong command, beside what two systems may differ by for ever: how far aside
+/// the wheel may be, rad, and the least share of the braking that is told.
 const ASIDE: f32 = 5e-3;
-const ASIDE_ACCELERATION: f32 = 0.4;
-/// In such a stop: the least share of the braking that is told, and how much more may come, m/s².
 const LEAST_BRAKING: f32 = 0.5;
-const MORE_BRAKING: f32 = 1.5;
 
 /// The commands that were sent, and what the vehicle said of them.
 #[derive(Clone, Debug)]
@@ -110,11 +107,13 @@ impl ReadBack {
 /// Whether a vehicle that is told to stop still does in its lane: it obeys another command at this
 /// speed, m/s.
 fn stops_with(told: &Command, obeyed: &Command, speed: f32) -> bool {
-    let aside = (told.steering_angle - obeyed.steering_angle).abs();
+    let deviation = Deviation::of(told, obeyed, speed);
+    let in_lane = (told.steering_angle - obeyed.steering_angle).abs() <= ASIDE
+        && deviation.lateral.abs() <= LATERAL.tolerance;
     let brakes = told.acceleration < 0.0
         && obeyed.acceleration <= LEAST_BRAKING * told.acceleration
-        && obeyed.acceleration >= told.acceleration - MORE_BRAKING;
-    aside <= ASIDE && aside * speed * speed <= ASIDE_ACCELERATION * WHEELBASE_M && brakes
+        && deviation.longitudinal <= LONGITUDINAL.tolerance;
+    in_lane && brakes
 }
 
 #[cfg(test)]

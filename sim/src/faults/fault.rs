@@ -312,17 +312,22 @@ pub struct BusFaults([BusFault; 2]);
 impl BusFaults {
     /// Follows an act: the system whose connection it changes, and the faults that this has now.
     pub fn follow(&mut self, act: Act) -> Option<(SystemId, BusFault)> {
-        let (Act::LostOut(of, _) | Act::LostIn(of, _) | Act::Late(of, _)) = act else {
-            return None;
+        let of = match act {
+            Act::LostOut(of, permille) => {
+                self.0[of.index()].lost_out = permille;
+                of
+            }
+            Act::LostIn(of, permille) => {
+                self.0[of.index()].lost_in = permille;
+                of
+            }
+            Act::Late(of, ms) => {
+                self.0[of.index()].late = Duration::from_ms(ms.into());
+                of
+            }
+            _ => return None,
         };
-        let fault = &mut self.0[of.index()];
-        match act {
-            Act::LostOut(_, permille) => fault.lost_out = permille,
-            Act::LostIn(_, permille) => fault.lost_in = permille,
-            Act::Late(_, ms) => fault.late = Duration::from_ms(ms.into()),
-            _ => {}
-        }
-        Some((of, *fault))
+        Some((of, self.0[of.index()]))
     }
 }
 

@@ -54,8 +54,8 @@ fn resets(drive: &Drive) -> usize {
         .count()
 }
 
-/// Stops this core of A in the `polls`-th poll, before the `access`-th access. Returns whether the
-/// poll has so many.
+/// Stops this core of A in the `polls`-th poll, before the `access`-th access. Returns whether it
+/// stopped: a poll may end with fewer accesses.
 ///
 /// # Panics
 /// If control was lost for longer than the bound, A was not reset, or the systems do not heal.

@@ -52,7 +52,7 @@ static STARTER: AtomicPtr<usize> = AtomicPtr::new(ptr::null_mut());
 static LEAVING: AtomicUsize = AtomicUsize::new(0);
 /// What is interrupted at the end of a handler has its stack pointer less than this below that
 /// handler's context, bytes.
-static AT_AN_END: AtomicUsize = AtomicUsize::new(0);
+static NEAR: AtomicUsize = AtomicUsize::new(0);
 /// Counts the lives of the kernel: objects of an earlier life must not be used.
 static EPOCH: AtomicU32 = AtomicU32::new(1);
 
@@ -229,7 +229,7 @@ pub(super) fn interrupt(context: usize, interrupted: usize) {
     }
     tandem_port.masked.store(1, Relaxed);
     let leaving = LEAVING.load(Relaxed);
-    let at_an_end = interrupted <= leaving && leaving - interrupted < AT_AN_END.load(Relaxed);
+    let at_an_end = interrupted <= leaving && leaving - interrupted < NEAR.load(Relaxed);
     loop {
         compiler_fence(Ordering::SeqCst);
         tandem_port.attention.store(0, Relaxed);
@@ -267,7 +267,7 @@ pub(super) fn prepare_frames() {
     const BELOW: usize = 4 << 10;
     // SAFETY: asks for a number; zero if it is not known.
     let frame = unsafe { libc::getauxval(libc::AT_MINSIGSTKSZ) } as usize;
-    AT_AN_END.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
+    NEAR.store(2 * frame.max(8 << 10) + BELOW, Relaxed);
 }
 
 /// As `portYIELD_FROM_ISR`, for the port's own interrupts.
