@@ -16,32 +16,24 @@ fn said(command: &mut Command) -> Option<String> {
     text.lines().next().map(str::to_owned)
 }
 
-fn git(args: &[&str]) -> Option<String> {
-    said(Command::new("git").args(args))
-}
-
 fn note_build() -> Result<(), env::VarError> {
-    if let Some(log) = git(&["rev-parse", "--git-path", "logs/HEAD"]) {
+    let git = |args: &str| said(Command::new("git").args(args.split(' ')));
+    if let Some(log) = git("rev-parse --git-path logs/HEAD") {
         println!("cargo::rerun-if-changed={log}");
     }
-    let commit = git(&[
-        "describe",
-        "--always",
-        "--dirty",
-        "--exclude=*",
-        "--abbrev=12",
-    ]);
-    let compiler = said(Command::new(env::var("RUSTC")?).arg("--version"));
     let flags = env::var("CARGO_ENCODED_RUSTFLAGS").unwrap_or_default();
-    let flags = format!(
-        "opt-level {}, {} {}",
-        env::var("OPT_LEVEL")?,
-        env::var("TARGET")?,
-        flags.replace('\u{1f}', " ")
-    );
+    let flags = flags.replace('\u{1f}', " ");
+    let (level, target) = (env::var("OPT_LEVEL")?, env::var("TARGET")?);
+    let flags = format!("opt-level {level}, {target} {flags}");
     for (name, value) in [
-        ("COMMIT", commit),
-        ("COMPILER", compiler),
+        (
+            "COMMIT",
+            git("describe --always --dirty --exclude=* --abbrev=12"),
+        ),
+        (
+            "COMPILER",
+            said(Command::new(env::var("RUSTC")?).arg("--version")),
+        ),
         ("FLAGS", Some(flags.trim().to_owned())),
     ] {
         let value = value.unwrap_or_else(|| "unknown".to_owned());

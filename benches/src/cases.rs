@@ -1,11 +1,14 @@
 //! What is measured, by name. The floor comes first in its group.
 
 use crate::harness::{Batch, Plan};
-use crate::peers::{Death, contended_mutex};
+use crate::peers::iceoryx2::Settings;
+use crate::peers::mutex::Death;
+use crate::peers::{iceoryx2, kernel, mutex, polling};
 use crate::tandem::Way::{Channel, Signal};
 use crate::tandem::channels::{broadcast, fifo, in_place};
 use crate::tandem::{lock, sync};
-use crate::{floor, noise, peers, rtos, tandem};
+use crate::{floor, noise, rtos, tandem};
+use clap::ValueEnum as _;
 use std::io;
 use tandem_shm::wait::WaitPolicy::{self, Sleep, Spin, SpinThenSleep};
 
@@ -35,18 +38,9 @@ pub enum Group {
 impl Group {
     /// As it stands in names and on the command line.
     #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Spin => "spin",
-            Self::Sleep => "sleep",
-            Self::OneCpu => "one-cpu",
-            Self::Size => "size",
-            Self::Throughput => "throughput",
-            Self::Lock => "lock",
-            Self::Rate => "rate",
-            Self::Rtos => "rtos",
-            Self::Noise => "noise",
-        }
+    pub fn name(self) -> String {
+        let value = self.to_possible_value();
+        value.map_or(String::new(), |value| value.get_name().to_owned())
     }
 }
 
@@ -114,12 +108,12 @@ const SLEEPERS: &[(&str, &str, Run)] = &[
         |p| sync::<1>(p, ADAPTIVE, Signal)),
     ("tandem-scene", "as the controller sends: channel of 266 words, signal, doorbell, handler",
         |p| sync::<266>(p, Sleep, Channel)),
-    ("eventfd", "eventfd beside shared memory", peers::eventfd),
-    ("iceoryx2-event", "event with default settings", peers::iceoryx2_event),
-    ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", peers::iceoryx2_event_tuned),
-    ("io-uring", "message from ring to ring", peers::io_uring),
-    ("pipe", "two pipes", peers::pipe),
-    ("unix-socket", "a pair of SOCK_SEQPACKET", peers::unix_socket),
+    ("eventfd", "eventfd beside shared memory", kernel::eventfd),
+    ("iceoryx2-event", "event with default settings", iceoryx2::event),
+    ("iceoryx2-event-tuned", "event by iceoryx2's semaphore, one id", iceoryx2::event_tuned),
+    ("io-uring", "message from ring to ring", kernel::io_uring),
+    ("pipe", "two pipes", kernel::pipe),
+    ("unix-socket", "a pair of SOCK_SEQPACKET", kernel::unix_socket),
 ];
 
 #[rustfmt::skip]
@@ -132,14 +126,14 @@ const CASES: &[Cases] = &[
         ("tandem-scene", "the same with the 266 words of a scene, each written and read",
             |p| sync::<266>(p, Spin, Channel)),
         ("iceoryx2-pubsub", "publish-subscribe with default settings, polled",
-            peers::iceoryx2_pubsub),
+            |p| iceoryx2::publish_subscribe(p, Settings::Default, 1)),
         ("iceoryx2-pubsub-tuned", "the same for one subscriber, buffer of 1, no overflow",
-            peers::iceoryx2_pubsub_tuned),
-        ("iceoryx2-blackboard", "an entry of the blackboard, polled", peers::iceoryx2_blackboard),
-        ("iceoryx2-request", "request and response, polled", peers::iceoryx2_request),
-        ("seqlock", "sequence lock, polled", peers::seqlock),
-        ("rtrb", "ring buffer between threads", peers::rtrb),
-        ("triple-buffer", "newest value between threads", peers::triple_buffer),
+            |p| iceoryx2::publish_subscribe(p, Settings::Lean, 1)),
+        ("iceoryx2-blackboard", "an entry of the blackboard, polled", iceoryx2::blackboard),
+        ("iceoryx2-request", "request and response, polled", iceoryx2::request),
+        ("seqlock", "sequence lock, polled", polling::seqlock),
+        ("rtrb", "ring buffer between threads", polling::rtrb),
+        ("triple-buffer", "newest value between threads", polling::triple_buffer),
     ]),
     (Group::Sleep, 250, SLEEPERS),
     (Group::OneCpu, 500, SLEEPERS),
@@ -152,23 +146,23 @@ const CASES: &[Cases] = &[
         ("tandem-1KiB", "the same: as large as a scene of the controller", in_place::<256>),
         ("tandem-4KiB", "the same", in_place::<KIB>),
         ("iceoryx2-4B", "each word written to a lent sample, published, polled, read in place",
-            |p| peers::iceoryx2_size(p, 4)),
-        ("iceoryx2-64B", "the same", |p| peers::iceoryx2_size(p, 64)),
-        ("iceoryx2-1KiB", "the same", |p| peers::iceoryx2_size(p, KIB)),
-        ("iceoryx2-4KiB", "the same", |p| peers::iceoryx2_size(p, 4 * KIB)),
+            |p| iceoryx2::size(p, 4)),
+        ("iceoryx2-64B", "the same", |p| iceoryx2::size(p, 64)),
+        ("iceoryx2-1KiB", "the same", |p| iceoryx2::size(p, KIB)),
+        ("iceoryx2-4KiB", "the same", |p| iceoryx2::size(p, 4 * KIB)),
     ]),
     (Group::Size, 60, &[
         ("tandem-1MiB", "the same", in_place::<{ MIB / 4 }>),
-        ("iceoryx2-1MiB", "the same", |p| peers::iceoryx2_size(p, MIB)),
+        ("iceoryx2-1MiB", "the same", |p| iceoryx2::size(p, MIB)),
     ]),
     (Group::Size, 8, &[
         ("tandem-16MiB", "the same", in_place::<{ 4 * MIB }>),
-        ("iceoryx2-16MiB", "the same", |p| peers::iceoryx2_size(p, 16 * MIB)),
+        ("iceoryx2-16MiB", "the same", |p| iceoryx2::size(p, 16 * MIB)),
     ]),
     (Group::Throughput, 400, &[
         ("floor", "8 bytes each, by full cache lines", floor::full_lines),
         ("fifo-8B", "FIFO between processes", |p| fifo::<2, 512, 1>(p, 4096)),
-        ("rtrb-8B", "ring buffer between threads", peers::rtrb_stream),
+        ("rtrb-8B", "ring buffer between threads", polling::rtrb_stream),
     ]),
     (Group::Throughput, 200, &[
         ("fifo-64B", "FIFO, copied in and out", |p| fifo::<16, 256, 1>(p, 4096)),
@@ -179,14 +173,14 @@ const CASES: &[Cases] = &[
             |p| fifo::<2, 512, 2>(p, 4096)),
     ]),
     (Group::Throughput, 20, &[
-        ("pipe-8B", "one write, one read each", peers::pipe_stream),
-        ("iceoryx2-8B", "publish-subscribe that waits when full", peers::iceoryx2_stream),
+        ("pipe-8B", "one write, one read each", kernel::pipe_stream),
+        ("iceoryx2-8B", "publish-subscribe that waits when full", iceoryx2::stream),
     ]),
     (Group::Lock, 10_000, &[
         ("floor", "CAS and release store", floor::lock),
         ("free", "taken and given back", lock::free),
-        ("pthread", "mutex shared by processes, free", |p| peers::mutex(p, Death::Fatal)),
-        ("pthread-robust", "robust mutex, free", |p| peers::mutex(p, Death::Robust)),
+        ("pthread", "mutex shared by processes, free", |p| mutex::free(p, Death::Fatal)),
+        ("pthread-robust", "robust mutex, free", |p| mutex::free(p, Death::Robust)),
     ]),
     // Microseconds of contention: many of the scheduler's turns.
     (Group::Lock, 40_000, &[
@@ -199,23 +193,23 @@ const CASES: &[Cases] = &[
         ("contended-3", "the same by three processes on two CPUs",
             |p| lock::under_contention(p, 3)),
         ("pthread-contended-2", "from wanting to having it, two CPUs",
-            |p| contended_mutex(p, 2, Death::Fatal)),
+            |p| mutex::under_contention(p, 2, Death::Fatal)),
         ("pthread-contended-3", "the same by three processes on two CPUs",
-            |p| contended_mutex(p, 3, Death::Fatal)),
+            |p| mutex::under_contention(p, 3, Death::Fatal)),
         ("pthread-robust-contended-2", "from wanting to having it, two CPUs",
-            |p| contended_mutex(p, 2, Death::Robust)),
+            |p| mutex::under_contention(p, 2, Death::Robust)),
     ]),
     // Deaths of an owner.
     (Group::Lock, 20, &[
         ("recovery", "from the kill of the owner to the guard", lock::recovery),
         ("pthread-robust-recovery", "from the kill of the owner to the guard",
-            peers::mutex_recovery),
+            mutex::recovery),
     ]),
     (Group::Rate, 400, &[
         ("floor", "futex on a shared word, 10 kHz", floor::futex_at_rate),
         ("tandem", "asleep between messages, 10 kHz", |p| tandem::at_rate(p, Sleep)),
         ("tandem-spin", "spinning, 10 kHz", |p| tandem::at_rate(p, Spin)),
-        ("iceoryx2-event", "event with default settings, 10 kHz", peers::iceoryx2_at_rate),
+        ("iceoryx2-event", "event with default settings, 10 kHz", iceoryx2::event_at_rate),
     ]),
     // Each tick takes a millisecond.
     (Group::Rtos, 100, &[

@@ -77,8 +77,25 @@ impl Column {
 
     /// Whether the figure of this row rests on a handful of samples.
     pub(crate) fn is_chance(&self, row: &Row) -> bool {
-        self.beyond * (row.samples as f64) < FEW
+        is_chance(self.beyond, row)
     }
+}
+
+/// Whether a percentile of this row rests on a handful of samples: this share lies beyond it.
+pub(crate) fn is_chance(beyond: f64, row: &Row) -> bool {
+    beyond * (row.samples as f64) < FEW
+}
+
+/// The further facts of a row in words; in brackets the percentiles with few samples beyond them.
+pub(crate) fn facts(row: &Row) -> impl Iterator<Item = String> {
+    row.facts.iter().map(|(name, value)| {
+        let fact = format::fact(name, *value);
+        let column = COLUMNS
+            .iter()
+            .find(|column| name.ends_with(&format!(" {}, ns", column.head)));
+        let few = column.is_some_and(|column| column.is_chance(row));
+        if few { format!("({fact})") } else { fact }
+    })
 }
 
 /// The columns of at most this rank that one of these rows fills.

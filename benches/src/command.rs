@@ -1,17 +1,18 @@
 //! `tandem bench`: its arguments, and what it writes.
 
 use crate::cases::{self, Case, Group};
-use crate::compare::{self, CompareError, Comparison};
+use crate::compare;
 use crate::load::Load;
 use crate::measure::{self, Measurement};
 use crate::page;
 use crate::result::Results;
-use crate::worker;
+use crate::{table, worker};
+use anyhow::{Context as _, anyhow};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use std::time::Instant;
-use tandem_board_host::{AttachError, IsolationError, UnsupervisedSystem, isolation};
-use tandem_page::output::{OutputError, OutputFile, OutputFolder};
+use tandem_board_host::{UnsupervisedSystem, isolation};
+use tandem_page::output::{OutputFile, OutputFolder};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -98,7 +99,7 @@ pub struct CompareArgs {
     #[arg(long, value_name = "OLD")]
     pub against: PathBuf,
 
-    /// Pairs of runs; fewer than 6 can show no change
+    /// Pairs of runs; fewer than 6 can show no change, nor can fewer than 11 of all groups
     #[arg(long, default_value_t = 12, value_parser = clap::value_parser!(u8).range(2..=16))]
     pub pairs: u8,
 
@@ -115,128 +116,61 @@ pub struct CompareArgs {
     pub groups: Vec<Group>,
 }
 
-/// Why nothing could be measured, shown or compared.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchError {
-    /// No place for the shared memory.
-    #[error(transparent)]
-    Isolation(#[from] IsolationError),
-    /// The system cannot be powered.
-    #[error(transparent)]
-    Board(#[from] AttachError),
-    /// The ends need a CPU each.
-    #[error("the benchmark needs two CPUs, and this process may use {0}")]
-    TooFewCpus(usize),
-    /// The ends cannot be where they were asked to be.
-    #[error("--cpus: name two of the CPUs that this process may use: {0:?}")]
-    Cpus(Vec<usize>),
-    /// SCHED_FIFO was refused.
-    #[error(
-        "--realtime: SCHED_FIFO was refused; raise RLIMIT_RTPRIO (`ulimit -r 80`) or leave it out"
-    )]
-    Realtime,
-    /// The background load cannot be started.
-    #[error("--load: {0}")]
-    Load(std::io::Error),
-    /// An output cannot be written.
-    #[error(transparent)]
-    Output(#[from] OutputError),
-    /// Ctrl-C came before the first figure.
-    #[error("interrupted before anything was measured; nothing was written")]
-    Interrupted,
-    /// Every case failed.
-    #[error("nothing could be measured: {0}")]
-    NothingMeasured(String),
-    /// The results, checked when the outputs were opened, cannot be written now.
-    #[error("measured, but not written: {0}")]
-    NotWritten(OutputError),
-    /// The figures hold what JSON cannot.
-    #[error("the figures cannot be written as JSON: {0}")]
-    Json(#[from] serde_json::Error),
-    /// The programs cannot be compared.
-    #[error(transparent)]
-    Compare(#[from] CompareError),
+/// Why there are no figures, and the exit status for it.
+#[derive(Debug)]
+pub struct Failure {
+    /// 1; or 2 if the command line, an input or the machine did not permit it and nothing was
+    /// started; or 130 after Ctrl-C.
+    pub status: u8,
+    /// What was wrong, and what to do.
+    pub why: anyhow::Error,
 }
 
-impl BenchError {
-    /// Whether the command line, an input or the machine did not permit it, and nothing was
-    /// started.
-    #[must_use]
-    pub const fn is_usage(&self) -> bool {
-        matches!(
-            self,
-            Self::TooFewCpus(_)
-                | Self::Cpus(_)
-                | Self::Realtime
-                | Self::Output(_)
-                | Self::Compare(_)
-        )
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        let why = error.into();
+        Self { status: 1, why }
     }
 }
 
-/// Where results go, checked.
-struct Outputs {
-    json: Option<OutputFile>,
-    html: Option<OutputFile>,
-    hgrm: Option<OutputFolder>,
+fn usage(error: impl Into<anyhow::Error>) -> Failure {
+    let why = error.into();
+    Failure { status: 2, why }
 }
 
-impl Outputs {
-    fn check(args: &BenchArgs) -> Result<Self, OutputError> {
-        let files = [
-            ("--json", args.json.as_deref()),
-            ("--html", args.html.as_deref()),
-        ];
-        let [json, html] = OutputFile::check_all(files)?;
-        let folder = args.hgrm.as_deref();
-        let hgrm = folder
-            .map(|path| OutputFolder::check("--hgrm", path))
-            .transpose()?;
-        Ok(Self { json, html, hgrm })
-    }
+/// What goes to stdout, and what there is to say besides, with the exit status for it.
+pub type Outcome = (String, Option<(String, u8)>);
 
-    fn write(self, results: &Results, all: &[Measurement]) -> Result<(), BenchError> {
-        if let Some(place) = self.json {
-            let text = serde_json::to_string_pretty(results)? + "\n";
-            place.write(&text).map_err(BenchError::NotWritten)?;
-        }
-        if let Some(place) = self.html {
-            let page = page::page(results);
-            place.write(&page).map_err(BenchError::NotWritten)?;
-        }
-        if let Some(folder) = self.hgrm {
-            let measured = all.iter().filter(|one| !one.times.is_empty());
-            let file = |one: &Measurement| {
-                let name = one.case.full_name().replace('/', "-") + ".hgrm";
-                // Picoseconds, shown in nanoseconds.
-                let mut text = tandem_page::hgrm::text(&one.times, 1e-3);
-                if results.interrupted {
-                    text += "#[Interrupted: fewer samples than planned]\n";
-                }
-                (name, text)
-            };
-            let files: Vec<(String, String)> = measured.map(file).collect();
-            folder.fill(&files).map_err(BenchError::NotWritten)?;
-        }
-        Ok(())
-    }
-}
-
-/// Measures, writes what `args` asks for, and returns the results. Ctrl-C ends the measurement
-/// early; what was measured so far is written all the same.
+/// Does what the arguments ask for.
 ///
 /// To be called before the process has threads.
 ///
 /// # Errors
-/// [`BenchError`]; nothing is written then, unless it is [`BenchError::NotWritten`].
-pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
-    let outputs = Outputs::check(args)?;
-    let cpus = ends(&args.cpus)?;
+/// [`Failure`]; nothing is written then, unless it says so.
+pub fn bench(args: &BenchArgs) -> Result<Outcome, Failure> {
+    match &args.command {
+        Some(BenchCommand::Compare(args)) => compare(args),
+        None => run(args),
+    }
+}
+
+/// Measures, and writes what `args` asks for. Ctrl-C ends the measurement early; what was measured
+/// so far is written all the same.
+fn run(args: &BenchArgs) -> Result<Outcome, Failure> {
+    let files = [("--json", &args.json), ("--html", &args.html)];
+    let files = files.map(|(option, path)| (option, path.as_deref()));
+    let [json, html] = OutputFile::check_all(files).map_err(usage)?;
+    let folder = args.hgrm.as_deref();
+    let folder = folder.map(|path| OutputFolder::check("--hgrm", path));
+    let folder = folder.transpose().map_err(usage)?;
+    let cpus = ends(&args.cpus).map_err(usage)?;
     // Before the ends get SCHED_FIFO: the load has none.
     let load = args.load.map(|load| load.start(cpus)).transpose();
-    let load = load.map_err(BenchError::Load)?;
+    let load = load.context("--load")?;
     if args.realtime && !worker::ask_for_realtime() {
-        return Err(BenchError::Realtime);
+        return Err(usage(anyhow!(
+            "--realtime: SCHED_FIFO was refused; raise RLIMIT_RTPRIO (`ulimit -r 80`) or leave it out"
+        )));
     }
     let isolation = isolation::enter()?;
     // Its processes are forked from this one, and use it to their ends.
@@ -251,33 +185,65 @@ pub fn run(args: &BenchArgs) -> Result<Results, BenchError> {
     if results.results.is_empty() && results.noise.is_empty() {
         return Err(nothing(&results));
     }
-    outputs.write(&results, &all)?;
-    Ok(results)
+    const NOT_WRITTEN: &str = "measured, but not written";
+    if let Some(place) = json {
+        let text = serde_json::to_string_pretty(&results)? + "\n";
+        place.write(&text).context(NOT_WRITTEN)?;
+    }
+    if let Some(place) = html {
+        place.write(&page::page(&results)).context(NOT_WRITTEN)?;
+    }
+    if let Some(folder) = folder {
+        let measured = all.iter().filter(|one| !one.times.is_empty());
+        let files: Vec<_> = measured.map(|one| distribution(one, &results)).collect();
+        folder.fill(&files).context(NOT_WRITTEN)?;
+    }
+    let width = terminal_size::terminal_size().map(|(width, _)| usize::from(width.0));
+    let why = "interrupted: these are the figures so far".to_owned();
+    let besides = results.interrupted.then_some((why, 130));
+    Ok((results.table(width.unwrap_or(table::USUAL)), besides))
+}
+
+/// Name and text of the file for HdrHistogram plotters.
+fn distribution(of: &Measurement, results: &Results) -> (String, String) {
+    let name = of.case.full_name().replace('/', "-") + ".hgrm";
+    // Picoseconds, shown in nanoseconds.
+    let mut text = tandem_page::hgrm::text(&of.times, 1e-3);
+    if results.interrupted {
+        text += "#[Interrupted: fewer samples than planned]\n";
+    }
+    (name, text)
 }
 
 /// The CPUs of the near and the far end.
-fn ends(asked: &[usize]) -> Result<[usize; 2], BenchError> {
+fn ends(asked: &[usize]) -> anyhow::Result<[usize; 2]> {
     let usable = core_affinity::get_core_ids().unwrap_or_default();
     let usable: Vec<usize> = usable.iter().map(|cpu| cpu.id).collect();
     match (asked, &usable[..]) {
         ([], [near, far, ..]) => Ok([*near, *far]),
-        ([], _) => Err(BenchError::TooFewCpus(usable.len())),
+        ([], _) => Err(anyhow!(
+            "the benchmark needs two CPUs, and this process may use {}",
+            usable.len()
+        )),
         ([near, far], _) if near != far && asked.iter().all(|cpu| usable.contains(cpu)) => {
             Ok([*near, *far])
         }
-        _ => Err(BenchError::Cpus(usable)),
+        _ => Err(anyhow!(
+            "--cpus: name two of the CPUs that this process may use: {usable:?}"
+        )),
     }
 }
 
-fn nothing(results: &Results) -> BenchError {
+fn nothing(results: &Results) -> Failure {
     if results.interrupted {
-        return BenchError::Interrupted;
+        let why = anyhow!("interrupted before anything was measured; nothing was written");
+        return Failure { status: 130, why };
     }
     let skipped = results.skipped.iter();
     let why: Vec<String> = skipped
         .map(|case| format!("{}: {}", case.name, case.why))
         .collect();
-    BenchError::NothingMeasured(why.join("; "))
+    anyhow!("nothing could be measured: {}", why.join("; ")).into()
 }
 
 fn measure(
@@ -317,33 +283,16 @@ fn progress_bar() -> ProgressBar {
     bar
 }
 
-/// What a comparison came to, and whether its JSON goes to stdout in place of the table.
-pub struct Outcome {
-    /// The comparison.
-    pub comparison: Comparison,
-    /// What goes to stdout.
-    pub shown: String,
-}
-
 /// Measures with the program before the change and with this one in turn, and compares.
-///
-/// # Errors
-/// [`BenchError::Compare`] and [`BenchError::Output`]; nothing is written then.
-pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
-    let to_stdout = args
-        .json
-        .as_ref()
-        .is_some_and(|path| path.as_os_str() == "-");
-    let file = args.json.as_deref().filter(|_| !to_stdout);
-    let place = file
-        .map(|path| OutputFile::check("--json", path))
-        .transpose()?;
-    let this = std::env::current_exe().map_err(|source| CompareError::Start {
-        program: "/proc/self/exe".into(),
-        source,
-    })?;
-    let programs = [&args.against, &this];
-    let groups = args.groups.iter().map(|group| group.name().to_owned());
+fn compare(args: &CompareArgs) -> Result<Outcome, Failure> {
+    let file = args.json.as_deref();
+    let to_stdout = file.is_some_and(|path| path.as_os_str() == "-");
+    let file = file.filter(|_| !to_stdout);
+    let place = file.map(|path| OutputFile::check("--json", path));
+    let place = place.transpose().map_err(usage)?;
+    let this = std::env::current_exe().context("cannot run /proc/self/exe");
+    let programs = [&args.against, &this.map_err(usage)?];
+    let groups = args.groups.iter().map(|group| group.name());
     let options = ["--seconds".to_owned(), args.seconds.to_string()];
     let options: Vec<String> = options.into_iter().chain(groups).collect();
     let bar = progress_bar();
@@ -352,7 +301,7 @@ pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
         bar.set_position((f64::from(pair) / f64::from(args.pairs) * STEPS) as u64);
         bar.set_message(format!("pair {} of {}", pair + 1, args.pairs));
         // Neither build is always the first.
-        let run = |at: usize| compare::figures_of(programs[at], &options);
+        let run = |at: usize| compare::figures_of(programs[at], &options).map_err(usage);
         pairs.push(if pair % 2 == 0 {
             let old = run(0)?;
             [old, run(1)?]
@@ -362,13 +311,15 @@ pub fn compare(args: &CompareArgs) -> Result<Outcome, BenchError> {
         });
     }
     bar.finish_and_clear();
-    let comparison = compare::compare(&pairs).with_cases()?;
+    let comparison = compare::compare(&pairs).map_err(usage)?;
     let json = serde_json::to_string_pretty(&comparison)? + "\n";
     if let Some(place) = place {
-        place.write(&json).map_err(BenchError::NotWritten)?;
+        place.write(&json).context("compared, but not written")?;
     }
+    let slower = comparison.slower.join(", ");
+    let why = format!("slower beyond noise: {slower}");
     let shown = if to_stdout { json } else { comparison.table() };
-    Ok(Outcome { comparison, shown })
+    Ok((shown, (!slower.is_empty()).then_some((why, 1))))
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 //! Both programs measure in pairs of short runs, in changing order. Each run has processes of its
 //! own, whose memory lies elsewhere, so the luck of a run is part of the noise that the test sees.
 //! A pair counts as one number: the logarithm of new over old, of the ratio to the floor of the
-//! same run where the group has a floor, else of the time.
+//! same run where the case has a floor, else of the time.
 //!
 //! If nothing changed, each number is as often above 0 as below. So p is the share of all choices
 //! of their signs for which the mean lies at least as far from 0 as the measured one (R. A. Fisher,
@@ -12,58 +12,28 @@
 //! sequentially rejective multiple test procedure", 1979), and if it is larger than
 //! [`SMALLEST_CHANGE`].
 
+use crate::columns;
 use crate::provider::Provider;
-use crate::result::{Results, Row, SCHEMA};
+use crate::result::{Results, Row, SCHEMA, floor_of};
+use anyhow::{Context as _, ensure};
 use serde::Serialize;
 use std::fmt::Write as _;
-use std::io::{self, Read as _, Seek as _};
-use std::path::{Path, PathBuf};
+use std::io::{BufReader, Seek as _};
+use std::path::Path;
 use std::process::{Command, Stdio};
 use tandem_page::format::{Unit, median};
 
 /// First field of the comparison's JSON.
 const COMPARE_SCHEMA: &str = "tandem-bench-compare/2";
 /// How often comparisons of equal builds may show a change.
-pub const ALPHA: f64 = 0.05;
+pub(crate) const ALPHA: f64 = 0.05;
 /// Less than this is not worth acting on, however sure it is.
-pub const SMALLEST_CHANGE: f64 = 0.02;
-
-/// Why two builds cannot be compared.
-#[derive(Debug, thiserror::Error)]
-pub enum CompareError {
-    /// The program does not start.
-    #[error("cannot run {program}: {source}")]
-    Start {
-        /// The program.
-        program: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-    /// The program ends with an error.
-    #[error("`{program} bench` failed: {said}")]
-    Failed {
-        /// The program.
-        program: PathBuf,
-        /// The end of what it wrote to stderr.
-        said: String,
-    },
-    /// The program writes other figures than `tandem bench --json`.
-    #[error("{program} is no `tandem` that can be compared: {why}")]
-    Foreign {
-        /// The program.
-        program: PathBuf,
-        /// What is wrong with its figures.
-        why: String,
-    },
-    /// Each case is missing from a run, so nothing is known.
-    #[error("no case was measured in all runs: the machine was too busy, or the builds share none")]
-    NothingInAllRuns,
-}
+pub(crate) const SMALLEST_CHANGE: f64 = 0.02;
 
 /// What became of a figure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
-pub enum Verdict {
+pub(crate) enum Verdict {
     /// It takes less time.
     Faster,
     /// It takes more time.
@@ -74,143 +44,140 @@ pub enum Verdict {
 
 /// One percentile of one case in both builds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Change {
+pub(crate) struct Change {
     /// Median of the old build's runs, ns.
-    pub old_ns: f64,
+    pub(crate) old_ns: f64,
     /// Median of the new build's runs, ns.
-    pub new_ns: f64,
+    pub(crate) new_ns: f64,
     /// New over old minus 1: of the ratio to the floor, or of the time where there is no floor.
-    pub change: f64,
+    pub(crate) change: f64,
     /// Probability of so large a difference by chance, after Holm's correction; 1 for a floor.
-    pub p: f64,
+    pub(crate) p: f64,
     /// What became of it.
-    pub verdict: Verdict,
+    pub(crate) verdict: Verdict,
 }
 
 /// One case in both builds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Compared {
+pub(crate) struct Compared {
     /// Group and case.
-    pub name: String,
+    pub(crate) name: String,
     /// Shown for the machine's sake, without a verdict.
-    pub is_floor: bool,
+    pub(crate) is_floor: bool,
     /// Not Tandem's: its verdict does not count.
-    pub is_peer: bool,
+    pub(crate) is_peer: bool,
     /// Median.
-    pub p50: Change,
+    pub(crate) p50: Change,
     /// 99th percentile.
-    pub p99: Change,
-}
-
-impl Compared {
-    fn has(&self, verdict: Verdict) -> bool {
-        self.p50.verdict == verdict || self.p99.verdict == verdict
-    }
+    pub(crate) p99: Change,
+    /// The 99th percentile of a run rests on a handful of samples.
+    #[serde(skip)]
+    p99_is_chance: bool,
 }
 
 /// Two builds side by side.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Comparison {
+pub(crate) struct Comparison {
     /// `tandem-bench-compare/2`.
-    pub schema: &'static str,
+    pub(crate) schema: &'static str,
     /// Pairs of runs.
-    pub pairs: usize,
+    pub(crate) pairs: usize,
     /// Cases of Tandem that are slower in the new build.
-    pub slower: Vec<String>,
+    pub(crate) slower: Vec<String>,
     /// Cases of Tandem that are faster in the new build.
-    pub faster: Vec<String>,
+    pub(crate) faster: Vec<String>,
     /// Peers that are slower or faster, although their code is the same.
-    pub peers_changed: Vec<String>,
+    pub(crate) peers_changed: Vec<String>,
     /// The cases that all runs have.
-    pub cases: Vec<Compared>,
+    pub(crate) cases: Vec<Compared>,
 }
 
 /// Runs `program bench` with these arguments and returns its figures.
-pub(crate) fn figures_of(program: &Path, args: &[String]) -> Result<Results, CompareError> {
-    let cannot_start = |source| CompareError::Start {
-        program: program.to_owned(),
-        source,
-    };
+pub(crate) fn figures_of(program: &Path, args: &[String]) -> anyhow::Result<Results> {
+    let name = program.display();
+    let foreign = || format!("{name} is no `tandem` that can be compared");
     // The file has no name, so nothing is left of it, whatever ends this process.
-    let mut file = tempfile::tempfile().map_err(cannot_start)?;
+    let mut file = tempfile::tempfile()?;
     let mut command = Command::new(program);
     command.args(["bench", "--json", "/dev/stdin"]).args(args);
-    command.stdin(file.try_clone().map(Stdio::from).map_err(cannot_start)?);
-    let output = command.stdout(Stdio::null()).output();
-    let output = output.map_err(cannot_start)?;
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        return Err(CompareError::Failed {
-            program: program.to_owned(),
-            said: said.trim().to_owned(),
-        });
-    }
-    let mut text = String::new();
-    let read = file.rewind().and_then(|()| file.read_to_string(&mut text));
-    let results: Result<Results, String> = read
-        .map_err(|error| error.to_string())
-        .and_then(|_| serde_json::from_str(&text).map_err(|error| error.to_string()));
-    let why = match results {
-        Ok(results) if results.schema == SCHEMA => return Ok(results),
-        Ok(results) => format!("its schema is {:?}, not {SCHEMA:?}", results.schema),
-        Err(why) => why,
-    };
-    Err(CompareError::Foreign {
-        program: program.to_owned(),
-        why,
-    })
+    let command = command.stdin(file.try_clone()?).stdout(Stdio::null());
+    let output = command.output();
+    let output = output.with_context(|| format!("cannot run {name}"))?;
+    let said = String::from_utf8_lossy(&output.stderr);
+    let success = output.status.success();
+    ensure!(success, "`{name} bench` failed: {}", said.trim());
+    file.rewind()?;
+    let results: Results = serde_json::from_reader(BufReader::new(file)).with_context(foreign)?;
+    let schema = &results.schema;
+    let is_known = schema == SCHEMA;
+    ensure!(
+        is_known,
+        "{}: its schema is {schema:?}, not {SCHEMA:?}",
+        foreign()
+    );
+    Ok(results)
 }
 
 /// Compares pairs of runs, the old build's first in each.
-pub(crate) fn compare(pairs: &[[Results; 2]]) -> Comparison {
+///
+/// # Errors
+/// If no case is in all runs: then nothing is known to be slower.
+pub(crate) fn compare(pairs: &[[Results; 2]]) -> anyhow::Result<Comparison> {
     let first = pairs.first().map_or(&[][..], |pair| &pair[0].results[..]);
     let mut cases: Vec<Compared> = first.iter().filter_map(|row| case(row, pairs)).collect();
+    ensure!(
+        !cases.is_empty(),
+        "no case was measured in all runs: the machine was too busy, or the builds share none"
+    );
     judge(&mut cases);
     let names = |are_peers, verdicts: &[Verdict]| {
-        let has = |case: &&Compared| verdicts.iter().any(|of| case.has(*of));
-        let those = cases
-            .iter()
-            .filter(|case| case.is_peer == are_peers)
-            .filter(has);
+        let has = |case: &&Compared| {
+            let found = [case.p50.verdict, case.p99.verdict];
+            case.is_peer == are_peers && found.iter().any(|of| verdicts.contains(of))
+        };
+        let those = cases.iter().filter(has);
         those.map(|case| case.name.clone()).collect()
     };
-    Comparison {
+    Ok(Comparison {
         schema: COMPARE_SCHEMA,
         pairs: pairs.len(),
         slower: names(false, &[Verdict::Slower]),
         faster: names(false, &[Verdict::Faster]),
         peers_changed: names(true, &[Verdict::Slower, Verdict::Faster]),
         cases,
-    }
+    })
 }
 
 /// One case, with p-values that are not yet corrected, and no verdict; `None` if a run has it not.
 fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
     let is_floor = Provider::of(row) == Provider::Floor;
-    let floor = format!("{}/floor", row.group);
+    let floor = floor_of(&pairs[0][0].results, &row.name, |row| row.name.clone());
+    let floor = floor.map_or("", |floor| &floor.name);
     let find = |run: &Results, name: &str, of: fn(&Row) -> f64| {
         let row = run.results.iter().find(|row| row.name == name)?;
         // A time of 0 counts as a picosecond.
         Some(of(row).max(1e-3))
     };
     let change = |of: fn(&Row) -> f64| {
-        let mut times = [vec![], vec![]];
-        let mut differences = vec![];
-        for pair in pairs {
-            let [old, new] = [
-                find(&pair[0], &row.name, of)?,
-                find(&pair[1], &row.name, of)?,
-            ];
-            let floors = [0, 1].map(|at| find(&pair[at], &floor, of));
-            let machine = match floors {
-                [Some(old), Some(new)] if !is_floor => new / old,
+        let (mut times, mut differences) = ([vec![], vec![]], vec![]);
+        for [old, new] in pairs {
+            let [before, after] = [find(old, &row.name, of)?, find(new, &row.name, of)?];
+            let machine = match (find(old, floor, of), find(new, floor, of)) {
+                (Some(old), Some(new)) if !is_floor => new / old,
                 _ => 1.0,
             };
-            times[0].push(old);
-            times[1].push(new);
-            differences.push((new / old / machine).ln());
+            times[0].push(before);
+            times[1].push(after);
+            differences.push((after / before / machine).ln());
         }
-        Some(Change::of(times, &differences))
+        let [old_ns, new_ns] = times.map(|of| median(&of).unwrap_or(0.0));
+        Some(Change {
+            old_ns,
+            new_ns,
+            change: median(&differences).unwrap_or(0.0).exp_m1(),
+            p: chance(&differences),
+            verdict: Verdict::NoChange,
+        })
     };
     Some(Compared {
         name: row.name.clone(),
@@ -218,20 +185,8 @@ fn case(row: &Row, pairs: &[[Results; 2]]) -> Option<Compared> {
         is_peer: Provider::of(row).is_peer(),
         p50: change(|row| row.p50_ns)?,
         p99: change(|row| row.p99_ns)?,
+        p99_is_chance: columns::is_chance(0.01, row),
     })
-}
-
-impl Change {
-    fn of(times: [Vec<f64>; 2], differences: &[f64]) -> Self {
-        let [old_ns, new_ns] = times.map(|of| median(&of).unwrap_or(0.0));
-        Self {
-            old_ns,
-            new_ns,
-            change: median(differences).unwrap_or(0.0).exp_m1(),
-            p: chance(differences),
-            verdict: Verdict::NoChange,
-        }
-    }
 }
 
 /// The share of all choices of signs whose mean lies at least as far from 0 as that of
@@ -279,18 +234,6 @@ fn judge(cases: &mut [Compared]) {
 }
 
 impl Comparison {
-    /// The comparison, if it has compared something: one without a case has found nothing slower.
-    ///
-    /// # Errors
-    /// [`CompareError::NothingInAllRuns`]
-    pub(crate) fn with_cases(self) -> Result<Self, CompareError> {
-        if self.cases.is_empty() {
-            Err(CompareError::NothingInAllRuns)
-        } else {
-            Ok(self)
-        }
-    }
-
     /// The table for the terminal, 100 columns wide, and what it comes to.
     pub(crate) fn table(&self) -> String {
         let group = |case: &Compared| case.name.split('/').next().unwrap_or("").to_owned();
@@ -314,12 +257,16 @@ impl Comparison {
                         Verdict::Slower => "SLOWER",
                         Verdict::NoChange => "no change",
                     };
+                    let show = |ns| match unit.show(ns) {
+                        ns if percentile == "p99" && case.p99_is_chance => format!("({ns})"),
+                        ns => ns,
+                    };
                     let _ = writeln!(
                         text,
                         "  {:<27} {percentile:>4} {:>8} {:>8} {:>9} {:>7}  {verdict}",
                         if percentile == "p50" { name } else { "" },
-                        unit.show(of.old_ns),
-                        unit.show(of.new_ns),
+                        show(of.old_ns),
+                        show(of.new_ns),
                         percent(of.change),
                         format!("{:.3}", of.p),
                     );
@@ -341,8 +288,9 @@ impl Comparison {
         }
         let _ = writeln!(
             text,
-            "{} pairs of runs. A change is that of the ratio to the floor. It counts if p <= {ALPHA} \
-             after Holm's\ncorrection and if it exceeds {:.0} %.",
+            "(in brackets): fewer than ten samples of a run lie beyond it.\n{} pairs of runs. A change \
+             is that of the ratio to the floor. It counts if p <= {ALPHA}\nafter Holm's correction \
+             and if it exceeds {:.0} %.",
             self.pairs,
             SMALLEST_CHANGE * 100.0
         );
@@ -371,10 +319,10 @@ mod tests {
     fn a_comparison_without_a_case_is_an_error() {
         let run = |name: &str| results(vec![row(name, 100.0)]);
         let common = [[run("spin/floor"), run("spin/floor")]];
-        assert!(compare(&common).with_cases().is_ok());
+        assert!(compare(&common).is_ok());
         // Each case is missing from one of the runs.
         let none = [[run("spin/floor"), run("spin/tandem")]];
-        let error = compare(&none).with_cases().unwrap_err();
+        let error = compare(&none).unwrap_err();
         assert!(error.to_string().contains("in all runs"), "{error}");
     }
 
@@ -417,7 +365,7 @@ mod tests {
         let mut random = ChaCha8Rng::seed_from_u64(7);
         let comparisons = 400;
         let errors = (0..comparisons).filter(|_| {
-            let found = compare(&pairs(&mut random, 8, 1.0));
+            let found = compare(&pairs(&mut random, 8, 1.0)).unwrap();
             // Medians and 99th percentiles are the same here: one family.
             !found.slower.is_empty() || !found.faster.is_empty()
         });
@@ -429,7 +377,7 @@ mod tests {
     #[test]
     fn a_tenth_more_is_found_and_what_is_not_ours_does_not_count() {
         let mut random = ChaCha8Rng::seed_from_u64(8);
-        let found = compare(&pairs(&mut random, 12, 1.1));
+        let found = compare(&pairs(&mut random, 12, 1.1)).unwrap();
         assert_eq!(found.slower, ["spin/tandem", "spin/tandem-channel"]);
         assert!(found.faster.is_empty() && found.peers_changed.is_empty());
         assert!((0.03..0.2).contains(&found.cases[1].p50.change));
@@ -440,18 +388,28 @@ mod tests {
             table.contains("SLOWER") && table.contains("slower: spin/tandem, "),
             "{table}"
         );
-        let faster = compare(&pairs(&mut random, 12, 0.8));
+        let faster = compare(&pairs(&mut random, 12, 0.8)).unwrap();
         assert_eq!(faster.faster, ["spin/tandem", "spin/tandem-channel"]);
     }
 
     #[test]
     fn a_sure_change_of_a_hundredth_is_no_change() {
         let run = |ns| results(vec![row("lock/free", ns)]);
-        let found = compare(&vec![[run(100.0), run(101.0)]; 10]);
+        let found = compare(&vec![[run(100.0), run(101.0)]; 10]).unwrap();
         assert!(found.cases[0].p50.p < 0.01);
-        assert!(found.slower.is_empty());
-        let missing = compare(&[[run(100.0), results(vec![])]]);
-        assert!(missing.cases.is_empty());
+        assert!(found.slower.is_empty() && !found.table().contains("(100"));
+        let mut few = run(100.0);
+        few.results[0].samples = 500;
+        let table = compare(&[[few, run(100.0)]]).unwrap().table();
+        assert_eq!(table.matches("(185)").count(), 2, "{table}");
+    }
+
+    /// The tick has a floor of its own: where both take twice as long, the machine does.
+    #[test]
+    fn a_case_is_compared_beside_the_floor_of_its_own() {
+        let run = |ns| results(vec![row("rtos/tick-floor", ns), row("rtos/tick", ns)]);
+        let found = compare(&vec![[run(100.0), run(200.0)]; 10]).unwrap();
+        assert!(found.slower.is_empty(), "{:?}", found.cases);
     }
 
     #[test]

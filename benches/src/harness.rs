@@ -7,7 +7,7 @@
 
 use crate::clock::{ticks, to_ps, to_ps_spread};
 use crate::shared::{CPU_NS, Log, Shared};
-use crate::system_calls::Counter;
+use crate::system_calls::count;
 use crate::worker::{Part, Role, perform, pin};
 use std::hint::spin_loop;
 use std::io;
@@ -34,6 +34,9 @@ pub struct Batch {
     pub samples_ps: Vec<u64>,
     /// Round trips in picoseconds, where the case is a ping-pong; else empty.
     pub round_trips_ps: Vec<u64>,
+    /// The same messages counted from when they left, where they were due at fixed times; else
+    /// empty.
+    pub naive_ps: Vec<u64>,
     /// CPU time (user and system, all ends) per message in ns, where it means something.
     pub cpu_ns_per_message: Option<f64>,
     /// Bytes of payload per message.
@@ -57,9 +60,9 @@ impl Batch {
         Self {
             samples_ps: all(0),
             round_trips_ps: all(1),
-            cpu_ns_per_message: Some(cpu_ns / messages.max(1) as f64),
+            cpu_ns_per_message: (cpu_ns > 0.0).then(|| cpu_ns / messages.max(1) as f64),
             payload_bytes: 4,
-            facts: vec![],
+            ..Self::default()
         }
     }
 
@@ -90,6 +93,12 @@ impl Batch {
         self.facts.push((name, value));
         self
     }
+}
+
+/// The median, or the larger of the two in the middle; 0 if there is none.
+pub(crate) fn median<T: Copy + Default + Ord>(samples: &mut [T]) -> T {
+    samples.sort_unstable();
+    samples.get(samples.len() / 2).copied().unwrap_or_default()
 }
 
 /// Gives the CPU to another process.
@@ -180,8 +189,7 @@ fn near_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
     }
     role.end();
     let sends = &mut sends[..SENDS.min(plan.warm_up + plan.rounds)];
-    sends.sort_unstable();
-    role.log.note(SEND_AT, f64::from(sends[sends.len() / 2]));
+    role.log.note(SEND_AT, f64::from(median(sends)));
 }
 
 fn far_end(end: &mut impl End, plan: &Plan, role: &mut Role<'_>) {
@@ -251,8 +259,7 @@ pub(crate) fn between_unlike<N: End, F: End>(
 fn there_and_back(plan: &Plan, shared: &Shared) -> Batch {
     let median_ns = |end: usize| {
         let mut ways: Vec<u32> = shared.log(end).samples(0).collect();
-        ways.sort_unstable();
-        to_ps(ways.get(ways.len() / 2).copied().unwrap_or(0)) as f64 / 1e3
+        to_ps(median(&mut ways)) as f64 / 1e3
     };
     let send = shared.log(0).noted(SEND_AT) as u32;
     Batch::collect(shared, 2, 2 * plan.rounds)
@@ -267,30 +274,28 @@ const COUNTED: u32 = 4;
 /// Counts the system calls of sends to a far end that waits as it does in the timed rounds, then of
 /// sends to one that is awake and busy with something else.
 fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
-    let mut counter = Counter::new();
     for awake in [false, true] {
-        let mut calls = 0;
+        let mut calls = Some(0);
         for round in 0..=COUNTED {
             if !awake {
                 // It has sent its answer; now it may go to sleep.
                 std::thread::sleep(std::time::Duration::from_millis(1));
             }
-            let send = || end.send(ticks());
-            match &mut counter {
-                // The first one may have to open what it rings.
-                Some(counter) if round > 0 => calls += counter.count(send),
-                _ => end.send(ticks()),
+            if round == 0 {
+                // It may have to open what it rings.
+                end.send(ticks());
+            } else {
+                let made = count(|| end.send(ticks()));
+                calls = calls.zip(made).map(|(calls, made)| calls + made);
             }
             if awake {
                 // Release pairs with the Acquire in `be_counted`.
-                role.shared.flag().store(round + 1, Ordering::Release);
+                role.shared.flag.store(round + 1, Ordering::Release);
             }
             end.receive();
         }
-        let per_send = f64::from(calls) / f64::from(COUNTED);
-        let counted = counter.is_some();
-        role.log
-            .note(usize::from(awake), if counted { per_send } else { -1.0 });
+        let per_send = calls.map_or(-1.0, |calls| f64::from(calls) / f64::from(COUNTED));
+        role.log.note(usize::from(awake), per_send);
     }
 }
 
@@ -298,7 +303,7 @@ fn count_calls(end: &mut impl End, role: &mut Role<'_>) {
 fn be_counted(end: &mut impl End, role: &Role<'_>) {
     for awake in [false, true] {
         for round in 0..=COUNTED {
-            while awake && role.shared.flag().load(Ordering::Acquire) != round + 1 {
+            while awake && role.shared.flag.load(Ordering::Acquire) != round + 1 {
                 give_way();
             }
             end.receive();

@@ -10,11 +10,11 @@
 pub mod cases;
 mod columns;
 pub mod command;
-pub mod compare;
+mod compare;
 mod floor;
 pub mod harness;
-pub mod load;
-pub mod machine;
+mod load;
+mod machine;
 mod measure;
 pub mod mutual_exclusion;
 mod noise;
@@ -22,13 +22,13 @@ mod open_loop;
 mod page;
 mod peers;
 mod provider;
-pub mod result;
+mod result;
 mod rtos;
 mod stream;
 #[cfg(test)]
 mod synthetic;
 pub mod system_calls;
-pub mod table;
+mod table;
 mod tandem;
 
 pub use tandem_two_cores::{clock, shared, worker};

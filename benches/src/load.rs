@@ -11,17 +11,27 @@ const STREAMED: usize = 8 << 20;
 /// Processes at most.
 const MOST: u8 = 64;
 
-/// What the processes of a load do.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    /// Nothing but instructions.
-    Spin,
-    /// Write to memory, line after line.
-    Memory,
+type Kind = (&'static str, fn() -> bool);
+/// What the processes of a load do, by name.
+const KINDS: [Kind; 2] = [("spin", spin), ("memory", memory)];
+
+/// Nothing but instructions.
+fn spin() -> bool {
+    loop {
+        spin_loop();
+    }
+}
+
+/// Writes to memory, line after line.
+fn memory() -> bool {
+    let mut words = vec![0u64; STREAMED];
+    loop {
+        black_box(&mut words).fill(1);
+    }
 }
 
 /// Processes that run on the CPUs of both ends, in turn, under SCHED_OTHER.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Load {
     kind: Kind,
     processes: u8,
@@ -30,24 +40,9 @@ pub struct Load {
 impl Load {
     /// Starts the processes: the first on the near CPU, the second on the far one, and so on. Each
     /// runs until its [`Child`] is dropped.
-    ///
-    /// # Errors
-    /// If a process cannot be had.
-    pub fn start(self, cpus: [usize; 2]) -> io::Result<Vec<Child>> {
-        let one = |number: u8| {
-            Child::start(cpus[usize::from(number) % 2], || match self.kind {
-                Kind::Spin => loop {
-                    spin_loop();
-                },
-                Kind::Memory => {
-                    let mut words = vec![0u64; STREAMED];
-                    for round in 1.. {
-                        black_box(&mut words).fill(round);
-                    }
-                    false
-                }
-            })
-        };
+    pub(crate) fn start(self, cpus: [usize; 2]) -> io::Result<Vec<Child>> {
+        let cpu = |number| cpus[usize::from(number) % 2];
+        let one = |number: u8| Child::start(cpu(number), self.kind.1);
         (0..self.processes).map(one).collect()
     }
 }
@@ -56,12 +51,9 @@ impl FromStr for Load {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let (kind, processes) = text.split_once(':').unwrap_or((text, "2"));
-        let kind = match kind {
-            "spin" => Kind::Spin,
-            "memory" => Kind::Memory,
-            _ => return Err("the kinds are spin and memory".to_owned()),
-        };
+        let (name, processes) = text.split_once(':').unwrap_or((text, "2"));
+        let kind = KINDS.into_iter().find(|(kind, _)| *kind == name);
+        let kind = kind.ok_or("the kinds are spin and memory")?;
         match processes.parse() {
             Ok(processes) if (1..=MOST).contains(&processes) => Ok(Self { kind, processes }),
             _ => Err(format!("processes: a number from 1 to {MOST}")),
@@ -71,10 +63,6 @@ impl FromStr for Load {
 
 impl fmt::Display for Load {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kind = match self.kind {
-            Kind::Spin => "spin",
-            Kind::Memory => "memory",
-        };
-        write!(to, "{kind}:{}", self.processes)
+        write!(to, "{}:{}", self.kind.0, self.processes)
     }
 }

@@ -7,45 +7,45 @@ use std::fs;
 /// The dependencies of this build, by the lock file that it was built with.
 const LOCK: &str = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), "/../Cargo.lock"));
 /// The peers that are libraries.
-const PEERS: [&str; 2] = ["iceoryx2", "rtrb"];
+const PEERS: [&str; 4] = ["iceoryx2", "io-uring", "rtrb", "triple_buffer"];
 
 /// What was measured on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Machine {
+pub(crate) struct Machine {
     /// Processor, as it names itself.
-    pub cpu: String,
+    pub(crate) cpu: String,
     /// CPUs that this process may use.
-    pub cpus: usize,
+    pub(crate) cpus: usize,
     /// CPUs that the ends were pinned to.
-    pub pinned_to: Vec<usize>,
+    pub(crate) pinned_to: Vec<usize>,
     /// Version of the kernel.
-    pub kernel: String,
+    pub(crate) kernel: String,
     /// `release` or `debug`.
-    pub build: String,
+    pub(crate) build: String,
     /// Commit of the sources when this crate was built; `-dirty`: with changes.
     #[serde(default)]
-    pub commit: String,
+    pub(crate) commit: String,
     /// Compiler.
     #[serde(default)]
-    pub compiler: String,
+    pub(crate) compiler: String,
     /// Optimisation, target, and flags of the compiler.
     #[serde(default)]
-    pub flags: String,
+    pub(crate) flags: String,
     /// Where each CPU that an end is pinned to lies: package, core, and who shares its caches.
     #[serde(default)]
-    pub topology: Vec<String>,
+    pub(crate) topology: Vec<String>,
     /// Whether a hypervisor is below: then other guests take time that this system cannot see.
-    pub hypervisor: bool,
+    pub(crate) hypervisor: bool,
     /// What scales the clock of the first CPU; `None` if that is not for this system to say.
-    pub governor: Option<String>,
+    pub(crate) governor: Option<String>,
     /// Scheduling class of the ends.
-    pub scheduling: String,
+    pub(crate) scheduling: String,
     /// Whether the ends' memory could not be swapped out.
-    pub memory_locked: bool,
+    pub(crate) memory_locked: bool,
     /// When shared memory gets huge pages.
-    pub huge_pages: String,
+    pub(crate) huge_pages: String,
     /// Versions of Tandem and of the peers.
-    pub versions: BTreeMap<String, String>,
+    pub(crate) versions: BTreeMap<String, String>,
 }
 
 impl Machine {
@@ -84,22 +84,12 @@ impl Machine {
         let governor = self.governor.as_deref().unwrap_or("not visible");
         let locked = if self.memory_locked { "" } else { "not " };
         let cpus = format!("{} usable, pinned to {}", self.cpus, pinned.join(" and "));
-        let build = [
-            &self.build[..],
-            " of ",
-            &self.commit,
-            ", ",
-            &self.compiler,
-            ", ",
-            &self.flags,
-        ];
+        let (build, commit) = (&self.build, &self.commit);
+        let hypervisor = if self.hypervisor { "yes" } else { "none seen" };
         vec![
             ("Processor", self.cpu.clone()),
             ("CPUs", cpus),
-            (
-                "Hypervisor",
-                ["none seen", "yes"][usize::from(self.hypervisor)].to_owned(),
-            ),
+            ("Hypervisor", hypervisor.to_owned()),
             ("Clock governor", governor.to_owned()),
             ("Kernel", format!("Linux {}", self.kernel)),
             (
@@ -108,7 +98,10 @@ impl Machine {
             ),
             ("Huge pages for shared memory", self.huge_pages.clone()),
             ("Topology", self.topology.join("; ")),
-            ("Build", build.concat()),
+            (
+                "Build",
+                format!("{build} of {commit}, {}, {}", self.compiler, self.flags),
+            ),
             ("Versions", versions.join(", ")),
         ]
     }

@@ -2,7 +2,7 @@
 //! machine's moods.
 
 use crate::cases::Case;
-use crate::harness::{Batch, Plan};
+use crate::harness::{Batch, Plan, median};
 use crate::machine::stolen_ms;
 use crate::shared::draw;
 use hdrhistogram::Histogram;
@@ -18,25 +18,16 @@ pub(crate) struct Measurement {
     pub(crate) times: Histogram<u64>,
     /// All round trips, in picoseconds; empty if the case is no ping-pong.
     pub(crate) round_trips: Histogram<u64>,
-    /// What each batch has shown, in order.
-    pub(crate) batches: Vec<BatchSummary>,
+    /// All samples counted from when a message left; empty if it was not due at a fixed time.
+    pub(crate) naive: Histogram<u64>,
+    /// What each batch has shown, in order, without its samples.
+    pub(crate) batches: Vec<Batch>,
+    /// Median of each batch, in picoseconds.
+    pub(crate) p50_ps: Vec<u64>,
+    /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
+    pub(crate) steal_ms: Vec<f64>,
     /// Why the case could not be measured; it is not tried again.
     pub(crate) skipped: Option<String>,
-}
-
-/// What one batch has shown, without its samples.
-#[derive(Debug)]
-pub(crate) struct BatchSummary {
-    /// Median, picoseconds.
-    pub(crate) p50_ps: u64,
-    /// Time that the hypervisor took during the batch, all CPUs, ms, in steps of 10.
-    pub(crate) steal_ms: f64,
-    /// As [`Batch::cpu_ns_per_message`].
-    pub(crate) cpu_ns_per_message: Option<f64>,
-    /// As [`Batch::payload_bytes`].
-    pub(crate) payload_bytes: u64,
-    /// As [`Batch::facts`].
-    pub(crate) facts: Vec<(&'static str, f64)>,
 }
 
 impl Measurement {
@@ -47,31 +38,29 @@ impl Measurement {
             case,
             times: histogram(),
             round_trips: histogram(),
+            naive: histogram(),
             batches: vec![],
+            p50_ps: vec![],
+            steal_ms: vec![],
             skipped: None,
         }
     }
 
     /// Adds a batch during which the hypervisor took so much.
     pub(crate) fn add(&mut self, mut batch: Batch, steal_ms: f64) {
+        self.p50_ps.push(median(&mut batch.samples_ps));
         for (into, samples) in [
-            (&mut self.times, &batch.samples_ps),
-            (&mut self.round_trips, &batch.round_trips_ps),
+            (&mut self.times, &mut batch.samples_ps),
+            (&mut self.round_trips, &mut batch.round_trips_ps),
+            (&mut self.naive, &mut batch.naive_ps),
         ] {
-            for sample in samples {
+            for sample in std::mem::take(samples) {
                 // The histogram grows as needed; only memory could refuse.
-                let _ = into.record(*sample);
+                let _ = into.record(sample);
             }
         }
-        let samples = &mut batch.samples_ps;
-        samples.sort_unstable();
-        self.batches.push(BatchSummary {
-            p50_ps: samples.get(samples.len() / 2).copied().unwrap_or(0),
-            steal_ms,
-            cpu_ns_per_message: batch.cpu_ns_per_message,
-            payload_bytes: batch.payload_bytes,
-            facts: batch.facts,
-        });
+        self.steal_ms.push(steal_ms);
+        self.batches.push(batch);
     }
 }
 
@@ -82,7 +71,7 @@ pub(crate) struct Span {
     pub(crate) at_least: Duration,
     /// and each case has had this number of turns,
     pub(crate) turns: usize,
-    /// but never longer than this.
+    /// but no longer than this once each case has had a turn.
     pub(crate) at_most: Duration,
 }
 
@@ -95,6 +84,11 @@ impl Span {
             turns: 1,
             at_most: 4 * at_least + Duration::from_secs(10),
         }
+    }
+
+    /// Whether this turn is cut short: never the first, without which cases would be missing.
+    fn is_over(&self, turns: usize, elapsed: Duration) -> bool {
+        turns > 0 && elapsed >= self.at_most
     }
 }
 
@@ -149,7 +143,7 @@ pub(crate) fn run(
             if measurement.skipped.is_some() {
                 continue;
             }
-            if was_interrupted() || begin.elapsed() >= span.at_most {
+            if was_interrupted() || span.is_over(turns, begin.elapsed()) {
                 return all;
             }
             let passed = begin.elapsed().as_secs_f64() / span.at_least.as_secs_f64();
@@ -208,6 +202,14 @@ mod tests {
     }
 
     #[test]
+    fn each_case_has_a_turn_however_long_it_takes() {
+        let hour = Duration::from_secs(3600);
+        for span in [Span::of_seconds(1), QUICK, FULL] {
+            assert!(!span.is_over(0, hour) && span.is_over(1, hour));
+        }
+    }
+
+    #[test]
     fn a_measurement_keeps_all_samples_and_each_batch() {
         let mut measurement = Measurement::new(cases::all().next().unwrap());
         for k in 1..=3 {
@@ -219,8 +221,7 @@ mod tests {
             measurement.add(batch, 10.0);
         }
         assert_eq!(measurement.times.len(), 300);
-        let medians: Vec<_> = measurement.batches.iter().map(|b| b.p50_ps).collect();
-        assert_eq!(medians, [51_000, 102_000, 153_000]);
+        assert_eq!(measurement.p50_ps, [51_000, 102_000, 153_000]);
         assert_eq!(measurement.batches[1].facts, [("k", 2.0)]);
     }
 }

@@ -30,7 +30,7 @@ pub fn contended<E: Exclusion>(
     let part = |core: usize| {
         Part::on(plan.cpus[core % 2], move |role: &mut Role<'_>| {
             let mut exclusion = enter(core);
-            let word = role.shared.guarded();
+            let word = &role.shared.guarded;
             role.shared.meet(processes as u32);
             role.begin();
             let (begin, mut stays, mut longest) = (ticks(), 0u32, 0);
@@ -58,7 +58,7 @@ pub fn contended<E: Exclusion>(
     perform(shared, (0..processes).map(part).collect())?;
     let stays: Vec<f64> = (0..processes).map(|n| shared.log(n).noted(0)).collect();
     let all: f64 = stays.iter().sum();
-    if f64::from(shared.guarded().load(Ordering::Relaxed)) != all {
+    if f64::from(shared.guarded.load(Ordering::Relaxed)) != all {
         return Err(io::Error::other("two were inside at once"));
     }
     let longest = (0..processes).map(|n| shared.log(n).noted(1));
@@ -81,7 +81,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
     bury: impl Fn(u32),
     take: impl FnOnce() -> F,
 ) -> io::Result<Batch> {
-    let [held, killed, taken] = [0, 1, 2].map(|number| shared.spare(number));
+    let [held, killed, taken] = shared.spare.each_ref();
     let wait_for = |word: &AtomicU32, value| {
         while word.load(Ordering::Acquire) != value {
             give_way();
@@ -130,10 +130,7 @@ pub(crate) fn recovered<E: Exclusion, F: FnMut() -> bool>(
         Ok(())
     });
     perform(shared, vec![supervisor, taker])?;
-    Ok(Batch {
-        cpu_ns_per_message: None,
-        ..Batch::collect(shared, 2, plan.rounds).carrying(0)
-    })
+    Ok(Batch::collect(shared, 2, plan.rounds).carrying(0))
 }
 
 /// What the least served had of its fair share: 1 if all had the same, 0 if it had nothing.

@@ -70,8 +70,5 @@ fn alone(cpu: usize, shared: &Shared, run: impl FnOnce(&mut Role<'_>)) -> io::Re
         Ok(())
     });
     perform(shared, vec![part])?;
-    Ok(Batch {
-        cpu_ns_per_message: None,
-        ..Batch::collect(shared, 1, 1).carrying(0)
-    })
+    Ok(Batch::collect(shared, 1, 1).carrying(0))
 }

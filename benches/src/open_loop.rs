@@ -66,24 +66,17 @@ pub(crate) fn at_fixed_rate<E: End>(
     perform(&shared, vec![sender, receiver])?;
     let begin = shared.log(0).noted(0) as u32;
     let [left, arrived] = [0, 1].map(|part| shared.log(part).samples(1).collect::<Vec<u32>>());
-    let [from_due, mut naive] =
-        latencies([begin, period], &left, &arrived).map(|all| all[plan.warm_up..].to_vec());
-    naive.sort_unstable();
-    let at = |quantile: f64| {
-        let place = (naive.len() - 1) as f64 * quantile;
-        to_ps(naive[place as usize]) as f64 / 1e3
-    };
+    let [samples_ps, naive_ps] = latencies([begin, period], &left, &arrived).map(|all| {
+        let counting = all.into_iter().skip(plan.warm_up);
+        counting.map(to_ps).collect()
+    });
     let batch = Batch {
-        samples_ps: from_due.into_iter().map(to_ps).collect(),
+        samples_ps,
+        naive_ps,
         round_trips_ps: vec![],
         ..Batch::collect(&shared, 2, messages as usize)
     };
-    Ok(batch
-        .with_fact("naive p50, ns", at(0.5))
-        .with_fact("naive p99, ns", at(0.99))
-        .with_fact("naive p99.9, ns", at(0.999))
-        .with_fact("longest naive, ns", at(1.0))
-        .with_fact("messages per second", 1e9 / PERIOD_NS as f64))
+    Ok(batch.with_fact("messages per second", 1e9 / PERIOD_NS as f64))
 }
 
 /// How late each message was, in ticks: from when it was due, and from when it left.

@@ -1,10 +1,11 @@
 //! The results as one HTML page.
 
 use crate::columns::{self, PAGE};
-use crate::provider::{Headline, Provider};
+use crate::provider::{Headline, Look, Provider};
 use crate::result::{Results, Row};
 use maud::{Markup, html};
-use tandem_page::chart::{Axis, Chart, Series};
+use std::collections::BTreeSet;
+use tandem_page::chart::{Axis, Chart, Series, Style};
 use tandem_page::svg::{Color, Stroke, Svg};
 use tandem_page::{document, format, legend, section, tile};
 
@@ -57,7 +58,7 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
     // Sizes are compared by eye, hence a linear scale from 0.
     let bar = |row: &Row| {
         let percent = 100.0 * row.p50_ns / largest.max(1e-9);
-        let color = Provider::of(row).color().css();
+        let color = Provider::of(row).look().color.css();
         format!("width:{percent:.1}%;background:{color}")
     };
     let (value, unit) = match tandem.ratio_to_floor_p50 {
@@ -82,10 +83,9 @@ fn group_tile(group: &str, headline: Headline<'_>) -> Markup {
 
 fn group(name: &str, rows: &[Row]) -> Markup {
     let about = about(name);
-    let providers = Provider::ALL
-        .into_iter()
-        .filter(|provider| rows.iter().any(|row| Provider::of(row) == *provider))
-        .map(|provider| (provider.name(), Some(provider.color())));
+    let providers: BTreeSet<Provider> = rows.iter().map(Provider::of).collect();
+    let looks = providers.into_iter().map(Provider::look);
+    let providers = looks.map(|look| (look.name, Some(look.color)));
     let aside = html! { span.unit { (about.measures) } (legend(providers)) };
     let content = html! {
         @if let Some(chart) = curves(rows) { (chart.svg("Percentile curves")) }
@@ -191,11 +191,13 @@ fn curves(rows: &[Row]) -> Option<Chart> {
             let points: Vec<_> = std::iter::once(median).chain(beyond).collect();
             let provider = Provider::of(row);
             let is_first = first == Some(row.name.as_str());
+            let Look { color, style, .. } = provider.look();
             let of_case = Series {
                 name: row.case().to_owned(),
                 title: format!("{}: {}", row.name, row.what),
-                color: provider.color(),
-                style: provider.style(is_first),
+                color,
+                // Tandem's first case is the thickest.
+                style: if is_first { Style::Line(3.6) } else { style },
                 points,
             };
             // What matters most is drawn last, above the others.
@@ -245,12 +247,10 @@ fn table(rows: &[Row]) -> Markup {
             @for row in rows {
                 tr.main[first == Some(row.name.as_str())] {
                     td.case {
-                        i style=(format!("background:{}", Provider::of(row).color().css())) {}
+                        i style=(format!("background:{}", Provider::of(row).look().color.css())) {}
                         b { (row.case()) }
                         div.what { (row.what) }
-                        @for (name, value) in &row.facts {
-                            div.what { (format::fact(name, *value)) }
-                        }
+                        @for fact in columns::facts(row) { div.what { (fact) } }
                     }
                     @if has_floor { td { (dots(row)) } }
                     @for column in &columns {
@@ -269,7 +269,7 @@ fn dots(row: &Row) -> Markup {
     let power = |ratio: f64| ratio.clamp(SHOWN.0, SHOWN.1).log10();
     let axis = Axis::linear("", (SHOWN.0.log10(), SHOWN.1.log10()), 1);
     let at = |ratio: f64| (axis.at(power(ratio), (6.0, 134.0)), 8.0);
-    let color = Provider::of(row).color();
+    let color = Provider::of(row).look().color;
     let mut svg = Svg::new(140.0, 16.0);
     let (one, _) = at(1.0);
     svg.line((one, 0.0), (one, 16.0), Stroke::new(Color::FLOOR, 1.5));

@@ -1,11 +1,11 @@
 //! Who provides what a case measures, by its name.
 
-use crate::result::Row;
+use crate::result::{Row, floor_of};
 use tandem_page::chart::Style;
 use tandem_page::svg::Color;
 
-/// Who provides what a case measures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+/// Who provides what a case measures; in the order of legends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Provider {
     /// The hardware's or the kernel's alone: what nothing can beat.
     Floor,
@@ -17,6 +17,13 @@ pub(crate) enum Provider {
     Threads,
     /// The system's: the kernel, the C library, or a program that was installed.
     System,
+}
+
+/// How what a provider provides is shown.
+pub(crate) struct Look {
+    pub(crate) name: &'static str,
+    pub(crate) color: Color,
+    pub(crate) style: Style,
 }
 
 /// First parts of the names of those that are neither floor nor Tandem.
@@ -33,15 +40,6 @@ const PEERS: [(&str, Provider); 9] = [
 ];
 
 impl Provider {
-    /// All, in the order of legends.
-    pub(crate) const ALL: [Self; 5] = [
-        Self::Floor,
-        Self::Tandem,
-        Self::Iceoryx2,
-        Self::Threads,
-        Self::System,
-    ];
-
     /// That of a row.
     pub(crate) fn of(row: &Row) -> Self {
         // In `rtos` a floor is one of the tick alone, and peers are named after what they do.
@@ -56,8 +54,8 @@ impl Provider {
     }
 
     /// Its name in legends, the colour of its marks, and how its curves are drawn.
-    const fn look(self) -> (&'static str, Color, Style) {
-        match self {
+    pub(crate) const fn look(self) -> Look {
+        let (name, color, style) = match self {
             Self::Floor => ("floor", Color::FLOOR, Style::Line(2.0)),
             Self::Tandem => ("Tandem", Color::TANDEM, Style::Line(1.7)),
             Self::Iceoryx2 => ("iceoryx2", Color::ICEORYX2, Style::Line(1.7)),
@@ -71,26 +69,8 @@ impl Provider {
                 Color::SYSTEM,
                 Style::Dashed(1.7, "2.5 2.5"),
             ),
-        }
-    }
-
-    /// As it stands in legends.
-    pub(crate) const fn name(self) -> &'static str {
-        self.look().0
-    }
-
-    /// Colour of its marks on the page.
-    pub(crate) const fn color(self) -> Color {
-        self.look().1
-    }
-
-    /// How its curves are drawn; Tandem's first case is the thickest.
-    pub(crate) const fn style(self, is_first: bool) -> Style {
-        if is_first {
-            Style::Line(3.6)
-        } else {
-            self.look().2
-        }
+        };
+        Look { name, color, style }
     }
 
     /// Whether it is what one would use instead.
@@ -117,15 +97,13 @@ impl<'a> Headline<'a> {
             .iter()
             .find(|row| Provider::of(row) == Provider::Tandem)?;
         let is_peer = |row: &&Row| Provider::of(row).is_peer();
-        // In `rtos` a case has a floor and a peer of its own: `tick-floor`, `tick-posix-port`.
+        // In `rtos` a case has a peer of its own: `tick-posix-port`.
         let own = format!("{}-", tandem.case());
         let is_own = |row: &&Row| row.case().starts_with(&own);
-        let is_floor = |row: &&Row| Provider::of(row) == Provider::Floor;
         let peers = || rows.iter().filter(is_peer);
         let best = peers().min_by(|a, b| a.p50_ns.total_cmp(&b.p50_ns));
-        let floor = rows.iter().find(|row| row.is_floor());
         Some(Self {
-            floor: floor.or_else(|| rows.iter().filter(is_floor).find(is_own)),
+            floor: floor_of(rows, &tandem.name, |row| row.name.clone()),
             tandem,
             peer: peers().find(is_own).or(best),
         })

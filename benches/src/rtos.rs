@@ -8,10 +8,11 @@
 use crate::clock;
 use crate::harness::{Batch, Plan};
 use crate::shared::Shared;
-use crate::worker::{Part, ask_for_fifo, perform, pin};
+use crate::worker::{Part, ask_for_fifo, perform};
+use rustix::fs::{MemfdFlags, memfd_create};
 use std::fs::File;
-use std::io::{self, Write};
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::io::{self, Read, Seek, Write};
+use std::os::fd::AsRawFd;
 use std::os::unix::process::CommandExt;
 use std::process::{Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering::Relaxed};
@@ -80,42 +81,25 @@ pub(crate) const INTERRUPT: OfPosixPort = ("interrupt", clock::to_ps);
 
 /// Runs the peer's program.
 pub(crate) fn posix_port(plan: &Plan, (what, in_ps): OfPosixPort) -> io::Result<Batch> {
-    // SAFETY: a name closed with a zero; the descriptor is ours.
-    let program = unsafe {
-        let descriptor = libc::memfd_create(c"freertos-posix".as_ptr(), libc::MFD_CLOEXEC);
-        if descriptor < 0 {
-            return Err(io::Error::last_os_error());
-        }
-        OwnedFd::from_raw_fd(descriptor)
-    };
-    let mut command = Command::new(format!("/proc/self/fd/{}", program.as_raw_fd()));
-    File::from(program.try_clone()?).write_all(POSIX_PORT)?;
-    let cpu = plan.cpus[0];
+    let memory = || memfd_create("freertos-posix", MemfdFlags::CLOEXEC).map(File::from);
+    let (mut program, mut output) = (memory()?, memory()?);
+    program.write_all(POSIX_PORT)?;
     let rounds = (plan.warm_up + plan.rounds).to_string();
-    command
-        .args([what, &rounds])
-        .stdin(Stdio::null())
-        .stderr(Stdio::null());
-    // SAFETY: between fork and exec only system calls for the process itself.
-    let output = unsafe {
-        command
-            .pre_exec(move || {
-                libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
-                pin(cpu);
-                ask_for_fifo();
-                Ok(())
-            })
-            .output()?
-    };
-    let (samples, _) = output.stdout.as_chunks::<8>();
-    if !output.status.success() || samples.len() <= plan.warm_up {
-        return Err(io::Error::other("FreeRTOS's POSIX port failed"));
-    }
-    let samples = samples[plan.warm_up..].iter();
-    Ok(batch(
-        samples.map(|sample| u64::from_le_bytes(*sample) as u32),
-        in_ps,
-    ))
+    let part = Part::on(plan.cpus[0], |_| {
+        ask_for_fifo();
+        let mut command = Command::new(format!("/proc/self/fd/{}", program.as_raw_fd()));
+        command.args([what, &rounds]).stdin(Stdio::null());
+        Err(command.stdout(output.try_clone()?).exec())
+    });
+    perform(&Shared::new()?, vec![part])?;
+    let mut bytes = vec![];
+    output.rewind()?;
+    output.read_to_end(&mut bytes)?;
+    let samples = bytes.as_chunks().0.get(plan.warm_up..);
+    let samples = samples.filter(|samples| !samples.is_empty());
+    let samples = samples.ok_or_else(|| io::Error::other("the POSIX port measured nothing"))?;
+    let in_ticks = |sample: &[u8; 8]| u64::from_le_bytes(*sample) as u32;
+    Ok(batch(samples.iter().map(in_ticks), in_ps))
 }
 
 /// How late a bare `clock_nanosleep` to each absolute millisecond returns.

@@ -2,7 +2,6 @@
 
 use crate::machine::Machine;
 use crate::result::{Results, Row, SCHEMA};
-use std::collections::BTreeMap;
 
 /// A row with this median; the tail rises by a half per nine.
 pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
@@ -16,7 +15,6 @@ pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
         name: name.to_owned(),
         group: group.to_owned(),
         what: format!("what {name} is"),
-        payload_bytes: 4,
         p50_ns,
         p90_ns: at(1.0),
         p99_ns: at(2.0),
@@ -25,14 +23,10 @@ pub(crate) fn row(name: &str, p50_ns: f64) -> Row {
         samples: 100_000,
         ratio_to_floor_p50: Some(1.0),
         ratio_to_floor_p99_9: Some(1.0),
-        round_trip: None,
-        cpu_ns_per_message: None,
-        messages_per_second: None,
-        bytes_per_second: None,
         batch_p50_ns: vec![p50_ns; 20],
         batch_steal_ms: vec![0.0; 20],
         curve: curve.collect(),
-        facts: BTreeMap::new(),
+        ..Row::default()
     }
 }
 

@@ -6,7 +6,14 @@
 //! Documentation/admin-guide/syscall-user-dispatch.rst in the Linux sources.
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
-pub use dispatch::Counter;
+pub use dispatch::count;
+
+/// Runs `code`; system calls cannot be counted here.
+#[cfg(not(all(target_os = "linux", target_arch = "x86_64")))]
+pub fn count(code: impl FnOnce()) -> Option<u32> {
+    code();
+    None
+}
 
 #[cfg(all(target_os = "linux", target_arch = "x86_64"))]
 mod dispatch {
@@ -72,73 +79,37 @@ mod dispatch {
         SELECTOR.store(BLOCK, Ordering::Relaxed);
     }
 
-    /// Counts the system calls of the calling thread. For processes of one thread: there is one
-    /// count.
-    #[derive(Debug)]
-    pub struct Counter(());
-
-    impl Counter {
-        /// A counter; `None` if this kernel does not offer one.
-        #[must_use]
-        pub fn new() -> Option<Self> {
-            let action = Action {
-                handler: on_call,
-                flags: libc::SA_SIGINFO as u64 | SA_RESTORER,
-                restorer: restore,
-                mask: 0,
-            };
-            let size = size_of_val(&action.mask);
-            let old = ptr::null_mut::<Action>();
-            // SAFETY: `action` is laid out as the kernel wants it, and its handler and restorer
-            // stay where they are. The selector is a static.
-            let refused = unsafe {
-                libc::syscall(libc::SYS_rt_sigaction, libc::SIGSYS, &action, old, size) != 0
-                    || libc::prctl(
-                        PR_SET_SYSCALL_USER_DISPATCH,
-                        ON,
-                        restore as unsafe extern "C" fn() as usize,
-                        RESTORE_BYTES,
-                        SELECTOR.as_ptr(),
-                    ) != 0
-            };
-            (!refused).then_some(Self(()))
-        }
-
-        /// How many system calls `code` makes. It must not start threads or processes.
-        pub fn count(&mut self, code: impl FnOnce()) -> u32 {
-            COUNT.store(0, Ordering::Relaxed);
-            SELECTOR.store(BLOCK, Ordering::SeqCst);
-            code();
-            SELECTOR.store(ALLOW, Ordering::SeqCst);
-            COUNT.load(Ordering::Relaxed)
-        }
-    }
-
-    impl Drop for Counter {
-        fn drop(&mut self) {
-            let zero: libc::c_ulong = 0;
-            // SAFETY: takes no pointer here.
-            unsafe { libc::prctl(PR_SET_SYSCALL_USER_DISPATCH, OFF, zero, zero, zero) };
-        }
-    }
-}
-
-/// Where system calls cannot be counted.
-#[cfg(not(all(target_os = "linux", target_arch = "x86_64")))]
-#[derive(Debug)]
-pub struct Counter(());
-
-#[cfg(not(all(target_os = "linux", target_arch = "x86_64")))]
-impl Counter {
-    /// `None`.
-    #[must_use]
-    pub fn new() -> Option<Self> {
-        None
-    }
-
-    /// Never called, as there is no counter.
-    pub fn count(&mut self, code: impl FnOnce()) -> u32 {
+    /// Runs `code` and returns how many system calls it makes; `None` if this kernel cannot count
+    /// them. For processes of one thread: there is one count. `code` must not start threads or
+    /// processes.
+    pub fn count(code: impl FnOnce()) -> Option<u32> {
+        let action = Action {
+            handler: on_call,
+            flags: libc::SA_SIGINFO as u64 | SA_RESTORER,
+            restorer: restore,
+            mask: 0,
+        };
+        let size = size_of_val(&action.mask);
+        let old = ptr::null_mut::<Action>();
+        // SAFETY: `action` is laid out as the kernel wants it, and its handler and restorer stay
+        // where they are. The selector is a static.
+        let refused = unsafe {
+            libc::syscall(libc::SYS_rt_sigaction, libc::SIGSYS, &action, old, size) != 0
+                || libc::prctl(
+                    PR_SET_SYSCALL_USER_DISPATCH,
+                    ON,
+                    restore as unsafe extern "C" fn() as usize,
+                    RESTORE_BYTES,
+                    SELECTOR.as_ptr(),
+                ) != 0
+        };
+        COUNT.store(0, Ordering::Relaxed);
+        SELECTOR.store(if refused { ALLOW } else { BLOCK }, Ordering::SeqCst);
         code();
-        0
+        SELECTOR.store(ALLOW, Ordering::SeqCst);
+        let zero: libc::c_ulong = 0;
+        // SAFETY: takes no pointer here.
+        unsafe { libc::prctl(PR_SET_SYSCALL_USER_DISPATCH, OFF, zero, zero, zero) };
+        (!refused).then(|| COUNT.load(Ordering::Relaxed))
     }
 }

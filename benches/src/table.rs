@@ -7,16 +7,15 @@ use std::fmt::Write as _;
 use tandem_page::format::{self, Unit};
 
 /// The narrowest terminal that the tables are made for, in columns.
-pub const NARROWEST: usize = 80;
+pub(crate) const NARROWEST: usize = 80;
 /// Width where the output has none: a file, a pipe.
-pub const USUAL: usize = 120;
+pub(crate) const USUAL: usize = 120;
 
 const WIDTH: usize = 9;
 
 impl Results {
     /// The tables for a terminal of this width in columns.
-    #[must_use]
-    pub fn table(&self, width: usize) -> String {
+    pub(crate) fn table(&self, width: usize) -> String {
         let width = width.max(NARROWEST);
         let mut text = self.heading();
         for (group, rows) in self.groups() {
@@ -70,8 +69,7 @@ impl Results {
 
     /// What the machine's own noise means for the figures, in a sentence; nothing if it was not
     /// measured.
-    #[must_use]
-    pub fn noise_in_words(&self) -> String {
+    pub(crate) fn noise_in_words(&self) -> String {
         let spins = self
             .noise
             .iter()
@@ -132,7 +130,7 @@ fn best_peer(rows: &[Row]) -> Option<String> {
     let Headline { tandem, peer, .. } = Headline::of(rows)?;
     let peer = peer?;
     let factor = format::ratio(peer.p50_ns / tandem.p50_ns.max(1e-3));
-    let provider = Provider::of(peer).name();
+    let provider = Provider::of(peer).look().name;
     Some(format!(
         "  best peer: {} ({provider}), {factor} times {}\n",
         peer.case(),
@@ -143,8 +141,7 @@ fn best_peer(rows: &[Row]) -> Option<String> {
 /// The further facts of a row, as many in a line as fit.
 fn facts(row: &Row, width: usize) -> String {
     let mut lines: Vec<String> = Vec::new();
-    for (name, value) in &row.facts {
-        let fact = format::fact(name, *value);
+    for fact in columns::facts(row) {
         match lines.last_mut() {
             Some(line) if line.chars().count() + fact.chars().count() + 9 <= width => {
                 *line += &format!(" · {fact}");
@@ -228,9 +225,12 @@ mod tests {
     fn a_percentile_that_rests_on_chance_stands_in_brackets() {
         let mut run = run();
         assert!(!run.table(120).contains("(1"));
-        run.results[0].samples = 5_000;
-        let tail = Unit::Ns.show(run.results[0].p99_9_ns);
-        assert!(run.table(120).contains(&format!(" ({tail})")));
+        let row = &mut run.results[0];
+        row.samples = 5_000;
+        row.facts.insert("naive p99.9, ns".to_owned(), 5.0);
+        let tail = Unit::Ns.show(row.p99_9_ns);
+        let table = run.table(120);
+        assert!(table.contains(&format!(" ({tail})")) && table.contains("(naive p99.9: 5.00 ns)"));
     }
 
     #[test]

@@ -41,6 +41,13 @@ struct Attached<'b> {
     told: Reader<'b, Knowledge>,
 }
 
+/// A cycle between its two halves.
+#[derive(Clone, Copy)]
+struct Begun {
+    released: Instant,
+    at: Instant,
+}
+
 /// The perception core.
 pub struct Core1<'b, B: Board> {
     board: &'b B,
@@ -49,6 +56,8 @@ pub struct Core1<'b, B: Board> {
     perception: Perception,
     /// When the next round of the sensors is expected to be complete.
     expected: Instant,
+    /// The cycle that has begun.
+    begun: Option<Begun>,
     /// Frames that the receiver has lost, at the last cycle.
     overruns: u32,
 }
@@ -72,6 +81,7 @@ impl<'b, B: Board> Core1<'b, B> {
             frames: Receiver::new(),
             perception: Perception::new(),
             expected: start + PERIOD,
+            begun: None,
             overruns: 0,
         }
     }
@@ -97,11 +107,21 @@ impl<'b, B: Board> Core1<'b, B> {
         });
     }
 
-    /// The task of this core.
-    fn run(&mut self, release: Release) {
+    /// Takes in what the bus has brought. If that releases a cycle, the cycle begins, and the next
+    /// [`Core::poll`] completes it. For an executor that gives a cycle time: frames that arrive in
+    /// between wait for the next cycle. Returns whether a cycle has begun. Context as of `poll`.
+    pub fn begin(&mut self) -> bool {
+        if self.attached.is_none() {
+            self.attach();
+        }
+        if self.begun.is_some() {
+            return true;
+        }
+        let Some(Release { at, missed }) = self.release() else {
+            return false;
+        };
         let task = TaskCode::PERCEPTION;
-        if release.missed > 0 {
-            let missed = release.missed;
+        if missed > 0 {
             self.board
                 .trace(Event::DeadlineMiss { task, missed }.encode());
         }
@@ -110,14 +130,26 @@ impl<'b, B: Board> Core1<'b, B> {
         if count > 0 {
             self.board.trace(Event::FramesLost { count }.encode());
         }
+        let now = self.board.now();
         let begin = Begin::Released {
-            late_ns: age_ns(self.board.now(), release.at),
-            missed: release.missed,
+            late_ns: age_ns(now, at),
+            missed,
         };
         self.board.trace(Event::TaskIn { task, begin }.encode());
-        self.cycle();
-        let leaves = Leaves::Done;
+        self.begun = Some(Begun {
+            released: at,
+            at: now,
+        });
+        true
+    }
+
+    fn complete(&mut self, begun: Begun) {
+        self.cycle(begun.at);
+        let (task, leaves) = (TaskCode::PERCEPTION, Leaves::Done);
         self.board.trace(Event::TaskOut { task, leaves }.encode());
+        let earliest = self.board.now() + SHORTEST;
+        let next = self.perception.next_round(earliest, PERIOD);
+        self.expected = next.unwrap_or(begun.released + (PERIOD - PATIENCE));
     }
 
     /// Takes in what the bus has brought. Returns when the frame came that completed the round, if
@@ -152,14 +184,14 @@ impl<'b, B: Board> Core1<'b, B> {
         Some(Release { at, missed })
     }
 
-    fn cycle(&mut self) {
+    fn cycle(&mut self, now: Instant) {
         let Some(attached) = &mut self.attached else {
             return;
         };
         let is_young = self.perception.is_young();
         let told = is_young.then(|| attached.told.fetch().ok()?).flatten();
         let before = self.perception.scene().missing;
-        let scene = self.perception.cycle_with(self.board.now(), told.as_ref());
+        let scene = self.perception.cycle_with(now, told.as_ref());
         let (flow, missing) = (scene.cycle, scene.missing);
         if missing != before {
             self.board.trace(Event::Sensors { missing }.encode());
@@ -177,17 +209,12 @@ impl<'b, B: Board> Core1<'b, B> {
 
 impl<B: Board> Core for Core1<'_, B> {
     fn poll(&mut self) -> Instant {
-        if self.attached.is_none() {
-            self.attach();
-        }
         let can = self.board.can();
         let mut woken = false;
         loop {
-            if let Some(release) = self.release() {
-                self.run(release);
-                let earliest = self.board.now() + SHORTEST;
-                let next = self.perception.next_round(earliest, PERIOD);
-                self.expected = next.unwrap_or(release.at + (PERIOD - PATIENCE));
+            self.begin();
+            if let Some(begun) = self.begun.take() {
+                self.complete(begun);
             }
             // From the time at which a complete round is expected, each frame may complete it.
             let waits = self.board.now() >= self.expected + MARGIN;

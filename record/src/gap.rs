@@ -268,7 +268,8 @@ pub fn both_transmitted_ms(log: &RunLog) -> f64 {
 }
 
 /// How long both systems may have transmitted, ms. A master that resigns sends until it hears the
-/// new one, and one that was held up may have a frame under way.
+/// new one, and so does one whose frames were lost, and one that was held up may have a frame under
+/// way.
 #[must_use]
 pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
     hand_overs(takeovers) as f64 * HAND_OVER_MS
@@ -277,7 +278,8 @@ pub fn hand_over_ms(takeovers: &[Takeover]) -> f64 {
 /// How often an old master lived when a new one took over.
 #[must_use]
 pub fn hand_overs(takeovers: &[Takeover]) -> usize {
-    let lived = |of: &&Takeover| of.held_up || of.cause == Some(Evidence::MasterResigns);
+    let sends = [Some(Evidence::MasterResigns), Some(Evidence::MasterMute)];
+    let lived = |of: &&Takeover| of.held_up || sends.contains(&of.cause);
     takeovers.iter().filter(lived).count()
 }
 
@@ -522,6 +524,30 @@ mod tests {
         assert_eq!(both(&clean.concat()), 0.0);
         let said = [master, row(B, Verdict::NotMaster, 5, 500).collect()].concat();
         assert_eq!(both(&said), 0.0);
+    }
+
+    #[test]
+    fn a_takeover_from_a_master_that_lives_permits_a_hand_over() {
+        let takeover = |cause, held_up| Takeover {
+            from: A,
+            to: B,
+            from_ns: 0,
+            at_ns: 18_000_000,
+            cause: Some(cause),
+            detected_ms: None,
+            gap_ms: 18.0,
+            is_false: false,
+            held_up,
+        };
+        for (cause, held_up, lived) in [
+            (Evidence::PeerOff, false, 0),
+            (Evidence::PeerSilent, false, 0),
+            (Evidence::PeerSilent, true, 1),
+            (Evidence::MasterResigns, false, 1),
+            (Evidence::MasterMute, false, 1),
+        ] {
+            assert_eq!(hand_overs(&[takeover(cause, held_up)]), lived, "{cause:?}");
+        }
     }
 
     #[test]

@@ -2,8 +2,10 @@
 
 use crate::RunLog;
 
-/// The age in a control frame is rounded by up to this, ns.
-const AGE_ROUNDING_NS: u64 = 100_000;
+/// By how much a measurement may be placed before its time, ns: the age in a control frame is
+/// rounded, and the world around an emulated machine goes on in steps of 1 ms, so that a frame has
+/// the time of the step before the one in which it was sent. Sensors measure further apart.
+const EARLY_NS: u64 = 1_100_000;
 
 /// The two distributions, ms.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -31,7 +33,7 @@ pub fn reaction(log: &RunLog) -> Reaction {
     for frame in log.accepted() {
         let Some(age_ns) = frame.age_ns else { continue };
         let told_ns = frame.sent_ns.saturating_sub(age_ns);
-        let newer = measured_ns.partition_point(|at_ns| *at_ns <= told_ns + AGE_ROUNDING_NS);
+        let newer = measured_ns.partition_point(|at_ns| *at_ns <= told_ns + EARLY_NS);
         let Some(oldest_ns) = newer.checked_sub(1).map(|index| measured_ns[index]) else {
             continue;
         };
@@ -113,11 +115,13 @@ mod tests {
         assert_eq!(ages, [20.0, 30.0, 40.0, 50.0, 60.0]);
     }
 
-    /// The clocks drift, so a measurement may be placed before its list was on the bus. It is not
-    /// taken for one of the round before.
+    /// The clocks drift, so a measurement may be placed before its list was on the bus; and by a
+    /// world in steps, a step earlier. It is not taken for one of the round before.
     #[test]
     fn a_measurement_that_is_placed_early_stays_in_its_round() {
-        assert_eq!(reaction(&log_placed(20, WAY_NS)), reaction(&log(20)));
+        for early_ns in [WAY_NS, WAY_NS + MS] {
+            assert_eq!(reaction(&log_placed(20, early_ns)), reaction(&log(20)));
+        }
     }
 
     #[test]

@@ -661,6 +661,21 @@ mod tests {
         }
     }
 
+    /// T-SYNC-3: a signal that is handled before it is posted is not handled again.
+    #[test]
+    fn a_signal_that_is_posted_late_is_handled_once() {
+        let words = zeroed(WORDS);
+        let mut sender = Sender::attach(words).unwrap();
+        let mut receiver = Receiver::attach(words).unwrap();
+        let before = words[POSTED_AT].load(Ordering::Relaxed);
+        let _ = sender.signal(task(5));
+        let after = words[POSTED_AT].load(Ordering::Relaxed);
+        words[POSTED_AT].store(before, Ordering::Relaxed);
+        assert_eq!(poll(&mut receiver), [(5, 1)]);
+        words[POSTED_AT].store(after, Ordering::Relaxed);
+        assert_eq!(poll(&mut receiver), []);
+    }
+
     /// T-SYNC-3: signals that fall between the receiver's readings of two counts, so that it finds
     /// the later one and not the earlier one, are each handled once.
     #[test]

@@ -9,7 +9,9 @@ use crate::incarnation::{Incarnation, Incarnations};
 use crate::lock::{self, Lock};
 use crate::mailbox::{self, Receiver, Sender, TaskId};
 use crate::pool::{self, BLOCK_WORDS, Pool};
+use crate::shape::{LINE_WORDS, Shape};
 use crate::sync::{AtomicU32, Ordering};
+use crate::{bare, broadcast, fifo, newest};
 use shuttle::rand::{Rng, thread_rng};
 use shuttle::thread;
 use std::vec::Vec;
@@ -180,6 +182,152 @@ fn the_mailbox_in_random_schedules_with_deaths() {
                 assert!(handled.load(Ordering::Relaxed) >= sent, "a signal was lost");
             }
             _ => {}
+        }
+    }
+    in_random_schedules(DONE_AT + 1, core);
+}
+
+type Value = [u32; 2];
+
+/// Lives of a core: each but the last ends at any of its first accesses, if `life` is not over
+/// before.
+fn lives(accesses: u32, mut life: impl FnMut()) {
+    for left in (0..INCARNATIONS).rev() {
+        let at = if left == 0 { u32::MAX } else { below(accesses) };
+        if kill_at(at as usize, &mut life).is_some() {
+            return;
+        }
+    }
+}
+
+/// A queue from core 0 to core 1, and one from there to core 2; each core dies at any access and
+/// restarts. Each value arrives whole, in order, at least once.
+#[test]
+fn the_queues_in_random_schedules_with_deaths() {
+    const SHAPE: Shape = Shape::new(2, 2);
+    const SECOND_AT: usize = fifo::words(SHAPE).next_multiple_of(LINE_WORDS);
+    const DONE_AT: usize = 2 * SECOND_AT;
+    const VALUES: u32 = 6;
+    fn send(words: &'static [AtomicU32]) {
+        let mut producer = bare::fifo_producer::<Value>(words, SHAPE).unwrap();
+        while producer.sent() < VALUES {
+            let _full = producer.send(&[producer.sent(); 2]);
+        }
+    }
+    fn pass_on(from: &'static [AtomicU32], to: &'static [AtomicU32]) {
+        let mut consumer = bare::fifo_consumer::<Value>(from, SHAPE).unwrap();
+        let mut producer = bare::fifo_producer::<Value>(to, SHAPE).unwrap();
+        loop {
+            let Some(item) = consumer.item() else {
+                continue;
+            };
+            let value: Value = [0, 1].map(|at| item.words().get(at));
+            while producer.send(&value).is_err() {}
+            item.release();
+            if value[0] + 1 == VALUES {
+                return;
+            }
+        }
+    }
+    fn receive(words: &'static [AtomicU32], done: &AtomicU32, next: &mut u32) {
+        let mut consumer = bare::fifo_consumer::<Value>(words, SHAPE).unwrap();
+        loop {
+            let last = done.load(Ordering::Relaxed) == 1;
+            match consumer.receive().unwrap() {
+                Some([k, same]) => {
+                    // A receiver that died before it released a value receives it again.
+                    let in_order = *next == k || *next == k + 1;
+                    assert!(k == same && in_order, "{k} {same}, not {next}");
+                    *next = (*next).max(k + 1);
+                }
+                None if last => return,
+                None => {}
+            }
+        }
+    }
+    fn core(words: &'static [AtomicU32], core: usize) {
+        let (first, second) = (words, &words[SECOND_AT..]);
+        match core {
+            0 => lives(30, || send(first)),
+            1 => {
+                lives(60, || pass_on(first, second));
+                words[DONE_AT].store(1, Ordering::Relaxed);
+            }
+            _ => {
+                let mut next = 0;
+                lives(30, || receive(second, &words[DONE_AT], &mut next));
+                assert_eq!(next, VALUES, "a value was lost");
+            }
+        }
+    }
+    in_random_schedules(DONE_AT + 1, core);
+}
+
+/// Core 0 publishes, dies at any access and restarts; core 1 reads the newest value, core 2
+/// receives all. Values are whole; the newest never goes back; each other one is received in order
+/// or counted as lost.
+#[test]
+fn newest_and_broadcast_in_random_schedules_with_deaths() {
+    const SHAPE: Shape = Shape::new(2, 2);
+    const BROADCAST_AT: usize = newest::words(SHAPE).next_multiple_of(LINE_WORDS);
+    // Holds the last value, once it is published; before, 0.
+    const DONE_AT: usize = (BROADCAST_AT + broadcast::words(SHAPE)).next_multiple_of(LINE_WORDS);
+    fn publish(newest: &'static [AtomicU32], broadcast: &'static [AtomicU32], k: &mut u32) {
+        let mut newest = bare::newest_writer::<Value>(newest, SHAPE).unwrap();
+        let mut broadcast = bare::broadcast_writer::<Value>(broadcast, SHAPE).unwrap();
+        for _ in 0..4 {
+            *k += 1;
+            newest.publish(&[*k; 2]);
+            broadcast.publish(&[*k; 2]);
+        }
+    }
+    fn read(words: &'static [AtomicU32], done: &AtomicU32) {
+        let reader = bare::newest_reader::<Value>(words, SHAPE).unwrap();
+        let mut before = (0, 0);
+        loop {
+            let last = done.load(Ordering::Relaxed);
+            if let Ok((stamp, [k, same])) = reader.read() {
+                assert_eq!(k, same, "torn");
+                let is_same = (stamp.0, k) == before;
+                assert!(is_same || stamp.0 >= before.0 && k > before.1, "goes back");
+                before = (stamp.0, k);
+            }
+            if last != 0 {
+                assert_eq!(before.1, last, "the newest was not read");
+                return;
+            }
+        }
+    }
+    fn receive(words: &'static [AtomicU32], done: &AtomicU32) {
+        let mut receiver = bare::broadcast_receiver::<Value>(words, SHAPE).unwrap();
+        let (mut number, mut newest) = (None, 0);
+        loop {
+            let last = done.load(Ordering::Relaxed);
+            match receiver.receive() {
+                Ok(Some((stamp, [k, same]))) => {
+                    assert!(k == same && k > newest, "{k} {same} after {newest}");
+                    assert_eq!(stamp.0, number.unwrap_or(stamp.0), "not counted");
+                    (number, newest) = (Some(stamp.0 + 1), k);
+                }
+                Ok(None) if last != 0 => {
+                    assert_eq!(newest, last, "the last one was not received");
+                    return;
+                }
+                Ok(None) => {}
+                Err(lost) => number = number.map(|number| number + lost.count),
+            }
+        }
+    }
+    fn core(words: &'static [AtomicU32], core: usize) {
+        let (broadcast, done) = (&words[BROADCAST_AT..], &words[DONE_AT]);
+        match core {
+            0 => {
+                let mut k = 0;
+                lives(40, || publish(words, broadcast, &mut k));
+                done.store(k, Ordering::Relaxed);
+            }
+            1 => read(words, done),
+            _ => receive(broadcast, done),
         }
     }
     in_random_schedules(DONE_AT + 1, core);

@@ -1,20 +1,29 @@
-//! Core 0 in virtual time: its tasks take time, and the more urgent one pre-empts.
+//! Cores in virtual time. On core 0 the more urgent task pre-empts; a cycle of core 1 or 2 runs to
+//! its end.
 //!
-//! An executor over the task table, as FreeRTOS schedules it: fixed priorities, a tick of 1 ms, a
-//! doorbell whose interrupts keep their distance. The body of a job runs when the job gets the
-//! processor for the first time, and what it sends leaves when the job ends. So a job uses the
-//! oldest inputs and gives the latest outputs that its execution permits. Locks cost nothing.
+//! Core 0 has an executor over the task table, as FreeRTOS schedules it: fixed priorities, a tick
+//! of 1 ms, a doorbell whose interrupts keep their distance. The body of a job runs when the job
+//! gets the processor for the first time, and what it sends leaves when the job ends. So a job uses
+//! the oldest inputs and gives the latest outputs that its execution permits. Locks cost nothing.
+//!
+//! Cores 1 and 2 have no kernel. What a cycle publishes is in shared memory, where others see it at
+//! once; so its body runs when its execution ends. Core 1 takes its frames when the cycle begins.
+//! Core 2 reads the scene when its execution ends: it is the same one, because scenes are further
+//! apart than planning takes.
 
 use crate::timing::{DOORBELL, TICK, Time};
 use std::cell::{Cell, RefCell};
 use tandem_board::{Board, Duration, Instant};
 use tandem_board_sim::{Poller, SimBoard};
-use tandem_cores::Config;
 use tandem_cores::core0::{
     DOORBELL_DISTANCE, Drive, Executor, Parts, Shared, Task, TaskId, TaskSet, Tasks,
 };
+use tandem_cores::core1::Core1;
+use tandem_cores::core2::Core2;
 use tandem_cores::schedule::TickGrid;
+use tandem_cores::task_table::TaskCode;
 use tandem_cores::trace::{Begin, Event, Leaves};
+use tandem_cores::{Config, Core};
 
 const TASKS: usize = TaskId::ALL.len();
 
@@ -47,20 +56,18 @@ impl Executor<'static, SimBoard> for Flow {
 
     fn begins(&self, task: TaskId, begin: Begin) {
         self.has_begun.set(true);
-        trace_in(self.board, task, begin);
+        trace_in(self.board, task.info().code, begin);
     }
 
     /// The job ends when its execution is over.
     fn ends(&self, _: TaskId) {}
 }
 
-fn trace_in(board: &SimBoard, task: TaskId, begin: Begin) {
-    let task = task.info().code;
+fn trace_in(board: &SimBoard, task: TaskCode, begin: Begin) {
     board.trace(Event::TaskIn { task, begin }.encode());
 }
 
-fn trace_out(board: &SimBoard, task: TaskId, leaves: Leaves) {
-    let task = task.info().code;
+fn trace_out(board: &SimBoard, task: TaskCode, leaves: Leaves) {
     board.trace(Event::TaskOut { task, leaves }.encode());
 }
 
@@ -166,7 +173,7 @@ impl TimedCore0 {
         self.states[task as usize].left_ns = None;
         self.running = None;
         self.flow.board.let_go(task as u8);
-        trace_out(self.flow.board, task, Leaves::Done);
+        trace_out(self.flow.board, task.info().code, Leaves::Done);
     }
 
     /// The tick and the doorbell.
@@ -216,10 +223,10 @@ impl TimedCore0 {
                 return;
             }
             if let Some(before) = self.running.take() {
-                trace_out(self.flow.board, before, Leaves::Preempted);
+                trace_out(self.flow.board, before.info().code, Leaves::Preempted);
             }
             if self.states[task as usize].left_ns.is_some() {
-                trace_in(self.flow.board, task, Begin::Goes);
+                trace_in(self.flow.board, task.info().code, Begin::Goes);
                 self.running = Some(task);
                 return;
             }
@@ -292,5 +299,66 @@ impl TimedCore0 {
             next = next.min(now + Duration::from_ns(ends));
         }
         next
+    }
+}
+
+/// Core 1 of this board, whose cycles take `time`.
+#[must_use]
+pub fn core_1(board: &'static SimBoard, time: Time) -> Poller {
+    let mut core = Core1::new(board);
+    let mut job = Job::new(board, time, TaskCode::PERCEPTION);
+    Box::new(move |_| match job.ends(|| core.begin()) {
+        Some(ends) => ends,
+        None => core.poll(),
+    })
+}
+
+/// Core 2 of this board, whose cycles take `time`. Core 1's signal releases them.
+#[must_use]
+pub fn core_2(board: &'static SimBoard, time: Time) -> Poller {
+    let mut core = Core2::new(board);
+    let mut job = Job::new(board, time, TaskCode::PLANNING);
+    Box::new(move |_| {
+        let was_busy = job.ends.is_some();
+        let ends = job.ends(|| board.is_interrupted());
+        match (was_busy, ends) {
+            // The body traces the same job once more, when it runs.
+            (false, Some(_)) => trace_in(board, TaskCode::PLANNING, Begin::Goes),
+            (true, None) => trace_out(board, TaskCode::PLANNING, Leaves::Blocked),
+            _ => {}
+        }
+        ends.unwrap_or_else(|| core.poll())
+    })
+}
+
+/// The job of a core without a kernel. Nothing interrupts it.
+struct Job {
+    board: &'static SimBoard,
+    time: Time,
+    task: TaskCode,
+    ends: Option<Instant>,
+}
+
+impl Job {
+    fn new(board: &'static SimBoard, time: Time, task: TaskCode) -> Self {
+        let ends = None;
+        Self {
+            board,
+            time,
+            task,
+            ends,
+        }
+    }
+
+    /// When the execution of the job ends; `None` if it has, or there is none. `begins`: whether a
+    /// job begins now.
+    fn ends(&mut self, begins: impl FnOnce() -> bool) -> Option<Instant> {
+        let now = self.board.now();
+        let ends = self.ends.or_else(|| {
+            let draw = |limit| self.board.draw_below(limit);
+            begins().then(|| now + Duration::from_ns(self.time.execution(self.task, draw)))
+        });
+        self.ends = ends.filter(|ends| *ends > now);
+        self.ends
     }
 }

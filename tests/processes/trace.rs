@@ -74,6 +74,10 @@ struct Moment {
 const BEGIN: u64 = 1;
 const END: u64 = 2;
 
+/// Identifiers on the bus.
+const CONTROL: [u16; 2] = [0x0A0, 0x0A1];
+const SENSORS: std::ops::Range<u16> = 0x200..0x280;
+
 fn events(trace: &[u8]) -> Vec<Moment> {
     let (mut names, mut threads) = (HashMap::new(), HashMap::new());
     let mut events = Vec::new();
@@ -100,7 +104,69 @@ fn events(trace: &[u8]) -> Vec<Moment> {
     events
 }
 
+/// Age in ms of the oldest object list behind each obeyed control frame, by the trace and the log
+/// of the bus alone: the age that a frame carries is not read. Sorted.
+fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
+    let frames: Vec<(f64, u16)> = candump
+        .lines()
+        .map(|line| {
+            let (time, frame) = line.split_once(") can0 ").unwrap();
+            let id = frame.split_once('#').unwrap().0;
+            let seconds: f64 = time[1..].parse().unwrap();
+            (seconds * 1e3, u16::from_str_radix(id, 16).unwrap())
+        })
+        .collect();
+    let obeyed = |e: &&Moment| e.name.ends_with(" obeyed");
+    let ms = |e: &Moment| e.at_ns as f64 * 1e-6;
+    // The log has the time of day, the trace that of the machine.
+    let first_control = frames
+        .iter()
+        .find(|(_, id)| CONTROL.contains(id))
+        .unwrap()
+        .0;
+    let shift = ms(events.iter().find(obeyed).unwrap()) - first_control;
+    // Of each sensor, its lists: when its first frame was on the bus, and when its last.
+    let mut lists: HashMap<u16, Vec<(f64, f64)>> = HashMap::new();
+    for (at, id) in frames.into_iter().filter(|(_, id)| SENSORS.contains(id)) {
+        let lists = lists.entry(id >> 4).or_default();
+        if id & 0xF == 0 {
+            lists.push((at + shift, at + shift));
+        } else if let Some(last) = lists.last_mut() {
+            last.1 = at + shift;
+        }
+    }
+    let times = |thread: String, kind| {
+        let here = events
+            .iter()
+            .filter(move |e| e.thread == thread && e.kind == kind);
+        here.map(ms).collect::<Vec<_>>()
+    };
+    let mut ages = Vec::new();
+    let of_both = [("A obeyed", 1), ("B obeyed", 2)];
+    for (name, pid) in of_both {
+        let perceives = times(format!("{pid}/core 1: perception"), BEGIN);
+        let planned = times(format!("{pid}/core 2: planning"), END);
+        for acts in events.iter().filter(|e| e.name == name).map(ms) {
+            // The last plan before this frame, and the last look at the sensors before that plan.
+            let plan = planned.iter().rfind(|end| **end < acts);
+            let look = plan.and_then(|plan| perceives.iter().rfind(|begin| *begin < plan));
+            let Some(look) = look else { continue };
+            let of_sensor = |lists: &Vec<(f64, f64)>| {
+                lists
+                    .iter()
+                    .rfind(|(_, end)| end < look)
+                    .map(|(begin, _)| *begin)
+            };
+            let oldest = lists.values().filter_map(of_sensor).reduce(f64::min);
+            ages.extend(oldest.map(|oldest| acts - oldest));
+        }
+    }
+    ages.sort_by(f64::total_cmp);
+    ages
+}
+
 /// A core that is killed leaves its trace up to the kill, and the trace of all stays well-formed.
+/// The age of sensor data in the metrics is what the trace and the bus say.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let fixture = Fixture::new();
@@ -116,8 +182,8 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     kill(victim);
     let metrics = run.metrics();
     assert_eq!(metrics["lost_trace"], 0, "{metrics:#}");
-    let path = fixture.folder().join("tandem-report/trace.perfetto-trace");
-    let events = events(&std::fs::read(path).unwrap());
+    let report = fixture.folder().join("tandem-report");
+    let events = events(&std::fs::read(report.join("trace.perfetto-trace")).unwrap());
 
     let pid = if master == "A" { 1 } else { 2 };
     let (core, supply) = (format!("{pid}/core 0: control"), format!("{pid}/supply"));
@@ -181,4 +247,10 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
     let mut control = control.filter(|t| t["task"] == "control" && t["system"] == *master);
     let jobs = control.next().unwrap()["jobs"].as_u64().unwrap();
     assert_eq!(jobs, cycles.len() as u64);
+
+    let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
+    let ages_ms = sensor_ages_ms(&events, &candump);
+    let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
+    let differs_ms = (ours - told.as_f64().unwrap()).abs();
+    assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
 }

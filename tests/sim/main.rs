@@ -58,7 +58,7 @@ fn the_printed_line_repeats_a_violation() {
     let folder = tempfile::tempdir().unwrap();
     // Both systems lose power as the vehicle in front begins to brake.
     let off = |of| format!("[[fault]]\nwhat = \"power-loss\"\nof = \"{of}\"\nat-ms = 3000.0\n");
-    let faults = format!("mended-at-ms = 9000.0\n{}{}", off("a"), off("b"));
+    let faults = format!("mended-at-ms = 12000.0\n{}{}", off("a"), off("b"));
     fs::write(folder.path().join("off.toml"), faults).unwrap();
     let profile = ["--closed-loop", "--timing", "chip", "--time", "worst"];
     let campaign = ["--faults", "off.toml", "--seeds", "1"];

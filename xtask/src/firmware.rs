@@ -155,7 +155,8 @@ fn port(root: &Path) -> PathBuf {
     root.join("firmware-port")
 }
 
-fn build_dir(root: &Path) -> PathBuf {
+/// Everything for bare metal is built here.
+pub(crate) fn build_dir(root: &Path) -> PathBuf {
     target_dir(root).join("firmware")
 }
 

@@ -16,7 +16,7 @@ mod tidy;
 mod toolchain;
 mod weakened;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use clap::{Parser, Subcommand};
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
@@ -207,7 +207,7 @@ enum Campaign {
     /// Simulate sequences of faults with and without optimisation: every frame and event must be
     /// the same, to the bit
     SimDigest {
-        /// How many sequences, for each of the three settings of time
+        /// How many sequences, for each setting of time, with and without the closed loop
         #[arg(long, default_value_t = 20)]
         count: u64,
     },
@@ -231,6 +231,9 @@ enum Campaign {
         /// Only each N-th change
         #[arg(long, default_value_t = 1)]
         every: u32,
+        /// The first of them, below N: with another number, other changes are tried
+        #[arg(long, default_value_t = 0)]
+        from: u32,
     },
     /// Compare the tick of FreeRTOS with the clock
     RtosDrift {
@@ -291,7 +294,7 @@ fn execute() -> Result<()> {
             every,
             broken,
         }) => {
-            let mut command = campaign(root, "tandem-boot-host", "power_cuts");
+            let mut command = example(root, "release", "power_cuts")?;
             command.args(["--every", &every.to_string()]);
             if let Some(path) = json {
                 command.arg("--json").arg(path);
@@ -306,7 +309,7 @@ fn execute() -> Result<()> {
             json,
             monitor,
         }) => {
-            let mut command = campaign(root, "tandem-boot-host", "mutations");
+            let mut command = example(root, "release", "mutations")?;
             command.args(["--count", &count.to_string()]);
             if let Some(path) = json {
                 command.arg("--json").arg(path);
@@ -327,7 +330,7 @@ fn execute() -> Result<()> {
             seed,
             seconds: None,
         }) => {
-            let mut command = campaign(root, "tandem-fuzz", "mutate");
+            let mut command = example(root, "release", "mutate")?;
             command.args([seed.to_string(), count.to_string()]);
             command.args(targets);
             run(command)
@@ -344,9 +347,11 @@ fn execute() -> Result<()> {
             command.env("TANDEM_EXPLORE", faults.to_string());
             run(command)
         }
-        Task::Campaign(Campaign::Mutants { packages, every }) => {
-            mutants::run(root, &packages, every)
-        }
+        Task::Campaign(Campaign::Mutants {
+            packages,
+            every,
+            from,
+        }) => mutants::run(root, &packages, every, from),
         Task::Campaign(Campaign::RtosDrift { seconds }) => {
             let name = "the_tick_does_not_drift";
             let mut command = one_test(root, "tandem-rtos", "scheduling", name);
@@ -398,8 +403,11 @@ fn bare_metal(root: &Path) -> Result<()> {
             .into_iter()
             .chain(rtos.map(|(name, _)| *name))
             .collect();
-        let mut command = cargo(root, &["build", "--quiet", "--target", target]);
+        let mut command = cargo(root, &["build", "--quiet", "--profile", "bare-metal"]);
+        command.args(["--target", target]);
         command.args(packages.iter().flat_map(|package| ["-p", package]));
+        // While cargo builds, it locks the target folder: the tests are built in the other one.
+        command.env("CARGO_TARGET_DIR", firmware::build_dir(root));
         run(command)?;
         println!("{} build for {target}", packages.join(", "));
     }
@@ -467,21 +475,25 @@ fn startup_kills(root: &Path, count: u32) -> Result<()> {
     run(command)
 }
 
-/// A campaign that is an example of a package; paths are relative to the caller's folder.
-fn campaign(root: &Path, package: &str, name: &str) -> Command {
-    let manifest = root.join("Cargo.toml");
-    let mut command = Command::new(option_env!("CARGO").unwrap_or("cargo"));
-    command.args(["run", "--quiet", "--release", "--manifest-path"]);
-    command.arg(manifest);
-    command.args(["-p", package, "--example", name, "--"]);
-    command
+/// An example, built in this profile; its paths are relative to the caller's folder. Of the whole
+/// workspace, as the tests: for one package cargo would choose other features of dependencies, and
+/// build much again.
+fn example(root: &Path, profile: &str, name: &str) -> Result<Command> {
+    let mut build = cargo(root, &["build", "--quiet", "--workspace"]);
+    build.args(["--profile", profile, "--example", name]);
+    let status = build
+        .status()
+        .with_context(|| format!("cannot start {build:?}"))?;
+    ensure!(status.success(), "{build:?} ended with {status}");
+    let folder = if profile == "dev" { "debug" } else { profile };
+    let examples = target_dir(root).join(folder).join("examples");
+    Ok(Command::new(examples.join(name)))
 }
 
 fn sim_digest(root: &Path, count: u64) -> Result<()> {
     let digests = |profile: &str| {
-        let mut command = cargo(root, &["run", "--quiet", "--profile", profile]);
-        command.args(["-p", "tandem-sim", "--example", "digest"]);
-        let output = command.arg("--").arg(count.to_string()).output()?;
+        let mut command = example(root, profile, "digest")?;
+        let output = command.arg(count.to_string()).output()?;
         if !output.status.success() {
             let said = String::from_utf8_lossy(&output.stderr);
             bail!("{command:?} ended with {}: {said}", output.status);
@@ -531,5 +543,6 @@ fn one_test(root: &Path, package: &str, file: &str, name: &str) -> Command {
 }
 
 fn target_dir(root: &Path) -> PathBuf {
-    std::env::var_os("CARGO_TARGET_DIR").map_or_else(|| root.join("target"), PathBuf::from)
+    let folder = std::env::var_os("CARGO_TARGET_DIR").unwrap_or_else(|| "target".into());
+    root.join(folder)
 }

@@ -16,8 +16,9 @@ const TIMEOUT_SECONDS: &str = "120";
 /// The exit status of cargo-mutants says what it found: 2 missed, 3 time-outs. Others are errors.
 const FOUND: [Option<i32>; 3] = [Some(0), Some(2), Some(3)];
 
-/// Tests each `every`-th mutant of these packages, by default of all three.
-pub(crate) fn run(root: &Path, packages: &[String], every: u32) -> Result<()> {
+/// Tests each `every`-th mutant of these packages, by default of all three, beginning with number
+/// `from`: with another number, others.
+pub(crate) fn run(root: &Path, packages: &[String], every: u32, from: u32) -> Result<()> {
     let version = cargo(root, &["mutants", "--version"]).output();
     if !version.is_ok_and(|output| output.status.success()) {
         println!("SKIPPED: mutants (cargo install --locked cargo-mutants)");
@@ -35,7 +36,7 @@ pub(crate) fn run(root: &Path, packages: &[String], every: u32) -> Result<()> {
         fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
         let mut command = cargo(root, &["mutants", "--package", package, "--baseline=skip"]);
         command.args(["--timeout", TIMEOUT_SECONDS, "--sharding=round-robin"]);
-        command.arg(format!("--shard=0/{every}"));
+        command.arg(format!("--shard={from}/{every}"));
         command.arg("--output").arg(&folder);
         println!("$ {command:?}");
         let status = command.status().context("cargo mutants")?;

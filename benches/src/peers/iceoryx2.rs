@@ -7,6 +7,7 @@ use crate::shared::Shared;
 use crate::stream::{Stream, from_processes};
 use crate::tandem::{sum_from, word};
 use core::mem::MaybeUninit;
+use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::config::Config;
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
@@ -110,7 +111,7 @@ pub(crate) fn event_at_rate(plan: &Plan) -> io::Result<Batch> {
 
 /// What is asked of a publish-subscribe service.
 #[derive(Clone, Copy, PartialEq, Eq)]
-enum Settings {
+pub(crate) enum Settings {
     /// As the library comes: room for 8 subscribers, a buffer of 2 that overflows safely.
     Default,
     /// One publisher, one subscriber, one sample in the buffer and one in hand, no overflow, no
@@ -188,7 +189,12 @@ fn try_receive(subscriber: &Subscriber<Ipc, [u32], ()>) -> Option<u32> {
     Some(sum_from(sample.iter().copied()))
 }
 
-fn publish_subscribe(plan: &Plan, settings: Settings, words: usize) -> io::Result<Batch> {
+/// Zero-copy publish-subscribe of `words` words; the subscriber polls.
+pub(crate) fn publish_subscribe(
+    plan: &Plan,
+    settings: Settings,
+    words: usize,
+) -> io::Result<Batch> {
     let run = next_run();
     between_processes(plan, |_, [out, inward]| {
         with_node(|node| {
@@ -208,16 +214,6 @@ fn publish_subscribe(plan: &Plan, settings: Settings, words: usize) -> io::Resul
             Ok((send, receive))
         })
     })
-}
-
-/// Zero-copy publish-subscribe with default settings; the subscriber polls.
-pub(crate) fn pubsub(plan: &Plan) -> io::Result<Batch> {
-    publish_subscribe(plan, Settings::Default, 1)
-}
-
-/// The same with the leanest settings.
-pub(crate) fn pubsub_tuned(plan: &Plan) -> io::Result<Batch> {
-    publish_subscribe(plan, Settings::Lean, 1)
 }
 
 /// Payloads of `bytes`, a multiple of 4, with the leanest settings: each word is written into the
@@ -296,6 +292,7 @@ pub(crate) fn blackboard(plan: &Plan) -> io::Result<Batch> {
 }
 
 type Asks = Client<Ipc, u32, (), u32, ()>;
+type Asked = ActiveRequest<Ipc, u32, (), u32, ()>;
 type Pending = PendingResponse<Ipc, u32, (), u32, ()>;
 
 /// 4 bytes as a request, and 4 bytes as its response; both ends poll.
@@ -315,14 +312,7 @@ pub(crate) fn request(plan: &Plan) -> io::Result<Batch> {
             let send = move |stamp| *pending.borrow_mut() = client.send_copy(stamp).ok();
             let receive = move || {
                 let (_open, answer) = (&node, answer.borrow());
-                polled(|| {
-                    answer
-                        .as_ref()?
-                        .receive()
-                        .ok()
-                        .flatten()
-                        .map(|response| *response)
-                })
+                polled(|| Some(*answer.as_ref()?.receive().ok()??))
             };
             Ok((send, receive))
         })
@@ -334,9 +324,7 @@ pub(crate) fn request(plan: &Plan) -> io::Result<Batch> {
             let request = Rc::new(RefCell::new(None));
             let asked = request.clone();
             let send = move |stamp| {
-                let request: Option<
-                    iceoryx2::active_request::ActiveRequest<Ipc, u32, (), u32, ()>,
-                > = asked.borrow_mut().take();
+                let request: Option<Asked> = asked.borrow_mut().take();
                 let _sent = request.map(|request| request.send_copy(stamp));
             };
             let receive = move || {

@@ -2,99 +2,76 @@
 
 use crate::harness::{Batch, Plan, between_processes};
 use crate::shared::Shared;
-use crate::stream::{self, Stream};
+use crate::stream::{Stream, from_processes};
 use io_uring::{IoUring, opcode, squeue, types};
+use rustix::event::{EventfdFlags, eventfd as new_eventfd};
+use rustix::process::{Pid, PidfdFlags, PidfdGetfdFlags, pidfd_getfd, pidfd_open};
 use std::cell::RefCell;
-use std::io;
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 
-fn write<const N: usize>(to: &OwnedFd, bytes: [u8; N]) -> bool {
-    // SAFETY: N bytes from a valid buffer.
-    unsafe { libc::write(to.as_raw_fd(), bytes.as_ptr().cast(), N) == N as isize }
-}
-
 /// Pipes and packet sockets do not tear so few bytes: pipe(7).
-fn read<const N: usize>(from: &OwnedFd) -> Option<[u8; N]> {
+fn read<const N: usize>(mut from: impl Read) -> Option<[u8; N]> {
     let mut bytes = [0; N];
-    // SAFETY: up to N bytes into a valid buffer.
-    let read = unsafe { libc::read(from.as_raw_fd(), bytes.as_mut_ptr().cast(), N) };
-    (read == N as isize).then_some(bytes)
+    (from.read(&mut bytes).ok()? == N).then_some(bytes)
 }
 
-fn owned(fd: libc::c_long) -> io::Result<OwnedFd> {
-    match i32::try_from(fd) {
-        // SAFETY: the kernel has just made it, and nothing else owns it.
-        Ok(fd) if fd >= 0 => Ok(unsafe { OwnedFd::from_raw_fd(fd) }),
-        _ => Err(io::Error::last_os_error()),
-    }
-}
-
-/// Two descriptors that the kernel puts into a place for them.
-fn two(made: impl FnOnce(*mut i32) -> i32) -> io::Result<[OwnedFd; 2]> {
-    let mut fds = [-1; 2];
-    if made(fds.as_mut_ptr()) != 0 {
-        return Err(io::Error::last_os_error());
-    }
-    let [one, other] = fds.map(|fd| owned(fd.into()));
-    Ok([one?, other?])
-}
-
-/// The reading and the writing end.
-fn new_pipe() -> io::Result<[OwnedFd; 2]> {
-    // SAFETY: a valid place for two descriptors.
-    two(|fds| unsafe { libc::pipe2(fds, libc::O_CLOEXEC) })
-}
-
-/// 4 bytes by `write` and `read`. Each way has the descriptors to read from and to write to.
-fn by_bytes(plan: &Plan, ways: [[&OwnedFd; 2]; 2]) -> io::Result<Batch> {
+/// 4 bytes by `write` and `read`. Each way has what to write to and what to read from.
+fn by_bytes<R, W>(plan: &Plan, ways: [(R, W); 2]) -> io::Result<Batch>
+where
+    for<'a> &'a R: Read,
+    for<'a> &'a W: Write,
+{
     between_processes(plan, |_, [out, inward]| {
-        let (to, from) = (ways[out][1], ways[inward][0]);
-        let send = |stamp: u32| {
-            write(to, stamp.to_ne_bytes());
-        };
-        (send, || read(from).map_or(0, u32::from_ne_bytes))
+        let (mut to, from) = (&ways[out].1, &ways[inward].0);
+        let send = move |stamp: u32| drop(to.write(&stamp.to_ne_bytes()));
+        (send, move || read(from).map_or(0, u32::from_ne_bytes))
     })
 }
 
 /// Two pipes.
 pub(crate) fn pipe(plan: &Plan) -> io::Result<Batch> {
-    let [there, back] = [new_pipe()?, new_pipe()?];
-    by_bytes(plan, [there.each_ref(), back.each_ref()])
+    by_bytes(plan, [io::pipe()?, io::pipe()?])
 }
 
 /// A pair of Unix sockets that keep the boundaries of messages.
 pub(crate) fn unix_socket(plan: &Plan) -> io::Result<Batch> {
     let kind = libc::SOCK_SEQPACKET | libc::SOCK_CLOEXEC;
+    let mut fds = [-1; 2];
     // SAFETY: a valid place for two descriptors.
-    let [near, far] = two(|fds| unsafe { libc::socketpair(libc::AF_UNIX, kind, 0, fds) })?;
-    by_bytes(plan, [[&far, &near], [&near, &far]])
+    if unsafe { libc::socketpair(libc::AF_UNIX, kind, 0, fds.as_mut_ptr()) } != 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: the kernel has just made them, and nothing else owns them.
+    let [near, far] = fds.map(|fd| unsafe { File::from_raw_fd(fd) });
+    let back = (near.try_clone()?, far.try_clone()?);
+    by_bytes(plan, [(far, near), back])
 }
 
 /// A stream of 8 bytes each through a pipe, a system call at each end of each.
 pub(crate) fn pipe_stream(plan: &Plan) -> io::Result<Batch> {
-    let [inward, out] = new_pipe()?;
+    let (inward, out) = io::pipe()?;
     let stream = Stream {
         chunk: 1024,
         payload_bytes: 8,
     };
-    let sender = |_| |k: u32| write(&out, u64::from(k).to_ne_bytes());
+    let sender = |_| |k: u32| (&out).write(&u64::from(k).to_ne_bytes()).is_ok();
     let receiver = |_| || read(&inward).map(|bytes| u64::from_ne_bytes(bytes) as u32);
-    stream::from_processes::<_, _, 1>(plan, &Shared::new()?, stream, sender, receiver)
+    from_processes::<_, _, 1>(plan, &Shared::new()?, stream, sender, receiver)
 }
 
 /// A wake-up by eventfd, with the stamp in shared memory beside it.
 pub(crate) fn eventfd(plan: &Plan) -> io::Result<Batch> {
-    // SAFETY: takes no pointer.
-    let [there, back] =
-        [0, 0].map(|_| owned(unsafe { libc::eventfd(0, libc::EFD_CLOEXEC) }.into()));
-    let ways = [there?, back?];
+    let new = || new_eventfd(0, EventfdFlags::CLOEXEC).map(File::from);
+    let ways = [new()?, new()?];
     between_processes(plan, |shared, [out, inward]| {
         let (stamp_out, stamp_in) = (shared.line(2 * out), shared.line(2 * inward));
-        let (to, from) = (&ways[out], &ways[inward]);
+        let (mut to, from) = (&ways[out], &ways[inward]);
         let send = move |stamp| {
             stamp_out.store(stamp, Release);
-            write(to, 1u64.to_ne_bytes());
+            drop(to.write(&1u64.to_ne_bytes()));
         };
         let receive = move || {
             read::<8>(from);
@@ -110,11 +87,10 @@ fn peers_ring(own: &IoUring, shared: &Shared, [out, inward]: [usize; 2]) -> io::
     shared.line(2 * out + 1).store(std::process::id(), Relaxed);
     // Orders the words before and after it.
     shared.meet(2);
-    let [fd, pid] = [0, 1].map(|word| shared.line(2 * inward + word).load(Relaxed));
-    // SAFETY: takes numbers only; the result is a new descriptor or negative.
-    let process = owned(unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) })?;
-    // SAFETY: as above.
-    owned(unsafe { libc::syscall(libc::SYS_pidfd_getfd, process.as_raw_fd(), fd, 0) })
+    let [fd, pid] = [0, 1].map(|word| shared.line(2 * inward + word).load(Relaxed) as i32);
+    let peer = Pid::from_raw(pid).expect("a process");
+    let peer = pidfd_open(peer, PidfdFlags::empty())?;
+    Ok(pidfd_getfd(peer, fd, PidfdGetfdFlags::empty())?)
 }
 
 /// 4 bytes in a message from ring to ring: the kernel puts a completion into the other's queue.

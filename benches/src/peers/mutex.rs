@@ -67,7 +67,7 @@ impl Exclusion for Mutex {
 }
 
 /// Taking and giving back a mutex that no other process wants.
-pub(crate) fn mutex(plan: &Plan, death: Death) -> io::Result<Batch> {
+pub(crate) fn free(plan: &Plan, death: Death) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, death);
     alone(plan, &shared, CHUNK, || {
@@ -79,7 +79,7 @@ pub(crate) fn mutex(plan: &Plan, death: Death) -> io::Result<Batch> {
 }
 
 /// `processes` want it all the time.
-pub(crate) fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
+pub(crate) fn under_contention(plan: &Plan, processes: usize, death: Death) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, death);
     contended(plan, &shared, processes, |_| mutex)
@@ -87,7 +87,7 @@ pub(crate) fn contended_mutex(plan: &Plan, processes: usize, death: Death) -> io
 
 /// An owner takes the robust mutex and is killed while another process waits for it; the kernel
 /// sees the death.
-pub(crate) fn mutex_recovery(plan: &Plan) -> io::Result<Batch> {
+pub(crate) fn recovery(plan: &Plan) -> io::Result<Batch> {
     let shared = Shared::new()?;
     let mutex = Mutex::create(&shared, Death::Robust);
     let take = || {

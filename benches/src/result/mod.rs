@@ -3,6 +3,7 @@
 //! Times are collected in picoseconds, so that an operation of 8 ns keeps its decimals, and stored
 //! in nanoseconds. `Results` is the JSON file, field by field.
 
+use crate::cases::Group::{Size, Throughput};
 use crate::machine::Machine;
 use crate::measure::Measurement;
 use hdrhistogram::Histogram;
@@ -11,15 +12,7 @@ use std::collections::BTreeMap;
 use tandem_page::format::median;
 
 /// First field of the file; its version rises when a reader must know.
-pub const SCHEMA: &str = "tandem-bench/1";
-/// Name of the case, in each group, that the others are compared with.
-const FLOOR: &str = "floor";
-/// The group whose rows are the machine's own noise.
-pub const NOISE: &str = "noise";
-/// The group that is about messages per second.
-const THROUGHPUT: &str = "throughput";
-/// The group that is about bytes per second.
-const SIZE: &str = "size";
+pub(crate) const SCHEMA: &str = "tandem-bench/1";
 /// Points of a percentile curve, at most.
 const CURVE_POINTS: usize = 100;
 /// A curve ends where fewer samples than this lie beyond it: less would be chance.
@@ -27,104 +20,102 @@ const SAMPLES_BEYOND: f64 = 10.0;
 
 /// A whole run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Results {
+pub(crate) struct Results {
     /// [`SCHEMA`].
-    pub schema: String,
+    pub(crate) schema: String,
     /// Where.
-    pub machine: Machine,
+    pub(crate) machine: Machine,
     /// How long the measurement took, s.
-    pub duration_s: f64,
+    pub(crate) duration_s: f64,
     /// The background load that was asked for, as `spin:2`.
     #[serde(default)]
-    pub load: Option<String>,
+    pub(crate) load: Option<String>,
     /// Ended by Ctrl-C: the figures rest on fewer samples than planned.
-    pub interrupted: bool,
+    pub(crate) interrupted: bool,
     /// What the machine does to a program that does nothing: the rows of the group `noise`.
-    pub noise: Vec<Row>,
+    pub(crate) noise: Vec<Row>,
     /// What was measured, in the order of the cases.
-    pub results: Vec<Row>,
+    pub(crate) results: Vec<Row>,
     /// What could not be measured.
-    pub skipped: Vec<Skipped>,
+    pub(crate) skipped: Vec<Skipped>,
 }
 
 /// A case that could not be measured.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Skipped {
+pub(crate) struct Skipped {
     /// Group and case.
-    pub name: String,
+    pub(crate) name: String,
     /// Why.
-    pub why: String,
+    pub(crate) why: String,
 }
 
 /// One measured case. Times in nanoseconds, rounded to a tenth.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Row {
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Row {
     /// Group and case, as `spin/tandem`.
-    pub name: String,
+    pub(crate) name: String,
     /// The group.
-    pub group: String,
+    pub(crate) group: String,
     /// What it is.
-    pub what: String,
+    pub(crate) what: String,
     /// Bytes of payload per message.
-    pub payload_bytes: u64,
+    pub(crate) payload_bytes: u64,
     /// Median.
-    pub p50_ns: f64,
+    pub(crate) p50_ns: f64,
     /// 90th percentile.
-    pub p90_ns: f64,
+    pub(crate) p90_ns: f64,
     /// 99th percentile.
-    pub p99_ns: f64,
+    pub(crate) p99_ns: f64,
     /// 99.9th percentile.
-    pub p99_9_ns: f64,
+    pub(crate) p99_9_ns: f64,
     /// Largest.
-    pub max_ns: f64,
+    pub(crate) max_ns: f64,
     /// Number of times measured.
-    pub samples: u64,
+    pub(crate) samples: u64,
     /// Median over the floor's median; `None` without a floor in this group.
-    pub ratio_to_floor_p50: Option<f64>,
+    pub(crate) ratio_to_floor_p50: Option<f64>,
     /// 99.9th percentile over the floor's.
-    pub ratio_to_floor_p99_9: Option<f64>,
+    pub(crate) ratio_to_floor_p99_9: Option<f64>,
     /// There and back, where the case is a ping-pong.
-    pub round_trip: Option<RoundTrip>,
+    pub(crate) round_trip: Option<RoundTrip>,
     /// CPU time of all ends per message, where it means something.
-    pub cpu_ns_per_message: Option<f64>,
+    pub(crate) cpu_ns_per_message: Option<f64>,
     /// At the median time per message; throughput only.
-    pub messages_per_second: Option<f64>,
+    pub(crate) messages_per_second: Option<f64>,
     /// Payload at the median time per message; throughput and size only.
-    pub bytes_per_second: Option<f64>,
+    pub(crate) bytes_per_second: Option<f64>,
     /// Median of each batch, in the order of measuring.
-    pub batch_p50_ns: Vec<f64>,
+    pub(crate) batch_p50_ns: Vec<f64>,
     /// Time that the hypervisor took during each batch, all CPUs, ms, in steps of 10.
     #[serde(default)]
-    pub batch_steal_ms: Vec<f64>,
+    pub(crate) batch_steal_ms: Vec<f64>,
     /// Points (quantile, ns) of the distribution, up to the last nines that the samples carry.
-    pub curve: Vec<(f64, f64)>,
+    pub(crate) curve: Vec<(f64, f64)>,
     /// Further facts by name.
-    pub facts: BTreeMap<String, f64>,
+    pub(crate) facts: BTreeMap<String, f64>,
 }
 
 /// Percentiles of the way there and back.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct RoundTrip {
+pub(crate) struct RoundTrip {
     /// Median.
-    pub p50_ns: f64,
+    pub(crate) p50_ns: f64,
     /// 99th percentile.
-    pub p99_ns: f64,
+    pub(crate) p99_ns: f64,
     /// 99.9th percentile.
-    pub p99_9_ns: f64,
+    pub(crate) p99_9_ns: f64,
 }
 
 impl Row {
     /// The name within the group.
-    #[must_use]
-    pub fn case(&self) -> &str {
+    pub(crate) fn case(&self) -> &str {
         let case = self.name.split_once('/').map(|(_, case)| case);
         case.unwrap_or(&self.name)
     }
 
     /// Whether the others of the group are compared with this one.
-    #[must_use]
-    pub fn is_floor(&self) -> bool {
-        self.case() == FLOOR
+    pub(crate) fn is_floor(&self) -> bool {
+        self.case() == "floor"
     }
 }
 
@@ -136,19 +127,11 @@ impl Results {
         duration_s: f64,
         interrupted: bool,
     ) -> Self {
-        let floor = |of: &Measurement| {
-            let in_group = |one: &&Measurement| one.case.group == of.case.group;
-            // A case with a floor of its own has that: `tick-floor` is for `tick` and its peers.
-            let is_own = |one: &&Measurement| {
-                let own = one.case.name.strip_suffix("-floor");
-                own.is_some_and(|what| of.case.name.contains(what))
-            };
-            let own = all.iter().filter(in_group).find(is_own);
-            own.or_else(|| all.iter().filter(in_group).find(|one| one.case.is_floor()))
-        };
+        let floor =
+            |of: &Measurement| floor_of(all, &of.case.full_name(), |one| one.case.full_name());
         let measured = all.iter().filter(|one| !one.times.is_empty());
         let rows = measured.map(|one| Row::new(one, floor(one)));
-        let (noise, results) = rows.partition(|row| row.group == NOISE);
+        let (noise, results) = rows.partition(|row| row.group == "noise");
         let skipped = all.iter().filter_map(|one| {
             Some(Skipped {
                 name: one.case.full_name(),
@@ -183,19 +166,19 @@ impl Row {
             let floor = floor.times.value_at_quantile(quantile);
             (floor > 0).then(|| rounded(at(quantile) as f64 / floor as f64, 1e4))
         };
-        let group = of.case.group.name();
+        let group = of.case.group;
         let batches = &of.batches;
         let payload_bytes = batches.last().map_or(0, |batch| batch.payload_bytes);
         let rate = (at(0.5) > 0).then(|| 1e12 / at(0.5) as f64);
-        let bytes = rate.filter(|_| [THROUGHPUT, SIZE].contains(&group) && payload_bytes > 0);
-        let rate = rate.filter(|_| group == THROUGHPUT);
+        let bytes = rate.filter(|_| matches!(group, Throughput | Size) && payload_bytes > 0);
+        let rate = rate.filter(|_| group == Throughput);
         let cpu: Vec<f64> = batches
             .iter()
             .filter_map(|b| b.cpu_ns_per_message)
             .collect();
         Self {
             name: of.case.full_name(),
-            group: group.to_owned(),
+            group: group.name(),
             what: of.case.what.to_owned(),
             payload_bytes,
             p50_ns: ns(at(0.5)),
@@ -210,8 +193,8 @@ impl Row {
             cpu_ns_per_message: median(&cpu).map(|cpu| rounded(cpu, 10.0)),
             messages_per_second: rate.map(f64::round),
             bytes_per_second: bytes.map(|rate| (rate * payload_bytes as f64).round()),
-            batch_p50_ns: batches.iter().map(|batch| ns(batch.p50_ps)).collect(),
-            batch_steal_ms: batches.iter().map(|batch| batch.steal_ms).collect(),
+            batch_p50_ns: of.p50_ps.iter().map(|ps| ns(*ps)).collect(),
+            batch_steal_ms: of.steal_ms.clone(),
             curve: curve(&of.times),
             facts: facts(of),
         }
@@ -244,7 +227,16 @@ fn facts(of: &Measurement) -> BTreeMap<String, f64> {
         };
         Some((name.to_owned(), rounded(value?, 1e4)))
     };
-    all.into_iter().filter_map(one).collect()
+    let mut facts: BTreeMap<_, _> = all.into_iter().filter_map(one).collect();
+    if !of.naive.is_empty() {
+        let naive = [("p50", 0.5), ("p99", 0.99), ("p99.9", 0.999)];
+        facts.extend(naive.map(|(name, quantile)| {
+            let name = format!("naive {name}, ns");
+            (name, ns(of.naive.value_at_quantile(quantile)))
+        }));
+        facts.insert("longest naive, ns".to_owned(), ns(of.naive.max()));
+    }
+    facts
 }
 
 fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {
@@ -260,6 +252,28 @@ fn curve(times_ps: &Histogram<u64>) -> Vec<(f64, f64)> {
         (quantile, ns(times_ps.value_at_quantile(quantile)))
     });
     points.collect()
+}
+
+/// The floor of the case of this name: `floor` of its group, or its own, as `tick-floor` is that of
+/// `tick` and its peers.
+pub(crate) fn floor_of<'a, T>(
+    all: &'a [T],
+    name: &str,
+    name_of: fn(&T) -> String,
+) -> Option<&'a T> {
+    let (group, case) = name.split_once('/')?;
+    let is_floor = |of: &&T| {
+        let name = name_of(of);
+        let what = name
+            .strip_prefix(group)
+            .and_then(|rest| rest.strip_suffix("floor"));
+        let what = what.and_then(|what| what.strip_prefix('/'));
+        what.is_some_and(|what| case.contains(what.trim_end_matches('-')))
+    };
+    // A floor of its own has the longer name.
+    all.iter()
+        .filter(is_floor)
+        .max_by_key(|of| name_of(of).len())
 }
 
 /// Picoseconds in nanoseconds, rounded to a tenth.

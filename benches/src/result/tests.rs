@@ -106,6 +106,27 @@ fn facts_are_medians_and_what_is_longest_is_the_longest() {
 }
 
 #[test]
+fn naive_percentiles_are_those_of_all_batches() {
+    let mut measurement = measured("rate/tandem", &[]);
+    // In one batch of ten the machine stalled: one message in ten was slow.
+    for ps in [1_000_000, 1_000].into_iter().chain([1_000; 8]) {
+        let naive_ps = vec![ps; 100];
+        let batch = Batch {
+            naive_ps,
+            ..Batch::default()
+        };
+        measurement.add(batch, 0.0);
+    }
+    let facts = facts(&measurement);
+    assert_eq!(facts["naive p50, ns"], 1.0);
+    let shown = ["naive p99, ns", "naive p99.9, ns", "longest naive, ns"].map(|name| facts[name]);
+    assert!(
+        shown.iter().all(|ns| (ns / 1000.0 - 1.0).abs() < 1e-3),
+        "{shown:?}"
+    );
+}
+
+#[test]
 fn a_curve_ends_where_ten_samples_are_left() {
     let curve = &run().results[1].curve;
     assert_eq!(curve.len(), CURVE_POINTS);

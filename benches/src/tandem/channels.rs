@@ -1,44 +1,28 @@
 //! Channels in memory of the harness, so that any payload fits: an LMU has 32 KiB. The code is the
 //! same. Newest values of any size, FIFOs, and the broadcast ring.
 
-use super::{announce, case_lmu, sum_from, word};
+use super::{Regions, sum_from, word};
 use crate::clock::ticks;
 use crate::harness::{Batch, Plan, between_processes, give_way, polled};
+use crate::shared::{Shared, announce};
 use crate::stream::{Stream, from_processes};
 use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::Ordering::{Acquire, Relaxed, Release};
 use tandem_shm::mailbox::{Ring, TaskId};
 use tandem_shm::map::{Layout, Map};
-use tandem_shm::region::{Broadcast, Fifo, Mailbox, Newest, Region};
+use tandem_shm::region::{Broadcast, Fifo, Region};
 
 /// In a ping-pong one value is written while the other one may still be read.
 const SLOTS: usize = 2;
 
-/// A mailbox, and the channel beside it.
-type Way<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS], SLOTS>>);
-
-/// Those of both directions.
-struct InPlace<const WORDS: usize>;
-
-impl<const WORDS: usize> InPlace<WORDS> {
-    const MAILBOX: Region<Mailbox> = Region::first("mailbox 0 to 1");
-    const BACK: Region<Mailbox> = Self::MAILBOX.then("mailbox 1 to 0");
-    const CHANNEL: Region<Newest<[u32; WORDS], SLOTS>> = Self::BACK.then("0 to 1");
-    const CHANNEL_BACK: Region<Newest<[u32; WORDS], SLOTS>> = Self::CHANNEL.then("1 to 0");
-    const WAYS: [Way<WORDS>; 2] = [
-        (Self::MAILBOX, Self::CHANNEL),
-        (Self::BACK, Self::CHANNEL_BACK),
-    ];
-}
-
 /// One-way time of a payload of `WORDS` words between cores that spin, from before its first word
 /// is written until its last word was read: it is written and read where it lies.
 pub(crate) fn in_place<const WORDS: usize>(plan: &Plan) -> io::Result<Batch> {
-    let (_payloads, map) = case_lmu(InPlace::<WORDS>::CHANNEL_BACK.end())?;
+    let (_payloads, map) = Shared::with_lmu(Regions::<WORDS, SLOTS>::LAYOUT)?;
     let batch = between_processes(plan, |_, [core, peer]| {
         let own = announce(&map, core, 1);
-        let [out, inward] = [core, peer].map(|way| InPlace::<WORDS>::WAYS[way]);
+        let [out, inward] = [core, peer].map(|way| Regions::<WORDS, SLOTS>::WAYS[way]);
         let mut signal = out.0.sender(&map, own).expect("it is free");
         let mut payload = out.1.writer(&map, own).expect("it is free");
         let mut signals = inward.0.receiver(&map, own).expect("it is free");
@@ -75,7 +59,7 @@ pub(crate) fn fifo<const WORDS: usize, const SLOTS: usize, const WAYS: usize>(
 ) -> io::Result<Batch> {
     let first = Region::<Fifo<[u32; WORDS], SLOTS>>::first("first");
     let ways = [first, first.then("second")];
-    let (shared, map) = case_lmu(ways[WAYS - 1].end())?;
+    let (shared, map) = Shared::with_lmu(ways[WAYS - 1].end())?;
     let stream = Stream {
         chunk,
         payload_bytes: 4 * WORDS,
@@ -107,7 +91,7 @@ const SENT: usize = 4096;
 /// sample is a receiver's time per message that it received; what it had missed when it was late is
 /// a fact.
 pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = case_lmu(RING_LAYOUT)?;
+    let (shared, map) = Shared::with_lmu(RING_LAYOUT)?;
     let sent = (plan.warm_up + plan.rounds) * SENT;
     let writer = Part::on(plan.cpus[0], |role| {
         let writer = RING.writer(&map, announce(&map, 0, 1));
@@ -120,7 +104,7 @@ pub(crate) fn broadcast(plan: &Plan) -> io::Result<Batch> {
         }
         role.end();
         // Release pairs with the Acquire in `receive`: all values are there.
-        role.shared.flag().store(1, Release);
+        role.shared.flag.store(1, Release);
         Ok(())
     });
     let receiver = || Part::on(plan.cpus[1], |role| receive(&map, role));
@@ -142,7 +126,7 @@ fn receive(map: &Map<'_>, role: &mut Role<'_>) -> io::Result<()> {
     let mut begin = turn;
     loop {
         // Read before the ring: what was sent before is then seen.
-        let last = role.shared.flag().load(Acquire) != 0;
+        let last = role.shared.flag.load(Acquire) != 0;
         match receiver.receive() {
             Ok(Some((k, value))) => {
                 assert_eq!(value, [k.0, !k.0], "a torn value");

@@ -1,9 +1,9 @@
 //! The lock: free, contended, and after the death of its owner.
 
-use super::{announce, case_lmu};
 use crate::floor::CHUNK;
 use crate::harness::{Batch, Plan, alone, give_way};
 use crate::mutual_exclusion::{Exclusion, contended, recovered};
+use crate::shared::{Shared, announce};
 use std::hint::black_box;
 use std::io;
 use tandem_shm::incarnation::Incarnation;
@@ -22,7 +22,7 @@ fn attach(map: &Map<'static>, core: usize, generation: u32) -> Lock<'static> {
 
 /// Taking and giving back a lock that no other core wants.
 pub(crate) fn free(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = case_lmu(LAYOUT)?;
+    let (shared, map) = Shared::with_lmu(LAYOUT)?;
     alone(plan, &shared, CHUNK, || {
         let mut lock = attach(&map, 0, 1);
         move || {
@@ -54,7 +54,7 @@ impl Exclusion for Contender {
 
 /// `processes` cores want the lock all the time.
 pub(crate) fn under_contention(plan: &Plan, processes: usize) -> io::Result<Batch> {
-    let (shared, map) = case_lmu(LAYOUT)?;
+    let (shared, map) = Shared::with_lmu(LAYOUT)?;
     contended(plan, &shared, processes, |core| Contender {
         lock: attach(&map, core, 1),
         shares_cpu: processes > 2,
@@ -66,7 +66,7 @@ const OWNER: usize = 0;
 /// An owner takes the lock and is killed; the supervisor, which has seen it end, marks its
 /// incarnation as dead; a core that waits on another CPU takes the lock over.
 pub(crate) fn recovery(plan: &Plan) -> io::Result<Batch> {
-    let (shared, map) = case_lmu(LAYOUT)?;
+    let (shared, map) = Shared::with_lmu(LAYOUT)?;
     let own = |generation| Contender {
         lock: attach(&map, OWNER, generation),
         shares_cpu: false,

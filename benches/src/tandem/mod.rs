@@ -6,13 +6,12 @@ pub(crate) mod lock;
 
 use crate::harness::{Batch, End, Plan, between_processes};
 use crate::open_loop::at_fixed_rate;
-use crate::shared::{PAIR, Shared, draw};
+use crate::shared::{PAIR, Shared, announce, draw};
 use std::io;
 use std::sync::atomic::AtomicU32;
 use std::sync::atomic::Ordering::Relaxed;
 use tandem_board::{Board, CoreId, Duration, Generation};
 use tandem_board_host::{HostBoard, LMU_WORDS, UnsupervisedSystem};
-use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Call, Receiver, Ring, TaskId, TaskTable};
 use tandem_shm::map::{Layout, Map};
 use tandem_shm::newest::Reader;
@@ -48,32 +47,19 @@ pub(crate) fn sum_from(words: impl ExactSizeIterator<Item = u32>) -> u32 {
     stamp
 }
 
-/// Memory for a batch, with a formatted LMU in the words of the case.
-fn case_lmu(layout: Layout) -> io::Result<(Shared, Map<'static>)> {
-    let shared = Shared::with_case_words(layout.total_words())?;
-    let map = Map::format(shared.case(), layout).map_err(|_| io::Error::other("no room"))?;
-    Ok((shared, map))
-}
-
-/// Announces an incarnation of a core.
-fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
-    let incarnation = Incarnation::new(core, generation).expect("an incarnation");
-    let announced = map.incarnations().announce(incarnation);
-    announced.expect("the latest incarnation");
-    incarnation
-}
-
 /// The mailbox towards a core, and a channel of `WORDS` words.
-type Inward<const WORDS: usize> = (Region<Mailbox>, Region<Newest<[u32; WORDS]>>);
+type Inward<const WORDS: usize, const SLOTS: usize> =
+    (Region<Mailbox>, Region<Newest<[u32; WORDS], SLOTS>>);
 
-struct Regions<const WORDS: usize>;
+/// Those of both directions.
+struct Regions<const WORDS: usize, const SLOTS: usize = 4>;
 
-impl<const WORDS: usize> Regions<WORDS> {
+impl<const WORDS: usize, const SLOTS: usize> Regions<WORDS, SLOTS> {
     const MAILBOX: Region<Mailbox> = Region::first("mailbox");
-    const THERE: Inward<WORDS> = (Self::MAILBOX, Self::MAILBOX.then("channel"));
+    const THERE: Inward<WORDS, SLOTS> = (Self::MAILBOX, Self::MAILBOX.then("channel"));
     const BACK_MAILBOX: Region<Mailbox> = Self::THERE.1.then("mailbox");
-    const BACK: Inward<WORDS> = (Self::BACK_MAILBOX, Self::BACK_MAILBOX.then("channel"));
-    const WAYS: [Inward<WORDS>; 2] = [Self::THERE, Self::BACK];
+    const BACK: Inward<WORDS, SLOTS> = (Self::BACK_MAILBOX, Self::BACK_MAILBOX.then("channel"));
+    const WAYS: [Inward<WORDS, SLOTS>; 2] = [Self::THERE, Self::BACK];
     const LAYOUT: Layout = Self::BACK.1.end();
 }
 

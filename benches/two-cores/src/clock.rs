@@ -1,5 +1,7 @@
 //! A clock that two CPUs agree on, cheap enough to stamp every message.
 
+use rustix::thread::clock_nanosleep_absolute;
+use rustix::time::{ClockId, Timespec, clock_gettime};
 use std::sync::OnceLock;
 
 /// Ticks of the clock, truncated to 32 bits: differences up to about a second are exact.
@@ -22,33 +24,26 @@ pub fn ticks() -> u32 {
 
 /// `CLOCK_MONOTONIC` in nanoseconds.
 pub fn monotonic_ns() -> u64 {
-    read_ns(libc::CLOCK_MONOTONIC)
+    read_ns(ClockId::Monotonic)
 }
 
 /// CPU time that the calling thread has used, user and system, in nanoseconds.
 pub fn cpu_ns() -> u64 {
-    read_ns(libc::CLOCK_THREAD_CPUTIME_ID)
+    read_ns(ClockId::ThreadCPUTime)
 }
 
-/// Sleeps until this time of `CLOCK_MONOTONIC`.
-pub fn sleep_until(ns: u64) {
-    let until = libc::timespec {
-        tv_sec: (ns / 1_000_000_000) as libc::time_t,
-        tv_nsec: (ns % 1_000_000_000) as libc::c_long,
-    };
-    let clock = libc::CLOCK_MONOTONIC;
-    // SAFETY: a valid time, and no place for the rest.
-    unsafe { libc::clock_nanosleep(clock, libc::TIMER_ABSTIME, &until, std::ptr::null_mut()) };
-}
-
-fn read_ns(clock: libc::clockid_t) -> u64 {
-    let mut now = libc::timespec {
-        tv_sec: 0,
-        tv_nsec: 0,
-    };
-    // SAFETY: `now` is a valid place for the result; the clocks above always exist.
-    unsafe { libc::clock_gettime(clock, &mut now) };
+fn read_ns(clock: ClockId) -> u64 {
+    let now = clock_gettime(clock);
     now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+/// Sleeps until this time of `CLOCK_MONOTONIC`, or until a signal.
+pub fn sleep_until(ns: u64) {
+    let until = Timespec {
+        tv_sec: (ns / 1_000_000_000) as i64,
+        tv_nsec: (ns % 1_000_000_000) as i64,
+    };
+    let _ = clock_nanosleep_absolute(rustix::thread::ClockId::Monotonic, &until);
 }
 
 /// Picoseconds of one tick, measured against `CLOCK_MONOTONIC` over 50 ms, once.

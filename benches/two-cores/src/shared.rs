@@ -1,8 +1,12 @@
 //! The memory that the processes of one batch share: words of the case, and what each writes down.
 
 use crate::clock::monotonic_ns;
+use rustix::mm::{MapFlags, ProtFlags, mmap_anonymous, munmap};
 use std::io;
-use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
+use std::ops::Deref;
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, Ordering};
+use tandem_shm::incarnation::Incarnation;
+use tandem_shm::map::{Layout, Map};
 
 /// Processes of a batch at most.
 pub const PARTS: usize = 4;
@@ -19,21 +23,6 @@ pub const LINE: usize = 16;
 pub const PAIR: usize = 2 * LINE;
 /// Words of a page.
 const PAGE: usize = 1024;
-/// Word 0 counts the parts that have met.
-const MET_AT: usize = 0;
-/// A word of the harness for whatever the parts agree on.
-const FLAG_AT: usize = LINE;
-/// A word that only the part inside a lock may change.
-const GUARDED_AT: usize = 2 * LINE;
-/// Further words for whatever the parts agree on.
-const SPARE_AT: usize = 3 * LINE;
-/// Each part's page: two counts, notes of two words each, then a text.
-const PAGES_AT: usize = PAGE;
-const NOTES_AT: usize = LINE;
-const TEXT_AT: usize = 4 * LINE;
-const TEXT_WORDS: usize = 64;
-const TRACKS_AT: usize = PAGES_AT + PARTS * PAGE;
-const TRACKS_END: usize = TRACKS_AT + PARTS * 2 * TRACK;
 /// Words of a case that asks for no more.
 const CASE_WORDS: usize = 4 * PAGE;
 /// Beyond this, pages of the case come when they are touched.
@@ -51,10 +40,52 @@ pub fn draw(count: usize) -> usize {
     ((mixed ^ (mixed >> 31)) % count as u64) as usize
 }
 
+/// Announces an incarnation of a core, which must be its latest.
+pub fn announce(map: &Map<'_>, core: usize, generation: u32) -> Incarnation {
+    let incarnation = Incarnation::new(core, generation).expect("an incarnation");
+    let announced = map.incarnations().announce(incarnation);
+    announced.expect("the latest incarnation");
+    incarnation
+}
+
+/// A word on a cache line of its own.
+#[repr(C, align(64))]
+pub struct Line(AtomicU32);
+
+impl Deref for Line {
+    type Target = AtomicU32;
+
+    fn deref(&self) -> &AtomicU32 {
+        &self.0
+    }
+}
+
+/// What one part writes down: the counts of its samples, its numbers, a text, and the samples.
+#[repr(C, align(64))]
+struct Sheet {
+    counts: [AtomicU32; 2],
+    notes: [AtomicU64; NOTES],
+    text: [AtomicU8; 252],
+    tracks: [[AtomicU32; TRACK]; 2],
+}
+
+/// What lies before the words of the case.
+#[repr(C, align(4096))]
+pub struct Head {
+    met: Line,
+    /// Whatever the parts agree on, beside the words of the case.
+    pub flag: Line,
+    /// Only the part inside a lock may change it.
+    pub guarded: Line,
+    /// Further words that the parts agree on.
+    pub spare: [Line; 3],
+    sheets: [Sheet; PARTS],
+}
+
 /// Memory that the parts of a batch share, zero at first. Each batch has its own, and its case
 /// begins at a place in the page that is drawn anew: a multiple of [`PAIR`].
-#[derive(Debug)]
 pub struct Shared {
+    head: &'static Head,
     words: &'static [AtomicU32],
     case_at: usize,
 }
@@ -73,31 +104,36 @@ impl Shared {
     /// # Errors
     /// If there is not enough memory.
     pub fn with_case_words(case_words: usize) -> io::Result<Self> {
-        let case_at = TRACKS_END + draw(PAGE / PAIR) * PAIR;
+        let case_at = size_of::<Head>() / 4 + draw(PAGE / PAIR) * PAIR;
         let total = case_at + case_words;
-        let populate = if case_words <= POPULATE_UP_TO {
-            libc::MAP_POPULATE
-        } else {
-            0
-        };
-        // SAFETY: a fresh anonymous mapping, not at a fixed address, touches no other memory.
-        let base = unsafe {
-            libc::mmap(
-                std::ptr::null_mut(),
-                total * 4,
-                libc::PROT_READ | libc::PROT_WRITE,
-                libc::MAP_SHARED | libc::MAP_ANONYMOUS | libc::MAP_NORESERVE | populate,
-                -1,
-                0,
-            )
-        };
-        if base == libc::MAP_FAILED {
-            return Err(io::Error::last_os_error());
-        }
+        let mut flags = MapFlags::SHARED | MapFlags::NORESERVE;
+        flags.set(MapFlags::POPULATE, case_words <= POPULATE_UP_TO);
+        let access = ProtFlags::READ | ProtFlags::WRITE;
+        // SAFETY: a fresh mapping, not at a fixed address, touches no other memory.
+        let base = unsafe { mmap_anonymous(std::ptr::null_mut(), total * 4, access, flags) }?;
         // SAFETY: the mapping has this many zeroed bytes, is aligned to a page, and is unmapped
         // only by `drop`, after which its batch uses no word of it any more.
         let words = unsafe { std::slice::from_raw_parts(base.cast(), total) };
-        Ok(Self { words, case_at })
+        // SAFETY: the words before `case_at` hold a `Head`, whose atomics may be zero. Only it is
+        // used to refer to them; `touch` looks besides at the first word of each page, where the
+        // head has atomics of 32 bits.
+        let head = unsafe { &*base.cast() };
+        Ok(Self {
+            head,
+            words,
+            case_at,
+        })
+    }
+
+    /// Maps it, with an LMU of this layout, formatted, in the words of the case. The map is of use
+    /// as long as the first value is kept.
+    ///
+    /// # Errors
+    /// If there is not enough memory.
+    pub fn with_lmu(layout: Layout) -> io::Result<(Self, Map<'static>)> {
+        let shared = Self::with_case_words(layout.total_words())?;
+        let map = Map::format(shared.case(), layout).map_err(|_| io::Error::other("no room"))?;
+        Ok((shared, map))
     }
 
     /// The words of the case, aligned to two cache lines.
@@ -114,7 +150,7 @@ impl Shared {
 
     /// Barrier: waits until this many parts have called it.
     pub fn meet(&self, parts: u32) {
-        let met = &self.words[MET_AT];
+        let met = &self.met;
         // AcqRel pairs with the Acquire below: what a part prepared is visible to the others.
         let before = met.fetch_add(1, Ordering::AcqRel);
         // Rounded up: the parts may meet again.
@@ -122,24 +158,6 @@ impl Shared {
         while met.load(Ordering::Acquire) < all {
             std::thread::yield_now();
         }
-    }
-
-    /// A word for whatever the parts agree on, beside those of the case.
-    #[must_use]
-    pub fn flag(&self) -> &'static AtomicU32 {
-        &self.words[FLAG_AT]
-    }
-
-    /// A word that only the part inside a lock may change.
-    #[must_use]
-    pub fn guarded(&self) -> &'static AtomicU32 {
-        &self.words[GUARDED_AT]
-    }
-
-    /// Further words that the parts agree on, each on a cache line of its own: 0 to 2.
-    #[must_use]
-    pub fn spare(&self, number: usize) -> &'static AtomicU32 {
-        &self.words[SPARE_AT + number * LINE]
     }
 
     /// Maps every page that the harness itself writes, so that no fault is timed.
@@ -152,15 +170,18 @@ impl Shared {
     /// What part `number` writes down, or has written down.
     #[must_use]
     pub fn log(&self, number: usize) -> Log {
-        let tracks = [0, 1].map(|track| {
-            let at = TRACKS_AT + (2 * number + track) * TRACK;
-            &self.words[at..at + TRACK]
-        });
         Log {
-            page: &self.words[PAGES_AT + number * PAGE..][..PAGE],
-            tracks,
+            sheet: &self.head.sheets[number],
             counts: [0; 2],
         }
+    }
+}
+
+impl Deref for Shared {
+    type Target = Head;
+
+    fn deref(&self) -> &Head {
+        self.head
     }
 }
 
@@ -168,16 +189,15 @@ impl Drop for Shared {
     fn drop(&mut self) {
         let base = self.words.as_ptr().cast_mut().cast();
         // SAFETY: `base` and the length are those of the mapping made at the begin; the batch is
-        // over, and its parts, which were processes, are gone.
-        unsafe { libc::munmap(base, size_of_val(self.words)) };
+        // over, and its parts, which were processes, are gone. It fails for no mapping of ours.
+        let _ = unsafe { munmap(base, size_of_val(self.words)) };
     }
 }
 
 /// What one part of a batch writes down: two tracks of samples in ticks, and some numbers.
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct Log {
-    page: &'static [AtomicU32],
-    tracks: [&'static [AtomicU32]; 2],
+    sheet: &'static Sheet,
     counts: [usize; 2],
 }
 
@@ -186,7 +206,7 @@ impl Log {
     #[inline]
     pub fn push(&mut self, track: usize, ticks: u32) {
         let count = self.counts[track];
-        if let Some(place) = self.tracks[track].get(count) {
+        if let Some(place) = self.sheet.tracks[track].get(count) {
             place.store(ticks, Ordering::Relaxed);
             self.counts[track] = count + 1;
         }
@@ -194,50 +214,41 @@ impl Log {
 
     /// Tells the reader how many samples there are.
     pub fn close(&self) {
-        for (word, count) in self.page.iter().zip(self.counts) {
+        for (word, count) in self.sheet.counts.iter().zip(self.counts) {
             word.store(count as u32, Ordering::Relaxed);
         }
     }
 
     /// The samples of a track, when the part has ended.
     pub fn samples(&self, track: usize) -> impl Iterator<Item = u32> {
-        let count = self.page[track].load(Ordering::Relaxed) as usize;
-        let samples = self.tracks[track].iter().take(count);
+        let count = self.sheet.counts[track].load(Ordering::Relaxed) as usize;
+        let samples = self.sheet.tracks[track].iter().take(count);
         samples.map(|word| word.load(Ordering::Relaxed))
     }
 
     /// Notes the number `at`, below [`NOTES`].
     pub fn note(&self, at: usize, value: f64) {
-        assert!(at < NOTES);
-        let bits = value.to_bits();
-        self.page[NOTES_AT + 2 * at].store(bits as u32, Ordering::Relaxed);
-        self.page[NOTES_AT + 2 * at + 1].store((bits >> 32) as u32, Ordering::Relaxed);
+        self.sheet.notes[at].store(value.to_bits(), Ordering::Relaxed);
     }
 
     /// The number `at`, as it was noted; 0 if it was not.
     #[must_use]
     pub fn noted(&self, at: usize) -> f64 {
-        let word = |at: usize| u64::from(self.page[at].load(Ordering::Relaxed));
-        f64::from_bits(word(NOTES_AT + 2 * at) | word(NOTES_AT + 2 * at + 1) << 32)
+        f64::from_bits(self.sheet.notes[at].load(Ordering::Relaxed))
     }
 
     /// Leaves a text, cut to some 250 bytes: why the part cannot go on.
     pub fn say(&self, text: &str) {
-        let bytes = text.as_bytes().chunks(4).take(TEXT_WORDS - 1);
-        for (word, bytes) in self.page[TEXT_AT..].iter().zip(bytes) {
-            let mut four = [0; 4];
-            four[..bytes.len()].copy_from_slice(bytes);
-            word.store(u32::from_ne_bytes(four), Ordering::Relaxed);
+        for (place, byte) in self.sheet.text.iter().zip(text.bytes()) {
+            place.store(byte, Ordering::Relaxed);
         }
     }
 
     /// The text; empty if none was left.
     #[must_use]
     pub fn said(&self) -> String {
-        let words = &self.page[TEXT_AT..TEXT_AT + TEXT_WORDS];
-        let bytes = words
-            .iter()
-            .flat_map(|word| word.load(Ordering::Relaxed).to_ne_bytes());
+        let bytes = self.sheet.text.iter();
+        let bytes = bytes.map(|byte| byte.load(Ordering::Relaxed));
         let bytes: Vec<u8> = bytes.take_while(|byte| *byte != 0).collect();
         String::from_utf8_lossy(&bytes).into_owned()
     }

@@ -2,13 +2,12 @@
 //! counter with and without the lock. T-SYNC-4, T-LOCK-2
 
 use crate::clock::{from_ns, ticks, to_ps};
-use crate::shared::Shared;
+use crate::shared::{Log, Shared, announce};
 use crate::worker::{Part, Role, perform};
 use std::io;
 use std::sync::atomic::{AtomicU32, Ordering};
-use tandem_shm::incarnation::Incarnation;
 use tandem_shm::mailbox::{Call, Ring, TaskId, TaskTable};
-use tandem_shm::map::{Layout, Map};
+use tandem_shm::map::Layout;
 use tandem_shm::region::{Mailbox, Region, SharedLock};
 use tandem_shm::sync::spin;
 
@@ -37,27 +36,15 @@ pub fn payload(number: u32) -> u32 {
     u32::from_le_bytes([number as u8, 1, 2, 3])
 }
 
-fn map(shared: &Shared) -> io::Result<Map<'static>> {
-    Map::format(shared.case(), LAYOUT).map_err(|_| io::Error::other("no room"))
-}
-
-fn announce(map: &Map<'_>, core: usize) -> Incarnation {
-    let incarnation = Incarnation::new(core, 1).expect("an incarnation");
-    let announced = map.incarnations().announce(incarnation);
-    announced.expect("the latest incarnation");
-    incarnation
-}
-
 /// Core 0 sends `count` messages, each with other data, and core 1's task takes each. The cores
 /// are processes on these CPUs and wait by spinning.
 ///
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
 pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
-    let shared = Shared::new()?;
-    let map = map(&shared)?;
+    let (shared, map) = Shared::with_lmu(LAYOUT)?;
     let sender = Part::on(cpus[0], |role: &mut Role<'_>| {
-        let mut to = MAILBOX.sender(&map, announce(&map, 0)).expect("it fits");
+        let mut to = MAILBOX.sender(&map, announce(&map, 0, 1)).expect("it fits");
         role.shared.meet(2);
         for number in 1..=count {
             pause(PAUSE_NS);
@@ -68,16 +55,18 @@ pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
             role.log.push(0, data);
             role.log.push(1, at);
             // Acquire pairs with the receiver's release.
-            while role.shared.flag().load(Ordering::Acquire) != number {
+            while role.shared.flag.load(Ordering::Acquire) != number {
                 spin(1);
             }
         }
         Ok(())
     });
     let receiver = Part::on(cpus[1], |role: &mut Role<'_>| {
-        let mut from = MAILBOX.receiver(&map, announce(&map, 1)).expect("it fits");
+        let mut from = MAILBOX
+            .receiver(&map, announce(&map, 1, 1))
+            .expect("it fits");
         let mut table = TaskTable::new();
-        let task = |log: &mut crate::shared::Log, _, call: Call| {
+        let task = |log: &mut Log, _, call: Call| {
             log.push(1, ticks());
             log.push(0, call.value);
         };
@@ -92,7 +81,7 @@ pub fn exchanges(cpus: [usize; 2], count: u32) -> io::Result<Vec<Exchange>> {
                     std::thread::yield_now();
                 }
             }
-            role.shared.flag().store(number, Ordering::Release);
+            role.shared.flag.store(number, Ordering::Release);
         }
         Ok(())
     });
@@ -144,12 +133,11 @@ impl Counted {
 /// # Errors
 /// If the processes or the shared memory cannot be had, or an end failed.
 pub fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted> {
-    let shared = Shared::new()?;
-    let map = map(&shared)?;
+    let (shared, map) = Shared::with_lmu(LAYOUT)?;
     let part = |core: usize| {
         Part::on(cpus[core], move |role: &mut Role<'_>| {
-            let mut lock = LOCK.attach(&map, announce(&map, core)).expect("it fits");
-            let counter = role.shared.guarded();
+            let mut lock = LOCK.attach(&map, announce(&map, core, 1)).expect("it fits");
+            let counter = &role.shared.guarded;
             role.shared.meet(2);
             for _ in 0..each {
                 let guard = locked.then(|| lock.lock(u32::MAX, spin).expect("it waits for ever"));
@@ -163,7 +151,7 @@ pub fn counter(cpus: [usize; 2], each: u32, locked: bool) -> io::Result<Counted>
     perform(&shared, (0..2).map(part).collect())?;
     Ok(Counted {
         increments: 2 * each,
-        counter: shared.guarded().load(Ordering::Relaxed),
+        counter: shared.guarded.load(Ordering::Relaxed),
         seen: [0, 1].map(|core| shared.log(core).samples(0).take(10).collect()),
     })
 }

@@ -4,14 +4,19 @@
 //! the whole takes longer than [`LIMIT`], all are killed and the batch is an error, not a hang.
 //! Each dies with the benchmark itself.
 
-use crate::clock::{cpu_ns, monotonic_ns};
+use crate::clock::cpu_ns;
 use crate::shared::{CPU_NS, Log, PARTS, Shared};
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::process::{
+    Pid, PidfdFlags, Signal, WaitId, WaitIdOptions, getpid, getppid, pidfd_open, pidfd_send_signal,
+    set_parent_process_death_signal, waitid,
+};
 use std::fs;
 use std::io;
-use std::os::fd::{AsRawFd, FromRawFd, OwnedFd};
+use std::os::fd::{AsFd as _, OwnedFd};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The longest that a batch may take.
 pub const LIMIT: Duration = Duration::from_secs(20);
@@ -150,25 +155,21 @@ fn play(shared: &Shared, number: usize, run: Run<'_>) -> bool {
 
 /// Waits until all have ended well.
 fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
-    let until = monotonic_ns() + limit.as_nanos() as u64;
+    let until = Instant::now() + limit;
     while children.iter().any(|child| child.running) {
-        let running = children.iter().filter(|child| child.running);
-        let poll = |child: &Child| libc::pollfd {
-            fd: child.pidfd.as_raw_fd(),
-            events: libc::POLLIN,
-            revents: 0,
-        };
-        let mut fds: Vec<_> = running.map(poll).collect();
-        let left_ms = until.saturating_sub(monotonic_ns()) / 1_000_000;
-        if left_ms == 0 {
-            let seconds = limit.as_secs_f32();
-            let text = format!("it did not end within {seconds} s");
+        let left = until.saturating_duration_since(Instant::now());
+        if left.is_zero() {
+            let text = format!("it did not end within {} s", limit.as_secs_f32());
             return Err(io::Error::new(io::ErrorKind::TimedOut, text));
         }
-        // SAFETY: `fds` is a valid array of this length. A signal (Ctrl-C) only ends the wait.
-        unsafe { libc::poll(fds.as_mut_ptr(), fds.len() as libc::nfds_t, left_ms as i32) };
+        let running = children.iter().filter(|child| child.running);
+        let mut fds: Vec<_> = running
+            .map(|child| PollFd::new(&child.pidfd, PollFlags::IN))
+            .collect();
+        // A signal (Ctrl-C) only ends the wait.
+        let _ = poll(&mut fds, left.try_into().ok().as_ref());
         for child in children.iter_mut() {
-            child.reap(libc::WNOHANG)?;
+            child.reap(WaitIdOptions::NOHANG)?;
         }
     }
     Ok(())
@@ -176,7 +177,6 @@ fn watch(children: &mut [Child], limit: Duration) -> io::Result<()> {
 
 /// A process of our own; it is killed (-9) when this is dropped.
 pub struct Child {
-    pid: libc::pid_t,
     pidfd: OwnedFd,
     running: bool,
 }
@@ -191,57 +191,45 @@ impl Child {
         if fs::read_dir("/proc/self/task")?.count() != 1 {
             return Err(io::Error::other("a process with threads is not forked"));
         }
-        let parent = std::process::id();
+        let parent = getpid();
         // SAFETY: this process has one thread, so the child is a whole copy of it.
         let pid = unsafe { libc::fork() };
-        if pid == 0 {
-            // SAFETY: only sets this process's own death signal and its own answer to Ctrl-C: the
-            // parent ends the batch. A parent that died before would never be told.
-            unsafe {
-                libc::prctl(libc::PR_SET_PDEATHSIG, libc::SIGKILL);
-                libc::signal(libc::SIGINT, libc::SIG_IGN);
-                if libc::getppid() as u32 != parent {
-                    libc::_exit(1);
-                }
-            }
-            pin(cpu);
-            if REALTIME.load(Ordering::Relaxed) {
-                ask_for_fifo();
-            }
-            let done = catch_unwind(AssertUnwindSafe(body)).unwrap_or(false);
-            // SAFETY: ends the child without running the parent's exit handlers.
-            unsafe { libc::_exit(i32::from(!done)) };
-        }
         if pid < 0 {
             return Err(io::Error::last_os_error());
         }
-        // SAFETY: takes no pointer; `pid` is our child and not waited for yet.
-        let pidfd = unsafe { libc::syscall(libc::SYS_pidfd_open, pid, 0) } as i32;
-        if pidfd < 0 {
-            return Err(io::Error::last_os_error());
+        if let Some(pid) = Pid::from_raw(pid) {
+            let pidfd = pidfd_open(pid, PidfdFlags::empty())?;
+            let running = true;
+            return Ok(Self { pidfd, running });
         }
-        Ok(Self {
-            pid,
-            // SAFETY: the kernel has just made it, and nothing else owns it.
-            pidfd: unsafe { OwnedFd::from_raw_fd(pidfd) },
-            running: true,
-        })
+        let tied = set_parent_process_death_signal(Some(Signal::KILL));
+        // SAFETY: only sets this process's own answer to Ctrl-C: the parent ends the batch.
+        unsafe { libc::signal(libc::SIGINT, libc::SIG_IGN) };
+        pin(cpu);
+        if REALTIME.load(Ordering::Relaxed) {
+            ask_for_fifo();
+        }
+        // A parent that died before it was tied would never be told.
+        let done = tied.is_ok()
+            && getppid() == Some(parent)
+            && catch_unwind(AssertUnwindSafe(body)).unwrap_or(false);
+        // SAFETY: ends the child without running the parent's exit handlers.
+        unsafe { libc::_exit(i32::from(!done)) };
     }
 
     fn kill(&self) {
-        if self.running {
-            // SAFETY: the child is ours and not waited for yet.
-            unsafe { libc::kill(self.pid, libc::SIGKILL) };
-        }
+        // It may have ended already.
+        let _ = pidfd_send_signal(&self.pidfd, Signal::KILL);
     }
 
     /// Checks whether it has ended, and how.
-    fn reap(&mut self, options: i32) -> io::Result<()> {
-        let mut status = 0;
-        // SAFETY: `status` is a valid place; the child is ours and not waited for yet.
-        if self.running && unsafe { libc::waitpid(self.pid, &mut status, options) } == self.pid {
+    fn reap(&mut self, options: WaitIdOptions) -> io::Result<()> {
+        let of = WaitId::PidFd(self.pidfd.as_fd());
+        if self.running
+            && let Ok(Some(status)) = waitid(of, options | WaitIdOptions::EXITED)
+        {
             self.running = false;
-            if status != 0 {
+            if status.exit_status() != Some(0) {
                 return Err(io::Error::other("one end of the measurement died"));
             }
         }
@@ -253,7 +241,7 @@ impl Drop for Child {
     fn drop(&mut self) {
         self.kill();
         // Nothing is to be waited for if it was not running.
-        let _ = self.reap(0);
+        let _ = self.reap(WaitIdOptions::empty());
     }
 }
 

@@ -199,6 +199,8 @@ fn tiles(metrics: &Metrics) -> Markup {
     });
     let lateral = format!("{:.2}", metrics.drive.lateral_error_max_m);
     let period_remark = format!("median {} ms", ms(metrics.control_period_p50_ms));
+    let reaction_remark = format!("median; p99 {} ms", ms(metrics.reaction_p99_ms));
+    let age_remark = format!("median; p99 {} ms", ms(metrics.sensor_age_p99_ms));
     let fenced = format!("{} frame(s) fenced off", metrics.fenced_frames);
     let false_ones = format!("{} of them false", metrics.false_takeovers);
     let takeover_remark = if metrics.false_takeovers > 0 {
@@ -212,9 +214,11 @@ fn tiles(metrics: &Metrics) -> Markup {
     let two_masters = format!("{:.1}", metrics.two_masters_ms);
     let is_false = metrics.false_takeovers > 0;
     html! {
-        div.tiles {
+        div.tiles.large {
             (tile("Collisions", state(metrics.drive.collisions == 0), &metrics.drive.collisions.to_string(), "",
                 &remark("")))
+            (tile("Sensor to control", "", &ms(metrics.reaction_p50_ms), "ms", &remark(&reaction_remark)))
+            (tile("Age of sensor data", "", &ms(metrics.sensor_age_p50_ms), "ms", &remark(&age_remark)))
             (tile("Takeovers", if is_false { "bad" } else { "" }, &takeovers, "",
                 &remark(&takeover_remark)))
             (tile("Largest control gap", "", &ms(metrics.control_gap_max_ms), "ms",

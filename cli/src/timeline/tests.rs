@@ -415,7 +415,14 @@ fn perfetto_oracle_reads_what_was_written() {
         "/../tests/trace/perfetto_oracle.py"
     );
     let import = "from perfetto.protos.perfetto.trace import perfetto_trace_pb2";
-    let there = Command::new("python3").args(["-c", import]).output();
+    let python = || {
+        let mut python = Command::new("python3");
+        if let Some(folder) = std::env::var_os("TANDEM_PERFETTO") {
+            python.env("PYTHONPATH", folder);
+        }
+        python
+    };
+    let there = python().args(["-c", import]).output();
     if !there.is_ok_and(|output| output.status.success()) {
         let required = std::env::var_os("TANDEM_REQUIRE_PERFETTO").is_some_and(|v| v == "1");
         assert!(!required, "pip install perfetto protobuf");
@@ -427,7 +434,7 @@ fn perfetto_oracle_reads_what_was_written() {
         return;
     }
     let timeline = timeline_of(&random(7, 2_000));
-    let mut child = Command::new("python3")
+    let mut child = python()
         .arg(SCRIPT)
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

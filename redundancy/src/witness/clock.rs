@@ -183,6 +183,8 @@ mod tests {
         for (peer, vehicle, expected) in [
             (0, 0, None),
             (5, -5, None),
+            (100, -100, None),
+            (100, 80, Some(Clock::Own)),
             (100, 100, Some(Clock::Own)),
             (-100, -100, Some(Clock::Own)),
             (100, 0, Some(Clock::Peer)),

@@ -1,6 +1,6 @@
 //! A system leaves, or hands its role over, without a pause of control. T-BOOT-1
 
-use super::{Bench, CONFIG};
+use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, SystemId};
 use tandem_redundancy::{Input, Mode, PeerReport, Phase, Role, Term};
 
@@ -9,12 +9,7 @@ use tandem_redundancy::{Input, Mode, PeerReport, Phase, Role, Term};
 fn a_standby_may_leave_only_a_master_that_drives() {
     let relieved = Bench::master();
     let term = relieved.machine.highest_term().above(1, SystemId::B);
-    let sound = PeerReport {
-        role: Role::Master,
-        mode: Mode::L3,
-        term: term.unwrap(),
-        can_alive: true,
-    };
+    let sound = sound(Role::Master, term.unwrap());
     let stops = PeerReport {
         mode: Mode::SafeStop,
         ..sound
@@ -116,12 +111,7 @@ fn a_standby_may_leave_while_no_sign_of_the_master_is_late() {
             }
             let _ = bench.obeyed(term, frame_ms.saturating_sub(left_ms));
         }
-        let _ = bench.linked(PeerReport {
-            role: Role::Master,
-            mode: Mode::L3,
-            term,
-            can_alive: true,
-        });
+        let _ = bench.linked(sound(Role::Master, term));
         assert_eq!(bench.machine.may_leave(bench.now), expected);
     }
 }

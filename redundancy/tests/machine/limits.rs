@@ -1,9 +1,10 @@
 //! What happens when a limit of time ends, and not before.
 
-use super::{Bench, CONFIG};
+use super::{Bench, CONFIG, sound};
 use tandem_board::{Duration, SystemId};
 use tandem_redundancy::{
-    Action, Config, Event, FailureMode, Input, Mode, PeerReport, Phase, Role, SystemState, Term,
+    Action, Clock, Config, Event, FailureMode, Input, LinkReport, Mode, ObeyedTerm, PeerReport,
+    Phase, Role, SystemState, Term,
 };
 
 /// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
@@ -23,12 +24,7 @@ fn a_standby_polls_when_a_limit_ends() {
         let last = bench.now;
         let _ = bench.control(16);
         if link {
-            let _ = bench.linked(PeerReport {
-                role: Role::Master,
-                mode: Mode::L3,
-                term: Term::from_bits(16),
-                can_alive: true,
-            });
+            let _ = bench.linked(sound(Role::Master, Term::from_bits(16)));
         }
         bench.snapshot.peer_powered = !level;
         let mut actions = bench.on(Input::Poll(bench.snapshot));
@@ -74,12 +70,7 @@ fn a_master_stops_the_vehicle_while_its_can_is_open() {
         let mut told = Vec::new();
         let silent = |it: &Event| matches!(it, Event::CanSilent(_));
         while bench.machine.mode() != Mode::SafeStop {
-            let _ = bench.linked(PeerReport {
-                role: Role::Standby,
-                mode: Mode::L3,
-                term: Term::NONE,
-                can_alive: true,
-            });
+            let _ = bench.linked(sound(Role::Standby, Term::NONE));
             bench.now += CONFIG.poll_interval;
             bench.snapshot.beats[0] += 1;
             let actions = bench.on(Input::Poll(bench.snapshot));
@@ -150,12 +141,7 @@ fn a_standby_that_is_back_counts_again_after_its_time() {
         let (back, mut sound_after, mut standby_after) = (bench.now, None, None);
         for ms in 0..3_000 {
             if ms % 100 == 0 {
-                let _ = bench.on(Input::StatusFrame(PeerReport {
-                    role: Role::Standby,
-                    mode: Mode::L3,
-                    term: Term::NONE,
-                    can_alive: true,
-                }));
+                let _ = bench.on(Input::StatusFrame(sound(Role::Standby, Term::NONE)));
             }
             bench.run_with_beats(1);
             // The first heartbeat is heard a poll later.
@@ -197,12 +183,7 @@ fn a_standby_leads_if_the_other_starts_and_no_system_drives() {
         bench.run_with_beats(after_ms - 1);
         let (own, term) = (Term::from_bits(17), Term::from_bits(16));
         if reports {
-            let _ = bench.linked(PeerReport {
-                role: Role::Master,
-                mode: Mode::L3,
-                term,
-                can_alive: true,
-            });
+            let _ = bench.linked(sound(Role::Master, term));
         }
         if obeys {
             let _ = bench.obeyed(own, 0);
@@ -344,4 +325,67 @@ fn wrong_commands_are_counted_by_incarnation_and_fade() {
     assert_eq!(bench.machine.state().wrong_in_a_row, 1);
     bench.run_with_beats(2_000);
     assert_eq!(bench.machine.state().wrong_in_a_row, 0);
+}
+
+/// A clock that differs from both others by more than the limit is told once. A master whose own
+/// clock it is stops the vehicle.
+#[test]
+fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
+    for (peer_ms, vehicle_ms, expected) in [
+        (20, 0, None),
+        (0, 20, None),
+        (40, 15, None),
+        (15, 40, None),
+        (40, 40, Some(Clock::Own)),
+        (40, 0, Some(Clock::Peer)),
+        (0, 40, Some(Clock::Vehicle)),
+    ] {
+        let mut bench = Bench::master();
+        let mut told = Vec::new();
+        for period in 0..80 {
+            bench.run_with_beats(10);
+            let jumped = period >= 40;
+            let shown = |ms| bench.now + Duration::from_ms(if jumped { ms } else { 0 });
+            let (peer, vehicle) = (shown(peer_ms), shown(vehicle_ms));
+            let report = LinkReport {
+                report: sound(Role::Standby, bench.machine.term()),
+                start: 1,
+                sent_us: (peer.as_ns() / 1_000) as u32,
+            };
+            let obeyed = ObeyedTerm {
+                term: bench.machine.term(),
+                age: Duration::ZERO,
+                sent: Some(((vehicle.as_ns() / 1_000_000) as u8, Duration::ZERO)),
+            };
+            for input in [Input::LinkReport(report), Input::VehicleTerm(obeyed)] {
+                told.extend(bench.on(input).events().filter_map(|event| match event {
+                    Event::ClockWrong(clock) => Some(clock),
+                    _ => None,
+                }));
+            }
+        }
+        assert_eq!(told, Vec::from_iter(expected), "{peer_ms} {vehicle_ms} ms");
+        let stops = bench.machine.mode() == Mode::SafeStop;
+        assert_eq!(stops, expected == Some(Clock::Own), "{expected:?}");
+    }
+}
+
+/// A link that becomes slower is no witness: a report that is late by more than its limit does not
+/// count.
+#[test]
+fn a_report_that_is_too_late_does_not_count() {
+    let mut bench = Bench::master();
+    let mut late_ms = 0;
+    for report in 0..60 {
+        bench.run_with_beats(10);
+        if report >= 40 {
+            late_ms += 9;
+        }
+        let before = bench.machine.highest_term();
+        let report = sound(Role::Standby, before.above(1, SystemId::B).unwrap());
+        let _ = bench.linked_late(report, late_ms);
+        let counts = bench.machine.highest_term() > before;
+        let limit_ms = CONFIG.report_limit.as_us() / 1_000;
+        assert_eq!(counts, late_ms <= limit_ms, "{late_ms} ms late");
+    }
 }

@@ -1,11 +1,12 @@
 //! Explores all states that two systems reach with lossy wires and a bounded number of faults:
-//! breadth first, a layer each millisecond of virtual time. The systems are the real code.
+//! breadth first, by Stateright, a step each millisecond of virtual time. The systems are the real
+//! code.
 //! T-RED-9
 
-use crate::model::Pair;
-use std::collections::HashMap;
+use crate::model::{Pair, Seen};
+use stateright::{Checker as _, HasDiscoveries, Model, Property};
 use std::fmt::{self, Write as _};
-use std::hash::{DefaultHasher, Hasher as _};
+use std::hash::{DefaultHasher, Hash, Hasher};
 use tandem_board::ResetCause;
 use tandem_board::SystemId::{self, A, B};
 use tandem_redundancy::{Config, Phase};
@@ -66,6 +67,78 @@ impl Fault {
     }
 }
 
+/// Two systems between two milliseconds.
+#[derive(Clone)]
+struct Reached {
+    pair: Pair,
+    ms: u64,
+    /// How many so far. The more are left, the more may follow: two states are one only with as
+    /// many.
+    faults: usize,
+    shown: Shown,
+    /// Of all above: two states are one if it is the same.
+    digest: u64,
+}
+
+/// What the last millisecond showed, or the time of healing.
+#[derive(Clone, Copy, Debug, Default)]
+struct Shown {
+    two_terms_act: bool,
+    /// Beyond the bound.
+    two_outputs_stay_open: bool,
+    both_suspended: bool,
+    healed: bool,
+}
+
+impl Reached {
+    fn new(mut pair: Pair, ms: u64, faults: usize, healed: bool) -> Self {
+        let follows = |two: &[Seen]| {
+            let rises = two[0].term < two[1].term;
+            let stays = two[0].term == two[1].term && two[0].system == two[1].system;
+            rises || stays
+        };
+        // Each further fault can hide one more frame of the new master from the old one.
+        let config = &pair.config;
+        let further = faults.saturating_sub(1) as u32;
+        let bound = config.witness_limit() + config.control_period.times(further);
+        let shown = Shown {
+            two_terms_act: !pair.accepted.windows(2).all(follows),
+            two_outputs_stay_open: pair.both_open_max_us > bound.as_us(),
+            both_suspended: pair.systems.iter().all(|system| system.held),
+            healed,
+        };
+        pair.forget();
+        let mut digest = Digest(DefaultHasher::new());
+        write!(digest, "{ms} {faults} {shown:?} {pair:?}").unwrap();
+        Self {
+            pair,
+            ms,
+            faults,
+            shown,
+            digest: digest.0.finish(),
+        }
+    }
+}
+
+/// The end of a counterexample; its faults stand above.
+impl fmt::Debug for Reached {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}, {:?}", self.pair.phases(), self.shown)
+    }
+}
+
+impl PartialEq for Reached {
+    fn eq(&self, other: &Self) -> bool {
+        self.digest == other.digest
+    }
+}
+
+impl Hash for Reached {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        state.write_u64(self.digest);
+    }
+}
+
 /// Hashes what is written to it.
 struct Digest(DefaultHasher);
 
@@ -76,112 +149,86 @@ impl fmt::Write for Digest {
     }
 }
 
-/// What was explored.
-#[derive(Debug, Default)]
-struct Explored {
-    states: usize,
-    /// How often a state was reached on one more way.
-    merged: usize,
-    leaves: usize,
-}
-
-/// A state with the faults that led to it, for the story of a violation.
-struct Reached {
-    pair: Pair,
-    faults: Vec<(u64, Fault)>,
-}
-
-/// In each millisecond of this state: at most one term acts, and not both outputs stay open.
-fn check_safety(pair: &Pair, story: &[(u64, Fault)]) {
-    for two in pair.accepted.windows(2) {
-        let rises = two[0].term < two[1].term;
-        let stays = two[0].term == two[1].term && two[0].system == two[1].system;
-        assert!(rises || stays, "{two:?}: {story:?}");
-    }
-    // Each further fault can hide one more frame of the new master from the old one.
-    let config = &pair.config;
-    let further = story.len().saturating_sub(1) as u32;
-    let bound = config.witness_limit() + config.control_period.times(further);
-    let open_us = pair.both_open_max_us;
-    assert!(open_us <= bound.as_us(), "{open_us} us: {story:?}");
-    let held = [A, B].map(|id| pair.systems[id.index()].held);
-    assert!(held != [true; 2], "both suspended: {story:?}");
+/// Dual operation: faults in the first `window_ms`, at most `most` of them, then `after_ms`
+/// without, then healing.
+struct Faults {
+    config: Config,
+    window_ms: u64,
+    most: usize,
+    after_ms: u64,
 }
 
 /// With power again, the vehicle obeys one system, and the other is its standby.
-fn check_liveness(mut pair: Pair, story: &[(u64, Fault)]) {
+fn heal(pair: &mut Pair) -> bool {
     for id in [A, B] {
         pair.power_on(id);
     }
     pair.run_ms(pair.config.start_limit.as_us() / 1_000 + 500);
-    check_safety(&pair, story);
-    pair.forget();
     let from = pair.now_us;
     pair.run_ms(100);
-    let gap = pair.longest_gap_us(from);
-    assert!(gap <= 12_000, "gap {gap} us: {story:?}");
     let phases = pair.phases();
-    let driving = |phase: &&Option<Phase>| phase.is_some_and(Phase::is_driving);
-    assert_eq!(
-        phases.iter().filter(driving).count(),
-        1,
-        "{phases:?}: {story:?}"
-    );
-    assert!(
-        phases.contains(&Some(Phase::Standby)),
-        "{phases:?}: {story:?}"
-    );
+    let driving = phases.into_iter().flatten().filter(|it| it.is_driving());
+    pair.longest_gap_us(from) <= 12_000
+        && driving.count() == 1
+        && phases.contains(&Some(Phase::Standby))
 }
 
-/// Explores dual operation: faults in the first `window_ms`, at most `most` of them, and then
-/// `after_ms` without.
-fn explore(config: Config, window_ms: u64, most: usize, after_ms: u64) -> Explored {
-    let mut start = Pair::dual(config, 5);
-    start.forget();
-    let mut explored = Explored::default();
-    let faults_left = |reached: &Reached| most - reached.faults.len();
-    let mut layer = vec![Reached {
-        pair: start,
-        faults: vec![],
-    }];
-    for ms in 0..window_ms + after_ms {
-        // The more faults are left, the more may follow: two states are one only with as many.
-        let mut next: HashMap<(u64, usize), Reached> = HashMap::new();
-        for reached in layer {
-            let choices = faults().filter(|_| ms < window_ms && faults_left(&reached) > 0);
-            for choice in choices.map(Some).chain([None]) {
-                let mut pair = reached.pair.clone();
-                let mut story = reached.faults.clone();
-                if let Some(fault) = choice {
-                    story.push((ms, fault));
-                    fault.begin(&mut pair);
-                }
-                pair.run_ms(1);
-                check_safety(&pair, &story);
-                Fault::end(&mut pair);
-                pair.forget();
-                let mut digest = Digest(DefaultHasher::new());
-                write!(digest, "{pair:?}").unwrap();
-                let reached = Reached {
-                    pair,
-                    faults: story,
-                };
-                let key = (digest.0.finish(), faults_left(&reached));
-                explored.merged += usize::from(next.insert(key, reached).is_some());
-            }
+impl Model for Faults {
+    type State = Reached;
+    /// In this millisecond this fault, or none.
+    type Action = (u64, Option<Fault>);
+
+    fn init_states(&self) -> Vec<Reached> {
+        let mut pair = Pair::dual(self.config, 5);
+        pair.forget();
+        vec![Reached::new(pair, 0, 0, false)]
+    }
+
+    fn actions(&self, state: &Reached, actions: &mut Vec<Self::Action>) {
+        if state.ms < self.window_ms && state.faults < self.most {
+            actions.extend(faults().map(|fault| (state.ms, Some(fault))));
         }
-        explored.states += next.len();
-        layer = next.into_values().collect();
+        if state.ms <= self.window_ms + self.after_ms {
+            actions.push((state.ms, None));
+        }
     }
-    explored.leaves = layer.len();
-    for Reached { pair, faults } in layer {
-        check_liveness(pair, &faults);
+
+    fn next_state(&self, state: &Reached, (ms, fault): Self::Action) -> Option<Reached> {
+        let mut pair = state.pair.clone();
+        if let Some(fault) = fault {
+            fault.begin(&mut pair);
+        }
+        let mut healed = false;
+        if ms < self.window_ms + self.after_ms {
+            pair.run_ms(1);
+        } else {
+            healed = heal(&mut pair);
+        }
+        Fault::end(&mut pair);
+        let faults = state.faults + usize::from(fault.is_some());
+        Some(Reached::new(pair, ms + 1, faults, healed))
     }
-    explored
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![
+            Property::<Self>::always("one accepted term acts", |_, it| !it.shown.two_terms_act),
+            Property::<Self>::always("both outputs are open no longer than the bound", |_, it| {
+                !it.shown.two_outputs_stay_open
+            }),
+            Property::<Self>::always("not both are suspended", |_, it| !it.shown.both_suspended),
+            Property::<Self>::eventually("healed: one drives, one stands by", |_, it| {
+                it.shown.healed
+            }),
+            // Else nothing was tried.
+            Property::<Self>::sometimes("B takes over", |_, it| {
+                it.pair.phase(B).is_some_and(Phase::is_driving)
+            }),
+        ]
+    }
 }
 
 /// T-RED-9: every state that one fault reaches, whenever in two control periods it happens.
-/// `TANDEM_EXPLORE=2` explores two faults within one control period, which takes minutes.
+/// `TANDEM_EXPLORE=2` explores two faults within one control period, which takes half a minute.
 #[test]
 fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {
     let wanted = std::env::var("TANDEM_EXPLORE").ok();
@@ -192,12 +239,27 @@ fn every_state_of_bounded_faults_is_safe_and_leads_to_a_driver() {
             start_limit: tandem_board::Duration::from_ms(300),
             ..config
         };
-        let explored = explore(short, window_ms, most, after_ms);
+        let model = Faults {
+            config: short,
+            window_ms,
+            most,
+            after_ms,
+        };
+        let threads = std::thread::available_parallelism().unwrap();
+        let checker = model.checker().threads(threads.get());
+        let checker = checker.finish_when(HasDiscoveries::AnyFailures);
+        let checker = checker.spawn_bfs().join();
         println!(
-            "{name}, {most} of {} faults in {window_ms} ms: {explored:?}, depth {} ms; at most one \
-             accepted term acts, never both suspended; at the end one drives and one stands by",
+            "{name}, {most} of {} faults in {window_ms} ms: {} states, reached on {} ways, depth {} ms \
+             and the time of healing",
             faults().count(),
-            window_ms + after_ms,
+            checker.unique_state_count(),
+            checker.state_count(),
+            checker.max_depth() - 2,
         );
+        for property in checker.model().properties() {
+            println!("    {:?}: {}", property.expectation, property.name);
+        }
+        checker.assert_properties();
     }
 }

@@ -15,10 +15,9 @@ use tandem_board_sim::{
     Clock, Config as BoardConfig, Poller, Power, SimBoard, SimPair, SystemEvent, SystemEventKind,
     Wire,
 };
-use tandem_cores::core1::Core1;
+use tandem_cores::Config;
 use tandem_cores::layout::ControllerMap;
 use tandem_cores::trace::Event;
-use tandem_cores::{Config, Core};
 use tandem_record::log::VehicleRecord;
 use tandem_record::{Entry, RunLog, description};
 use tandem_vehicle::LoggedFrame;
@@ -41,13 +40,14 @@ fn poller(board: &SimBoard, config: Config, time: Time, around: Around) -> Polle
     match (board.identity().core, around) {
         (CoreId::CONTROL, _) if time != Time::Ideal => timed::core_0(board, config, time),
         (CoreId::PERCEPTION, Around::ClosedLoop) => {
-            let mut core = Core1::new(board);
+            let mut core = timed::core_1(board, time);
             let mut dead = false;
             Box::new(move |_| {
                 dead |= board.has_received(POISON);
-                if dead { Instant::NEVER } else { core.poll() }
+                if dead { Instant::NEVER } else { core(board) }
             })
         }
+        (CoreId::PLANNING, Around::ClosedLoop) => timed::core_2(board, time),
         (core, Around::Core0) if core != CoreId::CONTROL => counter(board),
         _ => drive::poller(board, config),
     }

@@ -77,6 +77,44 @@ fn the_bounds_hold_where_things_take_time() {
     try_in(at(Time::Typical), Group::Single, 1420..1421);
 }
 
+/// T-CHIP-3: cores 1 and 2 take time. A trajectory is signalled when perception and planning have
+/// ended, one after the other.
+#[test]
+fn a_trajectory_is_signalled_when_perception_and_planning_have_ended() {
+    let chains_us = |time| {
+        let around = Around::ClosedLoop;
+        let profile = Profile { around, ..at(time) };
+        let mut bench = profile.in_dual_operation(true);
+        bench.pair.run_for(Duration::from_ms(400));
+        let log = bench.recording();
+        let of_a = log.trace.iter().filter(|it| it.system == SystemId::A);
+        let (mut began, mut chains) = (None, vec![]);
+        for Traced { at, record, .. } in of_a {
+            match Event::decode(*record) {
+                Some(Event::TaskIn { task, .. }) if task == TaskCode::PERCEPTION => {
+                    began = Some(*at);
+                }
+                Some(Event::Wake { core, .. }) if core == CoreId::CONTROL => {
+                    let began = began.take();
+                    chains.extend(began.map(|began| at.since(began).as_ns() / 1_000));
+                }
+                _ => {}
+            }
+        }
+        assert!(chains.len() > 10, "{chains:?}");
+        (chains.iter().min().copied(), chains.iter().max().copied())
+    };
+    assert_eq!(chains_us(Time::Ideal), (Some(0), Some(0)));
+    // The longest executions, on a clock that drifts.
+    let (least, most) = chains_us(Time::Worst);
+    assert!(
+        least >= Some(16_960) && most <= Some(16_980),
+        "{least:?} {most:?}"
+    );
+    let (least, most) = chains_us(Time::Typical);
+    assert!(least >= Some(79) && most <= Some(320), "{least:?} {most:?}");
+}
+
 /// T-RED-9: the same with all cores and a vehicle behind another one: it keeps its lane and its
 /// distance, whatever has failed.
 #[test]

@@ -6,8 +6,10 @@ use clap::ValueEnum as _;
 use std::fs;
 use std::path::Path;
 
-/// RPMsg-Lite's published footprint: text of the library, in bytes.
-const RPMSG_LITE_TEXT: u32 = 2_926;
+/// Text of RPMsg-Lite 5.4, in bytes: both ends with one endpoint each, its static interface, no
+/// assertions, for riscv32imac by gcc 12.2 with `-Os`, unused functions removed. The functions of
+/// the C library are not counted.
+const RPMSG_LITE_TEXT: u32 = 2_762;
 
 /// A bootloader's bank without the manifest that begins it, in bytes.
 const BANK_BYTES: u32 = (32 << 10) - 256;
@@ -63,7 +65,10 @@ pub(super) fn run(root: &Path) -> Result<()> {
             },
         );
     }
-    println!("{:<44} {RPMSG_LITE_TEXT:>7}", "RPMsg-Lite, as published");
+    println!(
+        "{:<44} {RPMSG_LITE_TEXT:>7}",
+        "RPMsg-Lite, both ends (gcc -Os)"
+    );
     let of_boot = bootloader(root)?;
     line("bootloader without drivers (opt z)", of_boot);
     let used = of_boot.text + of_boot.constants;

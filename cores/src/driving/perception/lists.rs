@@ -89,10 +89,11 @@ impl Lists {
         }
     }
 
-    /// Whether the list of the sensor with this index is complete and was not taken before.
-    pub(crate) fn is_complete(&self, sensor: usize) -> bool {
+    /// When the list of the sensor with this index was complete; `None` if it is not, or was taken.
+    pub(crate) fn completed(&self, sensor: usize) -> Option<Instant> {
         let list = &self.lists[sensor];
-        list.fresh && list.objects.len() == list.expected
+        let is_complete = list.fresh && list.objects.len() == list.expected;
+        is_complete.then_some(list.done)
     }
 
     /// The oldest list that is ready and was not taken before: its sensor, when that measured, when

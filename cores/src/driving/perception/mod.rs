@@ -115,16 +115,15 @@ impl Perception {
     /// sensor that missed the last cycle is not waited for, so one that is lost delays one cycle.
     #[must_use]
     pub fn is_round_complete(&self) -> bool {
-        self.round.is_complete(|member| match member {
-            LANES => self.camera_lanes.is_some(),
-            sensor => self.lists.is_complete(sensor),
+        self.round.is_next_complete(|member| match member {
+            LANES => self.camera_lanes.map(|(at, _)| at),
+            sensor => self.lists.completed(sensor),
         })
     }
 
     /// When all of that is expected the next time, after `now`, if it comes every `period`; `None`
     /// if the last cycle took in nothing.
-    #[must_use]
-    pub fn next_round(&self, now: Instant, period: Duration) -> Option<Instant> {
+    pub fn next_round(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         self.round.next_end(now, period)
     }
 

@@ -13,24 +13,36 @@ pub(super) const LANES: usize = SensorId::ALL.len();
 
 /// When the members of one round were there as a whole.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Round([Option<Instant>; MEMBERS]);
+pub(super) struct Round {
+    members: [Option<Instant>; MEMBERS],
+    /// What was there before is no part of the next round.
+    next_since: Instant,
+}
 
 impl Round {
     pub(super) fn add(&mut self, member: usize, at: Instant) {
-        self.0[member] = Some(at);
+        self.members[member] = Some(at);
     }
 
-    /// Whether the round has members, and `is_there` holds for each.
-    pub(super) fn is_complete(&self, is_there: impl FnMut(usize) -> bool) -> bool {
-        let mut members = (0..MEMBERS).filter(|member| self.0[*member].is_some());
-        self.0.iter().any(Option::is_some) && members.all(is_there)
+    /// Whether this round has members, and each is there again. `arrived`: since when it is.
+    pub(super) fn is_next_complete(
+        &self,
+        mut arrived: impl FnMut(usize) -> Option<Instant>,
+    ) -> bool {
+        let mut members = (0..MEMBERS).filter(|member| self.members[*member].is_some());
+        self.members.iter().any(Option::is_some)
+            && members.all(|member| arrived(member).is_some_and(|at| at > self.next_since))
     }
 
     /// When the next round ends, the first time after `now`; `None` if this one has no members.
-    pub(super) fn next_end(&self, now: Instant, period: Duration) -> Option<Instant> {
+    ///
+    /// The next round begins in the middle of the pause: what comes before was late, and a member
+    /// that was missed once would otherwise be taken for punctual, a period old each time. If one
+    /// is early by more than half of the pause, the cycle waits for it until its time-out, once.
+    pub(super) fn next_end(&mut self, now: Instant, period: Duration) -> Option<Instant> {
         let period = period.as_ns();
         let phase = |at: Instant| at.as_ns() % period;
-        let arrivals = || self.0.iter().flatten().copied();
+        let arrivals = || self.members.iter().flatten().copied();
         // The pause after an arrival lasts until the next arrival of any member.
         let pause = |from: Instant| {
             let until = |to: Instant| match (phase(to) + period - phase(from)) % period {
@@ -40,8 +52,12 @@ impl Round {
             arrivals().map(until).min()
         };
         let end = arrivals().max_by_key(|at| pause(*at))?;
+        let pause = pause(end).unwrap_or(period);
         let left = period - (now.as_ns() + period - phase(end)) % period;
-        Some(now + Duration::from_ns(left))
+        let next_end = now + Duration::from_ns(left);
+        let since = (next_end.as_ns() + pause / 2).saturating_sub(period);
+        self.next_since = Instant::from_ns(since);
+        Some(next_end)
     }
 }
 
@@ -79,7 +95,7 @@ mod tests {
     fn one_member_is_a_round_and_none_is_no_round() {
         assert_eq!(round(&[7]).next_end(at(7), PERIOD), Some(at(57)));
         assert_eq!(Round::default().next_end(at(7), PERIOD), None);
-        assert!(!Round::default().is_complete(|_| true));
+        assert!(!Round::default().is_next_complete(|_| Some(at(7))));
     }
 
     #[test]
@@ -87,7 +103,20 @@ mod tests {
         let mut last = Round::default();
         last.add(2, at(6));
         last.add(LANES, at(16));
-        assert!(last.is_complete(|member| member == 2 || member == LANES));
-        assert!(!last.is_complete(|member| member != LANES));
+        let there = |member: usize| (member == 2 || member == LANES).then_some(at(60));
+        assert!(last.is_next_complete(there));
+        assert!(!last.is_next_complete(|member| there(member).filter(|_| member != LANES)));
+    }
+
+    /// The lanes of phase 16 ms came just after the cycle at 15 ms had begun.
+    #[test]
+    fn what_came_after_the_last_cycle_had_begun_is_waited_for_again() {
+        let mut last = round(&[100, 103, 106, 109, 112, 115]);
+        last.add(LANES, at(66));
+        let end = last.next_end(at(115 + 12), PERIOD);
+        assert_eq!(end, Some(at(166)));
+        let again = |lanes| move |member| Some(at(if member == LANES { lanes } else { 165 }));
+        assert!(!last.is_next_complete(again(116)));
+        assert!(last.is_next_complete(again(166)));
     }
 }

@@ -410,34 +410,58 @@ pub(crate) enum Manner {
     Emergency,
 }
 
+/// How many candidates there are.
+const CANDIDATES: usize = DURATIONS_S.len() * (SPEED_CHANGES.len() + 2)
+    + SMOOTH_BRAKINGS.len()
+    + EMERGENCY_BRAKINGS.len();
+
+/// All candidates from this start.
+fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> {
+    let keep = move |duration: f32| {
+        let changed = move |change: &f32| clamp(start.first + change, 0.0, 60.0);
+        let speeds = SPEED_CHANGES.iter().map(changed);
+        let speeds = speeds.chain([0.0, desired_speed]);
+        speeds.map(move |speed| Profile::Keep(Polynomial::quartic(start, speed, duration)))
+    };
+    let smooth = SMOOTH_BRAKINGS.map(|braking| (braking, RAMP_JERK));
+    let hard = EMERGENCY_BRAKINGS.map(|braking| (braking, EMERGENCY_JERK));
+    let ramp = |(braking, jerk)| Ramp::new(start.first, start.second, braking, jerk);
+    let brake = smooth.into_iter().chain(hard).map(ramp);
+    let keep = DURATIONS_S.into_iter().flat_map(keep);
+    keep.chain(brake.map(Profile::Brake))
+}
+
 /// The cheapest profile from this start (way 0) and how rough it is: a comfortable one if that is
 /// no danger, else one without a jerk if that keeps a distance, else the cheapest of all.
 pub(crate) fn cheapest(start: &Jet, corridor: &Corridor) -> (Profile, Manner) {
     let none = (Profile::emergency(start), f32::INFINITY, f32::INFINITY);
+    let candidates = || candidates(start, corridor.desired_speed);
     // The cheapest of each manner, with its cost and its danger.
     let mut best = [none; 3];
-    let mut consider = |profile: Profile| {
-        let best = &mut best[profile.manner(start.second) as usize];
+    let mut consider = |profile: Profile, manner: Manner| {
+        let best = &mut best[manner as usize];
         if let Some((cost, danger)) = profile.cost(corridor, best.1)
             && cost < best.1
         {
             *best = (profile, cost, danger);
         }
+        best.2
     };
-    for &duration in &DURATIONS_S {
-        for &change in &SPEED_CHANGES {
-            let speed = clamp(start.first + change, 0.0, 60.0);
-            consider(Profile::Keep(Polynomial::quartic(start, speed, duration)));
-        }
-        for speed in [0.0, corridor.desired_speed] {
-            consider(Profile::Keep(Polynomial::quartic(start, speed, duration)));
+    // The others need no cost if a comfortable one is no danger.
+    let mut manners = [Manner::Comfortable; CANDIDATES];
+    let mut danger = f32::INFINITY;
+    for (profile, manner) in candidates().zip(&mut manners) {
+        *manner = profile.manner(start.second);
+        if *manner == Manner::Comfortable {
+            danger = consider(profile, *manner);
         }
     }
-    let smooth = SMOOTH_BRAKINGS.map(|braking| (braking, RAMP_JERK));
-    let hard = EMERGENCY_BRAKINGS.map(|braking| (braking, EMERGENCY_JERK));
-    for (braking, jerk) in smooth.into_iter().chain(hard) {
-        let ramp = Ramp::new(start.first, start.second, braking, jerk);
-        consider(Profile::Brake(ramp));
+    if danger >= TOLERABLE_DANGER {
+        for (profile, manner) in candidates().zip(manners) {
+            if manner != Manner::Comfortable {
+                consider(profile, manner);
+            }
+        }
     }
     let [comfortable, firm, emergency] = best;
     if comfortable.2 < TOLERABLE_DANGER {

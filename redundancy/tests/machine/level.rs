@@ -1,0 +1,106 @@
+//! When the power level of the other system is believed.
+
+use super::{Bench, CONFIG, sound};
+use tandem_board::SystemId;
+use tandem_redundancy::{Actions, Event, Phase, Role, Term};
+
+/// T-RED-9: a level line that is low while a heartbeat, a control frame, a report, or the vehicle
+/// shows the other to live is broken: it is told once, and not believed until it was high for long
+/// enough. Each sign alone is enough.
+#[test]
+fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
+    for sign in 0..4 {
+        let mut bench = Bench::standby();
+        // The other signs are tried without heartbeats.
+        let beats = sign == 0;
+        let silence = if beats { 0 } else { 10 };
+        for _ in 0..silence {
+            let _ = bench.control(16);
+            let _ = bench.poll();
+        }
+        bench.snapshot.peer_powered = false;
+        let mut events = Vec::new();
+        let mut told = |actions: Actions| {
+            let broken = |it: &Event| matches!(it, Event::LevelBroken(_));
+            events.extend(actions.events().filter(broken));
+        };
+        for _ in 0..15 {
+            if beats {
+                bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
+            }
+            let term = Term::from_bits(16);
+            let report = sound(Role::Master, term);
+            match sign {
+                1 => told(bench.control(16)),
+                2 => told(bench.linked(report)),
+                3 => told(bench.obeyed(term, 0)),
+                _ => {}
+            }
+            told(bench.poll());
+            assert_eq!(bench.machine.phase(), Phase::Standby, "sign {sign}");
+        }
+        bench.snapshot.peer_powered = true;
+        for _ in 0..CONFIG.recover_after.as_us() / 1_000 + 1 {
+            bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
+            told(bench.poll());
+        }
+        let expected = [Event::LevelBroken(true), Event::LevelBroken(false)];
+        assert_eq!(events, expected, "sign {sign}");
+    }
+}
+
+/// T-RED-9: a heartbeat that is counted a poll after the level fell may be from before the fall. A
+/// later one contradicts the level.
+#[test]
+fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
+    for (polls, expected) in [(1, false), (2, true), (3, true)] {
+        let mut bench = Bench::standby();
+        bench.snapshot.peer_powered = false;
+        let mut told = Vec::new();
+        for poll in 0..=polls {
+            let beat = u32::from(poll == polls);
+            bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(beat));
+            told.extend(bench.poll().events());
+        }
+        let is_told = told.contains(&Event::LevelBroken(true));
+        assert_eq!(is_told, expected, "after {polls} polls");
+    }
+}
+
+/// T-RED-9: a system that takes over has power: a level that is low is broken at once, not only
+/// after its limit.
+#[test]
+fn a_takeover_contradicts_a_low_level_at_once() {
+    let mut bench = Bench::master();
+    bench.snapshot.peer_powered = false;
+    let _ = bench.poll();
+    let term = bench.machine.term().above(1, SystemId::B).unwrap();
+    let told: Vec<Event> = bench.control(term.bits()).events().collect();
+    assert!(told.contains(&Event::LevelBroken(true)), "{told:?}");
+}
+
+/// T-RED-9: without a sign of life a low level is believed after its limit, and not before.
+#[test]
+fn a_low_level_without_a_heartbeat_is_believed_within_its_limit() {
+    // A short reset ends before the heartbeat is missed: the level is high again by then.
+    for stays_low in [true, false] {
+        let mut bench = Bench::standby();
+        for _ in 0..100 {
+            let _ = bench.control(16);
+            bench.run_with_beats(1);
+        }
+        bench.snapshot.peer_powered = false;
+        let _ = bench.poll();
+        let fell = bench.now;
+        bench.snapshot.peer_powered = !stays_low;
+        while bench.machine.phase() == Phase::Standby {
+            let _ = bench.poll();
+        }
+        let took = bench.now.since(fell);
+        let limit = CONFIG.level_limit();
+        assert!(
+            took >= limit && took <= limit + CONFIG.poll_interval,
+            "{took:?}"
+        );
+    }
+}
