@@ -3,7 +3,7 @@
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::fixture::{Fixture, Run, kill, send};
+use crate::fixture::{Fixture, Run, kill, send, unless_stalled};
 
 /// How a vehicle got another driver: one takeover, on one of these signs. Its gap, as all others,
 /// kept the bound of its cause, or a stall of the machine explains it; the verdict of the run has
@@ -62,12 +62,13 @@ const RESIGNS: &str = "the master resigns";
 /// T-CHIP-5, T-RED-4, T-RED-9: loss of power.
 #[test]
 fn the_vehicle_goes_on_when_the_supply_of_the_master_is_killed() {
-    let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "5"]);
-    run.until_dual();
-    let supply = run.master_supply();
-    kill(supply.pid);
-    one_takeover(&mut run, &supply.system.unwrap(), &[POWER]);
+    unless_stalled(|fixture| {
+        let mut run = fixture.run(&["--duration", "5"]);
+        run.until_dual();
+        let supply = run.master_supply();
+        kill(supply.pid);
+        one_takeover(&mut run, &supply.system.unwrap(), &[POWER]);
+    });
 }
 
 /// A run in which no system drives any more has failed, and says from when on.
@@ -91,17 +92,18 @@ fn a_run_in_which_no_system_is_left_fails() {
 /// core that dies leaves time to resign.
 #[test]
 fn the_vehicle_goes_on_when_any_core_of_the_master_is_killed() {
-    let fixture = Fixture::new();
     for (core, signs) in [(0, &[POWER, SILENT][..]), (1, &[RESIGNS]), (2, &[RESIGNS])] {
-        let mut run = fixture.run(&["--duration", "5"]);
-        run.until_dual();
-        let master = run.master_supply().system.unwrap();
-        let victim = run.until("the core", |processes| {
-            let is_it = |p: &&_| is_core(p, &master, core);
-            processes.iter().find(is_it).map(|p| p.pid)
+        unless_stalled(|fixture| {
+            let mut run = fixture.run(&["--duration", "5"]);
+            run.until_dual();
+            let master = run.master_supply().system.unwrap();
+            let victim = run.until("the core", |processes| {
+                let is_it = |p: &&_| is_core(p, &master, core);
+                processes.iter().find(is_it).map(|p| p.pid)
+            });
+            kill(victim);
+            one_takeover(&mut run, &master, signs);
         });
-        kill(victim);
-        one_takeover(&mut run, &master, signs);
     }
 }
 
@@ -113,29 +115,30 @@ fn is_core(process: &crate::fixture::Process, system: &str, core: u64) -> bool {
 /// heartbeats and frames ended. When it thaws, it does not drive, not for one frame.
 #[test]
 fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
-    let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "5"]);
-    run.until_dual();
-    let master = run.master_supply().system.unwrap();
-    let victim = run.until("core 0", |processes| {
-        processes
-            .iter()
-            .find(|p| is_core(p, &master, 0))
-            .map(|p| p.pid)
+    unless_stalled(|fixture| {
+        let mut run = fixture.run(&["--duration", "5"]);
+        run.until_dual();
+        let master = run.master_supply().system.unwrap();
+        let victim = run.until("core 0", |processes| {
+            processes
+                .iter()
+                .find(|p| is_core(p, &master, 0))
+                .map(|p| p.pid)
+        });
+        // A new standby waits some milliseconds for the first heartbeat.
+        std::thread::sleep(std::time::Duration::from_millis(200));
+        send(victim, Signal::STOP);
+        std::thread::sleep(std::time::Duration::from_millis(60));
+        send(victim, Signal::CONT);
+        let metrics = run.metrics();
+        kept_control(&metrics);
+        let takeover = &metrics["takeovers"][0];
+        assert_eq!(takeover["from"], master, "{metrics:#}");
+        // If its last report over the link is younger than its last frame, the vehicle's word may come
+        // first.
+        let cause = takeover["cause"].as_str().unwrap();
+        assert!([SILENT, UNHEARD].contains(&cause), "{metrics:#}");
     });
-    // A new standby waits some milliseconds for the first heartbeat.
-    std::thread::sleep(std::time::Duration::from_millis(200));
-    send(victim, Signal::STOP);
-    std::thread::sleep(std::time::Duration::from_millis(60));
-    send(victim, Signal::CONT);
-    let metrics = run.metrics();
-    kept_control(&metrics);
-    let takeover = &metrics["takeovers"][0];
-    assert_eq!(takeover["from"], master, "{metrics:#}");
-    // If its last report over the link is younger than its last frame, the vehicle's word may come
-    // first.
-    let cause = takeover["cause"].as_str().unwrap();
-    assert!([SILENT, UNHEARD].contains(&cause), "{metrics:#}");
 }
 
 /// The report of what was driven is all that is left.

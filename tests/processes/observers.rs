@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 use tandem_board_host::services::{News, Observer};
 
-use crate::fixture::{Fixture, Run, kill, send};
+use crate::fixture::{Fixture, Run, kill, send, unless_stalled};
 
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/observe.py");
 
@@ -76,39 +76,43 @@ fn sees_both(observer: &Observer) -> Option<()> {
 /// then the publisher itself stands still; the run drives as if there were none.
 #[test]
 fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
-    let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "8", "--scenario", "free-lane"]);
-    let own = observer(&run);
-    let [mut frozen, mut killed] = [observing(&run), observing(&run)];
-    run.until_dual();
-    std::thread::sleep(Duration::from_millis(1_500));
-    send(frozen.id() as i32, Signal::STOP);
-    kill(killed.id() as i32);
-    killed.wait().unwrap();
-    own.poll(&mut |_| {});
-    std::thread::sleep(Duration::from_millis(1_000));
-    let (mut roles, mut vehicles, mut frames) = (vec![], 0, 0);
-    own.poll(&mut |news| match news {
-        News::Roles(now) => roles.push(now),
-        News::Vehicle(_) => vehicles += 1,
-        News::Frame(_) => frames += 1,
-        News::Event(_) => {}
+    unless_stalled(|fixture| {
+        let mut run = fixture.run(&["--duration", "8", "--scenario", "free-lane"]);
+        let own = observer(&run);
+        let [mut frozen, mut killed] = [observing(&run), observing(&run)];
+        run.until_dual();
+        std::thread::sleep(Duration::from_millis(1_500));
+        send(frozen.id() as i32, Signal::STOP);
+        kill(killed.id() as i32);
+        killed.wait().unwrap();
+        own.poll(&mut |_| {});
+        std::thread::sleep(Duration::from_millis(1_000));
+        let (mut roles, mut vehicles, mut frames) = (vec![], 0, 0);
+        own.poll(&mut |news| match news {
+            News::Roles(now) => roles.push(now),
+            News::Vehicle(_) => vehicles += 1,
+            News::Frame(_) => frames += 1,
+            News::Event(_) => {}
+        });
+        // The frozen and the dead one cost the third nothing.
+        assert!(
+            roles.len() >= 3 && vehicles >= 10 && frames >= 100,
+            "{roles:?} {vehicles} {frames}"
+        );
+        // A machine that stood still may have changed the roles: both come back, and so does the news.
+        run.until("news of both in their roles", |processes| {
+            assert!(!processes.is_empty(), "the run ended before");
+            sees_both(&own)
+        });
+        let publisher = publisher_of(&run).expect("a publisher");
+        send(publisher, Signal::STOP);
+        let metrics = run.metrics();
+        undisturbed(&metrics);
+        run.until_vanished();
+        assert!(run.files().is_empty(), "{:?}", run.files());
+        frozen.kill().unwrap();
+        frozen.wait().unwrap();
     });
-    // The frozen and the dead one cost the third nothing.
-    assert!(
-        roles.len() >= 3 && vehicles >= 10 && frames >= 100,
-        "{roles:?} {vehicles} {frames}"
-    );
-    // A machine that stood still may have changed the roles: both come back, and so does the news.
-    run.until("news of both in their roles", |_| sees_both(&own));
-    let publisher = publisher_of(&run).expect("a publisher");
-    send(publisher, Signal::STOP);
-    let metrics = run.metrics();
-    undisturbed(&metrics);
-    run.until_vanished();
-    assert!(run.files().is_empty(), "{:?}", run.files());
-    frozen.kill().unwrap();
-    frozen.wait().unwrap();
 }
 
 /// The process that publishes the run.
@@ -125,39 +129,40 @@ fn publisher_of(run: &Run) -> Option<i32> {
 /// The example in Python, if its library is there.
 #[test]
 fn the_example_in_python_sees_a_takeover() {
-    let has_library = Command::new("python3")
-        .args(["-c", "import iceoryx2"])
-        .output();
-    if !has_library.is_ok_and(|output| output.status.success()) {
-        assert!(std::env::var_os("TANDEM_REQUIRE_ICEORYX2_PYTHON").is_none());
-        eprintln!("skipped: the Python package iceoryx2 is not installed");
-        return;
-    }
-    let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "6", "--scenario", "free-lane"]);
-    let name = observer(&run).run().to_string();
-    let mut python = Command::new("python3")
-        .args([EXAMPLE, &name, "4"])
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(python.stdout.take().unwrap()).lines();
-    let mut told = String::new();
-    // The interpreter may need longer to subscribe than the systems need to start.
-    let both_drive = |line: &String| line.contains("A master, B standby, term");
-    let seen = lines.by_ref().map(Result::unwrap).find(both_drive);
-    assert!(seen.is_some(), "the example ended before both drove");
-    kill(run.master_supply().pid);
-    for line in lines {
-        told += &(line.unwrap() + "\n");
-    }
-    assert!(python.wait().unwrap().success(), "{told}");
-    assert!(
-        told.contains("B core 0: takes over: power level fell"),
-        "{told}"
-    );
-    assert!(told.contains("B degraded master"), "{told}");
-    run.metrics();
+    unless_stalled(|fixture| {
+        let has_library = Command::new("python3")
+            .args(["-c", "import iceoryx2"])
+            .output();
+        if !has_library.is_ok_and(|output| output.status.success()) {
+            assert!(std::env::var_os("TANDEM_REQUIRE_ICEORYX2_PYTHON").is_none());
+            eprintln!("skipped: the Python package iceoryx2 is not installed");
+            return;
+        }
+        let mut run = fixture.run(&["--duration", "6", "--scenario", "free-lane"]);
+        let name = observer(&run).run().to_string();
+        let mut python = Command::new("python3")
+            .args([EXAMPLE, &name, "4"])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut lines = BufReader::new(python.stdout.take().unwrap()).lines();
+        let mut told = String::new();
+        // The interpreter may need longer to subscribe than the systems need to start.
+        let both_drive = |line: &String| line.contains("A master, B standby, term");
+        let seen = lines.by_ref().map(Result::unwrap).find(both_drive);
+        assert!(seen.is_some(), "the example ended before both drove");
+        kill(run.master_supply().pid);
+        for line in lines {
+            told += &(line.unwrap() + "\n");
+        }
+        assert!(python.wait().unwrap().success(), "{told}");
+        assert!(
+            told.contains("B core 0: takes over: power level fell"),
+            "{told}"
+        );
+        assert!(told.contains("B degraded master"), "{told}");
+        run.metrics();
+    });
 }
 
 /// A terminal is needed, and a run that is there.

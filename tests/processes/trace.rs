@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use crate::fixture::{Fixture, kill};
+use crate::fixture::{kill, unless_stalled};
 
 /// One field of a protobuf message: its number, and its content.
 enum Field<'b> {
@@ -169,88 +169,89 @@ fn sensor_ages_ms(events: &[Moment], candump: &str) -> Vec<f64> {
 /// The age of sensor data in the metrics is what the trace and the bus say.
 #[test]
 fn a_killed_core_leaves_its_trace_up_to_the_kill() {
-    let fixture = Fixture::new();
-    let mut run = fixture.run(&["--duration", "5"]);
-    run.until_dual();
-    let master = run.master_supply().system.unwrap();
-    let victim = run.until("core 0", |processes| {
-        let is_it = |p: &&crate::fixture::Process| {
-            p.core == Some(0) && p.system.as_deref() == Some(&*master)
-        };
-        processes.iter().find(is_it).map(|p| p.pid)
-    });
-    kill(victim);
-    let metrics = run.metrics();
-    assert_eq!(metrics["lost_trace"], 0, "{metrics:#}");
-    let report = fixture.folder().join("tandem-report");
-    let events = events(&std::fs::read(report.join("trace.perfetto-trace")).unwrap());
+    unless_stalled(|fixture| {
+        let mut run = fixture.run(&["--duration", "5"]);
+        run.until_dual();
+        let master = run.master_supply().system.unwrap();
+        let victim = run.until("core 0", |processes| {
+            let is_it = |p: &&crate::fixture::Process| {
+                p.core == Some(0) && p.system.as_deref() == Some(&*master)
+            };
+            processes.iter().find(is_it).map(|p| p.pid)
+        });
+        kill(victim);
+        let metrics = run.metrics();
+        assert_eq!(metrics["lost_trace"], 0, "{metrics:#}");
+        let report = fixture.folder().join("tandem-report");
+        let events = events(&std::fs::read(report.join("trace.perfetto-trace")).unwrap());
 
-    let pid = if master == "A" { 1 } else { 2 };
-    let (core, supply) = (format!("{pid}/core 0: control"), format!("{pid}/supply"));
-    let died = "core 0 died of signal 9";
-    let death = events
-        .iter()
-        .position(|e| e.thread == supply && e.name == died);
-    let death_ns = events[death.unwrap()].at_ns;
-    let reborn = events
-        .iter()
-        .find(|e| e.thread == core && e.name.starts_with("starts, incarnation 2"));
-    let reborn_ns = reborn.unwrap().at_ns;
-    assert!(death_ns < reborn_ns);
-
-    // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which was
-    // traced.
-    let cycles = events
-        .iter()
-        .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
-    let cycles: Vec<u64> = cycles.map(|e| e.at_ns).collect();
-    let obeyed = events
-        .iter()
-        .filter(|e| e.name == format!("{master} obeyed"));
-    let obeyed = obeyed.filter(|e| e.at_ns < reborn_ns).count();
-    assert!(obeyed > 0);
-    let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
-    assert!(before >= obeyed, "{before} cycles, {obeyed} frames");
-    // And nothing between the incarnations.
-    assert!(
-        !cycles
+        let pid = if master == "A" { 1 } else { 2 };
+        let (core, supply) = (format!("{pid}/core 0: control"), format!("{pid}/supply"));
+        let died = "core 0 died of signal 9";
+        let death = events
             .iter()
-            .any(|at_ns| (death_ns + 1..reborn_ns).contains(at_ns))
-    );
+            .position(|e| e.thread == supply && e.name == died);
+        let death_ns = events[death.unwrap()].at_ns;
+        let reborn = events
+            .iter()
+            .find(|e| e.thread == core && e.name.starts_with("starts, incarnation 2"));
+        let reborn_ns = reborn.unwrap().at_ns;
+        assert!(death_ns < reborn_ns);
 
-    let mut depth: HashMap<&str, (i32, u64)> = HashMap::new();
-    for event in events.iter().filter(|event| !event.thread.is_empty()) {
-        let (depth, last_ns) = depth.entry(&event.thread).or_default();
+        // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which was
+        // traced.
+        let cycles = events
+            .iter()
+            .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");
+        let cycles: Vec<u64> = cycles.map(|e| e.at_ns).collect();
+        let obeyed = events
+            .iter()
+            .filter(|e| e.name == format!("{master} obeyed"));
+        let obeyed = obeyed.filter(|e| e.at_ns < reborn_ns).count();
+        assert!(obeyed > 0);
+        let before = cycles.iter().filter(|at_ns| **at_ns <= death_ns).count();
+        assert!(before >= obeyed, "{before} cycles, {obeyed} frames");
+        // And nothing between the incarnations.
         assert!(
-            *last_ns <= event.at_ns,
-            "time goes back on {}",
-            event.thread
+            !cycles
+                .iter()
+                .any(|at_ns| (death_ns + 1..reborn_ns).contains(at_ns))
         );
-        *last_ns = event.at_ns;
-        match event.kind {
-            BEGIN => *depth += 1,
-            END => *depth -= 1,
-            _ => {}
+
+        let mut depth: HashMap<&str, (i32, u64)> = HashMap::new();
+        for event in events.iter().filter(|event| !event.thread.is_empty()) {
+            let (depth, last_ns) = depth.entry(&event.thread).or_default();
+            assert!(
+                *last_ns <= event.at_ns,
+                "time goes back on {}",
+                event.thread
+            );
+            *last_ns = event.at_ns;
+            match event.kind {
+                BEGIN => *depth += 1,
+                END => *depth -= 1,
+                _ => {}
+            }
+            assert!(*depth >= 0, "an end without a begin on {}", event.thread);
         }
-        assert!(*depth >= 0, "an end without a begin on {}", event.thread);
-    }
-    assert!(depth.values().all(|(depth, _)| *depth == 0));
-    // All six cores, both supplies and the bus were heard of.
-    assert_eq!(depth.len(), 9, "{:?}", depth.keys());
-    let woken = events
-        .iter()
-        .filter(|e| e.name == "woken by core 2")
-        .count();
-    assert!(woken > 0);
+        assert!(depth.values().all(|(depth, _)| *depth == 0));
+        // All six cores, both supplies and the bus were heard of.
+        assert_eq!(depth.len(), 9, "{:?}", depth.keys());
+        let woken = events
+            .iter()
+            .filter(|e| e.name == "woken by core 2")
+            .count();
+        assert!(woken > 0);
 
-    let control = metrics["tasks"].as_array().unwrap().iter();
-    let mut control = control.filter(|t| t["task"] == "control" && t["system"] == *master);
-    let jobs = control.next().unwrap()["jobs"].as_u64().unwrap();
-    assert_eq!(jobs, cycles.len() as u64);
+        let control = metrics["tasks"].as_array().unwrap().iter();
+        let mut control = control.filter(|t| t["task"] == "control" && t["system"] == *master);
+        let jobs = control.next().unwrap()["jobs"].as_u64().unwrap();
+        assert_eq!(jobs, cycles.len() as u64);
 
-    let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
-    let ages_ms = sensor_ages_ms(&events, &candump);
-    let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
-    let differs_ms = (ours - told.as_f64().unwrap()).abs();
-    assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
+        let candump = std::fs::read_to_string(report.join("candump.log")).unwrap();
+        let ages_ms = sensor_ages_ms(&events, &candump);
+        let (ours, told) = (ages_ms[ages_ms.len() / 2], &metrics["sensor_age_p50_ms"]);
+        let differs_ms = (ours - told.as_f64().unwrap()).abs();
+        assert!(differs_ms < 0.5, "{ours} ms by trace and bus, {told} told");
+    });
 }
