@@ -134,8 +134,8 @@ fn a_master_that_was_frozen_does_not_come_back_as_a_second_one() {
         kept_control(&metrics);
         let takeover = &metrics["takeovers"][0];
         assert_eq!(takeover["from"], master, "{metrics:#}");
-        // If its last report over the link is younger than its last frame, the vehicle's word may come
-        // first.
+        // If its last report over the link is younger than its last frame, the vehicle's word may
+        // come first.
         let cause = takeover["cause"].as_str().unwrap();
         assert!([SILENT, UNHEARD].contains(&cause), "{metrics:#}");
     });

@@ -15,13 +15,13 @@ use tempfile::TempDir;
 /// No run of these tests takes longer than this, however busy the machine is.
 const WATCHDOG: Duration = Duration::from_secs(120);
 const LOOK_AGAIN: Duration = Duration::from_millis(20);
-/// A longer stall of the machine makes a sound master fall silent: the page of the redundancy, profile rt.
+/// A longer stall of the machine makes a sound master fall silent: docs/redundancy.md, profile rt.
 const TOLERATED_STALL_MS: f64 = 5.0;
 /// How often a test is tried whose runs met longer stalls.
 const ATTEMPTS: u32 = 8;
 
-/// A test that says when which system drives. If it fails and a run of it met a stall that no profile
-/// tolerates, it is tried again; what no stall may cause, such as two masters, fails it at once.
+/// A test that says when which system drives. If it fails and a run of it met a stall that no
+/// profile tolerates, it is tried again; what no stall may cause, such as two masters, fails it.
 pub(crate) fn unless_stalled(test: impl Fn(&Fixture)) {
     for attempt in 1.. {
         let fixture = Fixture::new();

@@ -99,7 +99,8 @@ fn observers_that_are_frozen_or_killed_do_not_disturb_the_run() {
             roles.len() >= 3 && vehicles >= 10 && frames >= 100,
             "{roles:?} {vehicles} {frames}"
         );
-        // A machine that stood still may have changed the roles: both come back, and so does the news.
+        // A machine that stood still may have changed the roles: they come back, and so does the
+        // news.
         run.until("news of both in their roles", |processes| {
             assert!(!processes.is_empty(), "the run ended before");
             sees_both(&own)

@@ -198,8 +198,8 @@ fn a_killed_core_leaves_its_trace_up_to_the_kill() {
         let reborn_ns = reborn.unwrap().at_ns;
         assert!(death_ns < reborn_ns);
 
-        // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which was
-        // traced.
+        // Each frame that the vehicle obeyed was sent in a cycle of the first incarnation, which
+        // was traced.
         let cycles = events
             .iter()
             .filter(|e| e.thread == core && e.kind == BEGIN && e.name == "control");

@@ -1,16 +1,27 @@
-//! Whether the compiler has what a bare-metal build needs, said before the build fails with E0463.
+//! What a bare-metal build needs of the compiler, there before the build fails with E0463.
+//!
+//! No toolchain file: with one, rustup updates the whole toolchain to add a target, and a first
+//! drive on the host would wait for libraries that it does not need.
 
 use anyhow::{Context as _, Result, ensure};
 use std::path::Path;
 use std::process::Command;
 
-/// Refuses a build for a target without its standard library, and says how to install it.
+/// Has rustup add the standard library of a target that has none; without rustup it refuses, and
+/// says how.
 pub(crate) fn demand(target: &str) -> Result<()> {
     let rustc = std::env::var_os("RUSTC").unwrap_or_else(|| "rustc".into());
     let output = Command::new(rustc).args(["--print", "sysroot"]).output();
     let output = output.context("cannot start rustc")?;
     let sysroot = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-    has_library(Path::new(&sysroot), target)
+    let sysroot = Path::new(&sysroot);
+    if has_library(sysroot, target).is_err() {
+        // Its own errors are on stderr; what counts is whether the library is there afterwards.
+        let _ = Command::new("rustup")
+            .args(["target", "add", target])
+            .status();
+    }
+    has_library(sysroot, target)
 }
 
 fn has_library(sysroot: &Path, target: &str) -> Result<()> {
