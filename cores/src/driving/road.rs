@@ -54,6 +54,9 @@ impl CentreLine {
         }
         let inside = min(x, self.end);
         let y = c0 + inside * (c1 + inside * (c2 + inside * c3));
+        if x <= self.end {
+            return y;
+        }
         let beyond = x - inside;
         y + beyond * (self.slope(inside) + 0.5 * beyond * self.bend(inside))
     }
@@ -67,6 +70,9 @@ impl CentreLine {
         }
         let inside = min(x, self.end);
         let slope = c1 + inside * (2.0 * c2 + 3.0 * inside * c3);
+        if x <= self.end {
+            return slope;
+        }
         slope + (x - inside) * self.bend(inside)
     }
 
@@ -101,7 +107,11 @@ impl CentreLine {
             let aside = self.y(foot) - y;
             let residual = foot - x + aside * slope;
             let gradient = 1.0 + slope * slope + aside * self.bend(foot);
+            let before = foot;
             foot -= residual / max(gradient, 0.2);
+            if foot == before {
+                break;
+            }
         }
         let heading = self.heading(foot);
         let offset = (y - self.y(foot)) * cos(heading) - (x - foot) * sin(heading);

@@ -13,6 +13,9 @@ use crate::driving::math::{abs, clamp, max, min, sqrt};
 pub(crate) const STEPS: usize = 32;
 /// Seconds between two of them: the evaluation looks 8 s ahead.
 pub(crate) const STEP_S: f32 = 0.25;
+/// The first steps of eight passes through the evaluation: each eighth step, the last one among
+/// them, then those in between.
+const COARSE_TO_FINE: [usize; 8] = [7, 3, 5, 1, 6, 4, 2, 0];
 
 /// Time gap to the leader at low speed and at 60 km/h and above, s, and its change by speed, s²/m:
 /// the distances of UN Regulation 157, 5.2.3.3.
@@ -314,6 +317,7 @@ impl Ramp {
 
 impl Profile {
     /// Way in m, speed, acceleration and jerk after `t` seconds.
+    #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
         match self {
             Self::Keep(polynomial) => polynomial.at(t),
@@ -333,15 +337,15 @@ impl Profile {
 
     /// How rough this motion is, which begins with `acceleration` (m/s²).
     fn manner(&self, acceleration: f32) -> Manner {
+        // The jerk of a quartic is linear in time.
         let (hardest, jerk) = match self {
             Self::Brake(ramp) => (ramp.goal, abs(ramp.jerk)),
-            Self::Keep(polynomial) => [0.0, 0.25, 0.5, 0.75, 1.0].iter().fold(
-                (0.0, 0.0),
-                |(hardest, jerk): (f32, f32), share| {
-                    let motion = polynomial.at(share * polynomial.end());
-                    (min(hardest, motion.second), max(jerk, abs(motion.third)))
-                },
-            ),
+            Self::Keep(polynomial) => {
+                let at = |share: f32| polynomial.at(share * polynomial.end());
+                let jerk = max(abs(at(0.0).third), abs(at(1.0).third));
+                let hardest = [0.25, 0.5, 0.75].map(|share| at(share).second);
+                (hardest.into_iter().fold(0.0, min), jerk)
+            }
         };
         if jerk > SMOOTH_JERK {
             Manner::Emergency
@@ -355,36 +359,49 @@ impl Profile {
     /// Cost of driving this in the corridor, and the part of it that is for danger; `None` if the
     /// vehicle cannot or must not, or if it costs more than `best`.
     fn cost(&self, corridor: &Corridor, best: f32) -> Option<(f32, f32)> {
-        let (mut cost, mut danger) = (0.0, 0.0);
-        for step in 0..STEPS {
-            let motion = self.at((step + 1) as f32 * STEP_S);
-            if motion.first < -0.05 || motion.second < -EMERGENCY_BRAKING - 0.5 {
-                return None;
-            }
-            if let Self::Keep(_) = self
-                && (motion.second > MAX_ACCELERATION || motion.second < -MAX_BRAKING)
-            {
-                return None;
-            }
-            let error = abs(motion.first - corridor.target_speed(step, &motion));
-            let error = if error < SPEED_ERROR_KNEE {
-                error * error
-            } else {
-                SPEED_ERROR_KNEE * (2.0 * error - SPEED_ERROR_KNEE)
-            };
-            let here = STEP_S * corridor.danger(step, &motion);
-            danger += here;
-            cost += here
-                + STEP_S
-                    * (WEIGHT_JERK * motion.third * motion.third
-                        + WEIGHT_ACCELERATION * motion.second * motion.second
-                        + WEIGHT_SPEED * error
-                        + corridor.margin(step, &motion));
-            if cost > best {
-                return None;
+        let mut steps = [(0.0, 0.0); STEPS];
+        // No step costs less than nothing: a few of them, far apart, show that most candidates cost
+        // too much. The margin is for this sum's rounding, which is another than that below.
+        let mut so_far = 0.0;
+        for first in COARSE_TO_FINE {
+            for step in (first..STEPS).step_by(COARSE_TO_FINE.len()).rev() {
+                steps[step] = self.cost_at(corridor, step)?;
+                so_far += steps[step].0;
+                if so_far > 1.001 * best {
+                    return None;
+                }
             }
         }
-        Some((cost, danger))
+        let sum = |(cost, danger), (more, danger_of_it)| (cost + more, danger + danger_of_it);
+        let (cost, danger) = steps.into_iter().fold((0.0, 0.0), sum);
+        (cost <= best).then_some((cost, danger))
+    }
+
+    /// What one step of [`Profile::cost`] costs.
+    #[inline]
+    fn cost_at(&self, corridor: &Corridor, step: usize) -> Option<(f32, f32)> {
+        let motion = self.at((step + 1) as f32 * STEP_S);
+        if motion.first < -0.05 || motion.second < -EMERGENCY_BRAKING - 0.5 {
+            return None;
+        }
+        if let Self::Keep(_) = self
+            && (motion.second > MAX_ACCELERATION || motion.second < -MAX_BRAKING)
+        {
+            return None;
+        }
+        let error = abs(motion.first - corridor.target_speed(step, &motion));
+        let error = if error < SPEED_ERROR_KNEE {
+            error * error
+        } else {
+            SPEED_ERROR_KNEE * (2.0 * error - SPEED_ERROR_KNEE)
+        };
+        let danger = STEP_S * corridor.danger(step, &motion);
+        let comfort = STEP_S
+            * (WEIGHT_JERK * motion.third * motion.third
+                + WEIGHT_ACCELERATION * motion.second * motion.second
+                + WEIGHT_SPEED * error
+                + corridor.margin(step, &motion));
+        Some((danger + comfort, danger))
     }
 }
 
@@ -394,7 +411,7 @@ const SPEED_CHANGES: [f32; 19] = [
     -14.0, -19.0, -25.0,
 ];
 /// Durations of these changes, s.
-const DURATIONS_S: [f32; 5] = [1.2, 2.2, 3.5, 5.0, 7.0];
+const DURATIONS_S: [f32; 5] = [7.0, 5.0, 3.5, 2.2, 1.2];
 /// Decelerations of smooth braking ramps and of those of an emergency, m/s².
 const SMOOTH_BRAKINGS: [f32; 5] = [1.5, 2.5, 3.5, 5.0, 7.0];
 const EMERGENCY_BRAKINGS: [f32; 3] = [5.0, 7.0, 9.0];

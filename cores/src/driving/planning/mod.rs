@@ -422,9 +422,9 @@ fn choose_profile(
     }
     let half = 0.5 * view.lanes.map_or(DEFAULT_LANE_WIDTH_M, |lanes| lanes.width);
     let own_end = view.lanes.map_or(f32::INFINITY, |lanes| lanes.own_end);
-    for step in 0..STEPS {
+    let aside: [f32; STEPS] = core::array::from_fn(|step| aside_at((step + 1) as f32 * STEP_S));
+    for (step, aside) in aside.iter().enumerate() {
         let t = (step + 1) as f32 * STEP_S;
-        let aside = aside_at(t);
         let in_goal_lane = abs(aside - goal.offset) < half;
         let end = if in_goal_lane { goal.end } else { own_end };
         // While a gap in the next lane is sought, the own lane is used as long as it lasts.
@@ -456,15 +456,18 @@ fn choose_profile(
         // in.
         let is_beside = object.s - station.s < object.half_length + 0.5 * LENGTH_M
             && abs(object.d - station.offset.value) > object.half_width + 0.5 * WIDTH_M;
-        for step in 0..STEPS {
+        let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
+        for (step, aside) in aside.iter().enumerate() {
             let t = (step + 1) as f32 * STEP_S;
+            let is_aside = abs(object.across(t) - aside) >= reach;
+            if is_aside && !is_sought {
+                continue;
+            }
             let (s, speed) = object.along(t);
-            let aside = aside_at(t);
-            let reach = object.half_width + 0.5 * WIDTH_M + SIDE_MARGIN_M;
             let bound = s - object.half_length - 0.5 * LENGTH_M - station.s;
             let passed = object.passes()
                 && start.first * t > s - station.s + object.half_length + 0.5 * LENGTH_M + PASSED_M;
-            let is_in_the_way = abs(object.across(t) - aside) < reach && !passed;
+            let is_in_the_way = !is_aside && !passed;
             if is_in_the_way && !is_beside {
                 corridor.limit(step, bound, speed);
             } else if is_sought || is_in_the_way {

@@ -13,11 +13,13 @@ pub(crate) struct Jet {
     pub(crate) third: f32,
 }
 
-/// `c[0] + c[1] t + … + c[5] t⁵` up to `end`, and on with the end's first derivative.
+/// `c[0] + c[1] t + … + c[5] t⁵` up to `end`, and on with the first derivative of `last`, which is
+/// there.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Polynomial {
     c: [f32; 6],
     end: f32,
+    last: Jet,
 }
 
 impl Polynomial {
@@ -32,10 +34,7 @@ impl Polynomial {
         let c3 = (10.0 * value - 4.0 * first + 0.5 * second) / cube;
         let c4 = (-15.0 * value + 7.0 * first - second) / (cube * t);
         let c5 = (6.0 * value - 3.0 * first + 0.5 * second) / (cube * t * t);
-        Self {
-            c: [c0, c1, c2, c3, c4, c5],
-            end,
-        }
+        Self::new([c0, c1, c2, c3, c4, c5], end)
     }
 
     /// From the start to a first derivative, with second derivative zero, over `end` > 0.
@@ -46,10 +45,12 @@ impl Polynomial {
         let second = -2.0 * c2;
         let c3 = (first - second * t / 3.0) / (t * t);
         let c4 = (second * t - 2.0 * first) / (4.0 * t * t * t);
-        Self {
-            c: [start.value, c1, c2, c3, c4, 0.0],
-            end,
-        }
+        Self::new([start.value, c1, c2, c3, c4, 0.0], end)
+    }
+
+    fn new(c: [f32; 6], end: f32) -> Self {
+        let last = inside(c, end);
+        Self { c, end, last }
     }
 
     /// Up to where it is no straight line.
@@ -61,27 +62,25 @@ impl Polynomial {
     #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
         if t > self.end {
-            let end = self.inside(self.end);
-            let value = end.value + end.first * (t - self.end);
+            let Jet { value, first, .. } = self.last;
             return Jet {
-                value,
-                first: end.first,
+                value: value + first * (t - self.end),
+                first,
                 second: 0.0,
                 third: 0.0,
             };
         }
-        self.inside(t)
+        inside(self.c, t)
     }
+}
 
-    #[inline]
-    fn inside(&self, t: f32) -> Jet {
-        let [c0, c1, c2, c3, c4, c5] = self.c;
-        Jet {
-            value: c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
-            first: c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
-            second: 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
-            third: 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5),
-        }
+#[inline]
+fn inside([c0, c1, c2, c3, c4, c5]: [f32; 6], t: f32) -> Jet {
+    Jet {
+        value: c0 + t * (c1 + t * (c2 + t * (c3 + t * (c4 + t * c5)))),
+        first: c1 + t * (2.0 * c2 + t * (3.0 * c3 + t * (4.0 * c4 + t * 5.0 * c5))),
+        second: 2.0 * c2 + t * (6.0 * c3 + t * (12.0 * c4 + t * 20.0 * c5)),
+        third: 6.0 * c3 + t * (24.0 * c4 + t * 60.0 * c5),
     }
 }
 

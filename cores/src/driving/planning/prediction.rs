@@ -115,6 +115,7 @@ impl Predicted {
     /// fades, and a road user that crosses continues.
     pub(crate) fn across(&self, t: f32) -> f32 {
         match self.sideways {
+            Sideways::Swerves if self.across == 0.0 => self.d,
             Sideways::Swerves => self.d + self.across * SWERVE_S * (1.0 - exp(-t / SWERVE_S)),
             Sideways::Crosses => self.d + self.across * t,
             Sideways::CutsIn => {
