@@ -42,9 +42,16 @@ impl Pose {
     /// A point of the parent frame in this pose's frame.
     #[must_use]
     pub fn to_local(self, x: f32, y: f32) -> (f32, f32) {
-        let (sine, cosine) = (sin(self.heading), cos(self.heading));
-        let (x, y) = (x - self.x, y - self.y);
-        (cosine * x + sine * y, cosine * y - sine * x)
+        self.axes().to_local(x, y)
+    }
+
+    /// This pose for many points.
+    pub(crate) fn axes(self) -> Axes {
+        Axes {
+            origin: (self.x, self.y),
+            sine: sin(self.heading),
+            cosine: cos(self.heading),
+        }
     }
 
     /// A point of this pose's frame in the parent frame.
@@ -55,6 +62,27 @@ impl Pose {
             self.x + cosine * x - sine * y,
             self.y + sine * x + cosine * y,
         )
+    }
+}
+
+/// A pose whose direction is a vector.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Axes {
+    origin: (f32, f32),
+    sine: f32,
+    cosine: f32,
+}
+
+impl Axes {
+    /// A point of the parent frame in this frame.
+    pub(crate) fn to_local(self, x: f32, y: f32) -> (f32, f32) {
+        self.turn(x - self.origin.0, y - self.origin.1)
+    }
+
+    /// A vector of the parent frame in this frame.
+    pub(crate) fn turn(self, x: f32, y: f32) -> (f32, f32) {
+        let (sine, cosine) = (self.sine, self.cosine);
+        (cosine * x + sine * y, cosine * y - sine * x)
     }
 }
 

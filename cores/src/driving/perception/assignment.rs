@@ -3,6 +3,8 @@
 //! Shortest augmenting paths with potentials, O(n² m): R. Jonker, A. Volgenant, "A Shortest
 //! Augmenting Path Algorithm for Dense and Sparse Linear Assignment Problems", Computing 38 (1987).
 
+use heapless::Vec;
+
 use super::{MAX_DETECTIONS, MAX_TRACKS};
 
 /// A pair outside the gate.
@@ -13,16 +15,12 @@ const UNASSIGNED: f32 = 60.0;
 const COLUMNS: usize = MAX_DETECTIONS + MAX_TRACKS;
 
 /// Costs of all pairs; rows are tracks, columns are detections.
-pub(crate) type Costs = [[f32; MAX_DETECTIONS]; MAX_TRACKS];
+pub(crate) type Costs = Vec<[f32; MAX_DETECTIONS], MAX_TRACKS>;
 
-/// The detection of each of the first `tracks` tracks, if any. Time is bounded by
+/// The detection of each track, if any, of the first `detections`. Time is bounded by
 /// `MAX_TRACKS² × (MAX_DETECTIONS + MAX_TRACKS)` steps.
-pub(crate) fn assign(
-    costs: &Costs,
-    tracks: usize,
-    detections: usize,
-) -> [Option<usize>; MAX_TRACKS] {
-    let tracks = tracks.min(MAX_TRACKS);
+pub(crate) fn assign(costs: &Costs, detections: usize) -> [Option<usize>; MAX_TRACKS] {
+    let tracks = costs.len();
     let detections = detections.min(MAX_DETECTIONS);
     let columns = detections + tracks;
     let cost = |row: usize, column: usize| {
@@ -94,30 +92,27 @@ mod tests {
     use super::*;
 
     fn costs(rows: &[&[f32]]) -> Costs {
-        let mut costs = [[IMPOSSIBLE; MAX_DETECTIONS]; MAX_TRACKS];
-        for (row, values) in rows.iter().enumerate() {
-            costs[row][..values.len()].copy_from_slice(values);
-        }
-        costs
+        let row = |values: &&[f32]| {
+            let mut row = [IMPOSSIBLE; MAX_DETECTIONS];
+            row[..values.len()].copy_from_slice(values);
+            row
+        };
+        rows.iter().map(row).collect()
     }
 
     #[test]
     fn the_least_sum_wins_over_the_nearest_neighbour() {
         // Greedy would give track 0 its detection 0 (cost 1) and leave track 1 with 20.
-        let result = assign(&costs(&[&[1.0, 2.0], &[1.5, 20.0]]), 2, 2);
+        let result = assign(&costs(&[&[1.0, 2.0], &[1.5, 20.0]]), 2);
         assert_eq!(&result[..2], &[Some(1), Some(0)]);
     }
 
     #[test]
     fn outside_the_gate_nothing_is_assigned() {
-        let result = assign(
-            &costs(&[&[IMPOSSIBLE, IMPOSSIBLE], &[IMPOSSIBLE, 3.0]]),
-            2,
-            2,
-        );
+        let result = assign(&costs(&[&[IMPOSSIBLE, IMPOSSIBLE], &[IMPOSSIBLE, 3.0]]), 2);
         assert_eq!(&result[..2], &[None, Some(1)]);
-        assert_eq!(assign(&costs(&[]), 0, 5), [None; MAX_TRACKS]);
-        assert_eq!(assign(&costs(&[]), 5, 0), [None; MAX_TRACKS]);
+        assert_eq!(assign(&costs(&[]), 5), [None; MAX_TRACKS]);
+        assert_eq!(assign(&costs(&[&[] as &[f32]; 5]), 0), [None; MAX_TRACKS]);
     }
 
     /// Against all permutations of small problems with seeded costs.
@@ -130,14 +125,14 @@ mod tests {
         };
         for _ in 0..200 {
             let (tracks, detections) = (4, 5);
-            let mut problem = costs(&[]);
-            for row in problem.iter_mut().take(tracks) {
+            let mut problem = costs(&[&[] as &[f32]; 4]);
+            for row in &mut problem {
                 for cost in row.iter_mut().take(detections) {
                     let value = random();
                     *cost = if value > 25.0 { IMPOSSIBLE } else { value };
                 }
             }
-            let result = assign(&problem, tracks, detections);
+            let result = assign(&problem, detections);
             let total: f32 = (0..tracks)
                 .map(|t| result[t].map_or(UNASSIGNED, |d| problem[t][d]))
                 .sum();

@@ -16,6 +16,53 @@ pub(crate) struct Motion {
     pub(crate) fading_s: f32,
 }
 
+/// What a span of time does to each axis that moves in the same way.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Span {
+    dt: f32,
+    /// The share of an acceleration that is left.
+    fade: f32,
+    noise: Matrix3<f32>,
+}
+
+impl Motion {
+    /// Over `dt` seconds.
+    pub(crate) fn over(&self, dt: f32) -> Span {
+        let q = self.acceleration_noise * dt;
+        let (q1, q2) = (q * dt, q * dt * dt);
+        #[rustfmt::skip]
+        let noise = Matrix3::new(
+            q2 * dt * dt / 20.0, q2 * dt / 8.0, q2 / 6.0,
+            q2 * dt / 8.0, q2 / 3.0, q1 / 2.0,
+            q2 / 6.0, q1 / 2.0, q,
+        );
+        Span {
+            dt,
+            fade: exp(-dt / self.fading_s),
+            noise,
+        }
+    }
+}
+
+impl Span {
+    /// Position, velocity and acceleration at its end.
+    fn end(&self, begin: Vector3<f32>) -> Vector3<f32> {
+        let Self { dt, fade, .. } = *self;
+        let [position, velocity, acceleration] = begin.into();
+        Vector3::new(
+            position + dt * velocity + 0.5 * dt * dt * acceleration,
+            velocity + dt * acceleration,
+            fade * acceleration,
+        )
+    }
+
+    /// [`Span::end`] of each column.
+    fn end_of_each(&self, columns: &Matrix3<f32>) -> Matrix3<f32> {
+        let end = |index| self.end(columns.column(index).into_owned());
+        Matrix3::from_columns(&[end(0), end(1), end(2)])
+    }
+}
+
 /// Variances of a filter that has settled, in SI units, and the covariance of velocity and
 /// acceleration. With noise of density q that drives the acceleration, and measured velocities of
 /// variance r each second, the variances are √2 q^¼ r^¾ and √2 q^¾ r^¼, and the covariance is
@@ -119,27 +166,14 @@ impl Axis {
         self.covariance.m11
     }
 
-    pub(crate) fn predict(&mut self, dt: f32, motion: &Motion) {
-        let fade = exp(-dt / motion.fading_s);
-        #[rustfmt::skip]
-        let transition = Matrix3::new(
-            1.0, dt, 0.5 * dt * dt,
-            0.0, 1.0, dt,
-            0.0, 0.0, fade,
-        );
-        self.state = transition * self.state;
+    pub(crate) fn predict(&mut self, span: &Span) {
+        self.state = span.end(self.state);
         if self.covariance.m11 > MAX_VARIANCE {
             return;
         }
-        let q = motion.acceleration_noise * dt;
-        let (q1, q2) = (q * dt, q * dt * dt);
-        #[rustfmt::skip]
-        let noise = Matrix3::new(
-            q2 * dt * dt / 20.0, q2 * dt / 8.0, q2 / 6.0,
-            q2 * dt / 8.0, q2 / 3.0, q1 / 2.0,
-            q2 / 6.0, q1 / 2.0, q,
-        );
-        self.covariance = transition * self.covariance * transition.transpose() + noise;
+        // Of the rows, then of the columns.
+        let half = span.end_of_each(&self.covariance).transpose();
+        self.covariance = span.end_of_each(&half).transpose() + span.noise;
     }
 
     pub(crate) fn innovation(&self, measured: &Measured) -> Innovation {
@@ -201,7 +235,7 @@ mod tests {
         let mut axis = Axis::new(&measured(50.0, 20.0));
         for step in 1..=20 {
             let t = step as f32 * 0.05;
-            axis.predict(0.05, &MOTION);
+            axis.predict(&MOTION.over(0.05));
             let z = measured(50.0 + 20.0 * t - 3.0 * t * t, 20.0 - 6.0 * t);
             let innovation = axis.innovation(&z);
             assert!(innovation.distance < 9.2, "{step}: {}", innovation.distance);
@@ -220,17 +254,17 @@ mod tests {
     fn covariance_shrinks_with_measurements_and_grows_without() {
         let mut axis = Axis::new(&measured(0.0, 0.0));
         for _ in 0..40 {
-            axis.predict(0.05, &MOTION);
+            axis.predict(&MOTION.over(0.05));
             axis.update(&axis.innovation(&measured(0.0, 0.0)));
         }
         let settled = axis.position_variance();
         assert!(settled < 0.05);
         for _ in 0..20 {
-            axis.predict(0.05, &MOTION);
+            axis.predict(&MOTION.over(0.05));
         }
         assert!(axis.position_variance() > 2.0 * settled);
         for _ in 0..100_000 {
-            axis.predict(0.05, &MOTION);
+            axis.predict(&MOTION.over(0.05));
         }
         assert!(axis.position_variance().is_finite());
     }

@@ -22,12 +22,12 @@ use super::control::driven_curvature;
 use super::knowledge::{KNOWLEDGE_MAX_AGE, Knowledge, YOUNG_CYCLES};
 use super::odometry::{Odometry, motion};
 use super::types::{Ego, Object, Route, Scene};
-use assignment::{IMPOSSIBLE, assign};
+use assignment::{Costs, IMPOSSIBLE, assign};
 use lane::LaneFilter;
 use lists::Lists;
 use round::{LANES, Round};
 use scene::RoadView;
-use track::{Detection, Track};
+use track::{Detection, Passage, Track};
 
 /// Tracks at one time, confirmed or not.
 const MAX_TRACKS: usize = 32;
@@ -200,8 +200,9 @@ impl Perception {
         }
         let dt = to.since(from).as_secs_f32();
         let step = self.odometry.between(from, to);
+        let passage = Passage::new(dt, &step);
         for track in &mut self.tracks {
-            track.predict(dt, &step);
+            track.predict(&passage);
         }
         self.lanes.predict(dt, &step);
         self.time = Some(to);
@@ -212,20 +213,27 @@ impl Perception {
     fn fuse(&mut self, sensor: SensorId, at: Instant, objects: &[SensorObject]) {
         let ego = *self.odometry.ego();
         let to = self.time.unwrap_or(at).max(at);
-        let (lag_s, step) = (to.since(at).as_secs_f32(), self.odometry.between(at, to));
+        let lag_s = to.since(at).as_secs_f32();
+        let moved = (lag_s > 0.0).then(|| self.odometry.between(at, to));
         let mut detections: Vec<Detection, MAX_DETECTIONS> = Vec::new();
         for object in objects {
             // Cannot be full: a list is no longer than this.
             let detection = Detection::new(sensor, object, &ego);
-            let _ = detections.push(detection.carried(lag_s, step));
+            let _ = detections.push(match moved {
+                Some(step) => detection.carried(lag_s, step),
+                None => detection,
+            });
         }
-        let mut costs = [[IMPOSSIBLE; MAX_DETECTIONS]; MAX_TRACKS];
-        for (t, track) in self.tracks.iter().enumerate() {
-            for (d, detection) in detections.iter().enumerate() {
-                costs[t][d] = track.fit(detection).map_or(IMPOSSIBLE, |fit| fit.cost());
+        let mut costs = Costs::new();
+        for track in &self.tracks {
+            let mut row = [IMPOSSIBLE; MAX_DETECTIONS];
+            for (cost, detection) in row.iter_mut().zip(&detections) {
+                *cost = track.fit(detection).map_or(IMPOSSIBLE, |fit| fit.cost());
             }
+            // Cannot be full: one row for each track.
+            let _ = costs.push(row);
         }
-        let assigned = assign(&costs, self.tracks.len(), detections.len());
+        let assigned = assign(&costs, detections.len());
         let mut used = [false; MAX_DETECTIONS];
         for (t, track) in self.tracks.iter_mut().enumerate() {
             if let Some(d) = assigned[t]

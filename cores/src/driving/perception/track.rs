@@ -2,10 +2,10 @@
 
 use tandem_bus::{Class, SensorId, SensorObject};
 
-use super::kalman::{Axis, Innovation, Measured, Motion, Settled};
+use super::kalman::{Axis, Innovation, Measured, Motion, Settled, Span};
 use crate::driving::knowledge::Known;
-use crate::driving::math::{abs, clamp, cos, lerp, max, min, sin};
-use crate::driving::odometry::Pose;
+use crate::driving::math::{abs, clamp, lerp, max, min};
+use crate::driving::odometry::{Axes, Pose};
 use crate::driving::types::{Ego, ObjectClass};
 
 /// Along the road vehicles brake with up to 8 m/s² within half a second.
@@ -89,11 +89,9 @@ impl Detection {
     /// Where the object is after `lag_s` at its speed, seen from where the own vehicle is after
     /// `step`.
     pub(crate) fn carried(mut self, lag_s: f32, step: Pose) -> Self {
-        if lag_s > 0.0 {
-            let along = self.x.position + self.x.velocity * lag_s;
-            let across = self.y.position + self.y.velocity * lag_s;
-            (self.x.position, self.y.position) = step.to_local(along, across);
-        }
+        let along = self.x.position + self.x.velocity * lag_s;
+        let across = self.y.position + self.y.velocity * lag_s;
+        (self.x.position, self.y.position) = step.to_local(along, across);
         self
     }
 }
@@ -127,6 +125,28 @@ impl Match {
     pub(crate) fn cost(&self) -> f32 {
         let volume = max(self.x.determinant * self.y.determinant, 1e-12);
         self.x.distance + self.y.distance + libm::logf(volume)
+    }
+}
+
+/// Time that passes for all tracks, while the vehicle moves.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Passage {
+    dt: f32,
+    along: Span,
+    across: Span,
+    /// The vehicle at its end, as seen from where it was at its begin.
+    axes: Axes,
+}
+
+impl Passage {
+    /// Of `dt` seconds, in which the vehicle moves by `step`.
+    pub(crate) fn new(dt: f32, step: &Pose) -> Self {
+        Self {
+            dt,
+            along: ALONG.over(dt),
+            across: ACROSS.over(dt),
+            axes: step.axes(),
+        }
     }
 }
 
@@ -193,7 +213,7 @@ impl Track {
             unseen_s: 0.0,
             told: true,
         };
-        track.predict(dt, step);
+        track.predict(&Passage::new(dt, step));
         track.unseen_s = 0.0;
         track
     }
@@ -234,17 +254,15 @@ impl Track {
         };
     }
 
-    /// Moves the object on by `dt` and into the frame of the vehicle, which has moved by
-    /// `step`.
-    pub(crate) fn predict(&mut self, dt: f32, step: &Pose) {
-        self.x.predict(dt, &ALONG);
-        self.y.predict(dt, &ACROSS);
-        self.unseen_s += dt;
-        let (x, y) = step.to_local(self.x.position(), self.y.position());
-        let (sine, cosine) = (sin(step.heading), cos(step.heading));
-        let turn = |x: f32, y: f32| (cosine * x + sine * y, cosine * y - sine * x);
-        let (vx, vy) = turn(self.x.velocity(), self.y.velocity());
-        let (ax, ay) = turn(self.x.acceleration(), self.y.acceleration());
+    /// Moves the object on by this passage, into the frame of the vehicle at its end.
+    pub(crate) fn predict(&mut self, passage: &Passage) {
+        self.x.predict(&passage.along);
+        self.y.predict(&passage.across);
+        self.unseen_s += passage.dt;
+        let Passage { axes, .. } = passage;
+        let (x, y) = axes.to_local(self.x.position(), self.y.position());
+        let (vx, vy) = axes.turn(self.x.velocity(), self.y.velocity());
+        let (ax, ay) = axes.turn(self.x.acceleration(), self.y.acceleration());
         self.x.set(x, vx, ax);
         self.y.set(y, vy, ay);
     }
