@@ -56,6 +56,8 @@ pub(crate) struct Signal {
 
 impl Signal {
     /// The raw value. `data` must hold the signal's bits.
+    // With a signal that is known it is a few instructions.
+    #[inline(always)]
     pub(crate) fn get(&self, data: &[u8]) -> Result<i64, DecodeError> {
         let mut window = 0;
         for (i, byte) in data[self.bytes()].iter().enumerate() {
@@ -76,6 +78,7 @@ impl Signal {
     }
 
     /// The physical value.
+    #[inline]
     pub(crate) fn get_physical(&self, data: &[u8]) -> Result<f32, DecodeError> {
         Ok(self.get(data)? as f32 * self.factor)
     }

@@ -235,6 +235,7 @@ impl Board for SimBoard {
         }
     }
 
+    #[inline]
     fn now(&self) -> Instant {
         self.port.look();
         let Port { shared, place, .. } = &self.port;
@@ -289,6 +290,7 @@ impl Board for SimBoard {
         &self.supply
     }
 
+    #[inline]
     fn trace(&self, record: TraceRecord) {
         if self.port.shared.config.trace_records == 0 {
             return;
@@ -338,6 +340,7 @@ impl Can for SimCan {
         self.0.alive(|machine| machine.discard_unsent(self.0.place));
     }
 
+    #[inline]
     fn try_receive(&self) -> Option<Received> {
         let waits = self.0.shared.glance.can(self.0.place);
         if !waits.load(Ordering::Relaxed) {
@@ -384,6 +387,7 @@ impl Lines for SimLines {
         });
     }
 
+    #[inline]
     fn received(&self, line: Line, edge: Edge) -> u32 {
         self.0.look();
         let glance = &self.0.shared.glance;
@@ -391,6 +395,7 @@ impl Lines for SimLines {
         count.load(Ordering::Relaxed)
     }
 
+    #[inline]
     fn peer_powered(&self) -> bool {
         self.0.look();
         let level = self.0.shared.glance.level(self.0.place.system.peer());

@@ -100,7 +100,7 @@ impl<'b, B: Board> Core0<'b, B> {
 impl<B: Board> Core for Core0<'_, B> {
     fn poll(&mut self) -> Instant {
         self.executor.released.set(TaskSet::NONE);
-        let now = self.executor.board.now();
+        let mut now = self.executor.board.now();
         let for_deadline = self.due.iter().any(|due| *due <= now);
         let mut doorbells = self.executor.doorbells.get();
         let interrupted = doorbells.interrupt(now, !for_deadline);
@@ -111,8 +111,9 @@ impl<B: Board> Core for Core0<'_, B> {
         for (index, task) in TaskId::ALL.into_iter().enumerate() {
             let released = self.executor.released.get().contains(task)
                 || (interrupted && task.info().is_for_interrupts());
-            if released || self.due[index] <= self.executor.board.now() {
+            if released || self.due[index] <= now {
                 self.due[index] = self.run(task);
+                now = self.executor.board.now();
             }
         }
         // A later task may have told the redundancy something that changes its deadline.

@@ -86,9 +86,7 @@ impl CentreLine {
     /// Curvature in 1/m at x.
     #[must_use]
     pub fn curvature(&self, x: f32) -> f32 {
-        let slope = self.slope(x);
-        let stretch = 1.0 + slope * slope;
-        self.bend(x) / (stretch * sqrt(stretch))
+        curved(self.slope(x), self.bend(x))
     }
 
     /// Direction in rad at x.
@@ -119,6 +117,12 @@ impl CentreLine {
     }
 }
 
+/// Curvature of a line with this first and second derivative, 1/m.
+fn curved(slope: f32, bend: f32) -> f32 {
+    let stretch = 1.0 + slope * slope;
+    bend / (stretch * sqrt(stretch))
+}
+
 /// Nodes of the arc length's table.
 const NODES: usize = 96;
 /// Distance between nodes along x, m.
@@ -132,6 +136,8 @@ pub(crate) struct Reference {
     pub(crate) x: f32,
     pub(crate) y: f32,
     pub(crate) heading: f32,
+    pub(crate) sine: f32,
+    pub(crate) cosine: f32,
     pub(crate) curvature: f32,
     /// Change of curvature along the arc, 1/m².
     pub(crate) sharpness: f32,
@@ -192,16 +198,19 @@ impl FrenetFrame {
     /// The reference at arc length `s`.
     pub(crate) fn reference(&self, s: f32) -> Reference {
         let x = self.x_of(s);
-        let heading = self.line.heading(x);
-        let curvature = self.line.curvature(x);
+        let slope = self.line.slope(x);
+        let heading = atan(slope);
+        let cosine = cos(heading);
+        let curvature = curved(slope, self.line.bend(x));
         let ahead = self.line.curvature(x + 1.0);
-        let sharpness = (ahead - curvature) * cos(heading);
         Reference {
             x,
             y: self.line.y(x),
             heading,
+            sine: sin(heading),
+            cosine,
             curvature,
-            sharpness,
+            sharpness: (ahead - curvature) * cosine,
         }
     }
 

@@ -1,7 +1,7 @@
 //! Candidates for the path across the road: quintics over the way, towards a lane's centre.
 
-use super::polynomial::{Jet, Polynomial};
-use crate::driving::math::{abs, atan, cos, max, min, sin, tan};
+use super::polynomial::{Jet, Quintic};
+use crate::driving::math::{abs, atan, cos, max, min, tan};
 use crate::driving::road::Reference;
 use crate::driving::types::TrajectoryPoint;
 
@@ -11,7 +11,7 @@ const MAX_CURVATURE: f32 = 0.17;
 /// A path relative to the reference: offset over arc length from the start on.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Path {
-    shape: Polynomial,
+    shape: Quintic,
     pub(crate) goal: f32,
     start_s: f32,
 }
@@ -30,7 +30,7 @@ impl Path {
             value: goal,
             ..Jet::default()
         };
-        let shape = Polynomial::quintic(&from.offset, &goal_jet, max(length, 1.0));
+        let shape = Quintic::new(&from.offset, &goal_jet, max(length, 1.0));
         Self {
             shape,
             goal,
@@ -77,8 +77,8 @@ pub(crate) fn to_cartesian(road: &Reference, offset: &Jet, motion: &Jet) -> Traj
         / stretch;
     let scale = stretch / along;
     TrajectoryPoint {
-        x: road.x - offset.value * sin(road.heading),
-        y: road.y + offset.value * cos(road.heading),
+        x: road.x - offset.value * road.sine,
+        y: road.y + offset.value * road.cosine,
         heading: road.heading + turn,
         curvature: max(min(curvature, MAX_CURVATURE), -MAX_CURVATURE),
         speed: max(motion.first * scale, 0.0),
@@ -109,10 +109,13 @@ mod tests {
 
     #[test]
     fn cartesian_and_back() {
+        let heading = 0.1;
         let road = Reference {
             x: 3.0,
             y: 1.0,
-            heading: 0.1,
+            heading,
+            sine: crate::driving::math::sin(heading),
+            cosine: cos(heading),
             curvature: 0.004,
             sharpness: 1e-5,
         };

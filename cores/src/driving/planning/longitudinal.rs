@@ -6,7 +6,7 @@
 //! and Scalable Self-driving Cars", arXiv:1708.06374, 2017 (RSS), cost so much that comfort does
 //! not count.
 
-use super::polynomial::{Jet, Polynomial};
+use super::polynomial::{Jet, Quartic};
 use crate::driving::math::{abs, clamp, max, min, sqrt};
 
 /// Steps of the evaluation.
@@ -232,7 +232,7 @@ fn closing(spare: f32, braking: f32, time_constant: f32, regain_s: f32) -> f32 {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Profile {
     /// To a speed.
-    Keep(Polynomial),
+    Keep(Quartic),
     /// Braking with a ramp of constant jerk and then constantly, to standstill.
     Brake(Ramp),
 }
@@ -320,7 +320,7 @@ impl Profile {
     #[inline]
     pub(crate) fn at(&self, t: f32) -> Jet {
         match self {
-            Self::Keep(polynomial) => polynomial.at(t),
+            Self::Keep(quartic) => quartic.at(t),
             Self::Brake(ramp) => ramp.at(t),
         }
     }
@@ -340,8 +340,8 @@ impl Profile {
         // The jerk of a quartic is linear in time.
         let (hardest, jerk) = match self {
             Self::Brake(ramp) => (ramp.goal, abs(ramp.jerk)),
-            Self::Keep(polynomial) => {
-                let at = |share: f32| polynomial.at(share * polynomial.end());
+            Self::Keep(quartic) => {
+                let at = |share: f32| quartic.at(share * quartic.end());
                 let jerk = max(abs(at(0.0).third), abs(at(1.0).third));
                 let hardest = [0.25, 0.5, 0.75].map(|share| at(share).second);
                 (hardest.into_iter().fold(0.0, min), jerk)
@@ -435,10 +435,13 @@ const CANDIDATES: usize = DURATIONS_S.len() * (SPEED_CHANGES.len() + 2)
 /// All candidates from this start.
 fn candidates(start: &Jet, desired_speed: f32) -> impl Iterator<Item = Profile> {
     let keep = move |duration: f32| {
-        let changed = move |change: &f32| clamp(start.first + change, 0.0, 60.0);
-        let speeds = SPEED_CHANGES.iter().map(changed);
+        let changed = SPEED_CHANGES.iter().map(|change| start.first + change);
+        // All others would be to standstill, which is tried anyway.
+        let speeds = changed
+            .filter(|speed| *speed > 0.0)
+            .map(|speed| min(speed, 60.0));
         let speeds = speeds.chain([0.0, desired_speed]);
-        speeds.map(move |speed| Profile::Keep(Polynomial::quartic(start, speed, duration)))
+        speeds.map(move |speed| Profile::Keep(Quartic::new(start, speed, duration)))
     };
     let smooth = SMOOTH_BRAKINGS.map(|braking| (braking, RAMP_JERK));
     let hard = EMERGENCY_BRAKINGS.map(|braking| (braking, EMERGENCY_JERK));

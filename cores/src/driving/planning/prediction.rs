@@ -1,7 +1,7 @@
 //! Prediction of the other road users, in the Frenet frame of the own lane.
 
-use crate::driving::math::{abs, clamp, cos, exp, max, min, sin};
-use crate::driving::road::FrenetFrame;
+use crate::driving::math::{abs, clamp, exp, max, min};
+use crate::driving::road::{FrenetFrame, Reference};
 use crate::driving::types::Object;
 
 /// Slower than this across the road counts as keeping the lane, m/s.
@@ -52,8 +52,7 @@ enum Sideways {
 impl Predicted {
     pub(crate) fn new(object: &Object, frame: &FrenetFrame) -> Self {
         let (s, d) = frame.project(object.x, object.y);
-        let heading = frame.reference(s).heading;
-        let (sine, cosine) = (sin(heading), cos(heading));
+        let Reference { sine, cosine, .. } = frame.reference(s);
         let across = object.vy * cosine - object.vx * sine;
         let speed = object.vx * cosine + object.vy * sine;
         let (is_oncoming, turns) = (speed < -ONCOMING, abs(across) > CROSSING);
