@@ -159,12 +159,7 @@ impl Config {
     /// How long a system that expects no handshake listens for a running master.
     #[must_use]
     pub fn listen_limit(&self, system: SystemId) -> Duration {
-        let longer = if self.silent_limit() > self.witness_limit() {
-            self.silent_limit()
-        } else {
-            self.witness_limit()
-        };
-        longer + self.stagger_of(system)
+        self.silent_limit().max(self.witness_limit()) + self.stagger_of(system)
     }
 
     /// The time after a poll for which a master may transmit without the next poll.
@@ -276,6 +271,50 @@ mod tests {
                 config.gap_bound()
             );
             assert!(config.gap_bound_power() < Duration::from_ms(20));
+        }
+    }
+
+    /// T-RED-2: two systems never act at once: B waits longer than A, by the stagger. How long they
+    /// listen follows from the slower of two witnesses.
+    #[test]
+    fn b_waits_longer_than_a_by_the_stagger() {
+        let (rt, ms) = (Config::rt(), Duration::from_ms);
+        let slow_beats = Config {
+            heartbeat_period: ms(10),
+            ..rt
+        };
+        for (config, limits) in [(rt, [17, 54]), (slow_beats, [62, 54])] {
+            for (system, more) in [(SystemId::A, 0), (SystemId::B, 20)] {
+                let found = [config.listen_limit(system), config.no_master_limit(system)];
+                assert_eq!(found, limits.map(|limit| ms(limit + more)), "{system:?}");
+            }
+        }
+    }
+
+    /// T-RED-8: the gap of a silent master ends with the last of: both lines silent, and either the
+    /// control frames missed or the link silent.
+    #[test]
+    fn the_slowest_witness_that_is_needed_bounds_the_gap() {
+        let (rt, ms) = (Config::rt(), Duration::from_ms);
+        for (margin_ms, report_ms, takeover_ms, gap_ms) in [
+            // Lines 8 ms, third witness 17 ms, link 62 ms.
+            (7, 10, 18, 19),
+            (20, 10, 31, 31),
+            // Link 14 ms.
+            (20, 2, 15, 25),
+            (20, 1, 9, 19),
+        ] {
+            let config = Config {
+                control_margin: ms(margin_ms),
+                report_period: ms(report_ms),
+                ..rt
+            };
+            let bounds = [config.takeover_bound(), config.gap_bound()];
+            assert_eq!(
+                bounds,
+                [takeover_ms, gap_ms].map(ms),
+                "{margin_ms} {report_ms}"
+            );
         }
     }
 

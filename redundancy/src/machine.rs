@@ -571,7 +571,7 @@ impl Redundancy {
                 };
                 let hold_until = now + self.config.hold_down_after(self.changes);
                 let start = match &self.phase {
-                    PhaseState::Starting(start) if on == Evidence::SyncHeard => Some(start.clone()),
+                    PhaseState::Starting(start) => Some(start.clone()),
                     _ => None,
                 };
                 PhaseState::Standby(Standby::new(self.system, now, mode, hold_until, start))
@@ -636,8 +636,8 @@ impl Redundancy {
     }
 
     /// A long time without a reset subtracts one from the counts of abnormal resets and of wrong
-    /// commands. A system that
-    /// crashes more often than that suspends in the end, even if it crashes regularly. T-RED-5
+    /// commands. A system that crashes more often than that suspends in the end, even if it crashes
+    /// regularly. T-RED-5
     fn note_health(&mut self, now: Instant) {
         let healthy = self
             .running_since

@@ -57,11 +57,9 @@ pub(crate) const fn rule(phase: Phase, evidence: Evidence) -> Rule {
     use Evidence as E;
     use Phase as P;
     match (phase, evidence) {
-        // A system that has failed or waits for its reset does nothing more, except for a worse
-        // fault.
         (P::Suspended, _) => NOTHING,
+        // The only evidence that counts for a system that waits for its reset.
         (_, E::FaultSuspend) => enter(P::Suspended),
-        (P::Resetting, _) => NOTHING,
         // A system that drives never resets itself: it stops the vehicle until the other drives.
         (P::Starting | P::Standby, E::FaultReset) => enter(P::Resetting),
 

@@ -94,6 +94,9 @@ mod tests {
                 assert_eq!(can.is_alive(), alive);
             }
             assert!(can.is_deaf(at(last + 18), pause));
+            // A stall of the receiver, until now, is no silence of the bus.
+            can.forgive(at(last + 18));
+            assert!(!can.is_deaf(at(last + 35), pause) && can.is_deaf(at(last + 36), pause));
         }
     }
 }

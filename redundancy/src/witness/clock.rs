@@ -220,6 +220,20 @@ mod tests {
         }
     }
 
+    /// An own clock that is ahead of both others is found when a window shows nothing else, from the
+    /// first one after those that give the offsets.
+    #[test]
+    fn a_clock_that_is_ahead_is_found_after_one_window() {
+        let mut clocks = Clocks::default();
+        let found = (0..1_000).step_by(10).find(|&ms| {
+            let ahead = if ms >= 200 { 40 } else { 0 };
+            clocks.on_vehicle(at(ms + ahead), ms as u8);
+            let _late = clocks.on_peer(at(ms + ahead), START_US + ms * 1_000);
+            clocks.judge(at(ms + ahead)) == Some(Clock::Own)
+        });
+        assert_eq!(found, Some(300));
+    }
+
     /// After more than a window without a report its clock is compared anew.
     #[test]
     fn a_clock_that_paused_is_compared_anew() {

@@ -41,3 +41,33 @@ impl Gate {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::Duration;
+
+    /// An echo is valid up to its limit, and so is the frame that it tells of: not a nanosecond
+    /// longer.
+    #[test]
+    fn an_echo_counts_up_to_its_limit() {
+        use GateVerdict::{Obeys, Uncontrolled, Unheard, Unknown};
+        let (rt, ns) = (Config::rt(), Duration::from_ns(1));
+        let (mute, witness) = (rt.mute_limit(), rt.witness_limit());
+        let (none, term) = (Term::NONE, Term::from_bits(16));
+        let mut gate = Gate::default();
+        let start = Instant::from_ns(1_000_000);
+        assert_eq!(gate.verdict(&rt, start + mute + ns), Unknown);
+        for (term, age, later, expected) in [
+            (term, witness, mute, Obeys(term)),
+            (term, witness + ns, mute, Uncontrolled),
+            (none, Duration::ZERO, mute, Uncontrolled),
+            (term, Duration::ZERO, mute + ns, Unheard),
+            (none, witness + ns, mute + ns, Unheard),
+        ] {
+            let sent = None;
+            gate.on_echo(start, ObeyedTerm { term, age, sent });
+            assert_eq!(gate.verdict(&rt, start + later), expected);
+        }
+    }
+}

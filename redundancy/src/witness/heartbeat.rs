@@ -196,9 +196,10 @@ mod tests {
         assert_eq!(sender.due(), Instant::NEVER);
         sender.start(at_us(100));
         let mut sent = Vec::new();
-        // Polled late by up to 0.4 ms, then held up from 6.3 to 20.5 ms.
+        // Polled late by up to 0.4 ms, held up from 6.3 to 20.5 ms, then late by just one period.
         for us in [
-            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 20_600, 21_500, 22_500,
+            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 20_600, 21_500, 22_500, 24_500,
+            24_600, 25_500,
         ] {
             if let Some(edge) = sender.poll(at_us(us)) {
                 sent.push((us, edge));
@@ -206,14 +207,14 @@ mod tests {
         }
         let times: Vec<u64> = sent.iter().map(|&(us, _)| us).collect();
         let expected = [
-            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 21_500, 22_500,
+            100, 1_400, 2_100, 3_300, 4_100, 5_500, 6_300, 20_500, 21_500, 22_500, 24_500, 25_500,
         ];
         assert_eq!(times, expected);
         assert!(
             sent.windows(2).all(|pair| pair[0].1 != pair[1].1),
             "the edges alternate"
         );
-        assert_eq!(sender.sent(), 10);
+        assert_eq!(sender.sent(), 12);
         sender.stop();
         assert_eq!(sender.poll(at_us(30_000)), None);
     }

@@ -113,3 +113,42 @@ impl Level {
                 || self.is_low && now.since(last_sign) > config.witness_limit())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tandem_board::Duration;
+
+    /// A system whose level fell is off when its heartbeats have ended with the level. If there
+    /// were none before, the level must be low, and every sign of life missing for longer than the
+    /// third witness's limit.
+    #[test]
+    fn a_fallen_level_counts_when_the_signs_of_life_have_ended() {
+        let (rt, ns) = (Config::rt(), Duration::from_ns(1));
+        let (low, witness) = (rt.level_limit(), rt.witness_limit());
+        let ms = Duration::from_ms(1);
+        for (beats_before, is_low, sign, after, expected) in [
+            (true, true, None, low - ns, false),
+            (true, true, None, low, true),
+            (true, false, None, low, true),
+            (false, true, None, witness, false),
+            (false, true, None, witness + ns, true),
+            (false, true, Some(ms), witness + ns, false),
+            (false, true, Some(ms), witness + ms, false),
+            (false, true, Some(ms), witness + ms + ns, true),
+            (false, false, None, witness + ns, false),
+        ] {
+            let fell = Instant::from_ns(1_000_000);
+            let mut level = Level::new(fell);
+            let told = level.update(&rt, fell, false, false, beats_before);
+            assert_eq!(told, None);
+            if let Some(sign) = sign {
+                assert!(!level.on_life(&rt, fell + sign));
+            }
+            let told = level.update(&rt, fell + ms, !is_low, false, false);
+            assert_eq!(told, None);
+            let case = (beats_before, is_low, sign, after);
+            assert_eq!(level.is_off(&rt, fell + after), expected, "{case:?}");
+        }
+    }
+}

@@ -20,7 +20,7 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
         }
         bench.snapshot.peer_powered = false;
         let mut events = Vec::new();
-        let mut told = |actions: Actions| {
+        let told = |events: &mut Vec<Event>, actions: Actions| {
             let broken = |it: &Event| matches!(it, Event::LevelBroken(_));
             events.extend(actions.events().filter(broken));
         };
@@ -31,21 +31,24 @@ fn a_level_that_a_sign_of_life_contradicts_is_not_believed() {
             let term = Term::from_bits(16);
             let report = sound(Role::Master, term);
             match sign {
-                1 => told(bench.control(16)),
-                2 => told(bench.linked(report)),
-                3 => told(bench.obeyed(term, 0)),
+                1 => told(&mut events, bench.control(16)),
+                2 => told(&mut events, bench.linked(report)),
+                3 => told(&mut events, bench.obeyed(term, 0)),
                 _ => {}
             }
-            told(bench.poll());
+            told(&mut events, bench.poll());
             assert_eq!(bench.machine.phase(), Phase::Standby, "sign {sign}");
         }
         bench.snapshot.peer_powered = true;
-        for _ in 0..CONFIG.recover_after.as_us() / 1_000 + 1 {
+        let (mut back_after, recover_ms) = (None, CONFIG.recover_after.as_us() / 1_000);
+        for ms in 0..=recover_ms {
             bench.snapshot.beats = bench.snapshot.beats.map(|count| count.wrapping_add(1));
-            told(bench.poll());
+            told(&mut events, bench.poll());
+            back_after = back_after.or((events.len() == 2).then_some(ms));
         }
         let expected = [Event::LevelBroken(true), Event::LevelBroken(false)];
         assert_eq!(events, expected, "sign {sign}");
+        assert_eq!(back_after, Some(recover_ms), "sign {sign}");
     }
 }
 
@@ -68,15 +71,18 @@ fn a_heartbeat_later_than_a_poll_after_the_fall_contradicts_the_level() {
 }
 
 /// T-RED-9: a system that takes over has power: a level that is low is broken at once, not only
-/// after its limit.
+/// after its limit. It does not contradict a high one.
 #[test]
 fn a_takeover_contradicts_a_low_level_at_once() {
-    let mut bench = Bench::master();
-    bench.snapshot.peer_powered = false;
-    let _ = bench.poll();
-    let term = bench.machine.term().above(1, SystemId::B).unwrap();
-    let told: Vec<Event> = bench.control(term.bits()).events().collect();
-    assert!(told.contains(&Event::LevelBroken(true)), "{told:?}");
+    for powered in [false, true] {
+        let mut bench = Bench::master();
+        bench.snapshot.peer_powered = powered;
+        let _ = bench.poll();
+        let term = bench.machine.term().above(1, SystemId::B).unwrap();
+        let told: Vec<Event> = bench.control(term.bits()).events().collect();
+        let broken = told.contains(&Event::LevelBroken(true));
+        assert_eq!(broken, !powered, "{told:?}");
+    }
 }
 
 /// T-RED-9: without a sign of life a low level is believed after its limit, and not before.

@@ -1,10 +1,10 @@
 //! What happens when a limit of time ends, and not before.
 
 use super::{Bench, CONFIG, sound};
-use tandem_board::{Duration, SystemId};
+use tandem_board::{Duration, Instant, SystemId};
 use tandem_redundancy::{
-    Action, Clock, Config, Event, FailureMode, Input, LinkReport, Mode, ObeyedTerm, PeerReport,
-    Phase, Role, SystemState, Term,
+    Action, Clock, Config, Event, Evidence, FailureMode, Input, LinkReport, Mode, ObeyedTerm,
+    PeerReport, Phase, Role, SystemState, Takeover, Term,
 };
 
 /// T-RED-8: a standby polls when a limit ends, not a poll interval later: each limit costs control
@@ -39,6 +39,104 @@ fn a_standby_polls_when_a_limit_ends() {
         }
         assert_eq!(bench.now.since(last), expected, "link {link} level {level}");
         assert_eq!(line_silent, (!level).then_some(after(chip.silent_limit())));
+    }
+}
+
+/// T-RED-8: a link that falls silent with both lines shows a dead master before its control frames
+/// are missed. One that was silent longer before the lines than its limit was cut, and shows
+/// nothing.
+#[test]
+fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
+    let ns = Duration::from_ns(1);
+    let config = Config {
+        report_period: Duration::from_ms(2),
+        ..Config::chip()
+    };
+    let (lines, link) = (config.silent_limit(), config.link_limit());
+    for (cut_before, takes) in [
+        (Duration::ZERO, link),
+        (Duration::from_ms(1), link - Duration::from_ms(1)),
+        (link, lines),
+        (link + ns, config.witness_limit()),
+    ] {
+        let mut bench = Bench::standby_with(config);
+        let _ = bench.linked(sound(Role::Master, Term::from_bits(16)));
+        let last = bench.now + cut_before;
+        while bench.now < last {
+            bench.now = last.min(bench.now + config.poll_interval);
+            bench.snapshot.beats = bench.snapshot.beats.map(|count| count + 1);
+            let _ = bench.on(Input::Poll(bench.snapshot));
+        }
+        let _ = bench.control(16);
+        let mut due = bench.now;
+        while bench.machine.phase() == Phase::Standby {
+            // A nanosecond before each limit as well.
+            bench.now = bench.now.max(Instant::from_ns(due.as_ns() - 1));
+            let _ = bench.on(Input::Poll(bench.snapshot));
+            assert_eq!(bench.machine.phase(), Phase::Standby);
+            bench.now = due;
+            due = bench.on(Input::Poll(bench.snapshot)).deadline();
+        }
+        assert_eq!(
+            bench.now.since(last),
+            takes + ns,
+            "cut {cut_before:?} before"
+        );
+    }
+}
+
+/// T-RED-9: a takeover tells what led to it, and for how long the master was not heard.
+#[test]
+fn a_takeover_tells_since_when_the_master_was_silent() {
+    let mut bench = Bench::standby();
+    let _ = bench.control(16);
+    bench.run_with_beats(4);
+    let takeover = loop {
+        if let Some(takeover) = bench.poll().takeover() {
+            break takeover;
+        }
+    };
+    let control = CONFIG.witness_limit() + CONFIG.poll_interval;
+    let expected = Takeover {
+        cause: Evidence::PeerSilent,
+        since_heartbeat: control - Duration::from_ms(4),
+        since_control: control,
+        term: bench.machine.term(),
+    };
+    assert_eq!(takeover, expected);
+    assert!(takeover.term > Term::from_bits(16));
+}
+
+/// T-RED-9: a master gives up its standby when both lines were silent for longer than its limit.
+#[test]
+fn a_master_gives_up_its_standby_when_the_limit_ends() {
+    let config = Config {
+        standby_limit: Duration::from_ms(20),
+        ..CONFIG
+    };
+    let mut bench = Bench::master_with(config);
+    let last = bench.now;
+    while bench.now < last + config.standby_limit {
+        let _ = bench.poll();
+        assert_eq!(bench.machine.phase(), Phase::Master);
+    }
+    bench.now += Duration::from_ns(1);
+    let _ = bench.on(Input::Poll(bench.snapshot));
+    assert_eq!(bench.machine.phase(), Phase::DegradedMaster);
+}
+
+/// A report carries the last eleven bits of the number of starts, on the wire as before it.
+#[test]
+fn a_report_tells_which_start_of_its_sender_it_is() {
+    for (starts, expected) in [(0, 1), (0x7FE, 0x7FF), (0x7FF, 0), (0x17FE, 0x7FF)] {
+        let state = SystemState {
+            total_resets: starts,
+            ..SystemState::factory(SystemId::A)
+        };
+        let mut bench = Bench::new(SystemId::A, state);
+        let report = bench.machine.link_report(bench.now);
+        assert_eq!(report.start, expected);
+        assert_eq!(LinkReport::from_words(&report.to_words()), Some(report));
     }
 }
 
@@ -336,6 +434,10 @@ fn a_clock_that_differs_is_told_and_the_own_one_is_a_fault() {
         (0, 20, None),
         (40, 15, None),
         (15, 40, None),
+        (20, 40, None),
+        (40, 20, None),
+        (40, 9, Some(Clock::Peer)),
+        (9, 40, Some(Clock::Vehicle)),
         (40, 40, Some(Clock::Own)),
         (40, 0, Some(Clock::Peer)),
         (0, 40, Some(Clock::Vehicle)),
@@ -387,5 +489,27 @@ fn a_report_that_is_too_late_does_not_count() {
         let counts = bench.machine.highest_term() > before;
         let limit_ms = CONFIG.report_limit.as_us() / 1_000;
         assert_eq!(counts, late_ms <= limit_ms, "{late_ms} ms late");
+    }
+}
+
+/// A report that was sent before the last one does not count. The first one of a sender that has
+/// started does: its clock begins anew.
+#[test]
+fn the_clock_of_a_sender_that_has_started_begins_anew() {
+    for (start, behind_ms, expected) in [(1, 300, false), (2, 300, true), (2, 900, true)] {
+        let mut bench = Bench::master();
+        for report in 0..=40 {
+            bench.run_with_beats(10);
+            let last = report == 40;
+            let (start, behind_ms) = if last { (start, behind_ms) } else { (1, 0) };
+            let before = bench.machine.highest_term();
+            let _ = bench.on(Input::LinkReport(LinkReport {
+                report: sound(Role::Standby, before.above(1, SystemId::B).unwrap()),
+                start,
+                sent_us: (bench.now.as_ns() / 1_000 - behind_ms * 1_000) as u32,
+            }));
+            let counts = bench.machine.highest_term() > before;
+            assert_eq!(counts, !last || expected, "start {start}, {behind_ms} ms");
+        }
     }
 }

@@ -1,0 +1,157 @@
+//! Faults that a system finds in itself, and its own stalls.
+
+use super::{Bench, CONFIG, sound};
+use tandem_board::{Duration, Instant, ResetCause, ResetRequest, SystemId};
+use tandem_redundancy::{
+    Action, FailureMode, Input, Loaded, Phase, Redundancy, Role, SystemState, Term,
+};
+
+/// T-RED-5: the first fault counts, and after it the first one that no reset cures.
+#[test]
+fn the_first_fault_counts_and_a_permanent_one_after_it() {
+    use FailureMode::{AbnormalResets, IoModule, None, PerceptionCore, PlanningCore};
+    for (faults, counts, stays) in [
+        ([None, None], None, false),
+        ([None, PlanningCore], PlanningCore, false),
+        ([PlanningCore, PerceptionCore], PlanningCore, false),
+        ([PlanningCore, IoModule], IoModule, true),
+        ([IoModule, PlanningCore], IoModule, true),
+        ([IoModule, AbnormalResets], IoModule, true),
+        ([AbnormalResets, IoModule], AbnormalResets, true),
+    ] {
+        let mut bench = Bench::master();
+        for fault in faults {
+            let _ = bench.on(Input::OwnFault(fault));
+        }
+        let state = bench.machine.state();
+        let found = (state.failure_mode, state.sys_failure);
+        assert_eq!(found, (counts, stays), "{faults:?}");
+        let drives_on = bench.machine.phase() == Phase::Master;
+        assert_eq!(drives_on, counts == None, "{faults:?}");
+    }
+}
+
+/// T-RED-5: a system that waits for its reset suspends for a fault that no reset cures. A suspended
+/// system counts no further fault.
+#[test]
+fn a_system_that_waits_for_its_reset_suspends_for_a_permanent_fault() {
+    for (fault, phase, request) in [
+        (
+            FailureMode::WrongCommand,
+            Phase::Resetting,
+            ResetRequest::CoreDead,
+        ),
+        (
+            FailureMode::IoModule,
+            Phase::Suspended,
+            ResetRequest::Suspend,
+        ),
+    ] {
+        let mut bench = Bench::standby();
+        let _ = bench.control(16);
+        let _ = bench.on(Input::OwnFault(FailureMode::PlanningCore));
+        assert_eq!(bench.machine.phase(), Phase::Resetting);
+        let actions = bench.on(Input::OwnFault(fault));
+        assert_eq!(bench.machine.phase(), phase);
+        assert!(actions.contains(Action::Reset(request)), "{actions:?}");
+        let _ = bench.on(Input::OwnFault(FailureMode::WrongCommand));
+        let counted = u8::from(phase == Phase::Resetting);
+        assert_eq!(bench.machine.state().wrong_in_a_row, counted);
+    }
+}
+
+/// T-RED-5: a system drives to stop the vehicle for its command only if resets have not cured that.
+#[test]
+fn only_a_command_that_no_reset_cured_is_sent_though_it_is_wrong() {
+    for (cause, wrong_in_a_row, fault, expected) in [
+        (ResetCause::Watchdog, 2, FailureMode::None, true),
+        (ResetCause::Watchdog, 1, FailureMode::None, false),
+        (ResetCause::Watchdog, 1, FailureMode::IoModule, false),
+        (ResetCause::PowerOn, 1, FailureMode::WrongCommand, false),
+    ] {
+        let state = SystemState {
+            wrong_in_a_row,
+            ..SystemState::factory(SystemId::A)
+        };
+        let now = Instant::from_ns(5_000_000_000);
+        let loaded = Loaded::State(state);
+        let mut machine = Redundancy::new(CONFIG, SystemId::A, cause, loaded, now);
+        let _ = machine.on(now, Input::OwnFault(fault));
+        let stops = machine.stops_for_its_command();
+        assert_eq!(stops, expected, "{cause:?} {wrong_in_a_row} {fault:?}");
+    }
+}
+
+/// T-RED-9: a master whose frame was refused does not report that it drives, until it has polled.
+#[test]
+fn a_master_whose_frame_was_refused_does_not_report_that_it_drives() {
+    let mut bench = Bench::master();
+    assert!(bench.machine.may_transmit(bench.now));
+    assert_eq!(bench.machine.report().role, Role::Master);
+    bench.now += CONFIG.lease();
+    assert!(bench.machine.may_transmit(bench.now));
+    bench.now += Duration::from_ns(1);
+    assert!(!bench.machine.may_transmit(bench.now));
+    assert_eq!(bench.machine.report().role, Role::Starting);
+    let actions = bench.on(Input::Poll(bench.snapshot));
+    assert!(actions.contains(Action::Transmit), "the frame is sent now");
+    assert_eq!(bench.machine.report().role, Role::Master);
+}
+
+/// T-RED-9: a master listens before it drives on if it was held up beyond its lease and the other
+/// may have taken over: its heartbeats come, or it was heard as standby.
+#[test]
+fn a_master_held_up_drives_on_only_if_no_system_can_have_taken_over() {
+    let (lease, ns) = (CONFIG.lease(), Duration::from_ns(1));
+    for (beats, was_standby, span, listens) in [
+        (true, false, lease, false),
+        (true, false, lease + ns, true),
+        (false, true, lease, false),
+        (false, true, lease + ns, true),
+        (false, false, lease + ns, false),
+    ] {
+        let mut bench = Bench::master();
+        if was_standby {
+            let _ = bench.on(Input::StatusFrame(sound(Role::Standby, Term::NONE)));
+        }
+        for _ in 0..20 {
+            bench.snapshot.beats[0] += u32::from(beats);
+            let _ = bench.poll();
+        }
+        assert!(bench.machine.phase().is_driving());
+        bench.now += span;
+        let _ = bench.on(Input::Poll(bench.snapshot));
+        let thawed = bench.machine.phase() == Phase::Thawed;
+        assert_eq!(thawed, listens, "{beats} {was_standby} {span:?}");
+    }
+}
+
+/// T-RED-9: a poll that is late by no more than its jitter is no stall: the limits of the witnesses
+/// go on.
+#[test]
+fn a_poll_within_its_jitter_is_no_stall() {
+    for (late, forgiven) in [
+        (CONFIG.stall_limit(), false),
+        (CONFIG.stall_limit() + Duration::from_ns(1), true),
+    ] {
+        let mut bench = Bench::standby();
+        let _ = bench.control(16);
+        let last = bench.now;
+        for _ in 0..10 {
+            let _ = bench.poll();
+        }
+        bench.now += late;
+        let resumed = bench.now;
+        let _ = bench.on(Input::Poll(bench.snapshot));
+        while bench.machine.phase() == Phase::Standby {
+            let _ = bench.poll();
+        }
+        let since = if forgiven { resumed } else { last };
+        let took = bench.now.since(since);
+        let limit = CONFIG.witness_limit();
+        assert!(
+            took > limit && took <= limit + CONFIG.poll_interval,
+            "{took:?}"
+        );
+    }
+}
