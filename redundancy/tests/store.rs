@@ -235,6 +235,33 @@ fn a_flash_full_of_garbage_is_lost_and_written_anew() {
     assert_eq!(read(&flash), Some(state(5)));
 }
 
+/// T-RED-1: after a start the log goes on behind its last record, and no sector is erased for that.
+/// A flash without a valid record is not trusted: its first sector is erased.
+#[test]
+fn the_first_write_after_a_start_erases_only_a_lost_flash() {
+    let first_write = |flash: &Flash| {
+        let (mut store, _) = flash.load();
+        store.request(state(9));
+        match store.poll(FlashStatus::Idle) {
+            Some(FlashOp::Program { offset, .. }) => (false, offset),
+            Some(FlashOp::Erase { sector }) => (true, sector),
+            None => panic!("nothing is written"),
+        }
+    };
+    let sector = 128;
+    let mut flash = Flash::new(sector);
+    assert_eq!(first_write(&flash), (false, sector));
+    for record in 1..3 {
+        let (mut store, _) = flash.load();
+        write(&mut store, &mut flash, state(record), |_, _| {});
+        let behind = sector + record * SystemState::BYTES as u32;
+        assert_eq!(first_write(&flash), (false, behind));
+    }
+    let mut flash = Flash::new(sector);
+    flash.bytes[sector as usize] = 0xA7;
+    assert_eq!(first_write(&flash), (true, 1));
+}
+
 #[test]
 fn an_unreadable_flash_is_lost() {
     let geometry = Geometry {
