@@ -517,6 +517,18 @@ mod tests {
         }
     }
 
+    /// All slots are used: each that is released takes the next value.
+    #[test]
+    fn a_full_queue_takes_a_value_for_each_that_is_released() {
+        let (_, mut producer, mut consumer) = queue();
+        (0..4).for_each(|k| producer.send(&[k, k]).unwrap());
+        for k in 4..20 {
+            assert_eq!(producer.send(&[k, k]), Err(Full));
+            assert_eq!(consumer.receive(), Ok(Some([k - 4, k - 4])));
+            assert_eq!(producer.send(&[k, k]), Ok(()));
+        }
+    }
+
     /// Each value is received at least once, even if releases are published in groups.
     #[test]
     fn a_large_queue_publishes_releases_in_groups() {

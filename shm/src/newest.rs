@@ -254,7 +254,7 @@ mod tests {
         );
         loan.publish();
         assert_eq!(read(&reader).unwrap().1[2], 99);
-        assert_eq!(reader.newest().unwrap().since(Stamp(19)), 1);
+        assert_eq!(reader.newest().unwrap().since(Stamp(17)), 3);
     }
 
     /// A small channel is one line, a larger one has a line for the head and lines for each slot.
@@ -282,6 +282,24 @@ mod tests {
             let number = k.wrapping_sub(2);
             assert_eq!(writer.publish(&[k; 3]), Stamp(number));
             assert_eq!(read(&reader), Some((number, [k; 3])));
+            assert_eq!(Stamp(number).since(Stamp(u32::MAX - 1)), k);
+        }
+    }
+
+    /// The value that overtakes a view lies in the same slot and has a stamp of its own, also in
+    /// the smallest channel.
+    #[test]
+    fn the_next_value_in_its_slot_makes_a_view_void() {
+        let shape = Shape::new(2, 1);
+        let words = zeroed(words(shape));
+        let mut writer = Writer::<'_, [u32; 1]>::attach(ring(words, shape).unwrap());
+        let reader = Reader::<'_, [u32; 1]>::attach(ring(words, shape).unwrap());
+        writer.publish(&[0]);
+        for k in 1..9 {
+            let view = reader.view().unwrap();
+            writer.publish(&[k]);
+            writer.publish(&[k]);
+            assert_eq!(view.finish(), Err(ReadError::Overrun), "value {k}");
         }
     }
 

@@ -220,8 +220,8 @@ mod tests {
         }
     }
 
-    /// An own clock that is ahead of both others is found when a window shows nothing else, from the
-    /// first one after those that give the offsets.
+    /// An own clock that is ahead of both others is found when a window shows nothing else: already
+    /// the first one after those that give the offsets.
     #[test]
     fn a_clock_that_is_ahead_is_found_after_one_window() {
         let mut clocks = Clocks::default();

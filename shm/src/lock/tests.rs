@@ -56,6 +56,21 @@ fn the_lock_is_taken_once() {
     }
 }
 
+/// After a release the next core that waits has its turn. One that lives and does not wait is not
+/// waited for, though another waits behind.
+#[test]
+fn a_core_that_does_not_wait_has_no_turn() {
+    for (waiting, takes) in [([0, 0], true), ([0, 1], false)] {
+        let bench = Bench::new();
+        let [mut a, _b, mut c] = [0, 1, 2].map(|core| bench.start(core, 1));
+        drop(a.try_lock());
+        for core in waiting {
+            bench.token().fetch_or(waiting_bit(core), Ordering::Relaxed);
+        }
+        assert_eq!(c.try_lock().is_some(), takes, "{waiting:?} wait");
+    }
+}
+
 #[test]
 fn a_detached_guard_holds_the_lock_until_it_is_dropped() {
     let bench = Bench::new();

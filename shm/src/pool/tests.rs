@@ -49,6 +49,18 @@ fn words_are_given_until_they_are_gone() {
     assert!(one.as_ptr_range().end <= rest.as_ptr_range().start);
 }
 
+/// A run ends within the pool, whatever length was written over the one in its head.
+#[test]
+fn a_run_of_the_dead_ends_within_the_pool() {
+    for (length, blocks) in [(0, 1), (1, 1), (2, 2), (3, 2), (300, 2)] {
+        let pool = Bench::new().start(1, 1);
+        let head = owned(Incarnation::new(0, 1).unwrap(), length, 1);
+        pool.states[BLOCKS - 2].store(head, Ordering::Relaxed);
+        assert_eq!(pool.reclaim_dead(), blocks * BLOCK_WORDS, "length {length}");
+        assert_eq!(pool.free_words(), BLOCKS * BLOCK_WORDS);
+    }
+}
+
 /// T-SHM-2, T-SHM-4: memory comes back, and a stale or forged handle is an error.
 #[test]
 fn stale_and_forged_handles_are_errors() {
