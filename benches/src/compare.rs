@@ -311,8 +311,8 @@ fn percent(change: f64) -> String {
 mod tests {
     use super::*;
     use crate::synthetic::{results, row};
-    use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::SeedableRng as _;
+    use chacha20::ChaCha8Rng;
+    use chacha20::rand_core::SeedableRng as _;
     use rand_distr::{Distribution as _, Normal};
 
     #[test]

@@ -11,10 +11,10 @@
 
 mod fixture;
 
+use chacha20::ChaCha8Rng;
 use fixture::setup::Fill as _;
 use fixture::{Log, run};
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};

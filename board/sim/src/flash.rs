@@ -154,8 +154,8 @@ impl Flash {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand_chacha::ChaCha8Rng;
-    use rand_chacha::rand_core::SeedableRng;
+    use chacha20::ChaCha8Rng;
+    use chacha20::rand_core::SeedableRng;
 
     #[test]
     fn an_operation_takes_its_time_and_then_is_durable() {

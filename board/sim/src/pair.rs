@@ -5,9 +5,9 @@ use crate::config::{Config, Order};
 use crate::event::{OnBus, SystemEvent};
 use crate::machine::{Attention, Machine, Shared};
 use crate::world::WorldTick;
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::SeedableRng;
 use rand::seq::SliceRandom;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
 use std::sync::{Arc, MutexGuard};
 use tandem_board::{
     CoreAddress, CoreId, Duration, Generation, Instant, LmuWord, RoleLamp, SystemId, Traced,

@@ -4,9 +4,9 @@
 #![allow(clippy::print_stdout, reason = "a command line prints")]
 
 use anyhow::{Context, Result, bail};
+use chacha20::ChaCha8Rng;
 use clap::Parser;
 use rand::{RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::num::NonZero;
 use std::path::PathBuf;

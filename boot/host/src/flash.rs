@@ -3,11 +3,11 @@
 //! A loss of power ends the program or erase operation that it hits part-way. Bits that were on
 //! their way are then *weak*: what they read as is not settled, until their sector is erased.
 
+use chacha20::ChaCha8Rng;
 use embedded_storage::nor_flash::{
     ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash,
 };
 use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use std::collections::BTreeMap;
 use std::ops::Range;
 use tandem_boot::{FLASH_BYTES, PAGE_BYTES, SMALLEST_SECTOR, sector_at};
@@ -73,11 +73,21 @@ impl NorFlashError for ModelError {
     }
 }
 
+/// A generator whose copy draws the same numbers.
+#[derive(Debug)]
+struct Noise(ChaCha8Rng);
+
+impl Clone for Noise {
+    fn clone(&self) -> Self {
+        Self(ChaCha8Rng::deserialize_state(&self.0.serialize_state()))
+    }
+}
+
 /// A program flash.
 #[derive(Clone, Debug)]
 pub struct ProgramFlash {
     cells: BTreeMap<u32, Cell>,
-    noise: ChaCha8Rng,
+    noise: Noise,
     /// Which way weak bits fall in this life.
     life: u64,
     /// Ticks until power is lost, and how bits are left then.
@@ -105,7 +115,7 @@ impl ProgramFlash {
     pub fn new() -> Self {
         Self {
             cells: BTreeMap::new(),
-            noise: ChaCha8Rng::seed_from_u64(0),
+            noise: Noise(ChaCha8Rng::seed_from_u64(0)),
             life: 0,
             cut: None,
             is_on: true,
@@ -135,8 +145,8 @@ impl ProgramFlash {
     /// Begins the next life. Power is lost after `cut.0` ticks of it, if at all; `seed` decides
     /// which way weak bits fall.
     pub fn power_on(&mut self, seed: u64, cut: Option<(u64, Tear)>) {
-        self.noise = ChaCha8Rng::seed_from_u64(seed);
-        self.life = self.noise.next_u64();
+        self.noise = Noise(ChaCha8Rng::seed_from_u64(seed));
+        self.life = self.noise.0.next_u64();
         (self.cut, self.is_on, self.ticks) = (cut, true, 0);
     }
 
@@ -240,7 +250,7 @@ impl ProgramFlash {
         let Some((_, tear)) = torn else { return };
         match tear {
             Tear::Clean => {}
-            Tear::Noise => cell.bits[place] ^= bits & self.noise.next_u32() as u8,
+            Tear::Noise => cell.bits[place] ^= bits & self.noise.0.next_u32() as u8,
             Tear::Flicker | Tear::PerLife | Tear::Mimic => {
                 cell.bits[place] &= !bits;
                 cell.weak[place] |= bits;
@@ -263,7 +273,7 @@ impl ProgramFlash {
             .collect();
         for index in pages {
             let done =
-                torn.is_none_or(|(ticks, _)| self.noise.random_range(0..ERASE_TICKS - 1) < ticks);
+                torn.is_none_or(|(ticks, _)| self.noise.0.random_range(0..ERASE_TICKS - 1) < ticks);
             if done {
                 self.cells.remove(&index);
             } else if let Some(mut cell) = self.cells.get(&index).copied() {
@@ -289,7 +299,7 @@ impl ProgramFlash {
             }
             let at = index * PAGE_BYTES as u32 + place as u32;
             let fall = match cell.tear {
-                Tear::Flicker => self.noise.next_u32() as u8,
+                Tear::Flicker => self.noise.0.next_u32() as u8,
                 Tear::PerLife => (mix(self.life ^ u64::from(at)) >> 8) as u8,
                 _ => {
                     let sector = sector_at(at).map_or(0, |range| range.start);

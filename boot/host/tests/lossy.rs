@@ -3,10 +3,10 @@
 
 mod fixture;
 
+use chacha20::ChaCha8Rng;
 use fixture::{factory, image};
 use proptest::prelude::*;
 use rand::{Rng, RngExt, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 use tandem_board::{CanFrame, Duration, Instant, ResetCause, SystemId};
 use tandem_boot::{Bank, Loader, Next, Setup, Slot, Trust, TrustMode};
 use tandem_boot_host::life::TEST_PUBLIC;

@@ -376,7 +376,7 @@ impl Detector {
 
 #[cfg(test)]
 mod tests {
-    use rand_chacha::rand_core::Rng;
+    use chacha20::rand_core::Rng;
 
     use super::*;
     use crate::Scenario;

@@ -8,8 +8,8 @@ mod chassis;
 mod detect;
 mod fault;
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
+use chacha20::ChaCha8Rng;
+use chacha20::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 use tandem_bus::{CameraLanes, EgoMotion, SensorId, SensorObject};
 
@@ -80,7 +80,7 @@ impl Noise {
     /// True with this probability.
     fn chance(&mut self, probability: f64) -> bool {
         // 53 random bits: uniform in 0 .. 1.
-        use rand_chacha::rand_core::Rng;
+        use chacha20::rand_core::Rng;
         let uniform = (self.0.next_u64() >> 11) as f64 * (1.0 / (1_u64 << 53) as f64);
         uniform < probability
     }
