@@ -3,10 +3,8 @@
 use std::net::Ipv4Addr;
 use std::path::PathBuf;
 
-use crate::bench::BenchArgs;
+use crate::beside::Words;
 use crate::board_kind::{BoardKind, DemoBoard};
-use crate::chaos_args::ChaosArgs;
-use crate::sim::SimArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem_board::SystemId;
 use tandem_vehicle::SensorFault;
@@ -52,21 +50,21 @@ refusal means: docs/boot.md.";
 /// A fail-operational controller: two systems of three cores each, and the vehicle that they drive.
 #[derive(Debug, Parser)]
 #[command(name = "tandem", version, after_help = EXAMPLES, max_term_width = 100)]
-pub(crate) struct Cli {
+pub struct Cli {
     /// What to do.
     #[command(subcommand)]
-    pub(crate) command: Command,
+    pub command: Command,
 }
 
 /// The jobs.
 #[derive(Debug, Subcommand)]
-pub(crate) enum Command {
+pub enum Command {
     /// Drive a scenario with both systems, and write a report
     Run(RunArgs),
     /// List the processes of all runs, so that you can kill one
     Ps(PsArgs),
     /// Watch a run live, and inject faults by keys
-    Top(TopArgs),
+    Top(Words),
     /// Publish a run for observers: what `tandem run` starts
     #[command(hide = true)]
     Publish,
@@ -83,17 +81,17 @@ pub(crate) enum Command {
     /// List the scenarios that are built in
     Scenarios,
     /// Drive a folder of scenarios in virtual time, and say how each went
-    Judge(JudgeArgs),
+    Judge(Words),
     /// Measure the time from one core to another, beside the floor and what else one would use
-    Bench(BenchArgs),
+    Bench(Words),
     /// Try faults on the control cores of both systems, in virtual time
-    Sim(SimArgs),
+    Sim(Words),
     /// Inject faults into the processes and wires of real runs, and report what each kind cost
-    Chaos(ChaosArgs),
+    Chaos(Words),
     /// Run the experiments of the thesis, and print its figures beside those of here
-    Thesis(ThesisArgs),
+    Thesis(Words),
     /// Show tasks of FreeRTOS as an oscilloscope would: their periods, and who keeps whom waiting
-    RtosDemo(RtosDemoArgs),
+    RtosDemo(Words),
     /// Download the smallest application over CAN to an empty controller, start it, and show the
     /// frames of its three cores
     BootDemo(BootDemoArgs),
@@ -103,207 +101,125 @@ pub(crate) enum Command {
     Bootloader(BootloaderArgs),
 }
 
-/// Arguments of `tandem thesis`.
-#[derive(Debug, Args)]
-pub(crate) struct ThesisArgs {
-    /// What the experiments run on
-    #[arg(long, value_enum, default_value_t = ThesisBoard::Host)]
-    pub(crate) board: ThesisBoard,
-
-    /// Write the figures to this file, too
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
-
-    /// Draw the outputs of both systems over time into this file
-    #[arg(long, value_name = "FILE")]
-    pub(crate) svg: Option<PathBuf>,
-}
-
-/// Values of `--board` of `tandem thesis`.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum ThesisBoard {
-    /// Processes of this machine, in real time
-    Host,
-    /// Both systems in this process, in virtual time
-    Sim,
-    /// Firmware in emulated RISC-V machines, one for each system: an instruction takes 1 ns
-    Qemu,
-}
-
-impl ThesisBoard {
-    /// As the command line writes it.
-    pub(crate) const fn name(self) -> &'static str {
-        match self {
-            Self::Host => "host",
-            Self::Sim => "sim",
-            Self::Qemu => "qemu",
-        }
-    }
-}
-
-/// Arguments of `tandem judge`.
-#[derive(Debug, Args)]
-pub(crate) struct JudgeArgs {
-    /// The folder: every file *.xml in it is a CommonRoad scenario
-    #[arg(value_name = "DIR")]
-    pub(crate) folder: PathBuf,
-
-    /// How long to drive each, in scenario time: 20, 20s, 1m
-    #[arg(long, value_name = "TIME", default_value = "20s", value_parser = parse_duration)]
-    pub(crate) duration: f64,
-
-    /// Seed of the sensors' noise
-    #[arg(long, default_value_t = 1)]
-    pub(crate) seed: u64,
-
-    /// Scenarios at the same time [default: one for each CPU]
-    #[arg(long, value_name = "N")]
-    pub(crate) jobs: Option<std::num::NonZero<usize>>,
-
-    /// Write all figures to this file
-    #[arg(long, value_name = "FILE")]
-    pub(crate) json: Option<PathBuf>,
-
-    /// Write an overview page with a picture of each drive to this file
-    #[arg(long, value_name = "FILE")]
-    pub(crate) html: Option<PathBuf>,
-}
-
-/// Arguments of `tandem rtos-demo`.
-#[derive(Debug, Args)]
-pub(crate) struct RtosDemoArgs {
-    /// What the tasks run on
-    #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
-    pub(crate) board: DemoBoard,
-
-    /// The image for the emulated board [default: what `cargo xtask firmware build` made]
-    #[arg(long, value_name = "FILE")]
-    pub(crate) firmware: Option<PathBuf>,
-
-    /// Write the pictures to this file, too
-    #[arg(long, value_name = "FILE")]
-    pub(crate) svg: Option<PathBuf>,
-}
-
 /// Arguments of `tandem boot-demo`.
 #[derive(Debug, Args)]
-pub(crate) struct BootDemoArgs {
+pub struct BootDemoArgs {
     /// What the controller is
     #[arg(long, value_enum, default_value_t = DemoBoard::Host)]
-    pub(crate) board: DemoBoard,
+    pub board: DemoBoard,
 
     /// The folder of the images for the emulated board
     /// [default: where `cargo xtask firmware build` makes them]
     #[arg(long, value_name = "FOLDER")]
-    pub(crate) images: Option<PathBuf>,
+    pub images: Option<PathBuf>,
 }
 
 /// Arguments of `tandem run`.
 #[derive(Debug, Args)]
 #[command(after_help = RUN_EXAMPLES)]
-pub(crate) struct RunArgs {
+pub struct RunArgs {
     /// A built-in scenario (see `tandem scenarios`) or a CommonRoad XML file (2018b or 2020a)
     #[arg(long, value_name = "FILE|NAME", default_value = "cut-in")]
-    pub(crate) scenario: String,
+    pub scenario: String,
 
     /// What the controller runs on
     #[arg(long, value_enum, default_value_t = BoardKind::Host)]
-    pub(crate) board: BoardKind,
+    pub board: BoardKind,
 
     /// Keep the program flash of both systems in this folder, and the key that signs for them;
     /// what is missing is made [default: a new flash with a factory image, for this run only]
     #[arg(long, value_name = "FOLDER")]
-    pub(crate) program_flash: Option<PathBuf>,
+    pub program_flash: Option<PathBuf>,
 
     /// Bring both systems this release while they drive: the standby first, then the master, which
     /// hands over; needs --reintegrate for the second
     #[arg(long, value_name = "RELEASE")]
-    pub(crate) update: Option<u32>,
+    pub update: Option<u32>,
 
     /// Start the controller at once, to see what its bootloader takes of the start
     #[arg(long, conflicts_with_all = ["program_flash", "update"])]
-    pub(crate) no_bootloader: bool,
+    pub no_bootloader: bool,
 
     /// The controller's image for an emulated board
     /// [default: what `cargo xtask firmware build` made]
     #[arg(long, value_name = "FILE")]
-    pub(crate) firmware: Option<PathBuf>,
+    pub firmware: Option<PathBuf>,
 
     /// How long to drive, in scenario time: 60, 60s, 1.5m
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = parse_duration,
           allow_hyphen_values = true)]
-    pub(crate) duration: f64,
+    pub duration: f64,
 
     /// The limits of time: by what the machine grants, real time or none, or one of the two
     #[arg(long, value_enum, default_value_t = Timing::Auto)]
-    pub(crate) timing: Timing,
+    pub timing: Timing,
 
     /// Seed of the sensors' noise
     #[arg(long, default_value_t = 1)]
-    pub(crate) seed: u64,
+    pub seed: u64,
 
     /// Folder of the report; one that exists must be empty or an earlier report
     #[arg(long, value_name = "DIR", default_value = "tandem-report")]
-    pub(crate) out: PathBuf,
+    pub out: PathBuf,
 
     /// Folder that keeps both systems' data flash from run to run [default: new for each run]
     #[arg(long, value_name = "DIR")]
-    pub(crate) dflash: Option<PathBuf>,
+    pub dflash: Option<PathBuf>,
 
     /// CPUs of the cores, as 0,1 or 0-3: core i runs on the i-th, modulo their number
     /// [default: all]
     #[arg(long, value_name = "LIST", value_parser = parse_cpus)]
-    pub(crate) cpus: Option<CpuList>,
+    pub cpus: Option<CpuList>,
 
     /// Let a system that comes back become the standby of the running one
     #[arg(long)]
-    pub(crate) reintegrate: bool,
+    pub reintegrate: bool,
 
     /// The driver overrides the function from the one scenario time to the other, s: 10-15
     #[arg(long, value_name = "FROM-TO", value_parser = parse_span)]
-    pub(crate) overrides: Option<(f64, f64)>,
+    pub overrides: Option<(f64, f64)>,
 
     /// The driver answers a takeover request after this time: 4s [default: never]
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(crate) answers: Option<f64>,
+    pub answers: Option<f64>,
 
     /// A sensor that sends nothing, or 400 ms too late, from the one scenario time to the other, s:
     /// camera-front:lost:10-15 or radar-front:late:10-15; may be repeated
     #[arg(long, value_name = "SENSOR:KIND:FROM-TO", value_parser = parse_sensor_fault)]
-    pub(crate) sensor_fault: Vec<String>,
+    pub sensor_fault: Vec<String>,
 
     /// Switch system A on this long after B: 40ms
     #[arg(long, value_name = "TIME", value_parser = parse_duration)]
-    pub(crate) stagger: Option<f64>,
+    pub stagger: Option<f64>,
 
     /// Print the contents of metrics.json at the end, and nothing else on stdout
     #[arg(long)]
-    pub(crate) json: bool,
+    pub json: bool,
 
     /// Say nothing but errors
     #[arg(long, short)]
-    pub(crate) quiet: bool,
+    pub quiet: bool,
 }
 
 /// Arguments of `tandem cut` and `tandem mend`.
 #[derive(Debug, Args)]
-pub(crate) struct WireArgs {
+pub struct WireArgs {
     /// Which wire
     #[arg(value_enum, value_name = "WIRE")]
-    pub(crate) wire: WireName,
+    pub wire: WireName,
 
     /// Only what comes from this system [default: both ways]
     #[arg(long, value_name = "SYSTEM", value_parser = parse_system)]
-    pub(crate) from: Option<SystemId>,
+    pub from: Option<SystemId>,
 
     /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<String>,
+    pub run: Option<String>,
 }
 
 /// Wires between the systems and to the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum WireName {
+pub enum WireName {
     /// The first heartbeat line
     #[value(name = "heartbeat-1")]
     Heartbeat1,
@@ -322,23 +238,23 @@ pub(crate) enum WireName {
 
 /// Arguments of `tandem power`.
 #[derive(Debug, Args)]
-pub(crate) struct PowerArgs {
+pub struct PowerArgs {
     /// What to do
     #[arg(value_enum)]
-    pub(crate) switch: Switch,
+    pub switch: Switch,
 
     /// The system
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
-    pub(crate) system: SystemId,
+    pub system: SystemId,
 
     /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<String>,
+    pub run: Option<String>,
 }
 
 /// Off or on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Switch {
+pub enum Switch {
     /// A system that was switched off, or whose supply was killed, starts again
     On,
     /// The system loses its power at once
@@ -347,31 +263,31 @@ pub(crate) enum Switch {
 
 /// Arguments of `tandem fault`.
 #[derive(Debug, Args)]
-pub(crate) struct FaultArgs {
+pub struct FaultArgs {
     /// What happens
     #[arg(value_enum)]
-    pub(crate) fault: FaultKind,
+    pub fault: FaultKind,
 
     /// The system that it comes from
     #[arg(value_name = "SYSTEM", value_parser = parse_system)]
-    pub(crate) system: SystemId,
+    pub system: SystemId,
 
     /// End a fault that lasts
     #[arg(long)]
-    pub(crate) mend: bool,
+    pub mend: bool,
 
     /// Decides on the words
     #[arg(long, default_value_t = 1)]
-    pub(crate) seed: u32,
+    pub seed: u32,
 
     /// Which run: its name, or the process id of its `tandem run` [default: the only one]
     #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<String>,
+    pub run: Option<String>,
 }
 
 /// Faults that no signal to a process makes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum FaultKind {
+pub enum FaultKind {
     /// A core scribbles over the whole shared memory of its system
     Lmu,
     /// An edge of the start line that is a handshake, and was not sent
@@ -398,19 +314,19 @@ pub(crate) enum FaultKind {
 
 /// Arguments of `tandem dflash`.
 #[derive(Debug, Args)]
-pub(crate) struct DflashArgs {
+pub struct DflashArgs {
     /// What to do
     #[command(subcommand)]
-    pub(crate) command: DflashCommand,
+    pub command: DflashCommand,
 
     /// The folder of the data flashes, as for `tandem run --dflash`
     #[arg(long, value_name = "DIR", default_value = ".", global = true)]
-    pub(crate) folder: PathBuf,
+    pub folder: PathBuf,
 }
 
 /// What `tandem dflash` does.
 #[derive(Clone, Copy, Debug, Subcommand)]
-pub(crate) enum DflashCommand {
+pub enum DflashCommand {
     /// Print the state of both systems
     Show,
     /// Write the state of a new controller: one system master, all else zero
@@ -427,25 +343,17 @@ pub(crate) enum DflashCommand {
     },
 }
 
-/// Arguments of `tandem top`.
-#[derive(Debug, Args)]
-pub(crate) struct TopArgs {
-    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
-    #[arg(long, value_name = "RUN")]
-    pub(crate) run: Option<String>,
-}
-
 /// Arguments of `tandem ps`.
 #[derive(Debug, Args)]
-pub(crate) struct PsArgs {
+pub struct PsArgs {
     /// Print a JSON array of objects with pid, kind, system, core, role, cpu
     #[arg(long)]
-    pub(crate) json: bool,
+    pub json: bool,
 }
 
 /// Values of `--timing`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Timing {
+pub enum Timing {
     /// Real time if the machine grants it; limits that follow from its stalls, measured for 0.5 s
     Auto,
     /// Real time, or an error
@@ -456,12 +364,16 @@ pub(crate) enum Timing {
 
 /// Numbers of CPUs, at least one, each once.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct CpuList(pub(crate) Vec<usize>);
+pub struct CpuList(pub Vec<usize>);
 
 /// The longest run, s: what the log of a run may fill.
 const DURATION_MAX_S: f64 = 3600.0;
 
-fn parse_duration(text: &str) -> Result<f64, String> {
+/// A time in seconds: 20, 20s, 500ms, 1.5m.
+///
+/// # Errors
+/// If it is none, or no run may be that long.
+pub fn parse_duration(text: &str) -> Result<f64, String> {
     let text = text.trim();
     let unit_at = text
         .find(|c: char| c.is_ascii_alphabetic())
@@ -580,54 +492,54 @@ mod tests {
 /// Arguments of `tandem flash`.
 #[derive(Debug, Args)]
 #[command(after_help = FLASH_EXAMPLES)]
-pub(crate) struct FlashArgs {
+pub struct FlashArgs {
     /// S-records of objcopy or srec_cat, or a signed file
-    pub(crate) file: PathBuf,
+    pub file: PathBuf,
 
     /// Sign the file with this private key (Ed25519, DER)
     #[arg(long, value_name = "FILE")]
-    pub(crate) key: Option<PathBuf>,
+    pub key: Option<PathBuf>,
 
     /// The key's number in the bootloader
     #[arg(long, value_name = "NUMBER", default_value_t = 0)]
-    pub(crate) key_number: u8,
+    pub key_number: u8,
 
     /// Number of the release; a bootloader refuses lower ones than it has approved
     #[arg(long, value_name = "NUMBER", default_value_t = 1)]
-    pub(crate) release: u32,
+    pub release: u32,
 
     /// Write the signed file instead of sending it
     #[arg(long, value_name = "FILE")]
-    pub(crate) sign_only: Option<PathBuf>,
+    pub sign_only: Option<PathBuf>,
 
     /// The system to send it to [default: whichever listens]
     #[arg(long, value_enum, ignore_case = true, value_name = "SYSTEM")]
-    pub(crate) to: Option<System>,
+    pub to: Option<System>,
 
     /// Records under way without an answer; 0 waits for each
     #[arg(long, value_name = "RECORDS", default_value_t = 16)]
-    pub(crate) window: u8,
+    pub window: u8,
 
     /// Continue a transfer that broke off
     #[arg(long)]
-    pub(crate) resume: bool,
+    pub resume: bool,
 
     /// How long to wait for a bootloader, in seconds
     #[arg(long, value_name = "SECONDS", default_value_t = 30)]
-    pub(crate) wait: u32,
+    pub wait: u32,
 
     /// Multicast group of the CAN bus, as python-can's udp_multicast
     #[arg(long, default_value_t = tandem_boot_host::wire::GROUP)]
-    pub(crate) group: Ipv4Addr,
+    pub group: Ipv4Addr,
 
     /// Its port
     #[arg(long, default_value_t = tandem_boot_host::wire::PORT)]
-    pub(crate) port: u16,
+    pub port: u16,
 }
 
 /// One of the two systems.
 #[derive(Clone, Copy, Debug, ValueEnum)]
-pub(crate) enum System {
+pub enum System {
     /// System A
     #[value(name = "A")]
     A,
@@ -647,36 +559,36 @@ impl From<System> for SystemId {
 
 /// Arguments of `tandem bootloader`.
 #[derive(Debug, Args)]
-pub(crate) struct BootloaderArgs {
+pub struct BootloaderArgs {
     /// The program flash of the system; made if it is missing
     #[arg(long, value_name = "FILE")]
-    pub(crate) flash: PathBuf,
+    pub flash: PathBuf,
 
     /// A public key that it believes (Ed25519, DER); the first one has number 0
     #[arg(long, value_name = "FILE")]
-    pub(crate) public: Vec<PathBuf>,
+    pub public: Vec<PathBuf>,
 
     /// Which system
     #[arg(long, value_enum, ignore_case = true, default_value_t = System::A)]
-    pub(crate) system: System,
+    pub system: System,
 
     /// The application asked for a download: wait 10 s for a host, not 20 ms
     #[arg(long)]
-    pub(crate) requested: bool,
+    pub requested: bool,
 
     /// Take and start what is not signed, and log it
     #[arg(long)]
-    pub(crate) monitor: bool,
+    pub monitor: bool,
 
     /// Approve what is on trial, as the application does, and end
     #[arg(long)]
-    pub(crate) approve: bool,
+    pub approve: bool,
 
     /// Multicast group of the CAN bus
     #[arg(long, default_value_t = tandem_boot_host::wire::GROUP)]
-    pub(crate) group: Ipv4Addr,
+    pub group: Ipv4Addr,
 
     /// Its port
     #[arg(long, default_value_t = tandem_boot_host::wire::PORT)]
-    pub(crate) port: u16,
+    pub port: u16,
 }

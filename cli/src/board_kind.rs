@@ -4,7 +4,7 @@ use clap::ValueEnum;
 
 /// Values of `--board`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum BoardKind {
+pub enum BoardKind {
     /// Processes of this machine, in real time
     Host,
     /// Firmware in two emulated RISC-V machines, one for each system, in the emulator's time; core
@@ -17,7 +17,7 @@ pub(crate) enum BoardKind {
 
 /// Values of `--board` of the demonstrations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(crate) enum DemoBoard {
+pub enum DemoBoard {
     /// This process, in real time
     Host,
     /// Firmware in an emulated RISC-V machine, in the emulator's time

@@ -13,7 +13,6 @@ use embedded_storage::nor_flash::ReadNorFlash as _;
 use serde::{Deserialize, Serialize};
 use tandem_board::{CoreId, RoleLamp, SystemId};
 use tandem_board_host::{Backplane, CoreArgs, HostBoard, jump};
-use tandem_board_qemu::PROGRAM_FLASH_AT;
 use tandem_boot::{
     BODY_OFFSET, Bank, BetweenSteps, EnvironmentStore, Leave, Manifest, Region, SIGNED_BYTES, Slot,
     Target, Trust, TrustMode, approve, rom_choice, start,
@@ -23,15 +22,15 @@ use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
 use crate::flash::{PRIVATE_DER, key};
 
 /// The name of the controller in the slots of a run.
-pub(crate) const CONTROLLER: &str = "controller";
+pub const CONTROLLER: &str = "controller";
 /// An application that is tried before the image approves itself: one second with a role.
 const PROVES_ITSELF: Duration = Duration::from_secs(1);
 
 /// The program flashes of a run, as its processes are told.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct ProgramFlash {
+pub struct ProgramFlash {
     /// By [`SystemId::index`].
-    pub(crate) files: [PathBuf; 2],
+    pub files: [PathBuf; 2],
     /// Whom the bootloaders believe.
     public: [u8; 32],
 }
@@ -42,7 +41,7 @@ impl ProgramFlash {
     ///
     /// # Errors
     /// If a file cannot be read or made, or is no flash.
-    pub(crate) fn of(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+    pub fn of(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
         for file in &files {
             if !file.exists() {
                 let image = application(CONTROLLER, Slot::A, 1, key);
@@ -60,7 +59,7 @@ impl ProgramFlash {
     ///
     /// # Errors
     /// If one cannot be made.
-    pub(crate) fn empty(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
+    pub fn empty(files: [PathBuf; 2], key: &SigningKey) -> anyhow::Result<Self> {
         for file in &files {
             FlashFile::open(file).with_context(|| file.display().to_string())?;
         }
@@ -78,7 +77,7 @@ impl ProgramFlash {
     ///
     /// # Errors
     /// If the flash cannot be read.
-    pub(crate) fn update(
+    pub fn update(
         &self,
         system: SystemId,
         release: u32,
@@ -109,7 +108,7 @@ impl ProgramFlash {
 }
 
 /// A release of an application of this executable, for a slot.
-pub(crate) fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
+pub fn application(name: &str, slot: Slot, version: u32, key: &SigningKey) -> Image {
     let release = Release {
         version,
         entries: [BODY_OFFSET; CoreId::COUNT],
@@ -128,7 +127,7 @@ pub(crate) fn application(name: &str, slot: Slot, version: u32, key: &SigningKey
 ///
 /// # Errors
 /// If it cannot be read or written, or is no key.
-pub(crate) fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
+pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     if !path.exists() {
         let key = new_key()?;
         let mut options = File::options();
@@ -149,7 +148,7 @@ pub(crate) fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
 ///
 /// # Errors
 /// If the system gives no random numbers.
-pub(crate) fn new_key() -> anyhow::Result<SigningKey> {
+pub fn new_key() -> anyhow::Result<SigningKey> {
     let mut seed = [0; 32];
     let mut random = File::open("/dev/urandom").context("/dev/urandom")?;
     random.read_exact(&mut seed).context("/dev/urandom")?;
@@ -160,7 +159,7 @@ pub(crate) fn new_key() -> anyhow::Result<SigningKey> {
 ///
 /// # Errors
 /// If the run is over, or the slot cannot be read or executed. It does not return otherwise.
-pub(crate) fn run(args: &CoreArgs, flash: &ProgramFlash) -> anyhow::Result<()> {
+pub fn run(args: &CoreArgs, flash: &ProgramFlash) -> anyhow::Result<()> {
     let system = args.identity.system;
     let mut file = flash.open(system)?;
     let slot = if args.identity.core == CoreId::CONTROL {
@@ -211,24 +210,11 @@ fn program(file: &mut FlashFile, slot: Slot, core: CoreId) -> anyhow::Result<Vec
     Ok(program)
 }
 
-/// An application for the emulated board.
-///
-/// # Errors
-/// If the file is no image for a slot.
-pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
-    let release = Release {
-        version,
-        entries: [0; CoreId::COUNT],
-        lowest_key: 0,
-    };
-    Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
-}
-
 /// Approves the running image when it has proved itself, on a thread of its own.
 ///
 /// # Errors
 /// If the thread cannot be started.
-pub(crate) fn approve_later(
+pub fn approve_later(
     board: &HostBoard,
     flash: ProgramFlash,
     system: SystemId,

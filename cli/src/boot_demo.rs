@@ -3,26 +3,23 @@
 
 use std::fmt;
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, anyhow, bail, ensure};
 use serde::{Deserialize, Serialize};
 use tandem_board::{CanId, CoreId, Duration, Instant, SystemId, VehiclePort};
 use tandem_board_host::{HostVehiclePort, Launcher, Plan, Schedule, VehicleArgs};
-use tandem_board_qemu::{BootFrom, EmulatedWorld};
 use tandem_boot::{FIRST_ID, Slot};
-use tandem_boot_host::{FlashFile, Sender, SigningKey, ToDo, records};
+use tandem_boot_host::{Sender, ToDo, records};
 
-use crate::board_kind::DemoBoard;
 use crate::boot::{self, ProgramFlash};
-use crate::emulated;
 use crate::files::RunFiles;
 use crate::run::this_program;
 use crate::run_config::{Profile, RunConfig, write_lines};
-use crate::three_frames::NAME;
+pub use crate::three_frames::NAME;
 
 /// The controller under test; the other one has an empty flash and waits.
-const SYSTEM: SystemId = SystemId::A;
+pub const SYSTEM: SystemId = SystemId::A;
 /// Records under way.
 const WINDOW: u8 = 16;
 /// Frames in a millisecond: what a bus of 500 kbit/s carries.
@@ -32,24 +29,24 @@ const PATIENCE: Duration = Duration::from_ms(120_000);
 
 /// A download to an empty controller, and what its three cores sent then.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Downloaded {
+pub struct Downloaded {
     /// S-records of the file.
-    pub(crate) records: usize,
+    pub records: usize,
     /// From the ignition to the acknowledgement of the last record, ms of the board's time.
-    pub(crate) download_ms: f64,
+    pub download_ms: f64,
     /// By [`CoreId::index`].
-    pub(crate) frames: [FirstFrame; CoreId::COUNT],
+    pub frames: [FirstFrame; CoreId::COUNT],
 }
 
 /// The first frame of a core.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
-pub(crate) struct FirstFrame {
+pub struct FirstFrame {
     /// Since the last record was acknowledged, ms of the board's time.
-    pub(crate) after_ms: f64,
+    pub after_ms: f64,
     /// Identifier on CAN.
-    pub(crate) id: u16,
+    pub id: u16,
     /// Its one byte: the number of the core.
-    pub(crate) core: u8,
+    pub core: u8,
 }
 
 impl fmt::Display for Downloaded {
@@ -68,21 +65,13 @@ impl fmt::Display for Downloaded {
     }
 }
 
-/// The experiment of T-BOOT-8: downloads the smallest application to an empty controller, starts
-/// it, and waits for a frame of each core. `images`: folder of the images for the emulated board;
-/// `None` is where `cargo xtask firmware build` makes them.
+/// The experiment of T-BOOT-8 with processes: downloads the smallest application to an empty
+/// controller, starts it, and waits for a frame of each core.
 ///
 /// # Errors
 /// If the board cannot be started, the download is refused, or a frame does not come.
-pub(crate) fn experiment(board: DemoBoard, images: Option<&Path>) -> anyhow::Result<Downloaded> {
-    let key = boot::new_key()?;
-    match board {
-        DemoBoard::Host => on_host(&key),
-        DemoBoard::Qemu => on_qemu(images, &key),
-    }
-}
-
-fn on_host(key: &SigningKey) -> anyhow::Result<Downloaded> {
+pub fn on_host() -> anyhow::Result<Downloaded> {
+    let key = &boot::new_key()?;
     let mut launcher = Launcher::prepare()?;
     let files = RunFiles::of(launcher.isolation().run());
     let lines = records(NAME, &[&boot::application(NAME, Slot::A, 1, key)]);
@@ -132,42 +121,11 @@ pub(crate) fn play(args: &VehicleArgs, [lines, told]: &[PathBuf; 2]) -> anyhow::
     fs::write(told, text).with_context(|| told.display().to_string())
 }
 
-fn on_qemu(images: Option<&Path>, key: &SigningKey) -> anyhow::Result<Downloaded> {
-    let image = |name: &str| {
-        let chosen = images.map(|folder| folder.join(name));
-        emulated::image(name, chosen.as_deref())
-    };
-    let (bootloader, application) = (image("bootloader")?, image("slot-frames")?);
-    let elf = fs::read(&application).with_context(|| application.display().to_string())?;
-    let lines = records(NAME, &[&boot::of_elf(&elf, 1, key)?]);
-    let folder = tempfile::tempdir().context("a folder for the program flash")?;
-    let flash = folder.path().join("A.pflash");
-    FlashFile::open(&flash).with_context(|| flash.display().to_string())?;
-    let mut world = emulated_system(&bootloader, flash, key)?;
-    download(&mut world, lines).with_context(|| world.log())
-}
-
-fn emulated_system(
-    bootloader: &Path,
-    flash: PathBuf,
-    key: &SigningKey,
-) -> anyhow::Result<EmulatedWorld> {
-    let from = BootFrom {
-        flash,
-        public: key.public(),
-    };
-    Ok(EmulatedWorld::start_booting(
-        bootloader,
-        false,
-        &[(SYSTEM, from)],
-    )?)
-}
-
 /// Downloads to an empty controller, and waits for a frame of each core.
 ///
 /// # Errors
 /// If the board fails, the download is refused, or a frame does not come.
-fn download<P>(port: &mut P, lines: Vec<String>) -> anyhow::Result<Downloaded>
+pub fn download<P>(port: &mut P, lines: Vec<String>) -> anyhow::Result<Downloaded>
 where
     P: VehiclePort<Error: std::error::Error + Send + Sync + 'static>,
 {

@@ -15,7 +15,7 @@ use crate::report;
 use crate::timeline::{self, Timeline};
 
 /// The data of the run's shared memory, taken out before that is wiped.
-pub(crate) struct Collected {
+pub struct Collected {
     pub(crate) log: RunLog,
     timeline: Timeline,
     stage: tempfile::TempDir,
@@ -44,7 +44,10 @@ impl Collected {
     }
 
     /// A run that is not in a file: its recording, and its frames as lines.
-    pub(crate) fn of(out: &Output, log: RunLog, candump: &str) -> anyhow::Result<Self> {
+    ///
+    /// # Errors
+    /// If the folder cannot be written.
+    pub fn of(out: &Output, log: RunLog, candump: &str) -> anyhow::Result<Self> {
         let stage = out.stage()?;
         let path = stage.path().join(output::CANDUMP);
         fs::write(&path, candump).with_context(|| format!("writing {}", path.display()))?;
@@ -56,7 +59,11 @@ impl Collected {
         })
     }
 
-    pub(crate) fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
+    /// Writes the report and what lies beside it.
+    ///
+    /// # Errors
+    /// If the folder cannot be written.
+    pub fn write(self, out: &Output, around: &Surroundings) -> anyhow::Result<Metrics> {
         let metrics = metrics::compute(&self.log, &self.timeline, around);
         let json = serde_json::to_string_pretty(&metrics).context("metrics.json")? + "\n";
         let period = Spans::from_ms(metrics::control_periods_ms(&self.log)).to_hgrm();
@@ -79,7 +86,10 @@ impl Collected {
 }
 
 /// The recording; its frames become the CAN log.
-pub(crate) fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
+///
+/// # Errors
+/// If the one cannot be read or the other not be written.
+pub fn read(recording: &Path, candump: &Path) -> anyhow::Result<RunLog> {
     let writing = || format!("writing {}", candump.display());
     let mut lines = BufWriter::new(File::create(candump).with_context(writing)?);
     let mut log = RunLog::default();

@@ -15,7 +15,7 @@ use crate::args::{DflashArgs, DflashCommand};
 ///
 /// # Errors
 /// If there is no such folder, or a file is no data flash, belongs to a run, or cannot be written.
-pub(crate) fn run(args: &DflashArgs) -> anyhow::Result<String> {
+pub fn run(args: &DflashArgs) -> anyhow::Result<String> {
     let shown = args.folder.display();
     let makes_it = matches!(args.command, DflashCommand::Init { .. });
     let there = makes_it || args.folder.is_dir();

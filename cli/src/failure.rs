@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 /// Why the command ends with another exit status than 0.
 #[derive(Debug)]
-pub(crate) enum Failure {
+pub enum Failure {
     /// The command line, an input or the machine does not permit it; nothing was started.
     Usage(anyhow::Error),
     /// The run failed.
@@ -21,7 +21,7 @@ pub(crate) enum Failure {
 
 impl Failure {
     /// Says on stderr what was wrong.
-    pub(crate) fn say(&self) {
+    pub fn say(&self) {
         match self {
             Self::Usage(error) | Self::Run(error) => eprintln!("error: {error:#}"),
             Self::Objections(objections) => eprintln!("run failed: {}", objections.join("; ")),
@@ -38,7 +38,7 @@ impl Failure {
     }
 
     /// The exit status.
-    pub(crate) fn code(&self) -> ExitCode {
+    pub fn code(&self) -> ExitCode {
         ExitCode::from(match self {
             Self::Run(_) | Self::Objections(_) => 1,
             Self::Usage(_) => 2,

@@ -8,14 +8,14 @@ use tandem_board_host::RunName;
 
 /// The files of a run.
 #[derive(Clone, Debug)]
-pub(crate) struct RunFiles {
+pub struct RunFiles {
     /// The beginning of all their paths.
     prefix: String,
 }
 
 impl RunFiles {
     /// The files of this run.
-    pub(crate) fn of(run: &RunName) -> Self {
+    pub fn of(run: &RunName) -> Self {
         // The board wipes what begins with the run's name.
         Self {
             prefix: format!("/dev/shm/{run}_"),
@@ -23,44 +23,44 @@ impl RunFiles {
     }
 
     /// The files of a run that has a folder of its own.
-    pub(crate) fn within(folder: &Path) -> Self {
+    pub fn within(folder: &Path) -> Self {
         Self {
             prefix: format!("{}/", folder.display()),
         }
     }
 
     /// The recording that the vehicle writes.
-    pub(crate) fn recording(&self) -> PathBuf {
+    pub fn recording(&self) -> PathBuf {
         self.path("recording")
     }
 
     /// How the run stands, for those who watch.
-    pub(crate) fn live(&self) -> PathBuf {
+    pub fn live(&self) -> PathBuf {
         self.path("live.json")
     }
 
     /// The messages of processes that fail.
-    pub(crate) fn errors(&self) -> PathBuf {
+    pub fn errors(&self) -> PathBuf {
         self.path("errors.txt")
     }
 
     /// Data flash of a system, unless a folder keeps it.
-    pub(crate) fn flash(&self, system: SystemId) -> PathBuf {
+    pub fn flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.dflash"))
     }
 
     /// Program flash of a system, unless a folder keeps it.
-    pub(crate) fn program_flash(&self, system: SystemId) -> PathBuf {
+    pub fn program_flash(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.pflash"))
     }
 
     /// The records of an update of a system.
-    pub(crate) fn update(&self, system: SystemId) -> PathBuf {
+    pub fn update(&self, system: SystemId) -> PathBuf {
         self.path(&format!("{system}.update"))
     }
 
     /// How the updates ended, a line each.
-    pub(crate) fn updated(&self) -> PathBuf {
+    pub fn updated(&self) -> PathBuf {
         self.path("updated.txt")
     }
 

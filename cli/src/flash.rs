@@ -23,7 +23,7 @@ pub(crate) const PRIVATE_DER: [u8; 16] =
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
 
 /// Sends a file, or only signs it.
-pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
+pub fn run(args: &FlashArgs) -> Result<(), Failure> {
     let lines = lines(args).map_err(Failure::Usage)?;
     if let Some(path) = &args.sign_only {
         let text = lines.concat();
@@ -93,7 +93,7 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
 }
 
 /// A system's bootloader on its flash file, until it has decided what to start.
-pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
+pub fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     let name = args.flash.display();
     let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
     if args.approve {

@@ -11,7 +11,7 @@ use crate::args::{FaultArgs, FaultKind, PowerArgs, Switch, WireArgs, WireName};
 ///
 /// # Errors
 /// If the run cannot be reached.
-pub(crate) fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
+pub fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
     let hands = Hands::on(args.run.as_deref())?;
     let from = match args.from {
         Some(system) => vec![system],
@@ -25,7 +25,7 @@ pub(crate) fn set_cut(args: &WireArgs, is_cut: bool) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the run cannot be reached, or the system is so already.
-pub(crate) fn power(args: &PowerArgs) -> anyhow::Result<()> {
+pub fn power(args: &PowerArgs) -> anyhow::Result<()> {
     let hands = Hands::on(args.run.as_deref())?;
     match args.switch {
         Switch::On => hands.power_on(args.system)?,
@@ -38,7 +38,7 @@ pub(crate) fn power(args: &PowerArgs) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the run cannot be reached, or the fault cannot be mended.
-pub(crate) fn fault(args: &FaultArgs) -> anyhow::Result<()> {
+pub fn fault(args: &FaultArgs) -> anyhow::Result<()> {
     let hands = Hands::on(args.run.as_deref())?;
     let hardware = match args.fault {
         FaultKind::Lmu | FaultKind::Handshake | FaultKind::Sync if args.mend => {

@@ -14,19 +14,19 @@ const REFRESH: Duration = Duration::from_millis(100);
 
 /// How a run stands.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
-pub(crate) struct Live {
+pub struct Live {
     /// Scenario time, s.
-    pub(crate) time_s: f64,
+    pub time_s: f64,
     /// m/s
-    pub(crate) speed: f64,
+    pub speed: f64,
     /// Bumper to bumper to the vehicle ahead in the lane, m.
-    pub(crate) lead_gap: Option<f64>,
+    pub lead_gap: Option<f64>,
     /// Roles of A and B as they show them.
-    pub(crate) roles: [String; 2],
+    pub roles: [String; 2],
     /// Longest time between two accepted control frames so far, ms.
-    pub(crate) gap_max_ms: f64,
+    pub gap_max_ms: f64,
     /// How often the accepted system has changed.
-    pub(crate) takeovers: u32,
+    pub takeovers: u32,
 }
 
 impl Live {
@@ -34,7 +34,7 @@ impl Live {
     ///
     /// # Errors
     /// If the file system refuses.
-    pub(crate) fn write(&self, path: &Path) -> std::io::Result<()> {
+    pub fn write(&self, path: &Path) -> std::io::Result<()> {
         let next = path.with_extension("next");
         fs::write(&next, serde_json::to_vec(self)?)?;
         fs::rename(&next, path)
@@ -63,14 +63,14 @@ impl Live {
 }
 
 /// A line on the terminal that follows the run; nothing if there is no terminal.
-pub(crate) struct Progress {
+pub struct Progress {
     over: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Progress {
     /// Shows the run whose state is at `path`.
-    pub(crate) fn show(path: PathBuf, duration_s: f64) -> Self {
+    pub fn show(path: PathBuf, duration_s: f64) -> Self {
         let bar = ProgressBar::new_spinner();
         let over = Arc::new(AtomicBool::new(false));
         let thread = (!bar.is_hidden()).then(|| {
@@ -84,7 +84,7 @@ impl Progress {
     }
 
     /// Clears the line.
-    pub(crate) fn end(mut self) {
+    pub fn end(mut self) {
         self.over.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
             // It only shows; if it has panicked, the run is not affected.

@@ -21,26 +21,26 @@ const JERK_SPAN_S: f64 = 0.1;
 
 /// The knowledge of the run beside the vehicle's log.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Surroundings {
+pub struct Surroundings {
     /// The permissions that were granted, in a line: scheduling, pinning, memory.
-    pub(crate) granted: String,
+    pub granted: String,
     /// The timing profile that followed: `rt` or `desktop`.
-    pub(crate) timing: String,
+    pub timing: String,
     /// How long a silent master can stay unnoticed at most, ms, by the configured periods.
-    pub(crate) detection_bound_ms: Option<f64>,
+    pub detection_bound_ms: Option<f64>,
     /// How long the vehicle can be without control at most, by cause.
-    pub(crate) bounds: Bounds,
+    pub bounds: Bounds,
     /// A stall longer than this may cost a takeover that was not needed, ms.
-    pub(crate) tolerated_ms: f64,
+    pub tolerated_ms: f64,
     /// What the machine did, on a board of processes.
-    pub(crate) machine: Seen,
+    pub machine: Seen,
     /// Files and processes that were still there after the end.
-    pub(crate) leftovers: Vec<String>,
+    pub leftovers: Vec<String>,
 }
 
 /// Contents of `metrics.json`. Scripts rely on the names.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Metrics {
+pub struct Metrics {
     /// [`SCHEMA`]
     pub(crate) schema: String,
     /// Name of the scenario.
@@ -145,21 +145,21 @@ pub(crate) struct Metrics {
 
 /// One entry of [`Metrics::gaps`].
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct GapMetrics {
+pub struct GapMetrics {
     /// Scenario time of the last accepted frame before it, s.
-    pub(crate) at_s: f64,
+    pub at_s: f64,
     /// Its length, ms.
-    pub(crate) gap_ms: f64,
+    pub gap_ms: f64,
     /// How long it may be, ms.
-    pub(crate) bound_ms: f64,
+    pub bound_ms: f64,
     /// What ended it: the sign of a takeover, the same system, or the end of the run.
-    pub(crate) ended_by: String,
+    pub ended_by: String,
     /// How much of it the machine or the bus stood still, ms.
-    pub(crate) stalled_ms: f64,
+    pub stalled_ms: f64,
     /// What stood still, in words; empty if nothing did.
-    pub(crate) evidence: String,
+    pub evidence: String,
     /// Without the stalls it would have kept its bound.
-    pub(crate) explained: bool,
+    pub explained: bool,
 }
 
 /// [`Metrics::stalls`].
@@ -304,7 +304,7 @@ fn evidence(log: &RunLog, stalls: &[Stall], [from_ns, to_ns]: [u64; 2], least_ms
 }
 
 /// The gaps beyond their bounds, with the evidence of what stood still then.
-pub(crate) fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
+pub fn gaps(log: &RunLog, takeovers: &[Takeover], around: &Surroundings) -> Vec<GapMetrics> {
     let stalls = stalls(log, around);
     let of_gap = |gap: gap::Gap| GapMetrics {
         at_s: log.seconds(gap.from_ns),

@@ -12,23 +12,23 @@ use tempfile::TempDir;
 use crate::metrics::SCHEMA;
 
 /// The page.
-pub(crate) const REPORT: &str = "report.html";
+pub const REPORT: &str = "report.html";
 /// The figures; by its content a folder is known as a report.
-pub(crate) const METRICS: &str = "metrics.json";
+pub const METRICS: &str = "metrics.json";
 /// The CAN log.
-pub(crate) const CANDUMP: &str = "candump.log";
+pub const CANDUMP: &str = "candump.log";
 /// Distribution of the control period.
-pub(crate) const CONTROL_PERIOD: &str = "control-period.hgrm";
+pub const CONTROL_PERIOD: &str = "control-period.hgrm";
 /// Distribution of the chain's latency.
-pub(crate) const CHAIN: &str = "chain.hgrm";
+pub const CHAIN: &str = "chain.hgrm";
 /// What ran when on which core, for <https://ui.perfetto.dev>.
-pub(crate) const TRACE: &str = "trace.perfetto-trace";
+pub const TRACE: &str = "trace.perfetto-trace";
 
 const FILES: [&str; 6] = [REPORT, METRICS, CANDUMP, CONTROL_PERIOD, CHAIN, TRACE];
 
 /// A place where a report can be put.
 #[derive(Debug)]
-pub(crate) struct Output {
+pub struct Output {
     /// The folder, without symbolic links.
     path: PathBuf,
     /// Its parent.
@@ -40,7 +40,7 @@ impl Output {
     ///
     /// # Errors
     /// The obstacle, and how to remove it.
-    pub(crate) fn check(path: &Path) -> anyhow::Result<Self> {
+    pub fn check(path: &Path) -> anyhow::Result<Self> {
         // A folder behind a symbolic link is replaced where it is, so that the link stays.
         let path = match fs::canonicalize(path) {
             Ok(path) => path,
@@ -74,7 +74,7 @@ impl Output {
     }
 
     /// The folder.
-    pub(crate) fn path(&self) -> &Path {
+    pub fn path(&self) -> &Path {
         &self.path
     }
 
@@ -82,7 +82,7 @@ impl Output {
     ///
     /// # Errors
     /// If it cannot be created.
-    pub(crate) fn stage(&self) -> anyhow::Result<TempDir> {
+    pub fn stage(&self) -> anyhow::Result<TempDir> {
         tempfile::Builder::new()
             .prefix(".tandem-report-")
             // As readable as any new folder of this user, less what the umask takes.
@@ -95,7 +95,7 @@ impl Output {
     ///
     /// # Errors
     /// If the old one is no longer a report, or cannot be replaced.
-    pub(crate) fn put(&self, stage: TempDir) -> anyhow::Result<()> {
+    pub fn put(&self, stage: TempDir) -> anyhow::Result<()> {
         // Another run may put its report there at the same time: then the later one wins.
         for _ in 0..10 {
             if self.path.exists() {

@@ -3,13 +3,13 @@
 use hdrhistogram::Histogram;
 
 /// A distribution of spans, kept in nanoseconds with four significant digits.
-pub(crate) struct Spans {
+pub struct Spans {
     histogram: Histogram<u64>,
 }
 
 impl Spans {
     /// The distribution of these spans, in milliseconds; negative ones count as zero.
-    pub(crate) fn from_ms(spans_ms: impl IntoIterator<Item = f64>) -> Self {
+    pub fn from_ms(spans_ms: impl IntoIterator<Item = f64>) -> Self {
         // The bounds are constants that the type accepts; the fallback is never taken.
         let mut histogram = Histogram::new_with_bounds(1, 3_600_000_000_000, 4)
             .unwrap_or_else(|_| unreachable!("constant bounds"));
@@ -20,23 +20,23 @@ impl Spans {
     }
 
     /// Number of spans.
-    pub(crate) fn count(&self) -> u64 {
+    pub fn count(&self) -> u64 {
         self.histogram.len()
     }
 
     /// The span in ms that `percent` of all spans do not exceed; `None` if there is none.
-    pub(crate) fn percentile_ms(&self, percent: f64) -> Option<f64> {
+    pub fn percentile_ms(&self, percent: f64) -> Option<f64> {
         (self.count() > 0).then(|| self.histogram.value_at_percentile(percent) as f64 * 1e-6)
     }
 
     /// The largest span, ms.
-    pub(crate) fn max_ms(&self) -> Option<f64> {
+    pub fn max_ms(&self) -> Option<f64> {
         self.percentile_ms(100.0)
     }
 
     /// Points of the curve over percentiles: (1 / (1 − p), ms). The last one is the maximum, drawn
     /// at the percentile of one in all.
-    pub(crate) fn curve(&self) -> Vec<(f64, f64)> {
+    pub fn curve(&self) -> Vec<(f64, f64)> {
         if self.count() == 0 {
             return Vec::new();
         }
@@ -50,7 +50,7 @@ impl Spans {
     }
 
     /// The text of a `.hgrm` file, values in milliseconds.
-    pub(crate) fn to_hgrm(&self) -> String {
+    pub fn to_hgrm(&self) -> String {
         tandem_page::hgrm::text(&self.histogram, 1e-6)
     }
 }

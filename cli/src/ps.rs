@@ -41,7 +41,7 @@ fn row(process: &Process) -> Row {
 ///
 /// # Errors
 /// If stdout cannot be written.
-pub(crate) fn run(args: &PsArgs) -> anyhow::Result<()> {
+pub fn run(args: &PsArgs) -> anyhow::Result<()> {
     let processes = processes::list();
     let text = if args.json {
         let rows: Vec<Row> = processes.iter().map(row).collect();

@@ -144,7 +144,7 @@ fn hand_over(recording: &Path, to: &UnixDatagram, over: &AtomicBool) {
 ///
 /// # Errors
 /// If it was not started by `tandem run`, or iceoryx2 refuses.
-pub(crate) fn run() -> anyhow::Result<()> {
+pub fn run() -> anyhow::Result<()> {
     // Less urgent than anything else on a machine without real time.
     let _ = rustix::process::nice(10);
     let parent = getppid();

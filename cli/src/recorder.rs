@@ -36,7 +36,7 @@ struct Batch {
 /// The side of the thread that has the data: it collects, and hands over from time to time. Nothing
 /// here blocks or makes a system call but [`Recorder::hand_over`], which wakes the writer.
 #[derive(Debug)]
-pub(crate) struct Recorder {
+pub struct Recorder {
     batch: Batch,
     /// Bytes of trace records in the recording.
     trace_bytes: u64,
@@ -51,7 +51,7 @@ impl Recorder {
     ///
     /// # Errors
     /// If the file cannot be created.
-    pub(crate) fn create(files: &RunFiles) -> anyhow::Result<Self> {
+    pub fn create(files: &RunFiles) -> anyhow::Result<Self> {
         let path = files.recording();
         let file = File::create(&path).with_context(|| format!("creating {}", path.display()))?;
         let free = isolation::free_bytes(&path).unwrap_or(u64::MAX);
@@ -71,12 +71,12 @@ impl Recorder {
     }
 
     /// Takes an entry.
-    pub(crate) fn record(&mut self, entry: impl Into<Entry>) {
+    pub fn record(&mut self, entry: impl Into<Entry>) {
         self.batch.entries.push(entry.into());
     }
 
     /// Takes a record of a core's trace; `false` if the recording has no room for it.
-    pub(crate) fn trace(&mut self, traced: Traced) -> bool {
+    pub fn trace(&mut self, traced: Traced) -> bool {
         let is_full = self.trace_bytes >= self.trace_limit_bytes;
         if is_full && Event::decode(traced.record).is_none_or(Event::is_scheduling) {
             return false;
@@ -87,13 +87,13 @@ impl Recorder {
     }
 
     /// Takes how the run stands.
-    pub(crate) fn live(&mut self, live: Live) {
+    pub fn live(&mut self, live: Live) {
         self.batch.live = Some(live);
     }
 
     /// Hands everything to the writer. If the writer has failed, the entries are dropped;
     /// [`Recorder::close`] reports the error.
-    pub(crate) fn hand_over(&mut self) {
+    pub fn hand_over(&mut self) {
         let count = self.batch.entries.len();
         // The next batch will be about as large.
         let next = Batch {
@@ -109,7 +109,7 @@ impl Recorder {
     ///
     /// # Errors
     /// If something could not be written.
-    pub(crate) fn close(mut self) -> anyhow::Result<()> {
+    pub fn close(mut self) -> anyhow::Result<()> {
         self.hand_over();
         drop(self.to_writer);
         self.writer

@@ -29,7 +29,7 @@ use crate::output::{self, Output};
 use crate::publish::Publishing;
 use crate::run_config::{Profile, RunConfig, UpdateFiles};
 use crate::stall_watch::{self, Seen, StallWatch};
-use crate::{core_process, emulated, report, summary, vehicle};
+use crate::{core_process, report, summary, vehicle};
 
 /// For how long `--timing auto` measures the stalls of the machine.
 const MEASURED_FOR: Duration = Duration::from_ms(500);
@@ -38,11 +38,8 @@ const MEASURED_FOR: Duration = Duration::from_ms(500);
 ///
 /// # Errors
 /// [`Failure`] with the exit status that the command documents.
-pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
+pub fn run(args: &RunArgs) -> Result<(), Failure> {
     let checked = Checked::new(args).map_err(Failure::Usage)?;
-    if args.board != BoardKind::Host {
-        return run_emulated(args, &checked);
-    }
     let publishing = Publishing::prepare();
     let mut launcher = Launcher::prepare().map_err(|e| Failure::Run(e.into()))?;
     let (profile, granted) = grant(args, &checked, &launcher).map_err(Failure::Usage)?;
@@ -76,20 +73,20 @@ pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
 }
 
 /// The result of [`recorded`].
-pub(crate) struct Recorded<T> {
+pub struct Recorded<T> {
     /// The recording.
-    pub(crate) log: RunLog,
+    pub log: RunLog,
     /// What the run knows beside it.
-    pub(crate) around: Surroundings,
+    pub around: Surroundings,
     /// The return value of the hands.
-    pub(crate) done: T,
+    pub done: T,
 }
 
 /// Drives as [`run`] does, while `hands` act on a thread of their own, and writes no report.
 ///
 /// # Errors
 /// If the run does not start, the hands fail, or there is no recording.
-pub(crate) fn recorded<T: Send>(
+pub fn recorded<T: Send>(
     args: &RunArgs,
     hands: impl FnOnce(Hands, &RunFiles) -> anyhow::Result<T> + Send,
 ) -> anyhow::Result<Recorded<T>> {
@@ -123,16 +120,22 @@ pub(crate) fn recorded<T: Send>(
     })
 }
 
-/// The same with a controller in emulated machines.
-fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
-    // Virtual time is never late.
+/// As [`run`], with a controller on another board: `drive` drives it, and returns how the time went.
+/// That time is virtual, and never late.
+///
+/// # Errors
+/// [`Failure`] with the exit status that the command documents.
+pub fn run_elsewhere(
+    args: &RunArgs,
+    drive: impl FnOnce(&RunConfig, &RunFiles) -> Result<(String, vehicle::Ended), Failure>,
+) -> Result<(), Failure> {
+    let checked = Checked::new(args).map_err(Failure::Usage)?;
     let config = RunConfig::of(args, Profile::Rt);
-    emulated::Images::of(args).map_err(Failure::Usage)?;
     let folder = tempfile::tempdir()
         .context("a folder for the run's logs")
         .map_err(Failure::Run)?;
     let files = RunFiles::within(folder.path());
-    let (told, ended) = emulated::drive(args, &config, &files).map_err(Failure::Run)?;
+    let (told, ended) = drive(&config, &files)?;
     tell_updates(args, &files);
     if !args.quiet {
         eprintln!("{told}");
@@ -140,7 +143,7 @@ fn run_emulated(args: &RunArgs, checked: &Checked) -> Result<(), Failure> {
     let collected = Collected::new(&checked.out, &files, &|| "the emulator ended".to_owned());
     let interrupted = ended == vehicle::Ended::Stopped;
     let around = surroundings(&config, told);
-    conclude(args, checked, collected, &around, interrupted)
+    conclude(args, &checked, collected, &around, interrupted)
 }
 
 fn tell_updates(args: &RunArgs, files: &RunFiles) {
@@ -182,7 +185,9 @@ fn with_flash(args: &RunArgs, files: &RunFiles, run: RunConfig) -> anyhow::Resul
     })
 }
 
-pub(crate) fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
+/// What a run knows beside its recording, before it was driven.
+#[must_use]
+pub fn surroundings(config: &RunConfig, granted: String) -> Surroundings {
     let limits = core_process::config(config).redundancy;
     // A disturbed bus moves frames once a millisecond. The last frame before a gap and the first
     // one after it may each be late by half a millisecond more: that is no stall yet.
@@ -269,8 +274,11 @@ impl Checked {
     }
 }
 
-/// Options that only a board of processes has.
-fn check_board(args: &RunArgs) -> anyhow::Result<()> {
+/// Refuses options that only a board of processes has.
+///
+/// # Errors
+/// If such an option is there, and another board.
+pub fn check_board(args: &RunArgs) -> anyhow::Result<()> {
     let of_host = [
         ("--cpus", args.cpus.is_some()),
         ("--dflash", args.dflash.is_some()),
@@ -479,7 +487,7 @@ fn drive(
 }
 
 /// The command that starts this program again, even if its file was replaced.
-pub(crate) fn this_program(args: &ProcessArgs) -> Command {
+pub fn this_program(args: &ProcessArgs) -> Command {
     let mut command = Command::new("/proc/self/exe");
     command.arg0("tandem").args(args.to_argv());
     // Nothing of a run may keep the caller's pipes open after `tandem run` itself has ended.
@@ -488,7 +496,7 @@ pub(crate) fn this_program(args: &ProcessArgs) -> Command {
 }
 
 /// The command by which a supply starts a core.
-pub(crate) fn core_command(args: &CoreArgs) -> Command {
+pub fn core_command(args: &CoreArgs) -> Command {
     this_program(&ProcessArgs::Core(args.clone()))
 }
 

@@ -18,7 +18,7 @@ use crate::files::RunFiles;
 /// The time limits of the cores.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(crate) enum Profile {
+pub enum Profile {
     /// Real-time priority was granted: tight limits.
     Rt,
     /// It was not: limits that a desktop's scheduler can keep.
@@ -27,7 +27,7 @@ pub(crate) enum Profile {
 
 impl Profile {
     /// As the command line and `metrics.json` write it.
-    pub(crate) const fn name(self) -> &'static str {
+    pub const fn name(self) -> &'static str {
         match self {
             Self::Rt => "rt",
             Self::Desktop => "desktop",
@@ -37,7 +37,7 @@ impl Profile {
 
 impl RunConfig {
     /// The source of the time limits.
-    pub(crate) fn budget(&self) -> Budget {
+    pub fn budget(&self) -> Budget {
         let budget = match self.profile {
             Profile::Rt => Budget::RT,
             Profile::Desktop => Budget::DESKTOP,
@@ -51,40 +51,40 @@ impl RunConfig {
 
 /// The configuration of all processes of a run, as one argument.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct RunConfig {
+pub struct RunConfig {
     /// Name or path of the scenario.
-    pub(crate) scenario: String,
+    pub scenario: String,
     /// Seed of the sensors' noise.
-    pub(crate) seed: u64,
+    pub seed: u64,
     /// Seconds of scenario time.
-    pub(crate) duration_s: f64,
+    pub duration_s: f64,
     /// The limits of time.
-    pub(crate) profile: Profile,
+    pub profile: Profile,
     /// The longest stall that was measured, us; `None`: that of the profile.
-    pub(crate) stall_us: Option<u32>,
+    pub stall_us: Option<u32>,
     /// Whether a system that comes back may become the standby of a running pair.
-    pub(crate) reintegrate: bool,
+    pub reintegrate: bool,
     /// The driver overrides the function from the one scenario time to the other, s.
-    pub(crate) overrides_s: Option<(f64, f64)>,
+    pub overrides_s: Option<(f64, f64)>,
     /// The driver answers a takeover request after this time, s.
-    pub(crate) answers_after_s: Option<f64>,
+    pub answers_after_s: Option<f64>,
     /// Sensors that fail, as on the command line.
-    pub(crate) sensor_faults: Vec<String>,
+    pub sensor_faults: Vec<String>,
     /// The program flashes that the systems boot from; `None` on a board that has its own.
-    pub(crate) program_flash: Option<ProgramFlash>,
+    pub program_flash: Option<ProgramFlash>,
     /// Records that are sent to each system while the other drives.
-    pub(crate) update: Option<UpdateFiles>,
+    pub update: Option<UpdateFiles>,
     /// This is `tandem boot-demo`: the records to send, and where the vehicle tells what came.
-    pub(crate) demo: Option<[PathBuf; 2]>,
+    pub demo: Option<[PathBuf; 2]>,
 }
 
 /// The update of a run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(crate) struct UpdateFiles {
+pub struct UpdateFiles {
     /// The records for each system.
-    pub(crate) lines: [PathBuf; 2],
+    pub lines: [PathBuf; 2],
     /// How the updates ended: a line each.
-    pub(crate) ended: PathBuf,
+    pub ended: PathBuf,
 }
 
 impl UpdateFiles {
@@ -92,7 +92,7 @@ impl UpdateFiles {
     ///
     /// # Errors
     /// If a file cannot be written.
-    pub(crate) fn write(files: &RunFiles, lines: [&[String]; 2]) -> anyhow::Result<Self> {
+    pub fn write(files: &RunFiles, lines: [&[String]; 2]) -> anyhow::Result<Self> {
         let places = SystemId::ALL.map(|system| files.update(system));
         for (path, lines) in places.iter().zip(lines) {
             write_lines(path, lines)?;
@@ -104,7 +104,7 @@ impl UpdateFiles {
     }
 
     /// How the updates ended, to print.
-    pub(crate) fn told(files: &RunFiles) -> String {
+    pub fn told(files: &RunFiles) -> String {
         let ended = fs::read_to_string(files.updated()).unwrap_or_default();
         if ended.is_empty() {
             return "no system was updated\n".to_owned();
@@ -117,13 +117,13 @@ impl UpdateFiles {
 ///
 /// # Errors
 /// If the file cannot be written.
-pub(crate) fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
+pub fn write_lines(path: &Path, lines: &[String]) -> anyhow::Result<()> {
     fs::write(path, lines.concat()).with_context(|| path.display().to_string())
 }
 
 impl RunConfig {
     /// The configuration of the command line, without program flashes.
-    pub(crate) fn of(args: &RunArgs, profile: Profile) -> Self {
+    pub fn of(args: &RunArgs, profile: Profile) -> Self {
         Self {
             scenario: args.scenario.clone(),
             seed: args.seed,
@@ -144,7 +144,7 @@ impl RunConfig {
     ///
     /// # Errors
     /// Never in practice: it has no content that JSON cannot hold.
-    pub(crate) fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
+    pub fn to_extra(&self) -> anyhow::Result<Vec<OsString>> {
         Ok(vec![
             serde_json::to_string(self)
                 .context("the configuration of the run")?
@@ -156,7 +156,7 @@ impl RunConfig {
     ///
     /// # Errors
     /// If this program has not made it.
-    pub(crate) fn from_extra(extra: &[OsString]) -> anyhow::Result<Self> {
+    pub fn from_extra(extra: &[OsString]) -> anyhow::Result<Self> {
         let text = extra
             .first()
             .and_then(|text| text.to_str())

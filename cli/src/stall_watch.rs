@@ -22,7 +22,7 @@ const PERIOD: Duration = Duration::from_ms(2);
 /// The same before a run, when its limits are chosen.
 const FINE_PERIOD: Duration = Duration::from_ms(1);
 /// A thread that wakes later than this was held up. Seen without a stall: 0.2 ms at p99.9.
-pub(crate) const LATE: Duration = Duration::from_us(500);
+pub const LATE: Duration = Duration::from_us(500);
 /// Above the supplies, which have 80; less where no more is permitted.
 const PRIORITIES: [u8; 2] = [90, 80];
 /// More stalls than this are not kept: a machine in this state explains no run.
@@ -30,15 +30,15 @@ const MOST: usize = 100_000;
 
 /// The observations of the threads.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Seen {
+pub struct Seen {
     /// The times in which a CPU was gone, in order of each CPU.
-    pub(crate) stalls: Vec<Stall>,
+    pub stalls: Vec<Stall>,
     /// How the threads were scheduled, in words.
-    pub(crate) watched_by: String,
+    pub watched_by: String,
 }
 
 /// The threads, from the start to the end of a run.
-pub(crate) struct StallWatch {
+pub struct StallWatch {
     over: Arc<AtomicBool>,
     threads: Vec<JoinHandle<(Option<u8>, Vec<Stall>)>>,
     signals: Vec<SigId>,
@@ -47,7 +47,7 @@ pub(crate) struct StallWatch {
 impl StallWatch {
     /// Starts a thread on each of these CPUs, given by number and by place among those that this
     /// process may use.
-    pub(crate) fn start(cpus: &[(usize, usize)], realtime: bool) -> Self {
+    pub fn start(cpus: &[(usize, usize)], realtime: bool) -> Self {
         Self::with_period(cpus, realtime, PERIOD)
     }
 
@@ -75,7 +75,7 @@ impl StallWatch {
     }
 
     /// Ends the threads; what they saw.
-    pub(crate) fn end(self) -> Seen {
+    pub fn end(self) -> Seen {
         self.over.store(true, Ordering::Relaxed);
         let (mut stalls, mut fifo) = (vec![], None);
         for thread in self.threads {
@@ -97,7 +97,7 @@ impl StallWatch {
 
 /// The longest stall of these CPUs within `span`; of shorter ones than [`LATE`] nothing is known.
 /// Blocks for that long.
-pub(crate) fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
+pub fn longest(cpus: &[(usize, usize)], realtime: bool, span: Duration) -> Duration {
     let watch = StallWatch::with_period(cpus, realtime, FINE_PERIOD);
     clock::sleep_until(clock::now() + span);
     let stalls = watch.end().stalls.into_iter();

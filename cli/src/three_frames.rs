@@ -5,7 +5,7 @@ use tandem_board::{Duration, Supply};
 use tandem_board_host::{CoreArgs, HostBoard, HostSupply};
 
 /// Its name in a slot.
-pub(crate) const NAME: &str = "three-frames";
+pub const NAME: &str = "three-frames";
 /// How often each core sends, and core 0 services the watchdog.
 const PERIOD: Duration = Duration::from_ms(20);
 

@@ -32,7 +32,7 @@ const GIVE_UP_TICKS: u64 = 15_000;
 ///
 /// # Errors
 /// If the scenario cannot be loaded, the run is over, or its recording cannot be written.
-pub(crate) fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
+pub fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
     let scenario = Scenario::load(&run.scenario)?;
     let recorder = Recorder::create(&RunFiles::of(&args.common.run))?;
     // Not before the recorder runs: that must not get this thread's priority.
@@ -46,7 +46,7 @@ pub(crate) fn run(args: &VehicleArgs, run: &RunConfig) -> anyhow::Result<()> {
 ///
 /// # Errors
 /// If the board fails, or the recording cannot be written.
-pub(crate) fn drive<P>(
+pub fn drive<P>(
     run: &RunConfig,
     scenario: &Scenario,
     port: &mut P,
@@ -63,7 +63,7 @@ where
 
 /// How a drive ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ended {
+pub enum Ended {
     /// After its whole duration, or because no controller drove: the recording is complete.
     ByItself,
     /// A person asked for it.

@@ -3,23 +3,7 @@
 use std::fs;
 use std::process::Command;
 
-use crate::fixture::Fixture;
-
-/// The command must refuse these arguments and say all of `words`.
-fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
-    let before = fixture.names();
-    let output = fixture.output(args);
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
-    for word in words {
-        assert!(
-            said.contains(word),
-            "{args:?} does not say {word:?}: {said}"
-        );
-    }
-    assert!(output.stdout.is_empty(), "{args:?}");
-    assert_eq!(fixture.names(), before, "{args:?} has left something");
-}
+use crate::fixture::{Fixture, refuses};
 
 #[test]
 fn a_scenario_that_is_none() {
@@ -84,38 +68,24 @@ fn a_folder_that_cannot_take_a_report() {
     );
 }
 
-/// Long work does not begin if its results would be lost.
+/// Some commands are programs of their own. Where one is missing, the command says what builds it.
 #[test]
-fn a_result_that_cannot_be_written() {
-    let fixture = Fixture::new();
-    for command in [
-        &["sim", "--seeds", "1000000", "--json"][..],
-        &["sim", "--only", "random:1", "--save"],
-        &["thesis", "--board", "sim", "--json"],
-        &["thesis", "--board", "sim", "--svg"],
-    ] {
-        refuses(&fixture, &[command, &["."]].concat(), &["it is a folder"]);
-        let missing = &[command, &["no/such/file"]].concat();
-        refuses(&fixture, missing, &["create it first"]);
-    }
-    let twice = ["thesis", "--board", "sim", "--json", "x", "--svg", "x"];
-    refuses(&fixture, &twice, &["the same file"]);
-}
-
-/// The benchmark is a program of its own. Where it is missing, the command says what builds it.
-#[test]
-fn a_benchmark_that_is_not_built() {
+fn a_program_that_is_not_built() {
     let fixture = Fixture::new();
     let alone = fixture.folder().join("alone");
-    fs::copy(env!("CARGO_BIN_EXE_tandem"), &alone).unwrap();
-    let output = Command::new(&alone).args(["bench", "--quick"]).output();
-    let output = output.unwrap();
-    let said = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(2), "{said}");
-    assert!(
-        said.contains("cargo build --release -p tandem-benches"),
-        "{said}"
-    );
+    fs::copy(crate::PROGRAM, &alone).unwrap();
+    for (args, package) in [
+        (&["bench", "--quick"][..], "tandem-benches"),
+        (&["sim", "--seeds", "1"], "tandem-lab"),
+        (&["run", "--board", "qemu"], "tandem-lab"),
+        (&["help", "top"], "tandem-top"),
+    ] {
+        let output = Command::new(&alone).args(args).output().unwrap();
+        let said = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        let builds = format!("cargo build --release -p {package}");
+        assert!(said.contains(&builds), "{said}");
+    }
 }
 
 #[test]
@@ -146,45 +116,4 @@ fn a_reader_that_has_seen_enough_is_no_error() {
         .unwrap();
     drop(child.stdout.take());
     assert!(child.wait().unwrap().success());
-}
-
-/// A campaign that cannot be is refused before a run starts.
-#[test]
-fn a_campaign_that_cannot_be() {
-    let fixture = Fixture::new();
-    for (name, text) in [
-        ("none.toml", "mended-at-ms = 1.0\nfault = [{}]\n"),
-        (
-            "clock.toml",
-            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"clock\"\nof = \"a\"\nat-ms = 0.0\namount = 5\n",
-        ),
-        (
-            "power-on.toml",
-            "from-power-on = true\nmended-at-ms = 1.0\nfault = []\n",
-        ),
-        (
-            "supply.toml",
-            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"supply-hangs\"\nof = \"a\"\nat-ms = 0.0\n\
-             amount = 5\n",
-        ),
-    ] {
-        fs::write(fixture.folder().join(name), text).unwrap();
-    }
-    for (args, word) in [
-        (&["chaos", "--faults", "none.toml"][..], "missing field"),
-        (
-            &["chaos", "--faults", "clock.toml"],
-            "clock: processes cannot suffer it",
-        ),
-        (&["chaos", "--faults", "power-on.toml"], "only `tandem sim`"),
-        (&["chaos", "--matrix", "--only", "99999"], "no cell 99999"),
-        (&["chaos", "--count", "0"], "no fault"),
-        (&["chaos", "--json", "no/such/c.json"], "no/such"),
-        (
-            &["sim", "--faults", "supply.toml"],
-            "only processes suffer it",
-        ),
-    ] {
-        refuses(&fixture, args, &[word]);
-    }
 }

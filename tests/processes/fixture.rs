@@ -46,6 +46,22 @@ struct Seen {
     harm: Cell<bool>,
 }
 
+/// The command must refuse these arguments and say all of `words`.
+pub(crate) fn refuses(fixture: &Fixture, args: &[&str], words: &[&str]) {
+    let before = fixture.names();
+    let output = fixture.output(args);
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(2), "{args:?}: {said}");
+    for word in words {
+        assert!(
+            said.contains(word),
+            "{args:?} does not say {word:?}: {said}"
+        );
+    }
+    assert!(output.stdout.is_empty(), "{args:?}");
+    assert_eq!(fixture.names(), before, "{args:?} has left something");
+}
+
 /// A folder of its own, and the right to use the machine's CPUs: two runs at a time would only
 /// measure each other.
 pub(crate) struct Fixture {
@@ -71,7 +87,7 @@ impl Fixture {
 
     /// The command with these arguments, in the fixture's folder.
     pub(crate) fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+        let mut command = Command::new(crate::PROGRAM);
         command
             .args(args)
             .current_dir(self.folder())
@@ -140,7 +156,7 @@ pub(crate) struct Process {
 impl Run {
     /// Its processes as `tandem ps` lists them.
     pub(crate) fn processes(&self) -> Vec<Process> {
-        let output = Command::new(env!("CARGO_BIN_EXE_tandem"))
+        let output = Command::new(crate::PROGRAM)
             .args(["ps", "--json"])
             .output()
             .unwrap();

@@ -7,7 +7,6 @@
     reason = "a test ends where something is not as it must be"
 )]
 
-mod chaos;
 mod deaths;
 mod drive;
 mod errors;
@@ -16,3 +15,6 @@ mod hands;
 mod observers;
 mod startup;
 mod trace;
+
+/// The command under test.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem");

@@ -165,12 +165,3 @@ fn the_example_in_python_sees_a_takeover() {
         run.metrics();
     });
 }
-
-/// A terminal is needed, and a run that is there.
-#[test]
-fn top_says_what_it_needs() {
-    let fixture = Fixture::new();
-    let output = fixture.output(&["top"]);
-    assert_eq!(output.status.code(), Some(2));
-    assert!(String::from_utf8_lossy(&output.stderr).contains("needs a terminal"));
-}

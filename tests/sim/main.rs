@@ -7,7 +7,7 @@ use std::path::Path;
 use std::process::{Command, Output};
 
 fn sim(arguments: &[&str], folder: &Path) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command.arg("sim").args(arguments).current_dir(folder);
     command.output().unwrap()
 }

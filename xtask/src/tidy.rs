@@ -94,7 +94,14 @@ const MAY_DEPEND_ON: &[(&str, &[&str])] = &[
     ),
 ];
 /// The top crates: these may depend on all.
-const ON_TOP: [&str; 4] = ["tandem", "tandem-fuzz", "tandem-tests", "xtask"];
+const ON_TOP: [&str; 6] = [
+    "tandem",
+    "tandem-fuzz",
+    "tandem-lab",
+    "tandem-tests",
+    "tandem-top",
+    "xtask",
+];
 /// The only packages that may name iceoryx2: the host board, and the benchmarks, where it is a
 /// peer.
 const MAY_USE_ICEORYX2: [&str; 2] = ["tandem-board-host", "tandem-benches"];

@@ -15,9 +15,10 @@ use tandem_bus::Control;
 use super::Source;
 use super::inject::Injector;
 use super::judge::{self, Outcome};
-use crate::args::{Cli, Command, RunArgs};
-use crate::files::RunFiles;
-use crate::run;
+use crate::args::{Cli, Command};
+use tandem::args::RunArgs;
+use tandem::files::RunFiles;
+use tandem::run;
 
 /// After the last fault was mended, the systems must be master and standby again within this time.
 pub(super) const HEALED_WITHIN: Duration = Duration::from_ms(60_000);

@@ -8,9 +8,9 @@ use tandem_record::file::candump_line;
 use tandem_record::gap::Bounds;
 use tandem_sim::faults::{Bench, Profile};
 
-use crate::collected::Collected;
-use crate::metrics::Surroundings;
-use crate::output::Output;
+use tandem::collected::Collected;
+use tandem::metrics::Surroundings;
+use tandem::output::Output;
 
 /// Writes it. The story of the bench is still to be told afterwards.
 pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result<()> {
@@ -42,7 +42,7 @@ pub(super) fn write(bench: &mut Bench, out: &Output, profile: Profile) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::output::{METRICS, REPORT, TRACE};
+    use tandem::output::{METRICS, REPORT, TRACE};
     use tandem_redundancy::Config;
     use tandem_sim::faults::Group;
 

@@ -18,7 +18,7 @@ use serde_json::Value;
 const WATCHDOG: Duration = Duration::from_secs(180);
 
 fn tandem(arguments: &[&str], out: &Path) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command
         .args(["run", "--seed", "7", "--out"])
         .arg(out)
@@ -190,7 +190,7 @@ fn both_emulated_systems_are_updated_while_they_drive() {
 #[test]
 #[ignore = "needs QEMU and the images: cargo xtask firmware test"]
 fn three_cores_of_the_firmware_send_what_was_downloaded() {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     let output = command.args(["boot-demo", "--board", "qemu"]).output();
     let output = output.unwrap();
     let shown = String::from_utf8(output.stdout).unwrap();
@@ -207,7 +207,7 @@ fn three_cores_of_the_firmware_send_what_was_downloaded() {
 fn the_experiments_of_the_thesis_hold_on_firmware() {
     let folder = tempfile::tempdir().unwrap();
     let json = folder.path().join("thesis.json");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command.args(["thesis", "--board", "qemu", "--json"]);
     let output = command.arg(&json).output().unwrap();
     let shown = String::from_utf8(output.stdout).unwrap();
@@ -234,7 +234,7 @@ fn the_experiments_of_the_thesis_hold_on_firmware() {
 fn outputs_of_the_firmware_are_drawn() {
     let folder = tempfile::tempdir().unwrap();
     let svg = folder.path().join("outputs.svg");
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command.args(["rtos-demo", "--board", "qemu", "--svg"]);
     let output = command.arg(&svg).output().unwrap();
     let shown = String::from_utf8(output.stdout).unwrap();
@@ -252,7 +252,7 @@ fn outputs_of_the_firmware_are_drawn() {
 }
 
 fn chaos(arguments: &[&str]) -> (Option<i32>, String) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem"));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-lab"));
     command.args(["chaos", "--board", "qemu"]).args(arguments);
     let output = command.output().unwrap();
     let told = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());

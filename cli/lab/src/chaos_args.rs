@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 
-use crate::board_kind::DemoBoard;
+use tandem::board_kind::DemoBoard;
 
 /// Arguments of `tandem chaos`.
 #[derive(Debug, Args)]

@@ -10,8 +10,9 @@ use tandem_board_host::{Backplane, clock};
 use tandem_record::RunLog;
 
 use super::outputs::Done;
-use crate::args::{Cli, Command, RunArgs};
-use crate::run;
+use crate::args::{Cli, Command};
+use tandem::args::RunArgs;
+use tandem::run;
 
 const LOOK_AGAIN: Duration = Duration::from_millis(5);
 /// Longest wait for a state of the systems.

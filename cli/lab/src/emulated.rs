@@ -5,19 +5,21 @@ use std::time::Instant;
 
 use anyhow::{Context as _, ensure};
 use signal_hook::consts::{SIGINT, SIGTERM};
-use tandem_board::SystemId;
-use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options};
-use tandem_boot_host::{FlashFile, records};
+use tandem_board::{CoreId, SystemId};
+use tandem_board_qemu::{BootFrom, EmulatedWorld, Layout, Options, PROGRAM_FLASH_AT};
+use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
 use tandem_vehicle::Scenario;
 
-use crate::args::RunArgs;
-use crate::board_kind::BoardKind;
-use crate::boot;
-use crate::files::RunFiles;
-use crate::live::Progress;
-use crate::recorder::Recorder;
-use crate::run_config::{RunConfig, UpdateFiles};
-use crate::vehicle::{self, Ended};
+use tandem::args::RunArgs;
+use tandem::board_kind::BoardKind;
+use tandem::boot;
+use tandem::failure::Failure;
+use tandem::files::RunFiles;
+use tandem::live::Progress;
+use tandem::recorder::Recorder;
+use tandem::run;
+use tandem::run_config::{RunConfig, UpdateFiles};
+use tandem::vehicle::{self, Ended};
 
 /// Where `cargo xtask firmware build` puts the images, seen from the folder of this program's.
 const IMAGES: &str = "firmware/riscv32imac-unknown-none-elf/release";
@@ -45,6 +47,19 @@ pub(crate) fn image(name: &str, chosen: Option<&Path>) -> anyhow::Result<PathBuf
     );
     // The emulator works in a folder of its own.
     std::fs::canonicalize(&image).with_context(|| image.display().to_string())
+}
+
+/// An application for the emulated board.
+///
+/// # Errors
+/// If the file is no image for a slot.
+pub(crate) fn of_elf(elf: &[u8], version: u32, key: &SigningKey) -> anyhow::Result<Image> {
+    let release = Release {
+        version,
+        entries: [0; CoreId::COUNT],
+        lowest_key: 0,
+    };
+    Ok(Image::of_elf(elf, PROGRAM_FLASH_AT, release, key)?)
 }
 
 /// The images of the controller.
@@ -110,7 +125,7 @@ impl Images {
         let signed = |application: &Path, release| {
             let elf = std::fs::read(application);
             let elf = elf.with_context(|| application.display().to_string())?;
-            boot::of_elf(&elf, release, &key)
+            of_elf(&elf, release, &key)
         };
         let image = signed(first, 1)?;
         let from = SystemId::ALL.map(|system| {
@@ -137,12 +152,24 @@ impl Images {
     }
 }
 
+/// Runs `tandem run` on this board.
+///
+/// # Errors
+/// [`Failure`] with the exit status that the command documents.
+pub(crate) fn run(args: &RunArgs) -> Result<(), Failure> {
+    run::run_elsewhere(args, |config, files| {
+        let images = Images::of(args).map_err(Failure::Usage)?;
+        drive(args, &images, config, files).map_err(Failure::Run)
+    })
+}
+
 /// Drives to the end, or until a person ends it; a line on how the time went.
 ///
 /// # Errors
 /// If the emulator cannot be started, hangs or fails.
-pub(crate) fn drive(
+fn drive(
     args: &RunArgs,
+    images: &Images,
     config: &RunConfig,
     files: &RunFiles,
 ) -> anyhow::Result<(String, Ended)> {
@@ -151,7 +178,6 @@ pub(crate) fn drive(
         BoardKind::Host | BoardKind::Qemu => Layout::Two,
     };
     let scenario = Scenario::load(&config.scenario)?;
-    let images = Images::of(args)?;
     let folder = tempfile::tempdir().context("a folder for the program flashes")?;
     let (mut world, update) = images.start(layout, args, files, folder.path())?;
     let config = RunConfig {

@@ -314,7 +314,7 @@ mod tests {
     /// The picture in the documentation; `UPDATE_DOCS=1` writes it.
     #[test]
     fn the_picture_in_the_docs_is_of_this_screen() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../docs/top.svg");
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/top.svg");
         let svg = svg(&screen(&picture()));
         if std::env::var_os("UPDATE_DOCS").is_some() {
             std::fs::write(path, &svg).unwrap();

@@ -16,8 +16,8 @@ use super::judge::Outcome;
 use super::leg::Line;
 use super::{Source, report};
 use crate::chaos_args::ChaosArgs;
-use crate::failure::Failure;
-use crate::print;
+use tandem::failure::Failure;
+use tandem::print;
 
 /// Faults of one run. A longer one would fill memory with its recording.
 const FAULTS_OF_A_RUN: usize = 100;

@@ -15,7 +15,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use tandem_page::output::OutputFile;
 
 use crate::args::JudgeArgs;
-use crate::failure::Failure;
+use tandem::failure::Failure;
 
 /// Judges all scenarios of the folder.
 ///
@@ -31,7 +31,7 @@ pub(crate) fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let places = OutputFile::check_all(places);
     let [json_to, html_to] = places.map_err(|error| Failure::Usage(error.into()))?;
     let judged = all(args, &files).map_err(Failure::Run)?;
-    crate::print(&table(&judged)).map_err(Failure::Run)?;
+    tandem::print(&table(&judged)).map_err(Failure::Run)?;
     let write = |place: OutputFile, text: String| {
         place
             .write(&text)
@@ -232,8 +232,8 @@ mod tests {
     #[test]
     fn a_folder_is_judged() {
         let folder = tempfile::tempdir().unwrap();
-        let good = include_str!("../../../vehicle/fixtures/commonroad/sign-2020a.xml");
-        let off_road = include_str!("../../../tests/fuzz/corpus/scenario/off-road.xml");
+        let good = include_str!("../../../../vehicle/fixtures/commonroad/sign-2020a.xml");
+        let off_road = include_str!("../../../../tests/fuzz/corpus/scenario/off-road.xml");
         for (name, text) in [("a.xml", good), ("b.xml", off_road), ("c.xml", "<broken")] {
             std::fs::write(folder.path().join(name), text).unwrap();
         }

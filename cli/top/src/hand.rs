@@ -86,7 +86,8 @@ impl Hand {
 
     /// Starts `tandem` with these words, on this run. Entering a run needs a process of its own.
     fn command(&mut self, words: &[&str]) {
-        let started = Command::new("/proc/self/exe")
+        let this = std::env::current_exe().unwrap_or_default();
+        let started = Command::new(this.with_file_name("tandem"))
             .args(words)
             .args(["--run", self.run.as_str()])
             .stdin(Stdio::null())

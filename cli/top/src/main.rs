@@ -1,29 +1,66 @@
-//! `tandem top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend.
+//! `tandem-top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend. `tandem top` has
+//! it built and becomes it.
+#![forbid(unsafe_code)]
 
 mod hand;
 mod picture;
 mod view;
 
 use std::io::IsTerminal as _;
+use std::process::ExitCode;
 use std::time::Duration;
 
 use anyhow::{Context as _, anyhow};
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use tandem_board_host::services::Observer;
 
-use crate::args::TopArgs;
-use crate::failure::Failure;
+use clap::{Args, Parser, Subcommand};
+use tandem::failure::Failure;
+
 use hand::Hand;
 use picture::Picture;
 
 /// How often the screen is drawn.
 const REFRESH: Duration = Duration::from_millis(100);
 
+/// The part of `tandem` that this program is.
+#[derive(Debug, Parser)]
+#[command(name = "tandem", bin_name = "tandem", version, max_term_width = 100)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Watch a run live, and inject faults by keys
+    Top(TopArgs),
+}
+
+/// Arguments of `tandem top`.
+#[derive(Debug, Args)]
+struct TopArgs {
+    /// Which run: its name, or the process id of its `tandem run` [default: the only one]
+    #[arg(long, value_name = "RUN")]
+    run: Option<String>,
+}
+
+fn main() -> ExitCode {
+    let Command::Top(args) = Cli::parse().command;
+    match run(&args) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.say();
+            failure.code()
+        }
+    }
+}
+
 /// Shows the run until a person presses q.
 ///
 /// # Errors
 /// [`Failure::Usage`] if there is no terminal, or no run that publishes.
-pub(crate) fn run(args: &TopArgs) -> Result<(), Failure> {
+fn run(args: &TopArgs) -> Result<(), Failure> {
     if !std::io::stdout().is_terminal() {
         let reason = "tandem top needs a terminal; `tandem ps` lists the processes without one";
         return Err(Failure::Usage(anyhow!(reason)));

@@ -11,8 +11,8 @@ use serde_json::{Map, Value, json};
 use tandem_page::output::OutputFile;
 
 use super::coverage::Coverage;
-use crate::failure::Failure;
-use crate::print;
+use tandem::failure::Failure;
+use tandem::print;
 
 /// Numbers that were tried.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

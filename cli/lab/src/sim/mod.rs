@@ -23,11 +23,11 @@ use tandem_redundancy::Config;
 use tandem_sim::faults::{Around, Fault, Group, Profile, Sequence};
 use tandem_sim::timing::Time;
 
-use crate::failure::Failure;
-use crate::output::Output;
-use crate::print;
 use outcome::Outcome;
 use report::Summary;
+use tandem::failure::Failure;
+use tandem::output::Output;
+use tandem::print;
 
 /// Sequences that one process runs: each reset of a core leaves its board in memory.
 const CHUNK: u64 = 100;

@@ -21,13 +21,14 @@ use tandem_vehicle::Scenario;
 use super::Source;
 use super::judge;
 use super::leg::{self, HEALED_WITHIN, Injected, Line, SUSPENDED_FOR, driver, settled, tell};
-use crate::collected::read;
-use crate::files::RunFiles;
-use crate::metrics::Surroundings;
-use crate::recorder::Recorder;
-use crate::run::{Recorded, surroundings};
-use crate::run_config::{Profile, RunConfig};
-use crate::{emulated, output, vehicle};
+use crate::emulated;
+use tandem::collected::read;
+use tandem::files::RunFiles;
+use tandem::metrics::Surroundings;
+use tandem::recorder::Recorder;
+use tandem::run::{Recorded, surroundings};
+use tandem::run_config::{Profile, RunConfig};
+use tandem::{output, vehicle};
 
 /// A system that is switched off and on is without power for this long.
 const OFF: Duration = Duration::from_ms(50);

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::Source;
 use super::campaign::Found;
 use super::judge::Outcome;
-use crate::percentiles::Spans;
+use tandem::percentiles::Spans;
 
 /// Upper ends of the histogram's columns, ms; one more column is open.
 const COLUMNS_MS: [f64; 7] = [10.5, 11.5, 13.0, 15.0, 17.0, 19.0, 21.0];

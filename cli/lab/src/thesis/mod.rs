@@ -14,10 +14,10 @@ use tandem_record::{RunLog, start};
 use tandem_two_cores::thesis::{self as cores, Counted, Exchange};
 
 use crate::args::{ThesisArgs, ThesisBoard};
-use crate::board_kind::DemoBoard;
-use crate::failure::Failure;
 use crate::{boot_demo, rtos_demo};
 use outputs::{Done, Outputs};
+use tandem::board_kind::DemoBoard;
+use tandem::failure::Failure;
 
 /// The figures of the thesis, and the limits here.
 const SYNC_NS: f64 = 660.0;
@@ -128,7 +128,7 @@ pub(crate) fn run(args: &ThesisArgs) -> Result<(), Failure> {
         let json = serde_json::to_string_pretty(&json).map_err(|e| Failure::Run(e.into()))?;
         write(place, &(json + "\n"))?;
     }
-    crate::print(&text).map_err(Failure::Run)?;
+    tandem::print(&text).map_err(Failure::Run)?;
     let beyond = shown.rows.iter().filter(|row| !row.ok);
     let beyond: Vec<_> = beyond
         .map(|row| format!("{} is {:.3} {}", row.name, row.here, row.unit))

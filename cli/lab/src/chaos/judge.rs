@@ -13,8 +13,8 @@ use tandem_sim::faults::{Fault, Kind, Row, Sequence, Way, row};
 
 use super::Source;
 use super::leg::Injected;
-use crate::metrics::{self, GapMetrics};
-use crate::run::Recorded;
+use tandem::metrics::{self, GapMetrics};
+use tandem::run::Recorded;
 
 /// The outcome of one sequence of faults.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

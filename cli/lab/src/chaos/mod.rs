@@ -14,9 +14,9 @@ use anyhow::{Context as _, bail};
 use tandem_board::Duration;
 use tandem_sim::faults::{Sequence, Victim};
 
-use crate::board_kind::DemoBoard;
 use crate::chaos_args::ChaosArgs;
-use crate::failure::Failure;
+use tandem::board_kind::DemoBoard;
+use tandem::failure::Failure;
 
 /// Which faults a campaign has.
 struct Source<'a> {

@@ -15,8 +15,8 @@ use tandem_rtos::host::{deferred, elapsed_ns};
 use tandem_rtos::{Clock, Kernel, Priority, TaskOptions};
 
 use crate::args::RtosDemoArgs;
-use crate::board_kind::DemoBoard;
 use crate::emulated;
+use tandem::board_kind::DemoBoard;
 
 /// Columns of a trace in the terminal.
 const COLUMNS: usize = 90;

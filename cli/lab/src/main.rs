@@ -1,0 +1,47 @@
+//! `tandem-lab`: the commands of `tandem` that need what no drive needs. `tandem` has it built and
+//! becomes it.
+#![forbid(unsafe_code)]
+
+mod args;
+mod boot_demo;
+mod chaos;
+mod chaos_args;
+mod emulated;
+mod judge;
+mod rtos_demo;
+mod sim;
+mod thesis;
+
+use std::process::ExitCode;
+
+use clap::Parser as _;
+use tandem::board_kind::BoardKind;
+use tandem::failure::Failure;
+use tandem::{print, publish, run};
+
+use args::{Cli, Command};
+
+fn main() -> ExitCode {
+    tandem::program(|| command(Cli::parse().command))
+}
+
+fn command(command: Command) -> Result<(), Failure> {
+    match command {
+        Command::Run(args) if args.board == BoardKind::Host => run::run(&args),
+        Command::Run(args) => emulated::run(&args),
+        Command::Publish => publish::run().map_err(Failure::Run),
+        Command::Judge(args) => judge::run(&args),
+        Command::Sim(args) => sim::run(&args),
+        Command::Chaos(args) => chaos::run(&args),
+        Command::Thesis(args) => thesis::run(&args),
+        Command::RtosDemo(args) => {
+            let shown = rtos_demo::run(&args).map_err(Failure::Run)?;
+            print(&shown).map_err(Failure::Run)
+        }
+        Command::BootDemo(args) => {
+            let shown = boot_demo::experiment(args.board, args.images.as_deref());
+            let shown = shown.map_err(Failure::Run)?;
+            print(&shown.to_string()).map_err(Failure::Run)
+        }
+    }
+}

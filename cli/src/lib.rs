@@ -1,0 +1,105 @@
+//! What `tandem` and the programs beside it share: a run with its processes, its recording and its
+//! report.
+#![forbid(unsafe_code)]
+
+pub mod args;
+pub mod beside;
+pub mod board_kind;
+pub mod boot;
+pub mod boot_demo;
+pub mod collected;
+mod control_core;
+mod core_process;
+pub mod dflash;
+pub mod failure;
+pub mod files;
+pub mod flash;
+pub mod hands;
+pub mod live;
+pub mod metrics;
+pub mod output;
+pub mod percentiles;
+pub mod ps;
+pub mod publish;
+pub mod recorder;
+mod report;
+pub mod run;
+pub mod run_config;
+pub mod stall_watch;
+mod summary;
+#[cfg(test)]
+mod synthetic;
+mod three_frames;
+mod timeline;
+mod update;
+pub mod vehicle;
+mod world_record;
+
+use std::alloc::System;
+use std::io::{self, Write as _};
+use std::process::ExitCode;
+
+use anyhow::Context as _;
+use run_config::RunConfig;
+use tandem_board_host::{InvalidArgs, ProcessArgs, supply};
+
+use failure::Failure;
+use tandem_rtos::host::TaskAllocator;
+
+/// The tasks of a core share its thread, and with it the allocator.
+#[global_allocator]
+static ALLOCATOR: TaskAllocator<System> = TaskAllocator::new(System);
+
+/// Is a process of a run if the arguments say so, and else does what `command` says. For each
+/// program that starts runs: their processes are this program with hidden arguments.
+pub fn program(command: impl FnOnce() -> Result<(), Failure>) -> ExitCode {
+    if let Some(args) = ProcessArgs::parse(std::env::args_os().skip(1)) {
+        return match process(args) {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("{error:#}");
+                ExitCode::FAILURE
+            }
+        };
+    }
+    match command() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            failure.say();
+            failure.code()
+        }
+    }
+}
+
+/// One process of a run, until it ends.
+fn process(args: Result<ProcessArgs, InvalidArgs>) -> anyhow::Result<()> {
+    match args? {
+        ProcessArgs::Supply(args) => {
+            let system = args.system;
+            supply::run(&args, &run::core_command).with_context(|| format!("supply {system}"))
+        }
+        ProcessArgs::Core(args) => {
+            let of = args.identity;
+            core_process::run(&args).with_context(|| format!("core {}{}", of.system, of.core))
+        }
+        ProcessArgs::Vehicle(args) => {
+            let run = RunConfig::from_extra(&args.common.extra)?;
+            match &run.demo {
+                Some(files) => boot_demo::play(&args, files),
+                None => vehicle::run(&args, &run),
+            }
+            .context("vehicle")
+        }
+    }
+}
+
+/// Writes to stdout; a reader that has seen enough is no error.
+///
+/// # Errors
+/// If stdout cannot be written.
+pub fn print(text: &str) -> anyhow::Result<()> {
+    match io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(error).context("stdout"),
+        _ => Ok(()),
+    }
+}

@@ -1,0 +1,13 @@
+//! `tandem top` without what it needs.
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
+use std::process::{Command, Stdio};
+
+/// A terminal is needed, and a run that is there.
+#[test]
+fn top_says_what_it_needs() {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_tandem-top"));
+    let output = command.arg("top").stdin(Stdio::null()).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("needs a terminal"));
+}

@@ -1,0 +1,64 @@
+//! What campaigns and experiments refuse before they begin.
+
+use std::fs;
+
+use crate::fixture::{Fixture, refuses};
+
+/// Long work does not begin if its results would be lost.
+#[test]
+fn a_result_that_cannot_be_written() {
+    let fixture = Fixture::new();
+    for command in [
+        &["sim", "--seeds", "1000000", "--json"][..],
+        &["sim", "--only", "random:1", "--save"],
+        &["thesis", "--board", "sim", "--json"],
+        &["thesis", "--board", "sim", "--svg"],
+    ] {
+        refuses(&fixture, &[command, &["."]].concat(), &["it is a folder"]);
+        let missing = &[command, &["no/such/file"]].concat();
+        refuses(&fixture, missing, &["create it first"]);
+    }
+    let twice = ["thesis", "--board", "sim", "--json", "x", "--svg", "x"];
+    refuses(&fixture, &twice, &["the same file"]);
+}
+
+/// A campaign that cannot be is refused before a run starts.
+#[test]
+fn a_campaign_that_cannot_be() {
+    let fixture = Fixture::new();
+    for (name, text) in [
+        ("none.toml", "mended-at-ms = 1.0\nfault = [{}]\n"),
+        (
+            "clock.toml",
+            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"clock\"\nof = \"a\"\nat-ms = 0.0\namount = 5\n",
+        ),
+        (
+            "power-on.toml",
+            "from-power-on = true\nmended-at-ms = 1.0\nfault = []\n",
+        ),
+        (
+            "supply.toml",
+            "mended-at-ms = 1.0\n[[fault]]\nwhat = \"supply-hangs\"\nof = \"a\"\nat-ms = 0.0\n\
+             amount = 5\n",
+        ),
+    ] {
+        fs::write(fixture.folder().join(name), text).unwrap();
+    }
+    for (args, word) in [
+        (&["chaos", "--faults", "none.toml"][..], "missing field"),
+        (
+            &["chaos", "--faults", "clock.toml"],
+            "clock: processes cannot suffer it",
+        ),
+        (&["chaos", "--faults", "power-on.toml"], "only `tandem sim`"),
+        (&["chaos", "--matrix", "--only", "99999"], "no cell 99999"),
+        (&["chaos", "--count", "0"], "no fault"),
+        (&["chaos", "--json", "no/such/c.json"], "no/such"),
+        (
+            &["sim", "--faults", "supply.toml"],
+            "only processes suffer it",
+        ),
+    ] {
+        refuses(&fixture, args, &[word]);
+    }
+}

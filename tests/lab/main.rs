@@ -1,0 +1,14 @@
+//! Campaigns and experiments of the `tandem` command as a person uses them.
+#![allow(
+    clippy::unwrap_used,
+    reason = "a test ends where something is not as it must be"
+)]
+
+mod chaos;
+mod errors;
+#[path = "../processes/fixture.rs"]
+#[allow(dead_code, reason = "the tests of runs use more of it")]
+mod fixture;
+
+/// The program that `tandem` becomes for these commands.
+const PROGRAM: &str = env!("CARGO_BIN_EXE_tandem-lab");
