@@ -19,8 +19,9 @@ use tandem_boot::{
 };
 use tandem_boot_host::{FlashFile, Image, Release, SigningKey, records};
 
-use crate::flash::{PRIVATE_DER, key};
-
+/// What RFC 8410 puts before the 32 bytes of a private key.
+pub const PRIVATE_DER: [u8; 16] =
+    *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
 /// The name of the controller in the slots of a run.
 pub const CONTROLLER: &str = "controller";
 /// An application that is tried before the image approves itself: one second with a role.
@@ -142,6 +143,18 @@ pub fn key_in(path: &Path) -> anyhow::Result<SigningKey> {
     }
     let seed = key(path, &PRIVATE_DER)?;
     Ok(SigningKey { number: 0, seed })
+}
+
+/// The 32 bytes of a key in this file of DER, behind this beginning.
+///
+/// # Errors
+/// If it cannot be read, or is no such key.
+pub fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
+    let bytes = std::fs::read(path).with_context(|| path.display().to_string())?;
+    let key = bytes
+        .strip_prefix(prefix)
+        .and_then(|key| key.try_into().ok());
+    key.ok_or_else(|| anyhow!("{} is no Ed25519 key in DER", path.display()))
 }
 
 /// A key of this run alone.

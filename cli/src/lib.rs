@@ -13,7 +13,6 @@ mod core_process;
 pub mod dflash;
 pub mod failure;
 pub mod files;
-pub mod flash;
 pub mod hands;
 pub mod live;
 pub mod metrics;

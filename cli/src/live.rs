@@ -1,13 +1,14 @@
 //! How a run stands: written by the vehicle some times a second, shown by `tandem run`.
 
 use std::fs;
+use std::io::{IsTerminal as _, stderr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use rustix::termios::tcgetwinsize;
 use serde::{Deserialize, Serialize};
 
 const REFRESH: Duration = Duration::from_millis(100);
@@ -71,14 +72,10 @@ pub struct Progress {
 impl Progress {
     /// Shows the run whose state is at `path`.
     pub fn show(path: PathBuf, duration_s: f64) -> Self {
-        let bar = ProgressBar::new_spinner();
         let over = Arc::new(AtomicBool::new(false));
-        let thread = (!bar.is_hidden()).then(|| {
-            let style = ProgressStyle::with_template("{wide_msg}");
-            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
-            bar.set_message("starting");
+        let thread = stderr().is_terminal().then(|| {
             let over = Arc::clone(&over);
-            std::thread::spawn(move || follow(&bar, &path, duration_s, &over))
+            std::thread::spawn(move || follow(&path, duration_s, &over))
         });
         Self { over, thread }
     }
@@ -93,14 +90,20 @@ impl Progress {
     }
 }
 
-fn follow(bar: &ProgressBar, path: &Path, duration_s: f64, over: &AtomicBool) {
+/// To the first column of the terminal, and clears the line.
+const CLEAR: &str = "\r\x1b[2K";
+
+fn follow(path: &Path, duration_s: f64, over: &AtomicBool) {
+    eprint!("starting");
     while !over.load(Ordering::Relaxed) {
         if let Some(live) = Live::read(path) {
-            bar.set_message(live.line(duration_s));
+            // A longer line would wrap, and could not be cleared.
+            let columns = tcgetwinsize(stderr()).map_or(80, |size| usize::from(size.ws_col));
+            eprint!("{CLEAR}{:.columns$}", live.line(duration_s));
         }
         std::thread::sleep(REFRESH);
     }
-    bar.finish_and_clear();
+    eprint!("{CLEAR}");
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@ use tandem::args::{Cli, Command};
 use tandem::beside::{Program, become_program};
 use tandem::board_kind::{BoardKind, DemoBoard};
 use tandem::failure::Failure;
-use tandem::{boot_demo, dflash, flash, hands, print, ps, publish, run};
+use tandem::{boot_demo, dflash, hands, print, ps, publish, run};
 
 fn main() -> ExitCode {
     tandem::program(|| {
@@ -33,6 +33,8 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         Command::Bench(_) => become_program(Program::Bench, words),
         Command::Top(_) => become_program(Program::Top, words),
         Command::Judge(_)
+        | Command::Flash(_)
+        | Command::Bootloader(_)
         | Command::Sim(_)
         | Command::Chaos(_)
         | Command::Thesis(_)
@@ -51,8 +53,6 @@ fn command(command: Command, words: &[OsString]) -> Result<(), Failure> {
         }
         Command::Ps(args) => ps::run(&args).map_err(Failure::Run),
         Command::Scenarios => scenarios().map_err(Failure::Run),
-        Command::Flash(args) => flash::run(&args),
-        Command::Bootloader(args) => flash::bootloader(&args).map_err(Failure::Run),
         Command::Publish => publish::run().map_err(Failure::Run),
         Command::Cut(args) => hands::set_cut(&args, true).map_err(Failure::Run),
         Command::Mend(args) => hands::set_cut(&args, false).map_err(Failure::Run),

@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use serde_json::Value;
 use tandem_board_host::services::{News, Observer};
 
-use crate::fixture::{Fixture, Run, kill, send, unless_stalled};
+use crate::fixture::{Run, kill, send, unless_stalled};
 
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/observe.py");
 

@@ -6,6 +6,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use tandem::args::{BootDemoArgs, RunArgs};
 use tandem::board_kind::DemoBoard;
 
+use crate::boot_args::{BootloaderArgs, FlashArgs};
 use crate::chaos_args::ChaosArgs;
 use crate::sim::SimArgs;
 
@@ -39,6 +40,10 @@ pub(crate) enum Command {
     /// Download the smallest application over CAN to an empty controller, start it, and show the
     /// frames of its three cores
     BootDemo(BootDemoArgs),
+    /// Sign an application and download it to a bootloader over CAN
+    Flash(FlashArgs),
+    /// Run the bootloader of one system on a flash file, and say what it would start
+    Bootloader(BootloaderArgs),
 }
 
 /// Arguments of `tandem thesis`.

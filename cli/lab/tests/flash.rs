@@ -38,7 +38,7 @@ fn run(test: &str, script: &str) -> Option<String> {
     fs::write(folder.path().join("app.bin"), [7; 3000]).unwrap();
     let output = Command::new("unshare")
         .args(["-rn", "sh", "-c", &format!("{SETUP}{script}")])
-        .env("TANDEM", env!("CARGO_BIN_EXE_tandem"))
+        .env("TANDEM", env!("CARGO_BIN_EXE_tandem-lab"))
         .current_dir(folder.path())
         .output()
         .unwrap();

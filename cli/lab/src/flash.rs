@@ -1,13 +1,13 @@
 //! `tandem flash`: signs a file, sends it to a bootloader over CAN, and shows how far it is; and a
 //! bootloader on this machine to send it to. The protocol is `docs/boot.md`.
 
-use crate::args::{BootloaderArgs, FlashArgs};
-use crate::failure::Failure;
+use crate::boot_args::{BootloaderArgs, FlashArgs};
 use anyhow::{Context as _, anyhow, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fs;
-use std::path::Path;
 use std::time::Instant as Clock;
+use tandem::boot::{PRIVATE_DER, key};
+use tandem::failure::Failure;
 use tandem_board::{Duration, Instant, ResetCause};
 use tandem_boot::{
     Bank, Launch, Loader, Manifest, Next, Setup, Trust, TrustMode, approve, rom_choice,
@@ -17,13 +17,11 @@ use tandem_boot_host::{
     send_file, serve,
 };
 
-/// What RFC 8410 puts before the 32 bytes of a private and of a public key.
-pub(crate) const PRIVATE_DER: [u8; 16] =
-    *b"\x30\x2e\x02\x01\x00\x30\x05\x06\x03\x2b\x65\x70\x04\x22\x04\x20";
+/// What RFC 8410 puts before the 32 bytes of a public key.
 const PUBLIC_DER: [u8; 12] = *b"\x30\x2a\x30\x05\x06\x03\x2b\x65\x70\x03\x21\x00";
 
 /// Sends a file, or only signs it.
-pub fn run(args: &FlashArgs) -> Result<(), Failure> {
+pub(crate) fn run(args: &FlashArgs) -> Result<(), Failure> {
     let lines = lines(args).map_err(Failure::Usage)?;
     if let Some(path) = &args.sign_only {
         let text = lines.concat();
@@ -67,14 +65,6 @@ fn lines(args: &FlashArgs) -> anyhow::Result<Vec<String>> {
     Ok(records(&name.to_string(), &[&image]))
 }
 
-pub(crate) fn key(path: &Path, prefix: &[u8]) -> anyhow::Result<[u8; 32]> {
-    let bytes = fs::read(path).with_context(|| path.display().to_string())?;
-    let key = bytes
-        .strip_prefix(prefix)
-        .and_then(|key| key.try_into().ok());
-    key.ok_or_else(|| anyhow!("{} is no Ed25519 key in DER", path.display()))
-}
-
 fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
     let wire = Wire::join(args.group, args.port).context("CAN over UDP multicast")?;
     let style = ProgressStyle::with_template("{bar:40} {pos}/{len} records, {eta} left");
@@ -89,11 +79,11 @@ fn send(args: &FlashArgs, lines: Vec<String>) -> anyhow::Result<()> {
     });
     bar.finish_and_clear();
     sent?;
-    crate::print("verified by the bootloader, on trial from its next start\n")
+    tandem::print("verified by the bootloader, on trial from its next start\n")
 }
 
 /// A system's bootloader on its flash file, until it has decided what to start.
-pub fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
+pub(crate) fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
     let name = args.flash.display();
     let mut flash = FlashFile::open(&args.flash).with_context(|| name.to_string())?;
     if args.approve {
@@ -124,7 +114,7 @@ pub fn bootloader(args: &BootloaderArgs) -> anyhow::Result<()> {
         let loader = Loader::start(&mut flash, setup, Instant::ORIGIN);
         let mut loader = loader.map_err(|_| TransferError::Flash)?;
         match serve(&wire, clock, &mut loader)? {
-            Next::Jump(launch) => return crate::print(&shown(&launch)),
+            Next::Jump(launch) => return tandem::print(&shown(&launch)),
             Next::StartPrimary => setup.bank = Bank::Primary,
             _ => {
                 setup.cause = ResetCause::Software;
