@@ -120,8 +120,8 @@ pub fn recorded<T: Send>(
     })
 }
 
-/// As [`run`], with a controller on another board: `drive` drives it, and returns how the time went.
-/// That time is virtual, and never late.
+/// As [`run`], with a controller on another board: `drive` drives it, and returns how the time
+/// went. That time is virtual, and never late.
 ///
 /// # Errors
 /// [`Failure`] with the exit status that the command documents.

@@ -1,5 +1,5 @@
-//! `tandem-top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend. `tandem top` has
-//! it built and becomes it.
+//! `tandem-top`: a run, live, in a terminal of 80 by 24; keys inject faults and mend. `tandem top`
+//! becomes it.
 #![forbid(unsafe_code)]
 
 mod hand;
