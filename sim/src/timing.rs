@@ -37,9 +37,8 @@ const CORE_0: [(TaskCode, Measured); 6] = [
 /// systems and runs. Medians are 21 to 32 µs and 90 to 112 µs, maxima 222 and 387 µs. The maxima
 /// here are those of the firmware: `tandem run --board qemu` of the same, 20 s each. An instruction
 /// takes 1 ns there, and riscv32imac computes floating point in software; medians are 1.6 to 1.8 ms
-/// and 9.0 to 11.2 ms, 99th percentiles 2.2 and 13.8 ms. All are from before planning computed the
-/// cost of comfortable candidates first: then its median in firmware is 7.1 to 9.7 ms, and its
-/// maximum 14.6 ms.
+/// and 9.0 to 11.2 ms, 99th percentiles 2.2 and 13.8 ms. All are from before both were made faster:
+/// then the firmware's medians are 1.2 to 1.4 ms and 3.9 to 4.4 ms, its maxima 1.8 and 9.9 ms.
 const CORES_1_AND_2: [(TaskCode, Measured); 2] = [
     (TaskCode::PERCEPTION, Measured(117_200, 2_322_900)),
     (TaskCode::PLANNING, Measured(202_000, 14_645_200)),
