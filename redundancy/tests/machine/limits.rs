@@ -44,21 +44,27 @@ fn a_standby_polls_when_a_limit_ends() {
 
 /// T-RED-8: a link that falls silent with both lines shows a dead master before its control frames
 /// are missed. One that was silent longer before the lines than its limit was cut, and shows
-/// nothing.
+/// nothing; nor does one whose limit is not below the third witness's.
 #[test]
 fn a_link_that_ends_with_the_lines_shows_a_dead_master() {
-    let ns = Duration::from_ns(1);
-    let config = Config {
-        report_period: Duration::from_ms(2),
-        ..Config::chip()
+    let (chip, ms, ns) = (Config::chip(), Duration::from_ms(1), Duration::from_ns(1));
+    let with = |report_us| Config {
+        report_period: Duration::from_us(report_us),
+        ..chip
     };
-    let (lines, link) = (config.silent_limit(), config.link_limit());
-    for (cut_before, takes) in [
-        (Duration::ZERO, link),
-        (Duration::from_ms(1), link - Duration::from_ms(1)),
-        (link, lines),
-        (link + ns, config.witness_limit()),
+    let (lines, witness) = (chip.silent_limit(), chip.witness_limit());
+    let link = with(2_000).link_limit();
+    let nearly = with(5_099).link_limit();
+    assert_eq!(with(5_100).link_limit(), witness);
+    for (report_us, cut_before, takes) in [
+        (2_000, Duration::ZERO, link),
+        (2_000, ms, link - ms),
+        (2_000, link, lines),
+        (2_000, link + ns, witness),
+        (5_099, ms, nearly - ms),
+        (5_100, ms, witness),
     ] {
+        let config = with(report_us);
         let mut bench = Bench::standby_with(config);
         let _ = bench.linked(sound(Role::Master, Term::from_bits(16)));
         let last = bench.now + cut_before;
@@ -497,6 +503,39 @@ fn a_report_that_is_too_late_does_not_count() {
         let counts = bench.machine.highest_term() > before;
         let limit_ms = CONFIG.report_limit.as_us() / 1_000;
         assert_eq!(counts, late_ms <= limit_ms, "{late_ms} ms late");
+    }
+}
+
+/// A report counts up to its limit, and not a microsecond later.
+#[test]
+fn a_report_counts_up_to_its_limit() {
+    // Shorter than the time after which a clock is compared anew.
+    let report_limit = Duration::from_ms(90);
+    for (late, expected) in [
+        (report_limit, true),
+        (report_limit + Duration::from_us(1), false),
+    ] {
+        let mut bench = Bench::master_with(Config {
+            report_limit,
+            ..CONFIG
+        });
+        let report = |bench: &mut Bench, late: Duration| {
+            let before = bench.machine.highest_term();
+            let _ = bench.on(Input::LinkReport(LinkReport {
+                report: sound(Role::Standby, before.above(1, SystemId::B).unwrap()),
+                start: 1,
+                sent_us: (bench.now.as_ns() / 1_000 - late.as_us()) as u32,
+            }));
+            bench.machine.highest_term() > before
+        };
+        for _ in 0..40 {
+            bench.run_with_beats(10);
+            assert!(report(&mut bench, Duration::ZERO));
+        }
+        // Sent a millisecond after the last one.
+        bench.run_with_beats(1);
+        bench.now += late;
+        assert_eq!(report(&mut bench, late), expected, "{late:?}");
     }
 }
 
